@@ -10,8 +10,8 @@ from typing import IO, Any, Protocol
 
 from base.settings import Settings
 from control.canon import Canon as MachineCanon
+from control.homing_probing import HomingProbing
 from control.inputs import Inputs
-from control.seek import Seek
 from control.spindle import Spindle
 from extras.api import Cnc
 from language.block import Block
@@ -101,7 +101,7 @@ class Canon(Protocol):
     Abort there; in check mode nothing moves."""
 
     planner: Planner  # where a line that does no more than move is put
-    travel: array[int]  # and what it is held against first: see canon.judge()
+    travel: array[int]  # and what it is held against first: see canon.check_travel()
     course: array[int]  # where arcs are laid: see arcs.py
 
     def make_room(self) -> None:
@@ -222,7 +222,7 @@ class Port(Protocol):
     estop: Callable[[], bool] | None  # whether the emergency stop is pressed; None: not wired
     fault: str  # what is wrong with the inputs, in words; "" as long as nothing is
     # An extra's, called with the mask behind InputListener.on_controls(), in the interrupt too.
-    behind_controls: Callable[[int], object] | None
+    after_controls: Callable[[int], object] | None
 
     @property
     def pwm(self) -> Pwm | None:
@@ -231,7 +231,7 @@ class Port(Protocol):
     def attach(self, listener: InputListener) -> None:
         """Who is called, in interrupt context, when an input changes."""
 
-    def hear_limits(self, on: bool) -> None:
+    def enable_limits(self, on: bool) -> None:
         """Call on_limits, or leave the limit inputs in peace ($21). An input that has called is
         looked at again some milliseconds later and not heard meanwhile."""
 
@@ -317,7 +317,7 @@ class DriverWire(Protocol):
 class JobFiles(Protocol):
     """Programs that live on the board, by name. What cannot be done is an OSError."""
 
-    turn: Callable[[], object]  # called while files are gone through
+    on_progress: Callable[[], object]  # called while files are gone through
 
     def mount(self) -> None:
         """See to it that they can be reached. None may be open."""
@@ -337,7 +337,7 @@ class JobFiles(Protocol):
     def open(self, name: str) -> IO[bytes]:
         """To be read."""
 
-    def room_kb(self) -> int:
+    def free_kb(self) -> int:
         """What still fits."""
 
     def delete(self, name: str) -> None:
@@ -377,7 +377,7 @@ class Options(Protocol):
     kinematics: Kinematics | None  # None: each motor moves the axis of its own number
     settings: type[Settings]
     inputs: type[Inputs]
-    seek: type[Seek]
+    homing_probing: type[HomingProbing]
     planner: type[Planner]
     canon: type[MachineCanon]
     report: type[Report]  # or one that speaks another dialect
@@ -433,11 +433,11 @@ class BoardLink(Link, Protocol):
     """A Link of a real board: what power_up and the supervisor want besides."""
 
     shared: array[int]  # with the supervisor, see ports/supervisor.py
-    come_back: Callable[[], None]  # the supervisor's, called in the main loop, and raises
+    check_supervisor: Callable[[], None]  # the supervisor's, called in the main loop, and raises
     is_slow: bool  # Ctrl-X is not heard before the main loop reads
 
     @property
-    def look(self) -> Callable[[], int] | None:
+    def poll_reset(self) -> Callable[[], int] | None:
         """Called by the supervisor, in its interrupt: whether a Ctrl-X has come. None where
         there is nothing to see but by reading."""
 
@@ -452,7 +452,7 @@ class Access(Protocol):
 
     secret: str  # who says it may
 
-    def noise(self, count: int) -> bytes:
+    def random_bytes(self, count: int) -> bytes:
         """So many bytes that nobody can guess."""
 
 class Connection(Protocol):
@@ -496,10 +496,10 @@ class NetworkLink(Link, Protocol):
     def by_cable(self) -> bool:
         """Who drives sits at the cable."""
 
-    def tell_cable(self, data: bytes) -> None:
+    def write_cable(self, data: bytes) -> None:
         """What nobody else is to read."""
 
-    def callers(self) -> int:
+    def client_count(self) -> int:
         """How many are connected."""
 
     def expel(self) -> None:

@@ -1,7 +1,7 @@
 """Hooks: every place where an extra may have its say, by name. Extras reach them by extras/api.py.
 
-Who is named later in boot/guests.py is called later in an event, and stands further out in a
-chain. All is of the main loop, but for `next_segment`.
+Who is named later in boot/select_extras.py is called later in an event, and stands further out in
+a chain. All is of the main loop, but for `next_segment`.
 
 Two are not here, for kernels call them: Planner.move_hook plans a line in another way, and
 Block.read_on reads what is no word.
@@ -29,21 +29,21 @@ class Hooks:
 
     # Chains. They may do whatever that function may.
     execute: "Line"  # a line of G-code, which a 0 follows
-    whose: "Callable[[bytearray, int], Line]"  # who executes a line that begins with $
+    find_command: "Callable[[bytearray, int], Line]"  # who executes a line that begins with $
     refuse: "Callable[[int], None]"  # tells the sender of an error, by Grbl's number
     alarm: "Callable[[int], None]"  # and of an alarm
     probe: "Probe"  # see Seek
     probed_at: "Callable[[], array[float]]"
     forget_probe: "Callable[[], None]"
     home: "Callable[[int], bool]"
-    find: "Callable[[int], None]"
+    find_switches: "Callable[[int], None]"
     home_phase: "Callable[[int, bool, float, float], None]"
     write_offsets: "Callable[[int, array[float]], None]"  # see Coords.write()
     # Interrupt: fills a segment's row; see segments.py. Viper, or it would need too much stack.
     next_segment: "NextSegment"
 
     # The loop. They may wait, by Cnc.service().
-    turn: "Calls" = ()  # after real-time commands, at each turn of every loop that waits
+    poll: "Calls" = ()  # after real-time commands, at each turn of every loop that waits
     between_lines: "Calls" = ()
     reset: "Calls" = ()  # after the welcome that follows power-up and every reset
     fields: "tuple[Callable[[], str], ...]" = ()  # of the status report; "" is none
@@ -70,14 +70,14 @@ class Hooks:
     powered: "tuple[Callable[[Power], object], ...]" = ()  # see Planner.each_power()
 
 
-def tell(calls: "Calls") -> None:
+def call_all(calls: "Calls") -> None:
     """Call them all. Callers with little stack left test for an empty tuple first: a loop in their
     own frame would take 24 bytes even then."""
     for call in calls:
         call()
 
 
-def agree(asks: "Asks") -> bool:
+def all_agree(asks: "Asks") -> bool:
     """Whether all of them say yes. The first no ends it."""
     for ask in asks:
         if not ask():

@@ -12,7 +12,7 @@ from micropython import const
 
 from base import errors
 from base.errors import GrblError
-from base.f32 import f32, whole
+from base.float32 import f32, truncate
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -253,9 +253,9 @@ class Settings:
                 amount = amount * _PER_SECOND_SQR
             getattr(self, row[1])[axis] = amount
         elif row[2] == INT:
-            setattr(self, row[1], whole(amount) & 255)
+            setattr(self, row[1], truncate(amount) & 255)
         elif row[2] == BOOL:
-            setattr(self, row[1], 1 if whole(amount) & 255 else 0)
+            setattr(self, row[1], 1 if truncate(amount) & 255 else 0)
         else:
             setattr(self, row[1], f32(amount))
 
@@ -285,15 +285,15 @@ class Settings:
     # Checks across fields, by number.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
-        if whole(amount) & 255 < 3:
+        if truncate(amount) & 255 < 3:
             raise GrblError(errors.SETTING_STEP_PULSE_MIN)
 
     def _check_soft_limits(self, axis: int, amount: float) -> None:
-        if whole(amount) & 255 and not self.homing:
+        if truncate(amount) & 255 and not self.homing:
             raise GrblError(errors.SOFT_LIMIT_ERROR)
 
     def _check_homing(self, axis: int, amount: float) -> None:
-        if not whole(amount) & 255:
+        if not truncate(amount) & 255:
             self.soft_limits = 0  # they cannot be without
 
     def _check_resolution(self, axis: int, amount: float) -> None:

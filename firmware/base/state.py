@@ -8,7 +8,7 @@ from array import array
 
 from micropython import const
 
-from base.f32 import f32
+from base.float32 import f32
 from base.hooks import Hooks
 
 # Run states.
@@ -108,10 +108,10 @@ class State:
         if not _FOLLOWS[run] & (self.run or _IDLE_BIT):
             raise RuntimeError("state %d cannot follow %d" % (run, self.run))
         if (self.run | run) & CHECK:
-            self.change()
+            self.invalidate_lines()
         self.run = self.running[0] = run
 
-    def change(self) -> None:
+    def invalidate_lines(self) -> None:
         """What lines depend on is another now: a setting, an override, a mode."""
         self.changes[0] = (self.changes[0] + 1) & 0xFFFF
 
@@ -124,7 +124,7 @@ class State:
         """Ask for something once more than it has been asked for."""
         self.pending[event] = min(self.pending[event] + 1, 255)
 
-    def take(self, event: int) -> int:
+    def take_event(self, event: int) -> int:
         """How often that was asked for, once where it was posted; it is not any more."""
         times = self.pending[event]
         if times:
@@ -138,7 +138,7 @@ class State:
 
     def clear(self) -> None:
         """Back to a fresh start, but for the run state and what is pending in alarm."""
-        self.change()
+        self.invalidate_lines()
         self.suspend = 0
         self.soft_limit = False
         self.holding = False  # motion is slowing down, or has stopped, for a hold

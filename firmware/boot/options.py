@@ -7,8 +7,8 @@ once the machine is built: a board forgets this module then.
 from base.settings import Settings
 from base.text import text_of
 from control.canon import Canon
+from control.homing_probing import HomingProbing
 from control.inputs import Inputs
-from control.seek import Seek
 from control.spindle import Spindle
 from language.block_layout import HIGHEST_TOOL
 from language.words import LINE_LENGTH
@@ -17,7 +17,7 @@ from motion.planner import Planner
 from talk.lines import READS
 from talk.report import Report
 
-from boot import guests
+from boot import select_extras
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -57,14 +57,16 @@ class Options:
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
         self.echo: bool = option("ECHO", False)
         # What an extra may have otherwise, before the machine is made: prepare().
-        self.custom = guests.customs(board)
+        self.custom = select_extras.custom_modules(board)
         self.job_files: "JobFiles | None" = None
         self.driver_wire: "DriverWire | None" = None
         self._hardware(board)
-        self.extras = guests.modules(guests.names(board, bool(self.custom)))
+        self.extras = select_extras.import_extras(
+            select_extras.extra_names(board, bool(self.custom))
+        )
         self.settings: "type[Settings]" = Settings
         self.inputs: "type[Inputs]" = Inputs
-        self.seek: "type[Seek]" = Seek
+        self.homing_probing: "type[HomingProbing]" = HomingProbing
         self.planner: "type[Planner]" = Planner
         self.canon: "type[Canon]" = Canon
         self.report: "type[Report]" = Report

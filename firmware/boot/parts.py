@@ -46,7 +46,7 @@ _LOOP_MS = const(250)
 _SLOW_RESET = " slow-reset"
 
 # Extras that do no more than make a machine, a kilobyte each.
-_MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.moves")
+_MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.motor_matrix")
 
 # What makes objects, or has that in its name, in a class or a module; and what extras do then.
 MAKERS = ("__init__", "connect", "prepare", "install")
@@ -224,7 +224,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     def make_room() -> None:
         _forget_makers(made)
 
-    watch.start(feed, machine.drive.note_reset)
+    watch.start(feed, machine.motor_control.note_reset)
     # Some word of machine code may look to the collector like the address of something in here:
     # that is not to lead to all of it. The last comes first.
     return machine, link, port, engine, watch, [globals().clear, make_room]
@@ -240,11 +240,11 @@ def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
     """What runs the machine; the engine's buffers are the first large things in memory."""
     from ports import pin_check
 
-    from boot import guests
+    from boot import select_extras
 
     _check_engine(board)
     _, _, pins, _, _ = _ENGINES[board.ENGINE]
-    pin_check.check(board, pins, guests.pins(board))
+    pin_check.check(board, pins, select_extras.pin_options(board))
     forget("ports.pin_check")
     return make(board, link)
 
@@ -304,7 +304,7 @@ def _build(
     machine = wiring.build(board, link, port, engine, store, ring)
     forget("boot.wiring")  # with these, 5 kB that nobody needs any more
     forget("boot.options")
-    forget("boot.guests")
+    forget("boot.select_extras")
     forget("ports.storage.user_files")
     for extra in _MAKING:
         forget(extra)

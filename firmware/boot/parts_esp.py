@@ -39,6 +39,6 @@ def i2s(board: "ModuleType", link: "BoardLink") -> "tuple[I2sEngine, EspPort]":
 
 def _join(engine: "RmtEngine | I2sEngine", port: EspPort, link: "BoardLink") -> None:
     """All three work together."""
-    engine.on_look = port.look
-    link.on_turn = port.look  # type: ignore[attr-defined]  # UartLink's
+    engine.on_poll = port.poll_inputs
+    link.on_poll = port.poll_inputs  # type: ignore[attr-defined]  # UartLink's
     engine.on_fault = port.kill

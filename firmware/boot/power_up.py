@@ -11,7 +11,7 @@ import time
 
 from base import errors
 from base import state as st
-from base.faults import harmless, trace
+from base.faults import sanitize, trace
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -45,7 +45,7 @@ def build() -> "Parts | None":
     return made
 
 
-def live(parts: "Parts | None") -> "Controller | None":
+def run_machine(parts: "Parts | None") -> "Controller | None":
     """Run the machine, for ever or until the REPL is asked for; returns it. main.py calls this
     and not build() does, for an interrupt needs what the stack has left."""
     if parts is None:
@@ -70,7 +70,7 @@ def live(parts: "Parts | None") -> "Controller | None":
             machine.protocol.run()
         except KeyboardInterrupt as stop:
             # Ctrl-X, if it has ended what would not come back; else the prompt is asked for.
-            fault = stop if watch.take() else None
+            fault = stop if watch.end_absence() else None
         except (Exception, SystemExit) as unforeseen:  # sys.exit() would leave motors running
             fault = unforeseen
         port.safe()
@@ -141,4 +141,4 @@ def _text(fault: BaseException) -> str:
     """What happened, where, and in which build."""
     lines = trace(fault)
     place = lines[-2].strip() if len(lines) > 1 else ""
-    return "%s (%s)" % (harmless("%s %s" % (lines[-1], place)), errors.BUILD_ID)
+    return "%s (%s)" % (sanitize("%s %s" % (lines[-1], place)), errors.BUILD_ID)

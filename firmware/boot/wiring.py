@@ -7,8 +7,8 @@ from base.axes import TOOL_LENGTH
 from base.state import State
 from control.coolant import Coolant
 from control.coords import Coords
-from control.drive import Drive
 from control.modes import Modes
+from control.motor_control import MotorControl
 from control.overrides import Overrides
 from control.realtime import Realtime
 from control.saves import Saves
@@ -97,9 +97,11 @@ def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
 
 def _make_motion(machine: Controller, options: Options) -> None:
     """What sets the machine in motion, and what may be asked of it."""
-    machine.drive = Drive(machine)
+    machine.motor_control = MotorControl(machine)
     machine.canon = options.canon(machine, options.zero_origin)
-    machine.seek = options.seek(machine, options.zero_origin, options.shared_switches)
+    machine.homing_probing = options.homing_probing(
+        machine, options.zero_origin, options.shared_switches
+    )
 
 
 def _make_states(machine: Controller, options: Options) -> None:
@@ -150,18 +152,22 @@ def _connect(machine: Controller) -> None:
     """Hand those above to those below who wait for them or report on them."""
     machine.report.connect(machine)
     hooks = machine.state.hooks
-    hooks.execute, hooks.whose = machine.interpreter.execute, machine.commands.whose
+    hooks.execute, hooks.find_command = machine.interpreter.execute, machine.commands.find_command
     hooks.refuse, hooks.alarm = machine.report.error, machine.report.alarm
     hooks.write_offsets = machine.coords.write
-    seek = machine.seek
+    seek = machine.homing_probing
     hooks.probe, hooks.probed_at, hooks.forget_probe = (
         seek.probe,
         seek.probe_position,
         seek.forget_probe,
     )
-    hooks.home, hooks.find, hooks.home_phase = seek.home, seek.find, seek.home_phase
+    hooks.home, hooks.find_switches, hooks.home_phase = (
+        seek.home,
+        seek.find_switches,
+        seek.home_phase,
+    )
     hooks.next_segment = machine.segments.next
-    machine.drive.connect(machine.protocol.pump)
+    machine.motor_control.connect(machine.protocol.pump)
     machine.canon.connect(machine.protocol.service)
     machine.commands.connect(machine.protocol.execute)
     for callback in (
@@ -169,6 +175,6 @@ def _connect(machine: Controller) -> None:
         machine.inputs.configure,
         machine.canon.configure,
         machine.report.configure,
-        machine.state.change,
+        machine.state.invalidate_lines,
     ):
         machine.settings.on_change(callback)

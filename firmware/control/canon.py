@@ -14,8 +14,8 @@ from array import array
 import micropython
 from base import errors
 from base import state as st
-from base.f32 import copy, f32, whole
-from base.hooks import tell
+from base.float32 import copy, f32, truncate
+from base.hooks import call_all
 from micropython import const
 from motion import arcs, layout
 from motion import planner as plan
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
 
-# What judge() is told: how many axes; a mask of those that may not go above 0, and behind BELOW
-# of those that may not go below it; floats, mm: how far each may be from 0 (with soft limits its
-# travel; always what its steps can count, Planner.reach_mm()).
+# What check_travel() is told: how many axes; a mask of those that may not go above 0, and behind
+# BELOW of those that may not go below it; floats, mm: how far each may be from 0 (with soft limits
+# its travel; always what its steps can count, Planner.reach_mm()).
 _AXES = const(0)
 SHUT = const(1)
 TRAVEL = const(2)
@@ -43,7 +43,7 @@ BELOW = const(8)
 
 
 @micropython.viper
-def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
+def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
     """What stands against a line to target: it is OUTSIDE the machine's travel, the ring FULL.
 
     target: floats, mm. Bits of floats that are not negative compare as they do, and infinity and
@@ -69,7 +69,7 @@ class Canon:
         self.planner = machine.planner
         self._spindle = machine.spindle
         self._coolant = machine.coolant
-        self._drive = machine.drive
+        self._motor_control = machine.motor_control
         self._port = machine.port
         self._positive_origin = positive_origin
         self.travel = array("i", (machine.planner.axes, 0) + (0,) * machine.planner.axes)
@@ -128,13 +128,13 @@ class Canon:
     def begin_jog(self) -> None:
         """A jog has been planned: it starts at once, unless one is under way."""
         if self._state.run == st.IDLE and not self.planner.empty():
-            self._drive.start(st.JOG)
+            self._motor_control.start(st.JOG)
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
         state = self._state
-        found = judge(target, self.travel, self._flow)
+        found = check_travel(target, self.travel, self._flow)
         if found & OUTSIDE and state.run != st.JOG:
-            self.give_up(errors.ALARM_SOFT_LIMIT)
+            self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
             return
         if state.pending[st.ANY] or state.suspend:
@@ -142,7 +142,7 @@ class Canon:
         if found & FULL:
             self.wait_for_room()
         if not self.planner.line(target, move, self.power_of(move)):
-            self._stay(move)
+            self._apply_zero_length(move)
 
     def make_room(self) -> None:
         """As a line does that is planned: a turn for what has been posted, and room."""
@@ -172,20 +172,20 @@ class Canon:
                 power = self.power_of(move)
             found = self.planner.chords(course, move, power, moves)
             if state.hooks.planned:
-                tell(state.hooks.planned)
+                call_all(state.hooks.planned)
             if found == OUTSIDE:
-                self.give_up(errors.ALARM_SOFT_LIMIT)
+                self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
             elif found == FULL:
                 self.auto_start()
             elif found:
-                self._stay(move)
+                self._apply_zero_length(move)
 
-    def _stay(self, move: "Move") -> None:
+    def _apply_zero_length(self, move: "Move") -> None:
         """There was no way to go. A laser's S takes effect all the same."""
         if self._spindle.laser and move.flags & plan.SPINDLE_CW:
             self.spin(plan.SPINDLE_CW, move.spindle_rpm)
 
-    def forget(self) -> None:
+    def clear_request(self) -> None:
         """Nothing has been asked for."""
         self._asked = False
         self.course[arcs.LEFT] = 0
@@ -219,13 +219,13 @@ class Canon:
             return
         self.synchronise()
         exact = f32(_DWELL_TICKS_PER_S * seconds)
-        ticks = whole(exact)
+        ticks = truncate(exact)
         if exact > ticks:
             ticks += 1
         for _ in range(ticks & 0xFFFF):
             since = self._port.ticks_ms()
             self.service()
-            self._drive.wait_deaf(_DWELL_TICK_MS - self._port.elapsed_ms(since))
+            self._motor_control.wait_unanswered(_DWELL_TICK_MS - self._port.elapsed_ms(since))
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""
@@ -241,12 +241,12 @@ class Canon:
         while not self.planner.empty() or self._state.run & st.UNDER_WAY:
             self.service()
         if self._state.hooks.waited:
-            tell(self._state.hooks.waited)
+            call_all(self._state.hooks.waited)
 
-    def settle(self) -> None:
+    def wait_motors_released(self) -> None:
         """Wait until the motors are released."""
-        self._drive.release()
-        while self._drive.settling:
+        self._motor_control.release()
+        while self._motor_control.in_idle_delay:
             self.service()
 
     # Accessories
@@ -259,7 +259,7 @@ class Canon:
         self._spin(direction, rpm)
 
     def _spin(self, direction: int, rpm: float) -> None:
-        self._spindle.turn(direction, rpm)
+        self._spindle.set_speed(direction, rpm)
         for call in self._state.hooks.spun:
             call(direction, rpm)
 
@@ -284,7 +284,7 @@ class Canon:
         if state.run != st.CHECK:
             self._spin(0, 0.0)
             self._cool(0)
-        tell(state.hooks.ended)
+        call_all(state.hooks.ended)
 
     def control_overrides(self, parking: bool) -> None:
         """M56: parking is in action, or is not."""
@@ -309,9 +309,9 @@ class Canon:
 
     def outside(self, target: "array[float]") -> bool:
         """The target lies outside the machine's travel."""
-        return bool(judge(target, self.travel, self._flow) & OUTSIDE)
+        return bool(check_travel(target, self.travel, self._flow) & OUTSIDE)
 
-    def give_up(self, alarm: int) -> None:
+    def stop_with_alarm(self, alarm: int) -> None:
         """Come to rest where position is certain, then alarm and reset."""
         state = self._state
         state.soft_limit = True  # a hold ends in Idle then
@@ -320,6 +320,6 @@ class Canon:
             self.service()
         while state.run & (st.RUN | st.JOG | st.HOLD) and not state.suspend & st.HOLD_COMPLETE:
             self.service()
-        self._drive.reset()
+        self._motor_control.reset()
         state.alarm = alarm
         self.service()

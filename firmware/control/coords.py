@@ -5,8 +5,8 @@ Sole owner of G54-G59, G28 and G30 (kept), G92 and tool length (not kept).
 
 from array import array
 
-from base.f32 import copy, vector
-from base.singles import add
+from base.float32 import copy, vector
+from base.float32_math import add
 from micropython import const
 
 TYPE_CHECKING = const(False)

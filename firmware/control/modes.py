@@ -6,8 +6,8 @@ was wanted here. Lengths are mm in machine coordinates, rates mm/min, speeds rpm
 
 from array import array
 
-from base.f32 import vector
-from base.singles import whole_part
+from base.float32 import vector
+from base.float32_math import whole_part
 from micropython import const
 from motion.planner import COOLANT_SHIFT
 

@@ -63,7 +63,7 @@ class Overrides:
         self._modes = modes
         self._has_mist = has_mist
 
-    def take(self) -> None:
+    def apply_requests(self) -> None:
         """Do what has been asked by override bytes."""
         state = self._state
         new = [state.feed_override, state.rapid_override, state.spindle_override]
@@ -87,14 +87,14 @@ class Overrides:
 
     def _asked(self, byte: int) -> int:
         """How often that byte has come: each of a burst counts."""
-        return self._state.take(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
+        return self._state.take_event(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
     def _override_spindle(self) -> None:
         """The spindle's override has changed: now, with the motion, or once it is held."""
         state = self._state
-        state.change()
+        state.invalidate_lines()
         if state.run == st.IDLE:
-            self._spindle.turn(self._modes.modal[SPINDLE], self._modes.rates[RPM])
+            self._spindle.set_speed(self._modes.modal[SPINDLE], self._modes.rates[RPM])
         elif state.run & _MOTION:
             state.update_spindle = True
             self._planner.each_power(self._spindle.block_power)
@@ -108,7 +108,7 @@ class Overrides:
         if not toggled or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
             return
         self._modes.modal[COOLANT] ^= toggled
-        state.change()
+        state.invalidate_lines()
         self._coolant.set(self._modes.modal[COOLANT])
 
     def stop_spindle(self) -> None:

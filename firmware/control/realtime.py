@@ -9,7 +9,7 @@ is suspended run() does not return: suspension.py has its turn there.
 from base import errors
 from base import state as st
 from base.errors import Abort
-from base.hooks import tell
+from base.hooks import call_all
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -32,7 +32,7 @@ class Realtime:
         self._planner = machine.planner
         self._segments = machine.segments
         self._estop = machine.port.estop
-        self._drive = machine.drive
+        self._motor_control = machine.motor_control
         self._overrides = machine.overrides
         self._suspension = machine.suspension
         self._voice = machine.report
@@ -48,7 +48,7 @@ class Realtime:
                 # As State.post(), whose frame a ? would wait for.
                 state.pending[st.EVENTS[byte]] = state.pending[st.ANY] = 1
         elif byte == _SOFT_RESET:
-            self._drive.reset()
+            self._motor_control.reset()
         elif st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE:
             state.count(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             state.post(st.OVERRIDE)
@@ -57,27 +57,27 @@ class Realtime:
 
     def run(self) -> None:
         """Do what has been asked; wait while motion is suspended. Raises Abort after a reset."""
-        self.events()
+        self.handle_events()
         if self._state.suspend:
-            self.suspended()
+            self.wait_suspended()
         if self._state.hooks.between_lines:
-            tell(self._state.hooks.between_lines)
+            call_all(self._state.hooks.between_lines)
 
-    def suspended(self) -> None:
+    def wait_suspended(self) -> None:
         """Wait until motion is not suspended any more."""
-        self._suspension.begin()
+        self._suspension.start()
         while self._state.suspend:
-            self._suspension.turn()
-            self._drive.pump()
-            self.events()
+            self._suspension.run_step()
+            self._motor_control.pump()
+            self.handle_events()
 
-    def events(self) -> None:
+    def handle_events(self) -> None:
         """As run(), but does not wait for a suspension to end."""
-        state, drive = self._state, self._drive
+        state, drive = self._state, self._motor_control
         pending = state.pending
         if self._estop and self._estop():
             drive.emergency()
-        if pending[st.ANY] or drive.settling or drive.moving:  # nearly always none of them
+        if pending[st.ANY] or drive.in_idle_delay or drive.moving:  # nearly always none of them
             if pending[st.RESET]:
                 raise Abort  # the loop then reports an alarm
             if pending[st.STATUS_REPORT]:
@@ -87,29 +87,29 @@ class Realtime:
                 drive.pump()
                 pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
                 self._voice.send(report)
-            drive.turn()
+            drive.poll_motors()
             if pending[st.ANY]:
                 pending[st.ANY] = 0
                 if pending[st.RESET]:
                     raise Abort  # it has come since
                 if any(pending):
                     held = self._holds()
-                    if state.take(st.CYCLE_START) and not held:
+                    if state.take_event(st.CYCLE_START) and not held:
                         self._cycle_start()
-                    if state.take(st.CYCLE_STOP):
+                    if state.take_event(st.CYCLE_STOP):
                         self._cycle_stop()
-                    if state.take(st.OVERRIDE):
-                        self._overrides.take()
-        if state.hooks.turn:
-            tell(state.hooks.turn)
+                    if state.take_event(st.OVERRIDE):
+                        self._overrides.apply_requests()
+        if state.hooks.poll:
+            call_all(state.hooks.poll)
 
     def _holds(self) -> bool:
         """Feed hold, door, sleep, motion cancel. Returns whether cycle start is to be ignored."""
         state = self._state
-        cancel = state.take(st.CANCEL_MOTION)
-        hold = state.take(st.FEED_HOLD)
-        door = state.take(st.SAFETY_DOOR)
-        sleep = state.take(st.SLEEP_REQUEST)
+        cancel = state.take_event(st.CANCEL_MOTION)
+        hold = state.take_event(st.FEED_HOLD)
+        door = state.take_event(st.SAFETY_DOOR)
+        sleep = state.take_event(st.SLEEP_REQUEST)
         if not (cancel or hold or door or sleep):
             return False
         if not state.run & (st.ALARM | st.CHECK):
@@ -171,9 +171,9 @@ class Realtime:
         go = not self._planner.empty() and not state.suspend & st.MOTION_CANCEL
         state.suspend = 0
         state.enter(st.IDLE)
-        touches = self._drive.touches
+        touches = self._motor_control.touches
         if go and not (touches and touches()):
-            self._drive.start(st.RUN)
+            self._motor_control.start(st.RUN)
 
     def _cycle_stop(self) -> None:
         state = self._state

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Saves:
-    """A Store in front of another one, which save() leaves as it is until finish()."""
+    """A Store in front of another one, which save() leaves as it is until write_due()."""
 
     def __init__(self, store: "Store") -> None:
         self._store = store
@@ -27,10 +27,10 @@ class Saves:
         return self._store.load(name)
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
-        """Replace them with the next finish()."""
+        """Replace them with the next write_due()."""
         self.due[name] = list(lines)
 
-    def finish(self) -> None:
+    def write_due(self) -> None:
         """Write what is due; at rest only. Raises OSError where something could not be kept: it
         holds until the power goes."""
         failed: "OSError | None" = None

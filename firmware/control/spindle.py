@@ -2,13 +2,13 @@
 """Spindle and laser: from a speed in rpm to power at the pin.
 
 The interrupt sets power per segment while the machine moves (set_power);
-everything else goes through turn(). Never waits: whoever changes the spindle
+everything else goes through set_speed(). Never waits: whoever changes the spindle
 synchronises first (canon.py).
 """
 
 import micropython
-from base.f32 import copy, f32
-from base.singles import add_single, multiply
+from base.float32 import copy, f32
+from base.float32_math import add_single, multiply
 from base.state import OVERRIDE_PART, RPM
 from micropython import const
 from motion import layout
@@ -44,8 +44,9 @@ _STEEPEST = 8388608.0  # power for all of S, if $31 were far below: 64 times as 
 
 
 @micropython.viper
-def weigh(scale: ptr32, flags: int) -> int:
-    """What a planner block with these flags carries of scale[ASKED]: see slice_kernel.dimmed().
+def power_from_rpm(scale: ptr32, flags: int) -> int:
+    """What a planner block with these flags carries of scale[ASKED]: see
+    slice_kernel.scaled_power().
 
     scale: State.spindle, whose RPM then says what speed that is at rest: of a laser in M4, 0.
     """
@@ -127,23 +128,23 @@ class Spindle:
         return self.block_power(CW, rpm)
 
     def block_power(self, flags: int, rpm: float) -> int:
-        """What a planner block with these flags carries: see weigh()."""
+        """What a planner block with these flags carries: see power_from_rpm()."""
         scale = self._state.spindle
         scale[ASKED] = rpm
-        return weigh(scale, flags)
+        return power_from_rpm(scale, flags)
 
-    def turn(self, direction: int, rpm: float) -> None:
+    def set_speed(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
         if direction == OFF:
             self._reversed = False
             self._state.spindle[RPM] = 0.0
             self.stop()
         else:
-            self.give_back(direction, rpm)
+            self.restore_laser(direction, rpm)
         self._state.override_countdown = 0
 
-    def give_back(self, direction: int, rpm: float) -> None:
-        """Like turn(), of a laser that a hold has darkened: Grbl reports no change then."""
+    def restore_laser(self, direction: int, rpm: float) -> None:
+        """Like set_speed(), of a laser that a hold has darkened: Grbl reports no change then."""
         self.enable(direction)
         if self.laser and self._reversed:
             rpm = 0.0
@@ -162,7 +163,7 @@ class Spindle:
             self._power = power
             self._port.spindle(power != 0, power)
 
-    def rest(self) -> None:
+    def on_motion_end(self) -> None:
         """Motion has come to its end. A beam that follows the speed has none. Interrupt."""
         if self._reversed and self.laser:
             self.set_power(0)

@@ -1,6 +1,6 @@
 """Suspension: what happens while motion is held, behind an open door, or asleep.
 
-turn() is called over and over by realtime.suspended() until the suspension ends.
+run_step() is called over and over by realtime.suspended() until the suspension ends.
 What takes time is a generator: it yields where it waits, so that no wait is
 nested in another. Parking, an option of the board, moves the tool away from
 the work and back.
@@ -11,7 +11,7 @@ from array import array
 from base import errors
 from base import state as st
 from base.axes import Z
-from base.f32 import vector
+from base.float32 import vector
 from micropython import const
 from motion import layout
 from motion import planner as plan
@@ -53,7 +53,7 @@ class Suspension:
         self._port = machine.port
         self._modes = machine.modes
         self._overrides = machine.overrides
-        self._drive = machine.drive
+        self._motor_control = machine.motor_control
         self._voice = machine.report
         self._position = machine.position
         self._parks = parks
@@ -64,7 +64,7 @@ class Suspension:
         self._lit = False  # a laser that has been darkened burned
         self._routine: "Iterator[None] | None" = None  # what is under way
 
-    def turn(self) -> None:
+    def run_step(self) -> None:
         """One turn of a suspension."""
         if not self._routine:
             self._choose()
@@ -96,7 +96,7 @@ class Suspension:
 
     # Feed hold
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """A suspension has just begun: remember what turned, and darken a laser."""
         self._routine = None
         self._lit = False
@@ -128,19 +128,19 @@ class Suspension:
                 state.override_countdown = 0
             state.stop_override = 0
         elif not stopping and state.update_spindle:
-            self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
+            self._spindle.set_speed(self._flags & plan.SPINDLE_MASK, self._rpm)
             state.update_spindle = False
 
     def _stop_spindle(self) -> None:
         self._lit = self._lit or self._state.spindle[st.RPM] > 0
-        self._spindle.turn(0, 0.0)
+        self._spindle.set_speed(0, 0.0)
 
     def _restore_spindle(self) -> None:
         spindle, direction = self._spindle, self._flags & plan.SPINDLE_MASK
         if not spindle.laser:
-            spindle.turn(direction, self._rpm)
+            spindle.set_speed(direction, self._rpm)
         elif self._planner.empty():
-            spindle.give_back(direction, self._rpm if self._lit else 0.0)
+            spindle.restore_laser(direction, self._rpm if self._lit else 0.0)
         else:
             self._state.update_spindle = True  # comes back with the motion
             spindle.enable(direction)
@@ -151,7 +151,7 @@ class Suspension:
     def _sleep(self) -> "Iterator[None]":
         self._voice.message(errors.MSG_SLEEP)
         self._stop_accessories()
-        self._drive.release()
+        self._motor_control.release()
         while True:  # until a reset raises Abort
             yield
 
@@ -206,7 +206,8 @@ class Suspension:
             bool(self._settings.homing)
             and not self._spindle.laser
             and self._state.override_control
-            and self._drive.touches is None  # a probe stays where it is to touch, or has touched
+            # A probe stays where it is to touch, or has touched.
+            and self._motor_control.touches is None
         )
 
     def _park(self) -> "Iterator[None]":
@@ -248,7 +249,7 @@ class Suspension:
             state.system_motion = True
             state.holding = False
             self._segments.hold(False)
-            self._drive.start(state.run)
+            self._motor_control.start(state.run)
             while state.system_motion:
                 yield
         self._segments.end_system()

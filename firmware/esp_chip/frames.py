@@ -91,7 +91,7 @@ def end_buffer(timing: ptr32, lanes: ptr32) -> int:
 
 
 @micropython.viper
-def take_back(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
+def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
     """Make a row that takes the owed steps back, `gap` ticks apart. Returns how many it lasts."""
     most = 0
     dirs = 0
@@ -203,7 +203,7 @@ def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
 
 
 @micropython.viper
-def settle(timing: ptr32, lanes: ptr32) -> int:
+def drop_row(timing: ptr32, lanes: ptr32) -> int:
     """Forget the row in progress; direction outputs as the lanes say."""
     word = 0
     timing[ROW_END] = 0
@@ -239,7 +239,7 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
 
 
 @micropython.viper
-def follow(state: ptr32, now: int, buffer_us: int) -> int:
+def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
     """See which buffer is being played. Returns for how long it has been, in us."""
     passed = (now - state[BEGAN]) & MASK
     if passed > NEGATIVE:
@@ -252,7 +252,7 @@ def follow(state: ptr32, now: int, buffer_us: int) -> int:
 
 
 @micropython.viper
-def find(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
+def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     """Slot of the buffer being played; where zeros are, the next one's less BEFORE."""
     sent = state[SENT]
     first = sent - slots + 1

@@ -63,7 +63,7 @@ from esp_chip.i2s_layout import (
     WRITTEN,
 )
 from esp_chip.stream import BYTES, Stream
-from esp_chip.turns import LOST_US, SETUP_US, Turns
+from esp_chip.timer_engine import LOST_US, SETUP_US, TimerEngine
 
 _HIGHEST_OUTPUT = const(29)  # bit 30: the highest one that makes a small integer
 _TURN_MS = const(4)
@@ -75,7 +75,7 @@ _DOUBT = const(300)
 _BACK_HZ = const(1000)
 
 
-class I2sEngine(Turns):
+class I2sEngine(TimerEngine):
     """The engine. step, direction: numbers of outputs per axis; enable: that of the drivers, or
     those, which go together.
 
@@ -132,7 +132,7 @@ class I2sEngine(Turns):
         self.configure(10, 0, 0)
         self._open()
         self.flash_written()  # or read from, in what is still to be loaded
-        self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._turn)
+        self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._refill)
 
     def _open(self) -> None:
         state = self._state
@@ -164,7 +164,7 @@ class I2sEngine(Turns):
         timing[frames.SETUP] = self._frames_of(SETUP_US)
         for i in range(self._axes):
             self._lanes[LANE * i + frames.INVERT] = dir_invert >> i & 1
-        frames.settle(timing, self._lanes)
+        frames.drop_row(timing, self._lanes)
 
     def enable(self, level: int) -> None:
         """Level of the motor drivers' enable outputs, from the next buffer on. For the port."""
@@ -176,9 +176,9 @@ class I2sEngine(Turns):
 
     def arm(self) -> None:
         """Motion is possible again, after power-up or stop()."""
-        if self._why:  # nobody has followed the stream since then
+        if self._failure:  # nobody has followed the stream since then
             self.flash_written()
-            self._why = None
+            self._failure = None
         self._timing[frames.LOCKED] = 0
         self._state[STOPPED] = 0
 
@@ -211,12 +211,12 @@ class I2sEngine(Turns):
             now = time.ticks_us()
             try:
                 self._stream.close()
-                self._look_up(steps, now)
+                self._find_note(steps, now)
                 for i in range(self._axes):
                     lanes[LANE * i + PLACE] = steps[i] + self._owed[i]
                 self._renew()
             except BaseException as why:
-                self._why = why
+                self._failure = why
         for i in range(self._axes):
             locked = self._timing[frames.LOCKED] >> i & 1
             self._owed[i] = lanes[LANE * i + PLACE] - self._locked_at[i] if locked else 0
@@ -230,7 +230,7 @@ class I2sEngine(Turns):
         """Forget what has not been played, and begin a new stream."""
         state = self._state
         state[SENT] = state[MOVED] = state[MADE]
-        frames.settle(self._timing, self._lanes)
+        frames.drop_row(self._timing, self._lanes)
         self._open()
 
     def lock(self, motors: int) -> None:
@@ -252,19 +252,19 @@ class I2sEngine(Turns):
         """Nothing is moving and nothing is queued in hardware, as the last turn has seen it."""
         return not self._state[MOVING]
 
-    def _behind(self) -> bool:
+    def _is_late(self) -> bool:
         state = self._state
         late = time.ticks_diff(time.ticks_us(), state[TAKEN])
         return bool(state[MOVING]) and late > LOST_US
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor, to the frame; those to be taken back are not."""
-        self._look_up(steps, time.ticks_us())
+        self._find_note(steps, time.ticks_us())
 
-    def _look_up(self, steps: "array[int]", now: int) -> None:
+    def _find_note(self, steps: "array[int]", now: int) -> None:
         state, axes = self._state, self._axes
-        passed = frames.follow(state, now, self._buffer_us)
-        slot = frames.find(state, self._notes, self._slots, self._size)
+        passed = frames.find_playing(state, now, self._buffer_us)
+        slot = frames.playing_slot(state, self._notes, self._slots, self._size)
         note = (slot if slot >= 0 else slot + BEFORE) * self._size + NOTE
         for i in range(axes):
             place = self._lanes[LANE * i + PLACE] if slot == NOWHERE else self._notes[note + i]
@@ -285,20 +285,20 @@ class I2sEngine(Turns):
                 self._notes[slot * self._size + NOTE + i] = place
         self._state[HALT] = 0
 
-    def times_dry(self) -> int:
+    def underrun_count(self) -> int:
         """How often the machine has had to pause because the engine came too late."""
         return self._state[DRY]
 
     # The timer's turns: no other soft interrupt comes in between
 
-    def _go_on(self) -> None:
+    def _advance(self) -> None:
         state = self._state
         if state[HALT]:
             return
         if state[STOPPED]:  # the stop may have come into start()
             state[PULLING] = state[MOVING] = 0
-        passed = frames.follow(state, time.ticks_us(), self._buffer_us)
-        self._tell_power()
+        passed = frames.find_playing(state, time.ticks_us(), self._buffer_us)
+        self._report_power()
         if state[WRITTEN] <= state[PLAYING] + 1:
             if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
                 return
@@ -315,14 +315,14 @@ class I2sEngine(Turns):
                 return
             state[TAKEN] = time.ticks_us() & MASK
 
-    def _tell_power(self) -> None:
-        slot = frames.find(self._state, self._notes, self._slots, self._size)
+    def _report_power(self) -> None:
+        slot = frames.playing_slot(self._state, self._notes, self._slots, self._size)
         # Not at rest: whoever has seen us idle may have turned the spindle.
         if slot >= 0 and self._notes[slot * self._size + MOVES]:
             self._tell(self._notes[slot * self._size + POWER])
-        self._look_for_rest()
+        self._check_idle()
 
-    def _look_for_rest(self) -> None:
+    def _check_idle(self) -> None:
         """All has been played: power is the last row's then, or what whoever hears of it says."""
         state = self._state
         played = state[MOVED] <= state[SENT] and state[LAST] < state[PLAYING]
@@ -351,7 +351,7 @@ class I2sEngine(Turns):
             state[MOVED] = state[MADE] + 1
             if not state[ROW]:
                 timing[frames.ROW_END] = 0
-                if frames.take_back(row, self._owed, self._axes, self.tick_hz // _BACK_HZ):
+                if frames.make_return_row(row, self._owed, self._axes, self.tick_hz // _BACK_HZ):
                     late = frames.lateness(row, timing, lanes)
                     frames.begin_row(buffer, row, timing, lanes, late)
                     state[ROW] = 1

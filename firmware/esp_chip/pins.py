@@ -1,8 +1,9 @@
 """Pins of an ESP32 that are not steps: limits, probe, controls, spindle, coolant, enable.
 
 Interrupts are soft here: what they call runs between two bytecodes, at the latest when what
-MicroPython does in C has been done; and not at all where eight others wait already. So look() is
-called in every turn of the engine and of the main loop: it finds what nobody has heard.
+MicroPython does in C has been done; and not at all where eight others wait already. So
+poll_inputs() is called in every turn of the engine and of the main loop: it finds what nobody has
+heard.
 """
 
 import machine
@@ -47,13 +48,13 @@ class EspPort(PortPins):
         self._controls_seen = self.controls()
         super().attach(listener)
 
-    def look(self) -> None:
+    def poll_inputs(self) -> None:
         """Act on inputs that have changed as if their interrupts had come."""
         limits = self.limits()
         if limits != self._limits_looked:
             self._limits_looked = limits
             waits = self._limits_wait  # its timer will look, and is not to begin anew
-            if self._hears_limits and limits != self._limits_seen and not waits:
+            if self._limits_enabled and limits != self._limits_seen and not waits:
                 self._limit_changed(_first(self._limits))
         if not self._quiet and self.controls() != self._controls_seen:
             self._control_changed(_first(self._controls))

@@ -33,8 +33,8 @@ from motion.layout import ROW_POWER, row_length
 
 from esp_chip import trains
 from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps
+from esp_chip.timer_engine import LOST_US, SETUP_US, TimerEngine
 from esp_chip.trains import made
-from esp_chip.turns import LOST_US, SETUP_US, Turns
 
 _HIGHEST_HZ = const(20_000)
 _SHORTEST_US = const(6_000)  # what a channel holds lasts so long at the highest rate
@@ -94,7 +94,7 @@ def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
     return place - steps if lanes[lane + _BACK] else place + steps
 
 
-class RmtEngine(Turns):
+class RmtEngine(TimerEngine):
     """The engine. step, direction: pin numbers per axis."""
 
     tick_hz = RESOLUTION_HZ
@@ -148,7 +148,7 @@ class RmtEngine(Turns):
 
     def arm(self) -> None:
         """Motion is possible again, after power-up or stop()."""
-        self._why = None
+        self._failure = None
         self._timing[trains.LOCKED] = 0
         self._state[_HALT] = 0
 
@@ -168,7 +168,7 @@ class RmtEngine(Turns):
             state[_DUE] = (state[_FREE] + _FROM_REST_US) & MASK
             self._powers[0] = MASK
             state[_RUNNING] = 1
-            self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._turn)
+            self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._refill)
 
     def stop(self) -> None:
         """At once, until arm(); safe in a soft interrupt; queued steps and locks are dropped."""
@@ -211,7 +211,7 @@ class RmtEngine(Turns):
         """Nothing is moving and nothing is queued in hardware."""
         return not self._state[_RUNNING]
 
-    def _behind(self) -> bool:
+    def _is_late(self) -> bool:
         state = self._state
         late = time.ticks_diff(time.ticks_us(), state[_DUE])
         return bool(state[_RUNNING]) and late > LOST_US
@@ -237,14 +237,14 @@ class RmtEngine(Turns):
 
     # The timer's turns: no other soft interrupt comes in between
 
-    def _go_on(self) -> None:
+    def _advance(self) -> None:
         state = self._state
         if state[_HALT] or not state[_RUNNING]:  # turns are told of even behind the timer's end
             state[_RUNNING] = 0
             self._timer.deinit()
             return
         now = time.ticks_us()
-        self._tell_power(now)
+        self._report_power(now)
         due_in = time.ticks_diff(state[_DUE], now)
         if due_in > _PREPARE_US:
             return
@@ -303,7 +303,7 @@ class RmtEngine(Turns):
             self._next_powers[2 * k + 1] = rows[at + ROW_POWER]
             at_us += rows[at]
 
-    def _tell_power(self, now: int) -> None:
+    def _report_power(self, now: int) -> None:
         state = self._state
         passed = time.ticks_diff(now, state[_BEGAN])
         power = state[_TOLD]

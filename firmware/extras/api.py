@@ -13,7 +13,7 @@ from control.modes import MOTION
 from language import block_layout as b
 from micropython import const
 
-from extras.own_words import OwnWords
+from extras.custom_codes import CustomCodes
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -26,6 +26,21 @@ if TYPE_CHECKING:
 
 _CYCLES_END = const(100)
 
+# Methods of Cnc by their old names: they work for one release, and a message tells the new one.
+_RENAMED = {
+    "tell": "write_line",
+    "without_commands": "remove_commands",
+    "behind_command": "after_command",
+    "behind_start": "after_start",
+    "behind_stop": "after_stop",
+    "behind_line": "after_line",
+    "behind_program": "after_program",
+    "behind_spindle": "after_spindle",
+    "behind_controls": "after_controls",
+    "behind_alarm": "after_alarm",
+    "behind_reset": "after_reset",
+}
+
 
 class Cnc:
     """The machine, for an extra. Numbers are those of Grbl: mm, mm/min, rpm."""
@@ -33,7 +48,7 @@ class Cnc:
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._hooks = machine.state.hooks
-        self._words = OwnWords(machine)
+        self._words = CustomCodes(machine)
         # Whoever knows why a program cannot be entered in its middle now says it; "" where it can.
         self.entries: "list[Callable[[], str]]" = []
 
@@ -48,7 +63,7 @@ class Cnc:
         """One turn of whoever waits. Raises Abort after a reset: let it pass."""
         self._machine.protocol.service()
 
-    def tell(self, line: bytes) -> None:
+    def write_line(self, line: bytes) -> None:
         """Tell the sender something in a form of its own."""
         self._machine.report.send(line + b"\r\n")
 
@@ -152,9 +167,9 @@ class Cnc:
         """Whether a line, which a 0 follows, has a word that was added."""
         return self._words.find(line, length) is not None
 
-    def without_commands(self, letters: bytes) -> None:
+    def remove_commands(self, letters: bytes) -> None:
         """$ commands with these letters are not there any more."""
-        self._machine.commands.take_away(letters)
+        self._machine.commands.remove_commands(letters)
 
     def add_command(
         self,
@@ -165,7 +180,7 @@ class Cnc:
         """A $ command, by what stands behind the $; call gets what follows. It is taken in these
         states. GrblError refuses the line."""
         state, hooks = self._machine.state, self._hooks
-        usual = hooks.whose
+        usual = hooks.find_command
 
         def execute(line: bytearray, length: int) -> None:
             call(bytes(line[1 + len(name) : length]))
@@ -177,13 +192,13 @@ class Cnc:
                 raise GrblError(errors.IDLE_ERROR)
             return execute
 
-        hooks.whose = whose
+        hooks.find_command = whose
 
-    def behind_command(self, name: bytes, call: "Callable[[int], object]") -> None:
+    def after_command(self, name: bytes, call: "Callable[[int], object]") -> None:
         """Called when a $ command with this behind the $ has been executed, with the state that
         the machine was in before (base/state.py)."""
         state, hooks = self._machine.state, self._hooks
-        usual = hooks.whose
+        usual = hooks.find_command
 
         def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
             execute = usual(line, length)
@@ -197,7 +212,7 @@ class Cnc:
 
             return execute_and_tell
 
-        hooks.whose = whose
+        hooks.find_command = whose
 
     def add_field(self, field: "Callable[[], str]") -> None:
         """A field of the status report: what it returns, `Xx:1` say, or an empty text."""
@@ -223,7 +238,7 @@ class Cnc:
                 call()
 
         reader.post = post
-        self._hooks.turn += (turn,)
+        self._hooks.poll += (turn,)
 
     # What can be heard of
 
@@ -231,18 +246,18 @@ class Cnc:
         """Called before the machine is set in motion; False keeps it where it is."""
         self._hooks.may_start += (may_start,)
 
-    def behind_start(self, call: "Callable[[], object]") -> None:
+    def after_start(self, call: "Callable[[], object]") -> None:
         """Called when the machine has been set in motion; by a jog, homing, a probe and parking,
         too."""
         self._hooks.started += (call,)
 
-    def behind_stop(self, call: "Callable[[], object]") -> None:
+    def after_stop(self, call: "Callable[[], object]") -> None:
         """Called when the engine has made all that there was to make, in a hold too, some
         milliseconds before the machine is Idle, and when it has been stopped; at rest, too, now
-        and then. More may come at once: behind_start() tells."""
+        and then. More may come at once: after_start() tells."""
         self._hooks.stops += (call,)
 
-    def behind_line(self, call: "Callable[[], object]") -> None:
+    def after_line(self, call: "Callable[[], object]") -> None:
         """Called when a line has asked for a motion of G0 to G3, and it has been planned."""
         self._hooks.moved += (call,)
         self._machine.interpreter.watch(b.MOVE)
@@ -251,24 +266,24 @@ class Cnc:
         """Called at the loop's turns, between two lines; the next may have been found already."""
         self._hooks.between_lines += (call,)
 
-    def behind_program(self, call: "Callable[[], object]") -> None:
+    def after_program(self, call: "Callable[[], object]") -> None:
         """Called when M2 or M30 has ended a program."""
         self._hooks.ended += (call,)
 
-    def behind_spindle(self, call: "Callable[[int, float], object]") -> None:
+    def after_spindle(self, call: "Callable[[int, float], object]") -> None:
         """Called when a program has turned the spindle, with its direction, 0 where it stops, and
         its speed. What else stops it, a reset, homing, parking, 0x9E, is not told:
         cnc.machine.spindle.direction() says whether it turns now."""
         self._hooks.spun += (call,)
 
-    def behind_controls(self, call: "Callable[[int], object]") -> None:
+    def after_controls(self, call: "Callable[[int], object]") -> None:
         """Called when a control input has changed, with the mask of base/controls.py. Interrupt:
         no memory, and next to no stack."""
         port = self._machine.port
-        usual = port.behind_controls
+        usual = port.after_controls
 
         if usual is None:
-            port.behind_controls = call
+            port.after_controls = call
             return
 
         @micropython.native
@@ -276,9 +291,9 @@ class Cnc:
             usual(active)
             call(active)
 
-        port.behind_controls = both
+        port.after_controls = both
 
-    def behind_alarm(self, call: "Callable[[int], object]") -> None:
+    def after_alarm(self, call: "Callable[[int], object]") -> None:
         """Called with its number when an alarm has been told. Nothing moves."""
         usual = self._hooks.alarm
 
@@ -288,6 +303,16 @@ class Cnc:
 
         self._hooks.alarm = alarm
 
-    def behind_reset(self, call: "Callable[[], object]") -> None:
+    def after_reset(self, call: "Callable[[], object]") -> None:
         """Called behind the welcome, after power-up and every reset."""
         self._hooks.reset += (call,)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name):
+            """A method by its old name (_RENAMED); reported after each reset."""
+            if name not in _RENAMED:
+                raise AttributeError(name)
+            new = _RENAMED[name]
+            self.after_reset(lambda: self.message("cnc.%s is now cnc.%s" % (name, new)))
+            return getattr(self, new)

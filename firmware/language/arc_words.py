@@ -3,7 +3,7 @@
 
 import micropython
 from base import errors
-from base.singles import MINUS, add_single, multiply, quotient, root
+from base.float32_math import MINUS, add_single, multiply, quotient, root
 from control import modes as mode
 from micropython import const
 from motion import arc_geometry as arc
@@ -63,7 +63,7 @@ def find_arc(
 
 
 @micropython.viper
-def is_there(position: ptr32, xyz: ptr32, axes: int) -> int:
+def same_position(position: ptr32, xyz: ptr32, axes: int) -> int:
     """Whether the two places are the same."""
     for i in range(axes):
         if position[i] != xyz[i] and (position[i] | xyz[i]) & int(0x7FFFFFFF):
@@ -80,7 +80,7 @@ def _by_radius(
     It lies on the chord's perpendicular bisector, left of the way for a
     counterclockwise arc of less than half a circle. R < 0 asks for the longer arc.
     """
-    if int(is_there(position, xyz, axes)):
+    if int(same_position(position, xyz, axes)):
         return errors.GCODE_INVALID_TARGET
     if ints[mode.INCHES]:
         multiply(singles, b.R, singles, b.INCH_MM)

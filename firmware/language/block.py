@@ -9,7 +9,7 @@ from array import array
 
 import micropython
 from base import errors
-from base.f32 import f32, vector, whole
+from base.float32 import f32, truncate, vector
 from control import modes as mode
 from micropython import const
 from motion.arc_geometry import Arc
@@ -34,9 +34,9 @@ _BIT_C = const(5)
 _BIT_I = const(6)
 _BIT_T = const(15)
 
-# The dictionary, in bytes, for take(). Its index, of which each block has its own, for boards
-# differ: the number of a word's row by its code, M words behind G words; then the bit of each
-# letter from A on.
+# The dictionary, in bytes, for store_words(). Its index, of which each block has its own, for
+# boards differ: the number of a word's row by its code, M words behind G words; then the bit of
+# each letter from A on.
 M_WORDS = const(100)
 _INDEXED = const(160)
 _NO_LETTER = const(255)
@@ -150,7 +150,7 @@ def enter(place: int, setting: int, claim: int, group: int, ints: ptr32) -> int:
 
 
 @micropython.viper
-def take(
+def store_words(
     letters: ptr8,
     values: ptr32,
     count: int,
@@ -226,7 +226,7 @@ def read(
         found = int(read_on(line, span, found, own))
     count = found & 255
     wrong = int(
-        take(letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, take_odd)
+        store_words(letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, take_odd)
     )
     return wrong if wrong else found >> 8 & 255
 
@@ -280,7 +280,7 @@ class Block:
         """What read() works on besides: first, where words are, as for scan()."""
         read, index, rows = self._words, self._index, self._rows
         read_on, own = self.read_on
-        return read.letters, read.values, index, rows, read_on, own, self._take_odd
+        return read.letters, read.values, index, rows, read_on, own, self._store_rare
 
     def add_motion(self, number: int) -> None:
         """Take this G number for a motion mode. Other blocks do not know it."""
@@ -288,11 +288,11 @@ class Block:
         row = bytes((mode.MOTION, number, b.AXES_MOTION, 0, b.GROUP_1, 0))
         self._rows = self._rows + row
 
-    def _take_odd(self, i: int) -> int:
+    def _store_rare(self, i: int) -> int:
         """Take in a G or M word of any number. Returns what is wrong with it."""
         # The whole part is a byte; the rest, larger numbers included, counts as hundredths.
         value = self._words.values[i]
-        number = whole(value) & 255
+        number = truncate(value) & 255
         hundredths = _round(100 * f32(value - number))
         at, end = number, M_WORDS
         if self._words.letters[i] == 77:
@@ -302,9 +302,9 @@ class Block:
         row = self._index[at] if at < end else 0
         if not row:
             return errors.GCODE_UNSUPPORTED_COMMAND
-        return self._enter_odd(self._rows[ROW * row :], number, hundredths)
+        return self._enter_rare(self._rows[ROW * row :], number, hundredths)
 
-    def _enter_odd(self, row: bytearray, number: int, hundredths: int) -> int:
+    def _enter_rare(self, row: bytearray, number: int, hundredths: int) -> int:
         place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]
         group = row[GROUP] | row[GROUP + 1] << 8
         if hundredths and claim == b.AXES_NON_MODAL:  # G28.1, G30.1, G92.1
@@ -329,4 +329,4 @@ def _round(x: float) -> int:
     x = f32(x)
     if abs(x) >= _BEYOND:
         return 0xFFFF
-    return (whole(x + 0.5) if x >= 0 else -whole(0.5 - x)) & 0xFFFF
+    return (truncate(x + 0.5) if x >= 0 else -truncate(0.5 - x)) & 0xFFFF

@@ -9,7 +9,7 @@ are the standard's.
 
 import micropython
 from base import errors
-from base.singles import add_single, multiply, whole_part
+from base.float32_math import add_single, multiply, whole_part
 from control import modes as mode
 from control.coords import G28, G30, G92, SYSTEMS
 from micropython import const
@@ -17,7 +17,7 @@ from motion.arc_geometry import subtract
 from motion.planner import SPINDLE_CW
 
 from language import block_layout as b
-from language.arc_words import find_arc, is_there
+from language.arc_words import find_arc, same_position
 
 _CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)
 
@@ -68,7 +68,7 @@ def check(
     if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
         if words & b.AXIS_WORDS != 1 << machine[b.LENGTH_AXIS]:
             return 0 - errors.GCODE_G43_DYNAMIC_AXIS_ERROR
-    found = int(_places(ints, singles, xyz, position, offsets, machine, stored))
+    found = int(_targets(ints, singles, xyz, position, offsets, machine, stored))
     if found < 0:
         return found
     used |= found
@@ -117,7 +117,7 @@ def _in_mm(xyz: ptr32, machine: ptr32, singles: ptr32) -> int:
 
 
 @micropython.viper
-def _places(
+def _targets(
     ints: ptr32,
     singles: ptr32,
     xyz: ptr32,
@@ -277,9 +277,7 @@ def _motion(
         return b.WORD_R if words & b.WORD_R else b.WORD_IJK
     elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # see Motion
         return b.MOTION_WORDS
-    elif motion > b.CCW_ARC and int(
-        is_there(position, xyz, axes)
-    ):  # 3.5.9: a probe has a way to go
+    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: it has to move
         return 0 - errors.GCODE_INVALID_TARGET
     return 0
 

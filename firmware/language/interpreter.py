@@ -12,9 +12,9 @@ from array import array
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.f32 import copy, vector
-from base.hooks import tell
-from base.singles import renew, whole_part
+from base.float32 import copy, vector
+from base.float32_math import store_if_changed, whole_part
+from base.hooks import call_all
 from control import modes as mode
 from control.coords import G28, G30
 from micropython import const
@@ -119,7 +119,7 @@ class Interpreter:
         asked = machine[b.ASKED] if line is self.line else 0  # the loop has looked at it
         machine[b.ASKED] = 0
         if asked == 0:
-            asked = self.look(line, length << 8, modal, 0)
+            asked = self.check_line(line, length << 8, modal, 0)
         elif asked < 0:
             raise GrblError(-asked)
         if not asked & (~ln.PLAIN | machine[b.WATCHED] & (b.MOVE | b.SPECIAL)):
@@ -127,21 +127,22 @@ class Interpreter:
                 machine[b.ASKED] = asked
                 self._canon.make_room()
                 if machine[b.ASKED] != asked:  # lines have been executed while this one waited
-                    asked = self.look(line, length << 8, modal, 0)
+                    asked = self.check_line(line, length << 8, modal, 0)
                 machine[b.ASKED] = 0
-            if ln.go(asked, modal, self._memory):
+            if ln.run_move(asked, modal, self._memory):
                 return
         self._execute(asked)
         if asked & (b.COMMAND | b.MOVE):
             self._canon.finish()
 
-    def look(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
-        """Steps one to three: see line.look(). Raises GrblError where the line is refused."""
-        asked = ln.look(line, span, modal, jog, self._memory)
+    def check_line(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
+        """Steps one to three: see line.check_line(). Raises GrblError where the line is
+        refused."""
+        asked = ln.check_line(line, span, modal, jog, self._memory)
         if asked < 0:
             raise GrblError(-asked)
         if not jog:
-            tell(self._state.hooks.checked)
+            call_all(self._state.hooks.checked)
         return asked
 
     def jog(self, line: bytearray, length: int) -> None:
@@ -150,7 +151,7 @@ class Interpreter:
         copy(modes.modal, modal, mode.MODAL_LENGTH)
         modal[mode.MOTION] = b.LINEAR
         modal[mode.INVERSE_TIME] = 0
-        self.look(line, length << 8 | JOG_START, modal, 1)
+        self.check_line(line, length << 8 | JOG_START, modal, 1)
         if self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block, layout.NO_FEED_OVERRIDE)
@@ -165,7 +166,7 @@ class Interpreter:
         block, modes = self.block, self._modes
         if asked & b.SPECIAL and block.ints[mode.MOTION] in self.motions:
             self.motions[block.ints[mode.MOTION]].check(block)
-        ln.put_in_force(block.ints, block.singles, modes.modal, modes.rates)
+        ln.commit_modal(block.ints, block.singles, modes.modal, modes.rates)
         modes.rates[mode.TOOL] = block.singles[b.T]
         if asked & _SWITCHES:
             self._switch(block, asked)
@@ -178,18 +179,18 @@ class Interpreter:
             if asked & b.COMMAND:
                 self._non_modal(block, move)
             if asked & b.MOVE:
-                self.go(block, move)
+                self.run_move(block, move)
         if asked & b.FLOW:
             self._control_program(block.ints[mode.PROGRAM_FLOW])
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
         """The move of a block, with its feed rate, and spindle and coolant as they are."""
         move, numbers, modes = self._move, self._numbers, self._modes  # of four a tuple is made
-        if renew(numbers, mode.FEED, block.singles, b.F):
+        if store_if_changed(numbers, mode.FEED, block.singles, b.F):
             move.feed = block.singles[b.F]
         if block.ints[mode.INVERSE_TIME]:
             numbers[mode.FEED] = -1.0  # an arc shares its time out among its chords
-        if renew(numbers, mode.RPM, modes.rates, mode.RPM):
+        if store_if_changed(numbers, mode.RPM, modes.rates, mode.RPM):
             self._rpm = modes.rates[mode.RPM]
         move.flags = flags | modes.accessory_flags()
         move.spindle_rpm = self._rpm
@@ -274,7 +275,7 @@ class Interpreter:
             coords.clear_g92()
             self._offsets_changed()
 
-    def go(self, block: "Block", move: "plan.Move") -> None:
+    def run_move(self, block: "Block", move: "plan.Move") -> None:
         """Make the motion of a block."""
         modes = self._modes
         motion = modes.modal[mode.MOTION]
@@ -293,7 +294,7 @@ class Interpreter:
         copy(block.xyz, modes.position, block.axes)
         if motion <= b.CCW_ARC and self._state.hooks.moved:
             self._canon.finish()
-            tell(self._state.hooks.moved)
+            call_all(self._state.hooks.moved)
 
     def _probe(self, block: "Block", move: "plan.Move") -> bool:
         """Search for the probe's contact. Returns whether the target has been reached."""

@@ -4,26 +4,26 @@
 An arc is a line, too, where one chord does for it; and in check mode, where there are no soft
 limits that it might pass on its way.
 
-Called for every line by the loop (talk/quick_lines.py), which has the interpreter do what is left.
+Called for every line by the loop (talk/stream_loop.py), which has the interpreter do what is left.
 """
 
 import micropython
 from base import errors
-from base.f32 import copy
-from base.singles import whole_part
+from base.float32 import copy
+from base.float32_math import whole_part
 from base.state import CHECK
 from control import modes as mode
-from control.canon import SHUT, judge
+from control.canon import SHUT, check_travel
 from control.spindle import ASKED as ASKED_SPEED
-from control.spindle import LASER, weigh
+from control.spindle import LASER, power_from_rpm
 from micropython import const
 from motion import layout
 from motion.arc_geometry import lay
 from motion.arcs import LEFT
+from motion.minifloat import per_second
 from motion.plan_kernel import FULL, OUTSIDE
 from motion.plan_kernel import plan as plan_block
 from motion.planner import COOLANT_SHIFT, SPINDLE_CCW, SPINDLE_MASK
-from motion.reals import per_second
 
 from language import block_layout as b
 from language.block import read
@@ -36,20 +36,20 @@ PLAIN = const(b.CHECKED | b.MOVE | b.SPECIAL | b.SPEED | b.SET_TOOL | b.DARK | b
 @micropython.viper
 def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: object) -> int:
     """Execute a line that does no more than move, and has nothing in its way. Returns 1; or 0, and
-    nothing has changed, but the block is ready, with what look() says in machine[ASKED]. machine,
-    memory: an interpreter's."""
+    nothing has changed, but the block is ready, with what check_line() says in machine[ASKED].
+    machine, memory: an interpreter's."""
     machine[b.ASKED] = 0
     if machine[b.IS_OPEN] == 0:
         return 0
     if length == 0:
         return 1
-    asked = int(look(text, length << 8, modal, 0, memory))
+    asked = int(check_line(text, length << 8, modal, 0, memory))
     machine[b.ASKED] = asked
-    return 0 if asked < 0 or asked & machine[b.WATCHED] else int(go(asked, modal, memory))
+    return 0 if asked < 0 or asked & machine[b.WATCHED] else int(run_move(asked, modal, memory))
 
 
 @micropython.viper
-def look(text: object, span: int, modal: ptr32, jog: int, memory: object) -> int:
+def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) -> int:
     """Read and check line[start:end], span = end << 8 | start, which a 0 follows. Returns what it
     asks for, or below 0 what is wrong with it: see check(). memory: an interpreter's."""
     words, block, _ = memory
@@ -87,7 +87,7 @@ def look(text: object, span: int, modal: ptr32, jog: int, memory: object) -> int
 
 
 @micropython.viper
-def go(asked: int, modal: ptr32, memory: object) -> int:
+def run_move(asked: int, modal: ptr32, memory: object) -> int:
     """Execute a block that asks for that, if it is no more than a line, which has room. Returns 1;
     or 0, and what is left is for the interpreter. memory: its."""
     if asked & ~PLAIN or (asked & b.SPEED and modal[mode.SPINDLE] and asked & b.IN_MOTION == 0):
@@ -106,7 +106,7 @@ def go(asked: int, modal: ptr32, memory: object) -> int:
     flow = ptr32(_flow)
     moves = 0
     if asked & b.MOVE:
-        found = int(judge(xyz, travel, flow))
+        found = int(check_travel(xyz, travel, flow))
         moves = 0 if ptr32(running)[0] & CHECK else 1
         if found & OUTSIDE or (moves and found & FULL):
             return 0
@@ -117,7 +117,7 @@ def go(asked: int, modal: ptr32, memory: object) -> int:
             return 0
         if moves and (hook or int(_is_bent(xyz, position, axes, rare, plans))):
             return 0
-    put_in_force(ints, singles, modal, rates)
+    commit_modal(ints, singles, modal, rates)
     rates[mode.RPM] = singles[b.S]
     rates[mode.TOOL] = singles[b.T]
     if moves:
@@ -126,7 +126,7 @@ def go(asked: int, modal: ptr32, memory: object) -> int:
         scale[ASKED_SPEED] = 0 if asked & b.DARK else rates[mode.RPM]
         speed = scale[ASKED_SPEED]
         if flags & SPINDLE_MASK:
-            power = int(weigh(scale, flags))
+            power = int(power_from_rpm(scale, flags))
         line = int(whole_part(singles, b.N, 0))
         rate = int(per_second(singles, b.F))
         at = flow[layout.HEAD]
@@ -170,7 +170,7 @@ def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object
 
 
 @micropython.viper
-def put_in_force(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32) -> int:
+def commit_modal(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32) -> int:
     """Put in force what a checked block changes by itself: modes of how to read numbers and how to
     move, and the feed rate."""
     modal[mode.INVERSE_TIME] = ints[mode.INVERSE_TIME]

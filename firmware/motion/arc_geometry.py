@@ -1,15 +1,15 @@
 # mypy: disable-error-code=arg-type
 """The geometry of an arc: from its ends and its centre to a course (arcs.py).
 
-In single precision, as Grbl's, but on the bits of floats (base/singles.py), so that nothing is
-left on the heap. An arc's numbers are an array, r: what is known of it, scratch places, constants.
-A function names the places of its results; A, B and C may be lost.
+In single precision, as Grbl's, but on the bits of floats (base/float32_math.py), so that nothing
+is left on the heap. An arc's numbers are an array, r: what is known of it, scratch places,
+constants. A function names the places of its results; A, B and C may be lost.
 """
 
 from array import array
 
 import micropython
-from base.singles import MINUS, add_single, multiply, quotient, root, store, whole_part
+from base.float32_math import MINUS, add_single, multiply, quotient, root, store, whole_part
 from micropython import const
 
 from motion import arcs

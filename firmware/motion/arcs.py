@@ -10,7 +10,7 @@ object; main loop only.
 from array import array
 
 import micropython
-from base.f32 import copy
+from base.float32 import copy
 from micropython import const
 
 from motion.layout import AXES, HEAD, LIMITS, ROWS, TARGET

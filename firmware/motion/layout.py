@@ -6,7 +6,7 @@ kernels and engines; `ugrbl build` puts the numbers in place.
 
 Speeds are squared and linear on one scale per machine, `table[SQR_SCALE]`: 2**30 is the square
 of the highest speed any move can have. Within a block speeds are in units of 2**-18 step of its
-longest axis per full segment. A real is a positive number in one integer: see reals.py.
+longest axis per full segment. A real is a positive number in one integer: see minifloat.py.
 """
 
 from array import array
@@ -53,7 +53,7 @@ ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
 SLICE = const(13)  # how long a row is where the speed changes, in 2**-17 of a full segment
 # Real: by so much, a root of a scaled speed squared, corners are planned slower, per mm/s2; 0, but
 # where an extra wants it.
-GENTLE = const(14)
+JUNCTION_DERATE = const(14)
 LIMITS = const(15)  # three reals per axis: mm per step, mm/s, mm/s2
 # Behind the limits, one of each per axis: direction of the last block, of the present one, its
 # distances; and, so many times the axes behind the limits:

@@ -24,10 +24,10 @@ from motion.layout import (
     FACTOR,
     FEED_OVERRIDE,
     FLAGS,
-    GENTLE,
     HEAD,
     INVERSE_TIME,
     JUNCTION,
+    JUNCTION_DERATE,
     JUNCTION_SQR,
     LENGTH,
     LIMITS,
@@ -58,7 +58,7 @@ from motion.layout import (
     TARGET,
     UNPLANNED,
 )
-from motion.reals import (
+from motion.minifloat import (
     BIAS,
     HIGHEST,
     LIMIT,
@@ -141,7 +141,7 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
 
 
 @micropython.viper
-def turn(table: ptr32, dirs: int) -> int:
+def junction_speed_sqr(table: ptr32, dirs: int) -> int:
     """Return the squared speed allowed in the corner between the previous block and this one.
 
     Junction deviation, Grbl's idea (Sungeun K. Jeon): the speed at which a circle that stays
@@ -196,7 +196,7 @@ def turn(table: ptr32, dirs: int) -> int:
 
 
 @micropython.viper
-def schedule(table: ptr32, ring: ptr32, at: int) -> int:
+def compute_profile(table: ptr32, ring: ptr32, at: int) -> int:
     """Compute what the interrupt needs of a block, from its RATE, ACCEL and the overrides.
 
     Called again when an override changes. With per_mm = EVENTS / LENGTH (steps per mm of the
@@ -245,7 +245,7 @@ def schedule(table: ptr32, ring: ptr32, at: int) -> int:
 
 
 @micropython.viper
-def ratios(ring: ptr32, at: int, motors: int) -> int:
+def step_ratios(ring: ptr32, at: int, motors: int) -> int:
     """Compute each motor's steps / EVENTS, from 0 to 1 in 2**-29, behind its steps in the row.
 
     Long division, as many bits at once as a remainder below EVENTS leaves room for in 31.
@@ -271,18 +271,18 @@ def ratios(ring: ptr32, at: int, motors: int) -> int:
 
 
 @micropython.viper
-def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
+def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     """Append the block made at HEAD to the ring: its corner's speed, then the backward pass."""
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     at = head * size
-    junction = int(turn(table, ring[at + DIRS]))
+    junction = int(junction_speed_sqr(table, ring[at + DIRS]))
     if head == flow[TAIL]:
         junction = 0  # the ring is empty: it starts from rest
     ring[at + JUNCTION_SQR] = junction
     ring[at + ENTRY_SQR] = 0
     limit_entry(ring, flow, head)
-    if table[GENTLE]:
+    if table[JUNCTION_DERATE]:
         ring[at + MAX_ENTRY_SQR] = 0  # until the extra that asked for it has set it
     axes = table[AXES]
     target = LIMITS + TARGET * axes
@@ -346,12 +346,12 @@ def plan(
     elif flags & INVERSE_TIME:
         rate = int(mul(rate, ring[at + LENGTH]))
     ring[at + RATE] = rate
-    schedule(table, ring, at)
-    ratios(ring, at, table[MOTOR_COUNT])
+    compute_profile(table, ring, at)
+    step_ratios(ring, at, table[MOTOR_COUNT])
     if flags & SYSTEM_MOTION:
         flow[SYSTEM] = 1
     else:
-        join(table, ring, flow)
+        append_block(table, ring, flow)
     return 1
 
 

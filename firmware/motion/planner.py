@@ -11,11 +11,11 @@ per block but the floats of its caller.
 from array import array
 
 import micropython
-from base.f32 import copy, f32, vector, whole
-from base.hooks import tell
+from base.float32 import copy, f32, truncate, vector
+from base.hooks import call_all
 from micropython import const
 
-from motion import arcs, layout, plan_kernel, reals
+from motion import arcs, layout, minifloat, plan_kernel
 from motion.layout import FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL, UNPLANNED
 
 TYPE_CHECKING = const(False)
@@ -128,24 +128,24 @@ class Planner:
             fastest_sqr += max(rate, _SLOWEST_MM_S) ** 2
             fastest_hz = max(fastest_hz, rate * resolution)
             at = layout.LIMITS + 3 * i
-            table[at] = reals.real(1 / resolution)
-            table[at + 1] = reals.real(max(rate, _LEAST))
-            table[at + 2] = reals.real(max(acceleration, _LEAST))
+            table[at] = minifloat.real(1 / resolution)
+            table[at + 1] = minifloat.real(max(rate, _LEAST))
+            table[at + 2] = minifloat.real(max(acceleration, _LEAST))
             self.steps_per_mm[i] = resolution
         at = layout.LIMITS + layout.RESOLUTION * self.axes
         copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
         scale = (1 << 30) / fastest_sqr
-        table[layout.ROOT_SCALE] = reals.real(scale**-0.5)
+        table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)
         while fastest_hz * (1 << segment_log2) > tick_hz * _MOST_STEPS:
             segment_log2 -= 1
         seconds = (1 << segment_log2) / tick_hz
-        table[layout.SQR_SCALE] = reals.real(scale)
-        table[layout.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)
-        table[layout.SEGMENT_RATE] = reals.real(seconds * 262144)
-        table[layout.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
+        table[layout.SQR_SCALE] = minifloat.real(scale)
+        table[layout.JUNCTION] = minifloat.real(65536.0 * settings.junction_deviation_mm * scale)
+        table[layout.SEGMENT_RATE] = minifloat.real(seconds * 262144)
+        table[layout.SEGMENT_ACCEL] = minifloat.real(seconds * seconds * 262144)
         table[layout.SEGMENT_LOG2] = segment_log2
         table[layout.SLICE] = 131072 // max(min(int(seconds * 1000), _SLICES), 1)
-        table[layout.SLOWEST] = reals.real(_SLOWEST_MM_S)
+        table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
 
     def reach_mm(self, axis: int) -> float:
         """How far from 0 an axis may be. A motor of several axes counts the steps of all."""
@@ -202,7 +202,7 @@ class Planner:
     def rate(self, feed: float) -> int:
         """A feed in mm/min as a real in mm/s."""
         self._feed[0] = feed
-        return reals.per_second(self._feed, 0)
+        return minifloat.per_second(self._feed, 0)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """Add some chords of an arc, or pass them over where nothing moves. Returns what it has
@@ -233,23 +233,23 @@ class Planner:
         return planned
 
     def catch_up(self) -> None:
-        """Plan what has been added and not been seen to yet: see plan_kernel.join()."""
+        """Plan what has been added and not been seen to yet: see plan_kernel.append_block()."""
         if self.flow[UNPLANNED]:
             plan_kernel.reverse_pass(self.ring, self.flow, 0)
         if self._state.hooks.caught_up:
-            tell(self._state.hooks.caught_up)
+            call_all(self._state.hooks.caught_up)
 
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
         flow = self.flow
-        self.table[layout.FEED_OVERRIDE] = reals.real(self._state.feed_override / 100)
-        self.table[layout.RAPID_OVERRIDE] = reals.real(self._state.rapid_override / 100)
+        self.table[layout.FEED_OVERRIDE] = minifloat.real(self._state.feed_override / 100)
+        self.table[layout.RAPID_OVERRIDE] = minifloat.real(self._state.rapid_override / 100)
         for replan in self._state.hooks.replan:
             if replan():
                 return
         at = flow[TAIL]
         while at != flow[HEAD]:
-            plan_kernel.schedule(self.table, self.ring, at * flow[layout.ROW_SIZE])
+            plan_kernel.compute_profile(self.table, self.ring, at * flow[layout.ROW_SIZE])
             if at != flow[TAIL]:
                 plan_kernel.limit_entry(self.ring, flow, at)
             at = (at + 1) % flow[ROWS]
@@ -273,7 +273,7 @@ class Planner:
         for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, layout.SLICES, UNPLANNED):
             flow[i] = 0
         if self._state.hooks.cleared:
-            tell(self._state.hooks.cleared)
+            call_all(self._state.hooks.cleared)
 
     # Steps of motors and places in mm
 
@@ -291,7 +291,7 @@ class Planner:
         reach = self.reach_mm(axis)
         mm = max(min(mm, reach), -reach)
         product = f32(mm * self.steps_per_mm[axis])
-        steps = whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
+        steps = truncate(product + 0.5) if product >= 0 else -truncate(0.5 - product)
         if self.kinematics:
             self.kinematics.set_axis(motors, axis, steps)
         else:

@@ -9,7 +9,7 @@ interrupt.
 
 import micropython
 
-from motion.reals import BIAS, HIGHEST, LIMIT, SMALLEST, mul, pack, square_root
+from motion.minifloat import BIAS, HIGHEST, LIMIT, SMALLEST, mul, pack, square_root
 
 
 @micropython.viper

@@ -60,9 +60,9 @@ from motion.layout import (
     WAY,
     WHOLE,
 )
+from motion.minifloat import BIAS, HIGHEST, ONE, product, ratio, square_root
 from motion.ramps import after, braking, share, times
-from motion.reals import BIAS, HIGHEST, ONE, product, ratio, square_root
-from motion.slice_kernel import HAIR, cut, dimmed, slices, speed_share, spread
+from motion.slice_kernel import STEP_BIAS, next_row, place_steps, scaled_power, slices, speed_share
 
 _LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
 _LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
@@ -86,7 +86,7 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     flow[LEAVE_SQR] = 0
     flow[WHOLE] = ring[at + EVENTS]
     flow[FRACTION] = 0
-    flow[PARTIAL] = HAIR
+    flow[PARTIAL] = STEP_BIAS
     flow[BRAKE_FROM] = 0
     flow[SPARE] = 0
     for i in range(motors):
@@ -118,7 +118,7 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 
 @micropython.viper
-def approach(flow: ptr32, ramp: int, goal: int, room: int) -> int:
+def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
     """The next piece speeds up, or slows down, by ramp to a goal, as far as there is room.
 
     Leaves its end in NOW and WAY. Returns how long it takes, in 2**-17 of a full segment.
@@ -151,7 +151,8 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     The deceleration follows from the way left, so that rounding never adds up; it exceeds the
     ramp by a sixteenth at most. From v to u over the way s it is (v2 - u2) / 2s: where s is known
     in 2**-18 step the change of speed is (v - u) * way of this piece / s; where s is 4095 steps
-    or more it is ramp * braking way / s, both in whole steps. rest: s, or HIGHEST. As approach().
+    or more it is ramp * braking way / s, both in whole steps. rest: s, or HIGHEST. As
+    change_speed().
     """
     speed = flow[NOW]
     left = flow[LEFT]
@@ -189,7 +190,7 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
 
 
 @micropython.viper
-def piece(flow: ptr32, part: int) -> int:
+def add_piece(flow: ptr32, part: int) -> int:
     """Add a piece to the segment planned. part: its duration in 2**-17 of a full segment."""
     if part > flow[LEFT]:
         part = flow[LEFT]
@@ -213,7 +214,7 @@ def piece(flow: ptr32, part: int) -> int:
 
 
 @micropython.viper
-def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
+def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
     """Choose the next piece of the segment. Returns 0 at the end of the block.
 
     speed        ________            A piece is one of: speed up, cruise, brake,
@@ -266,13 +267,13 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
     if due:
         part = int(brake(flow, ramp, leave, rest))
     elif speed != top:
-        part = int(approach(flow, ramp, top, room))
+        part = int(change_speed(flow, ramp, top, room))
     else:
         flow[WAY] = speed if part == 131072 else int(times(speed, part))
         if room <= flow[WAY]:
             flow[WAY] = room
             part = int(share(room, speed))
-    return int(piece(flow, part))
+    return int(add_piece(flow, part))
 
 
 @micropython.viper
@@ -302,7 +303,7 @@ def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
                 break
             flow[LEFT] = flow[LEFT] + 131072
             span += 131072
-        going = int(proceed(flow, ring, table[ROOT_SCALE]))
+        going = int(next_piece(flow, ring, table[ROOT_SCALE]))
     flow[TIME] = span - flow[LEFT]
     flow[SLICES] = int(slices(flow, table[SLICE], ring[flow[AT] + FLAGS] & DYNAMIC))
     flow[PIECE] = PIECES
@@ -315,7 +316,7 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
     if flow[SLICES] == 0:
         if int(plan(flow, ring, table)) == 0:
             return 0
-    steps = int(cut(flow, row, table[SEGMENT_LOG2]))
+    steps = int(next_row(flow, row, table[SEGMENT_LOG2]))
     going = flow[SLICES] or flow[WHOLE] or flow[FRACTION]
     if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:
         return 0  # at rest, less than a step further
@@ -323,8 +324,8 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = ring[at + POWER]
     if ring[at + FLAGS] & DYNAMIC:
-        row[ROW_POWER] = int(dimmed(table, row[ROW_POWER], int(speed_share(flow, ring))))
-    spread(flow, ring, row, table[MOTOR_COUNT], steps)
+        row[ROW_POWER] = int(scaled_power(table, row[ROW_POWER], int(speed_share(flow, ring))))
+    place_steps(flow, ring, row, table[MOTOR_COUNT], steps)
     if going == 0:
         flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))
         flow[LOADED] = 0

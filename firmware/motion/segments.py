@@ -6,13 +6,13 @@ hold, resume, the system's own block.
 """
 
 import micropython
-from base.f32 import f32
+from base.float32 import f32
 from micropython import const
 
 from motion import layout
 from motion.layout import AT, CARRY, FACTOR, HOLD, LOADED, NOW, REACHED
+from motion.minifloat import ratio, value
 from motion.planner import SPINDLE_MASK
-from motion.reals import ratio, value
 from motion.segment_kernel import fill
 
 TYPE_CHECKING = const(False)

@@ -32,7 +32,8 @@ from motion.layout import (
 )
 from motion.ramps import share, times
 
-HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the last step of a hold
+# Ahead of the truth, so that rounding does not cost the last step of a hold.
+STEP_BIAS = const(0x800)
 
 
 @micropython.viper
@@ -86,7 +87,7 @@ def travel(flow: ptr32, part: int) -> int:
 
 
 @micropython.viper
-def cut(flow: ptr32, row: ptr32, log2: int) -> int:
+def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
     """Take the next slice of the segment, of one step at least, or what is left. Returns steps."""
     distance = 0
     time = 0
@@ -104,11 +105,11 @@ def cut(flow: ptr32, row: ptr32, log2: int) -> int:
         flow[SLICES] = 0
         flow[REACHED] = flow[NOW]
     flow[ADVANCE] = flow[ADVANCE] - distance
-    return int(close(flow, row, distance, time >> (17 - log2)))
+    return int(end_on_step(flow, row, distance, time >> (17 - log2)))
 
 
 @micropython.viper
-def close(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
+def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
     """End the row with a step of the longest axis: whole steps, and the time they take.
 
     What is left over, distance and time, goes into the next one. So every
@@ -121,7 +122,7 @@ def close(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
     rest = distance & 0x3FFFF
     flow[PARTIAL] = rest
     flow[SPARE] = 0
-    if rest > HAIR and steps:
+    if rest > STEP_BIAS and steps:
         part = int(share(steps << 18, distance))
         whole_ticks = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
         flow[SPARE] = ticks - whole_ticks
@@ -131,7 +132,7 @@ def close(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
 
 
 @micropython.viper
-def spread(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) -> int:
+def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) -> int:
     """Lay the row's steps out in time: per motor how many, when the first and the last.
 
     events: those of the longest axis. A motor's phase runs on from row to row, so that at a
@@ -180,7 +181,7 @@ def speed_share(flow: ptr32, ring: ptr32) -> int:
 
 
 @micropython.viper
-def dimmed(table: ptr32, full: int, part: int) -> int:
+def scaled_power(table: ptr32, full: int, part: int) -> int:
     """Spindle power at a part of the programmed rate, where power follows speed; full: at all of
     it, in 1/64."""
     if part < 131072:

@@ -19,7 +19,7 @@ from motion.layout import (
     STEPS,
     TARGET,
 )
-from motion.reals import LIMIT, pack, square_root
+from motion.minifloat import LIMIT, pack, square_root
 
 
 @micropython.viper

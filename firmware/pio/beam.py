@@ -77,7 +77,7 @@ class BeamEngine(PioEngine):
         self.beam[bm.BOTH] = _BOTH
         self.beam[bm.LEVEL] = bm.UNKNOWN
         self._make_channels(len(step))
-        self._hub[MOTORS] = len(step)
+        self._engine_state[MOTORS] = len(step)
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
         if axis < len(self._step):
@@ -110,7 +110,7 @@ class BeamEngine(PioEngine):
             treq_sel=_RX + lane + (lane & 4),
             chain_to=mover.channel,
         )
-        said = self._hub[PIO0 + (lane >> BLOCK_LOG2)] + 4 * (RXF + own)
+        said = self._engine_state[PIO0 + (lane >> BLOCK_LOG2)] + 4 * (RXF + own)
         taker.config(read=said, write=self._nowhere, count=1, ctrl=control)
         control = mover.pack_ctrl(
             size=2,
@@ -140,7 +140,7 @@ class BeamEngine(PioEngine):
 
     def start(self) -> None:
         """Begin to pull, where the engine had run out of segments: a beam that is out may burn."""
-        if not self._hub[RUNNING]:
+        if not self._engine_state[RUNNING]:
             self.beam[bm.LEVEL] = bm.UNKNOWN
             machine.mem32[self._mover_at + 4 * WRITE] = self._slice + _COMPARE
         super().start()

@@ -5,9 +5,9 @@ Each motor has a machine of PIO 0, from the fifth on one of PIO 1, which plays w
 (programs.py, pulses.py) out of a ring in memory. A clock, the last machine of PIO 1, or of an
 RP2350's PIO 2 where an eighth motor has that one, interrupts as each segment begins: spindle
 power is set, the next segments are made and handed over. All machines start within a tick
-(hub._launch) and stay together, for every lane's words fill the same time. DMA is handed counted
-words and ends with them: where the interrupt comes too late, the machines wait at `pull`, and
-when all have come to rest they are started together again. Nothing is lost or repeated.
+(engine_state._launch) and stay together, for every lane's words fill the same time. DMA is handed
+counted words and ends with them: where the interrupt comes too late, the machines wait at `pull`,
+and when all have come to rest they are started together again. Nothing is lost or repeated.
 
 A stop holds until arm(): whatever it has interrupted goes on, and starts nothing. The interrupt
 lets no exception out, for MicroPython would never call it again: the machines are switched off,
@@ -46,9 +46,9 @@ from pio.hub_layout import (
     WORDS,
 )
 from pio.memory import Memory
+from pio.refill import refill
 from pio.registers import CLEAR
-from pio.stops import arm, call, halt, position, trouble
-from pio.turn import turn
+from pio.stops import arm, fault_code, halt, position, request_refill
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class PioEngine:
         if len(step) > most:
             raise ValueError("%d motors at most" % most)
         self._memory = Memory(lanes, rp2350)
-        self._hub = self._memory.hub
+        self._engine_state = self._memory.state
         self._rows = self._memory.rows
         self._machines = [self._make_lane(i) for i in range(lanes)]
         # A board forgets both modules once the engine is there.
@@ -130,7 +130,7 @@ class PioEngine:
             block = 2 if lanes > BEFORE_CLOCK else 1
         self._pio = rp2.PIO(block)
         self._clock = rp2.StateMachine(4 * block + CLOCK, programs.clock, freq=_TICK_HZ)
-        self._hub[CLOCK_AT] = programs.clock[1 + block] + programs.CLOCK_PULL
+        self._engine_state[CLOCK_AT] = programs.clock[1 + block] + programs.CLOCK_PULL
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
@@ -154,7 +154,7 @@ class PioEngine:
         control = channel.pack_ctrl(
             size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis + (axis & 4)
         )
-        ring = self._hub[WORDS] + (4 * axis << pulses.RING_LOG2)
+        ring = self._engine_state[WORDS] + (4 * axis << pulses.RING_LOG2)
         channel.config(read=ring, write=stepper, ctrl=control)
         self._memory.connect(axis, channel.channel)
         return stepper, channel
@@ -193,35 +193,35 @@ class PioEngine:
     def arm(self) -> None:
         """Motion is possible again, after power-up or stop(). For the main loop."""
         # Anew: MicroPython may have taken the interrupt away from us.
-        self._pio.irq(self._turn, trigger=self._pio.IRQ_SM3, hard=True)
-        arm(self._hub)
+        self._pio.irq(self._refill, trigger=self._pio.IRQ_SM3, hard=True)
+        arm(self._engine_state)
 
     def start(self) -> None:
         """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
-        call(self._hub)
+        request_refill(self._engine_state)
 
     @micropython.viper
     def stop(self) -> int:
         """At once, until arm(); safe in an interrupt; queued steps are dropped, locks released."""
-        halt(self._hub, -1)
+        halt(self._engine_state, -1)
         return 0
 
     def fault(self) -> str:
         """What is wrong with the engine, in words, or nothing. For the main loop."""
-        return _FAULTS[trouble(self._hub)]
+        return _FAULTS[fault_code(self._engine_state)]
 
     def lock(self, motors: int) -> None:
         """These motors (a mask) make no more pulses until stop(); the others go on."""
-        halt(self._hub, motors)
+        halt(self._engine_state, motors)
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
-        hub = self._hub
-        return hub[RUNNING] == 0 and (hub[HALT] != 0 or hub[MADE] == hub[FED])
+        state = self._engine_state
+        return state[RUNNING] == 0 and (state[HALT] != 0 or state[MADE] == state[FED])
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor: the only truth. Safe in an interrupt."""
-        position(self._hub, steps)
+        position(self._engine_state, steps)
 
     def set_position(self, steps: "array[int]") -> None:
         """Name the present place, also of motors that are locked. At rest only."""
@@ -231,30 +231,30 @@ class PioEngine:
             lanes[at + pulses.END] = lanes[at + pulses.PLACE] = lanes[at + pulses.FROZEN] = here
 
     @micropython.viper
-    def _turn(self, _source: object) -> int:
+    def _refill(self, _source: object) -> int:
         """Interrupt: a segment has begun, or the engine is to start. Keep the hardware busy."""
-        hub = ptr32(self._hub)
-        hub[ASKED] = 0
-        if hub[HALT]:
+        state = ptr32(self._engine_state)
+        state[ASKED] = 0
+        if state[HALT]:
             return 0
         try:
-            turn(hub, self._next_segment, self._on_power, self._on_rest)
+            refill(state, self._next_segment, self._on_power, self._on_rest)
         except:  # noqa: E722
-            hub[FAULT] = RAISED
-        if hub[FAULT]:
+            state[FAULT] = RAISED
+        if state[FAULT]:
             # No calls up to here: the stack may be what there is too little of.
-            hub[HALT] = 1
-            ptr32(hub[PIO0])[CLEAR] = hub[OURS]
-            ptr32(hub[PIO1])[CLEAR] = hub[OURS + 1]
+            state[HALT] = 1
+            ptr32(state[PIO0])[CLEAR] = state[OURS]
+            ptr32(state[PIO1])[CLEAR] = state[OURS + 1]
             if RP2350:
-                if hub[THIRD]:
-                    ptr32(hub[CLOCK_PIO])[CLEAR] = hub[THIRD]
+                if state[THIRD]:
+                    ptr32(state[CLOCK_PIO])[CLEAR] = state[THIRD]
             try:
                 self.on_fault()
             except:  # noqa: E722
-                hub[FAULT] = RAISED  # the main loop sees to the tool
+                state[FAULT] = RAISED  # the main loop sees to the tool
             try:
-                halt(hub, -1)
+                halt(state, -1)
             except:  # noqa: E722
-                hub[FAULT] = RAISED
+                state[FAULT] = RAISED
         return 0

@@ -1,13 +1,14 @@
-"""Layout: what stands where in the hub, the one array that the PIO engine's leaves work on.
+"""Layout: what stands where in the engine state, the one array that the PIO engine's leaves work
+on.
 
-Lanes and timing, which the hub has the addresses of, are told in pulses.py; what chips call their
-registers, in registers.py.
+Lanes and timing, which the engine state has the addresses of, are told in pulses.py; what chips
+call their registers, in registers.py.
 """
 
 from micropython import const
 
 # Whether the chip may be an RP2350, which has a third PIO: a build for an RP2040 has 0 here
-# (tools/compiling/of_chip.py), and nothing of what that takes.
+# (tools/compiling/for_chip.py), and nothing of what that takes.
 RP2350 = const(1)
 
 HALF_TICKS_PER_US = const(25)
@@ -55,7 +56,7 @@ WHOLE = const(28)  # a long segment, made in pieces
 ROW = const(29)  # a row per segment
 FAULT = const(ROW + ROWS)  # what has gone wrong (stops.py), until arm()
 ASKED = const(ROW + ROWS + 1)  # start() waits for the interrupt
-DMA = const(ROW + ROWS + 2)  # a channel per lane, which end the hub of an RP2040
+DMA = const(ROW + ROWS + 2)  # a channel per lane, which end the engine state of an RP2040
 # An RP2350's goes on: the machines of PIO 2 that are ours, none but the clock; and where the
 # clock's PIO is.
 THIRD = const(DMA + 8)

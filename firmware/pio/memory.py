@@ -1,7 +1,7 @@
 # mypy: disable-error-code=arg-type
 """Memory: the arrays that the PIO engine's interrupt works on, made and told of each other.
 
-Made once, before there are holes in memory; hub.py has what works on them.
+Made once, before there are holes in memory; engine_state.py has what works on them.
 """
 
 from array import array
@@ -65,14 +65,15 @@ def _make_array(length: int) -> "array[int]":
 
 
 class Memory:
-    """What the interrupt works on, with the hub that leads to it. rp2350: which chip this is."""
+    """What the interrupt works on, with the engine state that leads to it. rp2350: which chip this
+    is."""
 
     def __init__(self, axes: int, rp2350: bool) -> None:
         length = row_length(axes)
         length_of_hub = DMA + axes
         if RP2350:
             length_of_hub = LENGTH
-        self.hub = hub = _make_array(length_of_hub)
+        self.state = state = _make_array(length_of_hub)
         self.lanes = _make_array(LANE * axes)
         self.timing = _make_array(pulses.TIMING_LENGTH)
         self.rows = [_make_array(length + ROW_EXTRA + axes) for _ in range(ROWS)]
@@ -81,40 +82,40 @@ class Memory:
         # The rings lie at multiples of their size: DMA wraps around within address bits.
         ring = 4 << pulses.RING_LOG2
         self._rings = bytearray(ring * (axes + 1))
-        self.timing[pulses.AXES] = hub[AXES] = hub[MOTORS] = axes
-        hub[HALT] = 1
-        hub[BEGUN] = -1
-        hub[LANES] = _make_address(self.lanes)
-        hub[WORDS] = (_make_address(self._rings) + ring - 1) // ring * ring
-        hub[TIMING] = _make_address(self.timing)
-        hub[CLOCKED] = _make_address(self._clocked)
-        hub[WHOLE] = _make_address(self._whole)
+        self.timing[pulses.AXES] = state[AXES] = state[MOTORS] = axes
+        state[HALT] = 1
+        state[BEGUN] = -1
+        state[LANES] = _make_address(self.lanes)
+        state[WORDS] = (_make_address(self._rings) + ring - 1) // ring * ring
+        state[TIMING] = _make_address(self.timing)
+        state[CLOCKED] = _make_address(self._clocked)
+        state[WHOLE] = _make_address(self._whole)
         for i, row in enumerate(self.rows):
-            hub[ROW + i] = _make_address(row)
+            state[ROW + i] = _make_address(row)
         machines = (1 << axes) - 1
-        hub[OURS] = machines & 15
-        hub[OURS + 1] = machines >> 4 | 1 << CLOCK
-        hub[PIO0] = PIO0_AT
-        hub[PIO1] = PIO1_AT
-        hub[TIMER] = 0x40054028
-        hub[NVIC] = 0xE000E100 - (1 << 32)
+        state[OURS] = machines & 15
+        state[OURS + 1] = machines >> 4 | 1 << CLOCK
+        state[PIO0] = PIO0_AT
+        state[PIO1] = PIO1_AT
+        state[TIMER] = 0x40054028
+        state[NVIC] = 0xE000E100 - (1 << 32)
         # IO_IRQ_BANK0, PIO1_IRQ_0, and the timer's four.
-        hub[RIVALS] = 1 << 13 | 1 << 9 | 15
-        hub[BUSY] = 1 << 24
+        state[RIVALS] = 1 << 13 | 1 << 9 | 15
+        state[BUSY] = 1 << 24
         if RP2350:
-            hub[CLOCK_PIO] = PIO1_AT
+            state[CLOCK_PIO] = PIO1_AT
             if rp2350:
-                hub[TIMER] = 0x400B0028
-                hub[RIVALS] = 1 << 21 | 1 << 17 | 15
-                hub[BUSY] = 1 << 26
+                state[TIMER] = 0x400B0028
+                state[RIVALS] = 1 << 21 | 1 << 17 | 15
+                state[BUSY] = 1 << 26
             if axes > BEFORE_CLOCK:
-                hub[CLOCK_PIO] = PIO2_AT
-                hub[THIRD] = 1 << CLOCK
-                hub[RIVALS] |= 1 << 19  # PIO2_IRQ_0
+                state[CLOCK_PIO] = PIO2_AT
+                state[THIRD] = 1 << CLOCK
+                state[RIVALS] |= 1 << 19  # PIO2_IRQ_0
 
     def connect(self, axis: int, channel: int) -> None:
         """A lane's words go through this DMA channel."""
-        pio = self.hub[PIO0 + (axis >> BLOCK_LOG2)]
+        pio = self.state[PIO0 + (axis >> BLOCK_LOG2)]
         self.lanes[LANE * axis + MACHINE] = pio + 4 * (MACHINES + SM * (axis & IN_BLOCK))
-        self.hub[DMA + axis] = at = DMA_AT + DMA_EACH * channel
+        self.state[DMA + axis] = at = DMA_AT + DMA_EACH * channel
         machine.mem32[at + 4 * CREDITS] = 0  # counted anew: the FIFO is empty

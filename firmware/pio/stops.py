@@ -1,5 +1,6 @@
 # mypy: disable-error-code=arg-type
-"""Stops, starts, and where the motors are: the other leaves that work on the hub (hub.py).
+"""Stops, starts, and where the motors are: the other leaves that work on the engine state
+(engine_state.py).
 
 They may be called in any interrupt, also one that has interrupted the engine's own: what must
 not be divided is done with all these interrupts held back, for some microseconds.
@@ -76,15 +77,15 @@ _PATIENCE_US = const(50_000)
 
 
 @micropython.viper
-def _settle(hub: ptr32, axis: int) -> int:
+def _stopped_position(state: ptr32, axis: int) -> int:
     """Where a machine just stopped has come to."""
-    pio = ptr32(hub[PIO0 + (axis >> BLOCK_LOG2)])
+    pio = ptr32(state[PIO0 + (axis >> BLOCK_LOG2)])
     number = axis & IN_BLOCK
-    dma = ptr32(hub[DMA + axis])
-    lanes = ptr32(hub[LANES])
+    dma = ptr32(state[DMA + axis])
+    lanes = ptr32(state[LANES])
     player = ptr32(lanes[LANE * axis + MACHINE])
     end = lanes[LANE * axis + END]
-    if hub[RUNNING] == 0:
+    if state[RUNNING] == 0:
         return end
     player[INSTR] = _SAVE_X
     # A word on its way is counted nowhere: wait until DMA has no more of them, or no room.
@@ -92,124 +93,124 @@ def _settle(hub: ptr32, axis: int) -> int:
     waiting = 0
     patience = 100
     while busy and waiting < _FIFO and patience:
-        busy = dma[STATUS] & hub[BUSY]
+        busy = dma[STATUS] & state[BUSY]
         waiting = (pio[FLEVEL] >> 8 * number) & 15
         patience -= 1
     left = dma[COUNT] if busy else 0
     if patience == 0:
-        hub[FAULT] = JAMMED
+        state[FAULT] = JAMMED
     at = player[ADDR] - ((player[EXECCTRL] >> 7) & 31)
     player[INSTR] = _PUSH
     sent = lanes[LANE * axis + SENT]
     x = pio[RXF + number]
-    return end - int(undone(hub[WORDS], axis, sent, waiting + left, at, x))
+    return end - int(undone(state[WORDS], axis, sent, waiting + left, at, x))
 
 
 @micropython.viper
-def halt(hub: ptr32, which: int) -> int:
+def halt(state: ptr32, which: int) -> int:
     """Machines of these lanes (a mask) off, positions as they are; -1: all, until arm().
 
     Nothing may raise here: one function, which calls no other as soon as it is compiled.
     """
-    axes = hub[AXES]
-    lanes = ptr32(hub[LANES])
-    nvic = ptr32(hub[NVIC])
+    axes = state[AXES]
+    lanes = ptr32(state[LANES])
+    nvic = ptr32(state[NVIC])
     if which < 0:
-        hub[HALT] = 1  # first of all: whoever comes in between starts nothing any more
-    nvic[DISABLE] = hub[RIVALS]
-    ptr32(hub[PIO0])[CTRL + CLEAR] = which & hub[OURS]
-    ptr32(hub[PIO1])[CTRL + CLEAR] = (which >> 4) & hub[OURS + 1]
-    if RP2350 and which < 0 and hub[THIRD]:
-        ptr32(hub[CLOCK_PIO])[CTRL + CLEAR] = hub[THIRD]
-    which &= -1 - hub[LOCKED]
+        state[HALT] = 1  # first of all: whoever comes in between starts nothing any more
+    nvic[DISABLE] = state[RIVALS]
+    ptr32(state[PIO0])[CTRL + CLEAR] = which & state[OURS]
+    ptr32(state[PIO1])[CTRL + CLEAR] = (which >> 4) & state[OURS + 1]
+    if RP2350 and which < 0 and state[THIRD]:
+        ptr32(state[CLOCK_PIO])[CTRL + CLEAR] = state[THIRD]
+    which &= -1 - state[LOCKED]
     for i in range(axes):
         if (which >> i) & 1:
-            lanes[LANE * i + FROZEN] = int(_settle(hub, i))
+            lanes[LANE * i + FROZEN] = int(_stopped_position(state, i))
     if which >= 0:
-        hub[LOCKED] = hub[LOCKED] | which
+        state[LOCKED] = state[LOCKED] | which
     else:
         for i in range(axes):
             lanes[LANE * i + END] = lanes[LANE * i + FROZEN]
-        if hub[RUNNING]:
-            hub[END_US] = ptr32(hub[TIMER])[0] & MASK
-        hub[RUNNING] = 0
-        hub[LOCKED] = 0
-    nvic[0] = hub[RIVALS]
+        if state[RUNNING]:
+            state[END_US] = ptr32(state[TIMER])[0] & MASK
+        state[RUNNING] = 0
+        state[LOCKED] = 0
+    nvic[0] = state[RIVALS]
     return 0
 
 
 @micropython.viper
-def call(hub: ptr32) -> int:
+def request_refill(state: ptr32) -> int:
     """Make the engine's interrupt happen now, unless it is stopped."""
-    if hub[HALT] == 0:
-        hub[ASKED] = 1
-        ptr32(hub[CLOCK_PIO])[IRQ_FORCE] = 1 << CLOCK
+    if state[HALT] == 0:
+        state[ASKED] = 1
+        ptr32(state[CLOCK_PIO])[IRQ_FORCE] = 1 << CLOCK
     return 0
 
 
 @micropython.viper
-def arm(hub: ptr32) -> int:
+def arm(state: ptr32) -> int:
     """Forget faults and the segments that no machine has been given: motion is possible again."""
-    axes = hub[AXES]
-    lanes = ptr32(hub[LANES])
-    if hub[HALT] == 0:
+    axes = state[AXES]
+    lanes = ptr32(state[LANES])
+    if state[HALT] == 0:
         return 0
-    hub[MADE] = hub[FED]
-    hub[BEGUN] = hub[FED] - 1
-    hub[AHEAD] = 0
-    hub[CUT] = 0
+    state[MADE] = state[FED]
+    state[BEGUN] = state[FED] - 1
+    state[AHEAD] = 0
+    state[CUT] = 0
     for i in range(axes):
         lanes[LANE * i + PLACE] = lanes[LANE * i + END]
     # Ones clear.
-    ptr32(hub[PIO0])[FDEBUG] = hub[OURS] << TXOVER
-    ptr32(hub[PIO1])[FDEBUG] = hub[OURS + 1] << TXOVER
-    if RP2350 and hub[THIRD]:
-        ptr32(hub[CLOCK_PIO])[FDEBUG] = hub[THIRD] << TXOVER
-    hub[FAULT] = 0
-    hub[ASKED] = 0
-    hub[HALT] = 0
+    ptr32(state[PIO0])[FDEBUG] = state[OURS] << TXOVER
+    ptr32(state[PIO1])[FDEBUG] = state[OURS + 1] << TXOVER
+    if RP2350 and state[THIRD]:
+        ptr32(state[CLOCK_PIO])[FDEBUG] = state[THIRD] << TXOVER
+    state[FAULT] = 0
+    state[ASKED] = 0
+    state[HALT] = 0
     return 0
 
 
 @micropython.viper
-def trouble(hub: ptr32) -> int:
+def fault_code(state: ptr32) -> int:
     """What is wrong, 0 if nothing is. For the main loop."""
-    if hub[FAULT]:
-        return hub[FAULT]
-    over = (ptr32(hub[PIO0])[FDEBUG] >> TXOVER) & hub[OURS]
-    if RP2350 and hub[THIRD]:
-        over |= (ptr32(hub[CLOCK_PIO])[FDEBUG] >> TXOVER) & hub[THIRD]
-    if over | (ptr32(hub[PIO1])[FDEBUG] >> TXOVER) & hub[OURS + 1]:
+    if state[FAULT]:
+        return state[FAULT]
+    over = (ptr32(state[PIO0])[FDEBUG] >> TXOVER) & state[OURS]
+    if RP2350 and state[THIRD]:
+        over |= (ptr32(state[CLOCK_PIO])[FDEBUG] >> TXOVER) & state[THIRD]
+    if over | (ptr32(state[PIO1])[FDEBUG] >> TXOVER) & state[OURS + 1]:
         return LOST
-    if hub[ASKED]:
+    if state[ASKED]:
         return UNHEARD
-    if hub[RUNNING]:
+    if state[RUNNING]:
         # In this order: an interrupt in between makes it less, if anything.
-        end = hub[END_US]
-        late = ((ptr32(hub[TIMER])[0] & MASK) - end) & MASK
+        end = state[END_US]
+        late = ((ptr32(state[TIMER])[0] & MASK) - end) & MASK
         if late >= _PATIENCE_US and late < NEGATIVE:
             return BEHIND
     return 0
 
 
 @micropython.viper
-def position(hub: ptr32, steps: ptr32) -> int:
+def position(state: ptr32, steps: ptr32) -> int:
     """Where the motors are now."""
-    motors = hub[MOTORS]
-    lanes = ptr32(hub[LANES])
-    begins = ROW_AXES + ROW_STRIDE * hub[AXES]
-    locked = hub[LOCKED]  # now, for stop() may come in between
-    if hub[RUNNING] == 0:
+    motors = state[MOTORS]
+    lanes = ptr32(state[LANES])
+    begins = ROW_AXES + ROW_STRIDE * state[AXES]
+    locked = state[LOCKED]  # now, for stop() may come in between
+    if state[RUNNING] == 0:
         for i in range(motors):
             steps[i] = lanes[LANE * i + END]
     else:
-        now = ptr32(hub[TIMER])[0] & MASK
-        fed = hub[FED]
+        now = ptr32(state[TIMER])[0] & MASK
+        fed = state[FED]
         passed = NEGATIVE
         k = 0
         while passed >= NEGATIVE and k < LAST_ROW:
             k += 1
-            row = ptr32(hub[ROW + ((fed - k) & LAST_ROW)])
+            row = ptr32(state[ROW + ((fed - k) & LAST_ROW)])
             passed = (now - row[begins]) & MASK
         tick = -1  # not begun yet
         if passed < NEGATIVE:

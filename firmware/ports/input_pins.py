@@ -47,7 +47,7 @@ class PortInputs:
         self._make_inputs(board)
         self.fault = ""  # what is wrong with the inputs, in words
         self.limit_invert = 0
-        self._hears_limits = False
+        self._limits_enabled = False
         self._limits_seen = 0
         # Some of these pins are disarmed until the timer looks at them.
         self._limits_wait = self._sensors_wait = False
@@ -70,7 +70,7 @@ class PortInputs:
         self._control_invert: int = option("CONTROL_INVERT", 0)
         self._debounce_ms: int = option("CONTROL_DEBOUNCE_MS", 0)
         self._estop = self._make_input(option("ESTOP", None))
-        self.behind_controls: "Callable[[int], object] | None" = None
+        self.after_controls: "Callable[[int], object] | None" = None
         self.estop: "Callable[[], bool] | None" = self._is_open if self._estop else None
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
@@ -95,12 +95,14 @@ class PortInputs:
         """Who is called, in an interrupt, when one of these inputs changes, the emergency stop
         being one of the controls, which are handed over; and where a callback has failed."""
         self._listener = listener
-        self._hear(self._limits, self._limit_changed)
-        self._hear((self._probe,), self._probe_changed)
-        self._hear(self._buttons, self._control_changed)
+        self._enable_interrupts(self._limits, self._limit_changed)
+        self._enable_interrupts((self._probe,), self._probe_changed)
+        self._enable_interrupts(self._buttons, self._control_changed)
         _arm(self._buttons, _BOTH_EDGES)
 
-    def _hear(self, pins: "Iterable[Pin | None]", changed: "Callable[[Pin], object]") -> None:
+    def _enable_interrupts(
+        self, pins: "Iterable[Pin | None]", changed: "Callable[[Pin], object]"
+    ) -> None:
         """Prepare for interrupts; _arm() lets them come."""
         for pin in pins:
             if pin and self._hard:
@@ -155,9 +157,9 @@ class PortInputs:
 
     # Limits
 
-    def hear_limits(self, on: bool) -> None:
+    def enable_limits(self, on: bool) -> None:
         """Call on_limits, or leave the limit inputs in peace ($21)."""
-        self._hears_limits = on
+        self._limits_enabled = on
         self._limits_seen = self.limits()
         _arm(self._limits, _BOTH_EDGES if on else 0)
 
@@ -176,7 +178,7 @@ class PortInputs:
             self._fail()
 
     def _look_at_limits(self) -> None:
-        if not self._hears_limits:
+        if not self._limits_enabled:
             return
         _arm(self._limits, _BOTH_EDGES)
         now = self.limits()
@@ -199,8 +201,8 @@ class PortInputs:
             seen = self._seen_by(pin)
             self._controls_seen |= seen  # also where the listener fails
             self._listener.on_controls(seen)  # before the other inputs are looked at
-            if self.behind_controls:
-                self.behind_controls(seen)
+            if self.after_controls:
+                self.after_controls(seen)
             self._controls_seen = self.controls()
             if not self._quiet:
                 self._await_quiet()
@@ -233,8 +235,8 @@ class PortInputs:
             self._controls_seen = self.controls()
             if changed or (self._estop and self._estop.value()):
                 self._listener.on_controls(self._active())
-                if self.behind_controls:
-                    self.behind_controls(self._active())
+                if self.after_controls:
+                    self.after_controls(self._active())
             if changed:
                 self._await_quiet()
         except BaseException:
@@ -310,7 +312,7 @@ class PortInputs:
         """Call on_change, in an interrupt, whenever one of them changes; and once more when one
         that has called is looked at again."""
         self._on_sensor = on_change
-        self._hear(self._sensors, self._sensor_changed)
+        self._enable_interrupts(self._sensors, self._sensor_changed)
         _arm(self._sensors, _BOTH_EDGES)
 
     @micropython.native

@@ -40,8 +40,8 @@ class Supervisor:
         self, link: "BoardLink", engine: "StepEngine", port: "Port", limit_ms: int
     ) -> None:
         self._shared = link.shared
-        self._look = link.look
-        link.come_back = self.tell
+        self._poll_reset = link.poll_reset
+        link.check_supervisor = self.raise_if_stopped
         self._port = port
         self._kill = port.kill
         self._stop = engine.stop
@@ -99,8 +99,8 @@ class Supervisor:
             else:
                 if shared[AWAY] == 0 and self._feed:
                     self._feed()
-                if self._look:
-                    resets = int(self._look())
+                if self._poll_reset:
+                    resets = int(self._poll_reset())
         except:  # noqa: E722
             stops = 1
             shared[STOPPED] = _FAILED
@@ -122,7 +122,7 @@ class Supervisor:
             micropython.kbd_intr(_CTRL_X)  # which ends what does not come back by itself
         return 0
 
-    def take(self) -> int:
+    def end_absence(self) -> int:
         """The main loop is back. Returns for how long it was away, in ms, if the machine has been
         stopped for that."""
         self._shared[TURNED] = 1
@@ -131,9 +131,9 @@ class Supervisor:
         self._shared[STOPPED] = 0
         return away
 
-    def tell(self) -> None:
+    def raise_if_stopped(self) -> None:
         """The main loop is back. Raises RuntimeError, which says why the machine was stopped."""
-        away = self.take()
+        away = self.end_absence()
         if away == _FAILED:
             raise RuntimeError("the timer's interrupt has failed")
         raise RuntimeError("the main loop was away for %d ms" % away)

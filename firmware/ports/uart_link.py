@@ -26,16 +26,16 @@ _PIECE = const(64)
 
 class UartLink:
     """A Link. For the supervisor: shared is what they share; there is nothing to look at but by
-    reading; come_back is its own, called in the main loop, and raises. on_turn: called in every
-    turn."""
+    reading; check_supervisor is its own, called in the main loop, and raises. on_poll: called in
+    every turn."""
 
-    look = None
+    poll_reset = None
     is_slow = False  # Ctrl-X is heard as soon as the chip's MicroPython lets anyone hear it
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
-        self.come_back: "Callable[[], None]" = lambda: None
-        self.on_turn: "Callable[[], None]" = lambda: None
+        self.check_supervisor: "Callable[[], None]" = lambda: None
+        self.on_poll: "Callable[[], None]" = lambda: None
         self.shared = array.array("i", (0, 0, 0))
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
@@ -52,8 +52,8 @@ class UartLink:
         """Move what has arrived into buf; return how many bytes."""
         self.shared[TURNED] = 1
         if self.shared[STOPPED]:
-            self.come_back()
-        self.on_turn()
+            self.check_supervisor()
+        self.on_poll()
         count = 0
         while count < len(buf) and self._waiting():
             if not self._in.readinto(self._byte):

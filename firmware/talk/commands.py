@@ -5,8 +5,8 @@ import sys
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.f32 import whole
-from base.hooks import tell
+from base.float32 import truncate
+from base.hooks import call_all
 from base.text import text_of
 from control.coolant import FLOOD, MIST
 from control.modes import (
@@ -55,7 +55,7 @@ class Commands:
         self._modes = machine.modes
         self._interpreter = machine.interpreter
         self._canon = machine.canon
-        self._drive = machine.drive
+        self._motor_control = machine.motor_control
         self._inputs = machine.inputs
         self._options = options
         self._single_axis_homing = single_axis_homing
@@ -113,7 +113,7 @@ class Commands:
             78: self._startup_lines,  # $N
         }
 
-    def whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+    def find_command(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
         """Who executes a line beginning with $: the loop calls it, for the stack is short. Raises
         GrblError where it is refused."""
         execute = self._letters.get(line[1])
@@ -128,7 +128,7 @@ class Commands:
                 raise GrblError(errors.IDLE_ERROR)
         return execute or self._set  # what is no letter is the number of a setting
 
-    def take_away(self, letters: bytes) -> None:
+    def remove_commands(self, letters: bytes) -> None:
         """Commands with these letters are not there any more."""
         for letter in letters:
             self._letters.pop(letter, None)
@@ -182,7 +182,7 @@ class Commands:
     def _check_mode(self, _line: bytearray, _length: int) -> None:
         state = self._state
         if state.run == st.CHECK:
-            self._drive.reset()
+            self._motor_control.reset()
             self._report.message(errors.MSG_DISABLED)
         else:
             if state.run != st.IDLE:
@@ -229,7 +229,7 @@ class Commands:
         self._state.enter(st.IDLE)
         if not homed:
             return
-        self._canon.settle()
+        self._canon.wait_motors_released()
         if axes == 0:
             self.run_startup()
 
@@ -243,7 +243,7 @@ class Commands:
         if length == 2 or is_long:
             kept = self._store.load(_BUILD_INFO)
             self._report.build_info(kept[0] if kept else "", self._options)
-            tell(self._state.hooks.build_info)
+            call_all(self._state.hooks.build_info)
             if is_long:
                 message = self._report.message
                 where = ", frozen" if "base.frozen" in sys.modules else ""
@@ -269,7 +269,7 @@ class Commands:
         if what == 42:  # *
             self.forget()
         self._report.message(errors.MSG_RESTORE_DEFAULTS)
-        self._drive.reset()
+        self._motor_control.reset()
 
     def forget(self) -> None:
         """Startup lines and build info away."""
@@ -292,7 +292,7 @@ class Commands:
         kept = line[at + 1 : length + 1]
         self._state.hooks.execute(kept, length - at - 1)
         self._canon.synchronise()  # memory is written at rest
-        index = whole(number)
+        index = truncate(number)
         if 0 <= index < STARTUP_LINES:
             self._startup[index] = text_of(kept[: length - at - 1])
             self._keep_startup()

@@ -4,7 +4,7 @@ from array import array
 
 from base import errors
 from base import state as st
-from base.hooks import tell
+from base.hooks import call_all
 from control import spindle as sp
 from control.modes import RPM, SPINDLE
 from micropython import const
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from control.canon import Canon
     from control.coolant import Coolant
     from control.coords import Coords
-    from control.drive import Drive
+    from control.homing_probing import HomingProbing
     from control.inputs import Inputs
     from control.modes import Modes
+    from control.motor_control import MotorControl
     from control.overrides import Overrides
     from control.realtime import Realtime
     from control.saves import Saves
-    from control.seek import Seek
     from control.spindle import Spindle
     from control.suspension import Suspension
     from interfaces import Port, StepEngine
@@ -57,8 +57,8 @@ class Controller:
     inputs: "Inputs"
     report: "Report"
     canon: "Canon"
-    seek: "Seek"
-    drive: "Drive"
+    homing_probing: "HomingProbing"
+    motor_control: "MotorControl"
     modes: "Modes"
     interpreter: "Interpreter"
     overrides: "Overrides"
@@ -100,7 +100,7 @@ class Controller:
         self.spindle.configure(settings, self.planner.table)
         # Of all of them, a reset does the rest.
         if settings.changed == 21:
-            self.port.hear_limits(bool(settings.hard_limits))
+            self.port.enable_limits(bool(settings.hard_limits))
         if settings.changed in (30, 31):
             self.spindle.stop()
         if settings.changed == 13:
@@ -111,7 +111,7 @@ class Controller:
     def power_up(self) -> None:
         """Take in what is kept, and hear of what comes. Then protocol.run() is its life."""
         self.engine.attach(
-            self.state.hooks.next_segment, self.spindle.set_power, self.spindle.rest
+            self.state.hooks.next_segment, self.spindle.set_power, self.spindle.on_motion_end
         )
         whole = self._loads(self.settings.load)
         if not whole:
@@ -122,15 +122,15 @@ class Controller:
         self._loads(self.coords.load)
         if whole and self.saves.damaged:  # the banner says what
             self.report.error(errors.SETTING_READ_FAIL)
-        self.port.attach(self.drive)
+        self.port.attach(self.motor_control)
         if self.settings.homing:
             self.state.enter(st.ALARM)
-        self.drive.power(True)
+        self.motor_control.power(True)
 
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
         """Read something that is kept, or begin to keep it."""
         whole = load()
-        self.keep()
+        self.save_due()
         return whole
 
     def at_rest(self) -> bool:
@@ -156,7 +156,7 @@ class Controller:
         """Greet. What could not be read is reported each time, until the power goes: at power-up
         a sender may not have opened the port yet."""
         self.report.banner()
-        tell(self.state.hooks.reset)
+        call_all(self.state.hooks.reset)
         for name, has_older in self.saves.damaged.items():
             self.report.message(errors.MSG_DAMAGED % (name, "older copy" if has_older else "lost"))
 
@@ -184,21 +184,21 @@ class Controller:
                 written()
             allow(0)
             if lit and not state.pending[st.RESET]:
-                spindle.turn(sp.CW, modes.rates[RPM])
+                spindle.set_speed(sp.CW, modes.rates[RPM])
 
         return before, after
 
     def restart(self) -> None:
         """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
         self._reset()
-        self.drive.wait_settled()
-        self.keep()  # what a reset has cut short
+        self.motor_control.wait_idle_delay()
+        self.save_due()  # what a reset has cut short
         self._greet()
 
-    def keep(self) -> None:
+    def save_due(self) -> None:
         """Write what is due, at rest. What cannot be kept is as it has to be, until power off."""
         try:
-            self.saves.finish()
+            self.saves.write_due()
         except OSError:
             self.report.message(errors.MSG_NOT_KEPT)
 
@@ -211,18 +211,18 @@ class Controller:
         self.reader.clear()
         self.coords.clear()
         self.modes.reset()
-        self.canon.forget()
+        self.canon.clear_request()
         self.planner.clear()
         self.planner.override()
         self.segments.clear()
-        self.spindle.turn(sp.OFF, 0.0)
+        self.spindle.set_speed(sp.OFF, 0.0)
         self.coolant.set(0)
         state.hooks.forget_probe()
-        self.drive.release()
+        self.motor_control.release()
         self.resync()
         state.override_countdown = 0
-        self.port.hear_limits(bool(self.settings.hard_limits))
-        self.drive.arm()
+        self.port.enable_limits(bool(self.settings.hard_limits))
+        self.motor_control.arm()
 
     def _greet(self) -> None:
         state = self.state

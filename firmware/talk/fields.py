@@ -5,14 +5,14 @@ To ask each object for its part and to write it by itself takes a Pico a millise
 """
 
 import micropython
-from base.singles import divide
+from base.float32_math import divide
 from base.state import DOOR, HOLD, HOMING, JOG, RPM, RUN
 from micropython import const
 from motion.layout import AT, CARRY, FACTOR, HEAD, LOADED, REACHED, ROWS, TAIL
-from motion.reals import per_minute, ratio
+from motion.minifloat import per_minute, ratio
 
 from talk.digits import END, VALUES, write
-from talk.lines import room
+from talk.lines import free_space
 
 # States in which there is a feed rate.
 MOVING = const(HOMING | RUN | HOLD | JOG | DOOR)
@@ -30,7 +30,7 @@ def begin(name: ptr8, memory: object) -> int:
 
 
 @micropython.viper
-def usual(name: ptr8, memory: object, spindle: ptr32, state: int) -> int:
+def write_common(name: ptr8, memory: object, spindle: ptr32, state: int) -> int:
     """A whole report: state, machine position, room in buffers, and speeds, as the form has them.
     Returns its length. memory: the form, begin()'s, text, integers, singles with room for the
     spindle's speed behind the axes, axes, the planner's flow and ring, LineReader's own, and
@@ -72,7 +72,7 @@ def _speeds(
     if buffers:
         free = flow[TAIL] - flow[HEAD] - 1
         ints[value] = free + flow[ROWS] if free < 0 else free
-        ints[value + 1] = int(room(reader))
+        ints[value + 1] = int(free_space(reader))
         value += 2
     rate = 0
     if state & MOVING:

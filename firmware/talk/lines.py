@@ -95,7 +95,7 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
 
 
 @micropython.viper
-def room(at: ptr32) -> int:
+def free_space(at: ptr32) -> int:
     """Bytes that may still be sent."""
     used = at[HEAD] - at[TAIL]
     if used < 0:
@@ -104,7 +104,7 @@ def room(at: ptr32) -> int:
 
 
 @micropython.viper
-def waits(at: ptr32) -> int:
+def has_bytes(at: ptr32) -> int:
     """Whether there are bytes in the ring."""
     return 1 if at[HEAD] != at[TAIL] else 0
 
@@ -180,7 +180,7 @@ class LineReader:
 
     def free(self) -> int:
         """Bytes that may still be sent."""
-        return room(self._at)
+        return free_space(self._at)
 
     def waiting(self) -> bool:
         """Bytes have come that clean() has not seen."""

@@ -12,8 +12,8 @@ from language.block_layout import ASKED, LINES_LEFT
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean
-from talk.quick_lines import LINES, needs, take_quick
 from talk.report import OK
+from talk.stream_loop import LINES, kernel_args, run_lines
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Protocol:
         self._report = machine.report
         self._saves = machine.saves
         self._realtime = machine.realtime
-        self._drive = machine.drive
+        self._motor_control = machine.motor_control
         self._interpreter = machine.interpreter
         self._canon = machine.canon
         self._echoes = echoes
@@ -59,9 +59,9 @@ class Protocol:
         count = self.read_into(self._buffer)  # as pump() does, without its frame
         if count:
             self._feed(self._buffer, count)
-        self._realtime.events()
+        self._realtime.handle_events()
         if self._state.suspend:
-            self._realtime.suspended()
+            self._realtime.wait_suspended()
 
     def run(self) -> None:
         """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
@@ -70,14 +70,14 @@ class Protocol:
         # Once, for it is a new object each time; here, for an extra may have put another there.
         self._interpret = state.hooks.execute
         interpreter.line = line = reader.line
-        needed = needs(reader, interpreter, self.link, self._buffer)
+        needed = kernel_args(reader, interpreter, self.link, self._buffer)
         heard, at, _, kinds = reader.memory()
         counts = interpreter.machine
         echoes = self._echoes
         while True:
             try:
-                if self._drive.by_pin:  # what is unread was sent before the reset
-                    self._drive.by_pin = False
+                if self._motor_control.by_pin:  # what is unread was sent before the reset
+                    self._motor_control.by_pin = False
                     self.link.discard()
                 self.restart()
                 asked = 0
@@ -88,7 +88,7 @@ class Protocol:
                         if found == NOTHING:
                             self.pump()
                     else:
-                        found = take_quick(pending, needed)
+                        found = run_lines(pending, needed)
                     # Everybody has a turn, if not at each line: a $ may ask for what comes of it.
                     counts[LINES_LEFT] -= _IN_PYTHON
                     waits = pending[st.ANY] or state.suspend or counts[LINES_LEFT] <= 0
@@ -109,25 +109,25 @@ class Protocol:
                         continue
                     length = found >> 2
                     try:  # as in execute()
-                        self._whose(line, length)(line, length)
+                        self._find_command(line, length)(line, length)
                         if due:
                             self._save()
                         if state.alarm and not pending[st.RESET]:
-                            self._tell_alarm()
+                            self._report_alarm()
                     except (GrblError, OSError, Abort) as reason:
                         self._refuse(reason, b"")
                     else:
                         write(OK)
             except Abort:
-                self._tell_alarm()
+                self._report_alarm()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
         """Execute one line and answer it. before: what the answer begins with."""
         try:
-            self._whose(line, length)(line, length)
+            self._find_command(line, length)(line, length)
             if self._saves.due:
                 self._save()
-            self._tell_alarm()
+            self._report_alarm()
         except (GrblError, OSError, Abort) as reason:
             self._refuse(reason, before)
         else:
@@ -139,44 +139,44 @@ class Protocol:
         """Write what the line has changed, at rest: it may have moved itself."""
         if self._state.run & st.UNDER_WAY:
             self._canon.synchronise()
-        self._saves.finish()
+        self._saves.write_due()
 
-    def _whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+    def _find_command(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
         """Who is to execute the line. Raises GrblError where nobody is."""
         if self._echoes:
             self._report.echo(bytes(line[:length]))
         if length == 0:
             return _pass_over
         if line[0] == _DOLLAR:
-            return self._state.hooks.whose(line, length)
+            return self._state.hooks.find_command(line, length)
         if self._state.run & _LOCKED:
             raise GrblError(errors.SYSTEM_GC_LOCK)
         return self._interpret
 
-    def _tell_alarm(self) -> None:
+    def _report_alarm(self) -> None:
         """Say that there is an alarm, if there is one: here, for the stack is nearly empty."""
-        state, report, drive = self._state, self._report, self._drive
+        state, report, drive = self._state, self._report, self._motor_control
         code = state.alarm
         if code == 0:
             return
-        behind = drive.stand_down()
+        after = drive.enter_alarm()
         state.hooks.alarm(code)
-        drive.wait_deaf(_DEAF_MS)
+        drive.wait_unanswered(_DEAF_MS)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
             # Nothing but a reset is heard: the user is to look at the machine first.
             report.message(errors.MSG_CRITICAL_EVENT)
             state.pending[st.RESET] = 0
             while not state.pending[st.RESET]:
-                drive.wait_deaf(1)
+                drive.wait_unanswered(1)
         state.alarm = 0
-        if behind:
+        if after:
             if not state.pending[st.RESET]:
-                self._realtime.events()
-            behind()
+                self._realtime.handle_events()
+            after()
 
     def _refuse(self, reason: Exception, before: bytes) -> None:
         """Answer a line that has not come to its end."""
-        self._tell_alarm()
+        self._report_alarm()
         if isinstance(reason, OSError):
             self._report.message(errors.MSG_NOT_KEPT)  # it holds until the power goes
         if before:

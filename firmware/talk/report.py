@@ -9,18 +9,18 @@ from array import array
 
 from base import errors
 from base import state as st
-from base.f32 import INCH_PER_MM, copy, f32, vector
-from base.singles import MINUS, add, add_single
+from base.float32 import INCH_PER_MM, copy, f32, vector
+from base.float32_math import MINUS, add, add_single
 from base.text import text_of
 from control.coords import NAMES
 from control.spindle import in_range
 from micropython import const
-from motion import reals
+from motion import minifloat
 from motion.layout import LIMITS, RESOLUTION
 
 from talk.digits import END, VALUES, number, write
-from talk.fields import MOVING, begin, usual
-from talk.lines import room
+from talk.fields import MOVING, begin, write_common
+from talk.lines import free_space
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ class Report:
         asked = planner.flow, planner.ring, self._reader, buffers
         self._usual = (form, self._begun) + self._written + asked
         in_mm = settings.report_mask & _REPORT_MPOS and not settings.report_inches
-        self._is_usual = bool(in_mm and not self._line_numbers)
+        self._is_common = bool(in_mm and not self._line_numbers)
 
     # Answers
 
@@ -235,13 +235,13 @@ class Report:
             self._kinematics.to_axes(self._steps)
         name = _STATES.get(state.run) or self._suspended()
         closed = self._inputs.closed()
-        if closed or not (self._is_usual and state.wco_countdown and state.override_countdown):
+        if closed or not (self._is_common and state.wco_countdown and state.override_countdown):
             end = self._long(name, closed)
         else:
             state.wco_countdown -= 1
             state.override_countdown -= 1
             spindle = self._beam() if self._is_laser and state.run & MOVING else state.spindle
-            end = usual(name, self._usual, spindle, state.run)
+            end = write_common(name, self._usual, spindle, state.run)
         if end != self._sent:
             # A piece of a buffer is an object; most reports are as long as the last one.
             self._sent = end
@@ -268,7 +268,7 @@ class Report:
             add(self._work_offset(), MINUS, mm, self._axes)
         if mask & _REPORT_BUFFERS:
             ints[VALUES] = planner.free()
-            ints[VALUES + 1] = room(self._reader)
+            ints[VALUES + 1] = free_space(self._reader)
         write(self._place_form, text, ints, self.in_inches(mm) if inches else mm)
         if self._line_numbers:
             ints[VALUES] = planner.line_number()
@@ -290,9 +290,9 @@ class Report:
         spindle = self._beam() if moves and self._is_laser else self._state.spindle
         copy(spindle, shown, 2)  # RPM is behind the place of the feed rate
         if inches:
-            shown[0] = reals.value(rate) * 60 * INCH_PER_MM
+            shown[0] = minifloat.value(rate) * 60 * INCH_PER_MM
         else:
-            shown[0] = reals.per_minute(rate)
+            shown[0] = minifloat.per_minute(rate)
         write(self._speed_form, text, ints, shown)
 
     def _beam(self) -> "array[float]":

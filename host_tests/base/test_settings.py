@@ -134,7 +134,7 @@ def heard(settings: Settings) -> "list[int]":
     return numbers
 
 
-def test_whoever_subscribes_hears_of_every_change() -> None:
+def test_anyone_who_subscribes_hears_of_every_change() -> None:
     settings = fresh()
     first, second = heard(settings), heard(settings)
     settings.set(110, 700)
@@ -144,7 +144,7 @@ def test_whoever_subscribes_hears_of_every_change() -> None:
     assert first == second == [110, 112, ALL, ALL]
 
 
-def test_it_is_told_once_the_values_are_there_and_before_they_are_kept() -> None:
+def test_it_is_reported_once_the_values_are_there_and_before_they_are_kept() -> None:
     store = MemoryStore()
     settings = fresh(store)
     seen: list[object] = []
@@ -199,7 +199,7 @@ def boot(machine: Machine) -> "list[str]":
         ["\0\0\0\0"],
     ],
 )
-def test_damaged_settings_are_restored_and_told_of(damage: "list[str] | None") -> None:
+def test_damaged_settings_are_restored_and_reported(damage: "list[str] | None") -> None:
     machine = Machine(watched=False)
     files = machine.rig.store.files
     if damage is None:
@@ -229,7 +229,7 @@ class NewStore(MemoryStore):
         return self.files.get(name, [])
 
 
-def test_a_new_board_has_the_factorys_settings_and_says_so_once_behind_its_welcome() -> None:
+def test_a_new_board_has_the_factorys_settings_and_says_so_once_after_its_welcome() -> None:
     machine = Machine(watched=False)
     machine.rig.store = store = NewStore()
     told = "[MSG:First start: factory settings]"

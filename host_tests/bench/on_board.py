@@ -16,7 +16,7 @@ _FIRST = """
 from boot import power_up  # first, as in main.py: it sees to where memory is free
 """
 _START = """
-machine = power_up.live(power_up.build())
+machine = power_up.run_machine(power_up.build())
 """
 
 # Commands: `$NAME=number` answers with numbers in a message, if there are any.
@@ -29,7 +29,7 @@ from motion import planner
 from talk import report
 found = {}
 acts = {}
-usual = commands.Commands.whose
+usual = commands.Commands.find_command
 
 
 def keep(kind, name):
@@ -60,7 +60,7 @@ def since(start):
 
 keep(report.Report, "banner")
 keep(planner.Planner, "configure")
-commands.Commands.whose = whose
+commands.Commands.find_command = whose
 """
 
 # $FREE; $COLLECT=n: mean and longest of n collections, us; $ALLOC: bytes on the heap; $GC=0 or 1:
@@ -114,7 +114,7 @@ from talk import lines
 from talk import protocol
 keep(interpreter.Interpreter, "memory")
 keep(protocol.Protocol, "run")
-look, go = line.look, line.go
+look, go = line.check_line, line.run_move
 CHECK = %d
 
 # A board lets go of what has made its objects; here one is made once more.

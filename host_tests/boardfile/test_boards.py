@@ -186,7 +186,7 @@ def test_defaults_are_of_settings_that_the_board_has(
 
 
 @pytest.mark.parametrize("text", ["def install(cnc:\n", "1 / 0\n"])
-def test_an_extra_that_fails_is_told_of(
+def test_an_extra_that_fails_is_reported(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "broken.py").write_text(text)
@@ -221,7 +221,7 @@ def test_an_extra_and_the_users_own_module_have_names_of_their_own(
     assert not problems(board(EXTRAS=("mine",)))
 
 
-def test_pins_that_have_a_say_at_start_are_told_of() -> None:
+def test_pins_that_have_a_say_at_start_are_reported() -> None:
     uno = ModuleType("board")
     shield = {"STEP": (26, 25, 17), "DIR": (16, 27, 14)}
     uno.__dict__.update({**vars(load_board("esp32_devkit")), **shield})

@@ -236,7 +236,7 @@ def test_a_name_that_cannot_be_imported_is_refused() -> None:
     assert "make a name" in ugrbl("my-router", *_PICO).output
 
 
-def test_pins_that_are_odd_are_told(file: Path) -> None:
+def test_pins_that_are_odd_are_reported(file: Path) -> None:
     words = ("--chip", "esp32", "--pin", "step=12,13,14", "--pin", "dir=25,26,27")
     done = ugrbl("router", *words, "--pin", "limit=34,35,36", "-o", file)
     assert done.exit_code == 0, done.output

@@ -11,7 +11,7 @@ from ugrbl.compiling import build
 # nor is what handlers of custom.py are given, nor what a card that is put in is read by, nor a
 # browser's call.
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
-APART = {"_Pusher", "Place", "Saved", "SdBlocks", "WebSocket"}
+APART = {"_Pusher", "ModalState", "Position", "SdBlocks", "WebSocket"}
 # What extras ask for then, and what options.py does.
 INSTALLING = {"add_pins", "of_board", "beside", "add_cycle"}
 

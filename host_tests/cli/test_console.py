@@ -15,7 +15,7 @@ import pytest
 from as_users import as_users
 from sim_bench import Bench
 from ugrbl.cli import terminal
-from ugrbl.cli.desk import JOG_CANCEL, Desk, explained
+from ugrbl.cli.session import JOG_CANCEL, Session, explained
 from ugrbl.device.connection import Connection
 
 # Real processes in real time: the first ring takes one.
@@ -39,7 +39,7 @@ class Person:
         self.connection = Connection(str(bench.port))
         assert self.connection.answers()
         self.heard: list[str] = []
-        self.desk = Desk(self.connection, self.heard.append)
+        self.desk = Session(self.connection, self.heard.append)
         self.desk.enter("$X")
         self.wait(lambda: "ok" in self.heard)
 
@@ -47,14 +47,14 @@ class Person:
         until = time.monotonic() + _PATIENCE_S
         while not done():
             assert time.monotonic() < until, self.heard
-            self.desk.turn()
+            self.desk.poll()
 
     def hold_key(self, key: str, seconds: float) -> None:
         """As a keyboard repeats it."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
             self.desk.press(key)
-            self.desk.turn()
+            self.desk.poll()
             time.sleep(0.03)
 
     def wait_idle(self) -> list[float]:
@@ -145,7 +145,7 @@ def test_a_reset_forgets_what_was_waiting(person: Person) -> None:
     person.desk.enter("G4 P5")
     for _ in range(40):
         person.desk.enter("G0 X1")
-    person.desk.turn()
+    person.desk.poll()
     person.desk.reset()
     person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.heard))
     assert person.wait_idle()[0] == 0.0
@@ -157,7 +157,7 @@ def test_after_a_limit_switch_the_console_can_reset(bench: Bench, person: Person
     person.wait(lambda: any(line.startswith("ALARM:1: ") for line in person.heard))
     person.desk.enter("$X")
     time.sleep(1.0)
-    person.desk.turn()
+    person.desk.poll()
     assert "[MSG:Caution: Unlocked]" not in person.heard
     person.desk.reset()
     person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.heard))

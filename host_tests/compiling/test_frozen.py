@@ -227,7 +227,7 @@ def test_the_manifest_takes_the_ports_where_the_board_has_none(manifest: Manifes
     assert included == ["$(PORT_DIR)/boards/manifest.py"] and "main.mpy" in frozen
 
 
-def test_what_is_wrong_in_a_boards_own_manifest_is_told(manifest: Manifest) -> None:
+def test_what_is_wrong_in_a_boards_own_manifest_is_reported(manifest: Manifest) -> None:
     missing = "Error in manifest file: a: " + _NO_FILE.format("b", "b")
     with pytest.raises(RuntimeError, match="Error in manifest file: a"):
         manifest(missing, UGRBL_BOARD="rpi_pico")

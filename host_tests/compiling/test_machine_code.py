@@ -160,6 +160,6 @@ def test_only_what_is_asked_for_is_there() -> None:
     assert list(Board(c, [fill]).functions) == [fill]
 
 
-def test_what_the_compiler_refuses_is_told() -> None:
+def test_what_the_compiler_refuses_is_reported() -> None:
     with pytest.raises(machine_code.CompilerError, match="share"):
         machine_code.compiled("int share(void) { return missing; }", "armv6m")

@@ -240,7 +240,7 @@ def test_a_view_of_what_cannot_be_written_is_read_as_it_is(tmp_path: Path) -> No
 @pytest.mark.sampled(1)
 def test_every_kernel_is_translated() -> None:
     listed = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
-    assert {("motion.plan_kernel", "plan"), ("language.line", "put_in_force")} <= listed
+    assert {("motion.plan_kernel", "plan"), ("language.line", "commit_modal")} <= listed
     assert len(listed) > 120
 
 

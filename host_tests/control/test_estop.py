@@ -193,7 +193,7 @@ def test_it_is_heard_in_every_state(
 @pytest.mark.parametrize(
     ("pushed", "said"), [({"limit_x": True}, "ALARM:1\r\n"), (PRESSED, "ALARM:17\r\n")]
 )
-def test_an_alarm_that_comes_behind_the_look_for_one_is_told(
+def test_an_alarm_that_comes_after_the_look_for_one_is_reported(
     pushed: "dict[str, bool]", said: str
 ) -> None:
     machine = Machine(_21=1)

@@ -240,7 +240,7 @@ def test_a_slow_pulse_is_over_when_its_output_obeys_again() -> None:
         (0, None, 5000, False),
     ],
 )
-def test_pins_that_share_pulses_are_told_of(
+def test_pins_that_share_pulses_are_reported(
     pin: int, other: "int | None", hz: int, can_be: bool
 ) -> None:
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
@@ -313,7 +313,7 @@ def made(chip: str) -> "tuple[Any, Any, list[str]]":
         raise MemoryError
 
     port.attach(listener(fail, lambda: told.append(port.fault)))
-    port.hear_limits(True)
+    port.enable_limits(True)
     port.add_pins((21, 22), (26, 27))
     port.watch_pins(fail)
     return port, pins, told
@@ -363,6 +363,6 @@ def test_an_input_whose_callback_has_failed_is_heard_again(pin: int) -> None:
 def test_where_stopping_fails_too_nothing_leaves_the_interrupt() -> None:
     port = gpio.GpioPort(board())
     port.attach(listener(*2 * (lambda *_: 1 // 0,)))
-    port.hear_limits(True)
+    port.enable_limits(True)
     machine.Pin(9).drive(0)
     assert port.fault.endswith("and so has stopping")

@@ -11,7 +11,7 @@ def test_what_is_saved_is_written_when_the_loop_says_so_the_newest_only() -> Non
     saves.save("settings", ["$0=1"])
     saves.save("settings", ["$0=2"])
     assert store.files == {}
-    saves.finish()
+    saves.write_due()
     assert store.files == {"settings": ["$0=2"]} and saves.load("settings") == ["$0=2"]
 
 
@@ -21,6 +21,6 @@ def test_where_one_finds_no_room_the_others_are_kept_and_it_is_not_tried_again()
     for name in ("coords", "settings", "startup"):
         saves.save(name, [name])
     with pytest.raises(OSError):
-        saves.finish()
+        saves.write_due()
     assert store.files == {"coords": ["coords"], "startup": ["startup"]}
-    saves.finish()
+    saves.write_due()

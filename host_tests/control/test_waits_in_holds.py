@@ -331,7 +331,7 @@ def test_store_written_in_motion_is_a_fault() -> None:
         yield from machine.start()
         yield from machine.sender.wait("ms 100", "G1X1F100\n")
         machine.rig.controller.saves.save("coords", [])
-        machine.rig.controller.saves.finish()
+        machine.rig.controller.saves.write_due()
 
     with pytest.raises(RuntimeError, match="while the motors turn"):
         machine.run(script())

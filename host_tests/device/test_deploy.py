@@ -164,7 +164,7 @@ def test_a_board_gets_what_it_can_use() -> None:
             "esp_chip/trains.py",
             "ports/usb/usb_link.py",
             "pio/pins.py",
-            "pio/hub.py",
+            "pio/engine_state.py",
             "pio/stack.py",
         }
         & i2s
@@ -174,10 +174,10 @@ def test_a_board_gets_what_it_can_use() -> None:
         "esp_chip/trains.py",
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
-    api = {"extras/api.py", "extras/cycles.py", "extras/own_words.py"}
+    api = {"extras/api.py", "extras/cycles.py", "extras/custom_codes.py"}
     assert needed(TOOL="punch") - pico == {"extras/tools/punch.py", *api}
     custom = needed(CUSTOM="custom") - pico  # which is the default
-    assert {"extras/custom/user_modules.py", "extras/custom/machine_operator.py", *api} < custom
+    assert {"extras/custom/user_modules.py", "extras/custom/machine_api.py", *api} < custom
     assert {name for name in custom if not name.startswith("extras/")} == {"base/axes.py"}
     laser = needed(TOOL="laser") - pico
     assert laser == {

@@ -15,7 +15,7 @@ from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
 from typer.testing import CliRunner
 from ugrbl.cli import doctor, ports
 from ugrbl.cli.app import app
-from ugrbl.device import checkup, connection, patient
+from ugrbl.device import board_under_test, checkup, connection
 from ugrbl.device import settings_sync as sync
 from ugrbl.device.checkup import BAD, NOTE, OK, Finding
 from ugrbl.device.connection import Connection
@@ -120,7 +120,7 @@ def test_a_locked_machine_is_told_the_way_out_and_does_not_move(tmp_path: Path) 
     assert found["move X"][0]["text"] == "not tried: the machine is in Alarm"
 
 
-def test_a_move_into_a_switch_is_told_with_its_alarm(bench: Bench) -> None:
+def test_a_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
     connection = sync.connect(str(bench.port))
     near = SWITCH_STEPS / STEPS_PER_MM - 0.5
     for line in ("$21=1", f"$J=G91 X{near} F500"):
@@ -163,7 +163,7 @@ class Impostor(threading.Thread):
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patient, "_REPL_S", 0.3)
+    monkeypatch.setattr(board_under_test, "_REPL_S", 0.3)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         ({}, b"\xff\xfe\x80\x9c\xe0", "firmware", "bytes come, but no text"),
     ],
 )
-def test_who_is_there_instead_is_told(
+def test_who_is_there_instead_is_reported(
     monkeypatch: pytest.MonkeyPatch,
     answers: dict[bytes, bytes],
     always: bytes,
@@ -221,7 +221,7 @@ def test_a_board_at_its_prompt_tells_its_free_memory(monkeypatch: pytest.MonkeyP
     assert "main.py has ended" in found["firmware"][0]["todo"]
 
 
-def test_a_ctrl_x_that_is_heard_late_is_told_of() -> None:
+def test_a_ctrl_x_that_is_heard_late_is_reported() -> None:
     (finding,) = checkup.link(replace(OURS, name="Grbl pio 100000Hz slow-reset SHED"))
     assert finding.verdict == NOTE and "Ctrl-X" in finding.text and "1.28" in finding.todo
     assert checkup.link(replace(OURS, name="Grbl pio 100000Hz SHED")) == []
@@ -229,7 +229,9 @@ def test_a_ctrl_x_that_is_heard_late_is_told_of() -> None:
 
 
 @pytest.mark.parametrize(("used", "verdict"), [(4704, OK), (7168, OK), (7169, NOTE), (8192, NOTE)])
-def test_a_c_stack_that_is_nearly_full_is_told_with_the_next_step(used: int, verdict: str) -> None:
+def test_a_c_stack_that_is_nearly_full_is_reported_with_the_next_step(
+    used: int, verdict: str
+) -> None:
     replies = ["[VER:1.1h.20261121:]", f"[MSG:Stack: {used} of 8192 bytes used]", "ok"]
     (finding,) = checkup.stack(replies)
     assert finding.verdict == verdict and f"{used} of 8192 bytes" in finding.text
@@ -249,7 +251,7 @@ def test_who_says_nothing_of_a_stack_gets_no_row() -> None:
         ("12", NOTE, "motion stopped 12 times for want of lines"),
     ],
 )
-def test_programs_that_were_held_up_are_told_with_the_next_step(
+def test_programs_that_were_held_up_are_reported_with_the_next_step(
     told: str, verdict: str, words: str
 ) -> None:
     (finding,) = checkup.drains(["[VER:1.1h.20261121:]", f"[MSG:Drains: {told}]", "ok"])
@@ -324,12 +326,12 @@ def test_a_board_that_cannot_start_says_why_in_names(fault: str) -> None:
 def judged(impostor: Impostor) -> "list[Finding]":
     """What is said of one who is no Grbl."""
     impostor.start()
-    found = patient.stranger(impostor.port)
+    found = board_under_test.stranger(impostor.port)
     impostor.over.set()
     return found
 
 
-def test_the_last_fault_is_told_though_the_machine_works_again(
+def test_the_last_fault_is_reported_though_the_machine_works_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
     ask = Connection.ask
@@ -347,7 +349,7 @@ def test_the_last_fault_is_told_though_the_machine_works_again(
 def test_an_alarm_that_is_no_fault_is_none(tmp_path: Path) -> None:
     bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
     connection = sync.connect(str(bench.port))
-    assert connection.state() == "Alarm" and patient.fault(connection) == ""
+    assert connection.state() == "Alarm" and board_under_test.fault(connection) == ""
     connection.close()
     bench.kill()
 
@@ -409,7 +411,7 @@ def test_good_settings_are_good() -> None:
         ({13: 1}, "settings", NOTE, "inches"),
     ],
 )
-def test_what_is_wrong_with_settings_is_told_with_the_way_out(
+def test_what_is_wrong_with_settings_is_reported_with_the_way_out(
     values: dict[int, float], what: str, verdict: str, says: str
 ) -> None:
     found = checkup.settings({**GOOD, **values}, OURS)
@@ -437,7 +439,7 @@ def test_a_real_grbl_makes_fewer_steps() -> None:
         ("my mill", 30_000),
     ],
 )
-def test_whoever_makes_the_pulses_sets_the_limit(name: str, most: int) -> None:
+def test_anyone_who_makes_the_pulses_sets_the_limit(name: str, most: int) -> None:
     found = Firmware("1.1", "h", "20261121", name, "V,15,128")
     assert int(checkup.most_hz(found, 10)) == most
 
@@ -463,7 +465,7 @@ def test_versions_are_judged(found: Firmware, verdict: str) -> None:
     assert checkup.firmware(found, "20261121").verdict == verdict
 
 
-def test_a_switch_that_homing_needs_and_that_was_never_seen_is_told() -> None:
+def test_a_switch_that_homing_needs_and_that_was_never_seen_is_reported() -> None:
     found = checkup.pins_pressed({"X": 1, "Y": 12}, GOOD, 3)
     assert [finding.text for finding in found[1:]] == [
         "never seen, though homing ($22) needs them: Z",

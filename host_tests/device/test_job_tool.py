@@ -63,7 +63,7 @@ def test_a_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path
     assert "PART.NC" not in ugrbl(bench, "list").output
 
 
-def test_a_program_that_is_refused_at_once_is_told_of(bench: Bench, tmp_path: Path) -> None:
+def test_a_program_that_is_refused_at_once_is_reported(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "bad.nc").write_text("G21\nG5 X1\n")
     assert ugrbl(bench, "push", tmp_path / "bad.nc").exit_code == 0
     done = ugrbl(bench, "run", "BAD.NC")

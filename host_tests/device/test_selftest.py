@@ -257,7 +257,7 @@ def test_what_cannot_be_shown_has_not_passed(
     assert code == 0 and "not looked at" in said
 
 
-def test_a_program_that_fails_on_the_board_is_told_with_its_last_line(
+def test_a_program_that_fails_on_the_board_is_reported_with_its_last_line(
     selftest: "Callable[..., Any]",
 ) -> None:
     wrong = "Traceback (most recent call last):\r\n  File …\r\nMemoryError: no room\r\n"
@@ -333,7 +333,7 @@ def test_ctrl_c_says_how_the_board_comes_back(selftest: "Callable[..., Any]") ->
     assert code == 1 and "unplug it" in rows["the board"]["text"]
 
 
-def test_a_connection_that_breaks_is_told_and_the_firmware_started(
+def test_a_connection_that_breaks_is_reported_and_the_firmware_started(
     selftest: "Callable[..., Any]",
 ) -> None:
     class Broken(Fake):
@@ -346,7 +346,9 @@ def test_a_connection_that_breaks_is_told_and_the_firmware_started(
     assert rows["the board"]["text"] == "the connection broke; plug it in"
 
 
-def test_a_wrong_port_is_told_in_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_wrong_port_is_reported_in_words(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     done = CliRunner().invoke(app, ["selftest", "--port", str(tmp_path / "nothing")])
     assert done.exit_code == 1 and "cannot open" in done.output
 

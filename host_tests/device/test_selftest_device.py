@@ -67,7 +67,7 @@ def board(transport: Transport) -> PromptBoard:
     return made
 
 
-def test_lines_are_told_as_they_come_and_what_went_wrong_behind_them() -> None:
+def test_lines_are_reported_as_they_come_and_what_went_wrong_after_them() -> None:
     heard: "list[str]" = []
     transport = Transport(b"= board {}\r\nand more\r\n\x04", b"Traceback\r\nMemoryError: \r\n")
     assert board(transport).run("script", heard.append, 1) == "Traceback\r\nMemoryError: \r\n"
@@ -78,7 +78,7 @@ def test_lines_are_told_as_they_come_and_what_went_wrong_behind_them() -> None:
     ("error", "words"),
     [(TransportError("no EOF"), "no EOF"), (OSError(5, "unplugged"), "the connection broke: ")],
 )
-def test_a_board_that_goes_away_is_told_in_words(error: Exception, words: str) -> None:
+def test_a_board_that_goes_away_is_reported_in_words(error: Exception, words: str) -> None:
     class Broken(Transport):
         def follow(self, *_: Any) -> "tuple[bytes, bytes]":
             raise error

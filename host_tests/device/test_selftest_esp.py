@@ -204,7 +204,7 @@ def never_rest(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def hear_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody is called."""
-    monkeypatch.setattr(gpio_esp.EspPort, "hear_limits", lambda self, on: None)
+    monkeypatch.setattr(gpio_esp.EspPort, "enable_limits", lambda self, on: None)
 
 
 def burn_on(monkeypatch: pytest.MonkeyPatch) -> None:

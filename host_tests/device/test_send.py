@@ -244,7 +244,7 @@ def test_an_error_names_its_line_and_meaning_and_holds_and_asks(
     assert grbl.realtime == FEED_HOLD + CYCLE_START
 
 
-def test_behind_a_refused_line_that_leads_up_to_a_program_none_has_gone_out(
+def test_after_a_refused_line_that_leads_up_to_a_program_none_has_gone_out(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     view.answers = [Choice.ABORT]
@@ -426,7 +426,9 @@ def test_letters_in_comments_arrive_as_ascii_and_nothing_acts(
     assert "line 1: 'Ä'" in done.output
 
 
-def test_stops_for_want_of_lines_are_told_with_what_to_do(grbl: FakeGrbl, tmp_path: Path) -> None:
+def test_stops_for_want_of_lines_are_reported_with_what_to_do(
+    grbl: FakeGrbl, tmp_path: Path
+) -> None:
     grbl.drains = list(range(1000))
     done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
     words = " ".join(done.output.split())
@@ -599,7 +601,7 @@ def test_a_machine_that_goes_to_sleep_ends_it(
     assert "gone to sleep" in report.stopped
 
 
-def test_an_opened_door_is_told_once_and_the_job_goes_on(
+def test_an_opened_door_is_reported_once_and_the_job_goes_on(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     def door(state: str) -> None:
@@ -615,7 +617,7 @@ def test_an_opened_door_is_told_once_and_the_job_goes_on(
 # Ends
 
 
-def test_an_unplugged_cable_is_told_with_the_line(grbl: FakeGrbl, view: Watcher) -> None:
+def test_an_unplugged_cable_is_reported_with_the_line(grbl: FakeGrbl, view: Watcher) -> None:
     master, slave = os.openpty()
     connection = Connection(os.ttyname(slave))
     os.close(slave)

@@ -397,7 +397,7 @@ def test_a_file_that_is_not_the_machines_is_not_rehearsed_for_it(
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
-def test_from_a_line_on_nothing_begins_behind_a_refused_line(bench: Bench, tmp_path: Path) -> None:
+def test_from_a_line_on_nothing_begins_after_a_refused_line(bench: Bench, tmp_path: Path) -> None:
     lines = [*STAIRS[:5], "G64", *STAIRS[5:9]]
     words = ("--no-check", "--from-line", "8", "--yes")
     code, text = Send(bench, tmp_path, lines, *words).end()
@@ -405,7 +405,7 @@ def test_from_a_line_on_nothing_begins_behind_a_refused_line(bench: Bench, tmp_p
     assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
-def test_a_file_of_ones_own_that_cannot_be_read_is_told_before_the_machine_is_asked(
+def test_a_file_of_ones_own_that_cannot_be_read_is_reported_before_the_machine_is_asked(
     bench: Bench, tmp_path: Path
 ) -> None:
     code, text = Send(bench, tmp_path, STAIRS, "--custom", str(tmp_path / "none.py")).end()
@@ -513,7 +513,7 @@ def test_what_wants_a_board_says_that_it_is_the_simulator(
     assert "Grbl sim: it is the simulator" in CliRunner().invoke(app, words).output
 
 
-def test_an_unplugged_cable_is_told_with_line_and_state(bench: Bench, tmp_path: Path) -> None:
+def test_an_unplugged_cable_is_reported_with_line_and_state(bench: Bench, tmp_path: Path) -> None:
     send = Send(bench, tmp_path, STAIRS)
     wait_until_at(bench, 5)
     bench.kill()

@@ -157,7 +157,7 @@ def test_push_shows_asks_changes_and_keeps_what_was(bench: Bench, pulled: Path) 
     assert ugrbl(bench, "diff", before).exit_code == 0
 
 
-def test_a_refused_value_is_told_and_the_rest_is_done(bench: Bench, pulled: Path) -> None:
+def test_a_refused_value_is_reported_and_the_rest_is_done(bench: Bench, pulled: Path) -> None:
     before = pulled.with_name("before")
     before.write_text(pulled.read_text())
     edit(pulled, s0="1", s1="99")
@@ -204,7 +204,7 @@ def test_where_all_is_refused_there_is_nothing_to_go_back_from(bench: Bench, pul
         ("$122=0", "an acceleration of 0 for Z"),
     ],
 )
-def test_a_zero_with_which_an_axis_does_not_move_is_told_before_the_question(
+def test_a_zero_with_which_an_axis_does_not_move_is_reported_before_the_question(
     bench: Bench, tmp_path: Path, line: str, what: str
 ) -> None:
     file = tmp_path / "zero"

@@ -272,7 +272,7 @@ def test_what_if_tells_the_time_saved(program: Path) -> None:
     assert re.search(r"[\d.]+ s instead of [\d.]+ s: [\d.]+ s saved \(\d+ %\)", words)
 
 
-def test_a_slower_machine_is_told_as_well(program: Path) -> None:
+def test_a_slower_machine_is_reported_as_well(program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.png"), "--set", "110=100")
     assert re.search(r"s more\s+\(\d+ %\)", done.output)
 

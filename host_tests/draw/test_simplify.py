@@ -54,7 +54,7 @@ def test_a_circle_has_as_many_points_as_its_tolerance_asks_for() -> None:
 
 
 @pytest.mark.parametrize("most", [50, 300])
-def test_a_tolerance_is_widened_until_it_fits_and_told(most: int) -> None:
+def test_a_tolerance_is_widened_until_it_fits_and_reported(most: int) -> None:
     angle = np.linspace(0, 60, 20_000)
     points = np.column_stack([angle * np.cos(angle), angle * np.sin(angle)])
     rows, tolerance = fitted(points, 0.001, [0, 10_000], most)

@@ -145,7 +145,7 @@ def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
     made = build.for_board(BOARD_FILE)
     sources = {
         name: (build.paths.FIRMWARE / name).read_bytes()
-        for name in ("motion/reals.py", "talk/digits.py")
+        for name in ("motion/minifloat.py", "talk/digits.py")
     }
     there = build.Build(made.arch, {**made.files, **sources, "mine.py": b"mine = 1\n"})
     with pico(uf2, tmp_path, there) as port:
@@ -154,7 +154,7 @@ def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
         code, done = deploy(port)
         assert (code, done["removed"], done["copied"]) == (
             0,
-            ["motion/reals.py", "talk/digits.py"],
+            ["motion/minifloat.py", "talk/digits.py"],
             [],
         )
         assert "mine.py" in mpremote(port, "fs", "ls")

@@ -167,7 +167,7 @@ def test_a_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
     ready.wait_for("Grbl 1.1h")
 
 
-def test_a_loop_is_stopped_and_ended_by_a_reset_and_told_of(ready: Board) -> None:
+def test_a_loop_is_stopped_and_ended_by_a_reset_and_reported(ready: Board) -> None:
     ready.ask("M3 S500")
     ready.forget()
     ready.send("M102\n")
@@ -182,7 +182,7 @@ def test_a_loop_is_stopped_and_ended_by_a_reset_and_told_of(ready: Board) -> Non
     ready.wait_for("Grbl 1.1h")
 
 
-def test_what_fails_beside_arcs_that_are_streamed_comes_to_rest_and_loses_no_step(
+def test_what_fails_during_arcs_that_are_streamed_comes_to_rest_and_loses_no_step(
     uf2: Path,
 ) -> None:
     beside = b"""

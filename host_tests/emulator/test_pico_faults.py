@@ -29,7 +29,7 @@ def next(self, row):
 
 segments.Segments.next = next
 
-usual = commands.Commands.whose
+usual = commands.Commands.find_command
 
 
 def whose(self, line, length):
@@ -50,8 +50,8 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.whose = whose
-power_up.live(power_up.build())
+commands.Commands.find_command = whose
+power_up.run_machine(power_up.build())
 """
 
 
@@ -159,7 +159,7 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
         ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'extras"),
     ],
 )
-def test_a_machine_that_cannot_be_tells_whoever_asks(
+def test_a_machine_that_cannot_be_tells_anyone_who_asks(
     uf2: Path, changes: "dict[str, bytes | None]", said: str
 ) -> None:
     machine = Board(uf2, changes)
@@ -214,7 +214,7 @@ def _parts(name: str, size: int, count: int) -> "dict[str, bytes]":
     return {f"{name}{k}": b"" for k in range(count)}
 
 
-def test_a_full_flash_is_told_of_and_what_is_set_holds_until_power_off(uf2: Path) -> None:
+def test_a_full_flash_is_reported_and_what_is_set_holds_until_power_off(uf2: Path) -> None:
     machine = Board(uf2, fillers()).boot()
     assert machine.status()["state"] == "Idle"
     said = machine.ask("$110=600", "error:")

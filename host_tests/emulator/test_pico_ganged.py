@@ -92,7 +92,7 @@ def test_both_motors_of_an_axis_step_at_the_same_time(gantry: Gantry) -> None:
 
 
 @pytest.mark.parametrize("ms", [150, 420, 700])
-def test_behind_a_reset_in_the_middle_all_motors_are_alive(gantry: Gantry, ms: int) -> None:
+def test_after_a_reset_in_the_middle_all_motors_are_alive(gantry: Gantry, ms: int) -> None:
     machine = gantry.machine
     machine.forget()
     machine.send("$H\n")

@@ -44,7 +44,7 @@ def test_steps_are_those_planned(machine: Board, board_file: Path) -> None:
     assert took == pytest.approx(due_us, rel=0.06)
 
 
-def test_a_move_speeds_up_as_slowly_as_it_is_told_to(machine: Board) -> None:
+def test_a_move_speeds_up_as_slowly_as_it_is_asked_to(machine: Board) -> None:
     """In its first 50 ms, for acceleration grows by half of what is allowed: 10000 mm/s3."""
     (track, _, _) = moved(machine, ["G91 G0 X20", "G4P.01"])
     start = track[0][0]

@@ -88,7 +88,7 @@ def powered(uf2: Path, flash: bytes) -> Board:
     return machine.boot()
 
 
-def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
+def test_from_a_dragged_file_to_a_job_that_goes_on_after_a_power_cut(
     uf2: Path, tmp_path: Path
 ) -> None:
     machine = powered(uf2, made(tmp_path, uf2))

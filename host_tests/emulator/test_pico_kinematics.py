@@ -43,7 +43,7 @@ def arms() -> Any:
     return sys.modules.get("scara") or __import__("scara")
 
 
-def test_a_line_is_straight_and_as_fast_as_it_is_told_to_be(scara: Board) -> None:
+def test_a_line_is_straight_and_as_fast_as_it_is_asked_to_be(scara: Board) -> None:
     scara.ask("G1X-40Y120F1200")
     scara.ask("G4P.01", limit_us=10_000_000)
     begin = [float(x) for x in scara.status()["MPos"].split(",")]

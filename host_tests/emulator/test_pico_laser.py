@@ -226,7 +226,7 @@ def test_whatever_stops_it_the_beam_goes_out_and_stays_so(
 
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
-def test_a_hold_is_dark_and_dots_go_on_behind_it(machine: Board, beam: Beam, mode: str) -> None:
+def test_a_hold_is_dark_and_dots_go_on_after_it(machine: Board, beam: Beam, mode: str) -> None:
     running(machine, beam, mode)
     machine.send("!")
     machine.pico.run_us(300_000)
@@ -295,7 +295,7 @@ from machine import disable_irq, enable_irq
 
 
 from talk import commands
-usual = commands.Commands.whose
+usual = commands.Commands.find_command
 
 usual_power = laser.Laser.set_power
 seen = [None]
@@ -328,6 +328,6 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.whose = whose
-power_up.live(power_up.build())
+commands.Commands.find_command = whose
+power_up.run_machine(power_up.build())
 """

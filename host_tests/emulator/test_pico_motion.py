@@ -50,7 +50,7 @@ import time
 from boot import power_up
 
 from talk import commands
-usual = commands.Commands.whose
+usual = commands.Commands.find_command
 
 
 def whose(self, line, length):
@@ -71,8 +71,8 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.whose = whose
-power_up.live(power_up.build())
+commands.Commands.find_command = whose
+power_up.run_machine(power_up.build())
 """
 
 
@@ -119,7 +119,7 @@ def test_steps_come_when_the_plan_says(
         assert max(map(abs, late)) < 5_000
 
 
-def test_pulses_are_as_long_as_told_and_directions_stand_still_around_them(
+def test_pulses_are_as_long_as_asked_and_directions_stand_still_around_them(
     made: "list[list[tuple[float, int]]]", machine: Board
 ) -> None:
     assert made

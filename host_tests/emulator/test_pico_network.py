@@ -137,7 +137,7 @@ def whose(line, length):
 
 
 hooks.whose = whose
-machine = power_up.live(power)
+machine = power_up.run_machine(power)
 """
 
 

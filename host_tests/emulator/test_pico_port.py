@@ -31,7 +31,7 @@ class Listener:
     def on_fault(self):
         note(2)
 port.attach(Listener())
-port.hear_limits(True)
+port.enable_limits(True)
 """
 
 
@@ -101,7 +101,7 @@ def test_inputs_are_heard_in_hard_interrupts_that_allocate_nothing(machine: Boar
 
 
 def test_limits_that_are_not_wanted_are_not_heard(machine: Board) -> None:
-    machine.python_again("heard[:] = bytes(4)\nport.hear_limits(False)")
+    machine.python_again("heard[:] = bytes(4)\nport.enable_limits(False)")
     machine.pico.drive(LIMIT[2], 0)
     machine.pico.run_us(6_000)
     machine.pico.drive(RESET, 0)  # MicroPython looks at all pins then
@@ -122,7 +122,7 @@ def note(i):
 
 
 def test_a_callback_that_fails_kills_the_tool_in_its_interrupt(machine: Board) -> None:
-    machine.python_again("port.hear_limits(True)\n" + SWITCH_ON)
+    machine.python_again("port.enable_limits(True)\n" + SWITCH_ON)
     assert pads(machine) == ON
     machine.python_again(FAILING)
     machine.pico.drive(RESET, 0)

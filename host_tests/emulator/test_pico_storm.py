@@ -146,7 +146,7 @@ def test_a_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
 
 
 @pytest.mark.parametrize(("after_us", "late_us"), [(200, 2_500), (20_000, 0)])
-def test_a_contact_behind_pulses_too_short_to_be_seen_is_at_its_place(
+def test_a_contact_after_pulses_too_short_to_be_seen_is_at_its_place(
     ready: Board, after_us: int, late_us: int
 ) -> None:
     """late_us: for how long the probe may still be left in peace."""

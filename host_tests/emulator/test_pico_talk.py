@@ -24,7 +24,7 @@ import gc
 from boot import power_up
 
 from talk import commands
-usual = commands.Commands.whose
+usual = commands.Commands.find_command
 
 
 def whose(self, line, length):
@@ -36,9 +36,9 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.whose = whose
+commands.Commands.find_command = whose
 rp2 = None  # as the firmware's own main.py
-machine = power_up.live(power_up.build())
+machine = power_up.run_machine(power_up.build())
 """
 
 

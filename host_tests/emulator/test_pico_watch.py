@@ -18,7 +18,7 @@ import time
 from boot import power_up
 
 from talk import commands
-usual = commands.Commands.whose
+usual = commands.Commands.find_command
 
 
 def whose(self, line, length):
@@ -35,8 +35,8 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.whose = whose
-machine = power_up.live(power_up.build())
+commands.Commands.find_command = whose
+machine = power_up.run_machine(power_up.build())
 """
 
 
@@ -62,7 +62,7 @@ def last_ms(machine: Board, since_us: float) -> "tuple[float, float]":
     return (step - since_us) / 1000, (pwm - since_us) / 1000
 
 
-def test_a_main_loop_that_hangs_is_stopped_and_told_of_when_it_is_back(machine: Board) -> None:
+def test_a_main_loop_that_hangs_is_stopped_and_reported_when_it_is_back(machine: Board) -> None:
     moving(machine)
     since = machine.pico.us
     machine.send("$BUSY=400\n")
@@ -176,7 +176,7 @@ def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float
     return begins
 
 
-def test_a_laser_is_off_while_flash_is_written_and_on_again_behind_it(machine: Board) -> None:
+def test_a_laser_is_off_while_flash_is_written_and_on_again_after_it(machine: Board) -> None:
     for line in ("$32=1", "G91", "M3 S500", "G1 X0.1 F600"):
         machine.ask(line)
     machine.until_idle()
@@ -192,7 +192,7 @@ def test_a_laser_is_off_while_flash_is_written_and_on_again_behind_it(machine: B
     machine.ask("M5")
 
 
-def test_what_comes_while_flash_is_erased_is_heard_behind_it(machine: Board) -> None:
+def test_what_comes_while_flash_is_erased_is_heard_after_it(machine: Board) -> None:
     """A limit switch, with the spindle on; and a byte. Late, but not lost."""
     for line in ("$32=0", "$21=1", "M3 S500"):
         machine.ask(line)

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
-from esp_chip import turns
+from esp_chip import timer_engine
 from micropython_runner import needs_micropython, placed_firmware, run_micropython
 from ugrbl.boardfile.files import boards, load_board, load_for_build
 from ugrbl.compiling import build
@@ -99,7 +99,7 @@ def test_a_fourth_axis_has_pulses_of_its_own(line: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
-def test_a_main_loop_that_hangs_is_stopped_and_told_of(board: str, tmp_path: Path) -> None:
+def test_a_main_loop_that_hangs_is_stopped_and_reported(board: str, tmp_path: Path) -> None:
     hang: Talk = [
         ("$X\n", "ok"),
         ("M3 S500\n", "ok"),
@@ -156,7 +156,7 @@ def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
 
 
 @pytest.mark.parametrize("board", _BOARDS)
-def test_an_engine_that_fails_is_told_of_with_the_tool_off_and_works_after_a_reset(
+def test_an_engine_that_fails_is_reported_with_the_tool_off_and_works_after_a_reset(
     board: str, tmp_path: Path
 ) -> None:
     tool = load_board(board).SPINDLE_PWM
@@ -204,7 +204,7 @@ _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
         ('TOOL = "punch"', "TOOL = punch: the board file names no pin for PUNCH_DOWN, PUNCH_UP, "),
     ],
 )
-def test_a_board_that_cannot_be_says_why_to_whoever_asks(
+def test_a_board_that_cannot_be_says_why_to_anyone_who_asks(
     line: str, words: str, tmp_path: Path
 ) -> None:
     if "LINK" in line:
@@ -470,9 +470,9 @@ def test_garbage_is_collected_in_trains_that_outlast_a_collection(
         ticks_us = staticmethod(lambda: now)
         ticks_diff = staticmethod(lambda later, sooner: later - sooner)
 
-    monkeypatch.setattr(turns, "gc", SimpleNamespace(collect=collect))
-    monkeypatch.setattr(turns, "time", Clock)
-    made = turns.Turns()
+    monkeypatch.setattr(timer_engine, "gc", SimpleNamespace(collect=collect))
+    monkeypatch.setattr(timer_engine, "time", Clock)
+    made = timer_engine.TimerEngine()
     rooms = [5000] * 250 + [12_000] * 300 + [8000] * 100 + [7000] * 200
     for room_us in rooms:
         made._collect(room_us)

@@ -40,7 +40,7 @@ def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
     names = ("limits", "controls", "fault")
     notes = {f"on_{name}": lambda *_, n=name: heard.append(n) for name in names}
     port.attach(SimpleNamespace(**notes))
-    port.hear_limits(True)
+    port.enable_limits(True)
     return port, heard
 
 
@@ -63,7 +63,7 @@ def test_a_bouncing_button_is_heard_once() -> None:
     assert heard == ["controls", "controls"]
 
 
-def test_the_probe_is_told_of_once() -> None:
+def test_the_probe_is_reported_once() -> None:
     port, _ = made()
     contacts: list[bool] = []
     port.watch_probe(lambda: contacts.append(True), True)
@@ -153,14 +153,14 @@ def test_an_edge_that_was_lost_is_found_at_the_next_look(pin: int, who: str) -> 
     port, heard = made()
     deaf(lambda: Pin(pin).drive(0))
     assert heard == []
-    port.look()
+    port.poll_inputs()
     assert heard == [who]
     for _ in range(10):
         clock.advance(clock.us + 1000)
-        port.look()
+        port.poll_inputs()
     assert heard == [who]
     deaf(lambda: Pin(pin).drive(1))
-    port.look()
+    port.poll_inputs()
     assert heard == [who, who]
 
 
@@ -169,18 +169,18 @@ def test_an_edge_that_was_heard_is_not_found_again() -> None:
     Pin(5).drive(0)
     Pin(4).drive(0)
     for _ in range(10):
-        port.look()
+        port.poll_inputs()
         clock.advance(clock.us + 1000)
     assert heard == ["limits", "controls"]
 
 
 def test_limits_that_are_not_heard_are_not_found_either() -> None:
     port, heard = made()
-    port.hear_limits(False)
+    port.enable_limits(False)
     Pin(5).drive(0)
-    port.look()
-    port.hear_limits(True)
-    port.look()
+    port.poll_inputs()
+    port.enable_limits(True)
+    port.poll_inputs()
     assert heard == []
 
 
@@ -188,11 +188,11 @@ def test_a_debounced_limit_that_was_lost_counts_when_it_has_settled() -> None:
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     deaf(lambda: Pin(5).drive(0))
     for _ in range(2):
-        port.look()
+        port.poll_inputs()
         clock.advance(clock.us + 1000)
     assert heard == []
     for _ in range(3):
-        port.look()
+        port.poll_inputs()
         clock.advance(clock.us + 1000)
     assert heard == ["limits"]
 
@@ -202,7 +202,7 @@ def test_a_storm_on_one_limit_does_not_put_off_another_that_lasts() -> None:
     Pin(5).drive(0)
     for level in (0, 1) * 3:
         Pin(13).drive(level)
-        port.look()
+        port.poll_inputs()
         clock.advance(clock.us + 1000)
     assert "limits" in heard
 
@@ -213,8 +213,8 @@ def test_a_contact_of_the_probe_that_was_lost_is_found() -> None:
     port.watch_probe(lambda: contacts.append(True), True)
     deaf(lambda: Pin(39).drive(0))
     assert contacts == []
-    port.look()
-    port.look()
+    port.poll_inputs()
+    port.poll_inputs()
     assert contacts == [True]
 
 
@@ -223,7 +223,7 @@ def test_an_emergency_stop_that_was_lost_is_found() -> None:
     port, heard = made(ESTOP=21)
     deaf(lambda: Pin(21).drive(1))
     assert heard == []
-    port.look()
+    port.poll_inputs()
     assert heard == ["controls"]
 
 
@@ -233,6 +233,6 @@ def test_an_input_of_an_extra_that_was_lost_is_found() -> None:
     changes: list[bool] = []
     port.watch_pins(lambda: changes.append(True))
     deaf(lambda: Pin(26).drive(0))
-    port.look()
-    port.look()
+    port.poll_inputs()
+    port.poll_inputs()
     assert changes == [True]

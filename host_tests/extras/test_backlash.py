@@ -200,7 +200,7 @@ def test_whatever_comes_in_the_middle_of_it_places_stay_true(byte: str) -> None:
 
 
 @pytest.mark.thorough
-def test_behind_a_reset_in_the_middle_of_it_the_rest_of_it_is_taken_up() -> None:
+def test_after_a_reset_in_the_middle_of_it_the_rest_of_it_is_taken_up() -> None:
     for ms in range(20, 900, 79):
         made = machine({162: 2.0, 122: 50})
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
@@ -247,7 +247,7 @@ def test_a_jog_is_cancelled_in_the_middle_of_it_and_goes_nowhere() -> None:
 
 
 @pytest.mark.parametrize("inverted", [0, 7])
-def test_behind_homing_slack_is_taken_up_on_the_side_pulled_off_to(inverted: int) -> None:
+def test_after_homing_slack_is_taken_up_on_the_side_pulled_off_to(inverted: int) -> None:
     made = machine({22: 1, 23: inverted})
     above = not inverted
     for i, letter in enumerate("xyz"):
@@ -270,7 +270,7 @@ def test_behind_homing_slack_is_taken_up_on_the_side_pulled_off_to(inverted: int
         assert origin == pytest.approx(origins[0], abs=0.0025)
 
 
-def test_a_probe_says_where_the_table_is_and_so_it_does_behind_a_turn() -> None:
+def test_a_probe_says_where_the_table_is_and_so_it_does_after_a_turn() -> None:
     made = machine()
 
     def look() -> None:

@@ -364,7 +364,7 @@ def test_the_message_of_a_failure_is_no_answer_and_names_the_line(bench: Make) -
     assert "custom" in made.rig.store.files and "ValueError" in made.rig.store.files["custom"][-1]
 
 
-def test_a_failure_beside_motion_comes_to_rest_and_loses_nothing(bench: Make) -> None:
+def test_a_failure_during_motion_comes_to_rest_and_loses_nothing(bench: Make) -> None:
     made = bench(failing("1 / 0"))
     said = made.say(("T9\n", "ok"), ("G1Y9F500\n", "ms 5000"), ("$X\n", "ok"), ("?", "ms 20"))
     assert "ALARM:34" in said[1] and 2 < made.mm[1] < 2 + _STOPPING_MM
@@ -373,7 +373,7 @@ def test_a_failure_beside_motion_comes_to_rest_and_loses_nothing(bench: Make) ->
 
 
 @pytest.mark.parametrize("call", ['m.g("G0X1")', "m.wait(1)", 'm.ask("?")', "m.wait_motion()"])
-def test_who_runs_beside_motion_may_neither_move_nor_wait(bench: Make, call: str) -> None:
+def test_who_runs_during_motion_may_neither_move_nor_wait(bench: Make, call: str) -> None:
     made = bench(f"@on.state_change\ndef s(m, old, new):\n    if new == 'Run':\n        {call}")
     (said,) = made.say(("G0X5\n", "ms 3000"))
     assert "ALARM:34" in said and any("neither move nor wait" in line for line in said)
@@ -385,13 +385,13 @@ def test_a_refusal_refuses_its_line_and_nothing_else(bench: Make) -> None:
     assert said == [["[MSG:close the door]", "error:3"], ["ok"]]
 
 
-def test_who_runs_beside_motion_has_no_line_to_refuse(bench: Make) -> None:
+def test_who_runs_during_motion_has_no_line_to_refuse(bench: Make) -> None:
     made = bench('@every(10)\ndef a(m):\n    if m.position().x > 1: raise Refuse("no")')
     said = made.say(("G1X9F500\nG1X0\n", "ms 3000"))
     assert "ALARM:34" in said[0] and not [line for line in said[0] if "error" in line]
 
 
-def test_a_slow_handler_is_told_of_once(bench: Make) -> None:
+def test_a_slow_handler_is_reported_once(bench: Make) -> None:
     made = bench(
         """
 @every(100)

@@ -11,7 +11,7 @@ from extras.custom import handlers
 from test_custom_examples import Shop
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
-from ugrbl.docs.custom import operator_methods
+from ugrbl.docs.custom import machine_api_methods
 
 # Many cases of each: the first ring takes some.
 pytestmark = pytest.mark.sampled(2)
@@ -74,7 +74,7 @@ def test_the_tool_change_of_the_page_is_one(
     assert made.messages == ["Put in tool 3, then cycle start"] and made.answers == ["ok"] * 2
 
 
-def test_a_failure_is_told_as_the_page_quotes_it(
+def test_a_failure_is_reported_as_the_page_quotes_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     head = "from ugrbl import mcode\n\n\n@mcode(100)\ndef fail(m):\n"
@@ -89,7 +89,7 @@ def test_a_failure_is_told_as_the_page_quotes_it(
 def test_the_page_lists_every_event_and_who_may_move() -> None:
     told = dict(_EVENT.findall(_PAGE))
     moving = dict.fromkeys(handlers.MOVING, "yes")
-    beside = dict.fromkeys((*handlers.BESIDE, handlers.REPORT, handlers.INPUT), "no")
+    beside = dict.fromkeys((*handlers.DURING_MOTION, handlers.REPORT, handlers.INPUT), "no")
     assert told == {**moving, **beside}
 
 
@@ -125,11 +125,11 @@ _NAMED = (ast.FunctionDef, ast.ClassDef)
 
 
 def test_every_call_says_what_it_does() -> None:
-    methods = list(operator_methods())
+    methods = list(machine_api_methods())
     assert len(methods) > 20 and all(map(ast.get_docstring, methods))
 
 
-def test_a_failure_beside_motion_stops_it_at_once_also_where_no_line_ends(
+def test_a_failure_during_motion_stops_it_at_once_also_where_no_line_ends(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The loop waits for room in the planner, within a line."""

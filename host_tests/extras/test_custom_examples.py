@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from extras.custom.machine_operator import STATES
+from extras.custom.machine_api import STATES
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 from ugrbl.sim.replay import factory_store
@@ -235,7 +235,7 @@ def test_a_tool_is_changed_at_rest_with_all_off_and_measured(shop: Make) -> None
     assert made.place() == (3.0, 139.0, -1.0)
 
 
-def test_a_length_holds_again_behind_a_reset_and_power_off(shop: Make) -> None:
+def test_a_length_holds_again_after_a_reset_and_power_off(shop: Make) -> None:
     made = changed(shop)
     seen: list[Any] = []
 
@@ -252,7 +252,7 @@ def test_a_length_holds_again_behind_a_reset_and_power_off(shop: Make) -> None:
     assert "[TLO:-35.000]" in made.told("$#")
 
 
-def test_a_sensor_that_is_pressed_is_told_of_and_nothing_moves(shop: Make) -> None:
+def test_a_sensor_that_is_pressed_is_reported_and_nothing_moves(shop: Make) -> None:
     made = shop("tool_length")
     made.rig.port.push({"probe": True})
     assert made.say("M3 S1000", "T2 M6") == ["ok", "error:3"]
@@ -633,7 +633,7 @@ def test_without_a_part_the_job_holds_until_somebody_comes(shop: Make) -> None:
     assert made.messages[0].startswith("No part within 2 s") and made.answers == ["ok"]
 
 
-def test_a_reset_stops_the_feeder_and_a_jam_is_told_of(shop: Make) -> None:
+def test_a_reset_stops_the_feeder_and_a_jam_is_reported(shop: Make) -> None:
     made = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
@@ -918,7 +918,7 @@ def test_a_drawbar_that_is_stuck_stops_the_change(shop: Make) -> None:
     assert rack.changes == ["+2"] and not made.is_on("drawbar") and made.place()[2] == -80
 
 
-def test_an_empty_pocket_and_a_broken_tool_are_told_of(shop: Make) -> None:
+def test_an_empty_pocket_and_a_broken_tool_are_reported(shop: Make) -> None:
     made = shop("rack", **_RACK)
     rack = Rack(made)
 
@@ -1166,7 +1166,7 @@ _NUMBERED = {
 }
 
 
-def test_outputs_switch_with_the_motion_before_them_or_behind_it(shop: Make) -> None:
+def test_outputs_switch_with_the_motion_before_them_or_after_it(shop: Make) -> None:
     made = shop("digital_io", **_NUMBERED)
     lines = ("G1 X5 F1500", "M62 P0", "X10", "M63 P0", "X15", "M64 P1", "X20", "M65 P1")
     assert made.say(*lines) == ["ok"] * 8
@@ -1202,7 +1202,7 @@ def test_an_input_is_waited_for_by_its_number(shop: Make) -> None:
     assert made.messages == ["M66 P0: 1", "M66 P0: 1", "M66 P1: 0", "M66 P1: nothing for 0.5 s"]
 
 
-def test_an_analog_input_is_told_of(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     made = shop("digital_io", **_NUMBERED)
     read: list[object] = []
 
@@ -1277,7 +1277,7 @@ def wavy(x: float, y: float) -> float:
     return -6 + 0.02 * x - 0.03 * y + 0.001 * x * y
 
 
-def test_a_cut_follows_the_map_also_behind_power_off(shop: Make) -> None:
+def test_a_cut_follows_the_map_also_after_power_off(shop: Make) -> None:
     made = shop("height_map")
     made.rig.engine.switches.append(Solid(made, lambda x, y, z: z <= wavy(x, y)))
     assert made.say("G20", "M118 X1.5748 Y0.7874 Q0.3937") == ["ok", "ok"], made.messages

@@ -61,7 +61,7 @@ def test_who_leaves_check_mode_has_the_tools_length_again(bench: Make, leave: st
     assert made.heard == ["Idle"]
 
 
-def test_a_line_right_behind_check_mode_meets_the_length(bench: Make) -> None:
+def test_a_line_right_after_check_mode_meets_the_length(bench: Make) -> None:
     made = bench(_LENGTH)
     said = made.say(*lines("$C"), ("$C\n", "banner"), ("$#\n", "ok"))
     assert length(said[2]) == "[TLO:12.500]"
@@ -118,7 +118,7 @@ def tool(m): heard.append(m.tool)
     "body", ["m.g('G21 G90')", "1 / 0", "m.stop('no')", "m.home()", "raise Refuse('no')"]
 )
 @pytest.mark.parametrize("events", ["@on.after_reset", "@on.startup\n@on.after_reset"])
-def test_who_fails_behind_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
+def test_who_fails_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
     bench: Make, body: str, events: str
 ) -> None:
     made = bench(f"{events}\ndef a(m): {body}")
@@ -136,7 +136,7 @@ def test_who_fails_behind_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
     assert said[5][0].startswith("<Alarm") and said[6][-1] == said[7][0] == "ok"
 
 
-def test_homing_that_fails_behind_a_reset_is_not_tried_for_ever(bench: Make) -> None:
+def test_homing_that_fails_after_a_reset_is_not_tried_for_ever(bench: Make) -> None:
     made = bench("@on.after_reset\ndef a(m): heard.append(1); m.home()")
     said = made.say(
         *lines("$22=1", "$X"),
@@ -150,7 +150,7 @@ def test_homing_that_fails_behind_a_reset_is_not_tried_for_ever(bench: Make) -> 
     assert made.heard == [1]
 
 
-def test_the_others_behind_a_reset_have_their_turn_all_the_same(bench: Make) -> None:
+def test_the_others_after_a_reset_have_their_turn_all_the_same(bench: Make) -> None:
     made = bench(
         "@on.after_reset\ndef a(m): heard.append('a'); m.g('G21')\n"
         "@on.after_reset\ndef b(m): heard.append('b')\n"
@@ -159,7 +159,7 @@ def test_the_others_behind_a_reset_have_their_turn_all_the_same(bench: Make) -> 
     assert made.heard == ["a", "b"]
 
 
-def test_who_has_failed_behind_a_reset_is_asked_again_behind_the_next(bench: Make) -> None:
+def test_who_has_failed_after_a_reset_is_asked_again_after_the_next(bench: Make) -> None:
     made = bench(
         "@on.after_reset\ndef a(m):\n    heard.append(m.state)\n    if len(heard) < 2: 1 / 0\n"
     )
@@ -218,9 +218,9 @@ def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
         commands=SimpleNamespace(fault=""),
     )
     port = SimpleNamespace(safe=note("safe"), watch=note("watch"))
-    watch = SimpleNamespace(take=lambda: False, close=note("unwatch"))
+    watch = SimpleNamespace(end_absence=lambda: False, close=note("unwatch"))
     parts: Any = (machine, wire, port, SimpleNamespace(stop=note("stop")), watch, [])
-    power_up.live(parts)
+    power_up.run_machine(parts)
     assert did[:3] == ["up", "safe", "stop"]
     assert did[3] == f"ALARM:{errors.ALARM_INTERNAL}\r\n" and did[4] == "[MSG:SystemExit"
 
@@ -298,7 +298,7 @@ def test_a_kept_value_that_is_damaged_takes_no_other_with_it(bench: Make) -> Non
 # Left out
 
 
-def test_a_word_beside_motion_that_is_left_out_is_refused(bench: Make) -> None:
+def test_a_word_during_motion_that_is_left_out_is_refused(bench: Make) -> None:
     made = bench(
         "@mcode(62, 'P', sync=False)\ndef a(m, P):\n    if P == 5: 1 / 0\n    m.out('vacuum', P)\n"
     )
@@ -307,7 +307,7 @@ def test_a_word_beside_motion_that_is_left_out_is_refused(bench: Make) -> None:
     assert said[2] == ["[MSG:M62 is left out until power-up]", _REFUSED] and made.outputs == 0
 
 
-def test_who_has_failed_beside_motion_still_is_a_word_that_waits_for_it(bench: Make) -> None:
+def test_who_has_failed_during_motion_still_is_a_word_that_waits_for_it(bench: Make) -> None:
     made = bench(
         "@every(20)\n@mcode(100)\n"
         "def a(m):\n    m.g('G91 G0 X3')\n    heard.append(m.target().x)\n"
@@ -412,7 +412,7 @@ def test_check_tells_of_it_before_it_is_on_a_board(tmp_path: Path, text: str, to
     assert done.exit_code == 1 and "BAD" in done.output and told in done.output
 
 
-def test_check_takes_who_looks_at_the_state_behind_a_reset(tmp_path: Path) -> None:
+def test_check_takes_who_looks_at_the_state_after_a_reset(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     look = "if m.state == 'Idle': m.set_length(3)"
     file.write_text(f"from ugrbl import on\n@on.after_reset\ndef a(m):\n    {look}\n")
@@ -423,11 +423,11 @@ def test_check_takes_who_looks_at_the_state_behind_a_reset(tmp_path: Path) -> No
 
 _ON_MICROPYTHON = """
 import json
-from extras.custom.keep import Keep
+from extras.custom.persistent import PersistentValues
 class Saves:
     def load(self, name): return ['["v", nan]', '5', '[["x"], 3]', '["u"', '["a", 8]']
     def save(self, name, lines): print(sorted(lines))
-keep = Keep(Saves())
+keep = PersistentValues(Saves())
 keep["true"] = True
 for name, value in (("n", float("nan")), ("i", -float("inf")), ((1, 2), 3)):
     try:

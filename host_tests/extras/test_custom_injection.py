@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 from base import state as st
-from extras.custom.machine_operator import Operator
+from extras.custom.machine_api import MachineApi
 from test_flash_store import Flash, attach, cut
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
@@ -77,53 +77,53 @@ _LINES = (
 )
 
 
-_LOOK = Operator.look  # what each call of m begins or ends with
+_LOOK = MachineApi.check_stopped  # what each call of m begins or ends with
 
 
 class Injected(Exception):
     """What a handler may do wrong."""
 
 
-def _raises(_session: "Session", _operator: Operator) -> None:
+def _raises(_session: "Session", _operator: MachineApi) -> None:
     raise Injected("at that call")
 
 
-def _has_no_memory(_session: "Session", _operator: Operator) -> None:
+def _has_no_memory(_session: "Session", _operator: MachineApi) -> None:
     raise MemoryError("memory allocation failed")
 
 
-def _is_reset(session: "Session", operator: Operator) -> None:
-    session.rig.controller.drive.reset()
+def _is_reset(session: "Session", operator: MachineApi) -> None:
+    session.rig.controller.motor_control.reset()
     _LOOK(operator)
 
 
-def _swallows_the_reset(session: "Session", operator: Operator) -> None:
+def _swallows_the_reset(session: "Session", operator: MachineApi) -> None:
     with suppress(Exception):
         _is_reset(session, operator)
 
 
-def _is_held(session: "Session", operator: Operator) -> None:
+def _is_held(session: "Session", operator: MachineApi) -> None:
     session.rig.controller.state.post(st.FEED_HOLD)
     _LOOK(operator)
 
 
-def _loops(_session: "Session", operator: Operator) -> None:
+def _loops(_session: "Session", operator: MachineApi) -> None:
     while True:
         operator.wait(0.01)
 
 
-def _is_slow(session: "Session", operator: Operator) -> None:
+def _is_slow(session: "Session", operator: MachineApi) -> None:
     session.rig.pass_time(session.rig.ms(60))
     _LOOK(operator)
 
 
-def _is_cut_short(session: "Session", operator: Operator) -> None:
+def _is_cut_short(session: "Session", operator: MachineApi) -> None:
     session.file.write_text(_CUSTOM[: session.random.randrange(len(_CUSTOM))])
     _LOOK(operator)
 
 
 # None: power fails.
-_KINDS: "tuple[Callable[[Session, Operator], None] | None, ...]" = (
+_KINDS: "tuple[Callable[[Session, MachineApi], None] | None, ...]" = (
     *(_raises, _has_no_memory, _is_reset, _swallows_the_reset, _is_held, _loops, _is_slow),
     *(_is_cut_short, None),
 )
@@ -214,7 +214,7 @@ class Session:
     def play(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """From power-up to a last move behind all, with all laws looked at."""
 
-        def look(operator: Operator) -> None:
+        def look(operator: MachineApi) -> None:
             whose = sys._getframe(1).f_code.co_filename
             if not self._is_done and not whose.endswith("runner.py"):  # a handler's own
                 self.calls += 1
@@ -225,7 +225,7 @@ class Session:
             _LOOK(operator)
 
         with monkeypatch.context() as patched:
-            patched.setattr(Operator, "look", look)
+            patched.setattr(MachineApi, "check_stopped", look)
             self.rig.run(self._script())
 
     def _script(self) -> "Iterator[Any]":

@@ -102,9 +102,10 @@ def test_nobody_else_knows_of_it() -> None:
         for path in sorted(_FIRMWARE.rglob("*.py"))
         if re.search(r"dialect(?!s\.)|0\.9[ij]?\b", path.read_text(), re.IGNORECASE)
     ]
-    extras = {"extras/api.py", "extras/own_words.py", "extras/tools/punch.py"}
+    extras = {"extras/api.py", "extras/custom_codes.py", "extras/tools/punch.py"}
     extras |= {f"extras/dialects/{name}.py" for name in ("dialect_09", "dialect_hal")}
-    others = {"boot/guests.py", "base/state.py", "talk/report.py"}  # its name, @, and a comment
+    # Its name, @, and a comment.
+    others = {"boot/select_extras.py", "base/state.py", "talk/report.py"}
     assert set(knowing) <= extras | others
 
 
@@ -188,7 +189,7 @@ def test_the_door_is_at_in_0_9_and_a_character_in_1_1() -> None:
     ("length", "reply"),
     [(79, ["error: Invalid gcode ID:25"]), (80, ["error: Line overflow", "ok"])],
 )
-def test_what_is_behind_the_end_of_a_line_is_a_line(length: int, reply: "list[str]") -> None:
+def test_what_is_after_the_end_of_a_line_is_a_line(length: int, reply: "list[str]") -> None:
     line = ("G0" + "X0" * 40)[:length]
     if length == 79:
         line = line[:-1] + "0"

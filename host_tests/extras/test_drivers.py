@@ -109,7 +109,7 @@ def test_what_no_driver_can_do_is_refused_and_nothing_changes() -> None:
     assert {"$141=500.000", "$152=16.000", "$210=50.000"} <= set(on.received)
 
 
-def test_settings_that_are_told_are_taken_again() -> None:
+def test_settings_that_are_reported_are_taken_again() -> None:
     on = machine({140: 700.0, 150: 64.0})
     on.play(["$$"])
     lines = [line for line in on.received if line.startswith("$")]
@@ -192,7 +192,7 @@ _TROUBLES: "list[tuple[Callable[[Machine], None], str]]" = [
 
 
 @pytest.mark.parametrize(("trouble", "words"), _TROUBLES)
-def test_trouble_at_rest_is_an_alarm_in_words_told_once(
+def test_trouble_at_rest_is_an_alarm_in_words_reported_once(
     trouble: "Callable[[Machine], None]", words: str
 ) -> None:
     on = machine()
@@ -233,7 +233,7 @@ def test_a_supply_that_comes_on_later_is_no_alarm() -> None:
     assert driver(on).registers[model.GCONF] == 0x1C0
 
 
-def test_behind_an_alarm_a_driver_that_is_well_is_set_up_anew() -> None:
+def test_after_an_alarm_a_driver_that_is_well_is_set_up_anew() -> None:
     on = machine()
     said = talk(on, ["G1X1F600", 1.0, _again, 1.0, "$X", 0.5, "G1X2F600", 1.0])
     assert said[-1] == "ok"
@@ -255,7 +255,7 @@ def test_one_spoilt_answer_is_asked_for_again() -> None:
     assert once[0] < 0
 
 
-def test_a_warm_driver_is_told_of_once_and_goes_on() -> None:
+def test_a_warm_driver_is_reported_once_and_goes_on() -> None:
     on = machine()
 
     def warm(on: Machine) -> None:
@@ -326,7 +326,7 @@ def test_an_axis_that_spreads_is_quiet_while_it_feels() -> None:
     assert driver(on).registers[model.GCONF] & 4
 
 
-def test_an_axis_that_is_not_asked_to_feel_is_not_told_to() -> None:
+def test_an_axis_that_is_not_asked_to_feel_is_not_asked_to() -> None:
     on = machine({**_HOMING, 200: 90.0, 339: 2.0})
     felt = fit(on)
     on.play(["$H"])

@@ -12,7 +12,7 @@ from base.errors import GrblError
 from base.settings import INT
 from boot.options import Options
 from extras.api import Cnc
-from extras.custom.places import Saved
+from extras.custom.positions import ModalState
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
@@ -166,7 +166,7 @@ def test_a_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.Monk
     assert said[6][0].startswith("[GC:G86 G54 ")
 
 
-def test_the_numbers_of_a_cycle_are_as_they_were_behind_a_with_statement(
+def test_the_numbers_of_a_cycle_are_as_they_were_after_a_with_statement(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     deepest: list[float] = []
@@ -177,7 +177,7 @@ def test_the_numbers_of_a_cycle_are_as_they_were_behind_a_with_statement(
 
     def install(cnc: Cnc) -> None:
         def deeper() -> None:
-            with Saved(cnc.machine, False, []):
+            with ModalState(cnc.machine, False, []):
                 cnc.machine.state.hooks.execute(bytearray(b"G86X0Z-9R1\0"), 10)
 
         cnc.add_cycle(86, bore)
@@ -192,7 +192,7 @@ def test_a_turn_is_not_had_while_a_reset_is_due(monkeypatch: pytest.MonkeyPatch)
 
     def install(cnc: Cnc) -> None:
         state = cnc.machine.state
-        state.hooks.turn += (lambda: due.append(state.pending[st.RESET]),)
+        state.hooks.poll += (lambda: due.append(state.pending[st.RESET]),)
 
     Bench(monkeypatch, install).say(("G1X9F99\n", "ms 500"), ("\x18", "banner"), ("?", "report"))
     assert len(due) > 10 and not any(due)
@@ -263,8 +263,8 @@ def test_a_guard_keeps_the_machine_where_it_is(monkeypatch: pytest.MonkeyPatch) 
 
     def install(cnc: Cnc) -> None:
         cnc.before_motion(lambda: may[0])
-        cnc.behind_start(lambda: started.append(1))
-        cnc.behind_stop(lambda: stopped.append(len(started)))
+        cnc.after_start(lambda: started.append(1))
+        cnc.after_stop(lambda: stopped.append(len(started)))
 
     bench = Bench(monkeypatch, install)
     bench.say(("G0X1\n", "ms 500"))
@@ -276,12 +276,12 @@ def test_a_guard_keeps_the_machine_where_it_is(monkeypatch: pytest.MonkeyPatch) 
     assert started and stopped[-1] == len(started)
 
 
-def test_lines_of_motion_and_resets_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_of_motion_and_resets_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[str] = []
 
     def install(cnc: Cnc) -> None:
-        cnc.behind_line(lambda: heard.append("line"))
-        cnc.behind_reset(lambda: heard.append("reset"))
+        cnc.after_line(lambda: heard.append("line"))
+        cnc.after_reset(lambda: heard.append("reset"))
 
     Bench(monkeypatch, install).say(*lines("G0X1", "X2", "G4P0", "G1Y1F100"), ("\x18", "banner"))
     assert heard == ["reset", "line", "line", "line", "reset"]
@@ -295,3 +295,19 @@ def test_a_module_that_is_not_there_is_named() -> None:
     vars(board).update(EXTRAS=("nowhere",))
     with pytest.raises(ImportError, match="nowhere"):
         Options(board)
+
+
+def test_a_method_of_cnc_by_its_old_name_works_and_names_the_new(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    heard: list[str] = []
+
+    def install(cnc: Cnc) -> None:
+        old: Any = cnc
+        old.behind_reset(lambda: heard.append("reset"))
+        with pytest.raises(AttributeError):
+            old.no_such_method()
+
+    said = Bench(monkeypatch, install).say(("\x18", "banner"), ("$I\n", "ok"))
+    assert heard == ["reset", "reset"]
+    assert "[MSG:cnc.behind_reset is now cnc.after_reset]" in said[0] + said[1]

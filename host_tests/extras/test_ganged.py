@@ -229,7 +229,7 @@ def test_how_far_one_may_look_alone_is_set(settings: "dict[int, float]", mm: flo
 
 @pytest.mark.parametrize("ms", range(60, 3200, 170))
 @pytest.mark.parametrize("stop", [_RESET, "door"])
-def test_all_motors_are_alive_behind_a_stop_at_any_time(ms: int, stop: str) -> None:
+def test_all_motors_are_alive_after_a_stop_at_any_time(ms: int, stop: str) -> None:
     door = stop == "door"
     gantry = Gantry(400, {171: 0.7}, SAFETY_DOOR=door)
     gantry.told("$H", at_ms=((ms, "\x84" if door else _RESET),))
@@ -244,7 +244,7 @@ def test_a_closed_switch_at_the_start_is_refused_in_words() -> None:
     assert gantry.physical() == [0, 0, 0, 0]
 
 
-def test_either_switch_is_told_and_stops_the_machine() -> None:
+def test_either_switch_is_reported_and_stops_the_machine() -> None:
     gantry = Gantry(0, {22: 0, 21: 1}, {"limit_y": 2000})
     told = gantry.told("G91 G1 Y8 F3000", at_ms=((2000, _RESET),))
     assert "ALARM:1" in told
@@ -327,7 +327,7 @@ def test_what_a_gantry_has_kept_does_no_harm_on_another_board() -> None:
         ({"COREXY": True}, "MOTORS: Y shares its motor, and has no second"),
     ],
 )
-def test_what_cannot_be_is_told(options: "dict[str, Any]", why: str) -> None:
+def test_what_cannot_be_is_reported(options: "dict[str, Any]", why: str) -> None:
     assert board_check.problems(board(**options)) == [why]
 
 

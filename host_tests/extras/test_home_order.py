@@ -107,7 +107,7 @@ def test_axes_homed_together_go_at_the_slowest_rate_of_theirs() -> None:
 
 
 @pytest.mark.parametrize("ms", [50, 400])
-def test_behind_a_reset_the_rates_are_the_usual_ones(ms: int) -> None:
+def test_after_a_reset_the_rates_are_the_usual_ones(ms: int) -> None:
     machine, _ = homed({180: 60, 190: 600}, stop_ms=ms)
     assert "ALARM:6" in machine.received
     machine.play(["$X", "$$"])
@@ -131,7 +131,7 @@ def test_settings_are_masks_of_axes() -> None:
         (("X",) * 7, "HOMING has 7 parts: there may be 6"),
     ],
 )
-def test_what_cannot_be_is_told(words: "tuple[str, ...]", why: str) -> None:
+def test_what_cannot_be_is_reported(words: "tuple[str, ...]", why: str) -> None:
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim")), "HOMING": words})
     assert board_check.problems(board) == [why]

@@ -92,7 +92,7 @@ class JerkBench(Bench):
     @property
     def slots(self) -> int:
         """Segments that speed is averaged over."""
-        return self.smoother._line[jerk_layout.SLOTS]
+        return self.smoother._line[jerk_layout.FILTER_TAPS]
 
     @property
     def time_s(self) -> float:

@@ -121,7 +121,7 @@ def test_entry_is_refused_where_an_offset_of_the_job_was_set_anew(tmp_path: Path
     assert said[-1] == f"[MSG:Job A.NC: {words}]"
 
 
-def test_entry_is_refused_behind_a_setting_that_is_another_by_now(tmp_path: Path) -> None:
+def test_entry_is_refused_after_a_setting_that_is_another_by_now(tmp_path: Path) -> None:
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "$32=1", "G90", "G1 X-5 F1200", "$32=0", "G1 X-3")
     said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))

@@ -159,7 +159,7 @@ def test_a_last_line_without_an_end_is_done(tmp_path: Path) -> None:
     assert bench.moves[-1][0] == 2
 
 
-def test_what_is_behind_the_end_of_the_program_is_not_done(tmp_path: Path) -> None:
+def test_what_is_after_the_end_of_the_program_is_not_done(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1", "M30", "%", "G0X9")
     said = bench.run(say("$F=A.NC"))
@@ -294,7 +294,7 @@ def test_a_sender_hears_how_far_it_is_and_his_lines_are_refused(tmp_path: Path) 
     assert bench.moves[-1][0] == 47
 
 
-def test_a_line_of_the_sender_behind_its_order_comes_first(tmp_path: Path) -> None:
+def test_a_line_of_the_sender_after_its_order_comes_first(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X5")
 
@@ -362,7 +362,7 @@ def test_a_reset_in_a_dwell_raises_no_alarm_and_the_line_is_noted(tmp_path: Path
     assert said[-1] == "[MSG:Job A.NC: stopped at line 2]" and bench.kept()[1] == "2"
 
 
-def test_a_power_cut_is_told_of_when_the_power_is_back(tmp_path: Path) -> None:
+def test_a_power_cut_is_reported_when_the_power_is_back(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
@@ -563,7 +563,7 @@ def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, 
 # What somebody found who tried it
 
 
-def test_a_line_behind_words_that_only_lenient_takes_can_be_begun_with(tmp_path: Path) -> None:
+def test_a_line_after_words_that_only_lenient_takes_can_be_begun_with(tmp_path: Path) -> None:
     bench = Bench(tmp_path, LENIENT=True)
     bench.put("A.NC", "%", "O1", "G21G90", "G43H1", "G0X1", "G1X2F500", "G1X3")
     said = homed(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))

@@ -249,7 +249,7 @@ def test_an_esp32_takes_it_at_once_with_power_as_it_is() -> None:
         ({"SPINDLE_PWM": None}, "TOOL = laser: there is no pin for SPINDLE_PWM"),
     ],
 )
-def test_a_board_file_that_cannot_be_is_told_of(changes: "dict[str, Any]", said: str) -> None:
+def test_a_board_file_that_cannot_be_is_reported(changes: "dict[str, Any]", said: str) -> None:
     assert problems(load_board_with(**changes)) == [said]
 
 

@@ -370,7 +370,7 @@ def test_a_reset_is_heard_in_check_mode_however_many_holes_there_are() -> None:
     assert said[-1].startswith("<Check")
 
 
-def test_m6_names_the_tool_of_a_place_before_it_and_none_behind_a_reset() -> None:
+def test_m6_names_the_tool_of_a_place_before_it_and_none_after_a_reset() -> None:
     said = Bench().say(*AT, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
     told = [text for each in said for text in each if text.startswith("[MSG:Tool")]
     assert told == ["[MSG:Tool 3, then ~]", "[MSG:Tool 0, then ~]"]

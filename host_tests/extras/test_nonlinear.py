@@ -344,7 +344,7 @@ def test_a_hold_anywhere_loses_nothing_of_the_way(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_behind_a_reset_in_motion_it_goes_on_from_where_it_is(kind: str) -> None:
+def test_after_a_reset_in_motion_it_goes_on_from_where_it_is(kind: str) -> None:
     x, y = _MIDDLE[kind]
     for ms in range(500, 1400, 170):
         made = played(kind, [f"G1X{x}Y{y}F1500", f"G1X{x + 20}F1500"], {}, [(ms, "\x18")])
@@ -460,7 +460,7 @@ def test_g28_is_checked_on_both_of_its_ways(kind: str) -> None:
 
 
 def test_a_board_without_it_has_none_of_its_modules() -> None:
-    names = ("nonlinear", "nonlinear_canon", "joints", "chords")
+    names = ("nonlinear", "nonlinear_canon", "joint_planner", "segmenter")
     extras = {f"extras.kinematics.{name}" for name in names}
     assert not extras & set(build.modules_of(load_board("rpi_pico")))
     assert extras <= set(build.modules_of(load(_EXAMPLES / "my_scara.py")))

@@ -168,7 +168,7 @@ def test_a_feed_override_counts_for_lines_that_turn() -> None:
     assert seconds(machine) == pytest.approx(8, rel=0.02)
 
 
-def test_lines_behind_one_that_turns_have_their_own_rate() -> None:
+def test_lines_after_one_that_turns_have_their_own_rate() -> None:
     machine = played(["G1X10A360F600", "X20", "Y10", "G2X40I10A0", "G1X50"])
     assert seconds(machine) == pytest.approx(4 + math.pi, rel=0.01)
 
@@ -271,7 +271,7 @@ def test_homing_that_fails_leaves_travel_as_it_was() -> None:
 
 
 @pytest.mark.parametrize("word", ["X", "B", "AA", "a"])
-def test_what_cannot_turn_is_told(word: str) -> None:
+def test_what_cannot_turn_is_reported(word: str) -> None:
     why = f"ROTARY: {word[-1]} is none of A, B, C here, or there twice"
     assert board_check.problems(board(ROTARY=word)) == [why]
 
@@ -317,7 +317,7 @@ def test_kernels_plan_what_the_interpreter_does(
     assert rows[0] == rows[1]
 
 
-def test_what_a_program_does_is_told_in_degrees_beside_mm(tmp_path: Path) -> None:
+def test_what_a_program_does_is_reported_in_degrees_beside_mm(tmp_path: Path) -> None:
     file = tmp_path / "turned.nc"
     file.write_text("G1 X10 A90 F600\nA-45\n")
     done = CliRunner().invoke(app, ["run", str(file), "--board", "sim_rotary"])

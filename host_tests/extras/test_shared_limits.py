@@ -55,7 +55,7 @@ def machine(
         ((9, 10, 11), "y", "Y"),
     ],
 )
-def test_all_axes_of_an_input_are_told(
+def test_all_axes_of_an_input_are_reported(
     limits: "tuple[int | None, ...]", closed: str, told: str
 ) -> None:
     made = machine(limits=limits)
@@ -76,7 +76,7 @@ def test_axes_are_homed_one_after_the_other_each_by_its_own_switch(
     assert made.physical() == pytest.approx([_AT - 250] * 3, abs=10)
 
 
-def test_z_may_share_with_one_that_is_homed_behind_it_in_grbls_order() -> None:
+def test_z_may_share_with_one_that_is_homed_after_it_in_grbls_order() -> None:
     made = machine(limits=(9, 10, 9), HOMING=())
     made.play(["$H"])
     assert made.reported() == [-1, -1, -1]

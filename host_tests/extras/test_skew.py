@@ -392,7 +392,7 @@ def test_a_probe_has_found_a_true_place() -> None:
     assert made.reported() == pytest.approx([4, 5, 0], abs=0.008)
 
 
-def test_behind_a_change_places_are_what_motors_make_of_them_and_lines_go_on_from_there() -> None:
+def test_after_a_change_places_are_what_motors_make_of_them_and_lines_go_on_from_there() -> None:
     made = machine((0, 0, 0))
     told: list[Any] = []
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ugrbl.grbl import gcode_file
-from ugrbl.grbl.gcode_file import check_text, comment, harmless, has_realtime, problems
+from ugrbl.grbl.gcode_file import check_text, comment, has_realtime, problems, sanitize
 from ugrbl.grbl.lines import split_lines
 
 
@@ -26,11 +26,11 @@ from ugrbl.grbl.lines import split_lines
     ],
 )
 def test_comments_become_harmless_and_code_stays(line: str, sent: bytes) -> None:
-    assert harmless(line.encode("utf-8")) == sent
+    assert sanitize(line.encode("utf-8")) == sent
 
 
 def test_a_comment_in_latin_1_becomes_harmless_too() -> None:
-    assert harmless("G1 (Fräser)".encode("latin-1")) == b"G1 (Fraser)"
+    assert sanitize("G1 (Fräser)".encode("latin-1")) == b"G1 (Fraser)"
 
 
 @given(st.binary(max_size=60))
@@ -38,7 +38,7 @@ def test_whatever_is_in_comments_only_code_can_act(line: bytes) -> None:
     line = line.replace(b"\n", b"").replace(b"\r", b"")
     found = problems([line])
     if not found or found[0].in_comment:
-        assert not has_realtime(harmless(line))
+        assert not has_realtime(sanitize(line))
 
 
 def test_problems_name_line_and_sign() -> None:

@@ -69,7 +69,7 @@ def test_the_rom_leaves_what_is_in_the_file_and_touches_no_other_sector(
         )
 
 
-def test_a_file_that_is_only_put_behind_another_is_wrecked() -> None:
+def test_a_file_that_is_only_put_after_another_is_wrecked() -> None:
     """What the model is for: 20 pages, and then those of a sector elsewhere."""
     pages = {BASE + PAGE * n: bytes([n]) * PAGE for n in (*range(20), *range(160, 176))}
     data = b"".join(
@@ -103,7 +103,7 @@ def test_what_is_written_is_read_again_with_the_blocks_of_others_in_front() -> N
         (uf2.write(program()) + uf2.write(Flash(RP2350, program().pages)), "not for one of"),
     ],
 )
-def test_what_is_no_file_for_these_chips_is_told(data: bytes, said: str) -> None:
+def test_what_is_no_file_for_these_chips_is_reported(data: bytes, said: str) -> None:
     with pytest.raises(Uf2Error, match=said):
         uf2.read(data)
 
@@ -123,12 +123,12 @@ def test_a_micropython_says_where_its_file_system_is() -> None:
         (program(devices=0), "no MicroPython with a file system"),
     ],
 )
-def test_other_programs_are_told(flash: Flash, said: str) -> None:
+def test_other_programs_are_reported(flash: Flash, said: str) -> None:
     with pytest.raises(Uf2Error, match=said):
         binary_info.about(flash)
 
 
-def test_what_has_a_file_system_already_is_told() -> None:
+def test_what_has_a_file_system_already_is_reported() -> None:
     flash = program()
     flash.put(_START, bytes(SECTOR))
     with pytest.raises(Uf2Error, match="lies in the file system already"):
@@ -262,7 +262,7 @@ def test_a_drag_leaves_micropython_and_what_a_deployment_would(tmp_path: Path) -
         (program(version=""), "armv6m", "pio", "too old"),
     ],
 )
-def test_a_micropython_for_another_board_is_told(
+def test_a_micropython_for_another_board_is_reported(
     flash: Flash, arch: str, engine: str, said: str
 ) -> None:
     theirs = contents.MicroPython(Path("theirs.uf2"), flash, binary_info.about(flash))

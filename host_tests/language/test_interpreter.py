@@ -77,7 +77,7 @@ def test_what_a_line_asks_of_the_machine(lines: "tuple[str, ...]", asked: "list[
     assert Paper().does(*lines) == asked
 
 
-def test_the_end_of_a_program_is_told() -> None:
+def test_the_end_of_a_program_is_reported() -> None:
     paper = Paper()
     paper.does("M2")
     assert paper.voice.asked == [f"message {errors.MSG_PROGRAM_END}"]
@@ -113,7 +113,7 @@ def test_a_jog_out_of_the_travel_is_refused() -> None:
     ids=["motions", "commands"],
 )
 def test_every_word_in_the_dictionary_is_executed(group: int, known: "set[int]") -> None:
-    """Interpreter.go() takes a motion that it does not know for a probe (38), and
+    """Interpreter.run_move() takes a motion that it does not know for a probe (38), and
     _non_modal() ignores a command: who adds one to the dictionary adds it there, and here."""
     rows = [words[i : i + ROW] for i in range(ROW, len(words), ROW)]
     assert {row[SETTING] for row in rows if row[GROUP] | row[GROUP + 1] << 8 == group} == known

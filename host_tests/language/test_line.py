@@ -39,7 +39,7 @@ class Bench:
         self.machine.configure()
         self.machine.planner.override()
         self.machine.canon.service = self.machine.planner.clear  # whoever waits finds room
-        self.machine.drive.start = self.machine.state.enter  # type: ignore[method-assign]
+        self.machine.motor_control.start = self.machine.state.enter  # type: ignore[method-assign]
         if not short:
             self.machine.interpreter.watch(MOVE)
         self.modal, self.counts, self.memory = self.machine.interpreter.memory()

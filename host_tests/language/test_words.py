@@ -5,8 +5,8 @@ from array import array
 from math import isfinite
 
 import pytest
-from base.f32 import f32
-from base.singles import add_single, multiply
+from base.float32 import f32
+from base.float32_math import add_single, multiply
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from language.words import Words, bare, scan
@@ -63,7 +63,7 @@ def test_any_bytes_are_read_without_raising(data: bytes) -> None:
 
 
 @pytest.mark.parametrize("start", [0, 2])
-def test_reading_begins_where_it_is_told(start: int) -> None:
+def test_reading_begins_where_it_is_asked(start: int) -> None:
     line = Words(127)
     text = b"$$X1Y2"[2 - start :]
     line.read(bytearray(text + b"\0"), start, len(text))
@@ -71,7 +71,7 @@ def test_reading_begins_where_it_is_told(start: int) -> None:
     assert list(line.values[:2]) == [1, 2]
 
 
-def test_nothing_is_read_behind_the_end() -> None:
+def test_nothing_is_read_after_the_end() -> None:
     values = array("f", [0.0] * 4)
     assert scan(bytearray(b"X1Y2\0"), 2 << 8, bytearray(b"\1\0\0\0"), values) == 1
 

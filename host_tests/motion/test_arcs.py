@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import pytest
 from base import state as run
-from base.f32 import f32, vector
+from base.float32 import f32, vector
 from boot import wiring
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -288,7 +288,7 @@ def test_a_spindle_override_counts_from_the_next_chords_on() -> None:
         service()
         if len(bench.each) == 20:
             bench.machine.state.override_spindle(50)
-            bench.machine.state.change()
+            bench.machine.state.invalidate_lines()
         at = (planner.flow[layout.HEAD] - 1) % planner.flow[layout.ROWS]
         powers.add(planner.ring[at * planner.flow[layout.ROW_SIZE] + layout.POWER])
 

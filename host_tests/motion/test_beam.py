@@ -145,7 +145,7 @@ def test_holds_and_overrides_move_no_dot(events: "list[tuple[int, str]]") -> Non
     assert burnt.place == sum(round(mm * _PER_MM) for mm, _ in lines)
 
 
-def test_a_laser_in_hold_is_dark_and_the_dots_go_on_behind_it() -> None:
+def test_a_laser_in_hold_is_dark_and_the_dots_go_on_after_it() -> None:
     lines = [(1.6, [1000, 900]), (1.6, [800, 700])]
     bench = Bench(_SETTINGS, "sim_laser")
 
@@ -257,7 +257,7 @@ def test_without_laser_mode_there_are_no_clusters() -> None:
     assert talk("X1S1:2", before="$32=0") == [["error:20"]]
 
 
-def test_behind_a_cluster_s_is_its_last() -> None:
+def test_after_a_cluster_s_is_its_last() -> None:
     burnt = burn(cluster(1, [100, 300]), "X1")
     assert set(burnt.steps[250:]) == {300}
 

@@ -6,7 +6,7 @@ from math import atan2, hypot, pi
 from pathlib import Path
 
 import pytest
-from base.f32 import f32, vector
+from base.float32 import f32, vector
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from laws import some
@@ -16,7 +16,7 @@ from ugrbl.cli.app import app
 from ugrbl.grbl.lines import split_lines
 from ugrbl.run import rehearsal
 from ugrbl.run.program import Result, run_program
-from ugrbl.web.look import look
+from ugrbl.web.preview import preview
 
 PLANES = {"G17": "XYIJ", "G18": "ZXKI", "G19": "YZJK"}
 _NEAR_MM = 0.6  # what an arc's end may be off, and a little
@@ -165,5 +165,5 @@ def test_run_send_and_page_say_so(tmp_path: Path) -> None:
     assert "line 2: a whole circle of 10 mm radius" in said
     checked, _ = rehearsal.check(rehearsal.Job(program.encode().splitlines(), []))
     assert [line for line, _ in checked.wide_arcs] == [2]
-    (problem,) = look({"name": "part.nc", "program": program}, "sim")["problems"]
+    (problem,) = preview({"name": "part.nc", "program": program}, "sim")["problems"]
     assert problem["line"] == 2 and "a whole circle" in problem["text"]

@@ -6,12 +6,12 @@ from fractions import Fraction
 from math import hypot, isqrt
 
 import pytest
-from base.f32 import copy, vector
+from base.float32 import copy, vector
 from hypothesis import example, given
 from hypothesis import strategies as st
 from laws import Bench, Limits, some
-from motion import layout, plan_kernel, ramps, reals
-from motion.reals import real, value
+from motion import layout, minifloat, plan_kernel, ramps
+from motion.minifloat import real, value
 from motion.steps import to_steps
 
 HIGHEST = 2**30 - 1
@@ -44,7 +44,7 @@ def test_a_real_is_the_nearest_below(x: float) -> None:
 def test_a_rate_per_minute_is_the_nearest_below_per_second(feed: float) -> None:
     bits = array("i", array("f", (feed,)).tobytes())
     exact = Fraction(single(feed)) / 60
-    got = Fraction(value(reals.per_second(bits, 0)))
+    got = Fraction(value(minifloat.per_second(bits, 0)))
     assert got <= exact <= got * (1 + Fraction(1, 2**14))
 
 
@@ -54,29 +54,29 @@ def test_reals_compare_as_integers_do(x: float, y: float) -> None:
 
 
 def test_nothing_is_zero() -> None:
-    assert real(0.0) == reals.pack(0, 64) == reals.mul(0, real(2.0)) == 0
-    assert reals.product(0, real(1.0), real(9.0)) == 0
+    assert real(0.0) == minifloat.pack(0, 64) == minifloat.mul(0, real(2.0)) == 0
+    assert minifloat.product(0, real(1.0), real(9.0)) == 0
 
 
 @given(positive, st.integers(40, 90))
 def test_packing_keeps_fifteen_bits(n: int, exponent: int) -> None:
-    assert near(value(reals.pack(n, exponent)), n * 2.0 ** (exponent - 64), 2**-14)
+    assert near(value(minifloat.pack(n, exponent)), n * 2.0 ** (exponent - 64), 2**-14)
 
 
 @given(floats, floats)
 def test_products_are_near(x: float, y: float) -> None:
     a, b = real(x), real(y)
-    assert near(value(reals.mul(a, b)), value(a) * value(b))
+    assert near(value(minifloat.mul(a, b)), value(a) * value(b))
 
 
 @given(words, floats)
 def test_ratios_are_near(n: int, x: float) -> None:
-    assert near(value(reals.ratio(n, real(x))), n / value(real(x)))
+    assert near(value(minifloat.ratio(n, real(x))), n / value(real(x)))
 
 
 @given(floats)
 def test_results_are_normal(x: float) -> None:
-    assert 16384 <= reals.mul(real(x), real(3.0)) % 32768
+    assert 16384 <= minifloat.mul(real(x), real(3.0)) % 32768
 
 
 @given(st.integers(0, 2**31 - 1))
@@ -84,13 +84,13 @@ def test_results_are_normal(x: float) -> None:
 @example(1)
 @example(2**31 - 1)
 def test_square_roots_are_exact(n: int) -> None:
-    assert reals.square_root(n) == isqrt(n)
+    assert minifloat.square_root(n) == isqrt(n)
 
 
 @given(floats, floats, floats)
 def test_a_product_of_three_is_cut_off_and_saturates(x: float, y: float, z: float) -> None:
     exact = value(real(x)) * value(real(y)) * value(real(z))
-    got = reals.product(real(x), real(y), real(z))
+    got = minifloat.product(real(x), real(y), real(z))
     if exact > HIGHEST * 1.001:
         assert got == HIGHEST
     else:
@@ -238,7 +238,7 @@ def test_the_length_of_a_block_is_that_of_its_distances(steps: "list[int]") -> N
         assert near(value(row[layout.LENGTH]), hypot(*steps), 2**-11)
 
 
-mantissas = st.integers(reals.SMALLEST, reals.LIMIT - 1)
+mantissas = st.integers(minifloat.SMALLEST, minifloat.LIMIT - 1)
 
 
 @given(mantissas, mantissas, mantissas)

@@ -466,8 +466,8 @@ def test_a_long_segment_is_cut_without_a_trace() -> None:
 
 # Rates
 
-# Ticks by which slice_kernel.spread may misplace the first step of a segment against the last of
-# the one before: it rounds down, more than once.
+# Ticks by which slice_kernel.place_steps may misplace the first step of a segment against the last
+# of the one before: it rounds down, more than once.
 _ROUNDING = 1.1
 
 
@@ -1010,7 +1010,7 @@ def test_segments_are_asked_for_shortly_before_they_begin(count: int) -> None:
 
 
 @pytest.mark.parametrize("latency", [0, 700])
-def test_power_is_told_as_its_segment_begins(latency: int) -> None:
+def test_power_is_reported_as_its_segment_begins(latency: int) -> None:
     rows = rush([0] * 12)
     powers = [5, 5, 9, KEEP_POWER, 9, 0, 300, 300, 300, KEEP_POWER, 1, 1]
     for made, power in zip(rows, powers, strict=True):
@@ -1040,7 +1040,7 @@ def test_power_at_rest_is_that_of_the_last_segment(
 
 
 @pytest.mark.parametrize("after", range(300, 8000, 700))
-def test_no_power_is_told_after_a_stop(after: int) -> None:
+def test_no_power_is_reported_after_a_stop(after: int) -> None:
     rows = rush([0] * 7)
     for k, made in enumerate(rows):
         made[ROW_POWER] = k
@@ -1103,7 +1103,7 @@ def test_a_processor_clock_of_whole_ticks_is_demanded(
 def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
     """Addresses only: its model is the RP2040's with these moved. PIO 0 and 1 lie alike."""
     with a_bed(), pytest.MonkeyPatch.context() as patch:
-        there = memory.Memory(AXES, True).hub
+        there = memory.Memory(AXES, True).state
         timer, rivals, busy = hub_layout.TIMER, hub_layout.RIVALS, hub_layout.BUSY
         assert there[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
         # IO_IRQ_BANK0, PIO1_IRQ_0, TIMER0_IRQ_0 to 3
@@ -1120,13 +1120,13 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
         sixth = made._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
         assert sixth == 0x50300000 + 0xE0  # PIO 1, SM1_CLKDIV
-        assert made._hub[hub_layout.CLOCK_PIO] == 0x50300000
+        assert made._engine_state[hub_layout.CLOCK_PIO] == 0x50300000
         patch.setattr(rp2.DMA, "claimed", 0)
         made = PioEngine(_STEP[:8], _DIR[:8])
         eighth = made._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
         assert eighth == 0x50300000 + 0x110  # PIO 1, SM3_CLKDIV
-        assert made._hub[hub_layout.CLOCK_PIO] == 0x50400000  # PIO 2
-        assert made._hub[rivals] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
+        assert made._engine_state[hub_layout.CLOCK_PIO] == 0x50400000  # PIO 2
+        assert made._engine_state[rivals] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
         with pytest.raises(ValueError, match="only pins 0 to 31 make pulses"):
             PioEngine((2, 4, 6), (3, 5, 32))
 

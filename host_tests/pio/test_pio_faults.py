@@ -19,7 +19,7 @@ import rp2
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import some
-from pio import hub, programs
+from pio import engine_state, programs
 from test_pio import AXES, DMA_READINGS, MOTORS, Bed, a_bed, reckon, rush, ticks, word
 
 # Many cases of each: the first ring takes some.
@@ -33,7 +33,7 @@ _BLOCK = 0x100000  # from one PIO to the next
 _PIO1, _PIO2 = 0x50300000, 0x50400000
 _FDEBUG, _FLEVEL, _INSTR_MEM, _TO_SET = 0x08, 0x0C, 0x48, 0x2000
 _SM2_TXF, _SM2_ADDR, _SM2_INSTR = 0x18, 0x104, 0x108
-_FIRMWARE = str(Path(hub.__file__).parent)
+_FIRMWARE = str(Path(engine_state.__file__).parent)
 
 
 def check_stopped(bed: Bed, made: int) -> None:
@@ -148,7 +148,7 @@ def places(
             yield key, which
 
 
-@pytest.mark.parametrize("name", ["start", "call", "_turn"])
+@pytest.mark.parametrize("name", ["start", "request_refill", "_refill"])
 def test_a_stop_at_any_bytecode_is_final(name: str) -> None:
     _check_injection(True, AXES, name)
 
@@ -156,7 +156,17 @@ def test_a_stop_at_any_bytecode_is_final(name: str) -> None:
 @pytest.mark.sampled(0, 5)
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize(
-    "name", ["look", "append", "feed", "_prepare", "_load", "convert", "_hand_over", "_launch"]
+    "name",
+    [
+        "read_progress",
+        "append",
+        "feed",
+        "_prepare",
+        "_load",
+        "convert",
+        "_start_transfer",
+        "_launch",
+    ],
 )
 def test_a_stop_at_any_line_is_final(name: str, motors: int) -> None:
     _check_injection(False, motors, name)
@@ -216,7 +226,7 @@ def _lock_y(bed: Bed) -> "Callable[[], None]":
 # Rest
 
 
-def test_rest_is_told_whenever_the_machines_stand_still() -> None:
+def test_rest_is_reported_whenever_the_machines_stand_still() -> None:
     rows = rush([0] * 6)
     with a_bed(latency=40) as bed:
         bed.start(rows).finish()
@@ -231,7 +241,7 @@ def test_rest_is_told_whenever_the_machines_stand_still() -> None:
         assert len(bed.rests) == 2, "who has stopped the machine has seen to the tool"
 
 
-def test_power_is_told_again_after_a_rest() -> None:
+def test_power_is_reported_again_after_a_rest() -> None:
     with a_bed() as bed:
         for _ in range(2):
             rows = rush([0])
@@ -392,7 +402,7 @@ def test_motion_that_is_behind_its_schedule_is_a_fault(base_us: int) -> None:
         check_stopped(bed, bed.rises())
 
 
-def test_faults_are_told_without_a_word_that_senders_wait_for() -> None:
+def test_faults_are_reported_without_a_word_that_senders_wait_for() -> None:
     module = sys.modules["pio.engine"]
     for text in module._FAULTS:
         assert "ok" not in text.lower() and "error" not in text.lower()
@@ -505,9 +515,9 @@ def test_another_emulator_agrees_about_the_clock() -> None:
 
 @pytest.mark.parametrize("pulse", [4, 125, 3185])
 def test_another_emulator_agrees_about_what_is_forced_into_isr(pulse: int) -> None:
-    forced = [hub._CLEAR_ISR]
+    forced = [engine_state._CLEAR_ISR]
     for shift in (10, 5, 0):
-        forced += [hub._SET_X | pulse >> shift & 31, hub._SHIFT_IN]
+        forced += [engine_state._SET_X | pulse >> shift & 31, engine_state._SHIFT_IN]
     dirty = pioemu.ShiftRegister(0xFFFFFFFF, 32)
     *_, last = _emulated(forced, pioemu.State(input_shift_register=dirty), len(forced) - 1)
     assert last.input_shift_register.contents == pulse

@@ -68,7 +68,7 @@ class Heard:
 def made(**changes: Any) -> "tuple[GpioPort, Heard]":
     port, heard = GpioPort(board(**changes)), Heard()
     port.attach(heard)
-    port.hear_limits(True)
+    port.enable_limits(True)
     return port, heard
 
 
@@ -93,7 +93,7 @@ def test_a_switch_is_heard_at_once_in_a_hard_interrupt() -> None:
     assert all(Pin(pin).hard for pin in (9, 10, 11, 12, 13, 14, 15))
 
 
-def test_an_input_that_axes_share_is_told_for_each_and_heard_once() -> None:
+def test_an_input_that_axes_share_is_reported_for_each_and_heard_once() -> None:
     port, heard = made(LIMIT=(9, 9, 11))
     pin_check.check(board(LIMIT=(9, 9, 11)), MOTORS)
     Pin(9).drive(0)
@@ -105,10 +105,10 @@ def test_an_input_that_axes_share_is_told_for_each_and_heard_once() -> None:
 
 def test_limits_are_heard_only_where_they_are_wanted() -> None:
     port, heard = made()
-    port.hear_limits(False)
+    port.enable_limits(False)
     Pin(9).drive(0)
     assert (Pin(9).calls, heard.limits) == (0, 0)
-    port.hear_limits(True)
+    port.enable_limits(True)
     Pin(10).drive(0)
     assert heard.limits == 1
 
@@ -133,7 +133,7 @@ def test_interference_calls_once_in_a_while_and_leaves_the_others_alone() -> Non
 def test_nothing_is_heard_again_once_limits_are_not_wanted() -> None:
     port, heard = made()
     Pin(9).drive(0)
-    port.hear_limits(False)
+    port.enable_limits(False)
     Pin(9).drive(1)
     port._look_timer.expire()
     Pin(10).drive(0)
@@ -225,7 +225,7 @@ def test_a_bouncing_button_is_heard_once_and_again_when_it_has_changed() -> None
 
 
 @pytest.mark.parametrize("closed", [True, False])
-def test_the_probe_is_told_of_once(closed: bool) -> None:
+def test_the_probe_is_reported_once(closed: bool) -> None:
     port, heard = made()
     Pin(12).drive(1 if closed else 0)
     port.watch_probe(heard.on_contact, closed)
@@ -244,7 +244,7 @@ def test_a_probe_interrupts_only_while_it_is_watched() -> None:
     assert (Pin(12).calls, heard.probe) == (0, 0)
 
 
-def test_a_probe_that_touches_already_is_told_of_at_once() -> None:
+def test_a_probe_that_touches_already_is_reported_at_once() -> None:
     port, heard = made()
     Pin(12).drive(0)
     port.watch_probe(heard.on_contact, True)

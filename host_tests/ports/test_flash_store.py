@@ -86,7 +86,9 @@ def test_what_is_saved_is_loaded_and_the_copy_before_it_kept(
     assert store.load("settings") == OLD
 
 
-def test_what_was_never_kept_is_told_from_what_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_never_kept_is_reported_from_what_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     store = attach(monkeypatch, Flash(), fresh=True)
     assert store.load("settings") == []
     store.save("settings", OLD)
@@ -162,7 +164,7 @@ class FullFile:
         raise OSError(28)
 
 
-def test_a_full_flash_is_told_of_and_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_flash_is_reported_and_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
     working = flash_store.open  # type: ignore[attr-defined]
@@ -177,7 +179,7 @@ def test_a_full_flash_is_told_of_and_loses_nothing(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("turn", [1, 2, 3])
-def test_memory_that_is_full_is_told_of_as_flash_is(
+def test_memory_that_is_full_is_reported_as_flash_is(
     turn: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a file is written, read back, or the one before it is."""
@@ -199,7 +201,7 @@ def test_memory_that_is_full_is_told_of_as_flash_is(
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_a_write_is_told_of_even_where_it_fails(
+def test_a_write_is_reported_even_where_it_fails(
     full: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     attach(monkeypatch, Flash(), fresh=True)

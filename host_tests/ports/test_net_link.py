@@ -164,7 +164,7 @@ def test_at_rest_another_may_drive_when_the_first_has_been_silent(bench) -> None
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84", "\x85"])
 @pytest.mark.parametrize("by", ["cable", "key"])
-def test_stops_act_whoever_is_in_control(bench, byte: str, by: str) -> None:
+def test_stops_act_anyone_who_is_in_control(bench, byte: str, by: str) -> None:
     def script(bench):
         stranger = bench.call("10.0.0.1")
         yield from connected(bench, stranger)
@@ -185,7 +185,7 @@ def test_stops_act_whoever_is_in_control(bench, byte: str, by: str) -> None:
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84"])
-def test_stops_act_behind_a_client_that_never_ceases_to_send(bench, byte: str) -> None:
+def test_stops_act_after_a_client_that_never_ceases_to_send(bench, byte: str) -> None:
     """The client in control floods its connection."""
 
     def script(bench):

@@ -36,7 +36,7 @@ from ports.net.tcp import Calls
 
 class Cable:
     shared = array("i", (0, 0, 0))
-    look = None
+    poll_reset = None
     is_slow = False
 
     def read_into(self, buf):

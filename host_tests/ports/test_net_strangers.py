@@ -2,7 +2,7 @@
 
 import pytest
 from net_bench import KEY, WELCOME, NetBench, Pipe, connected, joined
-from ports.net.caller import Caller, Memory, place_for
+from ports.net.client import Client, Memory, slot_for
 
 
 @pytest.fixture
@@ -80,13 +80,13 @@ def test_nobody_takes_the_place_of_a_client_that_waits_for_the_end_of_a_long_mov
 
 
 def test_a_client_with_the_key_that_is_lost_keeps_its_place_for_ten_minutes() -> None:
-    places = [Caller(Memory()) for _ in range(3)]
+    places = [Client(Memory()) for _ in range(3)]
     for started_ms, place in enumerate(places):
         place.begin(Pipe(), "10.0.0.1", started_ms)
         place.trusted = True
-    assert place_for("10.0.0.1", places, True, 600_000) is None
-    assert place_for("10.0.0.1", places, False, 600_001) is None, "while the machine works"
-    assert place_for("10.0.0.1", places, True, 600_001) is places[0]
+    assert slot_for("10.0.0.1", places, True, 600_000) is None
+    assert slot_for("10.0.0.1", places, False, 600_001) is None, "while the machine works"
+    assert slot_for("10.0.0.1", places, True, 600_001) is places[0]
 
 
 # Memory

@@ -90,7 +90,7 @@ def test_what_is_no_request_for_the_page_is_refused_with_a_sentence(
         assert head.startswith(f"HTTP/1.1 {status} ".encode()), head
         assert len(body) > 10 and body.endswith(b"\n")
         yield from bench.until(lambda: pipe.is_closed)
-        assert bench.rig.link.callers() == 0
+        assert bench.rig.link.client_count() == 0
 
     bench.run(script)
     assert bench.rows == []
@@ -204,7 +204,7 @@ def test_a_page_drives_as_a_sender_over_tcp_does(bench) -> None:
     assert bench.steps() == [500, 0, 0]
 
 
-def test_of_two_pages_one_drives_and_each_is_told(bench) -> None:
+def test_of_two_pages_one_drives_and_each_is_reported(bench) -> None:
     def script(bench):
         one, two = (yield from bench.open()), (yield from bench.open())
         assert (yield from bench.say(one, "G1X1F600")) == "ok\r\n"
@@ -291,7 +291,7 @@ def test_what_is_no_frame_of_a_browsers_ends_the_connection_and_moves_nothing(
         page.pipe.send(data + frame("G1X9F900\n"))
         yield from bench.until(lambda: page.pipe.is_closed, 200)
         assert page.all(CLOSE) == [bytes((code >> 8, code & 0xFF))]
-        assert bench.rig.link.callers() == 0
+        assert bench.rig.link.client_count() == 0
         yield from bench.open()  # another one
 
     bench.run(script)

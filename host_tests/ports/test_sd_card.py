@@ -170,7 +170,7 @@ def test_a_block_that_does_not_arrive_whole_is_written_again(bench: Bench) -> No
     assert driver.writeblocks(4, bytes(BLOCK)) == -errno.EIO
 
 
-def test_behind_the_last_block_is_nothing(bench: Bench) -> None:
+def test_after_the_last_block_is_nothing(bench: Bench) -> None:
     assert bench.driver().readblocks(_BLOCKS, bytearray(BLOCK)) == -errno.EIO
 
 
@@ -197,7 +197,7 @@ def test_without_checksums_no_card_is_taken(bench: Bench) -> None:
         bench.driver()
 
 
-def test_an_empty_holder_is_told_in_time(bench: Bench) -> None:
+def test_an_empty_holder_is_reported_in_time(bench: Bench) -> None:
     bench.card.is_in = False
     with pytest.raises(OSError):
         bench.driver()
@@ -228,7 +228,7 @@ def test_another_card_is_not_taken_for_the_one_before(bench: Bench) -> None:
     assert driver.is_there()
 
 
-def test_behind_the_end_nothing_is_written_nor_raised(bench: Bench) -> None:
+def test_after_the_end_nothing_is_written_nor_raised(bench: Bench) -> None:
     """A file left open writes as it is collected: to no other card."""
     driver = bench.driver()
     driver.end()

@@ -28,9 +28,9 @@ class Machine:
         if what == self.fails:
             raise MemoryError
 
-    def look(self) -> bool:
+    def poll_reset(self) -> bool:
         """Ctrl-X comes while the test says so."""
-        self._do("look")
+        self._do("poll")
         return self.hears
 
     def reset(self, alarm: int) -> None:
@@ -56,7 +56,7 @@ class Machine:
         """The main loop turns."""
         self.shared[0] = 1
         if self.shared[1]:
-            self.watch.tell()
+            self.watch.raise_if_stopped()
 
     def beats(self, ms: int) -> "list[str]":
         """What is done while the main loop is away for so long."""
@@ -79,22 +79,22 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
 def test_the_watchdog_is_fed_as_long_as_the_link_is_read(machine: Machine) -> None:
     for _ in range(20):
         machine.read()
-        assert machine.beats(_BEAT_MS) == ["feed", "look"]
-    assert machine.beats(10) == ["look", "look"]
+        assert machine.beats(_BEAT_MS) == ["feed", "poll"]
+    assert machine.beats(10) == ["poll", "poll"]
 
 
 def test_a_main_loop_that_hangs_is_stopped_tools_first_and_at_every_beat(machine: Machine) -> None:
-    assert machine.beats(_LIMIT_MS) == ["look"] * 49 + ["kill", "stop"]
+    assert machine.beats(_LIMIT_MS) == ["poll"] * 49 + ["kill", "stop"]
     assert machine.beats(10) == ["kill", "stop"] * 2
     with pytest.raises(RuntimeError, match="the main loop was away for 260 ms"):
         machine.read()
     machine.read()  # it is told once
-    assert machine.beats(_BEAT_MS) == ["feed", "look"]
+    assert machine.beats(_BEAT_MS) == ["feed", "poll"]
 
 
-def test_what_may_take_longer_says_so_and_is_stopped_behind_that(machine: Machine) -> None:
+def test_what_may_take_longer_says_so_and_is_stopped_after_that(machine: Machine) -> None:
     machine.watch.allow(1000)
-    assert set(machine.beats(1000 + _LIMIT_MS - _BEAT_MS)) == {"look"}
+    assert set(machine.beats(1000 + _LIMIT_MS - _BEAT_MS)) == {"poll"}
     assert machine.beats(_BEAT_MS) == ["kill", "stop"]
 
 
@@ -116,8 +116,8 @@ def test_soft_beats_that_have_waited_are_one(monkeypatch: pytest.MonkeyPatch) ->
     assert machine.log[-2:] == ["kill", "stop"], "it counts from there on"
 
 
-@pytest.mark.parametrize("fails", ["feed", "look", "reset"])
-def test_an_interrupt_that_fails_stops_the_machine_and_is_told(
+@pytest.mark.parametrize("fails", ["feed", "poll", "reset"])
+def test_an_interrupt_that_fails_stops_the_machine_and_is_reported(
     machine: Machine, fails: str
 ) -> None:
     machine.fails = fails
@@ -131,7 +131,7 @@ def test_an_interrupt_that_fails_stops_the_machine_and_is_told(
 
 def test_ctrl_x_resets_also_while_the_main_loop_is_away(machine: Machine) -> None:
     machine.hears = True
-    assert machine.beats(_BEAT_MS) == ["look", "kill", "stop", "reset"]
+    assert machine.beats(_BEAT_MS) == ["poll", "kill", "stop", "reset"]
 
 
 def test_the_engine_is_stopped_also_where_killing_the_tool_fails(machine: Machine) -> None:

@@ -220,12 +220,12 @@ def test_a_station_calls_again_at_rest_only_and_not_all_the_time(clock: SimpleNa
     for at_rest, calls in ((False, 1), (True, 5)):
         for _ in range(60):
             clock.ms += 1000
-            radio.turn(at_rest)
+            radio.poll_radio(at_rest)
         assert radio._wlan.calls == calls
     network.in_reach[b"Shop"] = b"secret12"
     for _ in range(60):
         clock.ms += 1000
-        radio.turn(True)
+        radio.poll_radio(True)
     assert radio._wlan.calls <= 6 and "192.168.1.7" in radio.status()
 
 
@@ -234,7 +234,7 @@ def test_an_access_point_has_name_and_password(clock: SimpleNamespace) -> None:
     told = radio._wlan.asked
     assert (told["ssid"], told["key"]) == (b"Own", b"secret12")
     assert told["security"] == network.WLAN.SEC_WPA_WPA2
-    radio.turn(True)
+    radio.poll_radio(True)
     assert radio.status() == "access point, 192.168.4.1, router.local" and not radio._wlan.calls
 
 
@@ -244,7 +244,7 @@ def test_without_a_network_or_with_a_radio_that_fails_there_is_the_cable(
     lines: list[str] = []
     store = SimpleNamespace(load=lambda name: lines)
     monkeypatch.setattr(air, "FlashStore", lambda: store)
-    cable: Any = SimpleNamespace(shared=[0, 0, 0], look=None, is_slow=False)
+    cable: Any = SimpleNamespace(shared=[0, 0, 0], poll_reset=None, is_slow=False)
     cable.read_into = cable.write = lambda data: 0
     link: Any = air.beside(cable)
     assert link._calls is None and link.status() == "no network is set up"

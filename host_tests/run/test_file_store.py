@@ -155,6 +155,6 @@ def test_a_link_to_the_file_stays_a_link(path: Path) -> None:
     assert link.is_symlink() and path.read_text() == "$0=11\n"
 
 
-def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="no folder"):
         FileStore(tmp_path / "nowhere" / "settings")

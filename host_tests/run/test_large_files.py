@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from as_users import as_users
-from ugrbl.grbl.gcode_file import harmless
+from ugrbl.grbl.gcode_file import sanitize
 from ugrbl.grbl.lines import Changed, Lines, split_lines
 from ugrbl.run import rehearsal
 from ugrbl.run.checked_lines import CheckedLines
@@ -55,7 +55,7 @@ def test_lines_cut_when_asked_for_are_those_cut_all_at_once(data: bytes) -> None
 
 
 def test_changed_lines_are_made_when_asked_for_and_go_to_another_process() -> None:
-    lines = Changed(Lines(b"G0 (!)\nG1\n"), harmless)
+    lines = Changed(Lines(b"G0 (!)\nG1\n"), sanitize)
     there: Sequence[bytes] = pickle.loads(pickle.dumps(lines))
     assert list(there) == [there[0], there[1]] == list(there[:2]) == [b"G0 (.)", b"G1"]
 
@@ -68,7 +68,7 @@ def test_changed_lines_are_made_when_asked_for_and_go_to_another_process() -> No
 _PEAK = """
 import sys, tracemalloc
 from pathlib import Path
-from ugrbl.grbl.gcode_file import harmless, read_lines, read_program
+from ugrbl.grbl.gcode_file import sanitize, read_lines, read_program
 from ugrbl.grbl.lines import Changed
 from ugrbl.run import rehearsal
 from ugrbl.run.program import run_program
@@ -77,7 +77,7 @@ def run(file):
     return run_program(read_program(file), check=True)[0]
 
 def send(file):
-    return rehearsal.check(rehearsal.Job(Changed(read_lines(file), harmless), []))[0]
+    return rehearsal.check(rehearsal.Job(Changed(read_lines(file), sanitize), []))[0]
 
 check = {"run": run, "send": send}[sys.argv[1]]
 check(Path(sys.argv[2]))

@@ -10,7 +10,7 @@ from ugrbl.cli.app import app
 from ugrbl.device.jobs import _lines
 from ugrbl.paths import BOARDS
 from ugrbl.run import rehearsal
-from ugrbl.web.look import look
+from ugrbl.web.preview import preview
 
 # Many cases of each: the first ring takes some.
 pytestmark = pytest.mark.sampled(2)
@@ -89,7 +89,7 @@ LOOKS: dict[str, Callable[[], object]] = {
     "send's check": lambda: rehearsal.check(job()),
     "send's rehearsal": rehearsed,
     "send's rehearsal in a process of its own": rehearsed_elsewhere,
-    "the page's preview": lambda: look({"name": "a.nc", "program": _TEXT}, "../my.py"),
+    "the page's preview": lambda: preview({"name": "a.nc", "program": _TEXT}, "../my.py"),
 }
 
 

@@ -48,7 +48,7 @@ def stretches(lines: "list[bytes]", settings: "list[str]", board: str = "sim") -
 
 
 @pytest.mark.sampled(3)
-def test_a_raster_faster_than_the_board_is_told_of_with_its_lines() -> None:
+def test_a_raster_faster_than_the_board_is_reported_with_its_lines() -> None:
     (worst,) = stretches(raster(FEED), LASER, "rpi_pico2")
     assert worst.kind == "power" and worst.taken == pytest.approx(PICO.power, rel=0.01)
     assert worst.needed == pytest.approx(ASKED, rel=0.05)
@@ -56,12 +56,12 @@ def test_a_raster_faster_than_the_board_is_told_of_with_its_lines() -> None:
     assert worst.feed == pytest.approx(100 * PICO.power / ASKED, abs=3)
 
 
-def test_each_row_of_a_raster_is_told_of() -> None:
+def test_each_row_of_a_raster_is_reported() -> None:
     found = sorted(stretches(raster(FEED, rows=3), LASER, "rpi_pico2"), key=lambda one: one.first)
     assert [one.first // DOTS for one in found] == [0, 1, 2]
 
 
-def test_with_the_feed_that_is_told_it_is_in_time() -> None:
+def test_with_the_feed_that_is_reported_it_is_in_time() -> None:
     worst = stretches(raster(FEED), LASER, "rpi_pico2")[0]
     assert stretches(raster(FEED * worst.feed // 100), LASER, "rpi_pico2") == []
 
@@ -177,7 +177,7 @@ def streamed_s(lines: "list[bytes]", answer_us: int) -> float:
     return (ticks[-1] - ticks[0]) / rig.engine.tick_hz
 
 
-def test_motion_takes_longer_by_about_what_is_told() -> None:
+def test_motion_takes_longer_by_about_what_is_reported() -> None:
     lines = raster(FEED, dots=1800)
     told = sum(stretch.lost_s for stretch in stretches(lines, LASER, "rpi_pico2"))
     delay = streamed_s(lines, round(1e6 / PICO.power)) - streamed_s(lines, 0)

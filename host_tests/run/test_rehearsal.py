@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ugrbl.device import stage
+from ugrbl.device import machine_snapshot
 from ugrbl.device.from_line import CannotEnter, approach
-from ugrbl.grbl.own_words import OwnWords
+from ugrbl.grbl.custom_codes import CustomCodes
 from ugrbl.run.rehearsal import Forecast, Job, Rehearsal, check, rehearse
 
 _BY_AXIS = ((100, 250), (110, 3000), (120, 300), (130, 100))
@@ -26,8 +26,8 @@ REPLIES = [
 
 
 @pytest.fixture
-def here() -> stage.Stage:
-    found = stage.read(REPLIES)
+def here() -> machine_snapshot.MachineSnapshot:
+    found = machine_snapshot.read(REPLIES)
     found.place = [-20.0, -20.0, -5.0]
     return found
 
@@ -36,7 +36,9 @@ def job(lines: list[str], commands: list[str], **options: Any) -> Job:
     return Job([line.encode() for line in lines], commands, **options)
 
 
-def forecast(here: stage.Stage, lines: list[str], ask_at: int = 0) -> Forecast:
+def forecast(
+    here: machine_snapshot.MachineSnapshot, lines: list[str], ask_at: int = 0
+) -> Forecast:
     result, found = rehearse(job(lines, here.commands(), ask_at=ask_at))
     assert not result.errors and not result.stopped, result
     return found
@@ -45,29 +47,33 @@ def forecast(here: stage.Stage, lines: list[str], ask_at: int = 0) -> Forecast:
 # The stage
 
 
-def test_the_simulator_stands_where_the_machine_stands(here: stage.Stage) -> None:
+def test_the_simulator_stands_where_the_machine_stands(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     found = forecast(here, ["G0 X0", "G91 Y-1"], ask_at=1)
     assert found.start == [-20.0, -20.0, -5.0]
     # G54 and G92 in X; Y in inches, from where it was.
     ends = [-49.0, -20.0, -5.0, -49.0, -45.4, -5.0]
     assert list(found.block_ends) == pytest.approx(ends, abs=1e-4)
-    there = stage.read(found.at_line)
+    there = machine_snapshot.read(found.at_line)
     assert there.offsets["G92"] == [1.0, 0.0, 0.0] and there.tool_length() == 2.0
     assert "G20" in there.modes and there.word("F") == 254
 
 
-def test_places_in_inches_are_understood(here: stage.Stage) -> None:
-    inches = stage.read(["$13=1", "[G54:1.0000,2.0000,0.0000]", "[GC:G0 G54 F10]"])
+def test_places_in_inches_are_understood(here: machine_snapshot.MachineSnapshot) -> None:
+    inches = machine_snapshot.read(["$13=1", "[G54:1.0000,2.0000,0.0000]", "[GC:G0 G54 F10]"])
     assert inches.offsets["G54"] == [25.4, 50.8, 0.0] and inches.feed_mm_min() == 254
 
 
-def test_soft_limits_count_from_where_the_machine_is(here: stage.Stage) -> None:
+def test_soft_limits_count_from_where_the_machine_is(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     lines = ["G21", "G0 X-40", "X-60"]
     result, line = check(job(lines, here.commands()))
     assert (result.stopped, line) == ("ALARM:2", 3)
 
 
-def test_lines_for_a_machine_at_rest_are_no_errors(here: stage.Stage) -> None:
+def test_lines_for_a_machine_at_rest_are_no_errors(here: machine_snapshot.MachineSnapshot) -> None:
     result, _ = check(job(["$H", "$10=3", "G0 X0", "T1 M6"], here.commands()))
     assert result.errors == [(4, "error:20")]
 
@@ -75,7 +81,7 @@ def test_lines_for_a_machine_at_rest_are_no_errors(here: stage.Stage) -> None:
 def test_a_machine_of_four_axes_is_rehearsed_with_four() -> None:
     rows = [(base, 3, value) for base, value in ((100, 250), (110, 3000), (120, 300), (130, 100))]
     settings = [*MACHINE, *(f"${base + axis}={value}.000" for base, axis, value in rows)]
-    here = stage.read([*settings, "[G54:-50.000,-40.000,-30.000,-20.000]"])
+    here = machine_snapshot.read([*settings, "[G54:-50.000,-40.000,-30.000,-20.000]"])
     here.place = [-20.0, -20.0, -5.0, -60.0]
     made = job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], here.commands(), axes=4)
     result, line = check(made)
@@ -98,43 +104,49 @@ def test_each_line_of_many_has_its_own_block() -> None:
     assert list(found.block_line) == [n for n in range(2, 70) if n not in other]
 
 
-def test_the_line_is_found_by_its_place(here: stage.Stage) -> None:
+def test_the_line_is_found_by_its_place(here: machine_snapshot.MachineSnapshot) -> None:
     found = forecast(here, ["G21 G91 F1000", *(f"G1 X-{n}" for n in range(1, 9))])
     x = -20.0 - 1 - 2 - 1.5  # in the middle of X3
     assert found.line_at(8, [x, -20.0, -5.0], 15, None) == 4
 
 
-def test_of_lines_at_the_same_place_the_earlier_is_taken(here: stage.Stage) -> None:
+def test_of_lines_at_the_same_place_the_earlier_is_taken(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     found = forecast(here, squares(3))
     assert found.line_at(13, [-19.5, -20.0, -5.0], 15, None) == 2
     assert found.line_at(13, [-19.5, -20.0, -5.0], 6, None) == 10  # no more fits the planner
 
 
-def test_the_line_is_found_by_the_blocks_that_are_left(here: stage.Stage) -> None:
+def test_the_line_is_found_by_the_blocks_that_are_left(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     found = forecast(here, squares(3))
     assert found.line_at(13, [0.0, 0.0, 0.0], 15, 3) == 11
     assert found.line_at(13, [0.0, 0.0, 0.0], 15, 0) == 13
 
 
-def test_a_place_off_the_path_is_no_line(here: stage.Stage) -> None:
+def test_a_place_off_the_path_is_no_line(here: machine_snapshot.MachineSnapshot) -> None:
     assert forecast(here, squares(1)).line_at(5, [-90.0, 0.0, 0.0], 15, None) is None
 
 
-def test_an_arc_is_one_line(here: stage.Stage) -> None:
+def test_an_arc_is_one_line(here: machine_snapshot.MachineSnapshot) -> None:
     found = forecast(here, ["G21 G91 F1000", "G1 X5", "G2 X0 Y0 I5", "G1 X-1"])
     assert set(found.block_line) == {2, 3, 4} and found.block_line.count(3) > 20
     top = [-10.0, -15.0, -5.0]
     assert found.line_at(2, top, 15, None) == 3  # under way, and not answered
 
 
-def test_time_left_falls_from_line_to_line(here: stage.Stage) -> None:
+def test_time_left_falls_from_line_to_line(here: machine_snapshot.MachineSnapshot) -> None:
     found = forecast(here, ["G21 G91 F600", *["G1 X-1"] * 40])  # 40 mm at 10 mm/s
     left = [found.seconds_left(n) or 0 for n in range(42)]
     assert 4.0 < left[0] < 4.5 and left == sorted(left, reverse=True)
     assert 1.0 < left[41] < 2.0  # what is in the planner then
 
 
-def test_a_rehearsal_in_a_process_of_its_own_says_the_same(here: stage.Stage) -> None:
+def test_a_rehearsal_in_a_process_of_its_own_says_the_same(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     made = job(squares(5), here.commands(), ask_at=3)
     running = Rehearsal(made)
     assert running.wait() == rehearse(made)[1]
@@ -157,12 +169,14 @@ PART = [
 ]
 
 
-def way(here: stage.Stage, number: int, lines: list[bytes] = PART) -> list[str]:
+def way(
+    here: machine_snapshot.MachineSnapshot, number: int, lines: list[bytes] = PART
+) -> list[str]:
     found = forecast(here, [line.decode() for line in lines], ask_at=number)
     return [line.text for line in approach(lines, number, found, here).lines]
 
 
-def test_the_way_goes_up_across_and_down_at_feed(here: stage.Stage) -> None:
+def test_the_way_goes_up_across_and_down_at_feed(here: machine_snapshot.MachineSnapshot) -> None:
     here.place[2] = -25.0
     assert way(here, 6) == [
         "G21 G90 G94 M5",
@@ -178,14 +192,16 @@ def test_the_way_goes_up_across_and_down_at_feed(here: stage.Stage) -> None:
     ]
 
 
-def test_a_machine_that_reports_inches_goes_the_same_way(here: stage.Stage) -> None:
+def test_a_machine_that_reports_inches_goes_the_same_way(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     in_mm = way(here, 6)
     here.settings[13] = "1"
     here.modes = ["F10" if word[0] == "F" else word for word in here.modes]
     assert way(here, 6) == in_mm
 
 
-def test_a_laser_is_on_only_once_it_is_there(here: stage.Stage) -> None:
+def test_a_laser_is_on_only_once_it_is_there(here: machine_snapshot.MachineSnapshot) -> None:
     here.settings[32] = "1"
     with pytest.raises(CannotEnter, match="line 6 goes on with G1"):
         way(here, 6)
@@ -194,13 +210,15 @@ def test_a_laser_is_on_only_once_it_is_there(here: stage.Stage) -> None:
     assert "G4 P4" not in lines
 
 
-def test_an_arc_that_goes_on_cannot_be_begun_with(here: stage.Stage) -> None:
+def test_an_arc_that_goes_on_cannot_be_begun_with(here: machine_snapshot.MachineSnapshot) -> None:
     with pytest.raises(CannotEnter, match="line 8 goes on with G2"):
         way(here, 8)
     assert way(here, 7)[-1].startswith("G1 ")
 
 
-def test_a_drilling_cycle_that_goes_on_cannot_be_begun_with(here: stage.Stage) -> None:
+def test_a_drilling_cycle_that_goes_on_cannot_be_begun_with(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     lines = [b"G21 G90", b"G0 Z10", b"G99 G81 X5 Y5 Z-2 R2 F100", b"X10", b"G80", b"G0 X20"]
     found = forecast(here, ["G21 G90", "G0 Z10", "G0 X5", "X10"], ask_at=4)
     with pytest.raises(CannotEnter, match="line 4 goes on with the drilling cycle of line 3"):
@@ -208,7 +226,7 @@ def test_a_drilling_cycle_that_goes_on_cannot_be_begun_with(here: stage.Stage) -
     assert approach(lines, 6, found, here).lines
 
 
-def test_what_only_the_user_can_know_is_said(here: stage.Stage) -> None:
+def test_what_only_the_user_can_know_is_said(here: machine_snapshot.MachineSnapshot) -> None:
     lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
     found = forecast(here, [line.decode() for line in lines], ask_at=9)
     moves, origin, tool = approach(lines, 9, found, here).cautions
@@ -216,7 +234,9 @@ def test_what_only_the_user_can_know_is_said(here: stage.Stage) -> None:
     assert "line 5 names a tool" in tool
 
 
-def test_the_way_stores_the_offsets_that_the_lines_before_have_written(here: stage.Stage) -> None:
+def test_the_way_stores_the_offsets_that_the_lines_before_have_written(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     lines = [b"G21 G90 G55", b"G10 L2 P2 X-9 Y-9 Z-9", b"G0 X0", b"G10 L2 P2 X-8", b"G0 X-1"]
     here.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has been there
     assert "G10 L2 P2 X-9.000 Y-9.000 Z-9.000" in way(here, 3, lines)
@@ -225,7 +245,9 @@ def test_the_way_stores_the_offsets_that_the_lines_before_have_written(here: sta
     assert "line 4 stores offsets" in approach(lines, 3, found, here).cautions[-1]
 
 
-def test_a_place_that_the_lines_before_have_stored_is_not_gone_to(here: stage.Stage) -> None:
+def test_a_place_that_the_lines_before_have_stored_is_not_gone_to(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     lines = [b"G21 G90", b"G53 G0 X-7 Y-7 Z-7", b"G28.1", b"G0 X1", b"G28"]
     with pytest.raises(CannotEnter, match="another place for G28"):
         way(here, 4, lines)
@@ -233,7 +255,9 @@ def test_a_place_that_the_lines_before_have_stored_is_not_gone_to(here: stage.St
     assert way(here, 4, lines)
 
 
-def test_a_setting_of_the_lines_before_has_to_be_the_machines(here: stage.Stage) -> None:
+def test_a_setting_of_the_lines_before_has_to_be_the_machines(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     lines = [b"$30=500", b"G21 G90", b"G0 X1"]
     here.settings[30] = "1000"
     with pytest.raises(CannotEnter, match=r"line 1 sets \$30, which is 1000 now"):
@@ -242,7 +266,7 @@ def test_a_setting_of_the_lines_before_has_to_be_the_machines(here: stage.Stage)
     assert way(here, 3, lines)
 
 
-def test_what_cannot_be_simulated_cannot_be_passed(here: stage.Stage) -> None:
+def test_what_cannot_be_simulated_cannot_be_passed(here: machine_snapshot.MachineSnapshot) -> None:
     lines = ["G21", "G38.2 Z-30 F100", "G0 X1"]
     _, found = rehearse(job(lines, here.commands(), ask_at=3))
     with pytest.raises(CannotEnter, match="ALARM"):
@@ -267,14 +291,16 @@ def late(m):
 """
 
 
-def own(here: stage.Stage, folder: Path, lines: list[str], *inputs: str) -> Job:
+def own(
+    here: machine_snapshot.MachineSnapshot, folder: Path, lines: list[str], *inputs: str
+) -> Job:
     (folder / "mine.py").write_text(OWN)
     commands = here.commands()
     return job(lines, commands, custom=str(folder / "mine.py"), inputs=[*inputs], ask_at=2)
 
 
-def test_behind_a_probe_of_ones_own_the_place_is_where_it_touched(
-    here: stage.Stage, tmp_path: Path
+def test_after_a_probe_of_ones_own_the_place_is_where_it_touched(
+    here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     _, found = rehearse(own(here, tmp_path, ["M100 P1", "G21"], "probe=Z-12"))
     assert not found.refused and not found.stopped
@@ -283,7 +309,7 @@ def test_behind_a_probe_of_ones_own_the_place_is_where_it_touched(
 
 
 def test_what_a_handler_prints_is_not_in_the_forecasts_way(
-    here: stage.Stage, tmp_path: Path
+    here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     running = Rehearsal(own(here, tmp_path, ["M100 P0", "G64"], "probe=Z-12"))
     found = running.wait()
@@ -292,14 +318,14 @@ def test_what_a_handler_prints_is_not_in_the_forecasts_way(
 
 
 def test_a_wait_that_nobody_ends_stops_the_rehearsal_in_words(
-    here: stage.Stage, tmp_path: Path
+    here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     _, found = rehearse(own(here, tmp_path, ["M101", "G0 X1"]))
     assert "--input part=on" in found.stopped
 
 
 def test_python_that_is_none_stops_the_rehearsal_in_words(
-    here: stage.Stage, tmp_path: Path
+    here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     made = own(here, tmp_path, ["M101"])
     (tmp_path / "mine.py").write_text("1 / 0")
@@ -336,15 +362,15 @@ INFO = [
     ],
 )
 def test_own_words_and_events_of_a_line_are_found(line: bytes, word: str, handler: str) -> None:
-    own_words = OwnWords.read(INFO)
+    own_words = CustomCodes.read(INFO)
     assert (own_words.word_in(line), own_words.handler_of(line)) == (word, handler)
-    assert OwnWords.read(INFO[:1]).handler_of(line) == ""
+    assert CustomCodes.read(INFO[:1]).handler_of(line) == ""
     of_09 = [line.replace("MSG:", "") for line in INFO]
-    assert OwnWords.read(of_09).text == own_words.text
+    assert CustomCodes.read(of_09).text == own_words.text
 
 
 def test_of_a_list_that_is_cut_the_last_word_and_the_missing_are_not_known() -> None:
     text = ", ".join(f"M{n}" for n in range(100, 140))[:112]
-    found = OwnWords.read([f"[MSG:Custom: {text}]"])
+    found = CustomCodes.read([f"[MSG:Custom: {text}]"])
     assert found.is_cut and found.word_in(b"M110") and not found.word_in(b"M" + text[-2:].encode())
     assert found.handler_of(b"M8") == "on.coolant"

@@ -204,7 +204,7 @@ def test_unknown_numbers_are_said_to_be_so() -> None:
     assert meaning("error:99") == "not a number of Grbl 1.1"
 
 
-def test_a_reset_in_the_text_is_told_of() -> None:
+def test_a_reset_in_the_text_is_reported() -> None:
     assert run("G91\n\x18\nG0 X1\n").resets == [2]
 
 
@@ -241,7 +241,9 @@ def test_what_is_no_program_is_a_failure(program: Path, data: bytes) -> None:
         (["--set", "fast"], "write it as"),
     ],
 )
-def test_what_cannot_be_is_told_before_the_work(program: Path, words: list[str], why: str) -> None:
+def test_what_cannot_be_is_reported_before_the_work(
+    program: Path, words: list[str], why: str
+) -> None:
     program.write_text("G0 X1\n")
     words = [word.replace("PROGRAM", str(program)) for word in words]
     done = CliRunner().invoke(app, ["run", str(program), *words])

@@ -261,7 +261,7 @@ def test_a_new_machine_has_the_factorys_settings_and_nothing_to_complain_of(sim:
         assert "$110=500.000" in sender.ask("$$")
 
 
-def test_an_erased_memory_is_told_of(tmp_path: Path) -> None:
+def test_an_erased_memory_is_reported(tmp_path: Path) -> None:
     sim = Sim(tmp_path, "--blank")
     with sim.open() as sender:
         assert "error:7" in sender.wait("help]")
@@ -524,7 +524,9 @@ def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim
         (["--rfc2217"], "is for --tcp"),
     ],
 )
-def test_what_cannot_be_is_told_before_it_runs(tmp_path: Path, words: list[str], why: str) -> None:
+def test_what_cannot_be_is_reported_before_it_runs(
+    tmp_path: Path, words: list[str], why: str
+) -> None:
     (tmp_path / "mill.settings").write_text("$110=600\n")
     words = [word.replace("FOLDER", str(tmp_path)) for word in words]
     words = [
@@ -545,7 +547,7 @@ def test_where_it_cannot_listen_it_says_so(words: list[str]) -> None:
     assert done.stderr and "Traceback" not in done.stderr
 
 
-def test_a_place_that_is_taken_is_told(tcp_sim: TcpSim) -> None:
+def test_a_place_that_is_taken_is_reported(tcp_sim: TcpSim) -> None:
     done = ugrbl("sim", "--tcp", tcp_sim.place)
     assert done.returncode == 1
     assert "another program does" in done.stderr and "Traceback" not in done.stderr

@@ -40,7 +40,7 @@ class Link(PageLink):
     def __init__(self, rig, page):
         cable = SimLink(rig)
         cable.shared = array("i", (0, 0, 0))
-        cable.look = None
+        cable.poll_reset = None
         cable.is_slow = False
         PageLink.__init__(self, cable, page, "ugrbl")
         self.cable = cable

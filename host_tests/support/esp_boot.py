@@ -94,14 +94,14 @@ def fail() -> None:
     for module, name in (("esp_chip.i2s", "I2sEngine"), ("esp_chip.rmt", "RmtEngine")):
         if module in sys.modules:
             kind: "Any" = getattr(sys.modules[module], name)
-            kind._go_on = failing(kind, kind._go_on)
+            kind._advance = failing(kind, kind._advance)
 
 
 def failing(kind: "Any", go_on: "Any") -> "Any":
     """A turn that raises, once."""
 
     def turn(_: object) -> None:
-        kind._go_on = go_on
+        kind._advance = go_on
         raise ValueError("an error that is ok")
 
     return turn

@@ -173,7 +173,7 @@ class FakePort:
         self.limit_invert = 0
         self.estop: "Callable[[], bool] | None" = None
         self.fault = ""
-        self.behind_controls: "Callable[[int], object] | None" = None
+        self.after_controls: "Callable[[int], object] | None" = None
         self.closed_limits = self.active_controls = self.sensed = 0
         self.touches = False
         self._fails = fails
@@ -187,7 +187,7 @@ class FakePort:
     def attach(self, listener: "InputListener") -> None:
         self._note("attach")
 
-    def hear_limits(self, on: bool) -> None:
+    def enable_limits(self, on: bool) -> None:
         self._note(f"hear_limits {on}")
 
     def kill(self) -> object:

@@ -14,10 +14,10 @@ from math import inf, sqrt
 from types import SimpleNamespace
 from typing import Any
 
-from base.f32 import vector
+from base.float32 import vector
 from base.state import State
 from hypothesis import settings
-from motion import layout, reals
+from motion import layout, minifloat
 from motion.kinematics import Kinematics
 from motion.layout import ROOT_SCALE, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from motion.planner import Move, Planner
@@ -187,7 +187,7 @@ def real(r: int) -> float:
 
 def pack(x: float) -> int:
     """The real below x."""
-    return reals.real(x)
+    return minifloat.real(x)
 
 
 class Watch:
@@ -307,7 +307,7 @@ class Watch:
             distance = ((left or block.events << 18) - self._left()) / 2**18
             distance *= block.length / block.events
             speed = flow[layout.REACHED] / real(self.row(at)[layout.FACTOR])
-            unit = 2**-16 if self.planner.table[layout.GENTLE] else 0.0
+            unit = 2**-16 if self.planner.table[layout.JUNCTION_DERATE] else 0.0
             seconds = time / self.tick_hz
             promise = self._promised(block, speed) if ended else inf
             piece = Piece(block, distance, seconds, speed, ended, at_rest, segment, unit, promise)
@@ -321,8 +321,10 @@ class Watch:
         if flow[layout.SYSTEM] or at == flow[layout.HEAD]:
             return 0.0
         promise = self.promise(self.row(at), layout.ENTRY_SQR)
-        if table[layout.GENTLE]:  # the average is faster than its plan by that
-            promise += block.acceleration * real(table[layout.GENTLE]) * real(table[ROOT_SCALE])
+        if table[layout.JUNCTION_DERATE]:  # the average is faster than its plan by that
+            promise += (
+                block.acceleration * real(table[layout.JUNCTION_DERATE]) * real(table[ROOT_SCALE])
+            )
         if block in self._slowed:
             if speed > promise:
                 self._slowed.add(self._rows[at])
@@ -419,7 +421,7 @@ def check_plan(watch: Watch) -> None:
         assert entry <= min(nominals) * PROMISE_SLACK + _least(watch), "faster than nominal"
         corner = before.junction(block)
         assert entry <= corner * JUNCTION_SLACK + _least(watch), "corner too fast"
-        if watch.planner.table[layout.GENTLE]:
+        if watch.planner.table[layout.JUNCTION_DERATE]:
             continue  # where jerk is limited corners are slower
         slower = before.junction(block, -1) / JUNCTION_SLACK
         junction = watch.promise(row, layout.JUNCTION_SQR)

@@ -15,7 +15,7 @@ from typing import Any
 import machine
 import pytest
 import rp2
-from pio import engine, hub, memory, pulses, stops, turn
+from pio import engine, engine_state, memory, pulses, refill, stops
 from rp2040py.irq import IRQ
 from rp2040py.rp2040 import RP2040
 
@@ -263,7 +263,7 @@ class PioChip(_Chip):
         self._take_place(patch)
         self.engine = engine.PioEngine(step, direction, *timing_us)
         # By address, so that every access to it is seen here.
-        self.engine._hub = engine.ptr32(self._address(self.engine._hub))
+        self.engine._engine_state = engine.ptr32(self._address(self.engine._engine_state))
         self._connect()
 
     def _take_place(self, patch: pytest.MonkeyPatch) -> None:
@@ -282,7 +282,7 @@ class PioChip(_Chip):
         def ptr32(memory: Any) -> Any:
             return Pointer(memory) if isinstance(memory, int) else plain(memory)
 
-        for module in (engine, hub, memory, pulses, stops, turn):
+        for module in (engine, engine_state, memory, pulses, stops, refill):
             patch.setattr(module, "ptr32", ptr32, raising=False)
         patch.setattr(memory, "_make_array", self._array)
         patch.setattr(memory, "_make_address", self._address)

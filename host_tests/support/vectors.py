@@ -3,11 +3,11 @@
 import sys
 from array import array
 
-from base import singles
-from base.f32 import vector
+from base import float32_math
+from base.float32 import vector
 from base.state import State
 from language import words
-from motion import arcs, layout, ramps, reals
+from motion import arcs, layout, minifloat, ramps
 from motion.arc_geometry import CENTRE_0, CENTRE_1, CLOCKWISE, RADIUS, Arc
 from motion.kinematics import COREXY, Kinematics
 from motion.layout import ROWS
@@ -34,15 +34,15 @@ class Dice:
 def print_reals(dice):
     """The arithmetic of reals and of the interrupt."""
     for _ in range(600):
-        a = reals.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
-        b = reals.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
+        a = minifloat.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
+        b = minifloat.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
         n, m = dice.below(1 << 24) << dice.below(6), dice.below(1 << 24)
         part = dice.below(131073)
         print(
-            reals.mul(a, b),
-            reals.ratio(n, b),
-            reals.product(a, b, b),
-            reals.square_root(n),
+            minifloat.mul(a, b),
+            minifloat.ratio(n, b),
+            minifloat.product(a, b, b),
+            minifloat.square_root(n),
             ramps.share(n, m + 1),
             ramps.times(n, part),
             ramps.braking(max(n, m), min(n, m), 1 + dice.below(1 << 20), dice.any((0, 18))),
@@ -64,7 +64,7 @@ def print_words(dice):
         bits = bytes(array("f", [values[i] for i in range(count & 255)]))
         print(text, count, list(bits))
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
-        singles.add_single(one, 0, other, 0)
+        float32_math.add_single(one, 0, other, 0)
         print(list(bytes(other)))
 
 

@@ -64,7 +64,7 @@ def test_a_startup_line_that_moves_is_answered_when_it_has() -> None:
     bench.run(script())
 
 
-def test_motors_that_stay_powered_are_so_right_behind_a_reset() -> None:
+def test_motors_that_stay_powered_are_so_right_after_a_reset() -> None:
     bench = Bench({1: 255})
 
     def script() -> Script:
@@ -150,7 +150,7 @@ def test_each_byte_of_a_burst_of_overrides_counts(many: int, where: str) -> None
 
 
 @pytest.mark.parametrize("sent", ["G1X1F500\n", "$X\n", "?", "$$\n"])
-def test_what_comes_right_behind_an_alarm_is_not_executed(sent: str) -> None:
+def test_what_comes_right_after_an_alarm_is_not_executed(sent: str) -> None:
     """Half a second long nothing is answered, and the reset forgets it."""
     bench = Bench({})
 
@@ -177,7 +177,7 @@ def test_a_probe_that_finds_nothing_says_so_in_this_order() -> None:
     bench.run(script())
 
 
-def test_a_reset_while_the_alarm_of_a_probe_is_told_comes_behind_it() -> None:
+def test_a_reset_while_the_alarm_of_a_probe_is_reported_comes_after_it() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -250,7 +250,7 @@ def test_what_a_reset_has_cut_short_is_kept_at_rest() -> None:
         apply = controller.interpreter._offsets_changed
 
         def cut() -> None:
-            controller.drive.reset()
+            controller.motor_control.reset()
             apply()
 
         controller.interpreter._offsets_changed = cut

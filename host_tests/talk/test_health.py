@@ -50,7 +50,7 @@ def test_a_board_that_cannot_tells_its_build_and_keeps_what_it_was() -> None:
     assert told == [*before[:-1], BUILD, "ok"] and after == before
 
 
-def test_the_last_fault_is_told_until_power_goes() -> None:
+def test_the_last_fault_is_reported_until_power_goes() -> None:
     told = answers(None, "$I+", "$I+", fault="ValueErr: 5 (1a2b3c4d)")
     assert [said[-2] for said in told] == ["[MSG:Last fault: ValueErr: 5 (1a2b3c4d)]"] * 2
 
@@ -82,12 +82,12 @@ class Wire:
         return len(piece)
 
 
-def test_what_is_told_of_a_fault_is_no_answer_and_has_a_space_for_each_odd_letter() -> None:
-    told = faults.harmless("añb error [x] ok \ud800 z\n")
+def test_what_is_reported_a_fault_is_no_answer_and_has_a_space_for_each_odd_letter() -> None:
+    told = faults.sanitize("añb error [x] ok \ud800 z\n")
     assert told == "a b Err  x  o-k   z "
 
 
-def test_a_fault_is_told_again_to_who_asks_and_kept_for_afterwards(
+def test_a_fault_is_reported_again_to_who_asks_and_kept_for_afterwards(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     text = 'Traceback\n  File "talk.lines", line 1, in feed\nIndexError: [1]'

@@ -27,7 +27,7 @@ class Loop:
     def __init__(self, unread: bytes, restarts: int = 0, by_pin: bool = False) -> None:
         self.link, self.fed = FakeLink(unread), b""
         self.seen: "list[bytes]" = []  # what was unread at each start
-        self.drive: Any = SimpleNamespace(by_pin=by_pin)
+        self.motor_control: Any = SimpleNamespace(by_pin=by_pin)
         self._restarts = restarts
         reader: Any = SimpleNamespace(
             feed=self._feed,
@@ -48,7 +48,7 @@ class Loop:
             **dict.fromkeys(("report", "saves", "realtime", "interpreter", "canon"), nobody),
             state=state,
             reader=reader,
-            drive=self.drive,
+            motor_control=self.motor_control,
             restart=self._restart,
         )
         self.protocol = Protocol(machine, self.link, False)
@@ -69,14 +69,14 @@ def test_what_has_come_is_read_piece_by_piece_of_half_the_ring() -> None:
     assert loop.fed == (b"G1X1F100\n" * 20)[:127] and len(loop.link.unread) == 180 - 127
 
 
-def test_behind_the_reset_of_a_pin_what_was_sent_before_is_dropped() -> None:
+def test_after_the_reset_of_a_pin_what_was_sent_before_is_dropped() -> None:
     loop = Loop(b"G1X1\n", by_pin=True)
     with pytest.raises(Off):
         loop.protocol.run()
-    assert loop.seen == [b""] and not loop.drive.by_pin
+    assert loop.seen == [b""] and not loop.motor_control.by_pin
 
 
-def test_behind_other_resets_the_next_line_is_kept_also_where_a_fault_came_in_between() -> None:
+def test_after_other_resets_the_next_line_is_kept_also_where_a_fault_came_in_between() -> None:
     """A loop that a fault has ended is begun anew; $RST= then ends with an Abort of its own."""
     loop = Loop(b"", restarts=1, by_pin=True)
     kept = loop.protocol.restart
@@ -118,7 +118,7 @@ class Turns:
 
     def _built(self) -> None:
         realtime = self.rig.controller.realtime
-        usual = realtime.events
+        usual = realtime.handle_events
 
         def events() -> None:
             self.sender.poll()
@@ -126,7 +126,7 @@ class Turns:
             self.reads.append(self.rig.link.reads)
             usual()
 
-        realtime.events = events  # type: ignore[method-assign]
+        realtime.handle_events = events  # type: ignore[method-assign]
 
     def play(self, text: str) -> None:
         """Have it all answered, as fast as it can be sent, in check mode."""

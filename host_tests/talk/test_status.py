@@ -4,17 +4,17 @@ import struct
 from array import array
 
 import pytest
-from base.f32 import f32, vector
-from base.singles import MINUS, add, divide
+from base.float32 import f32, vector
+from base.float32_math import MINUS, add, divide
 from base.state import State
 from hypothesis import example, given
 from hypothesis import strategies as some
 from micropython_runner import needs_micropython, run_micropython
-from motion import layout, reals
+from motion import layout, minifloat
 from motion.planner import Planner
 from motion.segments import Segments
 from talk.digits import END, VALUES, scaled, write
-from test_f32 import printed
+from test_float32 import printed
 from ugrbl.paths import FIRMWARE
 
 steps = some.integers(1 - 2**30, 2**30 - 1)
@@ -100,7 +100,7 @@ def test_edges_of_what_can_be_written(x: float, text: str) -> None:
     assert written(b"#3\0", [], [x]) == text
 
 
-def test_what_leaves_31_bits_is_told() -> None:
+def test_what_leaves_31_bits_is_reported() -> None:
     assert scaled(array("f", [2147483648.0]), 0, 0) == -1
     assert scaled(array("f", [2147483520.0]), 0, 0) == 2147483520
 
@@ -127,19 +127,21 @@ def test_a_form_may_hold_all_of_it() -> None:
 
 @given(some.integers(0, 2**30 - 1), some.integers(1, 2**15))
 @example(0, 1)
-@example(reals.real(1e17), 1)
+@example(minifloat.real(1e17), 1)
 def test_a_rate_is_rounded_as_it_was_printed(carry: int, now: int) -> None:
     carry = carry % (100 << 15) | 0x4000 if carry else 0
     planner = Planner(3, 4, None, State())
     segments = Segments(planner)
     planner.flow[layout.CARRY] = carry
-    rate = 60 * reals.value(segments.rate())
+    rate = 60 * minifloat.value(segments.rate())
     if rate < 2**31:
-        assert str(reals.per_minute(segments.rate())) == printed(rate, 0)
+        assert str(minifloat.per_minute(segments.rate())) == printed(rate, 0)
     planner.flow[layout.LOADED] = 1
     planner.flow[layout.REACHED] = now
-    planner.ring[layout.FACTOR] = reals.real(1 / 7)
-    assert str(reals.per_minute(segments.rate())) == printed(60 * reals.value(segments.rate()), 0)
+    planner.ring[layout.FACTOR] = minifloat.real(1 / 7)
+    assert str(minifloat.per_minute(segments.rate())) == printed(
+        60 * minifloat.value(segments.rate()), 0
+    )
 
 
 # Memory

@@ -112,7 +112,7 @@ def refused(*words: str) -> str:
     return done.stderr
 
 
-def test_a_place_that_is_taken_is_told() -> None:
+def test_a_place_that_is_taken_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         said = refused("--sim", "--http", str(port))
@@ -132,7 +132,7 @@ def test_a_place_that_is_taken_is_told() -> None:
         ("--sim --host no.such.invalid --http 0", "no.such.invalid:0 cannot be listened at"),
     ],
 )
-def test_what_cannot_be_is_told_in_words(words: str, why: str, tmp_path: Path) -> None:
+def test_what_cannot_be_is_reported_in_words(words: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "photo").write_bytes(b"\xff\xd8\xff\xe0")
     assert why in refused(*words.replace("FOLDER", str(tmp_path)).split())
 

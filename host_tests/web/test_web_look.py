@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from ugrbl.run.program import run_program
-from ugrbl.web.look import MOST_POINTS, MOST_TIMES, PROGRAM_BYTES
+from ugrbl.web.preview import MOST_POINTS, MOST_TIMES, PROGRAM_BYTES
 from web_client import FakeBoard, played, served
 
 pytestmark = [pytest.mark.xdist_group("web"), pytest.mark.thorough]
@@ -149,7 +149,7 @@ def test_what_leaves_the_travel_is_said_beforehand(tmp_path: Path) -> None:
 
 def test_what_is_said_to_leave_the_travel_is_what_the_machine_refuses() -> None:
     """At the same line, by the firmware's own soft limits."""
-    from ugrbl.web.look import look as looked
+    from ugrbl.web.preview import preview as looked
 
     program = "".join(f"G0 X{-10 * n}\nG2 X{-10 * n - 8} I-4 F900\n" for n in range(12))
     settings = {"20": "1", "22": "1", "130": "94.5", "131": "50", "132": "50", "110": "6000"}
@@ -181,7 +181,7 @@ def test_a_program_that_ends_in_an_alarm_says_where(tmp_path: Path) -> None:
     assert problem["text"].startswith("ALARM:5 - ")
 
 
-def test_a_long_program_is_told_in_few_points(tmp_path: Path) -> None:
+def test_a_long_program_is_reported_in_few_points(tmp_path: Path) -> None:
     moves = "".join(f"G{n % 2} X{n % 3} Y{n % 7} F3000\n" for n in range(3_000))
     settings = {"110": "20000", "111": "20000", "120": "9000", "121": "9000"}
     ((status, found),) = look(tmp_path, {"program": moves, "settings": settings})

@@ -141,7 +141,7 @@ async def test_a_stop_overtakes_lines_that_the_board_has_not_taken(
 
 
 @played
-async def test_whoever_takes_over_drives_and_the_other_watches(
+async def test_anyone_who_takes_over_drives_and_the_other_watches(
     board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -194,7 +194,7 @@ LOSSES = ["closed", "crashed", "gave up", "server ended"]
     [("Run", b"!"), ("Jog", b"\x85"), ("Idle", b""), ("Hold:0", b""), ("Alarm", b"")],
 )
 @played
-async def test_a_machine_whose_driver_is_lost_is_told_to_stop_once(
+async def test_a_machine_whose_driver_is_lost_is_asked_to_stop_once(
     how: str, state: str, told: bytes, board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -240,7 +240,7 @@ async def test_a_driver_whose_network_has_gone_is_lost_as_well(
 
 
 @played
-async def test_a_job_whose_driver_is_lost_is_held_and_goes_on_when_told(tmp_path: Path) -> None:
+async def test_a_job_whose_driver_is_lost_is_held_and_goes_on_when_asked(tmp_path: Path) -> None:
     async with served(Simulator("sim"), tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         await driver.ask("G91")
@@ -377,7 +377,7 @@ class PtyBoard:
 
 
 @played
-async def test_a_pulled_plug_is_told_and_tried_again_and_browsers_stay(tmp_path: Path) -> None:
+async def test_a_pulled_plug_is_reported_and_tried_again_and_browsers_stay(tmp_path: Path) -> None:
     port = tmp_path / "ttyACM0"
     plug = PtyBoard(port)
     async with served(SerialSource(lambda: str(port)), tmp_path) as site:

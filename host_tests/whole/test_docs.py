@@ -62,7 +62,7 @@ def test_every_table_has_its_place():
 
 
 def test_every_code_is_in_the_reference():
-    from extras.own_words import is_grbls
+    from extras.custom_codes import is_grbls
 
     found = words.g_words() + words.m_words()
     numbers = {(word[0], int(word[1:].partition(".")[0])) for word in found}
@@ -334,7 +334,7 @@ def test_names_are_looked_up():
     assert not exists("nobody.knows")
 
 
-def test_five_lives_are_told():
+def test_five_lives_are_reported():
     assert len(stories()) == 5
 
 

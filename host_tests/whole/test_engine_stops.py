@@ -16,7 +16,7 @@ pytestmark = pytest.mark.sampled(2)
 
 @pytest.mark.parametrize("move", ["diagonal", "one step", "fast"])
 @pytest.mark.parametrize("engine", WHOLE)
-def test_rest_is_told_once_and_behind_the_last_power(engine: str, move: str) -> None:
+def test_rest_is_reported_once_and_after_the_last_power(engine: str, move: str) -> None:
     made = make(engine, move)
     told: list[int] = []
     made.engine.attach(made.bench.segments.next, made.powers.append, lambda: told.append(1))
@@ -91,7 +91,7 @@ def test_a_stop_that_comes_into_the_start_wins(engine: str) -> None:
 
 @pytest.mark.parametrize("after_ms", [3, 77, 180])
 @pytest.mark.parametrize("engine", ESP)
-def test_a_turn_that_fails_stops_the_tool_then_the_motors_and_is_told(
+def test_a_turn_that_fails_stops_the_tool_then_the_motors_and_is_reported(
     engine: str, after_ms: float
 ) -> None:
     made = make(engine, "fast")
@@ -107,7 +107,7 @@ def test_a_turn_that_fails_stops_the_tool_then_the_motors_and_is_told(
         if not order:
             raise ValueError("an error that is ok")
 
-    real.on_look = look
+    real.on_poll = look
     made.run(20)
     stopped = made.engine.now * made.us
     assert order == ["tool", "motors"] and not made.engine.idle()
@@ -124,14 +124,14 @@ def test_a_turn_that_fails_stops_the_tool_then_the_motors_and_is_told(
 
 
 @pytest.mark.parametrize("engine", ESP)
-def test_the_engine_works_again_long_behind_a_fault(engine: str) -> None:
+def test_the_engine_works_again_long_after_a_fault(engine: str) -> None:
     """Longer than the difference between two of its times can be."""
     made = make(engine, "diagonal")
     made.engine.real._fail(ValueError())
     made.engine.real._timer.deinit()
     clock.work(700_000_000)
     made.engine.stop()
-    made.engine.real._timer.init(period=1, callback=made.engine.real._turn)
+    made.engine.real._timer.init(period=1, callback=made.engine.real._refill)
     made.run(30)
     made.engine.arm()
     made.go()
@@ -152,10 +152,10 @@ def test_what_fails_while_a_fault_is_mended_keeps_nothing_from_stopping(
         done.append(what_fails)
         raise OSError(5)
 
-    for name in ("on_fault", "_halt", "on_look"):
+    for name in ("on_fault", "_halt", "on_poll"):
         setattr(real, name, lambda name=name: done.append(name))
     setattr(real, what_fails, fail)
-    real._go_on = fail
+    real._advance = fail
     made.engine.start()
     made.run(10)
     assert {"on_fault", "_halt"} <= set(done)
@@ -282,7 +282,7 @@ def test_rmt_states_the_rate_at_which_trains_are_long_enough() -> None:
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_i2s_begins_a_new_stream_behind_a_flash_write(told: bool) -> None:
+def test_i2s_begins_a_new_stream_after_a_flash_write(told: bool) -> None:
     made = make("i2s", "diagonal")
     made.engine.real._stream.close()
     made.engine.real._renew()

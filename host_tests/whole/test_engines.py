@@ -427,7 +427,7 @@ def test_a_hold_comes_to_rest_within_what_is_stated_and_loses_nothing(engine: st
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_power_is_told_with_the_segments(engine: str) -> None:
+def test_power_is_reported_with_the_segments(engine: str) -> None:
     made = make(engine, "diagonal")
     powers = iter(range(1, 10_000))
     inner = made.bench.segments.next
@@ -469,7 +469,7 @@ def test_power_at_rest_is_the_last_segments(engine: str) -> None:
 
 @pytest.mark.parametrize("after_ms", [1, 5, 20, 33, 41, 120])
 @pytest.mark.parametrize("engine", WHOLE)
-def test_no_power_is_told_after_a_stop(engine: str, after_ms: float) -> None:
+def test_no_power_is_reported_after_a_stop(engine: str, after_ms: float) -> None:
     made = make(engine, "fast")
     powers = iter(range(1, 10_000))
     inner = made.bench.segments.next
@@ -565,7 +565,7 @@ def test_i2s_loses_nothing_where_it_comes_too_late() -> None:
     made.run(200)
     clock.work(80_000)  # flash, or a very long collection
     made.run()
-    assert made.engine.real.times_dry() == 1
+    assert made.engine.real.underrun_count() == 1
     assert made.position() == made.places() == [1500, 1075, -425]
     for levels in made.engine.pins.levels:
         assert levels.shortest_setup >= 8

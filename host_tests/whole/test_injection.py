@@ -16,9 +16,9 @@ import pytest
 from base.settings import Settings
 from control.canon import Canon
 from control.coolant import Coolant
-from control.drive import Drive
+from control.homing_probing import HomingProbing
+from control.motor_control import MotorControl
 from control.realtime import Realtime
-from control.seek import Seek
 from control.spindle import Spindle
 from control.suspension import Suspension
 from motion import segment_kernel
@@ -88,40 +88,52 @@ SCENARIOS = (
     Scenario(
         "start",
         "M8 G91 G1X4F900",
-        (Drive.start, Drive.power, Realtime._cycle_start, SimEngine.start, SimPort.enable),
+        (
+            MotorControl.start,
+            MotorControl.power,
+            Realtime._cycle_start,
+            SimEngine.start,
+            SimPort.enable,
+        ),
     ),
     Scenario(
         "set_power",
         "M3S500 G91 G1X1F900 G1X1S900",
-        (Spindle.set_power, Spindle.turn, Spindle.power, SimPort.spindle, Canon.spin),
+        (Spindle.set_power, Spindle.set_speed, Spindle.power, SimPort.spindle, Canon.spin),
         {32: 1},
     ),
     Scenario(
         "turn",
         "M4S300 M8 M3S800 M9 M8 G91G1X2F900 M5",
-        (Spindle.turn, Spindle.stop, Coolant.set, SimPort.coolant, Canon.cool),
+        (Spindle.set_speed, Spindle.stop, Coolant.set, SimPort.coolant, Canon.cool),
     ),
     Scenario(
         "refill",
         "M3S400 M8 G91 G1X0.3F900 G1Y0.2 G1X-0.3",
-        (segment_kernel.fill, Spindle.set_power, Spindle.rest, Canon.finish, Planner.line),
+        (
+            segment_kernel.fill,
+            Spindle.set_power,
+            Spindle.on_motion_end,
+            Canon.finish,
+            Planner.line,
+        ),
     ),
     Scenario(
         "hold",
         "M3S400 M8 G91 G1X6F1500",
-        (Realtime._holds, Realtime._slow_down, Realtime._cycle_stop, Suspension.begin),
+        (Realtime._holds, Realtime._slow_down, Realtime._cycle_stop, Suspension.start),
         byte="!",
     ),
     Scenario(
         "reset",
         "M3S400 M8 G91 G1X6F1500",
-        (Drive.reset, Controller._reset, Controller._greet, Drive.arm),
+        (MotorControl.reset, Controller._reset, Controller._greet, MotorControl.arm),
         byte="\x18",
     ),
     Scenario(
         "probing",
         "M3S400 M8 G91 G38.3X3F900",
-        (Seek.probe, Seek._on_contact, Seek._report_probe),
+        (HomingProbing.probe, HomingProbing._on_contact, HomingProbing._report_probe),
     ),
     Scenario(
         "saving",
@@ -131,7 +143,12 @@ SCENARIOS = (
     Scenario(
         "homing",
         "$H",
-        (Seek.home, Seek.find, Seek.home_phase, Seek._failed),
+        (
+            HomingProbing.home,
+            HomingProbing.find_switches,
+            HomingProbing.home_phase,
+            HomingProbing._failed,
+        ),
         {22: 1, 23: 7, 24: 600, 25: 1500, 26: 5, 27: 1},
         homes=True,
     ),
@@ -250,7 +267,7 @@ def bytecodes(scenario: Scenario) -> int:
 @pytest.mark.sampled(2, 9)
 @pytest.mark.parametrize("act", ["limit_x", "reset", "\x18"], ids=["limit", "button", "Ctrl-X"])
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
-def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> None:
+def test_nothing_moves_or_turns_after_a_stop(scenario: Scenario, act: str) -> None:
     if scenario.homes and act == "limit_x":
         pytest.skip("homing wants the switches for itself")
     for at in some(bytecodes(scenario), len(scenario.name) + len(act)):

@@ -22,7 +22,7 @@ from language import block_layout as b
 from language import line as ln
 from language import words
 from language.block import Block
-from base.f32 import vector
+from base.float32 import vector
 from motion.planner import Move, Planner
 from motion.segments import Segments
 from base.state import State
@@ -100,7 +100,7 @@ texts = [
 
 def look():
     for text in texts:
-        ln.look(text, len(text) - 1 << 8, modal, 0, memory)
+        ln.check_line(text, len(text) - 1 << 8, modal, 0, memory)
 
 
 arc = arc_geometry.Arc()
@@ -116,7 +116,7 @@ received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 
 _PROVED = {
     "plan": "plan_kernel.plan(target, table, ring, flow, 0, 0, 0, rate)",
-    "schedule": "plan_kernel.schedule(table, ring, 0)",
+    "schedule": "plan_kernel.compute_profile(table, ring, 0)",
     "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
@@ -124,7 +124,7 @@ _PROVED = {
     "look": "look()",
     "an arc": "ln.execute(bow, len(bow) - 1, modal, machine, memory)",
     "execute": "ln.execute(dot, len(dot) - 1, modal, machine, memory)",
-    "judge": "canon.judge(target, there, flow)",
+    "judge": "canon.check_travel(target, there, flow)",
     "chords": "planner.chords(course, move, 0, True)",
     "chords in check mode": "planner.chords(course, move, 0, False)",
     "feed": "reader.feed(received, len(received))",

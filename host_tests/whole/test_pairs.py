@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from boot import guests
+from boot import select_extras
 from boot.options import Options
 from ugrbl import paths
 from ugrbl.boardfile.files import load, load_board
@@ -35,7 +35,7 @@ _ASKED: "dict[str, dict[str, Any]]" = {
     "dialects.dialect_09": {"DIALECT": "0.9j"},
     "dialects.dialect_hal": {"DIALECT": "hal"},
     "kinematics.nonlinear": {"KINEMATICS": "polar"},
-    "kinematics.moves": {"MOVES": ("X+Z", "Y", "X-Z")},
+    "kinematics.motor_matrix": {"MOVES": ("X+Z", "Y", "X-Z")},
     "motors.ganged": {"second": "Y"},
     "motors.backlash": {"BACKLASH": True, "defaults": {160: _SLACK_MM}},
     "kinematics.skew": {"SKEW": True, "defaults": {780: _SKEW * 1000}},
@@ -47,7 +47,7 @@ _ASKED: "dict[str, dict[str, Any]]" = {
     "tools.laser": {"TOOL": "laser"},
     "tools.punch": {"TOOL": "punch"},
     "tools.clusters": {"TOOL": "laser", "CLUSTERS": True},
-    "drains": {"COUNT_DRAINS": True},
+    "underruns": {"COUNT_DRAINS": True},
     "jobs.job_commands": {"JOBS": "jobs"},
     "custom.user_modules": {"CUSTOM": _CUSTOM},
     "dialects.lenient": {"LENIENT": True},
@@ -176,7 +176,7 @@ def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
     if "kinematics.skew" in extras:
         x -= _SKEW * y
     mm = [x, y, z]
-    if "kinematics.moves" in extras:
+    if "kinematics.motor_matrix" in extras:
         mm = [x + z, y, x - z]
     if "motors.ganged" in extras:
         mm += [0.0] * (motors - 1 - len(mm)) + [y]
@@ -184,8 +184,10 @@ def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
 
 
 def test_every_extra_of_ours_is_here() -> None:
-    ours = {module for _, module in guests._ORDER if module}
-    ours |= {module for words in guests.WORDS.values() for module in words.values() if module}
+    ours = {module for _, module in select_extras._ORDER if module}
+    ours |= {
+        module for words in select_extras.WORDS.values() for module in words.values() if module
+    }
     assert {*_ASKED} == {*ours, "custom.user_modules", "dialects.lenient"}
 
 

@@ -110,7 +110,7 @@ class Machine:
 
     def listen(self) -> None:
         """Whatever may interrupt does."""
-        self.port.hear_limits(True)
+        self.port.enable_limits(True)
         self.port.watch_probe(self.touch, True)
 
 
@@ -193,7 +193,7 @@ def test_the_watch_stops_a_main_loop_that_hangs_in_a_storm(
 
     def hang(pin: Any) -> "tuple[int, int, int]":
         """For how long it was away when stopped; the beam's output before that and after."""
-        link: Any = SimpleNamespace(shared=array("i", [0, 0, 0]), look=None)
+        link: Any = SimpleNamespace(shared=array("i", [0, 0, 0]), poll_reset=None)
         watch = supervisor.Supervisor(link, pico.rig.engine, pico.port, 250)
         watch.start(None, lambda alarm: None)
         pico.listen()
@@ -247,7 +247,7 @@ PINS = {"limits": (9, 10), "start": (15, 14), "part": (20, 21), "probe": (12, No
 
 
 @pytest.mark.parametrize("name", PINS)
-def test_what_lasts_is_heard_two_ms_behind_a_storm_and_at_once_beside_it(
+def test_what_lasts_is_heard_two_ms_after_a_storm_and_at_once_beside_it(
     pico: Machine, name: str
 ) -> None:
     noted = Noted(pico)
@@ -271,7 +271,7 @@ def test_what_lasts_is_heard_two_ms_behind_a_storm_and_at_once_beside_it(
         pico.port.attach(noted)
         pico.port.watch_pins(noted.on_change)
         for after_us in range(0, 2_400, 200):
-            pico.port.hear_limits(True)
+            pico.port.enable_limits(True)
             pico.port.watch_probe(noted.on_contact, True)
             pico.cpu.storm([machine.Pin(pin)], 17, 3, 5_000)
             pico.cpu.run(after_us)

@@ -147,10 +147,10 @@ def _unknown(board: ModuleType) -> Iterator[str]:
 
 def _pins_of_extras(board: ModuleType) -> tuple[str, ...]:
     paths.use_firmware()
-    from boot import guests
+    from boot import select_extras
 
     try:
-        return guests.pins(board)
+        return select_extras.pin_options(board)
     except Exception:  # whatever a module of the user's own raises
         return ()  # _values() and _firmware() say it
 

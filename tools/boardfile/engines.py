@@ -54,14 +54,14 @@ def links() -> Iterable[str]:
 def dialects() -> Iterable[str]:
     """The words that DIALECT has."""
     paths.use_firmware()
-    from boot import guests
+    from boot import select_extras
 
-    return guests.WORDS["DIALECT"]
+    return select_extras.WORDS["DIALECT"]
 
 
 def tools() -> Iterable[str]:
     """The words that TOOL has."""
     paths.use_firmware()
-    from boot import guests
+    from boot import select_extras
 
-    return guests.WORDS["TOOL"]
+    return select_extras.WORDS["TOOL"]

@@ -13,9 +13,12 @@ if TYPE_CHECKING:
 def tables_of(board: ModuleType) -> "dict[str, Rows]":
     """Rows by the module of the firmware that has them; what an own extra has is not known."""
     paths.use_firmware()
-    from boot import guests
+    from boot import select_extras
 
-    names = {"base/settings", *(name.replace(".", "/") for name in guests.names(board, False))}
+    names = {
+        "base/settings",
+        *(name.replace(".", "/") for name in select_extras.extra_names(board, False)),
+    }
     found = {module: rows for module, rows in tables().items() if module in names}
     tool = getattr(board, "TOOL", "")
     if tool in ("laser", "punch"):

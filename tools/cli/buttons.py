@@ -36,7 +36,7 @@ class Buttons:
         except (OSError, ValueError):
             return  # as with the end of stdin: a terminal that is gone, or another's
 
-    def turn(self) -> None:
+    def poll(self) -> None:
         """Do what has been typed."""
         while self._lines:
             self.enter(self._lines.popleft())

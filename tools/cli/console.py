@@ -4,9 +4,9 @@ import asyncio
 import sys
 
 from ..device.connection import BAUD, ONLY_RESET, Connection, SendError
-from .desk import Desk
 from .outputs import examples, failed
 from .ports import Baud, Port, choose
+from .session import Session
 
 EXAMPLES = examples(
     "ugrbl console",
@@ -30,7 +30,7 @@ def command(
         raise failed("the console wants a terminal; `ugrbl send -` takes lines from stdin")
     try:
         connection = Connection(choose(port), baud)
-        desk = Desk(connection, print)
+        desk = Session(connection, print)
         try:
             if not connection.answers():
                 print(f"no Grbl answers on this port; {ONLY_RESET}")

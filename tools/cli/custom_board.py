@@ -16,9 +16,9 @@ from rich.markup import escape
 
 from .. import paths
 from ..compiling.build import digest
-from ..device import custom_shelf as shelves
+from ..device import custom_files as shelves
 from ..device.connection import SendError
-from ..device.custom_shelf import Shelf
+from ..device.custom_files import CustomFiles
 from ..device.deploy import DeployError
 from ..run import custom_check, machine
 from ..run.own_python import OwnPython, OwnPythonError
@@ -258,7 +258,7 @@ def remove(port: Port = None, yes: Yes = False) -> None:
 
 
 @contextmanager
-def _shelf(port: str) -> "Iterator[Shelf]":
+def _shelf(port: str) -> "Iterator[CustomFiles]":
     """A board at its prompt."""
     from ..device.deploy_device import MpremoteDevice  # which needs a moment to be imported
 

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ..device import checkup, patient
+from ..device import board_under_test, checkup
 from ..device import settings_sync as sync
 from ..device.checkup import BAD, NOTE, OK, Finding
 from ..device.connection import BAUD, Connection, SendError, way_out
@@ -56,12 +56,12 @@ class Doctor:
             alive = connection.answers()
         if not alive:
             connection.close()
-            self.add(*patient.stranger(port, baud))
+            self.add(*board_under_test.stranger(port, baud))
             return
         try:
             self.add(Finding("port", OK, f"a Grbl answers on {port}"))
             state = connection.state()
-            fault = patient.fault(connection) if state == "Alarm" else ""
+            fault = board_under_test.fault(connection) if state == "Alarm" else ""
             if fault:
                 self.add(checkup.fault(fault))
             elif state in sync.QUIET:
@@ -70,7 +70,7 @@ class Doctor:
                 text = f"{state}: Grbl answers no questions then"
                 todo = f"{way_out(state)}; then look again"
                 self.add(Finding("state", BAD, text, todo))
-                self.add(*checkup.pins_at_rest(patient.pins(connection), {}))
+                self.add(*checkup.pins_at_rest(board_under_test.pins(connection), {}))
         finally:
             connection.close()
 
@@ -91,19 +91,19 @@ class Doctor:
         self._state(connection)
         values = _numbers(settings)
         self.add(*checkup.settings(values, settings.firmware))
-        patient.report(connection)
-        self.add(*checkup.pins_at_rest(patient.pins(connection), values))
+        board_under_test.report(connection)
+        self.add(*checkup.pins_at_rest(board_under_test.pins(connection), values))
         axes = sum(100 + axis in values for axis in range(len(AXES)))
         if pins_s is None and ask and typer.confirm("Watch the inputs while you press them?"):
             pins_s = _PINS_S
         if pins_s:
             self.console.print(f"press each switch now; {pins_s:g} s …", highlight=False)
-            seen = patient.watch_pins(connection, pins_s, self._pin)
+            seen = board_under_test.watch_pins(connection, pins_s, self._pin)
             self.add(*checkup.pins_pressed(seen, values, axes))
         if may_move():
             for axis in range(axes):
                 rate = min(_TEST_RATE, values.get(110 + axis, _TEST_RATE))
-                self.add(patient.move(connection, axis, AXES[axis], rate))
+                self.add(board_under_test.move(connection, axis, AXES[axis], rate))
                 if self.findings[-1].verdict != OK:
                     break
 

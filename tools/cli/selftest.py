@@ -39,7 +39,7 @@ class Report:
         self._console = console
         self.rows: list[Row] = []
 
-    def tell(self, row: Row) -> None:
+    def show_row(self, row: Row) -> None:
         """One check more."""
         self.rows.append(row)
         text = f"{_MARKS[row.passed]} [b]{escape(row.what)}[/b]: {escape(row.text)}"
@@ -84,9 +84,11 @@ def command(
         _test(_open(where), report, quick, yes, seed)
     except (SendError, DeployError) as error:
         todo = getattr(error, "todo", "")
-        report.tell(Row("the board", False, f"{error}{'; ' if todo else ''}{todo}"))
+        report.show_row(Row("the board", False, f"{error}{'; ' if todo else ''}{todo}"))
     except KeyboardInterrupt:
-        report.tell(Row("the board", False, "stopped half way: unplug it, and plug it in again"))
+        report.show_row(
+            Row("the board", False, "stopped half way: unplug it, and plug it in again")
+        )
     console.print(f"[b]{report.verdict()}[/b]; seed {seed}", highlight=False)
     if json_file:
         rows = [row.as_json() for row in report.rows]
@@ -105,7 +107,7 @@ def _test(board: Board, report: Report, quick: bool, yes: bool, seed: int) -> No
     chip, wiring = look(board)
     try:
         pwm = _consent(wiring, yes)
-        check(board, chip, program.amounts(chip, quick), pwm, seed, report.tell)
+        check(board, chip, program.amounts(chip, quick), pwm, seed, report.show_row)
     except (DeployError, typer.Abort):
         with suppress(DeployError):  # the first one says more
             board.start()

@@ -9,15 +9,15 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ..device import checkup, stage
+from ..device import checkup, machine_snapshot
 from ..device.connection import Connection, way_out
 from ..device.from_line import Approach, approach
+from ..device.machine_snapshot import MachineSnapshot
 from ..device.send import REFUSED, Line, Ready, Report, Stream, stopping_signals
-from ..device.stage import Stage
 from ..grbl import gcode_file
+from ..grbl.custom_codes import CustomCodes
 from ..grbl.lines import Changed
 from ..grbl.messages import meaning
-from ..grbl.own_words import OwnWords
 from ..grbl.settings_file import Firmware
 from ..run import own_python, rehearsal
 from ..run.machine import DEFAULT_AXES, DEFAULT_BOARD
@@ -62,9 +62,9 @@ class Job:
         self._options = options
         self._connection = connection
         self._console = console
-        self._here = Stage()
+        self._here = MachineSnapshot()
         self._letters = ""  # of its options
-        self._own = OwnWords()
+        self._own = CustomCodes()
         self._rehearsal: Rehearsal | None = None
         self._lead = 0  # lines that lead up to the program
 
@@ -107,10 +107,10 @@ class Job:
         if state != "Idle":
             return f"the machine is in {state}"
         found = Firmware.read(self._connection.info)
-        self._own = OwnWords.read(self._connection.info)
+        self._own = CustomCodes.read(self._connection.info)
         if checkup.is_relative(found):
             return f"{found.name} is a relative of Grbl, and takes what the simulator does not"
-        self._here = stage.look(self._connection)
+        self._here = machine_snapshot.read_machine(self._connection)
         if not self._here.place:
             return "the machine does not tell where it is: $10=1 lets it"
         if self._here.axes() > DEFAULT_AXES and self._options.from_line > 1:
@@ -123,7 +123,7 @@ class Job:
         options = self._options
         ask_at = options.from_line if options.from_line > 1 else 0
         return rehearsal.Job(
-            Changed(self._lines, gcode_file.harmless),
+            Changed(self._lines, gcode_file.sanitize),
             self._here.commands(),
             options.board or DEFAULT_BOARD,
             ask_at,

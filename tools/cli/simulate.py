@@ -192,13 +192,15 @@ def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
 
 def _hear_person(rig: "Rig") -> None:
     """Whoever sits at the terminal can push inputs; with custom.py a pipe can, too."""
-    if sys.stdin is None or not (sys.stdin.isatty() or rig.guest):
+    if sys.stdin is None or not (sys.stdin.isatty() or rig.custom_module):
         return
     buttons = Buttons(rig.inputs, Console())
-    rig.link.turn = buttons.turn
-    if rig.guest:
-        rig.guest.told = buttons.say
-        rig.guest.switched = lambda name, on: buttons.say(f"{name} {'on' if on else 'off'}")
+    rig.link.turn = buttons.poll
+    if rig.custom_module:
+        rig.custom_module.on_person_wait = buttons.say
+        rig.custom_module.on_switched = lambda name, on: buttons.say(
+            f"{name} {'on' if on else 'off'}"
+        )
     buttons.listen()
 
 

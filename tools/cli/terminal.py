@@ -11,8 +11,8 @@ from prompt_toolkit.history import FileHistory
 from prompt_toolkit.key_binding import KeyBindings, KeyPressEvent
 from prompt_toolkit.patch_stdout import patch_stdout
 
-from .desk import JOGS, Desk
 from .keys import COMMANDS
+from .session import JOGS, Session
 
 _HISTORY = ".ugrbl_history"
 _TURN_S = 0.01
@@ -37,8 +37,8 @@ class _History(FileHistory):
 class Terminal:
     """Lines with a history, or keys that move the machine; Tab goes from one to the other."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, desk: Session) -> None:
+        self._machine_session = desk
         self._by_keys = False
         self._session: PromptSession[str] = PromptSession(
             history=_History(str(Path.home() / _HISTORY)),
@@ -60,25 +60,25 @@ class Terminal:
 
     async def _turn(self) -> None:
         while True:
-            self._desk.turn()
+            self._machine_session.poll()
             await asyncio.sleep(_TURN_S)
 
     async def _ask(self) -> None:
         while True:
             try:
                 with patch_stdout():
-                    self._desk.enter(await self._session.prompt_async(self._prompt))
+                    self._machine_session.enter(await self._session.prompt_async(self._prompt))
             except KeyboardInterrupt:  # Ctrl-C empties the line
                 continue
             except EOFError:
                 return
 
     def _prompt(self) -> str:
-        return f"jog, {self._desk.jog_line()} " if self._by_keys else "> "
+        return f"jog, {self._machine_session.jog_line()} " if self._by_keys else "> "
 
     def _toolbar(self) -> str:
         columns = self._session.output.get_size().columns
-        shown = self._desk.status(), _KEY_HELP if self._by_keys else _LINE_HELP
+        shown = self._machine_session.status(), _KEY_HELP if self._by_keys else _LINE_HELP
         return "\n".join(line for text in shown for line in wrapped(text, columns))
 
     def _bindings(self) -> KeyBindings:
@@ -88,15 +88,15 @@ class Terminal:
         @bindings.add("tab")
         def _switch(event: KeyPressEvent) -> None:
             self._by_keys = not self._by_keys
-            self._desk.leave()
+            self._machine_session.leave()
 
         @bindings.add("c-x", eager=True)
         def _reset(event: KeyPressEvent) -> None:
-            self._desk.reset()
+            self._machine_session.reset()
 
         def press(event: KeyPressEvent) -> None:
             for pressed in event.key_sequence:
-                self._desk.press(_name(pressed.key))
+                self._machine_session.press(_name(pressed.key))
 
         for key in (*JOGS, *_OTHER_KEYS, "space", "enter"):
             bindings.add(key, filter=by_keys, eager=True)(press)

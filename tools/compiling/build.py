@@ -18,11 +18,11 @@ from ..boardfile import engines, hal_texts, options
 from ..boardfile.board_check import own_modules
 from ..boardfile.chips import CHIPS
 from ..boardfile.files import load_for_build
-from . import compilers, kernel_module, machine_code, page_files, stock
+from . import compilers, kernel_module, machine_code, page_files, prebuilt
+from .cache import cached
+from .for_chip import for_chip
 from .inline import inline, pruned
-from .kept import kept
 from .kernel_module import Apart
-from .of_chip import of_chip
 
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
@@ -138,7 +138,7 @@ def prepared(arch: str) -> Apart:
 
 
 def _written(arch: str) -> tuple[tuple[str, str], ...]:
-    return tuple(of_chip(texts(), arch).items())
+    return tuple(for_chip(texts(), arch).items())
 
 
 def _id(written: tuple[tuple[str, str], ...]) -> str:
@@ -146,7 +146,7 @@ def _id(written: tuple[tuple[str, str], ...]) -> str:
 
 
 @lru_cache(4)
-@kept
+@cached
 def _in_place(written: tuple[tuple[str, str], ...]) -> dict[str, str]:
     stamped = f'"{_id(written)}"'
     return {
@@ -156,7 +156,7 @@ def _in_place(written: tuple[tuple[str, str], ...]) -> dict[str, str]:
 
 
 @lru_cache(4)
-@kept
+@cached
 def _apart(written: tuple[tuple[str, str], ...], core: tuple[str, ...]) -> Apart:
     return kernel_module.taken_apart(dict(written), core)
 
@@ -201,10 +201,10 @@ def _is_off(board: ModuleType, name: str) -> bool:
 
 def _extras(board: ModuleType) -> list[str]:
     paths.use_firmware()
-    from boot import guests
+    from boot import select_extras
 
     own = getattr(board, "CUSTOM", options.BY_NAME["CUSTOM"].default)
-    return guests.names(board, bool(own))
+    return select_extras.extra_names(board, bool(own))
 
 
 def _others(board: ModuleType) -> set[str]:
@@ -242,8 +242,8 @@ def firmware(arch: str) -> Firmware:
     if compilers.are_there(arch):
         return Firmware(id_of(arch), compiled(arch, prepared(arch)))
     try:
-        return Firmware(id_of(arch), stock.find(texts(), arch))
-    except stock.NotThere as why:
+        return Firmware(id_of(arch), prebuilt.find(texts(), arch))
+    except prebuilt.NotThere as why:
         raise BuildError(compilers.missing(str(why))) from why
 
 
@@ -259,7 +259,7 @@ def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[s
 
 
 @lru_cache(1000)
-@kept
+@cached
 def _compile(name: str, text: str, arch: str) -> bytes:
     """A module in MicroPython's own format."""
     try:

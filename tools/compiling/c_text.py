@@ -101,7 +101,7 @@ class Function:
         """What an object returns, as an integer."""
         raise NotImplementedError
 
-    def tell_object(self, node: ast.Call) -> str:
+    def call_statement(self, node: ast.Call) -> str:
         """An object is called, and what it returns need be no number."""
         raise NotImplementedError
 
@@ -157,7 +157,7 @@ class Function:
             case ast.Return(value):
                 yield f"return {self.expression(value) if value else 0};"
             case ast.Expr(ast.Call(called) as call) if self.is_object(called):
-                yield f"{self.tell_object(call)};"
+                yield f"{self.call_statement(call)};"
             case ast.Expr(value):
                 yield f"(void){self.expression(value)};"
             case ast.If(test, body, orelse):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from .. import __version__, paths
 from ..boardfile.chips import CHIPS
-from . import stock
+from . import prebuilt
 from .build import KERNELS, START, Build, firmware, sources, texts
 from .inline import inline
 
@@ -53,7 +53,7 @@ def folders(made: Build) -> list[str]:
 def fill_stock() -> None:
     """Compile the firmware for every processor, and write it where the package has it."""
     archs = {chip.mpy_arch for chip in CHIPS.values()}
-    stock.save(texts(), {arch: firmware(arch).modules for arch in archs})
+    prebuilt.save(texts(), {arch: firmware(arch).modules for arch in archs})
 
 
 def place(folder: Path) -> None:

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 
 from . import viper
 from .c_text import BITS, Function, c_name
-from .kept import kept
+from .cache import cached
 from .viper import Key, Module
 
 # The processors for which there is such code, by the name that MicroPython has for theirs.
@@ -154,7 +154,7 @@ def is_there() -> bool:
 
 
 @lru_cache(4)
-@kept
+@cached
 def compiled(text: str, arch: str) -> bytes:
     """An object file. CompilerError."""
     with TemporaryDirectory() as folder:
@@ -166,7 +166,7 @@ def compiled(text: str, arch: str) -> bytes:
 
 
 @lru_cache(100)
-@kept
+@cached
 def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
     """The piece of code: objects of these functions, and all that they call. CompilerError."""
     kept = [f"KEEP(*(.exports.{c_name(*key)}))" for key in exports]
@@ -243,9 +243,9 @@ class _Function(Function):
         return f"((int32_t){value})" if self.type_of(node) in BITS else value
 
     def call_object(self, node: ast.Call) -> str:
-        return f"number({self.tell_object(node)})"
+        return f"number({self.call_statement(node)})"
 
-    def tell_object(self, node: ast.Call) -> str:
+    def call_statement(self, node: ast.Call) -> str:
         given = [
             value if self._is(each) else f"boxed({value})"
             for each, value in ((each, self.expression(each)) for each in node.args)

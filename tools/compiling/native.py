@@ -162,7 +162,7 @@ class _Function(Function):
     def call_object(self, node: ast.Call) -> str:
         return f"value({self._called(node)})"
 
-    def tell_object(self, node: ast.Call) -> str:
+    def call_statement(self, node: ast.Call) -> str:
         return f"drop({self._called(node)})"
 
     def after_objects(self) -> str:

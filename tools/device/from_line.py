@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from ..grbl.gcode_file import without_comments
 from ..run.rehearsal import Forecast
+from .machine_snapshot import SYSTEMS, MachineSnapshot, axis_words, number_word, read
 from .send import Line
-from .stage import SYSTEMS, Stage, axis_words, number_word, read
 
 _SPIN_UP_S = 4
 _SLOW_MM_MIN = 100.0
@@ -41,7 +41,9 @@ class Approach:
     cautions: list[str]
 
 
-def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stage) -> Approach:
+def approach(
+    lines: Sequence[bytes], number: int, forecast: Forecast, here: MachineSnapshot
+) -> Approach:
     """The way to a line of a program, from where the machine is."""
     if forecast.stopped:
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
@@ -82,10 +84,10 @@ def _check_cycle(lines: Sequence[bytes], number: int) -> None:
             begun = 0
     if begun and not _CYCLE_ENDS.search(_code(lines[number - 1])):
         text = f"line {number} goes on with the drilling cycle of line {begun}"
-        raise CannotEnter(f"{text}: begin there, or behind its end")
+        raise CannotEnter(f"{text}: begin there, or after its end")
 
 
-def _check_settings(before: Sequence[bytes], here: Stage) -> None:
+def _check_settings(before: Sequence[bytes], here: MachineSnapshot) -> None:
     """Settings are stored: the machine has to have what the lines before have set."""
     for at, line in enumerate(before, 1):
         match = _SETTING.fullmatch(_code(line))
@@ -95,9 +97,9 @@ def _check_settings(before: Sequence[bytes], here: Stage) -> None:
             raise CannotEnter(f"line {at} sets ${int(match[1])}, which is {now} now: set it first")
 
 
-def _check_places(behind: Sequence[bytes], here: Stage, there: Stage) -> None:
+def _check_places(after: Sequence[bytes], here: MachineSnapshot, there: MachineSnapshot) -> None:
     """G28.1 and G30.1 store where the tool is: without going there nobody can."""
-    for line in behind:
+    for line in after:
         for word in _GOES_TO.findall(_code(line)):
             name = f"G{word.decode()}"
             if there.offsets.get(name) != here.offsets.get(name):
@@ -108,7 +110,9 @@ def _check_places(behind: Sequence[bytes], here: Stage, there: Stage) -> None:
 class _Way:
     """Lines with what they do. here, there: the machine now, and as the program wants it."""
 
-    def __init__(self, here: Stage, there: Stage, place: Sequence[float], safe_mm: float) -> None:
+    def __init__(
+        self, here: MachineSnapshot, there: MachineSnapshot, place: Sequence[float], safe_mm: float
+    ) -> None:
         self._here = here
         self._there = there
         self._place = place

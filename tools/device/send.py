@@ -23,9 +23,9 @@ from ..grbl.gcode_file import (
     RESET,
     STATUS,
     comment,
-    harmless,
     is_answer,
     is_welcome,
+    sanitize,
     shown,
     without_comments,
 )
@@ -119,7 +119,7 @@ class Ready(Sequence[Line]):
             return self._lead[at]
         number = self._first + at
         line = self._lines[number - 1]
-        return Line(number, harmless(line), shown(line))
+        return Line(number, sanitize(line), shown(line))
 
 
 class _Mute:

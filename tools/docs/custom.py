@@ -6,25 +6,25 @@ from collections.abc import Iterator
 from .. import paths
 from .markdown import table
 
-# The operator, and what it has from below. What stands above the line is for custom.py's keeper.
-_OPERATOR = {"machine_operator": "# Motion", "operator_pins": "# Pins"}
+# The machine's API, and its base class. What stands above the line is for custom.py's keeper.
+_API_MODULES = {"machine_api": "# Motion", "pin_api": "# Pins"}
 _KEEPERS = ("halt",)
 
 
-def operator_table() -> str:
+def machine_api_table() -> str:
     """Every public method of m, with what it says of itself."""
     rows = [
         (f"`m.{_call(method)}`", " ".join((ast.get_docstring(method) or "").split()))
-        for method in operator_methods()
+        for method in machine_api_methods()
     ]
     kept = "A number or a text that is kept; `in`, `del` and `get(name, default)`."
     rows.append(("`m.keep[name]`", kept))
     return table(("Call", "What it does"), rows)
 
 
-def operator_methods() -> Iterator[ast.FunctionDef]:
+def machine_api_methods() -> Iterator[ast.FunctionDef]:
     """Those that a handler may call."""
-    for module, line in _OPERATOR.items():
+    for module, line in _API_MODULES.items():
         text = (paths.FIRMWARE / "extras" / "custom" / f"{module}.py").read_text(encoding="utf-8")
         first = text[: text.index(line)].count("\n")
         for node in ast.walk(ast.parse(text)):

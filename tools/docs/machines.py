@@ -8,7 +8,7 @@ from .. import paths
 from ..boardfile import board_check, options
 from ..grbl import messages
 from ..grbl.comments import setting_comments
-from ..replay import differences, excuses
+from ..replay import differences, known_differences
 from .markdown import as_code, table
 
 # Settings, errors, alarms
@@ -114,7 +114,8 @@ def differences_table() -> str:
     rows += [(row.name, "one case", row.reason) for row in differences.QUIRKS]
     rows += [(name, "motion", reason) for name, reason in differences.MOTION]
     rows += [
-        (row.name, "whole cases", row.reason) for row in (*excuses.CASES, *excuses.MOTIONS[1:])
+        (row.name, "whole cases", row.reason)
+        for row in (*known_differences.CASES, *known_differences.MOTIONS[1:])
     ]
     rows = [(name, where, as_code(reason)) for name, where, reason in rows]
     return table(("Name", "Where", "What and why"), rows)

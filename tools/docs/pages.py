@@ -31,7 +31,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "differences": machines.differences_table,
     "modules": house.folders_table,
     "rooms": house.rooms_table,
-    "operator": custom.operator_table,
+    "operator": custom.machine_api_table,
 }
 
 

@@ -139,7 +139,7 @@ class MotionTrace(Paced):
 
     def _attach(self) -> None:
         super()._attach()
-        from motion.reals import value
+        from motion.minifloat import value
 
         self._value = value
         self._segments = self._rig.controller.segments

@@ -151,7 +151,7 @@ def comment(line: bytes) -> str:
     return text(found).translate({ord(sign): " " for sign in "();"}).strip()
 
 
-def harmless(line: bytes) -> bytes:
+def sanitize(line: bytes) -> bytes:
     """The line, with comments in which nothing acts: letters in ASCII, and no ! ~ ? or Ctrl-X."""
     if not has_realtime(line):
         return line

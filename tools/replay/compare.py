@@ -16,7 +16,7 @@ from .differences import (
     NO_SPEED,
     QUIRKS,
 )
-from .excuses import excuse
+from .known_differences import explain_case
 
 Json = dict[str, Any]
 
@@ -180,7 +180,7 @@ def judge_case(case: Json, observed: Json, used: list[str], lenient: bool = Fals
     wrong += _judge_lines(steps, got, places, lenient, used)
     if not lenient:
         wrong += _judge_moves(steps, got, places, used)
-    if wrong and excuse(case, observed, wrong, places.wrong, used):
+    if wrong and explain_case(case, observed, wrong, places.wrong, used):
         wrong = []
     return wrong if lenient else wrong + judge_motors(case, observed, used)
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from .compare import Json, expected_lines, same_lines, trouble
 from .differences import EXACT_STOP, SWITCH
-from .excuses import excuse_motion
+from .known_differences import explain_motion
 
 _SETTING_STEPS = re.compile(r"\$10([0-5])=([\d.]+)")
 _AXIS_WORD = re.compile(r"([XYZABC])\s*(-?\d*\.?\d+)", re.IGNORECASE)
@@ -41,7 +41,7 @@ def judge_motion(record: Json, observed: Json, used: list[str]) -> list[str]:
     late_or_far = _judge_times(record, observed, used)
     if late_or_far and _stopped_at_end(record, observed):
         used.append(EXACT_STOP[0])
-    elif late_or_far and not excuse_motion(record, observed, used):
+    elif late_or_far and not explain_motion(record, observed, used):
         wrong += late_or_far
     elif late_or_far:
         wrong += _judge_path(record, observed)

@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 from .differences import HELD, IDLE_DELAY
-from .excuses import SLOW
+from .known_differences import SLOW
 
 Json = dict[str, Any]
 

@@ -28,7 +28,7 @@ class CheckedLines:
 
         controller = rig.controller
         _, at, text, kinds = controller.reader.memory()
-        self._state, self._drive = controller.state, controller.drive
+        self._state, self._drive = controller.state, controller.motor_control
         self._in_check_mode, self._any = CHECK, ANY
         self._check_lines = check_lines
         self._places = lines
@@ -66,7 +66,7 @@ class CheckedLines:
 
     def _is_checking(self) -> bool:
         # Behind a $C it is so until the reset that this asks for has come to its end.
-        is_over = self._state.pending[self._any] or self._drive.settling
+        is_over = self._state.pending[self._any] or self._drive.in_idle_delay
         return self._state.run == self._in_check_mode and not is_over
 
     def _begin_at(self, index: int) -> None:

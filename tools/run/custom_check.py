@@ -150,7 +150,7 @@ def _imported(tree: ast.Module) -> Iterator[tuple[int, str]]:
 def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Sequence[Any]":
     """Have the simulator import it; returns the notes where nothing is wrong with them."""
     rig = machine.build(board, lambda rig: ProgramLink(rig, lambda link: iter(())), around=around)
-    rig.guest.examine = lambda cnc, notes: _examine(own, cnc, notes, verdict)
+    rig.custom_module.examine = lambda cnc, notes: _examine(own, cnc, notes, verdict)
     try:
         if watch.is_late(lambda: machine.run(rig)):
             verdict.problems.append(
@@ -165,9 +165,9 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
         if not verdict.problems:
             verdict.problems.append(str(error))
         return ()
-    if not rig.guest.notes:
+    if not rig.custom_module.notes:
         verdict.problems.append(f"{own.path}: no handler in it: @mcode, @gcode, @on…, @every")
-    return tuple(rig.guest.notes)
+    return tuple(rig.custom_module.notes)
 
 
 def called(note: Any) -> str:

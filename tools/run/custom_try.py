@@ -75,13 +75,13 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
         except OwnPythonError as error:
             return str(error), False
         told = [text[5:-1] for _, text in rig.link.result.other_output if text[:5] == "[MSG:"]
-        faults = [fault for fault in rig.guest.faults if fault.startswith(f"{what}: ")]
-        if lacks := [fault for fault in faults if fault in rig.guest.lacks]:
+        faults = [fault for fault in rig.custom_module.faults if fault.startswith(f"{what}: ")]
+        if lacks := [fault for fault in faults if fault in rig.custom_module.lacks]:
             return f"not tried: {lacks[0]}: boards have it, the simulator does not", True
         if stopped or faults or rig.link.result.stopped:
             why = (faults or [stopped or rig.link.result.stopped])[0]
             return why + (_IN_ALARM if lines is _UNLOCKED and kind == "after_reset" else ""), False
-        if what not in rig.guest.ran:
+        if what not in rig.custom_module.ran:
             return "not tried: could not be brought about here", True
         refused = [reply for _, reply in rig.link.result.errors]
         said = f"refuses its line: {told[-1] if told else refused[0]}" if refused else said
@@ -121,7 +121,7 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
                 yield None
 
     rig = machine.build(board, lambda rig: TryLink(rig, script), around=around)
-    rig.guest.in_vain = rig.link.stop
+    rig.custom_module.on_endless_wait = rig.link.stop
     from ..sim import motor_names, switches
 
     if kind == "after_homing" and not motor_names.shared(rig.board):
@@ -132,5 +132,7 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
 def _run(rig: "Rig", what: str) -> str:
     """Run it, not for longer than one waits. Returns why it was ended, if it was."""
     if watch.is_late(lambda: machine.run(rig)):
-        return f"{rig.guest.interrupted or what}: no end of it within {watch.LONGEST_S:g} s"
+        return (
+            f"{rig.custom_module.interrupted or what}: no end of it within {watch.LONGEST_S:g} s"
+        )
     return ""

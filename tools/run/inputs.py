@@ -126,11 +126,11 @@ class Inputs:
         self._awaited = name, closed, self._rig.port.ticks_ms()
         return name in self._ruled or name not in self.names
 
-    def has_come(self) -> None:
+    def is_satisfied(self) -> None:
         """Nobody waits any more."""
         self._awaited = None
 
-    def turn(self) -> None:
+    def advance(self) -> None:
         """Time has passed: push what has been waited for long enough."""
         port = self._rig.port
         if self._awaited:

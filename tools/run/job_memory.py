@@ -27,7 +27,7 @@ class MemoryFiles:
     def __init__(self) -> None:
         self._kept: dict[str, bytes] = {}
         self.is_name = job_files.JobFiles("").is_name
-        self.turn: Callable[[], object] = _nothing
+        self.on_progress: Callable[[], object] = _nothing
 
     def connect(self, store: Any, link: Any) -> None:
         """No flash is written."""
@@ -53,7 +53,7 @@ class MemoryFiles:
             raise OSError(f"there is no job {name}")
         return BytesIO(self._kept[name])
 
-    def room_kb(self) -> int:
+    def free_kb(self) -> int:
         """As on a board with much of it."""
         return _ROOM_KB
 

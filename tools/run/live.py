@@ -79,7 +79,7 @@ class LiveLink(UntimedLink):
             self._rig.power_off()
         self.turn()
         if self._rig.inputs:
-            self._rig.inputs.turn()
+            self._rig.inputs.advance()
         if not self._fast:
             self._follow_wall()
         data = self._wire.read(len(buf)) if self._greeted else b""

@@ -133,13 +133,13 @@ def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
         rig = make(board)
         rig.inputs = Inputs(rig, around.rules, around.others_ms)
         return rig
-    from .guest import invite
+    from .custom_module import load_custom
 
     copy = _copy(board, board.__name__, **assumed_pins(board, around.custom))
-    guest = invite(copy, around.custom)
+    guest = load_custom(copy, around.custom)
     rig = make(copy)
     guest.inputs = rig.inputs = Inputs(rig, around.rules, around.others_ms)
-    rig.guest = guest
+    rig.custom_module = guest
     return rig
 
 
@@ -192,7 +192,7 @@ def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
         check_known(found, [number for number, line in lines.items() if line in taken])
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from error
-    controller.saves.finish()
+    controller.saves.write_due()
     return controller.settings.file, store.files[controller.settings.file]
 
 

@@ -284,11 +284,11 @@ class ProgramLink(machine.UntimedLink):
             self.stop("asleep ($SLP)")
         elif rig.now - self.news > _STALLED_MS * rig.ticks_per_ms:
             self.stop("nothing happens any more")
-        elif rig.guest and rig.guest.running:
-            self._watch_handler(rig.guest.running[-1])
+        elif rig.custom_module and rig.custom_module.running:
+            self._watch_handler(rig.custom_module.running[-1])
         rig.skip()
         if rig.inputs:
-            rig.inputs.turn()
+            rig.inputs.advance()
 
     def _watch_handler(self, what: str) -> None:
         """Nothing moves while it runs."""
@@ -348,14 +348,17 @@ def watch_program(
         link.result.final_state = next((r for r in link.replies if r.startswith("[G")), "")
 
     rig = machine.build(board, lambda rig: ProgramLink(rig, script), coarse=coarse, around=around)
-    if rig.guest:
-        rig.guest.in_vain, rig.guest.switched = rig.link.stop, rig.link.note_output
+    if rig.custom_module:
+        rig.custom_module.on_endless_wait, rig.custom_module.on_switched = (
+            rig.link.stop,
+            rig.link.note_output,
+        )
     watching = watcher(rig)
     machine.run(rig)
     result: Result = rig.link.result
     result.totals = watching.totals()
     result.wide_arcs = watching.wide_arcs
-    result.faults = rig.guest.faults if rig.guest else []
+    result.faults = rig.custom_module.faults if rig.custom_module else []
     return result, watching
 
 

@@ -116,7 +116,7 @@ class Recorder:
         self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
         self._beside = kinematics if hasattr(kinematics, "motor_of") else None
         interpreter, planner = controller.interpreter, self._planner
-        is_usual = not (planner.move_hook or interpreter.watches() or self._rig.guest)
+        is_usual = not (planner.move_hook or interpreter.watches() or self._rig.custom_module)
         self.is_plain = is_usual and not controller.protocol._echoes
         self._plan = planner.move_hook or planner.plan
         planner.move_hook = self._plan_line
@@ -197,7 +197,7 @@ class Recorder:
 
     def _note(self, row: int) -> None:
         """A row of the ring has been planned."""
-        from motion import reals
+        from motion import minifloat
 
         layout = self._layout
         at = row * self._planner.flow[layout.ROW_SIZE] + layout.STEPS
@@ -211,7 +211,9 @@ class Recorder:
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
         signed = [-n if dirs >> i & 1 else n for i, n in enumerate(steps)]
         if self._nonlinear:
-            self._distance_mm += reals.value(self._planner.ring[at - layout.STEPS + layout.LENGTH])
+            self._distance_mm += minifloat.value(
+                self._planner.ring[at - layout.STEPS + layout.LENGTH]
+            )
             return
         way = self._to_mm(signed)
         if hasattr(self._beside, "skew"):

@@ -215,15 +215,21 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
         axes=job.axes,
         around=job.around(),
     )
-    if rig.guest:
-        rig.guest.in_vain, rig.guest.switched = rig.link.stop, rig.link.note_output
+    if rig.custom_module:
+        rig.custom_module.on_endless_wait, rig.custom_module.on_switched = (
+            rig.link.stop,
+            rig.link.note_output,
+        )
     watcher = _Watcher(rig)
     begun = rig.now
     machine.run(rig)
     link: _Link = rig.link
     link.result.wide_arcs = watcher.wide_arcs
-    if rig.guest:
-        link.result.faults, link.result.own = rig.guest.faults, rig.guest.told_names()
+    if rig.custom_module:
+        link.result.faults, link.result.own = (
+            rig.custom_module.faults,
+            rig.custom_module.handler_names(),
+        )
     return link.result, _forecast(watcher, link, begun)
 
 

@@ -10,7 +10,7 @@ from talk.lines import LINE, clean
 def check_lines(
     heard: ptr8, at: ptr32, line: object, kinds: ptr8, modal: ptr32, machine: ptr32, memory: object
 ) -> int:
-    """Do what the firmware's loop does with lines that only move (talk/quick_lines.py), in check
+    """Do what the firmware's loop does with lines that only move (talk/stream_loop.py), in check
     mode, up to one that does more. Returns how many were done."""
     done = 0
     text = ptr8(line)

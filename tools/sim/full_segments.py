@@ -18,7 +18,7 @@ from motion.layout import (
     SLICES,
     SPARE,
 )
-from motion.slice_kernel import HAIR
+from motion.slice_kernel import STEP_BIAS
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class FullSegments:
         ticks = row[ROW_TICKS] + (0 if fresh else self._spares.get(flow[AT], 0))
         steps = max(row[at] for at in range(ROW_AXES, len(row), ROW_STRIDE))
         spare = 0
-        if steps and flow[PARTIAL] > HAIR:
+        if steps and flow[PARTIAL] > STEP_BIAS:
             spare = ticks - ticks * steps * _STEP // (steps * _STEP + flow[PARTIAL])
         self._spares[flow[AT]] = spare
         row[ROW_TICKS] = max(ticks - spare, 1)

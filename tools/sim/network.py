@@ -25,7 +25,7 @@ class RigLink(NetLink):
 
     def __init__(self, rig: "Rig", cable: "Any", calls: "Incoming | None", *more: "Any") -> None:
         cable.shared = array("i", (0, 0, 0))
-        cable.look = None
+        cable.poll_reset = None
         cable.is_slow = False
         self.cable = cable
         super().__init__(cable, calls, *more)
@@ -35,9 +35,9 @@ class RigLink(NetLink):
     def _is_at_rest(self) -> bool:
         return self._rig.controller.at_rest()
 
-    def _meet(self, conn: "Any", address: str, now_ms: int) -> None:
-        super()._meet(conn, address, now_ms)
-        for caller in self._callers:
+    def _accept(self, conn: "Any", address: str, now_ms: int) -> None:
+        super()._accept(conn, address, now_ms)
+        for caller in self._clients:
             if caller.conn is conn and address in self.trusts:
                 caller.trusted = True
 

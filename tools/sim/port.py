@@ -70,10 +70,10 @@ class SimPort:
         self._pushed: "dict[str, bool]" = {}
         self._closed: "set[str]" = set()
         self._listener: "InputListener | None" = None
-        self.behind_controls: "Callable[[int], object] | None" = None
+        self.after_controls: "Callable[[int], object] | None" = None
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
-        self._hears_limits = False
+        self._limits_enabled = False
         self._killed = False
         # Pins of an extra: levels of outputs, those of kill(), names of inputs as for push().
         self.own_outputs = self._rest = 0
@@ -93,8 +93,8 @@ class SimPort:
     def attach(self, listener: "InputListener") -> None:
         self._listener = listener
 
-    def hear_limits(self, on: bool) -> None:
-        self._hears_limits = on
+    def enable_limits(self, on: bool) -> None:
+        self._limits_enabled = on
 
     def kill(self) -> None:
         self._killed = True
@@ -223,7 +223,7 @@ class SimPort:
             self._on_change()
         if (
             self._listener
-            and self._hears_limits
+            and self._limits_enabled
             and any(name in changed for name in self.limit_names)
         ):
             self._listener.on_limits()
@@ -231,8 +231,8 @@ class SimPort:
         if self._listener and (buttons or ESTOP in changed):
             stop = EMERGENCY_STOP if self.estop and self.estop() else 0
             self._listener.on_controls(self.controls() | stop)
-            if self.behind_controls:
-                self.behind_controls(self.controls() | stop)
+            if self.after_controls:
+                self.after_controls(self.controls() | stop)
 
     def _stop_is_open(self) -> bool:
         return ESTOP not in self._closed

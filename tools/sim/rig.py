@@ -131,7 +131,7 @@ class Rig:
         if isinstance(self.engine, SimBeamEngine):
             self.engine.burning = lambda: self.port.spindle_pwm
         self.inputs: "Any" = None  # who pushes them, and the user's own Python: see tools/run/
-        self.guest: "Any" = None
+        self.custom_module: "Any" = None
         self.link: "Any" = link(self)
         self.controller: "Controller"  # once run() has built it
         self.on_built: "Callable[[], None] | None" = (

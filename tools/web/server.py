@@ -12,8 +12,8 @@ from ..run.tcp_link import why_not
 from .access import Access
 from .board_link import BoardLink, Source
 from .hub import Browser, Hub
-from .look import PROGRAM_BYTES
-from .looks import LONGEST_S, Looks
+from .preview import PROGRAM_BYTES
+from .preview_queue import LONGEST_S, PreviewQueue
 from .shared_job import program_of
 
 PAGE = paths.TOOLS / "web" / "page" / "index.html"
@@ -47,7 +47,7 @@ class Server:
         self._loop = asyncio.get_running_loop()
         self._link = BoardLink(source, self._heard, self._changed, self._log_from_thread)
         self._hub = Hub(self._link, log)
-        self._looks = Looks(board, log, longest_s)
+        self._previews = PreviewQueue(board, log, longest_s)
         self._sockets: set[web.WebSocketResponse] = set()
         self._runner: web.AppRunner | None = None
 
@@ -77,7 +77,7 @@ class Server:
 
     async def stop(self) -> None:
         """Let everybody go, then the board: a machine at work is held, as by a lost browser."""
-        self._looks.close()
+        self._previews.close()
         if self._runner is not None:
             await self._runner.cleanup()
         await self._loop.run_in_executor(None, self._link.close)
@@ -123,7 +123,7 @@ class Server:
         )
 
     async def _post_look(self, request: web.Request) -> web.StreamResponse:
-        answer = await self._looks.look(await request.read())
+        answer = await self._previews.look(await request.read())
         if answer.status != 200:
             return _sentence(answer.status, answer.text)
         return web.Response(text=answer.text, content_type="application/json")

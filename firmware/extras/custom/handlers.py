@@ -41,7 +41,7 @@ MOVING = (
     "program_done",
 )
 # The others run beside motion.
-BESIDE = ("state_change", "alarm")
+DURING_MOTION = ("state_change", "alarm")
 
 _notes: "list[Note]" = []
 
@@ -109,10 +109,11 @@ def every(ms: int) -> "Callable[[Function], Function]":
 
 
 class On:
-    """Events: on.tool_change and the others of MOVING and BESIDE; on.report; on.input(name)."""
+    """Events: on.tool_change and the others of MOVING and DURING_MOTION; on.report;
+    on.input(name)."""
 
     def __getattr__(self, name: str) -> "Callable[[Function], Function]":
-        if name not in MOVING and name not in BESIDE and name != REPORT:
+        if name not in MOVING and name not in DURING_MOTION and name != REPORT:
             raise AttributeError("there is no event on.%s" % name)
         return _note(name, name, "", name in MOVING)
 
@@ -140,7 +141,7 @@ class Api:
 api = Api()
 
 
-def take() -> "list[Note]":
+def take_notes() -> "list[Note]":
     """What has been noted; it is not any more."""
     noted = _notes[:]
     _notes.clear()

@@ -10,12 +10,12 @@ import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
-from base.faults import harmless, trace
+from base.faults import sanitize, trace
 from micropython import const
 from motion.layout import HEAD, ROWS, TAIL
 
 from extras.custom import handlers
-from extras.custom.operator_pins import Stopped
+from extras.custom.pin_api import Stopped
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
     from extras.custom.handlers import Function
-    from extras.custom.machine_operator import Operator
+    from extras.custom.machine_api import MachineApi
 
 TRACE = "custom"  # under which the end of the last traceback is kept
 _TRACE_LINES = const(12)  # of one that has filled the stack there are many, all alike
@@ -35,18 +35,19 @@ _BLOCKS = const(8)
 
 
 class Runner:
-    """Runs handlers. operator: what they are handed; modules: the user's, by name."""
+    """Runs handlers. api: what they are handed; modules: the user's, by name."""
 
-    def __init__(self, cnc: "Cnc", operator: "Operator", modules: "tuple[str, ...]") -> None:
+    def __init__(self, cnc: "Cnc", api: "MachineApi", modules: "tuple[str, ...]") -> None:
         self._cnc = cnc
         self._machine = cnc.machine
-        self.operator = operator
+        self.machine_api = api
         self._modules = [module.replace(".", "/") for module in modules]
         self.is_running = False  # a handler
         self._slow: "list[str]" = []  # who has been told of
-        self._out: "list[Function]" = []  # failed beside motion: it would again, at every turn
+        # Failed beside motion: it would again, at every turn.
+        self._disabled: "list[Function]" = []
         self._calls = 0
-        self.has_run = False  # there may be something to do for turn()
+        self.has_run = False  # there may be something to do for run_housekeeping()
 
     @micropython.native  # needs half the stack
     def run(
@@ -59,14 +60,14 @@ class Runner:
     ) -> "Any":
         """Run a handler; returns what it returns. given: of a word, its parameters. Raises
         GrblError where that refuses its line, and Abort where the machine has been stopped."""
-        operator, state = self.operator, self._machine.state
-        if function in self._out and not may_move:
+        api, state = self.machine_api, self._machine.state
+        if function in self._disabled and not may_move:
             return None
-        outer = operator.begin(may_move)
+        outer = api.begin_handler(may_move)
         was_running, self.is_running = self.is_running, True
         try:
-            found = function(operator, *values, **(given or {}))
-            operator.look()
+            found = function(api, *values, **(given or {}))
+            api.check_stopped()
             return found
         except Stopped:
             if state.pending[st.RESET]:
@@ -78,22 +79,22 @@ class Runner:
             if isinstance(fault, Abort) or state.pending[st.RESET]:
                 raise Abort
             if isinstance(fault, handlers.Refuse) and given is not None and may_move:
-                self._cnc.message(harmless(str(fault)))
+                self._cnc.message(sanitize(str(fault)))
                 raise GrblError(errors.INVALID_STATEMENT)
             if not may_move:
-                self._out.append(function)
+                self._disabled.append(function)
             self._fail(what, fault, may_move)
         finally:
-            operator.may_move = outer
+            api.may_move = outer
             self.is_running = was_running
-            operator.rested()
+            api.restart_clock()
             self._calls += 1
             self.has_run = True
-            self._tell_slow(what)
+            self._report_slow(what)
         return None
 
-    def _tell_slow(self, what: str) -> None:
-        slow_ms, self.operator.slow_ms = self.operator.slow_ms, 0
+    def _report_slow(self, what: str) -> None:
+        slow_ms, self.machine_api.slow_ms = self.machine_api.slow_ms, 0
         if slow_ms >= _SLOW_MS and what not in self._slow:
             self._slow.append(what)
             self._cnc.message("%s: %d ms without a call of m" % (what, slow_ms))
@@ -117,42 +118,42 @@ class Runner:
         """A handler has failed: say so, and stop the machine."""
         machine = self._machine
         # An interrupt that has come upon a full stack is taken away by MicroPython.
-        machine.port.attach(machine.drive)
-        machine.port.hear_limits(bool(machine.settings.hard_limits))
+        machine.port.attach(machine.motor_control)
+        machine.port.enable_limits(bool(machine.settings.hard_limits))
         lines = trace(fault)
-        text = harmless("%s: %s" % (what, self.text(lines)))
+        text = sanitize("%s: %s" % (what, self.text(lines)))
         machine.commands.fault = text
         machine.saves.save(TRACE, lines[-_TRACE_LINES:])
         machine.report.message(text)
         if may_move:
             machine.canon.synchronise()
         else:
-            self._tell_left_out(what)
-        self.operator.halt()
+            self._report_disabled(what)
+        self.machine_api.halt()
 
-    def _tell_left_out(self, what: str) -> None:
+    def _report_disabled(self, what: str) -> None:
         self._cnc.message(what + " is left out until power-up")
 
-    def refuse_left_out(self, what: str, function: "Function") -> None:
+    def refuse_disabled(self, what: str, function: "Function") -> None:
         """GrblError where a word's handler beside motion is left out: the sender would take its
         line as done."""
-        if function in self._out:
-            self._tell_left_out(what)
+        if function in self._disabled:
+            self._report_disabled(what)
             raise GrblError(errors.INVALID_STATEMENT)
 
     # The main loop's turn, between two lines
 
-    def turn(self) -> None:
+    def run_housekeeping(self) -> None:
         """Write what is to be kept; make room; begin jogs that have been asked for."""
-        machine, operator = self._machine, self.operator
-        keep = operator.keep
+        machine, api = self._machine, self.machine_api
+        keep = api.keep
         if keep.is_due and machine.at_rest() and not machine.reader.has_line():
             keep.write()
-            machine.keep()
+            machine.save_due()
         if self._calls >= _CALLS:
             flow = machine.planner.flow
             if machine.at_rest() or (flow[HEAD] - flow[TAIL]) % flow[ROWS] >= _BLOCKS:
                 self._calls = 0
                 gc.collect()
-        operator.turn()
-        self.has_run = keep.is_due or self._calls >= _CALLS or operator.has_jogs()
+        api.start_jogs()
+        self.has_run = keep.is_due or self._calls >= _CALLS or api.has_jogs()

@@ -5,20 +5,20 @@ loop only: those that may move where motion has come to its end, between two lin
 beside motion, wherever the loop waits and the stack has room. Interrupts know nothing of them.
 
 How one is run, and what becomes of it, stands in runner.py; where events come from, in
-happenings.py; what a handler is handed, in machine_operator.py.
+events.py; what a handler is handed, in machine_api.py.
 """
 
 import gc
 import sys
 
-from base.faults import harmless, trace
+from base.faults import sanitize, trace
 from micropython import const
 
 from extras.custom import handlers
-from extras.custom.happenings import Happenings
-from extras.custom.machine_operator import Operator
+from extras.custom.events import Events
+from extras.custom.machine_api import MachineApi
 from extras.custom.runner import TRACE, Runner
-from extras.own_words import word_of
+from extras.custom_codes import word_of
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
     from extras.custom.handlers import Function, Note
-    from extras.own_words import Key
+    from extras.custom_codes import Key
 
 _API = "ugrbl"  # the name by which custom.py knows handlers.py
 
@@ -51,22 +51,22 @@ def install(cnc: "Cnc") -> None:
     if outputs or inputs:
         port.add_pins(tuple(outputs.values()), tuple(inputs.values()))
         port.rest(0)
-    operator = Operator(cnc.machine, outputs, inputs)
-    runner = Runner(cnc, operator, _found["modules"])
-    custom = Custom(cnc, runner, Happenings(cnc, runner))
+    api = MachineApi(cnc.machine, outputs, inputs)
+    runner = Runner(cnc, api, _found["modules"])
+    custom = Custom(cnc, runner, Events(cnc, runner))
     try:
-        custom.take(_read(_found["modules"]))
+        custom.register(_read(_found["modules"]))
     except KeyboardInterrupt:
-        custom.drop(RuntimeError("Ctrl-C while it was read"))
+        custom.leave_out(RuntimeError("Ctrl-C while it was read"))
     except BaseException as fault:  # sys.exit(), too
-        custom.drop(fault)
+        custom.leave_out(fault)
 
 
 def _read(modules: "tuple[str, ...]") -> "list[Note]":
     """Import the user's modules; returns what they have noted down."""
     there = sys.modules.get(_API)
     sys.modules[_API] = handlers.api  # type: ignore[assignment]
-    handlers.take()
+    handlers.take_notes()
     try:
         for name in modules:
             sys.modules.pop(name, None)
@@ -77,7 +77,7 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
         sys.modules.pop(_API)
         if there:
             sys.modules[_API] = there
-    return handlers.take()
+    return handlers.take_notes()
 
 
 def title(kind: str, key: "Any") -> str:
@@ -92,13 +92,13 @@ def title(kind: str, key: "Any") -> str:
 class Custom:
     """What the user's modules have noted down, taken up or left out."""
 
-    def __init__(self, cnc: "Cnc", runner: Runner, happenings: Happenings) -> None:
+    def __init__(self, cnc: "Cnc", runner: Runner, events: Events) -> None:
         self._cnc = cnc
-        self._happenings = happenings
+        self._events = events
         self._machine = cnc.machine
         self._runner = runner
 
-    def take(self, notes: "list[Note]") -> None:
+    def register(self, notes: "list[Note]") -> None:
         """Take up what has been noted, all or nothing: what is wrong is found before anything is
         put around the machine. ValueError where something is taken, TypeError for letters that
         are no text."""
@@ -115,35 +115,35 @@ class Custom:
             seen.append(word_of(kind, key))
         for kind, key, _, _, _ in events:
             if kind == handlers.INPUT:
-                self._runner.operator.pin(key)  # which says that there is none
+                self._runner.machine_api.pin(key)  # which says that there is none
         for kind, key, _, _, function in events:
-            self._happenings.add(kind, key, title(kind, key), function)
-        self._happenings.attach(any(note[3] is False for note in notes))
+            self._events.subscribe(kind, key, title(kind, key), function)
+        self._events.attach(any(note[3] is False for note in notes))
         for kind, key, letters, sync, function in words:
             call = self._word(title(kind, key), letters, sync, function)
             add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
             add(key, call, letters, bool(sync))
         names = [title(note[0], note[1]) for note in notes]
-        self._cnc.behind_reset(self._runner.operator.forget)
-        self._cnc.before_lines(self._happenings.between_lines)
-        self._tell_build(harmless("Custom: " + ", ".join(names)))
+        self._cnc.after_reset(self._runner.machine_api.clear_requests)
+        self._cnc.before_lines(self._events.between_lines)
+        self._add_build_info(sanitize("Custom: " + ", ".join(names)))
 
-    def drop(self, fault: BaseException) -> None:
+    def leave_out(self, fault: BaseException) -> None:
         """The machine is the plain one."""
-        handlers.take()
-        text = harmless("Custom left out: " + self._runner.text(trace(fault)))
-        self._cnc.behind_reset(lambda: self._cnc.message(text))
-        self._tell_build(text)
+        handlers.take_notes()
+        text = sanitize("Custom left out: " + self._runner.text(trace(fault)))
+        self._cnc.after_reset(lambda: self._cnc.message(text))
+        self._add_build_info(text)
 
-    def _tell_build(self, text: str) -> None:
+    def _add_build_info(self, text: str) -> None:
         """$I says it."""
         self._machine.state.hooks.build_info += (lambda: self._cnc.message(text),)
-        self._cnc.behind_command(b"I+", self._tell_trace)
+        self._cnc.after_command(b"I+", self._report_trace)
 
-    def _tell_trace(self, was: int) -> None:
+    def _report_trace(self, was: int) -> None:
         """$I+ ends with the last traceback that was kept, for `ugrbl doctor`."""
         for text in self._machine.saves.load(TRACE) or ():
-            self._machine.report.message("Trace: " + harmless(text))
+            self._machine.report.message("Trace: " + sanitize(text))
 
     def _word(
         self, what: str, letters: str, sync: "bool | None", function: "Function"
@@ -153,7 +153,7 @@ class Custom:
         def call(*numbers: "float | None") -> None:
             given = {n: x for n, x in zip(names, numbers) if x is not None}
             if sync is False:
-                self._happenings.defer(what, function, given)
+                self._events.defer(what, function, given)
             else:
                 self._runner.run(what, function, True, (), given)
 

@@ -7,11 +7,11 @@ machine is the same. A board asks for it with DIALECT = "0.9".
 
 from base import state as st
 from base.errors import ALARM_PROBE_FAIL_CONTACT, ALARM_PROBE_FAIL_INITIAL
+from base.float32_math import MINUS, add
 from base.settings import INT
-from base.singles import MINUS, add
 from micropython import const
 from talk.digits import VALUES, number, write
-from talk.lines import room
+from talk.lines import free_space
 from talk.report import BUILD, Report
 
 TYPE_CHECKING = const(False)
@@ -125,12 +125,12 @@ class Report09(Report):
         self.words = _WORDS.copy()  # other extras may add to these
         self.alarms = _ALARMS.copy()
         self._blocks = machine.planner.free()
-        self._rx_bytes = room(self._reader)
+        self._rx_bytes = free_space(self._reader)
 
     def configure(self) -> None:
         """Take over $10 and $13."""
         super().configure()
-        self._is_usual = False  # not in these words
+        self._is_common = False  # not in these words
 
     # Answers
 
@@ -207,7 +207,7 @@ class Report09(Report):
         if mask & _PLANNER_BLOCKS:
             self._number(b",Buf:%\0", self._blocks - self._planner.free())
         if mask & _RX_BYTES:
-            self._number(b",RX:%\0", self._rx_bytes - room(self._reader))
+            self._number(b",RX:%\0", self._rx_bytes - free_space(self._reader))
         if self._line_numbers:
             self._number(b",Ln:%\0", self._planner.line_number())
         if mask & _LIMITS:
@@ -253,4 +253,4 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """What 0.9 has otherwise, and has not."""
     cnc.add_settings(_SETTINGS, _WITHOUT)
-    cnc.without_commands(b"JS")
+    cnc.remove_commands(b"JS")

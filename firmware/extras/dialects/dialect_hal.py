@@ -108,12 +108,12 @@ class Bytes:
 
     def __init__(self, machine: "Controller", report: ReportHal) -> None:
         self._state = machine.state
-        self._drive = machine.drive
+        self._motor_control = machine.motor_control
         self._report = report
         self._stopping = False
         self._usual_post = machine.reader.post
         machine.reader.post = self.post
-        machine.state.hooks.turn += (self._turn,)
+        machine.state.hooks.poll += (self._turn,)
         machine.state.hooks.reset += (self._begin,)
 
     def post(self, byte: int) -> None:
@@ -133,7 +133,7 @@ class Bytes:
             self._usual_post(_HOLD)
             self._stopping = True
         elif state.run != st.ALARM:
-            self._drive.reset()
+            self._motor_control.reset()
 
     def _begin(self) -> None:
         if not self._state.pending[st.FEED_HOLD]:  # which has come since
@@ -141,11 +141,11 @@ class Bytes:
 
     def _turn(self) -> None:
         if self._stopping and not self._is_under_way():
-            self._drive.reset()
+            self._motor_control.reset()
 
     def _is_under_way(self) -> bool:
         """Motion is not over yet: a reset would raise an alarm."""
-        return self._drive.moving or self._drive.settling
+        return self._motor_control.moving or self._motor_control.in_idle_delay
 
 
 def texts() -> "IO[bytes]":

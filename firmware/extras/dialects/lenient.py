@@ -16,9 +16,9 @@ from control.modes import SPINDLE
 from language.block_layout import SET_TOOL
 from micropython import const
 
+from extras.custom_codes import word_of
 from extras.dialects.drilling import CYCLES, MOTIONS, Drilling, has, joined
 from extras.gcode_text import as_written
-from extras.own_words import word_of
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Lenient:
         self._is_within = False  # a line, others
         hooks.execute = self.execute
         machine.interpreter.watch(SET_TOOL)
-        cnc.behind_reset(self._forget)
+        cnc.after_reset(self._forget)
         cnc.entries.append(self._why_no_entry)
 
     def _forget(self) -> None:
@@ -130,7 +130,7 @@ class Lenient:
         """Refuse a line with GrblError, or leave it in the interpreter's block."""
         machine = self._machine
         line = bytearray(text.encode() + b"\0")
-        machine.interpreter.look(line, len(line) - 1 << 8, machine.modes.modal, 0)
+        machine.interpreter.check_line(line, len(line) - 1 << 8, machine.modes.modal, 0)
 
     def _run(self, text: str) -> None:
         line = bytearray(text.encode() + b"\0")

@@ -10,7 +10,7 @@ name of the folder, and with SD_CARD, its pins, where that is to be a card.
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.faults import harmless
+from base.faults import sanitize
 from base.text import text_of
 from micropython import const
 from talk.lines import LineReader
@@ -49,7 +49,7 @@ def install(cnc: "Cnc") -> None:
     """Put jobs beside the sender."""
     files = _found["files"]
     assert files
-    files.turn = cnc.service
+    files.on_progress = cnc.service
     reader = LineReader(_READ_AHEAD, _LONGEST, cnc.machine.reader.post)
     run = JobRun(cnc, files, reader)
     jobs = Jobs(cnc, files, run, Upload(cnc, files, reader))
@@ -57,11 +57,11 @@ def install(cnc: "Cnc") -> None:
     cnc.add_command(b"SD", jobs.fluidnc, _STATES)
     cnc.add_command(b"LOCALFS", jobs.fluidnc, _STATES)
     cnc.add_field(run.field)
-    cnc.before_lines(run.turn)
-    cnc.behind_reset(run.begin_anew)
-    cnc.behind_alarm(run.alarm)
-    cnc.behind_program(run.program_ends)
-    cnc.behind_controls(run.press)
+    cnc.before_lines(run.poll_job)
+    cnc.after_reset(run.on_reset)
+    cnc.after_alarm(run.alarm)
+    cnc.after_program(run.on_program_end)
+    cnc.after_controls(run.on_controls)
 
 
 class Jobs:
@@ -114,7 +114,7 @@ class Jobs:
         elif verb == b"D":
             self._files.delete(self._known(name))
         elif verb == b"U":
-            self._upload.take(name)
+            self._upload.receive_file(name)
         elif verb == b"B":
             self._give_button(name)
         else:
@@ -123,14 +123,14 @@ class Jobs:
     def _known(self, name: str) -> str:
         """A name; GrblError where there is no such job."""
         if self._files.size(name) < 0:
-            self._cnc.message("There is no job %s: $F lists them" % harmless(name))
+            self._cnc.message("There is no job %s: $F lists them" % sanitize(name))
             raise GrblError(errors.INVALID_STATEMENT)
         return name
 
     def _list(self) -> None:
         for name, size in self._files.files():
-            self._cnc.tell(b"[FILE:/%s|SIZE:%d]" % (name.encode(), size))
-        self._cnc.message("Room for %d kB" % self._files.room_kb())
+            self._cnc.write_line(b"[FILE:/%s|SIZE:%d]" % (name.encode(), size))
+        self._cnc.message("Room for %d kB" % self._files.free_kb())
 
     def _show(self, name: str) -> None:
         with self._files.open(name) as file:
@@ -144,7 +144,7 @@ class Jobs:
 
     def _tell_button(self) -> None:
         name = self._run.kept(BUTTON)
-        self._cnc.message("Start button: " + (harmless(name[0]) if name else "no job"))
+        self._cnc.message("Start button: " + (sanitize(name[0]) if name else "no job"))
 
     def _give_button(self, name: str) -> None:
         self._machine.saves.save(BUTTON, [self._known(name)] if name else [])
@@ -162,10 +162,10 @@ class Jobs:
         if line < 0 or (at and line == 0):
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._known(name)
-        if at and not self._machine.seek.homed:
-            self._run.tell(name, "to go on in its middle, home first ($H)")
+        if at and not self._machine.homing_probing.homed:
+            self._run.report(name, "to go on in its middle, home first ($H)")
             raise GrblError(errors.INVALID_STATEMENT)
-        self._run.ask_for(name, line)
+        self._run.request(name, line)
 
     def _noted(self, name: str) -> "tuple[str, str]":
         """The job that has not come to its end, and a line of it."""

@@ -12,7 +12,7 @@ from base import state as st
 from base.axes import LETTERS
 from base.controls import HOLD
 from base.errors import GrblError
-from base.f32 import f32, whole
+from base.float32 import f32, truncate
 from control.modes import (
     COOLANT,
     FEED,
@@ -58,19 +58,19 @@ def differs(one: float, other: float) -> bool:
     return abs(one - other) > _SAME
 
 
-class NoWay(Exception):
+class CannotEnter(Exception):
     """A line that nobody can begin with; its text says why."""
 
 
 def in_force(machine: "Controller") -> "list[Any]":
-    """The place, and all that a program can have set: what put() takes."""
+    """The place, and all that a program can have set: what apply() takes."""
     modes, coords = machine.modes, machine.coords
     modal = list(modes.modal[:MODAL_LENGTH])
     place, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
     return [place, modal, rates, modes.tool, g92, coords.tool_length]
 
 
-def put(machine: "Controller", found: "list[Any]") -> None:
+def apply(machine: "Controller", found: "list[Any]") -> None:
     """Put it in force; spindle and coolant are what they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
     place, modal, rates, tool, g92, coords.tool_length = found
@@ -108,7 +108,7 @@ class Entry:
         coords, state = machine.coords, machine.state
         motions = machine.interpreter.motions
         if start[1][MOTION] in motions:
-            raise NoWay("it begins within a cycle")
+            raise CannotEnter("it begins within a cycle")
         kept = [(motion, motion.kept) for motion in motions.values()]
         before = in_force(machine)
         stored, self._systems = array("f", coords.offsets), systems
@@ -120,11 +120,11 @@ class Entry:
         self._highest = machine.modes.position[_Z]
         state.enter(st.CHECK)
         try:
-            put(machine, start)
+            apply(machine, start)
             self._rehearse(file, line)
             for why in self._cnc.entries:
                 if why():
-                    raise NoWay(why())
+                    raise CannotEnter(why())
             self._there = in_force(machine)
             self._systems = [array("f", values) for values in coords.systems]
             self._check_homed(before[0])
@@ -133,28 +133,28 @@ class Entry:
             coords.offsets[:] = stored
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
-            put(machine, before)
+            apply(machine, before)
             for motion, numbers in kept:
                 motion.kept = numbers
             machine.resync()
         if machine.reader.has_line():
-            raise NoWay("there were other lines meanwhile")
+            raise CannotEnter("there were other lines meanwhile")
         if machine.inputs.door_open() or machine.inputs.closed() & _HOLD_IN_CLOSED:
-            raise NoWay("hold or door is closed")
+            raise CannotEnter("hold or door is closed")
 
     def _rehearse(self, file: "IO[bytes]", line: int) -> None:
         self._reader.clear()
         for number in range(1, line):
             found = self._next_line(file)
             if found == 0:
-                raise NoWay("there are only %d lines" % (number - 1))
+                raise CannotEnter("there are only %d lines" % (number - 1))
             if found & LINE == 0 or found >> 2 > self._longest:
-                raise NoWay("line %d is too long" % number)
+                raise CannotEnter("line %d is too long" % number)
             self._do(self._reader.line, found >> 2, number)
             if number % _LINES == 0:
-                self.look()
+                self.poll_realtime()
         if not file.read(1):
-            raise NoWay("there are only %d lines" % (line - 1))
+            raise CannotEnter("there are only %d lines" % (line - 1))
         file.seek(-1, 1)
 
     def _next_line(self, file: "IO[bytes]") -> int:
@@ -172,14 +172,14 @@ class Entry:
             found = clean(*memory)
         return found
 
-    def look(self) -> None:
+    def poll_realtime(self) -> None:
         """Real-time commands act. NoWay for those that hold the machine: check mode loses them."""
         machine = self._machine
         machine.protocol.pump()
         pending = machine.state.pending
         if pending[st.FEED_HOLD] or pending[st.SAFETY_DOOR] or pending[st.SLEEP_REQUEST]:
-            raise NoWay("it was held meanwhile")
-        machine.realtime.events()
+            raise CannotEnter("it was held meanwhile")
+        machine.realtime.handle_events()
 
     def _do(self, line: bytearray, length: int, number: int) -> None:
         machine = self._machine
@@ -189,18 +189,20 @@ class Entry:
             if _ZERO <= line[1] <= _NINE:
                 self._check_setting(line, number)
                 return
-            raise NoWay("line %d is no G-code: what it does is not known" % number)
+            raise CannotEnter("line %d is no G-code: what it does is not known" % number)
         if self._cnc.has_word(line, length):
-            raise NoWay("line %d has a word of another kind: what it does is not known" % number)
+            raise CannotEnter(
+                "line %d has a word of another kind: what it does is not known" % number
+            )
         try:
             machine.state.hooks.execute(line, length)
         except GrblError as reason:
-            raise NoWay("line %d is refused with %d" % (number, reason.code))
+            raise CannotEnter("line %d is refused with %d" % (number, reason.code))
         if self.has_ended:
-            raise NoWay("line %d ends the program" % number)
+            raise CannotEnter("line %d ends the program" % number)
         modes = machine.modes
         if modes.modal[MOTION] >= PROBE_TOWARD:
-            raise NoWay("line %d probes: where that ended is not known" % number)
+            raise CannotEnter("line %d probes: where that ended is not known" % number)
         if modes.position[_Z] > self._highest:
             self._highest = modes.position[_Z]
 
@@ -211,7 +213,7 @@ class Entry:
         for known, amount, _ in self._machine.settings.each():
             if known == setting and differs(amount, value):
                 text = "line %d sets $%d, which has another value now"
-                raise NoWay(text % (number, known))
+                raise CannotEnter(text % (number, known))
 
     def _check_homed(self, here: "list[float]") -> None:
         """What was not homed may not have to move."""
@@ -220,13 +222,13 @@ class Entry:
             if axis == _Z:
                 way.append(self._highest)
             moves = self._steps(axis, min(way)) != self._steps(axis, max(way))
-            if moves and not self._machine.seek.homed >> axis & 1:
+            if moves and not self._machine.homing_probing.homed >> axis & 1:
                 text = "%s is not homed, and would have to move: where it is is not known"
-                raise NoWay(text % LETTERS[axis])
+                raise CannotEnter(text % LETTERS[axis])
 
     # The way there
 
-    def way(self) -> "list[str]":
+    def approach_lines(self) -> "list[str]":
         """Lines that lead there."""
         place, modal, rates, _, _, _ = self._there
         spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
@@ -253,19 +255,19 @@ class Entry:
 
     def _steps(self, axis: int, mm: float) -> int:
         product = f32(mm * self._resolution(axis))
-        return whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
+        return truncate(product + 0.5) if product >= 0 else -truncate(0.5 - product)
 
-    def arrive(self) -> None:
+    def apply_modes(self) -> None:
         """The tool is there: put in force what is. NoWay where it is not."""
         place, here = self._there[0], self._machine.modes.position
         for axis in range(len(place)):
             if self._steps(axis, here[axis]) != self._steps(axis, place[axis]):
-                raise NoWay("the way has not led there")
+                raise CannotEnter("the way has not led there")
         coords = self._machine.coords
         for i in range(len(self._systems)):
             if list(coords.systems[i]) != list(self._systems[i]):
                 self._machine.state.hooks.write_offsets(i, self._systems[i])
-        put(self._machine, self._there)
+        apply(self._machine, self._there)
 
 
 def _pass_over(_byte: int) -> None:

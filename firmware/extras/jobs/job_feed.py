@@ -157,7 +157,7 @@ class Feed:
             return self._read(buf)
         count = self._read(self._heard)
         if count:
-            self._hear(count)
+            self._receive(count)
         port = self._machine.port
         if port.elapsed_ms(self._since) >= _MADE_MS:
             self._since = port.ticks_ms()
@@ -210,7 +210,7 @@ class Feed:
         self.fault = None
         self.is_on = True
 
-    def cut(self) -> None:
+    def stop_reading(self) -> None:
         """Nothing more is read, nor taken of what has been."""
         if self._file:
             self._file.close()
@@ -221,7 +221,7 @@ class Feed:
     def stop(self) -> None:
         """The loop hears the sender again. Lines of his that are not answered yet are, and what
         he has said of one more comes in front of its rest."""
-        self.cut()
+        self.stop_reading()
         self.answer()
         self.is_on = False
         if self._said_length:
@@ -241,7 +241,7 @@ class Feed:
         """The last line that has been answered."""
         return self._at[_ANSWERED]
 
-    def made(self) -> int:
+    def executed_line(self) -> int:
         """The line whose motion is being made; or was, some 40 to 80 ms ago."""
         return self._before
 
@@ -275,7 +275,7 @@ class Feed:
             at[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
         except OSError as fault:
             self.fault = fault
-            self.cut()  # what has come of a line is none
+            self.stop_reading()  # what has come of a line is none
             return 0
         self._read_bytes += at[_LEFT]
         if at[_LEFT] == 0:
@@ -288,20 +288,20 @@ class Feed:
 
     # The sender, meanwhile
 
-    def _hear(self, count: int) -> None:
+    def _receive(self, count: int) -> None:
         for i in range(count):
             c = self._heard[i]
             if self._kinds[c] == REALTIME:
                 self._reader.post(c)
             elif c in b"\r\n":
-                self._owe()
+                self._queue_answer()
                 self._said_length = 0
             else:
                 if self._said_length < len(self._said):
                     self._said[self._said_length] = c
                 self._said_length += 1
 
-    def _owe(self) -> None:
+    def _queue_answer(self) -> None:
         """The sender's line is complete: what it is answered with, at the loop's next turn."""
         line = bytes(self._said[: self._said_length]).upper().strip()
         answer = 0
@@ -324,7 +324,7 @@ class Feed:
             try:
                 if answer & _READ:
                     line = bytearray((_DOLLAR, answer & ~_READ, 0))
-                    machine.state.hooks.whose(line, 2)(line, 2)
+                    machine.state.hooks.find_command(line, 2)(line, 2)
                 elif answer:
                     raise GrblError(answer)
                 self._write(OK)

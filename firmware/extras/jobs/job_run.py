@@ -11,12 +11,12 @@ from array import array
 import micropython
 from base import state as st
 from base.controls import START
-from base.faults import harmless
+from base.faults import sanitize
 from control.coords import NAMES
 from control.modes import COOLANT, SPINDLE
 from micropython import const
 
-from extras.jobs.job_entry import Entry, NoWay, differs, in_force
+from extras.jobs.job_entry import CannotEnter, Entry, differs, in_force
 from extras.jobs.job_feed import Feed
 
 TYPE_CHECKING = const(False)
@@ -70,12 +70,12 @@ class JobRun:
         """A job runs."""
         return self._feed.is_on
 
-    def ask_for(self, name: str, line: int) -> None:
+    def request(self, name: str, line: int) -> None:
         """Have one run, once the sender has nothing more to say; from a line on, or 0: all."""
         self._due, self._due_line, self._due_crc = name, line, _UNKNOWN
 
     @micropython.native
-    def turn(self) -> None:
+    def poll_job(self) -> None:
         """A turn of the loop, between two lines."""
         if self._pressed[0]:
             self._pressed[0] = 0
@@ -99,7 +99,7 @@ class JobRun:
             file = self._files.open(name)
         except OSError:
             self._files.lose()
-            self.tell(name, "cannot be read")
+            self.report(name, "cannot be read")
             return
         self._name, self._refused = name, 0
         try:
@@ -111,7 +111,7 @@ class JobRun:
             self._start = [self._due_crc, in_force(self._machine), []]
             if line:
                 self._find(file, line)
-        except NoWay as why:
+        except CannotEnter as why:
             self._give_up(file, str(why))
             return
         except OSError:
@@ -125,7 +125,7 @@ class JobRun:
             self._lead(file, line)
             return
         self._note(1)
-        self.tell(name, "begins")
+        self.report(name, "begins")
         self._feed.start(file, self._size)
 
     def _read_through(self, file: "IO[bytes]") -> None:
@@ -138,7 +138,7 @@ class JobRun:
                     break
                 crc = binascii.crc32(piece, crc)
                 if len(piece) == _PIECE:
-                    self._entry.look()
+                    self._entry.poll_realtime()
             self._due_crc = crc
         self._size = file.seek(0, 2)  # its end
         file.seek(0)
@@ -146,12 +146,12 @@ class JobRun:
     def _find(self, file: "IO[bytes]", line: int) -> None:
         """Find the way to that line. NoWay where there is none."""
         kept = self.journal()
-        if self._machine.state.run != st.IDLE or not self._machine.seek.homed:
-            raise NoWay("the machine is not homed, or not idle")
+        if self._machine.state.run != st.IDLE or not self._machine.homing_probing.homed:
+            raise CannotEnter("the machine is not homed, or not idle")
         if kept and kept[0] == self._name:
             self._start = json.loads(kept[2])
             if self._start[_CRC] != self._due_crc:
-                raise NoWay("it is another file than the one that was noted")
+                raise CannotEnter("it is another file than the one that was noted")
         systems = self._systems()
         self._tool_off()
         self._entry.find(file, line, self._start[_IN_FORCE], systems)
@@ -159,8 +159,8 @@ class JobRun:
     def _lead(self, file: "IO[bytes]", line: int) -> None:
         """Have the tool led to that line."""
         self._rest = file
-        way = [text for text in self._entry.way() if text]
-        self.tell(self._name, "goes on at line %d" % line)
+        way = [text for text in self._entry.approach_lines() if text]
+        self.report(self._name, "goes on at line %d" % line)
         lines = io.BytesIO(("\n".join(way) + "\n").encode())
         self._feed.start(lines, self._size, line - 1 - len(way))
 
@@ -172,7 +172,7 @@ class JobRun:
             for axis in range(len(written)):
                 if differs(written[axis], systems[index][axis]):
                     text = "%s was set by the job, and again since: which holds is not known"
-                    raise NoWay(text % NAMES[index])
+                    raise CannotEnter(text % NAMES[index])
             systems[index] = array("f", before)
         return systems
 
@@ -193,8 +193,8 @@ class JobRun:
         self._rest = None
         line = self._feed.line()
         try:
-            self._entry.arrive()
-        except NoWay as why:
+            self._entry.apply_modes()
+        except CannotEnter as why:
             self._feed.stop()
             self._give_up(file, str(why))
             return
@@ -204,7 +204,7 @@ class JobRun:
 
     def _give_up(self, file: "IO[bytes]", why: str) -> None:
         file.close()
-        self.tell(self._name, why)
+        self.report(self._name, why)
 
     def _start_by_button(self) -> None:
         name = self.kept(BUTTON)
@@ -213,10 +213,10 @@ class JobRun:
             try:
                 self._files.mount()
                 if self._files.size(name[0]) >= 0:
-                    self.ask_for(name[0], 0)
+                    self.request(name[0], 0)
             except OSError:
                 self._files.lose()
-                self.tell(name[0], "there is no card to read it from")
+                self.report(name[0], "there is no card to read it from")
 
     def _go_on(self) -> None:
         feed = self._feed
@@ -228,17 +228,17 @@ class JobRun:
             line = feed.line()
             feed.stop()
             if self._refused or feed.fault:
-                self._tell_refusal(line + 1)
+                self._report_refusal(line + 1)
             else:
                 self._note(0)
-                self.tell(self._name, "done, %d lines" % line)
+                self.report(self._name, "done, %d lines" % line)
 
     def _refuse(self, code: int) -> None:
         """A line of the file is refused: nothing behind it is done."""
         self._refused = code
-        self._feed.cut()
+        self._feed.stop_reading()
 
-    def _tell_refusal(self, line: int) -> None:
+    def _report_refusal(self, line: int) -> None:
         """What was planned before has been made: tool off, and say where the program stands."""
         self._tool_off()
         if self._refused:
@@ -248,15 +248,15 @@ class JobRun:
             self._files.lose()
         if self._rest:
             self._close_rest()
-            self.tell(self._name, "the way there " + why)
+            self.report(self._name, "the way there " + why)
             return
         self._note(line)
-        self.tell(self._name, "line %d %s" % (line, why))
+        self.report(self._name, "line %d %s" % (line, why))
 
     def _tool_off(self) -> None:
         """Whatever the state is. Nothing moves."""
         machine = self._machine
-        machine.spindle.turn(0, 0.0)
+        machine.spindle.set_speed(0, 0.0)
         machine.coolant.set(0)
         machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
 
@@ -265,43 +265,43 @@ class JobRun:
             self._rest.close()
             self._rest = None
 
-    def program_ends(self) -> None:
+    def on_program_end(self) -> None:
         """M2 or M30: what is behind it is not done."""
         self._entry.has_ended = True
         if self._feed.is_on:
-            self._feed.cut()
+            self._feed.stop_reading()
 
     def alarm(self, _code: int) -> None:
         """The place may not be what it is held for; and who sees to that may switch off."""
-        self._machine.seek.homed = 0
+        self._machine.homing_probing.homed = 0
         self._due = ""
         if self._feed.is_on:
             self._note_line()
 
-    def begin_anew(self) -> None:
+    def on_reset(self) -> None:
         """Behind power-up or a reset: what ran has come to its end."""
         self._due = ""
         self._pressed[0] = 0
         if self._feed.is_on:
-            line = self._feed.made()
+            line = self._feed.executed_line()
             self._feed.drop()
             if self._rest:
                 self._close_rest()
-                self.tell(self._name, "stopped on the way")
+                self.report(self._name, "stopped on the way")
             else:
                 self._note(line)
-                self.tell(self._name, "stopped at line %d" % line)
+                self.report(self._name, "stopped at line %d" % line)
         else:
             self._close_rest()
         if not self._has_started:
             self.kept(BUTTON)  # for what is damaged to be known from the start
             kept = self.journal()
             if kept:
-                self.tell(kept[0], "did not come to its end; last noted: line " + kept[1])
+                self.report(kept[0], "did not come to its end; last noted: line " + kept[1])
         self._has_started = True
 
     @micropython.native
-    def press(self, active: int) -> None:
+    def on_controls(self, active: int) -> None:
         """A control input has changed. Interrupt. Who ends something else starts no job."""
         state = self._machine.state
         if active & START and state.run == st.IDLE and not state.suspend:
@@ -316,9 +316,9 @@ class JobRun:
             return ""
         return "SD:%.1f,/%s" % (self._feed.percent(), self._name)
 
-    def tell(self, name: str, what: str) -> None:
+    def report(self, name: str, what: str) -> None:
         """A message of a job."""
-        self._cnc.message("Job %s: %s" % (harmless(name), what))
+        self._cnc.message("Job %s: %s" % (sanitize(name), what))
 
     def kept(self, what: str) -> "list[str]":
         """Lines that are in flash under that word."""
@@ -332,14 +332,14 @@ class JobRun:
     def _note_line(self) -> None:
         """Motion is held."""
         if not self._rest:
-            self._note(self._feed.made())
+            self._note(self._feed.executed_line())
 
     def _note(self, line: int) -> None:
         """Keep where the job is; 0: it is done."""
         if self._machine.state.run == st.CHECK:
             return  # which has made nothing
         self._save(line)
-        self._machine.keep()
+        self._machine.save_due()
 
     def _save(self, line: int) -> None:
         kept = [self._name, str(line), json.dumps(self._start)] if line else []

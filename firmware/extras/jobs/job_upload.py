@@ -12,7 +12,7 @@ import io
 import deflate
 from base import errors
 from base.errors import GrblError
-from base.faults import harmless
+from base.faults import sanitize
 from micropython import const
 from talk.lines import LINE, TOO_LONG, LineReader, clean
 
@@ -45,7 +45,7 @@ class Upload:
         self._buffer = bytearray(_READ)
         self._reader = reader
 
-    def take(self, order: str) -> None:
+    def receive_file(self, order: str) -> None:
         """NAME,SIZE,CRC: take that file. GrblError where it cannot be taken, before anything is
         done, or does not come whole; OSError where flash does not hold it: what was there is as
         it was. CRC: its CRC-32 in hexadecimal digits."""
@@ -63,29 +63,29 @@ class Upload:
             kinds[c] = _AS_IT_IS
         kinds[_SLASH] = _AS_IT_IS
         try:
-            self._take(name, size, checksum)
+            self._write_file(name, size, checksum)
         finally:
             kinds[:] = before
 
     def _check(self, name: str, size: int) -> None:
         if not self._files.is_name(name):
             self._refuse("A job is called so: letters, digits, . _ -, at most 32")
-        room_kb = self._files.room_kb()
+        room_kb = self._files.free_kb()
         if size <= 0 or size > room_kb * 1024:
             text = "%s: %d bytes, and there is room for %d kB"
-            self._refuse(text % (harmless(name), size, room_kb))
+            self._refuse(text % (sanitize(name), size, room_kb))
 
     def _refuse(self, why: str) -> None:
         self._cnc.message(why)
         raise GrblError(errors.INVALID_STATEMENT)
 
-    def _take(self, name: str, size: int, checksum: int) -> None:
+    def _write_file(self, name: str, size: int, checksum: int) -> None:
         files = self._files
         file = files.begin(name)
         try:
             done = 0
             while done < size:
-                self._cnc.tell(b"[FU:%d]" % done)
+                self._cnc.write_line(b"[FU:%d]" % done)
                 piece = self._piece(min(_PIECE, size - done))
                 files.append(file, piece)
                 done += len(piece)
@@ -118,7 +118,7 @@ class Upload:
         port = self._machine.port
         since = port.ticks_ms()
         while True:
-            if self._hear():
+            if self._receive():
                 since = port.ticks_ms()
             found = clean(*self._reader.memory())
             if found & LINE:
@@ -128,13 +128,13 @@ class Upload:
             if port.elapsed_ms(since) > _SILENCE_MS:
                 self._drain("it broke off")
 
-    def _hear(self) -> bool:
+    def _receive(self) -> bool:
         """Take in what has come; real-time commands act. Returns whether there was more."""
         reader, free = self._reader, self._reader.free()
         count = self._link.read_into(self._buffer)
         if count:
             reader.feed(self._buffer, count)
-        self._machine.realtime.events()
+        self._machine.realtime.handle_events()
         return reader.free() != free
 
     def _drain(self, why: str) -> None:
@@ -142,7 +142,7 @@ class Upload:
         port = self._machine.port
         begun = since = port.ticks_ms()
         while port.elapsed_ms(since) < _DRAIN_MS and port.elapsed_ms(begun) < _SILENCE_MS:
-            if self._hear():
+            if self._receive():
                 since = port.ticks_ms()
             self._reader.clear()
         self._refuse("Not taken: " + why)

@@ -3,17 +3,17 @@
 For machines whose motors follow no sum of axes: arms, polar plotters. Programs, reports, offsets,
 probing and soft limits are of the place of the tool, in mm. What motors move are joints, one each,
 in units of their own, and so are steps ($100), rates ($110), acceleration ($120) and homing. Ways
-are cut into chords (chords.py) within the arc tolerance, $12, each a block of the planner
-(joints.py): its length is the tool's, and its limits are those of the joints, which it may not
-bend faster than they can follow. What is out of reach is refused before anything of its line is
-done.
+are cut into chords (segmenter.py) within the arc tolerance, $12, each a block of the planner
+(joint_planner.py): its length is the tool's, and its limits are those of the joints, which it may
+not bend faster than they can follow. What is out of reach is refused before anything of its line
+is done.
 """
 
 from language.block_layout import MOVE
 from micropython import const
 
-from extras.kinematics.joints import NonlinearKinematics, NonlinearPlanner
-from extras.kinematics.nonlinear_canon import NonlinearCanon, NonlinearSeek
+from extras.kinematics.joint_planner import NonlinearKinematics, NonlinearPlanner
+from extras.kinematics.nonlinear_canon import NonlinearCanon, NonlinearHoming
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     geometry = _geometry(option("KINEMATICS", ""), options.axes)
     options.kinematics = NonlinearKinematics(options.axes, geometry)
     options.planner = NonlinearPlanner
-    options.canon, options.seek = NonlinearCanon, NonlinearSeek
+    options.canon, options.homing_probing = NonlinearCanon, NonlinearHoming
 
 
 def install(cnc: "Cnc") -> None:

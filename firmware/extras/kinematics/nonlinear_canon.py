@@ -4,10 +4,10 @@ from base import errors
 from base import state as st
 from base.axes import LETTERS
 from base.errors import GrblError
-from base.f32 import copy, vector
+from base.float32 import copy, vector
 from control.canon import BELOW, SHUT, Canon
+from control.homing_probing import HomingProbing
 from control.modes import MOTION
-from control.seek import Seek
 from language import block_layout as b
 from micropython import const
 from motion import layout
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from motion.arc_geometry import Arc
     from motion.planner import Move
 
-    from extras.kinematics.joints import NonlinearPlanner
+    from extras.kinematics.joint_planner import NonlinearPlanner
 
 
 class NonlinearCanon(Canon):
@@ -58,8 +58,8 @@ class NonlinearCanon(Canon):
         """As Canon.jog(). GrblError where it cannot be reached. Places on the way are tried, and
         not all of its chords: nobody reads bytes meanwhile, or a cancel would come too early."""
         planner, course = self.planner, self.planner.course
-        course.begin(planner.place, planner.joints, target, None, 0.0)
-        if not course.reaches():
+        course.start_path(planner.place, planner.joints, target, None, 0.0)
+        if not course.is_in_reach():
             self._refuse(errors.TRAVEL_EXCEEDED)
         super().jog(target, move)
 
@@ -84,9 +84,9 @@ class NonlinearCanon(Canon):
         joints = vector(planner.axes)
         copy(planner.joints, joints, planner.axes)
         reached = planner.kinematics.geometry.inverse(start, joints)
-        course.begin(start, joints, target, arc, self._settings.arc_tolerance_mm)
-        while reached and course.left():
-            reached = course.go_on()
+        course.start_path(start, joints, target, arc, self._settings.arc_tolerance_mm)
+        while reached and course.has_next():
+            reached = course.next_chord()
             self.pump()
         if not reached:
             self._refuse(code)
@@ -111,18 +111,20 @@ class NonlinearCanon(Canon):
         arc, self._arc = self._arc, None
         limited = state.run != st.JOG and not self._is_jog
         if limited and self.outside(target):
-            self.give_up(errors.ALARM_SOFT_LIMIT)
+            self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
             return
-        course.begin(planner.place, planner.joints, target, arc, self._settings.arc_tolerance_mm)
+        course.start_path(
+            planner.place, planner.joints, target, arc, self._settings.arc_tolerance_mm
+        )
         if move.flags & layout.INVERSE_TIME:
-            move.feed *= course.way.length
+            move.feed *= course.path.length
             move.flags &= ~layout.INVERSE_TIME
         planner.synced = False
         moves = False
-        while course.left():
-            if not course.go_on() or (arc and limited and self.outside(course.place)):
-                self.give_up(errors.ALARM_SOFT_LIMIT)
+        while course.has_next():
+            if not course.next_chord() or (arc and limited and self.outside(course.place)):
+                self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
             self.service()
             self.wait_for_room()
             if self._is_cut():
@@ -130,26 +132,27 @@ class NonlinearCanon(Canon):
             power = self.power_of(move)
             moves |= planner.line(course.place, move, power)
             if self._is_jog and state.run == st.IDLE and not planner.empty():
-                self._drive.start(st.JOG)  # by its first chord: it can be cancelled from now on
+                # By its first chord: it can be cancelled from now on.
+                self._motor_control.start(st.JOG)
         if not moves:
-            self._stay(move)
+            self._apply_zero_length(move)
 
 
-class NonlinearSeek(Seek):
+class NonlinearHoming(HomingProbing):
     """Homing of joints, each to its own switch; probing in space."""
 
     _canon: "NonlinearCanon"
     _planner: "NonlinearPlanner"
 
-    def find(self, axes: int) -> None:
-        """As Seek.find(): places, travel and rates are those of joints."""
+    def find_switches(self, axes: int) -> None:
+        """As Seek.find_switches(): places, travel and rates are those of joints."""
         settings, planner = self._settings, self._planner
         travel = settings.max_travel[:]
         planner.homing = True
         try:
             for i in range(planner.axes):
                 settings.max_travel[i] = planner.kinematics.travel[i]
-            super().find(axes)
+            super().find_switches(axes)
         finally:
             planner.homing = False
             copy(travel, settings.max_travel, planner.axes)

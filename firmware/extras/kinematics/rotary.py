@@ -16,7 +16,7 @@ from control.canon import BELOW, SHUT, Canon
 from control.modes import INCHES
 from language.block_layout import LENGTHS
 from micropython import const
-from motion import arcs, layout, reals
+from motion import arcs, layout, minifloat
 from motion.arc_geometry import ONE_AXIS, OTHER_AXIS, RADIUS
 from motion.planner import Planner
 
@@ -39,7 +39,7 @@ _FIRST = const(3)  # X, Y and Z are no rotary axes
 _TURN = 360.0
 # Up to here single precision knows each step; beyond, an endless axis is unwound.
 _EXACT = 16777216.0
-_PER_INCH = reals.real(1 / 25.4)
+_PER_INCH = minifloat.real(1 / 25.4)
 # A line of these has no feed rate of its program's, or one that is of all its axes.
 _ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
 
@@ -49,10 +49,10 @@ class RotaryPlanner(Planner):
     difference: rates and accelerations are along the way of all axes."""
 
     linear = 0  # mask of axes
-    on_arc = reals.ONE  # how many times as long as its arc a helix is
+    on_arc = minifloat.ONE  # how many times as long as its arc a helix is
     block: "Block"
 
-    _times = reals.ONE
+    _times = minifloat.ONE
 
     @micropython.native
     def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
@@ -60,8 +60,8 @@ class RotaryPlanner(Planner):
         if not flags & _ITS_OWN_RATE:
             times = stretch(target, self.table, self.ring, self.flow, self.linear)
             if times == 0:
-                times = _PER_INCH if self.block.ints[INCHES] else reals.ONE
-            rate = reals.mul(rate, times)
+                times = _PER_INCH if self.block.ints[INCHES] else minifloat.ONE
+            rate = minifloat.mul(rate, times)
         return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
@@ -69,12 +69,12 @@ class RotaryPlanner(Planner):
         if not move.flags & _ITS_OWN_RATE:
             self._times = self.on_arc
         found = super().chords(course, move, power, moves)
-        self._times = reals.ONE
+        self._times = minifloat.ONE
         return found
 
     def rate(self, feed: float) -> int:
         """As Planner.rate(), along the way of all axes."""
-        return reals.mul(super().rate(feed), self._times)
+        return minifloat.mul(super().rate(feed), self._times)
 
 
 class RotaryCanon(Canon):
@@ -119,7 +119,7 @@ class RotaryCanon(Canon):
                 continue
             turned = self._turned(axis, target)
             if turned and state.run != st.CHECK:
-                while not planner.empty() or self._drive.moving:
+                while not planner.empty() or self._motor_control.moving:
                     self.auto_start()
                     self.service()
                 turned = self._turned(axis, target)
@@ -131,7 +131,7 @@ class RotaryCanon(Canon):
                 g92[axis] -= turned
                 self.coords.set_g92(g92)
                 state.wco_countdown = 0
-                state.change()
+                state.invalidate_lines()
             far = min(abs(target[axis]), planner.reach_mm(axis))
             self.limit(axis, max(far, exact))
 
@@ -170,7 +170,7 @@ class RotaryCanon(Canon):
             elif i not in plane:
                 way += (target[i] - start[i]) ** 2
         way += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2
-        self.planner.on_arc = reals.real(math.sqrt(1 + turns / way)) if way else reals.ONE
+        self.planner.on_arc = minifloat.real(math.sqrt(1 + turns / way)) if way else minifloat.ONE
 
 
 def mask_of(letters: str, axes: int) -> int:

@@ -6,7 +6,7 @@ Viper, for rotary.py; what stands where is told in motion/layout.py.
 
 import micropython
 from motion.layout import AXES, HEAD, LENGTH, LIMITS, ROW_SIZE
-from motion.reals import BIAS, ONE, pack, square_root
+from motion.minifloat import BIAS, ONE, pack, square_root
 from motion.steps import measure, to_steps
 
 

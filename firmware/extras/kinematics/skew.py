@@ -13,7 +13,7 @@ from array import array
 
 import micropython
 from base.axes import Y, Z
-from base.f32 import f32
+from base.float32 import f32
 from base.settings import FLOAT
 from micropython import const
 from motion import layout
@@ -184,7 +184,7 @@ def install(cnc: "Cnc") -> None:
 def _home(machine: "Any") -> None:
     """Motors are homed, and not axes."""
     hooks, engine, kinematics = machine.state.hooks, machine.engine, machine.planner.kinematics
-    usual: "Callable[[int], None]" = hooks.find
+    usual: "Callable[[int], None]" = hooks.find_switches
     motors = array("i", (0 for _ in range(machine.planner.motors)))
 
     def find(axes: int) -> None:
@@ -198,4 +198,4 @@ def _home(machine: "Any") -> None:
             if axes >> i & 1:
                 kinematics.homed(motors, i)
 
-    hooks.find = find
+    hooks.find_switches = find

@@ -12,7 +12,7 @@ from array import array
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.f32 import copy, vector
+from base.float32 import copy, vector
 from base.settings import AXIS
 from control.canon import Canon
 from language.block_layout import MOVE
@@ -157,7 +157,7 @@ class BacklashCanon(Canon):
         self.service()
         while course[arcs.LEFT]:
             if arcs.advance(course, table):
-                self.give_up(errors.ALARM_SOFT_LIMIT)
+                self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
             places = memoryview(table)[layout.LIMITS + layout.TARGET * planner.axes :]
             target = array("i", places[: planner.axes])
             self._take_up(move)
@@ -168,7 +168,7 @@ class BacklashCanon(Canon):
             if plan_kernel.plan(course, table, ring, flow, flags, move.line_number, power, feed):
                 planner.speeds[head] = move.spindle_rpm
             else:
-                self._stay(move)
+                self._apply_zero_length(move)
             course[arcs.LEFT] -= 1
             if course[arcs.LEFT] & arcs.SOME == 0:
                 self.service()
@@ -180,7 +180,7 @@ class BacklashCanon(Canon):
         if not self._turns():
             return True
         planner.synced = False
-        while not planner.empty() or self._drive.moving or self._state.run == st.HOLD:
+        while not planner.empty() or self._motor_control.moving or self._state.run == st.HOLD:
             self.auto_start()
             self.service()
         while self._slack_ahead() and not (self._is_jog and planner.synced):
@@ -213,7 +213,7 @@ class BacklashCanon(Canon):
     def _move_motors(self, move: "Move") -> None:
         """Have motors turn, at rest, and count what they have done. Hold and reset work meanwhile:
         they may have done less."""
-        planner, kinematics, drive = self.planner, self.planner.kinematics, self._drive
+        planner, kinematics, drive = self.planner, self.planner.kinematics, self._motor_control
         axes = range(planner.axes)
         power = 0 if self._spindle.laser else self.power_of(move)
         self.engine.position(self._before)
@@ -277,7 +277,7 @@ def install(cnc: "Cnc") -> None:
 def _home(machine: "Any") -> None:
     """Behind homing an axis has its slack on the side that it has pulled off from."""
     canon, hooks, settings = machine.canon, machine.state.hooks, machine.settings
-    usual: "Callable[[int], None]" = hooks.find
+    usual: "Callable[[int], None]" = hooks.find_switches
 
     def find(axes: int) -> None:
         for i in range(machine.planner.axes):
@@ -288,7 +288,7 @@ def _home(machine: "Any") -> None:
             if axes >> i & 1:
                 canon.pulled_off(i, bool(settings.homing_dir_invert >> i & 1))
 
-    hooks.find = find
+    hooks.find_switches = find
 
 
 def _probe(machine: "Any") -> None:

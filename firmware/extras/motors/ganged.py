@@ -9,8 +9,8 @@ Numbers of settings are grblHAL's, that of the alarm for a switch not found in t
 from base import errors
 from base.axes import LETTERS, X, Y
 from base.settings import FLOAT, INT, Settings
+from control.homing_probing import HomingProbing
 from control.inputs import Inputs
-from control.seek import Seek
 from micropython import const
 from motion.kinematics import Kinematics
 
@@ -108,7 +108,7 @@ class GangedInputs(Inputs):
             self._all |= 1 << motor
 
 
-class GangedSeek(Seek):
+class GangedHoming(HomingProbing):
     """Homing that squares. How far a pair is racked is told by the steps of its motors, which only
     homing makes unequal: also behind one that has failed, until one succeeds or the board starts
     anew."""
@@ -127,16 +127,16 @@ class GangedSeek(Seek):
         for axis, motor in self.pairs:
             if (axes == 0 or axes >> axis & 1) and (closed >> axis | closed >> motor) & 1:
                 self._voice.message("%s: move off the closed limit switch first" % LETTERS[axis])
-                self._drive.reset()
+                self._motor_control.reset()
                 self._state.alarm = errors.ALARM_HARD_LIMIT
                 return False
         return super().home(axes)
 
-    def find(self, axes: int) -> None:
+    def find_switches(self, axes: int) -> None:
         for axis, motor in self.pairs:
             if axes >> axis & 1:
                 axes |= 1 << motor
-        super().find(axes)
+        super().find_switches(axes)
 
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """Before motors pull off, switches that have stopped them are still closed: what has only
@@ -147,7 +147,7 @@ class GangedSeek(Seek):
                 self._racked[i] += self._difference(axis, motor)
                 if not approach and not closed >> axis & closed >> motor & 1:
                     self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
-                    self._drive.reset()
+                    self._motor_control.reset()
                     self._canon.service()  # which raises Abort
         super().home_phase(axes, approach, travel, rate)
 
@@ -228,7 +228,11 @@ def prepare(options: "Options", board: "ModuleType") -> None:
         if not abs(options.defaults.get(row[0], 0.0)) <= _MOST_OFFSET_MM:
             raise ValueError("DEFAULTS: $%d is %d mm at the most" % (row[0], _MOST_OFFSET_MM))
     options.kinematics = Kinematics(axes, moves, alone)
-    options.settings, options.inputs, options.seek = GangedSettings, GangedInputs, GangedSeek
+    options.settings, options.inputs, options.homing_probing = (
+        GangedSettings,
+        GangedInputs,
+        GangedHoming,
+    )
 
 
 def install(cnc: "Cnc") -> None:
@@ -242,7 +246,7 @@ def install(cnc: "Cnc") -> None:
     squared = tuple([pair for pair in pairs if kinematics.alone >> pair[1] & 1])
     settings.pairs = pairs
     machine.inputs.add(squared)
-    machine.seek.connect(squared)
+    machine.homing_probing.connect(squared)
     cnc.add_settings(_INVERT)
     if squared:
         rows = tuple([_OFFSETS[axis] for axis, _ in squared])

@@ -96,7 +96,7 @@ def _have_rates(cnc: "Cnc") -> None:
     """Have axes homed at rates of their own."""
     machine: "Any" = cnc.machine
     hooks, settings = machine.state.hooks, machine.settings
-    usual: "Callable[[int], None]" = hooks.find
+    usual: "Callable[[int], None]" = hooks.find_switches
 
     def find(axes: int) -> None:
         usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
@@ -107,7 +107,7 @@ def _have_rates(cnc: "Cnc") -> None:
         finally:
             settings.homing_feed, settings.homing_seek = usual_feed, usual_seek
 
-    hooks.find = find
+    hooks.find_switches = find
 
 
 def _slowest(rates: "array[float]", usual: float, axes: int) -> float:

@@ -12,13 +12,13 @@ from array import array
 import micropython
 from base.settings import AXIS
 from micropython import const
-from motion import layout, reals
+from motion import layout, minifloat
 from motion.layout import SLICES, SYSTEM
 
 from extras.motors import jerk_layout as jl
 from extras.motors import jerk_plan
 from extras.motors.jerk_kernel import advance, smooth
-from extras.motors.jerk_layout import SLOTS
+from extras.motors.jerk_layout import FILTER_TAPS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -47,12 +47,12 @@ class Jerk:
         self._flow = planner.flow
         self._ring = planner.ring
         self._table = planner.table
-        self._line = array("i", (0 for _ in range(jl.WAYS + _MOST_SLOTS)))
+        self._line = array("i", (0 for _ in range(jl.TAP_DISTANCES + _MOST_SLOTS)))
         self._usual_plan = planner.move_hook or planner.plan
         planner.move_hook = self.plan
         hooks = state.hooks
-        hooks.planned += (lambda: self.settle(0),)
-        hooks.caught_up += (lambda: self.settle(1),)
+        hooks.planned += (lambda: self.release_blocks(0),)
+        hooks.caught_up += (lambda: self.release_blocks(1),)
         hooks.cleared += (self._clear,)
         hooks.replan += (self._replan,)
         self._usual_next, hooks.next_segment = hooks.next_segment, self.next
@@ -64,7 +64,7 @@ class Jerk:
         line = ptr32(self._line)
         ring = ptr32(self._ring)
         table = ptr32(self._table)
-        if line[SLOTS] and flow[SYSTEM] == 0:
+        if line[FILTER_TAPS] and flow[SYSTEM] == 0:
             if flow[SLICES]:
                 advance(flow, line, ring, table, _PIECES)
             elif int(smooth(flow, line, ring, table)) == 0:
@@ -78,41 +78,41 @@ class Jerk:
         """As Planner.plan()."""
         planned = self._usual_plan(target, flags, line, power, rate)
         if not flags & layout.SYSTEM_MOTION:
-            self.settle(0)
+            self.release_blocks(0)
         return planned
 
-    def settle(self, everything: int) -> None:
+    def release_blocks(self, everything: int) -> None:
         """Have the plan see what has been added."""
-        jerk_plan.settle(self._table, self._ring, self._flow, self._line, everything)
+        jerk_plan.release_blocks(self._table, self._ring, self._flow, self._line, everything)
 
     def may_start(self) -> bool:
         """Motion begins, with all that there is."""
-        self.settle(1)
+        self.release_blocks(1)
         return True
 
     def _replan(self) -> bool:
         """An override has changed: plan anew, where there is a limit."""
-        if self._line[SLOTS]:
+        if self._line[FILTER_TAPS]:
             jerk_plan.reschedule(self._table, self._ring, self._flow)
-        return self._line[SLOTS] != 0
+        return self._line[FILTER_TAPS] != 0
 
     def _clear(self) -> None:
         """Nothing is planned: the line is empty."""
         line, flow = self._line, self._flow
-        slots = line[SLOTS], line[jl.PER_SLOT]
+        slots = line[FILTER_TAPS], line[jl.PER_TAP]
         for i in range(len(line)):
             line[i] = 0
-        line[SLOTS], line[jl.PER_SLOT] = slots
+        line[FILTER_TAPS], line[jl.PER_TAP] = slots
         line[layout.ROW_SIZE] = flow[layout.ROW_SIZE]
         line[layout.ROWS] = flow[layout.ROWS]
-        line[layout.TAIL] = line[layout.HEAD] = line[jl.SETTLED] = flow[layout.HEAD]
+        line[layout.TAIL] = line[layout.HEAD] = line[jl.RELEASED] = flow[layout.HEAD]
 
     def limit(self, accelerations: "list[float]", jerks: "list[float]", slot_s: float) -> None:
         """Limit jerk, in mm/s3, where it is not 0. accelerations: the axes', in mm/s2. slot_s: how
         long a full segment is. At rest, behind Planner.configure(); empties the line."""
         table, line = self._table, self._line
         limits = [(i, jerks[i]) for i in range(len(jerks)) if jerks[i] > 0]
-        root_mm_s = reals.value(table[layout.ROOT_SCALE])
+        root_mm_s = minifloat.value(table[layout.ROOT_SCALE])
         top = root_mm_s * 32768 * slot_s * _PER_MM  # way in a slot at the highest speed there is
         most = max(min(_MOST_SLOTS, int((1 << 29) / top)), 1)
         slots = 0
@@ -121,13 +121,13 @@ class Jerk:
             wanted = 2 * accelerations[i] / jerk / slot_s
             slots = max(slots, min(int(wanted + 0.999), most))
             if wanted > most:
-                table[layout.LIMITS + 3 * i + 2] = reals.real(jerk * most * slot_s / 2)
-        line[SLOTS] = slots
-        table[layout.GENTLE] = 0
+                table[layout.LIMITS + 3 * i + 2] = minifloat.real(jerk * most * slot_s / 2)
+        line[FILTER_TAPS] = slots
+        table[layout.JUNCTION_DERATE] = 0
         if slots:
-            line[jl.PER_SLOT] = reals.real(1 / slots)
+            line[jl.PER_TAP] = minifloat.real(1 / slots)
             mean = slots / 4 + 1 / (12 * slots)  # slots of which the middle is away, on an average
-            table[layout.GENTLE] = reals.real(mean * slot_s / root_mm_s)
+            table[layout.JUNCTION_DERATE] = minifloat.real(mean * slot_s / root_mm_s)
         self._planner.clear()
 
 

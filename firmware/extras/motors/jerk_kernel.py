@@ -47,28 +47,28 @@ from motion.layout import (
     WAY,
     WHOLE,
 )
+from motion.minifloat import BIAS, HIGHEST, LIMIT, ONE, pack, product, ratio, square_root
 from motion.ramps import share, times
-from motion.reals import BIAS, HIGHEST, LIMIT, ONE, pack, product, ratio, square_root
-from motion.segment_kernel import is_due, load, piece, proceed
+from motion.segment_kernel import add_piece, is_due, load, next_piece
 from motion.slice_kernel import slices
 
 from extras.motors.jerk_layout import (
     BEFORE,
-    CRUMB,
-    DRAWN,
+    FILTER_TAPS,
     MADE_LEFT,
     OLDEST,
     OPEN,
-    PER_SLOT,
+    PER_TAP,
+    PLAN_FRACTION,
     PLAN_LEFT,
+    RELEASED,
     REMAINDER,
     RESTS,
-    SETTLED,
-    SLOTS,
+    SLOT_DISTANCE,
     SUM,
+    TAP_DISTANCES,
     TIME_LEFT,
     TO_GO,
-    WAYS,
 )
 
 _LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
@@ -88,15 +88,15 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
         if line[TIME_LEFT] == 0:
             if begun and (flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span >= _LONGEST << 17):
                 break
-            if int(draw(flow, line, ring, table)) == 0:
+            if int(shift_filter(flow, line, ring, table)) == 0:
                 break
         if begun == 0:
-            if int(take_up(flow, line, ring, table[MOTOR_COUNT])) == 0:
+            if int(begin_segment(flow, line, ring, table[MOTOR_COUNT])) == 0:
                 return 0
             begun = 1
-        part = int(lay(flow, line))
+        part = int(place_slot(flow, line))
         span += part
-        going = int(piece(flow, part))
+        going = int(add_piece(flow, part))
     if begun == 0:
         return 0
     # A part of a slot and a whole one are cut as a segment of today is; what is longer is so for
@@ -109,15 +109,15 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 
 
 @micropython.viper
-def take_up(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
+def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
     """Begin a segment, with the next block where none is loaded. Returns 0 where there is none."""
     if flow[LOADED] == 0:
         if int(load(flow, ring, motors)) == 0:
             return 0
-        line[MADE_LEFT] = int(way_of(ring, flow[AT]))
+        line[MADE_LEFT] = int(block_distance(ring, flow[AT]))
         all = int(pack(line[MADE_LEFT], BIAS))
-        rest = int(rest_of(flow))
-        flow[NOW] = int(part_of(line[BEFORE], all, rest, line[PER_SLOT]))
+        rest = int(distance_left(flow))
+        flow[NOW] = int(part_of(line[BEFORE], all, rest, line[PER_TAP]))
     flow[REACHED] = flow[NOW]
     flow[PIECE] = PIECES
     flow[ADVANCE] = 0
@@ -125,13 +125,13 @@ def take_up(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
 
 
 @micropython.viper
-def way_of(ring: ptr32, at: int) -> int:
+def block_distance(ring: ptr32, at: int) -> int:
     """The length of a block in 2**-16 mm, 1 at least."""
     return int(product(ring[at + LENGTH], _PER_MM, ONE)) or 1
 
 
 @micropython.viper
-def rest_of(flow: ptr32) -> int:
+def distance_left(flow: ptr32) -> int:
     """What a block has still to go: a real, in 2**-18 step."""
     if flow[WHOLE] < 4095:
         return int(pack((flow[WHOLE] << 18) + flow[FRACTION], BIAS))
@@ -145,7 +145,7 @@ def part_of(part: int, whole: int, other: int, scale: int) -> int:
 
 
 @micropython.viper
-def lay(flow: ptr32, line: ptr32) -> int:
+def place_slot(flow: ptr32, line: ptr32) -> int:
     """Lay out what the slot has to go: all of it, or up to the end of the block.
 
     Leaves the speed at its end in NOW, its way in WAY. Returns its time, in 2**-17 slot.
@@ -154,7 +154,7 @@ def lay(flow: ptr32, line: ptr32) -> int:
     way = line[TO_GO]
     part = line[TIME_LEFT]
     all = int(pack(left or 1, BIAS))
-    rest = int(rest_of(flow))
+    rest = int(distance_left(flow))
     whole = (flow[WHOLE] << 18) + flow[FRACTION] if flow[WHOLE] < 4095 else HIGHEST
     steps = whole
     end = line[SUM]
@@ -162,7 +162,7 @@ def lay(flow: ptr32, line: ptr32) -> int:
         share_of_way = int(share(left, way))
         start = line[BEFORE]
         both = start + end
-        end = int(between(start, end, share_of_way))
+        end = int(speed_between(start, end, share_of_way))
         if start + end:
             share_of_way = int(share(int(times(both, share_of_way)), start + end))
         part = int(times(part, share_of_way))
@@ -171,7 +171,7 @@ def lay(flow: ptr32, line: ptr32) -> int:
         steps = int(part_of(way, all, rest, ONE))
         if steps >= whole:
             steps = whole - 1
-    flow[NOW] = int(part_of(end, all, rest, line[PER_SLOT]))
+    flow[NOW] = int(part_of(end, all, rest, line[PER_TAP]))
     flow[WAY] = steps
     flow[LEFT] = part
     line[BEFORE] = end
@@ -182,7 +182,7 @@ def lay(flow: ptr32, line: ptr32) -> int:
 
 
 @micropython.viper
-def between(start: int, end: int, part: int) -> int:
+def speed_between(start: int, end: int, part: int) -> int:
     """The speed where that part, in 2**-17, of the way from one speed to another is behind."""
     if start == end:
         return start
@@ -199,7 +199,7 @@ def between(start: int, end: int, part: int) -> int:
 
 
 @micropython.viper
-def draw(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
+def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     """Have the plan go on to the end of a slot, and take the next out of the line. Returns 0 at
     rest."""
     before = line[SUM]
@@ -211,14 +211,14 @@ def draw(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     else:
         advance(flow, line, ring, table, HIGHEST)
         if line[OPEN]:
-            way = line[DRAWN]
+            way = line[SLOT_DISTANCE]
         elif before == 0:
             return 0
         line[OPEN] = 0
-    slots = line[SLOTS]
+    slots = line[FILTER_TAPS]
     at = line[OLDEST]
-    sum = before + way - line[WAYS + at]
-    line[WAYS + at] = way
+    sum = before + way - line[TAP_DISTANCES + at]
+    line[TAP_DISTANCES + at] = way
     at += 1
     line[OLDEST] = at if at < slots else 0
     both = before + sum + line[REMAINDER]
@@ -237,7 +237,7 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
 
     So a slot of many short blocks is planned bit by bit, while the one before it is made.
     """
-    line[HEAD] = line[SETTLED]
+    line[HEAD] = line[RELEASED]
     line[HOLD] = flow[HOLD]
     while most and line[RESTS] == 0 and (line[OPEN] == 0 or line[LEFT] > _SPLINTER):
         is_new = line[LOADED] == 0
@@ -245,19 +245,19 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
             return 0
         if line[OPEN] == 0:
             line[OPEN] = 1
-            line[DRAWN] = 0
-            line[LEFT] = 131072  # no more: segment_kernel.approach() knows of no longer time
+            line[SLOT_DISTANCE] = 0
+            line[LEFT] = 131072  # no more: segment_kernel.change_speed() knows of no longer time
         if is_new:
-            line[PLAN_LEFT] = int(way_of(ring, line[AT]))
-            line[CRUMB] = 0
-        rest = int(rest_of(line))
+            line[PLAN_LEFT] = int(block_distance(ring, line[AT]))
+            line[PLAN_FRACTION] = 0
+        rest = int(distance_left(line))
         line[PIECE] = PIECES
         line[ADVANCE] = 0
-        going = int(proceed(line, ring, table[ROOT_SCALE]))
+        going = int(next_piece(line, ring, table[ROOT_SCALE]))
         if going:
-            line[DRAWN] += int(count(line, rest))
+            line[SLOT_DISTANCE] += int(count(line, rest))
         else:
-            line[DRAWN] += line[PLAN_LEFT]
+            line[SLOT_DISTANCE] += line[PLAN_LEFT]
             leave(line, ring)
         most -= 1
     return 0
@@ -268,8 +268,8 @@ def count(line: ptr32, rest: int) -> int:
     """The way that the plan's last piece has come, in 2**-16 mm: rest was to go before."""
     left = line[PLAN_LEFT]
     all = int(pack(left, BIAS))
-    way = int(part_of(line[WAY], rest, all, _SIXTEEN)) + line[CRUMB]
-    line[CRUMB] = way & 15
+    way = int(part_of(line[WAY], rest, all, _SIXTEEN)) + line[PLAN_FRACTION]
+    line[PLAN_FRACTION] = way & 15
     way >>= 4
     if way > left:
         way = left
@@ -288,6 +288,6 @@ def leave(line: ptr32, ring: ptr32) -> int:
     line[TAIL] = tail
     if tail == line[HEAD] or ring[tail * line[ROW_SIZE] + ENTRY_SQR] == 0:
         line[CARRY] = 0
-        line[RESTS] = line[SLOTS]
+        line[RESTS] = line[FILTER_TAPS]
         line[LEFT] = 0
     return 0

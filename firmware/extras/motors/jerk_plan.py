@@ -15,8 +15,8 @@ from micropython import const
 from motion.layout import (
     ACCEL,
     AXES,
-    GENTLE,
     HEAD,
+    JUNCTION_DERATE,
     JUNCTION_SQR,
     LENGTH,
     LIMITS,
@@ -27,12 +27,12 @@ from motion.layout import (
     TAIL,
     UNPLANNED,
 )
-from motion.plan_kernel import AT_ONCE, NEAR, reverse_pass, schedule
-from motion.reals import HIGHEST, LIMIT, ONE, pack, product, square_root
+from motion.minifloat import HIGHEST, LIMIT, ONE, pack, product, square_root
+from motion.plan_kernel import AT_ONCE, NEAR, compute_profile, reverse_pass
 
 from extras.motors.jerk_layout import (
-    SETTLED,
-    SLOTS,
+    FILTER_TAPS,
+    RELEASED,
 )
 
 _LONG = const(0x204000)  # the real 16384, mm: a block of that is longer than its way can be told
@@ -40,14 +40,14 @@ _ROUNDING = const(64)  # of a mantissa: an acceleration so little above a block'
 
 
 @micropython.viper
-def settle(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everything: int) -> int:
+def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everything: int) -> int:
     """Have the plan see the blocks that have been added, as they are to be made: several at once
-    where it has many before it, as plan_kernel.join() does, unless everything is to be done.
-    Returns their number."""
-    if line[SLOTS] == 0:
+    where it has many before it, as plan_kernel.append_block() does, unless everything is to be
+    done. Returns their number."""
+    if line[FILTER_TAPS] == 0:
         return 0
     new = 0
-    row = line[SETTLED]
+    row = line[RELEASED]
     unseen = flow[HEAD] - row
     waiting = flow[HEAD] - line[TAIL]
     if unseen < 0:
@@ -58,7 +58,7 @@ def settle(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everything: int)
         return 0
     while row != flow[HEAD]:
         if int(begin(table, ring, flow, row, line[TAIL])):
-            schedule(table, ring, row * flow[ROW_SIZE])
+            compute_profile(table, ring, row * flow[ROW_SIZE])
         soften(table, ring, flow, row)
         row += 1
         if row == flow[ROWS]:
@@ -67,7 +67,7 @@ def settle(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everything: int)
     if new:
         flow[UNPLANNED] = new
         reverse_pass(ring, flow, 0)
-        line[SETTLED] = row
+        line[RELEASED] = row
     return new
 
 
@@ -76,7 +76,7 @@ def reschedule(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     """Work out every block anew, after an override has changed."""
     row = flow[TAIL]
     while row != flow[HEAD]:
-        schedule(table, ring, row * flow[ROW_SIZE])
+        compute_profile(table, ring, row * flow[ROW_SIZE])
         if row != flow[TAIL]:
             soften(table, ring, flow, row)
         row += 1
@@ -130,7 +130,7 @@ def begin(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int
 @micropython.viper
 def lower(table: ptr32, accel: int, sqr: int) -> int:
     """A speed squared, lower by what the average over a corner is higher than the plan."""
-    root = int(square_root(sqr)) - int(product(accel, table[GENTLE], ONE)) - 1
+    root = int(square_root(sqr)) - int(product(accel, table[JUNCTION_DERATE], ONE)) - 1
     return root * root if root > 0 else 0
 
 

@@ -78,11 +78,11 @@ def install(cnc: "Cnc") -> None:
     everything = 0
     for mask in shared:
         everything |= mask
-    usual_home, usual_find = hooks.home, hooks.find
+    usual_home, usual_find = hooks.home, hooks.find_switches
 
     def give_up(text: str, alarm: int) -> None:
         cnc.message(text)
-        machine.drive.reset()
+        machine.motor_control.reset()
         machine.state.alarm = alarm
 
     def home(axes: int) -> bool:
@@ -103,6 +103,6 @@ def install(cnc: "Cnc") -> None:
         if clash(shared, int(mask)):
             raise GrblError(errors.INVALID_STATEMENT)
 
-    hooks.home, hooks.find = home, find
+    hooks.home, hooks.find_switches = home, find
     for number in _CYCLES:
         cnc.check_setting(number, check)

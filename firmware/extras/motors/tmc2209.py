@@ -106,7 +106,7 @@ def install(cnc: "Cnc") -> None:
     drivers.check_settings()
     machine.settings.on_change(drivers.configure)
     cnc.add_command(b"TMC", drivers.report)
-    cnc.before_lines(drivers.turn)
+    cnc.before_lines(drivers.poll_drivers)
     cnc.before_motion(drivers.may_start)
     drivers.feel_homing()
 
@@ -131,7 +131,7 @@ class Drivers:
         self._state = machine.state
         self._settings: "Any" = machine.settings
         self._planner = machine.planner
-        self._drive = machine.drive
+        self._motor_control = machine.motor_control
         self._port = machine.port
         self._chips = chips
         self._names = names
@@ -173,7 +173,7 @@ class Drivers:
 
     # Looking after them
 
-    def turn(self) -> None:
+    def poll_drivers(self) -> None:
         """At rest, look at the next one."""
         if self._port.elapsed_ms(self._since) < _LOOK_MS or not self._machine.at_rest():
             return
@@ -181,28 +181,28 @@ class Drivers:
         motor = self._next
         self._next = (motor + 1) % len(self._chips)
         if self._wanted >> motor & 1:
-            why = self._look(motor)
+            why = self._check_driver(motor)
             if why and self._known >> motor & 1:
                 self._known &= ~(1 << motor)
                 self._lose(motor, why)
                 if self._state.run != st.ALARM:
-                    self._machine.canon.give_up(errors.ALARM_DRIVER)
+                    self._machine.canon.stop_with_alarm(errors.ALARM_DRIVER)
             elif why and not self._told >> motor & 1:
                 self._lose(motor, why)
 
-    def _look(self, motor: int) -> str:
+    def _check_driver(self, motor: int) -> str:
         """What is wrong with it; "" where nothing is, and it is set up."""
         chip, mask = self._chips[motor], 1 << motor
         try:
             if self._known & mask:
-                chip.look()
+                chip.read_status()
                 if chip.has_begun_anew():
                     return "its supply has failed"
             else:
-                chip.look(1)
+                chip.read_status(1)
             if not self._ready & mask:
                 self._set_up(motor)
-                chip.look()
+                chip.read_status()
         except Silence as fault:
             return str(fault)
         why = chip.fault()
@@ -216,28 +216,28 @@ class Drivers:
         self._ready |= mask
         self._known |= mask
         if is_warm and not self._told & mask:
-            self._tell(motor, "warm")
+            self._report(motor, "warm")
         if is_warm:
             self._told |= mask
         else:
             self._told &= ~mask
 
-    def _tell(self, motor: int, what: str) -> None:
+    def _report(self, motor: int, what: str) -> None:
         self._cnc.message("Motor driver %s: %s" % (self._names[motor], what))
 
     def _lose(self, motor: int, why: str) -> None:
         self._ready &= ~(1 << motor)
         self._told |= 1 << motor
-        self._tell(motor, why)
+        self._report(motor, why)
 
     def may_start(self) -> bool:
         """Before anything moves all are set up; otherwise it stays at rest, in alarm."""
         for motor in range(len(self._chips)):
             if (self._wanted & ~self._ready) >> motor & 1:
-                why = self._look(motor)
+                why = self._check_driver(motor)
                 if why:
                     self._lose(motor, why)
-                    self._drive.reset()
+                    self._motor_control.reset()
                     self._state.alarm = errors.ALARM_DRIVER
                     return False
         return True
@@ -292,7 +292,7 @@ class Drivers:
                 )
             except Silence as fault:
                 self._lose(motor, str(fault))
-                self._drive.reset()
+                self._motor_control.reset()
                 self._state.alarm = errors.ALARM_DRIVER
                 self._cnc.service()  # which raises Abort
 
@@ -309,7 +309,7 @@ class Drivers:
             raise GrblError(errors.INVALID_STATEMENT)
         for motor, chip in enumerate(self._chips):
             try:
-                told = chip.tell()
+                told = chip.status_text()
             except Silence as fault:
                 told = "state:%s" % fault
-            self._cnc.tell(b"[TMC:%s|%s]" % (self._names[motor].encode(), told.encode()))
+            self._cnc.write_line(b"[TMC:%s|%s]" % (self._names[motor].encode(), told.encode()))

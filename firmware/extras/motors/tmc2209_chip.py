@@ -181,7 +181,7 @@ class Chip:
         self._write(_SGTHRS, threshold)
         self._end()
 
-    def look(self, tries: int = _TRIES) -> None:
+    def read_status(self, tries: int = _TRIES) -> None:
         """Ask it how it is: what follows is of that moment. Raises Silence."""
         self._flags = self._read(_GSTAT, tries)
         self._status = self._read(_DRV_STATUS)
@@ -203,10 +203,10 @@ class Chip:
             return "its supply is too low"
         return "it has switched itself off" if self._flags & _DRIVER_FAULT else ""
 
-    def tell(self) -> str:
+    def status_text(self) -> str:
         """What it says of itself, for a report. Raises Silence."""
         chopper = self._read(_CHOPCONF)
-        self.look()
+        self.read_status()
         return "version:%d|microsteps:%d|mode:%s|scale:%d/32|state:%s" % (
             self._read(_IOIN) >> 24,
             1 << _SMOOTHEST_LOG2 - (chopper >> _STEPS_AT & 0xF),

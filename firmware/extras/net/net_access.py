@@ -63,17 +63,17 @@ class Network:
         if self._is_new:
             self._kept["KEY"] = self._new_key()
             self._keep()
-        self._know()
+        self._load()
         if link:
             link.control.drop_half = lambda: drop_half(*self._received())
             link.control.has_half = lambda: has_half(*self._received())
 
     def _new_key(self) -> str:
         """One that nobody can guess: 39 bits of the chip's own noise."""
-        noise = self._link.access.noise(_KEY_LENGTH) if self._link else b""
+        noise = self._link.access.random_bytes(_KEY_LENGTH) if self._link else b""
         return "".join([_KEY_SIGNS[byte % len(_KEY_SIGNS)] for byte in noise])
 
-    def _know(self) -> None:
+    def _load(self) -> None:
         if self._link:
             self._link.access.secret = self._kept["KEY"]
 
@@ -92,16 +92,16 @@ class Network:
         """Behind the welcome, at the first start."""
         if self._is_new:
             self._is_new = False
-            self._tell_key()
+            self._send_key()
 
     def _received(self) -> "tuple[bytearray, array[int], bytearray]":
         ring, at, _, kinds = self._reader.memory()
         return ring, at, kinds
 
-    def _tell_key(self) -> None:
+    def _send_key(self) -> None:
         if self._link:
             line = b"[MSG:Network key: %s]\r\n" % self._kept["KEY"].encode()
-            self._link.tell_cable(line)
+            self._link.write_cable(line)
 
     # The command
 
@@ -109,7 +109,7 @@ class Network:
         """$NET, and $NET/… as lines come, without the slash. Raises GrblError."""
         text, link = text_of(rest), self._link
         if not rest:
-            count = link.callers() if link else 0
+            count = link.client_count() if link else 0
             status = link.status() if link else "no network is set up"
             self._cnc.message("Network: %s; connected: %d" % (status, count))
         elif link is None:
@@ -118,12 +118,12 @@ class Network:
             if text != "KEY" and text[:4] != "KEY=":  # a sender may say its key each time
                 self._refuse("That is set up at the cable")
         elif text == "KEY":
-            self._tell_key()
+            self._send_key()
         elif text == "KEY=NEW":
             self._kept["KEY"] = self._new_key()
-            self._know()
+            self._load()
             link.expel()
-            self._tell_key()
+            self._send_key()
             self._keep()
         else:
             self._set(text)
@@ -150,5 +150,5 @@ def install(cnc: "Cnc") -> None:
     link = cnc.machine.protocol.link
     network = Network(cnc, link if hasattr(link, "by_cable") else None)  # type: ignore[arg-type]
     cnc.before_lines(network.between)
-    cnc.behind_reset(network.greet)
+    cnc.after_reset(network.greet)
     cnc.add_command(b"NET", network.command)

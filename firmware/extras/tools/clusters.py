@@ -10,7 +10,7 @@ from array import array
 
 import micropython
 from base.errors import BAD_NUMBER_FORMAT, GCODE_MAX_VALUE_EXCEEDED, NEGATIVE_VALUE
-from control.spindle import ASKED, weigh
+from control.spindle import ASKED, power_from_rpm
 from language.block_layout import CHECKED, IN_MOTION, MOVE, ONLY
 from language.words import number, scan
 from micropython import const
@@ -35,7 +35,7 @@ from motion.layout import (
     TAIL,
 )
 from motion.planner import SPINDLE_MASK
-from motion.slice_kernel import dimmed, speed_share
+from motion.slice_kernel import scaled_power, speed_share
 
 from extras.tools.laser import Laser, emit, lay, mark
 
@@ -175,7 +175,7 @@ def dots(
     for i in range(number):
         power = clusters[own + 1 + (dot + i if parts == count else (dot + i) * count // parts)]
         if dynamic:
-            power = int(dimmed(table, power, part))
+            power = int(scaled_power(table, power, part))
         if begins or power != beam[LEVEL]:
             emit(beam, levels, power)
         else:
@@ -225,7 +225,7 @@ def store(
         if values[i] != last:
             last = values[i]
             scale[ASKED] = last
-            power = int(weigh(scale, flags))
+            power = int(power_from_rpm(scale, flags))
         clusters[at + 1 + i] = power
         speeds[MOST * block + i] = last
     clusters[at] = count

@@ -13,7 +13,7 @@ from array import array
 
 import micropython
 from base.errors import INVALID_STATEMENT, GrblError
-from base.f32 import whole
+from base.float32 import truncate
 from base.settings import ALL, WHOLE
 from control.spindle import Spindle
 from micropython import const
@@ -125,7 +125,7 @@ class Laser(Spindle):
         self._power = power
         self._port.spindle(power != 0, power)
 
-    def rest(self) -> None:
+    def on_motion_end(self) -> None:
         """Motion has come to its end: what hardware has made is known from now on. Interrupt."""
         beam = self._beam
         if self._reversed and self.laser:
@@ -181,7 +181,7 @@ def install(cnc: "Cnc") -> None:
 
     def configure() -> None:
         if settings.changed in (_NUMBER, ALL):
-            pwm.freq(min(max(whole(settings.pwm_hz), _LOWEST_HZ), _HIGHEST_HZ))
+            pwm.freq(min(max(truncate(settings.pwm_hz), _LOWEST_HZ), _HIGHEST_HZ))
             if has_beam:
                 engine.scale(machine.port.pwm_max)
 

@@ -103,15 +103,15 @@ class Punch(Spindle):
         self._down_invert, self._up_invert = inverts[:2]
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
         self._port.rest(self._down_invert | (1 ^ self._up_invert) << 1)
-        self._drive(False)
+        self._motor_control(False)
 
-    def turn(self, direction: int, rpm: float) -> None:
+    def set_speed(self, direction: int, rpm: float) -> None:
         """Arm or disarm. Disarmed, it is up, or the machine is in alarm: so after a reset, too."""
         self._armed = direction
         self._state.override_countdown = 0
         if direction == sp.OFF:
-            self._drive(False)
-            if not self._reach_up(self._machine.drive.pump):
+            self._motor_control(False)
+            if not self._reach_up(self._machine.motor_control.pump):
                 self._fail(ALARM_PUNCH_UP, _NOT_UP)
             elif self._lost:
                 self._machine.report.message(_NOT_UP)
@@ -119,7 +119,7 @@ class Punch(Spindle):
 
     def stop(self) -> None:
         """Up, at once; safe in an interrupt."""
-        self._drive(False)
+        self._motor_control(False)
 
     def direction(self) -> int:
         """OFF, or how it was armed."""
@@ -127,11 +127,11 @@ class Punch(Spindle):
 
     # The actuators: one of the two is always on
 
-    def _drive(self, down: bool) -> None:
+    def _motor_control(self, down: bool) -> None:
         self._going_down = down
         self._port.drive(down ^ self._down_invert | ((not down) ^ self._up_invert) << 1)
         if down and not self._going_down:
-            self._drive(False)  # an interrupt has brought it up meanwhile
+            self._motor_control(False)  # an interrupt has brought it up meanwhile
 
     def _sees(self) -> int:
         return self._port.sense() ^ self._sensor_invert
@@ -158,24 +158,24 @@ class Punch(Spindle):
         if not self._machine.engine.idle():
             return False
         if not self.may_move():
-            self._machine.realtime.events()  # raises Abort
+            self._machine.realtime.handle_events()  # raises Abort
         try:
-            self._drive(True)
+            self._motor_control(True)
             made = self._go_down()
         finally:
-            self._drive(False)
+            self._motor_control(False)
         if made is None:
             self._fail(ALARM_PUNCH_DOWN, _NOT_DOWN)
-            self._machine.drive.reset()
+            self._machine.motor_control.reset()
         elif not self._reach_up(self._turn):
             self._fail(ALARM_PUNCH_UP, _NOT_UP)
-            self._machine.drive.reset()
-        self._machine.realtime.events()
+            self._machine.motor_control.reset()
+        self._machine.realtime.handle_events()
         return bool(made)
 
     def _turn(self) -> None:
-        self._machine.drive.pump()
-        self._machine.realtime.events()
+        self._machine.motor_control.pump()
+        self._machine.realtime.handle_events()
 
     def _go_down(self) -> "bool | None":
         """True when it is there, False where a door calls it back, None when time is over."""
@@ -195,7 +195,7 @@ class Punch(Spindle):
         if self.is_up():
             return True
         self._fail(ALARM_PUNCH_UP, _NOT_UP)
-        self._machine.drive.reset()
+        self._machine.motor_control.reset()
         return False
 
     def _fail(self, code: int, words: str) -> None:
@@ -209,7 +209,7 @@ class Punch(Spindle):
             self._lost = True
             if self._state.alarm == 0:
                 self._state.alarm = ALARM_PUNCH_UP
-            self._machine.drive.reset()
+            self._machine.motor_control.reset()
 
     # As an extra
 
@@ -241,6 +241,6 @@ def install(cnc: "Cnc") -> None:
     cnc.add_settings(_SETTINGS, _WITHOUT, _FILE, _WORDS)
     cnc.add_alarms({ALARM_PUNCH_DOWN: _NOT_DOWN, ALARM_PUNCH_UP: _NOT_UP})
     cnc.before_motion(punch.may_move)
-    cnc.behind_start(punch.on_change)  # it may have left in between
-    cnc.behind_line(punch.strike)
+    cnc.after_start(punch.on_change)  # it may have left in between
+    cnc.after_line(punch.strike)
     punch.connect(cnc.machine)

@@ -7,7 +7,7 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from ports.net.caller import Caller
+    from ports.net.client import Client
 
 # Lines that change nothing, as plain() has them.
 READING = (b"", b"$", b"$$", b"$#", b"$G", b"$I", b"$I+", b"$N", b"$NET")
@@ -44,17 +44,17 @@ class Access:
     def __init__(self) -> None:
         self.secret = ""
 
-    def noise(self, count: int) -> bytes:
+    def random_bytes(self, count: int) -> bytes:
         """So many bytes of the chip's own."""
         return os.urandom(count)
 
-    def answer(self, caller: "Caller", line: bytes) -> bytes:
+    def answer(self, client: "Client", line: bytes) -> bytes:
         """What becomes of a client's line, if it is not to be done: a key, or more than it may.
         Each key costs the same, and nobody waits for another's: there are 30 ** 8."""
         if not line.startswith(_KEY):
-            return b"" if caller.trusted or line in READING else _MSG_KEY
+            return b"" if client.trusted or line in READING else _MSG_KEY
         if self.secret and line[len(_KEY) :] == self.secret.encode():
-            caller.trusted = True
+            client.trusted = True
             return OK
-        caller.tries -= 1
+        client.tries -= 1
         return _MSG_WRONG

@@ -14,7 +14,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ports.net.caller import Caller
+    from ports.net.client import Client
 
 _SILENT_MS = const(5000)
 
@@ -24,10 +24,10 @@ class Control:
     one borrows it; None: nobody. hears: who gets the answers. ending: lines of another driver are
     not done yet, and this one's wait."""
 
-    def __init__(self, user: "Caller") -> None:
-        self.owner: "Caller | None" = user
-        self.driver: "Caller | None" = user
-        self.hears: "Caller | None" = user
+    def __init__(self, user: "Client") -> None:
+        self.owner: "Client | None" = user
+        self.driver: "Client | None" = user
+        self.receiver: "Client | None" = user
         self.ending = False
         # Forget the line that has begun; and whether there is one.
         self.drop_half: "Callable[[], None]" = lambda: None
@@ -38,42 +38,42 @@ class Control:
         """The owner's lines wait."""
         return self.driver is not self.owner
 
-    def set(self, owner: "Caller | None") -> None:
+    def set(self, owner: "Client | None") -> None:
         """Nobody's lines are under way."""
         self.owner = self.driver = owner
-        self.hears = owner or self.hears
+        self.receiver = owner or self.receiver
 
-    def take(self, caller: "Caller", at_rest: bool, reads: bool, now_ms: int) -> bool:
+    def request(self, client: "Client", at_rest: bool, reads: bool, now_ms: int) -> bool:
         """Let a client that is not in control have the machine, if that may be; reads: for a line
         that only reads."""
-        if reads and caller is self.driver:
+        if reads and client is self.driver:
             self._reads += 1
             return True
-        if not self._is_free(caller, at_rest, now_ms):
+        if not self._is_free(client, at_rest, now_ms):
             return False
         if not reads:
-            self._give(caller)
+            self._transfer_control(client)
         elif self.is_borrowed() or self.has_half():
             return False
         else:
-            self.driver, self._reads = caller, 1
+            self.driver, self._reads = client, 1
             self.ending = True
         return True
 
-    def _is_free(self, caller: "Caller", at_rest: bool, now_ms: int) -> bool:
+    def _is_free(self, client: "Client", at_rest: bool, now_ms: int) -> bool:
         owner = self.owner
-        if not caller.trusted:
-            return owner is self.driver is None and at_rest and caller.may_hear()
+        if not client.trusted:
+            return owner is self.driver is None and at_rest and client.may_hear()
         if owner is None or owner.is_gone(now_ms):
             return True
         return at_rest and self.is_silent(owner, now_ms)
 
     @staticmethod
-    def is_silent(caller: "Caller", now_ms: int) -> bool:
+    def is_silent(client: "Client", now_ms: int) -> bool:
         """It has sent nothing for a while that does more than read."""
-        return time.ticks_diff(now_ms, caller.spoke_ms) >= _SILENT_MS
+        return time.ticks_diff(now_ms, client.spoke_ms) >= _SILENT_MS
 
-    def _give(self, owner: "Caller | None") -> None:
+    def _transfer_control(self, owner: "Client | None") -> None:
         """Another is in control from now on, or nobody."""
         before = self.owner
         if not self.is_borrowed():
@@ -83,27 +83,27 @@ class Control:
             before.forget()
             before.put(MSG_TAKEN)
 
-    def _hand_over(self, driver: "Caller | None") -> None:
+    def _hand_over(self, driver: "Client | None") -> None:
         """Lines of another come now, and those before it are nobody's."""
-        self.driver, self.hears = driver, None
+        self.driver, self.receiver = driver, None
         self.ending = True
         self.drop_half()
 
-    def leave(self, caller: "Caller") -> bool:
+    def on_client_gone(self, client: "Client") -> bool:
         """A client has gone. Returns whether it was in control."""
-        was_owner = caller is self.owner
+        was_owner = client is self.owner
         if was_owner:
-            self._give(None)
-        elif caller is self.driver:
+            self._transfer_control(None)
+        elif client is self.driver:
             self._hand_over(self.owner)
-        if caller is self.hears:
-            self.hears = None
+        if client is self.receiver:
+            self.receiver = None
         return was_owner
 
     def done(self) -> None:
         """Lines of the driver before are all done and answered."""
         self.ending = False
-        self.hears = self.driver
+        self.receiver = self.driver
 
     def answered(self) -> None:
         """A line has got its ok or its error."""
@@ -114,4 +114,4 @@ class Control:
 
     def give_back(self) -> None:
         """The owner's lines are the machine's again."""
-        self.driver = self.hears = self.owner
+        self.driver = self.receiver = self.owner

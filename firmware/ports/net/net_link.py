@@ -11,7 +11,7 @@ unread; of the others' each is looked at.
 Control is free where nobody has it, where its client has gone (3 s without a byte, over the
 network), and at rest when it has sent no line for 5 s. Lines that only read neither take it nor
 keep it: they borrow it. `?` is answered to the client that asks. The key is said by
-`$NET/KEY=...` on each connection. caller.py bounds what clients may cost.
+`$NET/KEY=...` on each connection. client.py bounds what clients may cost.
 """
 
 import time
@@ -22,7 +22,7 @@ from micropython import const
 
 from ports.link_memory import PIECES
 from ports.net.access import OK, READING, REFUSED, TAKEN, Access, is_browser, plain
-from ports.net.caller import Caller, Memory, asks, place_for
+from ports.net.client import Client, Memory, asks, slot_for
 from ports.net.in_control import Control
 
 TYPE_CHECKING = const(False)
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from interfaces import BoardLink, Connection, Incoming
 
-_PLACES = const(3)  # callers at once
+_MOST_CLIENTS = const(3)  # clients at once
 _PIECE = const(64)
 _LONGEST_READING = const(8)  # bytes of a line that only reads
 _URGENT = const(16)
@@ -52,7 +52,7 @@ _REPORT = const(0x3C)
 
 class NetLink:
     """A Link. cable: another. calls: who calls; None without a network. memory: of lwIP, for all
-    clients. on_turn: as UartLink's."""
+    clients. on_poll: as UartLink's."""
 
     def __init__(
         self, cable: "BoardLink", calls: "Incoming | None", memory: "Memory | None" = None
@@ -60,10 +60,10 @@ class NetLink:
         self._cable = cable
         self._calls = calls
         self.shared = cable.shared
-        self.look = cable.look
+        self.poll_reset = cable.poll_reset
         self.is_slow = cable.is_slow
-        self.come_back: "Callable[[], None]" = lambda: None
-        self.on_turn: "Callable[[], None] | None" = None
+        self.check_supervisor: "Callable[[], None]" = lambda: None
+        self.on_poll: "Callable[[], None] | None" = None
         # What greets a client, and the bytes that ask for a status report.
         self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
         self.questions = b"?"
@@ -75,10 +75,10 @@ class NetLink:
         self._read = cable.read_into
         self._write = cable.write
         self._memory = memory or Memory()
-        self._user = Caller(self._memory)  # at the cable
+        self._user = Client(self._memory)  # at the cable
         self._user.trusted = True
-        self._callers = [Caller(self._memory) for _ in range(_PLACES)]
-        self._all = [self._user] + self._callers
+        self._clients = [Client(self._memory) for _ in range(_MOST_CLIENTS)]
+        self._all = [self._user] + self._clients
         self.control = Control(self._user)
         # Only the cable: nothing has to be looked at. And nobody has spoken there.
         self._is_plain = self._is_nobodys = True
@@ -93,9 +93,9 @@ class NetLink:
         """Say when the prompt may be asked for, and who greets."""
         self._at_rest = at_rest
         cable = self._cable
-        cable.come_back = self.come_back
-        if self.on_turn:
-            cable.on_turn = self.on_turn  # type: ignore[attr-defined]  # UartLink's
+        cable.check_supervisor = self.check_supervisor
+        if self.on_poll:
+            cable.on_poll = self.on_poll  # type: ignore[attr-defined]  # UartLink's
 
         def greet() -> None:
             is_plain, self._is_plain = self._is_plain, True  # nobody else has come anew
@@ -123,7 +123,7 @@ class NetLink:
         if self._is_plain:
             self._write(data)
         elif len(data):
-            self._share(data)
+            self._distribute(data)
 
     def discard(self) -> None:
         """Drop what has arrived: it was sent before a reset."""
@@ -138,8 +138,8 @@ class NetLink:
 
     def close(self) -> None:
         """Leave the cable to MicroPython's prompt, and the network to nobody."""
-        for caller in self._callers:
-            caller.end()
+        for client in self._clients:
+            client.end()
         if self._calls:
             self._calls.close()
             self._calls = None
@@ -151,25 +151,25 @@ class NetLink:
 
     def expel(self) -> None:
         """Hang up on all clients of the network: their key is another one now."""
-        for caller in self._callers:
-            if caller.conn:
-                self._drop(caller)
+        for client in self._clients:
+            if client.conn:
+                self._drop(client)
 
     def by_cable(self) -> bool:
         """Who drives sits at the cable."""
         return self.control.driver is self._user
 
-    def tell_cable(self, data: bytes) -> None:
+    def write_cable(self, data: bytes) -> None:
         """What nobody else is to read."""
         self._write(data)
 
-    def callers(self) -> int:
+    def client_count(self) -> int:
         """How many are connected."""
-        return len([1 for caller in self._callers if caller.conn])
+        return len([1 for client in self._clients if client.conn])
 
-    def _settle(self) -> None:
+    def _restore_plain(self) -> None:
         control, user = self.control, self._user
-        if not control.ending and not self.callers():
+        if not control.ending and not self.client_count():
             if control.driver is None:
                 control.set(user)
                 self._is_nobodys = True
@@ -177,11 +177,11 @@ class NetLink:
                 self._is_plain = True
                 user.asked = False
 
-    def _is_open(self, caller: Caller) -> bool:
+    def _is_open(self, client: Client) -> bool:
         """Whether what a client sends passes to the machine as it is."""
         control = self.control
-        is_owner = caller is control.driver is control.owner
-        return is_owner and caller.trusted and not (control.ending or caller.length)
+        is_owner = client is control.driver is control.owner
+        return is_owner and client.trusted and not (control.ending or client.length)
 
     # In
 
@@ -197,17 +197,17 @@ class NetLink:
         if count:
             if self._is_open(user):
                 return self._note(user, buf, count, now_ms)
-            self._sift(user, buf, count, now_ms)
+            self._filter_bytes(user, buf, count, now_ms)
         elif driver and driver.conn:
             count = self._read_driver(driver, buf, now_ms)
             if count:
                 return count
         driver = control.driver
         if driver and driver.ready and not (control.ending or self._urgent_count):
-            return driver.pour(buf)
+            return driver.move_lines(buf)
         return 0
 
-    def _read_driver(self, driver: Caller, buf: bytearray, now_ms: int) -> int:
+    def _read_driver(self, driver: Client, buf: bytearray, now_ms: int) -> int:
         """Bytes for the machine as they are; 0 where there are none, or each is looked at."""
         is_open = self._is_open(driver)
         if not is_open and not driver.has_room():
@@ -217,15 +217,15 @@ class NetLink:
         if count < 0:
             self._drop(driver)
         elif count:
-            driver.hear(now_ms)
+            driver.note_received(now_ms)
             if is_open:
                 return self._note(driver, buf, count, now_ms)
-            self._sift(driver, piece, count, now_ms)
+            self._filter_bytes(driver, piece, count, now_ms)
         elif not driver.send():
             self._drop(driver)
         return 0
 
-    def _note(self, driver: Caller, buf: bytearray, count: int, now_ms: int) -> int:
+    def _note(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
         """What passes as it is. A lone ? is no line."""
         if asks(buf, count):
             driver.asked = True
@@ -239,31 +239,31 @@ class NetLink:
         if self._is_plain and self._user.asked:
             self._user.asked = self._is_nobodys = False
             self._user.spoke_ms = now_ms
-        for caller in self._callers:
-            if not caller.conn:
+        for client in self._clients:
+            if not client.conn:
                 continue
-            if caller is not self.control.driver:
-                count = caller.read(self._piece)
+            if client is not self.control.driver:
+                count = client.read(self._piece)
                 if count < 0:
-                    self._drop(caller)
+                    self._drop(client)
                     continue
                 if count:
-                    caller.hear(now_ms)
-                    self._sift(caller, self._piece, count, now_ms)
-            if not caller.send():
-                self._drop(caller)
+                    client.note_received(now_ms)
+                    self._filter_bytes(client, self._piece, count, now_ms)
+            if not client.send():
+                self._drop(client)
         called = self._calls.next() if self._calls else None
         if called:
-            self._meet(called[0], called[1], now_ms)
+            self._accept(called[0], called[1], now_ms)
         if self.radio and time.ticks_diff(now_ms, self._radio_ms) >= _RADIO_MS:
             self._radio_ms = now_ms
             self.radio(self._at_rest())
         if not self._is_plain:
-            self._settle()
+            self._restore_plain()
 
-    def _meet(self, conn: "Connection", address: str, now_ms: int) -> None:
+    def _accept(self, conn: "Connection", address: str, now_ms: int) -> None:
         """Somebody has called."""
-        place = place_for(address, self._callers, self._at_rest(), now_ms)
+        place = slot_for(address, self._clients, self._at_rest(), now_ms)
         if place is None:
             conn.close()
             return
@@ -279,46 +279,46 @@ class NetLink:
         if not place.send():
             self._drop(place)
 
-    def _drop(self, caller: Caller) -> None:
+    def _drop(self, client: Client) -> None:
         """Hang up. Of who has driven: a jog ends, a line that has only begun is forgotten."""
-        caller.end()
-        if self.control.leave(caller):
-            self._urge(_JOG_CANCEL)
+        client.end()
+        if self.control.on_client_gone(client):
+            self._queue_realtime(_JOG_CANCEL)
 
     # What others say, and the client in control while lines wait
 
-    def _sift(self, caller: Caller, data: bytearray, count: int, now_ms: int) -> None:
+    def _filter_bytes(self, client: Client, data: bytearray, count: int, now_ms: int) -> None:
         for i in range(count):
             byte = data[i]
             if byte in self.questions:
-                if caller.trusted or caller.may_hear():
-                    caller.asked = True
-                    self._urge(byte)
+                if client.trusted or client.may_hear():
+                    client.asked = True
+                    self._queue_realtime(byte)
             elif byte >= 0x80 or byte in _REALTIME:
-                if self._may_act(caller, byte, now_ms):
-                    self._urge(byte)
+                if self._may_act(client, byte, now_ms):
+                    self._queue_realtime(byte)
             elif byte in b"\r\n":
-                self._end_line(caller, byte, now_ms)
+                self._end_line(client, byte, now_ms)
             else:
-                caller.keep(byte)
-                if caller is self.control.owner:
-                    caller.ready = caller.length
-                elif is_browser(caller.said, caller.length):
-                    self._drop(caller)
-            if not caller.conn and caller is not self._user:
+                client.keep(byte)
+                if client is self.control.owner:
+                    client.ready = client.length
+                elif is_browser(client.said, client.length):
+                    self._drop(client)
+            if not client.conn and client is not self._user:
                 return
 
-    def _may_act(self, caller: Caller, byte: int, now_ms: int) -> bool:
+    def _may_act(self, client: Client, byte: int, now_ms: int) -> bool:
         """Whether a real-time command acts."""
-        if not caller.trusted:
+        if not client.trusted:
             return False
-        is_owner = caller is self.control.owner
-        return is_owner or byte in _STOPS or self._take(caller, False, now_ms)
+        is_owner = client is self.control.owner
+        return is_owner or byte in _STOPS or self._request_control(client, False, now_ms)
 
-    def _take(self, caller: Caller, reads: bool, now_ms: int) -> bool:
-        return self.control.take(caller, self._at_rest(), reads, now_ms)
+    def _request_control(self, client: Client, reads: bool, now_ms: int) -> bool:
+        return self.control.request(client, self._at_rest(), reads, now_ms)
 
-    def _urge(self, byte: int) -> None:
+    def _queue_realtime(self, byte: int) -> None:
         """To be the machine's in front of all lines. A stop finds space always."""
         count = self._urgent_count
         if byte in bytes(self._urgent[:count]):
@@ -329,58 +329,58 @@ class NetLink:
             self._urgent[count] = byte
             self._urgent_count = count + 1
 
-    def _end_line(self, caller: Caller, byte: int, now_ms: int) -> None:
-        if caller is self.control.owner:
-            caller.end_line(byte, now_ms)
+    def _end_line(self, client: Client, byte: int, now_ms: int) -> None:
+        if client is self.control.owner:
+            client.end_line(byte, now_ms)
             return
-        begins = caller.ready
-        line = plain(caller.said[begins : caller.length])
+        begins = client.ready
+        line = plain(client.said[begins : client.length])
         reads = line in READING
         answer = b""
-        if caller.is_too_long:
+        if client.is_too_long:
             answer = REFUSED % errors.OVERFLOW
-        elif caller is not self._user:
-            answer = self.access.answer(caller, line)
+        elif client is not self._user:
+            answer = self.access.answer(client, line)
         if not answer and not line:
             answer = OK
-        elif not answer and not self._take(caller, reads, now_ms):
+        elif not answer and not self._request_control(client, reads, now_ms):
             answer = TAKEN
         if not answer:
-            caller.end_line(byte, now_ms)
+            client.end_line(byte, now_ms)
             return
-        caller.length = begins
-        caller.is_too_long = False
-        self._say(caller, answer)
-        if not caller.tries:
-            self._drop(caller)
+        client.length = begins
+        client.is_too_long = False
+        self._send(client, answer)
+        if not client.tries:
+            self._drop(client)
 
     # Out
 
-    def _share(self, data: "bytes | bytearray | memoryview") -> None:
+    def _distribute(self, data: "bytes | bytearray | memoryview") -> None:
         control, first = self.control, data[0]
         if first == _REPORT:
             self._report(data)
         elif first <= _RETURN or first == _A or (first == _BRACKET and data[1] == _M):
             self._write(data)
-            for caller in self._callers:
-                if caller.conn:
-                    self._say(caller, data)
-        elif control.hears:
-            self._say(control.hears, data)
+            for client in self._clients:
+                if client.conn:
+                    self._send(client, data)
+        elif control.receiver:
+            self._send(control.receiver, data)
             if first in _ANSWERS:
                 control.answered()
 
     def _report(self, data: "bytes | bytearray | memoryview") -> None:
         """To those who have asked; to who drives where nobody has."""
-        asking = [caller for caller in self._all if caller.asked]
+        asking = [client for client in self._all if client.asked]
         if not asking and self.control.owner:
             asking.append(self.control.owner)
-        for caller in asking:
-            caller.asked = False
-            self._say(caller, data)
+        for client in asking:
+            client.asked = False
+            self._send(client, data)
 
-    def _say(self, caller: Caller, data: "bytes | bytearray | memoryview") -> None:
-        if caller is self._user:
+    def _send(self, client: Client, data: "bytes | bytearray | memoryview") -> None:
+        if client is self._user:
             self._write(data)
-        elif caller.conn and not caller.put(data):
-            self._drop(caller)
+        elif client.conn and not client.put(data):
+            self._drop(client)

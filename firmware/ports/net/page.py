@@ -1,10 +1,10 @@
 """The page from the board itself: HTTP, as far as one static file wants it, and websockets.
 
-An Incoming around another: who has come by a websocket is a caller as those are who have come by
+An Incoming around another: who has come by a websocket is a client as those are who have come by
 TCP. The page lies in flash, compressed (NAME); what a browser asks for first is a few lines
 (FIRST) that fetch it piece by piece. Each names the next one, with four signs of chance (`Next:`,
 in FIRST a path), so the request for that proves that all before it has been read, and its part of
-lwIP's memory is free (caller.py). A visitor that finds no memory waits, and nobody waits for it.
+lwIP's memory is free (client.py). A visitor that finds no memory waits, and nobody waits for it.
 
 Only a page that came from here may open a websocket, and only under a name of the board's, so that
 no other site in somebody's browser can (DNS rebinding). Keys are said on the link: access.py.
@@ -17,7 +17,7 @@ import time
 from micropython import const
 
 from ports.net import web_socket
-from ports.net.caller import Memory
+from ports.net.client import Memory
 from ports.net.web_socket import WebSocket
 
 TYPE_CHECKING = const(False)

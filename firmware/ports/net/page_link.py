@@ -5,7 +5,7 @@ Clients have less of lwIP's memory here than elsewhere: pieces of the page want 
 
 from micropython import const
 
-from ports.net.caller import Memory
+from ports.net.client import Memory
 from ports.net.net_link import NetLink
 from ports.net.page import Page
 from ports.net.tcp import Calls
@@ -37,20 +37,20 @@ class PageLink(NetLink):
         """Each page hears how things stand when that has changed, as from `ugrbl web`
         (docs/web.md); with "key": whether it is wanted of him."""
         driver = self.control.owner
-        watchers = len([1 for caller in self._callers if caller.conn and caller is not driver])
-        for caller in self._callers:
-            socket = caller.conn
+        watchers = len([1 for client in self._clients if client.conn and client is not driver])
+        for client in self._clients:
+            socket = client.conn
             if not isinstance(socket, WebSocket):
                 continue
-            told = watchers * 8 + caller.trusted * 4 + (caller is driver) * 2 + (driver is None)
+            told = watchers * 8 + client.trusted * 4 + (client is driver) * 2 + (driver is None)
             if told != socket.told:
                 socket.told = told
                 socket.news = _NEWS % (
                     self._host.encode(),
-                    _SAID[caller is driver],
+                    _SAID[client is driver],
                     driver is not None,
                     watchers,
-                    _SAID[not caller.trusted],
+                    _SAID[not client.trusted],
                 )
 
 

@@ -41,7 +41,7 @@ class Radio:
         if is_station:
             self._join(name, password)
 
-    def turn(self, at_rest: bool) -> None:
+    def poll_radio(self, at_rest: bool) -> None:
         """See to it that there is a network."""
         if not (self._is_station and at_rest) or self._wlan.isconnected():
             return

@@ -33,13 +33,13 @@ class Calls:
         """Who has called, and from which address; None where nobody has."""
         for _ in self._arrived.ipoll(0):
             try:
-                caller, address = self._listener.accept()
-                caller.setblocking(False)
+                client, address = self._listener.accept()
+                client.setblocking(False)
                 if self._no_delay:
-                    caller.setsockopt(_IPPROTO_TCP, self._no_delay, 1)
+                    client.setsockopt(_IPPROTO_TCP, self._no_delay, 1)
             except OSError:
                 return None  # gone again
-            return caller, str(address[0])
+            return client, str(address[0])
         return None
 
     def close(self) -> None:

@@ -6,7 +6,7 @@ likes, in as many parts. What is no frame of a browser's ends the connection, wi
 why. Text goes out only: the latest of what is to be told.
 
 What is sent is followed by a ping with four bytes of chance: the pong that brings them back proves
-that all before it has been read. Until then it counts as unproved, for caller.py.
+that all before it has been read. Until then it counts as unproved, for client.py.
 """
 
 import binascii
@@ -37,7 +37,7 @@ _HEAD = const(8)  # first bytes, length, mask
 _PAYLOAD = const(512)  # of a frame that is sent
 _CHANCE = const(4)
 _READS = const(4)  # in a row: a pong delays no message behind it
-_SEGMENT = const(100)  # what a frame counts for at the least, as in caller.py
+_SEGMENT = const(100)  # what a frame counts for at the least, as in client.py
 _UNPROVED = const(1600)  # with more than that neither pongs nor news are sent
 
 _GOOD_BYE = const(1000)
@@ -95,7 +95,7 @@ class WebSocket:
             count = self._conn.readinto(buf)
             if not count:
                 return count
-            found = self._take(buf, count)
+            found = self._decode(buf, count)
             if found:
                 return found
         return None
@@ -119,7 +119,7 @@ class WebSocket:
 
     # In
 
-    def _take(self, buf: bytearray, count: int) -> int:
+    def _decode(self, buf: bytearray, count: int) -> int:
         """What is the machine's of bytes that have come, at the beginning of the same buf."""
         found = at = 0
         while at < count and not self._over:

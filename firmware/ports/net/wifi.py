@@ -44,6 +44,6 @@ def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
         why = "the radio fails: %s" % fault
         link.status = lambda: why
         return link
-    link.radio = radio.turn
+    link.radio = radio.poll_radio
     link.status = radio.status
     return link

@@ -72,7 +72,7 @@ class JobFiles:
         self._folder = folder
         self._card = card
         # Called again and again while files are gone through.
-        self.turn: "Callable[[], object]" = _nothing
+        self.on_progress: "Callable[[], object]" = _nothing
 
     def connect(self, store: "Store", link: "Link") -> None:
         """Flash is written with all that the store has around its own writing; a card tells the
@@ -146,7 +146,7 @@ class JobFiles:
         """Names and sizes, in order."""
         found = []
         for name in [text_of(there) for there in self._names() if _called(there)]:
-            self.turn()
+            self.on_progress()
             size = self._size(name)
             if size >= 0:
                 found.append((name, size))
@@ -160,7 +160,7 @@ class JobFiles:
         """To be read. OSError where there is none, or it cannot be."""
         return open(self._path(self._found(name)[0] or name), "rb")
 
-    def room_kb(self) -> int:
+    def free_kb(self) -> int:
         """What still fits; on a card a file comes and is copied."""
         try:
             found = self._around(lambda: os.statvfs(self._folder))
@@ -253,4 +253,4 @@ class JobFiles:
                 if not piece:
                     return
                 use(piece)
-                self.turn()
+                self.on_progress()

@@ -151,8 +151,8 @@ class UsbLink:
 
     read_into(buf) moves what has arrived into buf and returns how many bytes; write(data) sends,
     soon. For the supervisor: shared is what they share, look what its timer calls, None where
-    there is nothing to see; come_back is its own, called in the main loop, and raises. is_slow:
-    Ctrl-X is not heard before the main loop reads.
+    there is nothing to see; check_supervisor is its own, called in the main loop, and raises.
+    is_slow: Ctrl-X is not heard before the main loop reads.
     """
 
     read_into: "Callable[[bytearray], int]"
@@ -160,7 +160,7 @@ class UsbLink:
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
-        self.come_back: "Callable[[], None]" = lambda: None
+        self.check_supervisor: "Callable[[], None]" = lambda: None
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
         self._arrived: "Any" = select.poll()
@@ -178,7 +178,7 @@ class UsbLink:
 
             usb_ring.find(self._at, self._drain, _take)
         self.is_slow = self._at[RING] == 0
-        self.look: "Callable[[], int] | None" = None if self.is_slow else self._look
+        self.poll_reset: "Callable[[], int] | None" = None if self.is_slow else self._poll_reset
         self.read_into = self._make_read_into()
         self._send = self._make_send()
         self.write = self._make_write()
@@ -189,7 +189,7 @@ class UsbLink:
         self._on_open = on_open
 
     @micropython.viper
-    def _look(self) -> int:
+    def _poll_reset(self) -> int:
         """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one.
 
         And see the port being opened, which for the first time is no news."""
@@ -296,7 +296,7 @@ class UsbLink:
         """See to more than bytes. Returns their count."""
         at = self._at
         if at[STOPPED]:
-            self.come_back()
+            self.check_supervisor()
         if at[OPENED]:
             self._greet(count)
         if count:
@@ -326,7 +326,7 @@ class UsbLink:
     def _read_plainly(self, buf: bytearray) -> int:
         self._at[TURNED] = 1
         if self._at[STOPPED]:
-            self.come_back()
+            self.check_supervisor()
         self._flush()
         count = 0
         while count < len(buf) and self._waiting():

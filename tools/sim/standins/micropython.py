@@ -92,8 +92,8 @@ def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
 
 
 def _code(plain: FunctionType) -> CodeType:
-    """What makes the function. A checkout keeps it beside what compiling/kept.py does, by all that
-    it follows from: to make it is most of what a process takes to start."""
+    """What makes the function. A checkout keeps it beside what compiling/cache.py does, by all
+    that it follows from: to make it is most of what a process takes to start."""
     file = _kept(plain)
     try:
         return cast(CodeType, marshal.loads(file.read_bytes()))

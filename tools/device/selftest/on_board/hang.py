@@ -82,4 +82,4 @@ realtime.Realtime.run = run
 lines.LineReader.__init__ = make_reader
 parts = power_up.build()
 watch()
-power_up.live(parts)
+power_up.run_machine(parts)

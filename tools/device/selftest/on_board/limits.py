@@ -131,7 +131,7 @@ def limits_stop(drive, port, heard, shot):
         for k in range(CONFIG["limits"] if pins else 0):
             drive.count(watched)
             heard[0] = 0
-            port.hear_limits(True)
+            port.enable_limits(True)
             port.revive()
             drive.even(drive.engine.max_step_hz(3), 1 << 20, some(0, (1 << AXES) - 1))
             drive.start()
@@ -144,7 +144,7 @@ def limits_stop(drive, port, heard, shot):
             ticks.append(last_edge(at))
             drive.stop()
             wrong += drive.of_watched(drive.position()) != drive.counted()
-        port.hear_limits(False)
+        port.enable_limits(False)
         say(
             "limits",
             collecting=collect,
@@ -180,9 +180,9 @@ def check_pwm(port, shot):
         say("pwm", power=power, full=full, edges=measure_pwm(pin))
     inputs = [limit for limit in getattr(board, "LIMIT", ()) if limit is not None]
     if inputs:
-        port.hear_limits(True)
+        port.enable_limits(True)
         at = shot.fire(inputs[0], False)
-        port.hear_limits(False)
+        port.enable_limits(False)
         say("pwm after a limit", shown=at is not None, edges=measure_pwm(pin))
     port.kill()
     port.spindle(True, full)

@@ -123,7 +123,7 @@ def limits_stop(drive, port):
         pin = pins[k % len(pins)]
         drive.count(AXES)
         heard.clear()
-        port.hear_limits(True)
+        port.enable_limits(True)
         port.revive()
         drive.even(drive.most_hz, 20_000, some(0, (1 << AXES) - 1))
         drive.start()
@@ -135,7 +135,7 @@ def limits_stop(drive, port):
             took_us.append(time.ticks_diff(heard[0], begun))
         missed += not heard
         off, has_more = stop_and_look(drive)
-        port.hear_limits(False)
+        port.enable_limits(False)
         pull(pin, False)
         worst, late = max(worst, off), late + has_more
         if not shown:

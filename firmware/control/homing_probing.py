@@ -1,0 +1,251 @@
+"""Homing and probing: motion that ends when a switch says so."""
+
+import math
+from array import array
+
+from base import errors
+from base import state as st
+from base.axes import Z
+from base.float32 import f32, vector
+from micropython import const
+from motion import layout
+from motion import planner as plan
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import Machine
+    from motion.planner import Move
+
+
+# How much further than the travel, or the pull-off, a switch is searched for.
+_SEARCH = 1.5
+_LOCATE = 5.0
+# Approach fast, pull off, approach slowly, pull off.
+_PHASES = const(4)
+
+
+class HomingProbing:
+    """Both cycles. position copies the machine's, in mm; resync plans on from there. zero_origin:
+    homing sets 0; shared_switches: an input serves both ends."""
+
+    def __init__(self, machine: "Machine", zero_origin: bool, shared_switches: bool) -> None:
+        self._state = machine.state
+        self._settings = machine.settings
+        self._engine = machine.engine
+        self._planner = machine.planner
+        self._inputs = machine.inputs
+        self._port = machine.port
+        self._voice = machine.report
+        self._canon = machine.canon
+        self._motor_control = machine.motor_control
+        self._position = machine.position
+        self._resync = machine.resync
+        self._zero_origin = zero_origin
+        self._shared_switches = shared_switches
+        self._kinematics = machine.planner.kinematics
+        motors = machine.planner.motors
+        self._steps = array("i", (0 for _ in range(motors)))
+        self._target = vector(machine.planner.axes)
+        self._move = plan.Move()
+        self.probe_steps = array("i", (0 for _ in range(motors)))
+        self.homed = 0  # a mask of axes whose switches were found, until an alarm
+
+    # Probing (G38.2 to G38.5)
+
+    def probe(self, target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
+        """Move until contact, or until it is lost. Returns whether the parser is at the target.
+
+        Where the probe fails and alarms is set, the machine is in alarm afterwards.
+        """
+        state = self._state
+        if state.run == st.CHECK:
+            return True
+        self._canon.synchronise()
+        state.probe_succeeded = False
+        if self._inputs.probe() != away:
+            self._motor_control.fail(errors.ALARM_PROBE_FAIL_INITIAL)
+            return False
+        self._contact = False
+        self._contact_level = self._inputs.contact_level(away)
+        self._motor_control.touches = self._touches
+        self._canon.line(target, move)
+        self._canon.finish()
+        state.post(st.CYCLE_START)
+        self._canon.service()
+        while state.run != st.IDLE:
+            self._canon.service()
+        self._end_watch()
+        state.take_event(st.CANCEL_MOTION)  # of a contact as motion ended
+        self._planner.clear()
+        if self._contact:
+            state.probe_succeeded = True
+            self._resync()
+        else:
+            self._engine.position(self._steps)
+            self._planner.sync_motors(self._steps)
+            if not alarms:
+                self._engine.position(self.probe_steps)
+        self._canon.service()
+        if alarms and not state.probe_succeeded:
+            self._motor_control.fail(errors.ALARM_PROBE_FAIL_CONTACT, self._end_probe)
+        else:
+            self._end_probe()
+        return not state.probe_succeeded
+
+    def _end_probe(self) -> None:
+        self._motor_control.release()
+        self._motor_control.wait_idle_delay()
+        self._report_probe()
+
+    def forget_probe(self) -> None:
+        """As if nothing had been probed yet; end a cycle in progress."""
+        self._end_watch()
+        for i in range(len(self.probe_steps)):
+            self.probe_steps[i] = 0
+
+    def _touches(self) -> bool:
+        """Watch the probe from now on, unless it has touched; return whether it touches, so that
+        nothing may move."""
+        if not self._contact:
+            self._port.watch_probe(self._on_contact, self._contact_level)
+        if self._contact:
+            self._state.take_event(st.CANCEL_MOTION)
+        return self._contact
+
+    def _end_watch(self) -> None:
+        self._port.watch_probe(None, False)
+        self._motor_control.touches = None
+
+    def _on_contact(self) -> None:
+        """Interrupt: note the place, to the step, and stop. A contact made while a hold stands
+        still counts only if it lasts until motion is to go on: _touches() looks again."""
+        state = self._state
+        if not state.suspend & st.HOLD_COMPLETE:
+            self._engine.position(self.probe_steps)
+            self._contact = True
+            state.post(st.CANCEL_MOTION)
+
+    def _report_probe(self) -> None:
+        self._planner.to_mm(self.probe_steps, self._target)
+        self._voice.probe(self._target)
+
+    def probe_position(self) -> "array[float]":
+        """Where the probe touched last, in mm."""
+        self._planner.to_mm(self.probe_steps, self._target)
+        return self._target
+
+    # Homing ($H)
+
+    def home(self, axes: int) -> bool:
+        """Find the switches: of these axes (a mask), or of all, Z first.
+
+        Returns False where it cannot begin: the machine will be in alarm.
+        """
+        state = self._state
+        if self._shared_switches and self._inputs.limits():
+            self._motor_control.reset()
+            state.alarm = errors.ALARM_HARD_LIMIT
+            return False
+        find = state.hooks.find_switches
+        if axes:
+            find(axes)
+        else:
+            find(1 << Z)
+            find(((1 << self._planner.axes) - 1) & ~(1 << Z))
+        self._canon.service()
+        self._resync()
+        return True
+
+    def find_switches(self, axes: int) -> None:
+        """Find the switches of these axes (a mask), all of them in the same moves."""
+        settings = self._settings
+        travel = 0.0
+        count = 0
+        for i in range(self._planner.axes):
+            if axes >> i & 1:
+                travel = max(travel, _SEARCH * settings.max_travel[i])
+                count += 1
+        # Each axis is to move at the homing rate, the diagonal that much faster.
+        diagonal = math.sqrt(count)
+        rate = settings.homing_seek
+        for phase in range(_PHASES):
+            approach = phase % 2 == 0
+            self._state.hooks.home_phase(axes, approach, travel, rate * diagonal)
+            self._motor_control.wait_unanswered(settings.homing_debounce_ms)
+            if approach:
+                travel = settings.homing_pull_off_mm
+                rate = settings.homing_seek
+            else:
+                travel = settings.homing_pull_off_mm * _LOCATE
+                rate = settings.homing_feed
+        self._set_origin(axes)
+        self.homed |= axes
+
+    def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
+        """One move; ends when all switches were found, or with the way back done."""
+        engine = self._engine
+        planner = self._planner
+        engine.position(self._steps)
+        self._position(self._target)
+        for i in range(planner.axes):
+            if axes >> i & 1:
+                planner.set_axis(self._steps, i, 0.0)
+                negative = bool(self._settings.homing_dir_invert >> i & 1) == approach
+                self._target[i] = -travel if negative else travel
+        engine.set_position(self._steps)
+        move = self._move
+        move.clear()
+        move.feed = rate
+        move.flags = layout.SYSTEM_MOTION | layout.NO_FEED_OVERRIDE
+        planner.clear()
+        planner.system_line(self._target, move, 0, self._steps)
+        self._motor_control.start(st.HOMING)
+        self._state.spindle[st.RPM] = 0.0  # these moves have no power
+        searching = axes
+        while searching:
+            if approach:
+                found = self._inputs.limits() & searching
+                if found:
+                    searching &= ~found
+                    engine.lock(self._kinematics.stopped_by(found) if self._kinematics else found)
+            if self._failed(approach, axes):
+                self._motor_control.reset()
+                self._canon.service()
+            # First: an engine that has failed stands still, too.
+            self._motor_control.check_engine()
+            if engine.idle():
+                break
+            if searching:
+                self._motor_control.pump()
+        engine.stop()
+        planner.clear()
+        self._motor_control.arm()
+
+    def _failed(self, approach: bool, axes: int) -> bool:
+        """Set the alarm if the cycle cannot go on."""
+        state = self._state
+        done = self._engine.idle()
+        if state.pending[st.RESET]:
+            state.alarm = errors.ALARM_HOMING_FAIL_RESET
+        elif state.pending[st.SAFETY_DOOR]:
+            state.alarm = errors.ALARM_HOMING_FAIL_DOOR
+        elif done and not approach and self._inputs.limits() & axes:
+            state.alarm = errors.ALARM_HOMING_FAIL_PULLOFF
+        elif done and approach:
+            state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
+        return state.alarm != 0
+
+    def _set_origin(self, axes: int) -> None:
+        settings = self._settings
+        engine = self._engine
+        engine.position(self._steps)
+        pull_off = settings.homing_pull_off_mm
+        for i in range(self._planner.axes):
+            if axes >> i & 1:
+                place = -pull_off
+                if self._zero_origin:
+                    place = 0.0
+                elif settings.homing_dir_invert >> i & 1:
+                    place = f32(pull_off - settings.max_travel[i])
+                self._planner.set_axis(self._steps, i, place)
+        engine.set_position(self._steps)

@@ -1,0 +1,101 @@
+"""Places, and modes to be put back: what m returns to handlers of custom.py."""
+
+from array import array
+
+from base import state as st
+from base.float32 import copy
+from control.modes import (
+    INCHES,
+    INVERSE_TIME,
+    MODAL_LENGTH,
+    PLANE,
+    RELATIVE,
+    SPINDLE,
+    SYSTEM,
+)
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from talk.controller import Controller
+
+_COOLANT = const(SPINDLE + 1)
+_A = const(3)
+# G17, G90, G94 and G21: what lines of a handler are read in.
+_USUAL = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
+
+
+class Position:
+    """A place: x, y, z and, where there is one, a; or place[0] and so on."""
+
+    def __init__(self, mm: "array[float]") -> None:
+        self._mm = [mm[i] for i in range(len(mm))]
+
+    def __getitem__(self, axis: int) -> float:
+        return self._mm[axis]
+
+    def __repr__(self) -> str:
+        return "(%s)" % ", ".join(["%.3f" % mm for mm in self._mm])
+
+    @property
+    def x(self) -> float:
+        return self._mm[0]
+
+    @property
+    def y(self) -> float:
+        return self._mm[1]
+
+    @property
+    def z(self) -> float:
+        return self._mm[2]
+
+    @property
+    def a(self) -> float:
+        if len(self._mm) <= _A:
+            raise ValueError("the machine has no axis A")
+        return self._mm[_A]
+
+
+class ModalState:
+    """Modes, feed and offsets as they were, behind a with statement; within it G17, G21, G90 and
+    G94 hold where usual is set. Spindle and coolant are what the machine does, and stay. within:
+    those that are open, this one last."""
+
+    def __init__(self, machine: "Controller", usual: bool, within: "list[ModalState]") -> None:
+        self._machine = machine
+        self._usual = usual
+        self._within = within
+
+    def __enter__(self) -> None:
+        modes, coords = self._machine.modes, self._machine.coords
+        self.modal = list(modes.modal)
+        self._rates = modes.rates[:]
+        self._length, self._g92 = coords.tool_length, array("f", coords.g92)
+        motions = self._machine.interpreter.motions.values()
+        self._motions = [(motion, motion.kept) for motion in motions]
+        self._within.append(self)
+        if self._usual:
+            for i in _USUAL:
+                modes.modal[i] = 0
+
+    def keep_length(self) -> None:
+        """The tool's length is to stay as it is now."""
+        self._length = self._machine.coords.tool_length
+
+    def __exit__(self, *fault: object) -> None:
+        machine = self._machine
+        modes, coords = machine.modes, machine.coords
+        if self in self._within:
+            self._within.remove(self)
+        if machine.state.pending[st.RESET]:
+            return  # which has modes of its own
+        for i in range(MODAL_LENGTH):
+            if i not in (SPINDLE, _COOLANT):
+                modes.modal[i] = self.modal[i]
+        coords.active = modes.modal[SYSTEM]
+        for motion, kept in self._motions:
+            motion.kept = kept
+        copy(self._rates, modes.rates, 2)
+        coords.tool_length = self._length
+        coords.set_g92(self._g92)
+        machine.state.wco_countdown = 0

@@ -1,0 +1,293 @@
+"""Joint planner: plans chords for motors that move joints instead of axes. See nonlinear.py.
+
+A chord's row has the steps of its joints, and the length of the tool's way. What limits it is
+worked out from how far each joint goes per mm, and how much that changes from chord to chord.
+"""
+
+import math
+from array import array
+
+from base.float32 import copy, vector
+from micropython import const
+from motion import layout, minifloat, plan_kernel
+from motion.arcs import FAR
+from motion.planner import Planner
+
+from extras.kinematics.segmenter import Segmenter
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from base.settings import Settings
+    from interfaces import Geometry
+    from motion.planner import Move
+
+# Where the tool is, in whole numbers as reports have them: so many are a mm.
+_PER_MM = 1000.0
+_SLOWEST_MM_S = 1e-6  # where motors turn nearly on the spot
+_STRAIGHT = 0.94  # cosine: joints that turn by more are at a corner, and not in a bend
+_UNIT = const(16384)
+_BEND_SHARE = 0.5  # share of a joint's acceleration that bends may take
+
+
+def _nearest(x: float) -> int:
+    return int((x + 0.5) // 1)
+
+
+def _parts(mm: float) -> int:
+    """As reports have it."""
+    return _nearest(mm * _PER_MM)
+
+
+def _distance(one: "array[float]", other: "array[float]") -> float:
+    return math.sqrt(sum([(other[i] - one[i]) ** 2 for i in range(len(one))]))
+
+
+class NonlinearKinematics:
+    """Which joints belong to which place. Each motor moves the joint of its own number."""
+
+    def __init__(self, axes: int, geometry: "Geometry") -> None:
+        self.geometry = geometry
+        self.moves = [1 << i for i in range(axes)]
+        self.resolution = array("f", (1.0 for _ in range(axes)))  # steps per unit of a joint
+        self.start, self.home, self.travel = geometry.START, geometry.HOME, geometry.TRAVEL
+        self._axes = range(axes)
+        self._joints = vector(axes)
+        self._place = vector(axes)
+
+    def joints_of(self, motors: "array[int]", joints: "array[float]") -> None:
+        """Where the joints are, in their units."""
+        for i in self._axes:
+            joints[i] = self.start[i] + motors[i] / self.resolution[i]
+
+    def steps_of(self, joint: float, i: int) -> int:
+        """Steps of a joint that is there."""
+        return _nearest((joint - self.start[i]) * self.resolution[i])
+
+    def place_of(self, motors: "array[int]", place: "array[float]") -> None:
+        """Where the tool is, in mm."""
+        self.joints_of(motors, self._joints)
+        self.geometry.forward(self._joints, place)
+
+    def axis_steps(self, motors: "array[int]", axis: int) -> int:
+        """Where the tool is along an axis, in parts of a mm."""
+        self.place_of(motors, self._place)
+        return _parts(self._place[axis])
+
+    def to_axes(self, motors: "array[int]") -> None:
+        """Put those where the steps of the motors are."""
+        self.place_of(motors, self._place)
+        for i in self._axes:
+            motors[i] = _parts(self._place[i])
+
+    def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
+        """Change the steps of a joint: there is no axis that could be moved alone."""
+        motors[axis] = steps
+
+    def stopped_by(self, switches: int) -> int:
+        """Each joint has a switch of its own."""
+        return switches
+
+
+class NonlinearPlanner(Planner):
+    """A planner of chords. place, joints: where the last one ends. homing: places are those of
+    joints meanwhile, in their units."""
+
+    kinematics: "NonlinearKinematics"
+
+    def __init__(self, axes: int, *others: "Any") -> None:
+        super().__init__(axes, *others)
+        self.homing = False
+        self.synced = False  # what was planned has been forgotten
+        self.place = vector(axes)
+        self.joints = vector(axes)
+        self.course = Segmenter(axes, self.kinematics.geometry)
+        self._at = array("i", (0 for _ in range(axes)))  # steps where the last block ends
+        self._place = vector(axes)  # and where that is meant to be: chords may have no steps
+        self._joints = vector(axes)
+        self._next = vector(axes)
+        self._slope = vector(axes)  # joints per mm in the last block,
+        self._pace = 1.0  # the root of their squares' sum,
+        self._length = 1.0  # and how long it is
+        self._rates = vector(axes)
+        self._accelerations = vector(axes)
+        self._fastest = 1.0
+        self._deviation = 0.0
+
+    def configure(
+        self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
+    ) -> None:
+        """As Planner.configure(): resolution, rates and accelerations are of joints."""
+        super().configure(settings, tick_hz, segment_log2, step_hz)
+        table, kinematics = self.table, self.kinematics
+        copy(self.steps_per_mm, kinematics.resolution, self.axes)
+        for i in range(self.axes):
+            self._rates[i] = min(settings.max_rate[i] / 60, step_hz / self.steps_per_mm[i])
+            self._accelerations[i] = settings.acceleration[i] / 3600
+            self.steps_per_mm[i] = _PER_MM
+        at = layout.LIMITS + layout.RESOLUTION * self.axes
+        copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
+        self._fastest = kinematics.geometry.FASTEST / 60
+        scale = (1 << 30) / (self._fastest * self._fastest)
+        table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)
+        table[layout.SQR_SCALE] = minifloat.real(scale)
+        table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
+        self._deviation = 65536.0 * settings.junction_deviation_mm * scale
+        self._begin_at(self._at)
+
+    # Places
+
+    def to_mm(self, motors: "array[int]", mm: "array[float]") -> None:
+        """As Planner.to_mm()."""
+        if self.homing:
+            self.kinematics.joints_of(motors, mm)
+        else:
+            self.kinematics.place_of(motors, mm)
+
+    def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
+        """As Planner.set_axis(), while it is homing: a joint's place."""
+        motors[axis] = self.kinematics.steps_of(mm, axis)
+
+    def sync_motors(self, motors: "array[int]") -> None:
+        """As Planner.sync_motors()."""
+        self._begin_at(motors)
+        self.synced = True
+
+    def _begin_at(self, motors: "array[int]") -> None:
+        copy(motors, self._at, self.axes)
+        self.kinematics.joints_of(motors, self.joints)
+        self.kinematics.geometry.forward(self.joints, self.place)
+        copy(self.place, self._place, self.axes)
+        copy(self.joints, self._joints, self.axes)
+        for i in range(self.axes):
+            self._slope[i] = 0.0  # what comes next begins from rest: it bends from nothing
+            self.position[i] = FAR + _parts(self.place[i])
+
+    # Blocks
+
+    def line(self, target: "array[float]", move: "Move", power: int) -> bool:
+        """Add the chord that course has come to the end of, which is target. Returns False where
+        it has no steps."""
+        copy(target, self.place, self.axes)
+        copy(self.course.joints, self.joints, self.axes)
+        at = layout.LIMITS + layout.TARGET * self.axes
+        for i in range(self.axes):
+            self.table[at + i] = FAR + _parts(target[i])
+        length = _distance(self._place, target)
+        if not self._block(self._at, self._joints, self.joints, length, move, power):
+            return False
+        for i in range(self.axes):
+            self._at[i] = self.kinematics.steps_of(self.joints[i], i)
+        copy(target, self._place, self.axes)
+        copy(self.joints, self._joints, self.axes)
+        return True
+
+    def system_line(
+        self, target: "array[float]", move: "Move", power: int, start: "array[int]"
+    ) -> bool:
+        """As Planner.system_line(). All joints go evenly: the way is straight for one that moves
+        its axis alone, as parking does."""
+        begin, end = vector(self.axes), self._next
+        self.kinematics.joints_of(start, begin)
+        copy(begin, end, self.axes)
+        if self.homing:
+            copy(target, end, self.axes)
+            length = _distance(begin, end)
+        elif self.kinematics.geometry.inverse(target, end):
+            place = vector(self.axes)
+            self.kinematics.geometry.forward(begin, place)
+            length = _distance(place, target)
+        else:
+            return False
+        kept = array("f", self._slope), self._pace, self._length
+        planned = self._block(start, begin, end, length, move, power)
+        self._slope, self._pace, self._length = kept
+        return planned
+
+    def _block(
+        self,
+        start: "array[int]",
+        begin: "array[float]",
+        end: "array[float]",
+        length: float,
+        move: "Move",
+        power: int,
+    ) -> bool:
+        """A row of the ring: joints go from begin, where their steps are start, to end."""
+        table, ring, flow, flags = self.table, self.ring, self.flow, move.flags
+        row = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
+        at = row * flow[layout.ROW_SIZE]
+        events = dirs = 0
+        squares = 0.0
+        for i in range(self.axes):
+            change = end[i] - begin[i]
+            steps = self.kinematics.steps_of(end[i], i) - start[i]
+            if steps < 0 or (steps == 0 and change < 0):
+                dirs |= 1 << i
+                steps = -steps
+            ring[at + layout.STEPS + i] = steps
+            events = max(events, steps)
+            squares += change * change
+        if not (events and length):
+            return False
+        ring[at + layout.EVENTS], ring[at + layout.DIRS] = events, dirs
+        ring[at + layout.LENGTH] = minifloat.real(length)
+        ring[at + layout.FLAGS], ring[at + layout.LINE] = flags, move.line_number
+        ring[at + layout.POWER] = power
+        self._limit(at, begin, end, length, math.sqrt(squares) / length, move)
+        plan_kernel.compute_profile(table, ring, at)
+        plan_kernel.step_ratios(ring, at, self.motors)
+        if flags & layout.SYSTEM_MOTION:
+            flow[layout.SYSTEM] = 1
+        else:
+            plan_kernel.append_block(table, ring, flow)
+        self.speeds[row] = move.spindle_rpm
+        return True
+
+    def _limit(
+        self,
+        at: int,
+        begin: "array[float]",
+        end: "array[float]",
+        length: float,
+        pace: float,
+        move: "Move",
+    ) -> None:
+        """How fast the joints can go along the chord, how soon, and round the corner before it."""
+        ring, table, slope = self.ring, self.table, self._slope
+        direction = layout.LIMITS + 4 * self.axes
+        along = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
+        bends = along > _STRAIGHT * pace * length * self._pace
+        between = 2 / (length + self._length)
+        rapid, bend_sqr = self._fastest, 1e18
+        for i in range(self.axes):
+            per_mm = (end[i] - begin[i]) / length
+            table[direction + i] = min(int(abs(per_mm) / pace * _UNIT), _UNIT)
+            bend = abs(per_mm - slope[i]) * between if bends else 0.0
+            slope[i], self._next[i] = per_mm, bend
+            if per_mm:
+                rapid = min(rapid, self._rates[i] / abs(per_mm))
+            if bend:
+                bend_sqr = min(bend_sqr, _BEND_SHARE * self._accelerations[i] / bend)
+        rapid = min(rapid, math.sqrt(bend_sqr))
+        rate = self._rate(move, rapid)
+        fast_sqr = min(rapid, 2 * rate) ** 2  # overrides go to 200 %
+        accel = 1e18
+        for i in range(self.axes):
+            if slope[i]:
+                left = self._accelerations[i] - self._next[i] * fast_sqr
+                accel = min(accel, left / abs(slope[i]))
+        ring[at + layout.RAPID], ring[at + layout.ACCEL] = (
+            minifloat.real(rapid),
+            minifloat.real(accel),
+        )
+        ring[at + layout.RATE] = minifloat.real(rate)
+        table[layout.JUNCTION] = minifloat.real(self._deviation / max(pace, self._pace))
+        self._pace, self._length = pace, length
+
+    def _rate(self, move: "Move", rapid: float) -> float:
+        """As programmed, mm/s."""
+        if move.flags & layout.RAPID_MOTION:
+            return rapid
+        return max(move.feed, 1.0) / 60

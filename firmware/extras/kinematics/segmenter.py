@@ -1,0 +1,173 @@
+"""Segmenter: cuts a path into chords so short that evenly moving motors keep to it.
+
+Between two places all motors go from the one to the other in the same time, each at a constant
+rate. Where kinematics are not linear, the tool leaves the straight line meanwhile. How far is
+looked at where a quarter and three quarters of the chord are done: a bend shows at both, and one
+to either side, which would be nothing in the middle, too.
+"""
+
+import math
+
+from base.float32 import copy, vector
+from micropython import const
+from motion.arc_geometry import CENTRE_0, CENTRE_1, CLOCKWISE
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+
+    from interfaces import Geometry
+    from motion.arc_geometry import Arc
+
+# Of the tolerance, what a quarter of a chord may take: in its middle a bend is 4/3 of that.
+_SHARE = 0.7
+# Chords have this length at the most, in mm: two looks do not show every bend of a long one.
+_LONGEST_MM = 5.0
+# One this much shorter than the tolerance cannot be cut further: motors turn on the spot there.
+_SPLINTER = 0.25
+# So many times the tolerance it may leave its way then, or nobody can go there.
+_SPOT = 2.0
+_LONGER = 2.0  # from one chord to the next, at the most
+_CAUTION = 9 / 10
+_MOST_LOOKS = const(40)
+
+
+class Path:
+    """A straight line; or an arc, beside which other axes go evenly. length: mm."""
+
+    def __init__(self, axes: int) -> None:
+        self._start = vector(axes)
+        self._change = vector(axes)
+        self._centre_0 = self._centre_1 = self._from = self._sweep = self._radius = 0.0
+        self._plane = (-1, -1)
+        self.length = 0.0
+
+    def set_path(self, start: "array[float]", target: "array[float]", arc: "Arc | None") -> None:
+        """Lead from start to target, mm."""
+        copy(start, self._start, len(start))
+        self._plane = (arc.plane[0], arc.plane[1]) if arc else (-1, -1)
+        squares = 0.0
+        for i in range(len(start)):
+            self._change[i] = target[i] - start[i]
+            if i not in self._plane:
+                squares += self._change[i] * self._change[i]
+        if arc:
+            self._bend(start, target, arc)
+            squares += (self._radius * self._sweep) ** 2
+        self.length = math.sqrt(squares)
+
+    def _bend(self, start: "array[float]", target: "array[float]", arc: "Arc") -> None:
+        a, b = self._plane
+        centre_0, centre_1 = arc.numbers[CENTRE_0], arc.numbers[CENTRE_1]
+        self._radius = math.sqrt(centre_0 * centre_0 + centre_1 * centre_1)
+        self._centre_0, self._centre_1 = start[a] + centre_0, start[b] + centre_1
+        self._from = math.atan2(-centre_1, -centre_0)
+        self._sweep = arc.sweep(start, target)
+        if arc.plane[CLOCKWISE]:
+            self._sweep = -self._sweep
+        # A program's numbers are rounded: what the circle misses its target by comes bit by bit.
+        end = self._from + self._sweep
+        self._change[a] = target[a] - self._centre_0 - self._radius * math.cos(end)
+        self._change[b] = target[b] - self._centre_1 - self._radius * math.sin(end)
+
+    def point_at(self, part: float, place: "array[float]") -> None:
+        """The place where so much of it is done, 0 to 1."""
+        start, change = self._start, self._change
+        for i in range(len(place)):
+            place[i] = start[i] + part * change[i]
+        if self._plane[0] >= 0:
+            a, b = self._plane
+            angle = self._from + part * self._sweep
+            place[a] = self._centre_0 + self._radius * math.cos(angle) + part * change[a]
+            place[b] = self._centre_1 + self._radius * math.sin(angle) + part * change[b]
+
+
+class Segmenter:
+    """Cuts a way. place, joints: where the last chord ends. None of its methods keeps what it is
+    handed."""
+
+    def __init__(self, axes: int, geometry: "Geometry") -> None:
+        self._geometry = geometry
+        self._axes = axes
+        self.path = Path(axes)
+        self.place = vector(axes)
+        self.joints = vector(axes)
+        self._ahead = vector(axes)
+        self._between = vector(axes)
+        self._made = vector(axes)
+        self._meant = vector(axes)
+        self._part = self._step = 1.0
+        self.tolerance = 0.002  # mm
+
+    def start_path(
+        self,
+        start: "array[float]",
+        joints: "array[float]",
+        target: "array[float]",
+        arc: "Arc | None",
+        tolerance: float,
+    ) -> None:
+        """A way from start, where joints are, to target, in mm."""
+        self.path.set_path(start, target, arc)
+        copy(start, self.place, self._axes)
+        copy(joints, self.joints, self._axes)
+        self.tolerance = tolerance
+        self._part = 0.0
+        self._step = min(1.0, _LONGEST_MM / (self.path.length or 1.0))
+
+    def is_in_reach(self) -> bool:
+        """Places all along the way are in reach; else place is the first that is not."""
+        copy(self.joints, self._ahead, self._axes)
+        looks = min(int(self.path.length / _LONGEST_MM) + 1, _MOST_LOOKS)
+        for i in range(looks + 1):
+            self.path.point_at(i / looks, self.place)
+            if not self._geometry.inverse(self.place, self._ahead):
+                return False
+        return True
+
+    def has_next(self) -> bool:
+        """There is another chord."""
+        return self._part < 1
+
+    def next_chord(self) -> bool:
+        """Go to the end of another chord. False: to get there is out of reach, and place says
+        where that is."""
+        most, step = _LONGEST_MM / (self.path.length or 1.0), min(self._step, 1 - self._part)
+        allowed = self.tolerance * _SHARE
+        while True:
+            end = self._part + step
+            if end > 1 - 1e-6:
+                end = 1.0
+            self.path.point_at(end, self.place)
+            copy(self.joints, self._ahead, self._axes)
+            if not self._geometry.inverse(self.place, self._ahead):
+                return False
+            strayed = self._strays(end)
+            if strayed <= allowed:
+                break
+            if step * self.path.length < self.tolerance * _SPLINTER:
+                if strayed > _SPOT * self.tolerance:
+                    return False
+                break
+            step *= max(_SPLINTER, _CAUTION * math.sqrt(allowed / strayed))
+        copy(self._ahead, self.joints, self._axes)
+        self._part = end
+        longer = _CAUTION * math.sqrt(allowed / strayed) if strayed else _LONGER
+        self._step = min(step * min(_LONGER, longer), most)
+        return True
+
+    def _strays(self, end: float) -> float:
+        """How far, in mm, the tool is from where it is to be within the chord ahead."""
+        between, made, meant = self._between, self._made, self._meant
+        worst = 0.0
+        for part in (0.25, 0.75):
+            for i in range(self._axes):
+                between[i] = self.joints[i] + part * (self._ahead[i] - self.joints[i])
+            self._geometry.forward(between, made)
+            self.path.point_at(self._part + part * (end - self._part), meant)
+            squares = 0.0
+            for i in range(self._axes):
+                away = made[i] - meant[i]
+                squares += away * away
+            worst = max(worst, squares)
+        return math.sqrt(worst)

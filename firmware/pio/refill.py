@@ -1,0 +1,35 @@
+# mypy: disable-error-code=operator
+"""Refill: the PIO engine's interrupt, error-free path (engine.py)."""
+
+import micropython
+from micropython import const
+from motion.layout import KEEP_POWER
+
+from pio.engine_state import LEAD, append, feed, read_progress
+from pio.hub_layout import AHEAD, CUT, EARLY, FED, HALT, LAST_ROW, MADE, ROW, RUNNING
+
+_MOST = const(2)  # segments made in one interrupt
+_WAITING = const(10)  # rows that may wait; the others may still be looked at
+
+
+@micropython.viper
+def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object) -> int:
+    """A segment has begun, or the engine is to start: keep the hardware busy."""
+    power = int(read_progress(state)) if state[RUNNING] else KEEP_POWER
+    if power != KEEP_POWER:
+        on_power(power)
+    if state[RUNNING] == 0 or state[EARLY] <= 0:
+        if state[MADE] != state[FED]:
+            feed(state)
+        made = 0
+        while made < _MOST and state[AHEAD] < LEAD and state[MADE] - state[FED] < _WAITING:
+            if state[CUT] == 0:
+                if int(next_segment(state[ROW + (state[MADE] & LAST_ROW)])) == 0:
+                    break
+            append(state)
+            made += 1
+        if made:
+            feed(state)
+        if state[RUNNING] == 0 and state[HALT] == 0:
+            on_rest()
+    return 0

@@ -1,0 +1,36 @@
+"""What only an RP2350 has is left out of an RP2040's firmware, and of no other's."""
+
+from typing import Any
+
+import pytest
+from ugrbl.boardfile.files import load_board
+from ugrbl.compiling import build
+from ugrbl.compiling.for_chip import for_chip
+
+_LAYOUT = "pio.hub_layout"
+
+
+@pytest.mark.parametrize(
+    ("arch", "stays"),
+    [("armv6m", False), ("armv7emsp", True), ("xtensawin", False), ("x64", False)],
+)
+def test_the_constant_says_whether_the_chip_may_be_one(arch: str, stays: bool) -> None:
+    texts = build.texts()
+    made = for_chip(texts, arch)
+    assert ("\nRP2350 = const(1)\n" in made[_LAYOUT]) is stays
+    assert ("\nRP2350 = const(0)\n" in made[_LAYOUT]) is not stays
+    assert {name for name in texts if made[name] != texts[name]} <= {_LAYOUT}
+
+
+def test_sources_that_say_nothing_are_refused() -> None:
+    with pytest.raises(ValueError, match="does not say whether the chip may be an RP2350"):
+        for_chip({_LAYOUT: "RP2350 = const(2)\n"}, "armv6m")
+
+
+@pytest.mark.thorough  # compiles all, twice
+@pytest.mark.parametrize(("name", "there"), [("rpi_pico", False), ("rpi_pico2", True)])
+def test_a_board_has_what_it_takes_on_an_rp2350_alone(name: str, there: bool) -> None:
+    """Of the third PIO, and what is refused of 48 pins."""
+    board: Any = load_board(name)
+    made = build.compile_all(board.MPY_ARCH, board).files["pio/engine.mpy"]
+    assert (b"only pins 0 to 31 make pulses" in made) is there

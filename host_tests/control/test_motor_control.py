@@ -1,0 +1,111 @@
+"""The drive: whatever stops the machine switches the tool off first, then stops the motors."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from base import errors
+from base import state as st
+from base.controls import EMERGENCY_STOP, RESET
+from base.state import State
+from control.coolant import Coolant
+from control.motor_control import MotorControl
+from fakes import Asked, FakeEngine, FakePort, FakeVoice
+
+_STOPPED = ["kill", "stop"]
+
+
+class Bench:
+    """A drive between fakes, which have one list. fails: see FakePort."""
+
+    def __init__(self, fails: str = "") -> None:
+        self.asked: Asked = []
+        self.state = State()
+        self.port, self.engine = FakePort(self.asked, fails), FakeEngine(self.asked)
+        self.voice = FakeVoice(self.asked)
+        self.settings: Any = SimpleNamespace(hard_limits=1, idle_lock_ms=25, enable_invert=0)
+        machine: Any = SimpleNamespace(
+            state=self.state,
+            settings=self.settings,
+            engine=self.engine,
+            planner=SimpleNamespace(empty=lambda: True),
+            segments=SimpleNamespace(hold=lambda on: None),
+            spindle=SimpleNamespace(stop=lambda: self.asked.append("spindle stop")),
+            coolant=Coolant(self.port, self.state),
+            port=self.port,
+            report=self.voice,
+        )
+        self.drive = MotorControl(machine)
+
+
+@pytest.mark.parametrize(
+    ("stop", "alarm", "by_pin"),
+    [
+        (lambda drive: drive.reset(), 0, False),
+        (lambda drive: drive.on_limits(), errors.ALARM_HARD_LIMIT, True),
+        (lambda drive: drive.on_controls(RESET), 0, True),
+        (lambda drive: drive.on_controls(EMERGENCY_STOP), errors.ALARM_EMERGENCY_STOP, True),
+        (lambda drive: drive.emergency(), errors.ALARM_EMERGENCY_STOP, False),
+        (lambda drive: drive.on_fault(), errors.ALARM_INTERNAL, False),
+    ],
+    ids=["reset", "limit", "reset button", "emergency stop", "emergency, seen late", "fault"],
+)
+def test_the_tool_goes_off_before_motors_stop(stop: Any, alarm: int, by_pin: bool) -> None:
+    bench = Bench()
+    stop(bench.drive)
+    assert bench.asked == _STOPPED
+    assert bench.state.pending[st.RESET] and bench.state.pending[st.ANY]
+    assert (bench.state.alarm, bench.drive.by_pin) == (alarm, by_pin)
+
+
+def test_motors_stop_also_where_switching_the_tool_off_fails() -> None:
+    bench = Bench(fails="kill")
+    with pytest.raises(OSError):
+        bench.drive.reset()
+    assert bench.asked == _STOPPED
+
+
+def test_a_limit_that_does_not_count_stops_nothing() -> None:
+    bench = Bench()
+    bench.settings.hard_limits = 0
+    bench.drive.on_limits()
+    assert bench.asked == [] and not bench.state.pending[st.ANY]
+
+
+def test_a_stop_that_comes_while_the_machine_is_armed_holds() -> None:
+    bench = Bench()
+    bench.drive.arm()
+    assert bench.asked == ["arm", "revive"]
+    bench.drive.on_controls(RESET)
+    bench.asked.clear()
+    bench.drive.arm()
+    assert bench.asked == ["arm", "revive", *_STOPPED]
+
+
+def test_motors_are_powered_before_they_move_and_released_a_while_after() -> None:
+    bench = Bench()
+    bench.drive.start(st.RUN)
+    assert bench.asked == ["enable 0", "start"] and bench.state.run == st.RUN
+    bench.drive.poll_motors()
+    assert bench.drive.moving
+    bench.engine.runs = False
+    turns = 0
+    while bench.drive.moving or bench.drive.in_idle_delay:
+        bench.drive.poll_motors()
+        turns += 1
+    assert turns > 5 and bench.asked[-1] == "enable 1"
+    assert bench.state.pending[st.CYCLE_STOP]
+
+
+def test_a_fault_of_the_engine_is_raised_and_one_of_the_port_is_reported() -> None:
+    bench = Bench()
+    bench.drive.start(st.RUN)
+    bench.engine.told_fault = "motion is late"
+    with pytest.raises(RuntimeError, match="motion is late"):
+        bench.drive.poll_motors()
+    bench.port.fault = "A pin's callback has failed"
+    bench.drive.on_fault()
+    tell = bench.drive.enter_alarm()
+    assert bench.asked[-2:] == ["spindle stop", "coolant 0"] and tell
+    tell()
+    assert bench.asked[-1] == "message A pin's callback has failed"

@@ -1,0 +1,230 @@
+"""A person at a Grbl: lines and keys go in, what the machine says comes out with its meaning.
+
+No terminal in here; console.py has it. poll() is called often, and does all that takes time. A jog
+by key goes on as long as the key is heard again and again, in pieces so short that the machine
+stops by itself where nobody is there any more.
+"""
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable
+
+from ..device.connection import POLL_S, Connection, is_deaf, way_out
+from ..grbl.gcode_file import (
+    CYCLE_START,
+    FEED_HOLD,
+    JOG_CANCEL,
+    RESET,
+    STATUS,
+    is_answer,
+    is_welcome,
+    problems,
+    sanitize,
+)
+from ..grbl.messages import meaning
+from ..grbl.settings_file import meaning as setting_meaning
+from .keys import COMMANDS
+
+STEPS_MM = (0.01, 0.1, 1.0, 10.0)
+FEEDS_MM_MIN = (50, 100, 200, 500, 1000, 2000, 5000)
+# Axis and direction of each key that jogs.
+JOGS = {
+    "left": "X-",
+    "right": "X",
+    "down": "Y-",
+    "up": "Y",
+    "pagedown": "Z-",
+    "pageup": "Z",
+}
+_LINES = {"h": "$H", "u": "$X", "x": "G10 L20 P0 X0", "y": "G10 L20 P0 Y0", "z": "G10 L20 P0 Z0"}
+# A key that is held is heard 10 to 30 times in a second; fingers are slower.
+_REPEAT_S = 0.15
+_PIECE_S = 0.1
+_AHEAD = 3
+_SETTING = re.compile(r"\$(\d+)=(\S+)")
+_SPEEDS = re.compile(r"\|FS?:(\d+)(?:,(\d+))?")
+_OVERRIDES = re.compile(r"\|Ov:(\d+,\d+,\d+)")
+_PINS = re.compile(r"\|Pn:([A-Z]+)")
+
+
+class Session:
+    """One machine and one person. show: says a line to the person."""
+
+    def __init__(self, connection: Connection, show: Callable[[str], None]) -> None:
+        self._connection = connection
+        self._show = show
+        # Lines, and those sent, with whether their ok is worth showing.
+        self._waiting: deque[tuple[bytes, bool]] = deque()
+        self._unanswered: deque[tuple[bytes, bool]] = deque()
+        self._polled = 0.0
+        self._overrides = ""
+        self._step = 2
+        self._feed = 3
+        self._key = ""  # that jogs
+        self._heard = 0.0  # when it was heard last
+        self._held = False  # heard again: the jog goes on until it is not
+        self._pieced = 0.0
+        self._told = ""
+
+    # What the person does
+
+    def enter(self, line: str) -> None:
+        """A line to be sent, or one of the signs ! ~ ? by itself, which act at once."""
+        data = line.strip().encode("utf-8")
+        if data in (FEED_HOLD, CYCLE_START, STATUS):
+            self._connection.write(data)
+            if data == STATUS:
+                self._show(self._connection.status)
+            return
+        found = problems([data])
+        if found and not found[0].in_comment:
+            self._show(f"not sent: {found[0].text}")
+            return
+        self._waiting.append((sanitize(data), True))
+
+    def press(self, key: str) -> None:
+        """A key of the machine's: left, right …, or a letter."""
+        if key in JOGS:
+            self._jog(key)
+        elif key in "[]":
+            self._step = _moved(self._step, key == "]", STEPS_MM)
+        elif key in ",.":
+            self._feed = _moved(self._feed, key == ".", FEEDS_MM_MIN)
+        elif key in _LINES:
+            self.enter(_LINES[key])
+        elif key in COMMANDS:
+            self._real_time(COMMANDS[key])
+
+    def reset(self) -> None:
+        """Ctrl-X."""
+        self._waiting.clear()
+        self._unanswered.clear()
+        self._held = False
+        self._connection.write(RESET)
+
+    def leave(self) -> None:
+        """The person goes: a jog ends, anything else goes on."""
+        if self._held:
+            self._stop_jog()
+
+    # What the machine does
+
+    def poll(self) -> None:
+        """Send what there is room for, hear what there is, and go on with a jog or end it."""
+        now = time.monotonic()
+        if now - self._polled >= POLL_S:
+            self._polled = now
+            self._connection.write(STATUS)
+        self._send()
+        self._keep_jogging(now)
+        for line in self._connection.lines():
+            self._receive(line)
+
+    def status(self) -> str:
+        """State, place, speeds, overrides and inputs in one line."""
+        report = self._connection.status
+        place = " ".join(
+            f"{letter}{mm:.3f}"
+            for letter, mm in zip("XYZABC", self._connection.work_place(), strict=False)
+        )
+        parts = [self._connection.state() or "no answer", place]
+        if speeds := _SPEEDS.search(report):
+            parts.append(f"F{speeds[1]}" + (f" S{speeds[2]}" if speeds[2] else ""))
+        if self._overrides and self._overrides != "100,100,100":
+            parts.append(f"overrides {self._overrides}")
+        if inputs := _PINS.search(report):
+            parts.append(f"inputs {inputs[1]}")
+        return "   ".join(part for part in parts if part)
+
+    def jog_line(self) -> str:
+        """How far and how fast a key jogs."""
+        return f"step {STEPS_MM[self._step]:g} mm, {FEEDS_MM_MIN[self._feed]} mm/min"
+
+    def _send(self) -> None:
+        while self._waiting:
+            line, shown = self._waiting[0]
+            under_way = sum(len(sent) + 1 for sent, _ in self._unanswered)
+            if self._unanswered and under_way + len(line) + 1 > self._connection.window:
+                return
+            self._connection.write(line + b"\n")
+            self._waiting.popleft()
+            self._unanswered.append((line, shown))
+
+    def _receive(self, line: str) -> None:
+        shown, sent = line != "", b""
+        if line.startswith("<"):
+            found = _OVERRIDES.search(line)
+            self._overrides = found[1] if found else self._overrides
+            self._explain_state()
+            return
+        if is_answer(line) and self._unanswered:
+            sent, shown = self._unanswered.popleft()
+        elif is_welcome(line):
+            self._unanswered.clear()
+        if shown or line.startswith("error:"):
+            self._show(explained(line, sent.decode("latin-1")))
+
+    def _explain_state(self) -> None:
+        """Say what to do about a state in which nothing is read."""
+        state = self._connection.state()
+        if state != self._told and (is_deaf(state) or state == "Alarm"):
+            self._show(f"{state}: {way_out(state)}")
+        self._told = state
+
+    def _real_time(self, command: bytes) -> None:
+        if command[0] >= 0x80 and not self._connection.takes_overrides:
+            self._show("Grbl 0.9 has no overrides")
+            return
+        self._connection.write(command)
+
+    # Jogging
+
+    def _jog(self, key: str) -> None:
+        if not self._connection.takes_overrides:
+            self._show("Grbl 0.9 has no jogging: move it with G-code")
+            return
+        now = time.monotonic()
+        again = key == self._key and now - self._heard < _REPEAT_S
+        self._heard = now
+        if again:
+            self._held = True
+            return
+        if self._held:  # and another key now
+            self._stop_jog()
+        self._key = key
+        self._piece(key, STEPS_MM[self._step])
+
+    def _keep_jogging(self, now: float) -> None:
+        if not self._held:
+            return
+        if now - self._heard >= _REPEAT_S:
+            self._stop_jog()
+        elif now - self._pieced >= _PIECE_S and len(self._unanswered) < _AHEAD:
+            self._piece(self._key, FEEDS_MM_MIN[self._feed] / 60 * _PIECE_S)
+
+    def _piece(self, key: str, mm: float) -> None:
+        self._pieced = time.monotonic()
+        axis, sign = JOGS[key][0], JOGS[key][1:]
+        line = f"$J=G91 G21 {axis}{sign}{mm:.3f} F{FEEDS_MM_MIN[self._feed]}"
+        self._waiting.append((line.encode("ascii"), False))
+
+    def _stop_jog(self) -> None:
+        self._connection.write(JOG_CANCEL)
+        self._waiting.clear()
+        self._held = False
+
+
+def explained(line: str, sent: str = "") -> str:
+    """A line of Grbl's with what it means. sent: what it answers."""
+    if line.startswith(("error:", "ALARM:")):
+        return f"{line}: {meaning(line, sent)}"
+    setting = _SETTING.match(line)
+    if not setting:
+        return line
+    said = setting_meaning(int(setting[1]))
+    return f"{setting[0]:16} {said.name}{', ' + said.unit if said.unit else ''}".rstrip()
+
+
+def _moved(index: int, up: bool, choices: tuple[float, ...]) -> int:
+    return min(index + 1, len(choices) - 1) if up else max(index - 1, 0)

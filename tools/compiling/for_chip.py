@@ -1,0 +1,25 @@
+"""What only one of two chips has is left out of the firmware for the other.
+
+`RP2350 = const(1)` in pio/hub_layout.py says that the chip may be one. For a processor that is in
+an RP2040, and in no RP2350, it is 0: compilers drop what stands behind it.
+"""
+
+import re
+from collections.abc import Mapping
+
+from ..boardfile.chips import processors
+
+_MODULE = "pio.hub_layout"
+_CHIP = "RP2350"
+_MAY_BE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
+
+
+def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
+    """The modules, by name, for chips that run what is compiled for that. ValueError where
+    nothing says that the chip may be another."""
+    made = dict(sources)
+    if _CHIP not in processors(arch):
+        made[_MODULE], count = _MAY_BE.subn(f"{_CHIP} = const(0)", made[_MODULE])
+        if count != 1:
+            raise ValueError(f"{_MODULE} does not say whether the chip may be an {_CHIP}")
+    return made

@@ -1,0 +1,190 @@
+"""The board under test: what answers on a port, its inputs, a small move."""
+
+import re
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import serial
+
+from ..grbl.gcode_file import is_answer
+from ..grbl.messages import meaning
+from . import checkup
+from .checkup import BAD, NOTE, OK, PINS, Finding
+from .connection import BAUD, Connection, SendError, broke, way_out
+
+_ANSWER_S = 5.0
+_FAULT_S = 2.0
+_REPL_S = 1.0
+_POLL_S = 0.05
+_MOVE_S = 20.0
+_MM = 1.0
+_NEAR_MM = 0.006
+_PINS = re.compile(r"\|Pn:([A-Z]+)")
+_STRANGERS = (
+    (
+        re.compile(r"rst:0x|ets [A-Z][a-z]{2} |Guru Meditation"),
+        "an ESP32 that starts over and over",
+    ),
+    (re.compile(r"echo:|Marlin|FIRMWARE_NAME"), "Marlin, for 3D printers"),
+    (re.compile(r"Traceback \(most recent"), "a Python program that has failed"),
+)
+_ASK_REPL = (
+    b"import gc,os,sys;gc.collect();"
+    b"print('|'.join(('',sys.platform,os.uname()[4],os.uname()[2],str(gc.mem_free()),"
+    b"str('main.py' in os.listdir()),'')))\r"
+)
+_REPL = re.compile(r"^\|([^|']*)\|([^|']*)\|([^|']*)\|(\d+)\|(True|False)\|", re.MULTILINE)
+
+
+class Board(NamedTuple):
+    """A MicroPython that shows its prompt."""
+
+    platform: str
+    name: str
+    version: str
+    free_bytes: int
+    has_program: bool
+
+
+def stranger(port: str, baud: int = BAUD) -> list[Finding]:
+    """Who is there, where no Grbl answers. It may be stopped (Ctrl-C), for it runs no Grbl."""
+    try:
+        with serial.Serial(port, baud, timeout=_REPL_S) as wire:
+            wire.write(b"\r\x03\x03\r")
+            heard = wire.read(4096).decode("latin-1")
+            if ">>>" in heard:
+                wire.write(_ASK_REPL)
+                heard += wire.read(4096).decode("latin-1")
+    except serial.SerialException:
+        return [Finding("port", BAD, broke(port), "then look again")]
+    board = _REPL.search(heard.replace("\r", ""))
+    if ">>>" in heard:
+        return _idle_board(board)
+    for line in heard.splitlines():
+        if line.startswith("[MSG:") and checkup.is_fault(line):
+            return [checkup.fault(line)]
+    for pattern, who in _STRANGERS:
+        if pattern.search(heard):
+            todo = "put the firmware on the board anew"
+            return [Finding("firmware", BAD, f"no Grbl: this looks like {who}", todo)]
+    if heard and not heard.isprintable() and sum(c > "\x7f" for c in heard) > len(heard) / 4:
+        text = "bytes come, but no text"
+        return [Finding("firmware", BAD, text, f"another baud rate than {baud} (--baud)")]
+    text = "no answer" if not heard.strip() else f"no Grbl, but: {heard.strip()[:80]!r}"
+    todo = "is it powered, is the firmware on it, is this its port? Then unplug it and try again; "
+    todo += "after ALARM:1 or 2, Grbl hears nothing but a reset (Ctrl-X)"
+    return [Finding("firmware", BAD, text, todo)]
+
+
+def _idle_board(found: re.Match[str] | None) -> list[Finding]:
+    """MicroPython, and nothing running on it."""
+    findings = []
+    todo = "put the firmware on it (README, quick start)"
+    if found:
+        board = Board(found[1], found[2], found[3], int(found[4]), found[5] == "True")
+        findings.append(Finding("board", OK, f"{board.name}, MicroPython {board.version}"))
+        findings += checkup.micropython(board.name, board.version)
+        findings.append(Finding("memory", OK, f"{board.free_bytes // 1024} kB are free"))
+        if board.has_program:
+            todo = "its main.py has ended or failed: press its reset button, then look again"
+    findings.append(Finding("firmware", BAD, "MicroPython shows its prompt; no Grbl runs", todo))
+    return findings
+
+
+def fault(connection: Connection) -> str:
+    """The message of our firmware in a fault, in which it hears `?`, `$` and a reset; else ""."""
+    told: list[str] = []
+
+    def over(line: str) -> bool:
+        told.extend([line] if checkup.is_fault(line) else [])
+        return bool(told) or is_answer(line)
+
+    connection.write(b"$\n")
+    connection.wait_for(over, _FAULT_S)
+    return "".join(told[:1])
+
+
+def pins(connection: Connection) -> str:
+    """The letters of active inputs, as last reported."""
+    found = _PINS.search(connection.status)
+    return found[1] if found else ""
+
+
+def report(connection: Connection) -> None:
+    """Get a fresh status report."""
+    if not connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S):
+        raise SendError("the machine has stopped to answer")
+
+
+def watch_pins(
+    connection: Connection, seconds: float, tell: Callable[[str, bool], None]
+) -> dict[str, int]:
+    """Tell of every input as it goes on and off. Returns how often each went on."""
+    seen: dict[str, int] = {}
+    report(connection)
+    before = set(pins(connection))
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        report(connection)
+        now = set(pins(connection))
+        for letter in sorted(now ^ before):
+            tell(PINS.get(letter, letter), letter in now)
+            if letter in now:
+                seen[letter] = seen.get(letter, 0) + 1
+        before = now
+        time.sleep(_POLL_S)
+    return seen
+
+
+def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding:
+    """A millimetre there and back; the firmware's own count is the judge."""
+    what = f"move {letter}"
+    report(connection)
+    if connection.state() != "Idle":
+        text = f"not tried: the machine is in {connection.state()}"
+        return Finding(what, NOTE, text, way_out(connection.state()))
+    if not connection.takes_overrides:
+        text = "not tried: Grbl 0.9 has no jogging ($J=)"
+        return Finding(what, NOTE, text, "move it with G-code")
+    start = connection.place()
+    if len(start) <= axis:
+        return Finding(what, NOTE, "not tried: reports have no MPos", "set $10=1")
+    for way in (_MM, -_MM):
+        answer = connection.ask(f"$J=G91 G21 {letter}{way:g} F{rate:g}")[-1]
+        if answer != "ok":
+            return Finding(
+                what, BAD, f"refused: {answer}: {meaning(answer)}", _why_refused(answer)
+            )
+        trouble = _wait_until_idle(connection)
+        if trouble:
+            return Finding(what, BAD, trouble, "reset it (Ctrl-X), see why, unlock it ($X)")
+        came = connection.place()[axis] - start[axis]
+        if abs(came - max(way, 0)) > _NEAR_MM:
+            text = f"it should be {max(way, 0):g} mm off and says {came:.3f}"
+            return Finding(what, BAD, text, "report this: steps were lost within the firmware")
+    todo = (
+        f"did {letter} itself do so? Nothing: enable pin, driver power; the other way first: $3; "
+        f"not a millimetre: ${100 + axis}"
+    )
+    return Finding(what, OK, "a millimetre there and back, by its own count", todo)
+
+
+def _wait_until_idle(connection: Connection) -> str:
+    """What went wrong, if something did."""
+    alarm = ""
+    connection.status = ""
+
+    def over(line: str) -> bool:
+        nonlocal alarm
+        if line.startswith("ALARM:"):  # after some, Grbl answers nothing but a reset
+            alarm = f"{line}: {meaning(line)}"
+        return alarm != "" or (line.startswith("<") and connection.state() == "Idle")
+
+    return alarm if connection.wait_for(over, _MOVE_S) else "the move did not end"
+
+
+def _why_refused(answer: str) -> str:
+    if answer == "error:15":
+        return "the way is beyond the soft limits: move away from the end of travel"
+    return "look the number up above; reset it (Ctrl-X), then look again"

@@ -1,0 +1,142 @@
+"""What a machine says of itself, and the lines that put a simulated one in its place.
+
+So a program is rehearsed with the settings, offsets, modes and place of the machine that it is
+for: soft limits and times are those that will be.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from ..grbl.settings_file import AXES
+from .connection import Connection
+
+_MM_PER_INCH = 25.4
+# Where reports have WPos only, WCO comes in every tenth.
+_PLACE_S = 3.0
+# What decides where a program may go, and how long it takes. Not homing's and inputs' own.
+_SETTINGS = (11, 12, 30, 31, 32, *range(100, 106), *range(110, 116), *range(120, 126))
+_TRAVEL = range(130, 136)
+_HOMING, _SOFT_LIMITS, _INCHES = 22, 20, 13
+_SETTING = re.compile(r"\$(\d+)=([\d.]+)")
+_OFFSET = re.compile(r"\[(G5[4-9]|G28|G30|G92|TLO):([-\d.,]+)\]")
+_MODES = re.compile(r"\[(?:GC:)?(G\d[^\]:]*)\]")
+_KEPT_MODES = re.compile(r"G(?:[01]|1[789]|2[01]|5[4-9]|9[0134])|M[3459]|S[\d.]+")
+SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
+
+
+@dataclass
+class MachineSnapshot:
+    """A machine at rest. Lengths are in mm, places are machine positions."""
+
+    settings: dict[int, str] = field(default_factory=dict)
+    offsets: dict[str, list[float]] = field(default_factory=dict)  # G54 … G59, G28, G30, G92, TLO
+    modes: list[str] = field(default_factory=list)  # words of $G
+    place: list[float] = field(default_factory=list)
+
+    def unit_mm(self) -> float:
+        """Millimetres in a unit of the machine's reports ($13)."""
+        return _MM_PER_INCH if float(self.settings.get(_INCHES, "0")) else 1.0
+
+    def laser(self) -> bool:
+        """Whether the tool is a laser ($32)."""
+        return float(self.settings.get(32, "0")) != 0
+
+    def axes(self) -> int:
+        """How many axes the machine has."""
+        return sum(100 + axis in self.settings for axis in range(len(AXES)))
+
+    def work_offset(self) -> list[float]:
+        """What the machine position has more than the work position."""
+        total = [0.0] * self._count()
+        for name in (self.system(), "G92"):
+            total = [a + b for a, b in zip(total, self._offset(name), strict=True)]
+        total[2] += self.tool_length()
+        return total
+
+    def tool_length(self) -> float:
+        """The tool length offset (G43.1)."""
+        return self.offsets.get("TLO", [0.0])[0]
+
+    def commands(self) -> list[str]:
+        """Lines for a simulator fresh from the factory; one that it refuses can be left out."""
+        wanted = (*_SETTINGS, *_TRAVEL, _HOMING)
+        lines = [f"${n}={self.settings[n]}" for n in wanted if n in self.settings]
+        for name, number in (("G28", "G28.1"), ("G30", "G30.1")):
+            if any(self._offset(name)):
+                lines += [f"G53 G0 {axis_words(self._offset(name))}", number]
+        if self.place:
+            lines.append(f"G53 G0 {axis_words(self.place)}")
+        for index, name in enumerate(SYSTEMS, 1):
+            if any(self._offset(name)):
+                lines.append(f"G10 L2 P{index} {axis_words(self._offset(name))}")
+        lines += self._modal()
+        if float(self.settings.get(_SOFT_LIMITS, "0")):
+            lines.append(f"${_SOFT_LIMITS}=1")
+        return lines
+
+    def _modal(self) -> list[str]:
+        """Work coordinates and modes."""
+        lines = [self.system()]
+        if self.tool_length():
+            lines.append(f"G43.1 Z{self.tool_length():.3f}")
+        if any(self._offset("G92")) and self.place:
+            here = [at - by for at, by in zip(self.place, self.work_offset(), strict=False)]
+            lines.append(f"G92 {axis_words(here)}")
+        if self.feed_mm_min():
+            lines.append(f"F{number_word(self.feed_mm_min())}")
+        words = [word for word in self.modes if _KEPT_MODES.fullmatch(word)]
+        return [*lines, " ".join(words)] if words else lines
+
+    def feed_mm_min(self) -> float:
+        """The feed rate; 0 where there is none, or where each line has its own (G93)."""
+        feed = 0.0 if "G93" in self.modes else self.word("F")
+        return round(feed * self.unit_mm(), 1)
+
+    def word(self, letter: str) -> float:
+        """The number of a word of $G."""
+        return next((float(word[1:]) for word in self.modes if word[0] == letter), 0.0)
+
+    def system(self) -> str:
+        """The work coordinate system that is active."""
+        return next((word for word in self.modes if word in SYSTEMS), SYSTEMS[0])
+
+    def _offset(self, name: str) -> list[float]:
+        return (self.offsets.get(name, []) + [0.0] * len(AXES))[: self._count()]
+
+    def _count(self) -> int:
+        return max(self.axes(), 3)
+
+
+def read_machine(connection: Connection) -> MachineSnapshot:
+    """Ask a machine that is idle. What it does not tell is left as a simulator has it."""
+    replies = [reply for line in ("$$", "$#", "$G") for reply in connection.ask(line)]
+    connection.wait_for(lambda line: bool(connection.place()), _PLACE_S)
+    stage = read(replies)
+    stage.place = [at * stage.unit_mm() for at in connection.place()]
+    return stage
+
+
+def read(replies: Iterable[str]) -> MachineSnapshot:
+    """What replies to $$, $# and $G tell."""
+    stage = MachineSnapshot()
+    for reply in replies:
+        if match := _SETTING.match(reply):
+            stage.settings[int(match[1])] = match[2]
+        elif match := _OFFSET.fullmatch(reply):
+            stage.offsets[match[1]] = [float(number) for number in match[2].split(",")]
+        elif match := _MODES.fullmatch(reply):
+            stage.modes = match[1].split()
+    for values in stage.offsets.values():
+        values[:] = [value * stage.unit_mm() for value in values]
+    return stage
+
+
+def number_word(number: float) -> str:
+    """As a line has it: without an exponent, which Grbl does not read."""
+    return f"{number:.4f}".rstrip("0").rstrip(".")
+
+
+def axis_words(place: Sequence[float]) -> str:
+    """`X1.000 Y2.000 Z3.000`."""
+    return " ".join(f"{letter}{mm:.3f}" for letter, mm in zip(AXES, place, strict=False))

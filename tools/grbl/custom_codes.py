@@ -1,0 +1,70 @@
+"""Words of a machine's own Python (custom.py), as $I names them, and lines that bring them about.
+
+A simulator without that Python does not know them, nor where its handlers take the tool.
+"""
+
+import re
+from collections.abc import Iterable
+
+from .gcode_file import without_comments
+
+_TOLD = re.compile(r"\[(?:MSG:)?Custom: (.*)\]")  # without MSG: in the dialect 0.9
+# The firmware cuts what it tells; of what is cut off nothing is known.
+_LONGEST = 120 - len("Custom: ")
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+# Events whose handlers may move, and what brings them about.
+_EVENTS = {
+    "on.tool_select": r"T",
+    "on.tool_change": r"M6",
+    "on.probe_done": r"G38(\.\d)?",
+    "on.spindle": r"M[2345]|M30|S",
+    "on.coolant": r"M[2789]|M30",
+    "on.program_paused": r"M0",
+    "on.program_done": r"M2|M30",
+    "on.after_homing": r"\$H.*",
+    "on.after_unlock": r"\$X",
+}
+
+
+class CustomCodes:
+    """What a machine says of its own Python. text: as $I has it, names with commas between."""
+
+    def __init__(self, text: str = "") -> None:
+        self.text = text
+        self.is_cut = len(text) >= _LONGEST
+        self._names = text.split(", ")[: -1 if self.is_cut else None]
+
+    @classmethod
+    def read(cls, lines: Iterable[str]) -> "CustomCodes":
+        """Out of the answer to $I; nothing where none is told of."""
+        found = (match[1] for line in lines if (match := _TOLD.fullmatch(line)))
+        return cls(next(found, ""))
+
+    def word_in(self, line: bytes) -> str:
+        """The first of its words on a line, M6 where it changes tools; "" where none is."""
+        found = _words(line)
+        for name in self._names:
+            word = "M6" if name == "on.tool_change" else name
+            if word[:1] in "MG" and all(part in found for part in word.split()):
+                return word
+        return ""
+
+    def handler_of(self, line: bytes) -> str:
+        """What a line has run that may move: a word, or an event; "" where nothing is known."""
+        if word := self.word_in(line):
+            return word
+        found = [*_words(line), *(word[0] for word in _words(line)), _code(line)]
+        for name, pattern in _EVENTS.items():
+            if name in self._names or self.is_cut:
+                if any(re.fullmatch(pattern, word) for word in found):
+                    return name
+        return ""
+
+
+def _code(line: bytes) -> str:
+    return without_comments(line).decode("latin-1").upper().replace(" ", "").strip()
+
+
+def _words(line: bytes) -> list[str]:
+    """As the firmware names them: `M06` is M6."""
+    return [f"{letter}{float(number):g}" for letter, number in _WORD.findall(_code(line))]

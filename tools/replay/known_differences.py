@@ -1,0 +1,282 @@
+"""Known differences: where a recording is not to be copied, fewer things have to be equal.
+
+Only a case that does not conform is looked up here. Of a conversation all before the line that
+asks for it is as recorded; behind it every answer, the count of status reports, outputs, and
+places at rest. Of a motion record replies, the place at the end, pulses and the path; and it
+takes no more or less time than the row allows.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+Json = dict[str, Any]
+
+_AXIS = re.compile(r"([XYZ])\s*(-?\d*\.?\d+)", re.IGNORECASE)
+_FEED = re.compile(r"F\s*(\d*\.?\d+)", re.IGNORECASE)
+_PER_MM = re.compile(r"\$10([0-2])=(\d+\.?\d*)")
+_END = "[MSG:Pgm End]"
+_STARTUP_JOG = re.compile(r"\$N\d=\$J", re.IGNORECASE)
+_OF_STARTUP = re.compile(r"\$N\d=|>\$J")
+_READS = re.compile(r"^\$[$#IN]$", re.MULTILINE | re.IGNORECASE)
+_LISTED = re.compile(r"\$N?\d+=|\[(G\d\d:|TLO:|PRB:|VER:|OPT:|0\.9)")
+_REFUSED = {"error:8", "error: Not idle"}
+_STEP = re.compile(r"step (\d+): ")
+_REPEATED = re.compile("([\x90-\x9d]).*\\1")
+
+_SLOWEST_HZ = 30.5
+_STEPS_PER_MM = 250.0  # of the recordings, where they do not say otherwise
+_BLOCKS = 15  # Grbl's planner holds
+_STARVED_MS = 12.0  # a block of the AVR's, with its line on the wire
+
+
+class CaseDifference(NamedTuple):
+    """One row. begins: the first of these steps that it is for, if any; counted: the lines of a
+    step that have to be equal; stands: the machine does not make the moves that Grbl makes."""
+
+    name: str
+    reason: str
+    begins: Callable[[list[Json]], int | None]
+    counted: Callable[[Json, list[str]], list[str]] = lambda _step, lines: lines
+    stands: bool = False
+
+
+class MotionDifference(NamedTuple):
+    """One row for motion records. longest: so many times Grbl's duration it may take, 0 where the
+    row is not for a record; shortest: and no fewer."""
+
+    name: str
+    reason: str
+    longest: Callable[[Json], float]
+    shortest: float
+
+
+def _blocks(lines: list[str]) -> Iterator[tuple[int, float, float]]:
+    """(number, ms, steps/s) of each line that moves, as far as this needs to know G-code."""
+    place = {"X": 0.0, "Y": 0.0, "Z": 0.0}
+    per_mm = dict.fromkeys(place, _STEPS_PER_MM)
+    feed, relative, inverse = 0.0, False, False
+    for number, line in enumerate(lines):
+        text = line.upper()
+        for axis, steps in _PER_MM.findall(text):
+            per_mm["XYZ"[int(axis)]] = float(steps)
+        relative = "G91" in text or (relative and "G90" not in text)
+        inverse = "G93" in text or (inverse and "G94" not in text)
+        if found := _FEED.search(text):
+            feed = float(found[1])
+        before = dict(place)
+        for axis, mm in _AXIS.findall(text):
+            place[axis] = float(mm) + (place[axis] if relative else 0.0)
+        way = math.dist(place.values(), before.values())
+        minutes = 0.0 if not feed else 1 / feed if inverse else way / feed
+        if way and minutes and not text.startswith(("$", "G0")):
+            steps = max(abs(place[axis] - before[axis]) * per_mm[axis] for axis in place)
+            yield number, minutes * 60_000, steps / minutes / 60
+
+
+def _slow_step(steps: list[Json]) -> int | None:
+    lines = [(line, n) for n, step in enumerate(steps) for line in step["send"].split("\n")]
+    slow = (k for k, _, hz in _blocks([line for line, _ in lines]) if hz < _SLOWEST_HZ)
+    return next((lines[k][1] for k in slow), None)
+
+
+def _slow(record: Json) -> float:
+    rates = [hz for _, _, hz in _blocks(record["settings"] + record["program"])]
+    slowest = min(rates, default=_SLOWEST_HZ)
+    return 1.1 * _SLOWEST_HZ / slowest if slowest < _SLOWEST_HZ else 0.0
+
+
+def _starved(record: Json) -> float:
+    ms = [ms for _, ms, _ in _blocks(record["program"])]
+    runs = [ms[i : i + _BLOCKS] for i in range(len(ms) - _BLOCKS)]
+    return 1.01 * any(sum(run) < _BLOCKS * _STARVED_MS for run in runs)
+
+
+def _burst(record: Json) -> float:
+    events = record.get("events_ms_after_first_step", ())
+    return 2.0 * any(_REPEATED.search(sent) for _, sent in events)
+
+
+def _pause_step(steps: list[Json]) -> int | None:
+    """Where a reset or the door comes in homing, and Grbl says ALARM:8."""
+    homes = False
+    for n, step in enumerate(steps):
+        homes = homes or step["send"].startswith("$H")
+        if homes and "ALARM:8" in step["expect"] and _pause_alarm(step):
+            return n
+    return None
+
+
+def _pause_alarm(step: Json) -> str:
+    """What we say to that; "" where there is neither."""
+    if "\x18" in step["send"]:
+        return "ALARM:6"
+    return "ALARM:7" if "\x84" in step["send"] or step.get("pins") else ""
+
+
+def _pause(step: Json, lines: list[str]) -> list[str]:
+    return ["ALARM:8" if line == _pause_alarm(step) else line for line in lines]
+
+
+def _startup_jog_step(steps: list[Json]) -> int | None:
+    return next((n for n, step in enumerate(steps) if _STARTUP_JOG.match(step["send"])), None)
+
+
+def _without_startup(step: Json, lines: list[str]) -> list[str]:
+    lines = [line for line in lines if not _OF_STARTUP.match(line)]
+    return ["an answer", *lines[1:]] if lines and _STARTUP_JOG.match(step["send"]) else lines
+
+
+def _cut_step(steps: list[Json]) -> int | None:
+    cut = (n for n, step in enumerate(steps) if step["expect"][:2] == ["ALARM:3", _END])
+    return next(cut, None)
+
+
+def _without_end(_step: Json, lines: list[str]) -> list[str]:
+    return [lines[0], *lines[2:]] if lines[:2] == ["ALARM:3", _END] else lines
+
+
+def _read_step(steps: list[Json]) -> int | None:
+    """Where Grbl refuses in motion what is only read."""
+    asked = False
+    for n, step in enumerate(steps):
+        asked = asked or bool(_READS.search(step["send"]))
+        if asked and not _REFUSED.isdisjoint(step["expect"]):
+            return n
+    return None
+
+
+def _without_listings(_step: Json, lines: list[str]) -> list[str]:
+    """Each with its ok is as good as a refusal."""
+    left: list[str] = []
+    for line in lines:
+        is_end = line == "ok" and left and _LISTED.match(left[-1])
+        while is_end and left and _LISTED.match(left[-1]):
+            left.pop()
+        left.append("refused" if is_end or line in _REFUSED else line)
+    return left
+
+
+_SLOW = (
+    "slow motion",
+    "Grbl makes no less than 30.5 steps/s; a feed below that is made as it was asked for, with "
+    "motors on until it has ended.",
+)
+SLOW = CaseDifference(*_SLOW, _slow_step)
+
+CASES = (
+    SLOW,
+    CaseDifference(
+        "pause of homing",
+        "A reset or the door between two moves of homing is ALARM:6 or 7, and nothing moves any "
+        "more; Grbl begins the way back, finds the switch still closed, and says ALARM:8.",
+        _pause_step,
+        _pause,
+        stands=True,
+    ),
+    CaseDifference(
+        "jog as a startup line",
+        "$N0=$J= is refused; Grbl keeps it, and moves at each start.",
+        _startup_jog_step,
+        _without_startup,
+        stands=True,
+    ),
+    CaseDifference(
+        "read in motion",
+        "$I, $$, $# and $N are answered in motion, for a sender that connects then; Grbl, which "
+        "starts anew when its port is opened, says error:8.",
+        _read_step,
+        _without_listings,
+    ),
+    CaseDifference(
+        "program end after a reset",
+        "An M2 or M30 that a reset has cut short does not say that the program has ended.",
+        _cut_step,
+        _without_end,
+    ),
+)
+
+MOTIONS = (
+    MotionDifference(*_SLOW, _slow, 0.9),
+    MotionDifference(
+        "each override",
+        "Each byte of a burst of overrides counts; Grbl may take two of a kind for one.",
+        _burst,
+        0.5,
+    ),
+    MotionDifference(
+        "starved planner",
+        "Blocks of a few milliseconds come faster than an AVR plans them, and slower than we do: "
+        "with more blocks to look at the same path is faster.",
+        _starved,
+        0.2,
+    ),
+)
+
+
+def explain_case(
+    case: Json, observed: Json, wrong: list[str], astray: set[int], used: list[str]
+) -> bool:
+    """Whether all that is wrong with a case has a reason in the table; adds its name to used.
+    astray: the steps whose moves have no reason to be others."""
+    steps, got = case["steps"], observed.get("steps", [])
+    numbers = [_STEP.match(said) for said in wrong]
+    if len(steps) != len(got):
+        return False
+    for row in CASES:
+        first = row.begins(steps)
+        if first is None or not all(found and int(found[1]) >= first for found in numbers):
+            continue
+        if _answers(row, steps, [step["expect"] for step in steps]) != _answers(
+            row, steps, [mine["lines"] for mine in got]
+        ):
+            continue
+        moves = any(number >= first for number in astray)
+        if _ends_alike(row, steps[first:], got[first:], moves):
+            used.append(row.name)
+            return True
+    return False
+
+
+def _answers(
+    row: CaseDifference, steps: list[Json], said: list[list[str]]
+) -> tuple[list[str], int]:
+    """What has to be equal of all that is said: lines, and how many reports there are."""
+    lines = [
+        line for step, part in zip(steps, said, strict=True) for line in row.counted(step, part)
+    ]
+    reports = [line for line in lines if line.startswith("<")]
+    return [line for line in lines if not line.startswith("<")], len(reports)
+
+
+def _ends_alike(row: CaseDifference, steps: list[Json], got: list[Json], moves: bool) -> bool:
+    """Whether outputs end as recorded, and axes that have made other moves, at rest, where they
+    do; under way none is further."""
+    outs: list[dict[str, int]] = [{}, {}]
+    for step, mine in zip(steps, got, strict=True):
+        for levels, change in zip(outs, (step.get("out", {}), mine["out"]), strict=True):
+            levels.update(change)
+    for levels in outs:
+        levels.pop("enable_pin", None)
+    if outs[0] != outs[1] or not moves:
+        return outs[0] == outs[1]
+    axes = range(len(got[0]["moved"]))
+    theirs = [sum((step.get("moved") or [0] * 9)[axis] for step in steps) for axis in axes]
+    ours = [sum(mine["moved"][axis] for mine in got) for axis in axes]
+    if row.stands:
+        return not any(got[0]["moved"])
+    if got[-1]["moving"] or steps[-1].get("moving"):
+        return all(min(a, 0) <= b <= max(a, 0) for a, b in zip(theirs, ours, strict=True))
+    return all(abs(a - b) <= 1 for a, b in zip(theirs, ours, strict=True))
+
+
+def explain_motion(record: Json, observed: Json, used: list[str]) -> bool:
+    """Whether times and rates of this record need not be Grbl's, and are not too far from them;
+    adds the name to used."""
+    share = observed["duration_s"] / record["duration_s"]
+    for row in MOTIONS:
+        if row.shortest <= share <= row.longest(record):
+            used.append(row.name)
+            return True
+    return False

@@ -1,0 +1,240 @@
+"""The user's own Python as a module of one simulated machine: imported, and watched as it runs.
+
+What the firmware has for it (extras/custom/) does the work; here is what a board has no room for:
+where its files are, which handlers have run, what they wait for, and how each has failed.
+To be imported when the firmware can be.
+"""
+
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_loader
+from types import ModuleType
+from typing import Any
+
+from base.faults import sanitize
+from boot import select_extras
+from extras.custom import handlers, user_modules
+from extras.custom.machine_api import MachineApi
+from extras.custom.runner import Runner
+from extras.custom.user_modules import Custom
+
+from . import board_modules
+from .own_python import LackError, OwnPython, OwnPythonError
+
+_TOLD = "Custom: "
+_MODULE = "_module"  # under which a board has it
+
+
+class CustomModule:
+    """What is known of it. examine: sees what has been noted down, before it is taken up."""
+
+    def __init__(self, own: OwnPython) -> None:
+        self.own = own
+        self.files = {str(module.file): module for module in own.modules.values()}
+        self.notes: list[Any] = []
+        self.examine: "Callable[[Any, list[Any]], None] | None" = None
+        self.running: list[str] = []  # handlers, the innermost last
+        self.ran: list[str] = []  # handlers that came to their end, or failed
+        self.faults: list[str] = []
+        self.lacks: list[str] = []  # those faults that are for want of what boards have
+        self.interrupted = ""  # the handler that Ctrl-C has ended
+        self.inputs: Any = None
+        # Told of a wait that nobody ends.
+        self.on_endless_wait: "Callable[[str], None] | None" = None
+        self.on_person_wait: "Callable[[str], None] | None" = None  # of a wait for a person
+        self.on_switched: "Callable[[str, bool], None] | None" = None  # told of an output
+
+    def handler_names(self) -> str:
+        """Its handlers, as $I has them behind `Custom: `."""
+        names = [user_modules.title(note[0], note[1]) for note in self.notes]
+        return sanitize(_TOLD + ", ".join(names))[len(_TOLD) :]
+
+    def describe(self, fault: BaseException) -> str:
+        """What has happened, with the last line of the user's own before it."""
+        return f"{self.place(fault)}{type(fault).__name__}: {fault}".removesuffix(": ")
+
+    def place(self, fault: BaseException) -> str:
+        """That line, or nothing."""
+        place = ""
+        for frame in traceback.extract_tb(fault.__traceback__):
+            if frame.filename in self.files:
+                place = f"{frame.filename}, line {frame.lineno}: "
+        return place
+
+    def note_wait(self, name: str, closed: bool, seconds: "float | None", is_so: bool) -> None:
+        """A handler waits for an input."""
+        may_come = self.inputs.await_(name, closed)
+        if is_so or seconds is not None:
+            return
+        what, state = self.running[-1], "close" if closed else "open"
+        if self.on_person_wait:
+            self.on_person_wait(f"{what} waits for the input {name} to {state}")
+        elif self.on_endless_wait and not may_come:
+            way = "on" if closed else "off"
+            self.on_endless_wait(
+                f"{what} waits for the input {name} to {state}, and nobody is there to do that: "
+                f"--input {name}={way}, or {name}=2s for two seconds later"
+            )
+
+
+class _Importer:
+    """What import finds a module's files by: a finder and a loader. Nothing is kept of them."""
+
+    module: "CustomModule | None" = None
+
+    def find_spec(
+        self, name: str, path: "Sequence[str] | None" = None, target: "ModuleType | None" = None
+    ) -> "ModuleSpec | None":
+        """The user's files come before any other's of these names."""
+        if self.module is None:
+            return None
+        modules = self.module.own.modules
+        if name in modules:
+            return spec_from_loader(name, self, origin=str(modules[name].file))  # type: ignore[arg-type]
+        if any(there.startswith(name + ".") for there in modules):
+            return spec_from_loader(name, self, is_package=True)  # type: ignore[arg-type]
+        return None
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """As usual."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Compiled anew: what Python keeps in __pycache__ is not made."""
+        assert self.module
+        found = self.module.own.modules.get(module.__name__)
+        if found:
+            module.__file__ = str(found.file)
+            code = compile(found.source, str(found.file), "exec", dont_inherit=True)
+            exec(code, vars(module))
+
+
+class WatchedApi(MachineApi):
+    """Tells its module what handlers wait for."""
+
+    module: CustomModule
+
+    def out(self, name: str, on: Any) -> None:
+        """As on the board."""
+        super().out(name, on)
+        if self.module.on_switched:
+            self.module.on_switched(name, bool(on))
+
+    def pwm(self, name: str, share: float, hz: float = 1000) -> None:
+        """As on the board."""
+        super().pwm(name, share, hz)
+        if self.module.on_switched:
+            self.module.on_switched(name, share > 0)
+
+    def wait_for(self, name: str, closed: bool = True, seconds: "float | None" = None) -> bool:
+        """As on the board."""
+        self.module.note_wait(name, closed, seconds, self.pin(name) == closed)
+        try:
+            return super().wait_for(name, closed, seconds)
+        finally:
+            self.module.inputs.is_satisfied()
+
+
+class WatchedRunner(Runner):
+    """Tells its module which handlers run, and how they fail."""
+
+    module: CustomModule
+
+    def run(
+        self,
+        what: str,
+        function: "Callable[..., Any]",
+        may_move: bool,
+        values: "tuple[Any, ...]" = (),
+        given: "dict[str, Any] | None" = None,
+    ) -> Any:
+        """Noted."""
+        module = self.module
+        module.running.append(what)
+        try:
+            found = super().run(what, function, may_move, values, given)
+            if what == "on.report" and not isinstance(found, str | None):
+                module.faults.append(f"{what}: it returns {found!r}, and not a text or None")
+            return found
+        except KeyboardInterrupt as stop:
+            module.interrupted = f"{what}: {module.place(stop)}".removesuffix(": ")
+            raise
+        finally:
+            module.running.pop()
+            module.ran.append(what)
+
+    def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
+        self.module.faults.append(f"{what}: {self.module.describe(fault)}")
+        if board_modules.is_lacking(fault):
+            self.module.lacks.append(self.module.faults[-1])
+        super()._fail(what, fault, may_move)
+
+    def _is_own(self, file: str) -> bool:
+        return file in self.module.files
+
+
+class WatchedCustom(Custom):
+    """Has its module see what is taken up. What cannot be is an OwnPythonError: nobody wants to
+    simulate a machine without it."""
+
+    def __init__(self, cnc: Any, runner: Runner, happenings: Any) -> None:
+        module = _importer.module
+        assert module and isinstance(runner, WatchedRunner)
+        assert isinstance(runner.machine_api, WatchedApi)
+        self._module = runner.module = runner.machine_api.module = module
+        super().__init__(cnc, runner, happenings)
+
+    def register(self, notes: list[Any]) -> None:
+        """Examined first."""
+        self._module.notes = notes
+        if self._module.examine:
+            self._module.examine(self._cnc, notes)
+        super().register(notes)
+
+    def leave_out(self, fault: BaseException) -> None:
+        """With what can be said of it."""
+        handlers.take_notes()
+        if isinstance(fault, OwnPythonError):
+            raise fault
+        text = self._module.describe(fault)
+        place = "" if ", line " in text else f"{self._module.own.path}: "
+        if board_modules.is_lacking(fault):
+            raise LackError(f"{place}{text}: boards have it, the simulator does not") from fault
+        raise OwnPythonError(place + text) from fault
+
+
+_importer = _Importer()
+_PLAIN = Custom, MachineApi, Runner
+_WATCHING = WatchedCustom, WatchedApi, WatchedRunner
+_usual_customs = select_extras.custom_modules
+
+
+def _customs(board: ModuleType) -> "tuple[str, ...]":
+    """In the place of select_extras.custom_modules: what is read is on this computer, and
+    watched."""
+    module: "CustomModule | None" = board.__dict__.get(_MODULE)
+    _importer.module = module
+    names = ("Custom", "MachineApi", "Runner")
+    vars(user_modules).update(zip(names, _PLAIN if module is None else _WATCHING, strict=True))
+    if module is None:
+        return _usual_customs(board)
+    for name in (module.own.name, *module.own.modules):
+        sys.modules.pop(name, None)
+    return tuple(module.own.modules)
+
+
+def _prepare() -> None:
+    """Once: have the firmware ask here what there is to read, and find the board's modules."""
+    board_modules.complete()
+    if _importer not in sys.meta_path:
+        sys.meta_path.insert(0, _importer)
+        select_extras.custom_modules = _customs
+
+
+def load_custom(board: ModuleType, own: OwnPython) -> CustomModule:
+    """Have a machine of that board read it. The board is changed: let it be a copy."""
+    _prepare()
+    module = CustomModule(own)
+    vars(board)[_MODULE] = module
+    return module

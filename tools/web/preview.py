@@ -1,0 +1,227 @@
+"""What a program will do, for a page: how long, which way, what will be refused.
+
+Run as a program, it looks at one: what the browser has posted on stdin, the answer on stdout, the
+board's name as its argument. It is a process of its own, for a long program takes long, and the
+simulator has but one machine in a process.
+"""
+
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..draw.job import on_paper
+from ..draw.motion_trace import Motion, trace_program
+from ..draw.simplify import fitted
+from ..grbl import gcode_file
+from ..grbl.lines import split_lines
+from ..grbl.messages import meaning, refused
+from ..run import machine
+from ..run.program import Result
+from . import machine_state
+
+PROGRAM_BYTES = 32 << 20
+MOST_TIMES = 2000
+MOST_POINTS = 20_000
+# What is drawn is nowhere further from the path than this, as long as there are points enough.
+_TOLERANCE_MM = 0.01
+RAPID, FEED = 0, 1
+_NUMBER = re.compile("[0-9]{1,3}")  # of a setting
+_BEYOND = 3.4e38
+_DECIMALS = 4  # one more than a Grbl prints
+REFUSED = 3  # exit code: the answer is a sentence
+
+Rows = NDArray[np.int64]
+
+
+class Refused(ValueError):
+    """What was posted cannot be looked at; the text says why."""
+
+
+def preview(request: Mapping[str, Any], board: str) -> dict[str, Any]:
+    """What a request for /api/look is answered with. Refused where it is none.
+
+    times: rows of line and of the seconds at which its motion ends; path: rows of X, Y, Z in mm,
+    machine coordinates, kind of the stroke that ends there, its line, and its mean speed in
+    mm/min. The machine stands as machine_state.py reads it, else at 0 without offsets.
+    """
+    name, lines = _program(request)
+    settings = _settings(request.get("settings", {}))
+    chosen = machine.taken(board, on_paper(settings))
+    result, trace = trace_program(
+        [gcode_file.sanitize(line) for line in lines],
+        board=board,
+        settings=[*chosen, *machine_state.lines(request)],
+        progress=_needed(),
+    )
+    if why := refused(result.stopped):
+        raise Refused(f"the simulated machine does not take its settings: {result.stopped}: {why}")
+    motion = trace.motion
+    return {
+        "name": name,
+        "seconds": round(result.totals.time_s, 3),
+        "problems": _problems(lines, result, machine_state.beyond(motion, settings, request)),
+        "lines": len(lines),
+        "times": _times(motion),
+        "path": _path(motion),
+    }
+
+
+def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
+    """Its name and lines."""
+    name, text = request.get("name", ""), request.get("program")
+    if not isinstance(text, str) or not isinstance(name, str):
+        raise Refused('there is no program in it: {"name": …, "program": …} is wanted, as text')
+    data = text.encode("utf-8", "replace")
+    if len(data) > PROGRAM_BYTES:
+        raise Refused(f"{name or 'the program'} is larger than {PROGRAM_BYTES >> 20} MB")
+    lines = split_lines(data.removeprefix(b"\xef\xbb\xbf"))
+    gcode_file.check_text(lines, name or "the program")
+    return name, [gcode_file.without_end(line) for line in lines]
+
+
+def _settings(found: Any) -> dict[int, str]:
+    """Settings by number, those that can be; what the machine takes of them is seen later."""
+    if not isinstance(found, dict):
+        raise Refused('"settings" are by number: {"110": "500.000"}')
+    return {
+        int(number): f"{value:.{_DECIMALS}f}"
+        for number, text in found.items()
+        if _NUMBER.fullmatch(number) and (value := _value(text)) is not None
+    }
+
+
+def _value(text: Any) -> float | None:
+    """A number, or text of one, that fits into the machine's single precision; else None."""
+    try:
+        value = float(text)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return value if abs(value) < _BEYOND else None
+
+
+# Answers
+
+
+def _problems(
+    lines: Sequence[bytes], result: Result, beyond: Sequence[tuple[int, str]]
+) -> list[dict[str, Any]]:
+    """Lines that are refused, or act at once, or at which the program ended, or that go beyond
+    the travel; by line."""
+    found = [
+        _problem(number, f"{reply} - {meaning(reply, gcode_file.shown(lines[number - 1]))}")
+        for number, reply in result.errors
+    ]
+    found += [_problem(*row) for row in beyond]
+    found += [_problem(number, f"{text}: is it meant so?") for number, text in result.wide_arcs]
+    found += [
+        _problem(problem.line, problem.text)
+        for problem in gcode_file.problems(lines)
+        if not problem.in_comment
+    ]
+    if result.stopped:
+        last = result.other_output[-1][0] if result.other_output else result.lines
+        known = f" - {meaning(result.stopped)}" if result.stopped.startswith("ALARM:") else ""
+        found.append(_problem(last, f"{result.stopped}{known}"))
+    return sorted(found, key=lambda problem: int(problem["line"]))
+
+
+def _problem(line: int, text: str) -> dict[str, Any]:
+    """code: Grbl's number of an error or alarm; 0 for what has none."""
+    kind, _, rest = text.partition(":")
+    number = rest.partition(" ")[0]
+    is_grbls = kind in ("error", "ALARM") and number.isdecimal()
+    return {"line": line, "text": text, "code": int(number) if is_grbls else 0}
+
+
+def _times(motion: Motion) -> list[list[float]]:
+    """When the motion of a line ends."""
+    lines = motion.lines
+    numbers, from_end = np.unique(lines[::-1], return_index=True)
+    seconds = np.frombuffer(motion.time_s)[::-1][from_end]
+    seconds = np.maximum.accumulate(seconds[numbers > 0])
+    numbers = numbers[numbers > 0]
+    rows = _spread(len(numbers), MOST_TIMES)
+    return [[int(numbers[row]), round(float(seconds[row]), 3)] for row in rows]
+
+
+def _spread(count: int, most: int) -> Rows:
+    """Rows, evenly, the last one among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+
+
+def _path(motion: Motion) -> list[list[float]]:
+    """Corners of the path, and where it goes on for another line, as far as there is room."""
+    if not len(motion):
+        return []
+    moves = np.frombuffer(motion.block, np.int32) > 0
+    # At rest it is where the last move ended, and that is whose point it is.
+    of_move = np.maximum.accumulate(np.where(moves, np.arange(len(motion)), 0))
+    points, rapid, line = motion.points, motion.rapids[of_move], motion.lines[of_move]
+    moving_s = np.cumsum(np.where(moves, motion.seconds, 0.0))
+    lengths = np.sqrt((np.diff(points, axis=0, prepend=points[:1]) ** 2).sum(axis=1, dtype=float))
+    rows = _corners(points, rapid, line)
+    way, seconds = np.diff(np.cumsum(lengths)[rows], prepend=0), np.diff(moving_s[rows], prepend=0)
+    speed = np.divide(60 * way, seconds, out=np.zeros(len(rows)), where=seconds > 0)
+    return [
+        [*(round(float(mm), 4) for mm in points[row]), kind, int(line[row]), round(float(mm_min))]
+        for row, kind, mm_min in zip(rows, np.where(rapid[rows], RAPID, FEED).tolist(), speed)
+        if mm_min > 0 or row == rows[0]
+    ]
+
+
+def _corners(points: Any, rapid: Any, line: Any) -> Rows:
+    """Rows that are enough, MOST_POINTS at the most."""
+    rapids = np.flatnonzero(rapid[1:] != rapid[:-1])
+    lines = np.flatnonzero((rapid[1:] != rapid[:-1]) | (line[1:] != line[:-1]))
+    none: Rows = np.empty(0, np.int64)
+    keep = next(kept for kept in (lines, rapids, none) if len(kept) <= MOST_POINTS // 2)
+    rows, _ = fitted(points, _TOLERANCE_MM, keep, MOST_POINTS - len(keep))
+    return rows
+
+
+# The process
+
+
+def _needed() -> Callable[[int], None]:
+    """Told how far it has come, it ends where nobody waits for it any more."""
+    parent = os.getppid()
+
+    def progress(line: int) -> None:
+        if os.getppid() != parent:
+            raise KeyboardInterrupt("who has asked for it is gone")
+
+    return progress
+
+
+def main() -> None:
+    """Look at what stdin says, when the computer has nothing better to do."""
+    if hasattr(os, "nice"):
+        os.nice(10)
+    out, sys.stdout = sys.stdout.buffer, sys.stderr  # for what anything else prints
+    try:
+        answer = preview(_request(sys.stdin.buffer.read()), sys.argv[1])
+    except (Refused, gcode_file.NotText) as error:
+        out.write(str(error).encode())
+        out.flush()
+        sys.exit(REFUSED)
+    out.write(json.dumps(answer, separators=(",", ":")).encode())
+
+
+def _request(body: bytes) -> dict[str, Any]:
+    try:
+        request = json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise Refused(f"what was posted is no JSON: {error}") from error
+    if not isinstance(request, dict):
+        raise Refused("what was posted is no JSON object")
+    return request
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""Preview queue: simulations for browsers, one process at a time; the newest request wins."""
+
+import asyncio
+import sys
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import NamedTuple
+
+from .preview import REFUSED
+
+LONGEST_S = 120.0
+_SHOWN_LINES = 20
+
+
+class Answer(NamedTuple):
+    """What a browser gets: JSON where the status is 200, else a sentence."""
+
+    status: HTTPStatus
+    text: str
+
+
+class PreviewQueue:
+    """Looks at programs for a machine of that board. log: gets what went wrong in a simulator."""
+
+    def __init__(
+        self, board: str, log: Callable[[str], None], longest_s: float = LONGEST_S
+    ) -> None:
+        self._board = board
+        self._log = log
+        self._longest_s = longest_s
+        self._starting = asyncio.Lock()
+        self._running: asyncio.subprocess.Process | None = None
+
+    async def look(self, body: bytes) -> Answer:
+        """What a request is answered with, see preview.py; whoever was at it is told so."""
+        process = await self._start()
+        try:
+            out, err = await asyncio.wait_for(process.communicate(body), self._longest_s)
+        except asyncio.TimeoutError:
+            return self._too_long()
+        except ConnectionError:  # it ended before it had read all
+            out, err = b"", b""
+        finally:
+            replaced = self._running is not process
+            if not replaced:
+                self._running = None
+            _end(process)
+        await process.wait()
+        if process.returncode == 0:
+            return Answer(HTTPStatus.OK, out.decode())
+        if process.returncode == REFUSED:
+            return Answer(HTTPStatus.BAD_REQUEST, out.decode())
+        if replaced:
+            return Answer(HTTPStatus.CONFLICT, "another program is looked at now: ask again")
+        return self._failed(err.decode("utf-8", "replace"))
+
+    def close(self) -> None:
+        """Nobody waits for an answer any more."""
+        process, self._running = self._running, None
+        if process is not None:
+            _end(process)
+
+    async def _start(self) -> asyncio.subprocess.Process:
+        async with self._starting:
+            self.close()
+            self._running = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-m",
+                f"{__package__}.preview",
+                self._board,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+                start_new_session=True,  # Ctrl-C is for the server
+            )
+            return self._running
+
+    def _too_long(self) -> Answer:
+        text = f"the simulator has not come to the program's end within {self._longest_s:g} s"
+        return Answer(HTTPStatus.GATEWAY_TIMEOUT, f"{text}: `ugrbl run` has no such limit")
+
+    def _failed(self, said: str) -> Answer:
+        last = said.strip().splitlines()[-_SHOWN_LINES:]
+        self._log("\n".join(["the simulator has failed:", *last]))
+        why = last[-1] if last else "it has said nothing"
+        return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, f"the simulator has failed: {why}")
+
+
+def _end(process: asyncio.subprocess.Process) -> None:
+    if process.returncode is None:
+        process.kill()
