@@ -14,6 +14,7 @@ import micropython
 from base.times import MASK, NEGATIVE
 from micropython import const
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.slice_kernel import leading
 
 from esp_chip.i2s_layout import BEFORE, BEGAN, MADE, NOWHERE, NUMBER, PLAYING, SENT
 
@@ -22,7 +23,7 @@ FRAME_LOG2 = const(4)  # ticks of a frame
 _TICKS = const(4096)  # of a buffer
 
 # Lanes: integers per axis.
-LANE = const(11)
+LANE = const(12)
 STEP = const(0)  # the bit of its step output,
 DIR = const(1)  # and of its direction output
 INVERT = const(2)  # 1: the direction output is high forwards
@@ -32,8 +33,9 @@ FREE = const(5)  # from this frame on it may step
 LEFT = const(6)  # steps of the row that are still to come,
 NEXT = const(7)  # the next one's tick,
 GAP = const(8)  # ticks from step to step,
-LONGER = const(9)  # and how many gaps are longer by one tick
+LONGER = const(9)  # how many of the gaps that come now are longer by one tick,
 PLACE = const(10)  # position after all steps put into buffers
+LAST_LONGER = const(11)  # and how many of the row's last gaps are
 
 # What all lanes share.
 AXES = const(0)
@@ -154,7 +156,10 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
             if steps > 1:
                 span = row[base + 2] - row[base + 1]
                 lanes[lane + GAP] = span // (steps - 1)
-                lanes[lane + LONGER] = span % (steps - 1)
+                longer = span % (steps - 1)
+                front = int(leading(steps - 1, lanes[lane + GAP], longer))
+                lanes[lane + LONGER] = front
+                lanes[lane + LAST_LONGER] = longer - front
             if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
                 lanes[lane + BACK] = 1 - lanes[lane + BACK]
                 turn = lanes[lane + FREE]
@@ -195,6 +200,8 @@ def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
             gap = lanes[lane + GAP]
             if lanes[lane + LONGER]:
                 lanes[lane + LONGER] = lanes[lane + LONGER] - 1
+                gap += 1
+            elif lanes[lane + LEFT] <= lanes[lane + LAST_LONGER]:
                 gap += 1
             lanes[lane + NEXT] = lanes[lane + NEXT] + gap
             place = lanes[lane + PLACE]

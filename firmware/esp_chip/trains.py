@@ -12,6 +12,7 @@ Called in the engine's turns; nothing here allocates.
 import micropython
 from micropython import const
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
+from motion.slice_kernel import leading
 
 ROWS = const(16)
 _ROWS_MASK = const(15)
@@ -146,9 +147,11 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
         tick = rows[base + 1]
         gap = 0
         longer = 0
+        front = 0
         if steps > 1:
             gap = (rows[base + 2] - tick) // (steps - 1)
             longer = (rows[base + 2] - tick) % (steps - 1)
+            front = int(leading(steps - 1, gap, longer))
         for n in range(steps):
             if tick >= end:
                 break
@@ -163,7 +166,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
                 count += 2
                 last = edge + pulse
             tick += gap
-            if n < longer:
+            if n < front or n >= steps - 1 - longer + front:
                 tick += 1
         origin += rows[at]
         done = 0

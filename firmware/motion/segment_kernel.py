@@ -50,7 +50,6 @@ from motion.layout import (
     ROW_SIZE,
     ROWS,
     SEGMENT_LOG2,
-    SLICE,
     SLICES,
     SPARE,
     STEPS,
@@ -305,7 +304,7 @@ def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
             span += 131072
         going = int(next_piece(flow, ring, table[ROOT_SCALE]))
     flow[TIME] = span - flow[LEFT]
-    flow[SLICES] = int(slices(flow, table[SLICE], ring[flow[AT] + FLAGS] & DYNAMIC))
+    flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
     flow[PIECE] = PIECES
     return 1
 

@@ -12,6 +12,7 @@ from motion.layout import (
     ADVANCE,
     AT,
     FRACTION,
+    MOTOR_COUNT,
     MOTORS,
     NOW,
     PARTIAL,
@@ -24,6 +25,8 @@ from motion.layout import (
     ROW_AXES,
     ROW_STRIDE,
     ROW_TICKS,
+    SEGMENT_LOG2,
+    SLICE,
     SLICES,
     SPARE,
     STEPS,
@@ -37,9 +40,23 @@ STEP_BIAS = const(0x800)
 
 
 @micropython.viper
-def slices(flow: ptr32, slice: int, dynamic: int) -> int:
+def leading(gaps: int, gap: int, longer: int) -> int:
+    """Return how many of a row's longer gaps come first; its other longer gaps come last.
+
+    gaps: between the row's steps, `longer` of which take gap + 1 ticks and the others gap. All
+    long ones first would put a motor off its line by up to gaps / (4 * gap) steps, half of them
+    first by half of that: so it is where that is an eighth of a step or more.
+    """
+    return longer >> 1 if gaps > gap >> 1 else longer
+
+
+@micropython.viper
+def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
     """How many rows the segment planned is to be, for the steps of a row are even: as many as it
-    takes that none changes the speed by more than a thirty-second, if they are long enough. Their
+    takes that none changes the speed by more than a thirty-second, if they are long enough, and
+    that motors, where several move, are off the line by no more than a quarter of a step besides
+    the half that rounding makes. A row of n steps in t ticks is off by n2 / 8t (leading()): with
+    n, up to 4095, in a full segment of 2**log2 ticks, n2 / 2**(log2 + 1) rows keep to it. Their
     power is one, too: where that follows speed they are short whenever the speed changes, and no
     longer than a millisecond.
     """
@@ -55,13 +72,31 @@ def slices(flow: ptr32, slice: int, dynamic: int) -> int:
             fast = speed
     if flow[TIME] > 131072:
         return 1  # it is so long for the sake of one step
+    slice = table[SLICE]
     if dynamic:
         slice -= slice >> 2
     count = (flow[TIME] + (slice >> 1)) // slice or 1
     slight = fast >> (8 if dynamic else 5)
+    steps = fast >> 18
+    log2 = table[SEGMENT_LOG2]
+    least = (steps * steps + (1 << log2)) >> (log2 + 1)
+    if least > 1 and int(is_alone(flow, table[MOTOR_COUNT])):
+        least = 1
+    if least > count:
+        least = count
     while count > 1 and fast - slow <= slight * (count >> 1):
         count >>= 1
-    return count
+    return count if count > least else least
+
+
+@micropython.viper
+def is_alone(flow: ptr32, motors: int) -> int:
+    """Whether the block's steps left are those of one motor, which has no line to leave."""
+    moving = 0
+    for i in range(motors):
+        if flow[MOTORS + 2 * i]:
+            moving += 1
+    return 1 if moving < 2 else 0
 
 
 @micropython.viper
@@ -93,7 +128,7 @@ def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
     time = 0
     steps = 0
     while flow[SLICES] > 1 and steps == 0:
-        part = flow[TIME] // flow[SLICES]
+        part = flow[TIME] // flow[SLICES] >> 6 << 6  # times() and travel() are exact for these
         flow[SLICES] = flow[SLICES] - 1
         flow[TIME] = flow[TIME] - part
         time += part

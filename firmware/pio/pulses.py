@@ -11,6 +11,7 @@ Called in the engine's interrupt.
 import micropython
 from micropython import const
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
+from motion.slice_kernel import leading
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ END = const(5)  # position at the end of all words sent
 FROZEN = const(6)  # position of a locked axis
 MACHINE = const(7)  # where the registers of its machine are
 
-# Words a lane's ring holds. A segment takes five at the most: wait before a reversal, first
-# step, long gaps, short gaps, rest.
+# Words a lane's ring holds. A segment takes six at the most: wait before a reversal, first
+# step, long gaps, short gaps, long gaps, rest.
 RING_LOG2 = const(5)
 RING_MASK = const(31)
 
@@ -80,6 +81,15 @@ def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
 
 
 @micropython.viper
+def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
+    """Add a word of so many steps, if any, to a lane's ring. Returns where the next one goes."""
+    if steps == 0:
+        return head
+    words[ring + head] = word | (steps << _STEPS_SHIFT)
+    return (head + 1) & RING_MASK
+
+
+@micropython.viper
 def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     """Add a segment's words to the lanes' rings. Returns by how many ticks all axes begin late.
 
@@ -123,11 +133,10 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
                     longer = 0
                 carry -= gap * steps + longer
                 word = level | ((gap - timing[PULSE] - _BETWEEN) << _DELAY_SHIFT)
-                if longer:
-                    words[ring + head] = word + (1 << _DELAY_SHIFT) + (longer << _STEPS_SHIFT)
-                    head = (head + 1) & RING_MASK
-                words[ring + head] = word | ((steps - longer) << _STEPS_SHIFT)
-                head = (head + 1) & RING_MASK
+                front = int(leading(steps, gap, longer))
+                head = int(_put(words, ring, head, word + (1 << _DELAY_SHIFT), front))
+                head = int(_put(words, ring, head, word, steps - longer))
+                head = int(_put(words, ring, head, word + (1 << _DELAY_SHIFT), longer - front))
         carry += row[ROW_TICKS]
         if carry >= timing[KEEP] + _FETCH:
             carry -= timing[KEEP] + _FETCH
@@ -161,6 +170,7 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
         span = whole[base + 2] - whole[base + 1]
         gap = span // (steps - 1) if steps > 1 else 0
         longer = span - gap * (steps - 1)
+        front = int(leading(steps - 1, gap, longer))
         tick = whole[base + 1] - begin
         count = 0
         for k in range(steps):
@@ -169,7 +179,7 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
                     row[base + 1] = tick
                 row[base + 2] = tick
                 count += 1
-            tick += gap + 1 if k < longer else gap
+            tick += gap + 1 if k < front or k >= steps - 1 - longer + front else gap
         row[base] = count
     return end if end < ticks else 0
 
@@ -205,10 +215,14 @@ def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
             span = row[base + 2] - row[base + 1]
             gap = span // (made - 1)
             longer = span - gap * (made - 1)
+            front = int(leading(made - 1, gap, longer))
             rest = tick - row[base + 1]
-            if rest < longer * (gap + 1):
+            behind = span - rest  # before the last step
+            if rest < front * (gap + 1):
                 made = rest // (gap + 1) + 1
+            elif behind <= (longer - front) * (gap + 1):
+                made -= (behind + gap) // (gap + 1)
             else:
-                made = (rest - longer) // gap + 1
+                made = (rest - front) // gap + 1
         steps[i] = start[i] - made if (row[ROW_DIRS] >> i) & 1 else start[i] + made
     return 0

@@ -7,9 +7,10 @@ Everything here is plain floats: the twin of what the kernels do in integers.
 """
 
 from array import array
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import combinations, pairwise
 from math import inf, sqrt
 from types import SimpleNamespace
 from typing import Any
@@ -36,6 +37,8 @@ _ANGLE = 2e-4
 # Grbl calls a corner straight below this angle.
 _STRAIGHT = 0.0015
 SETUP_US = 3
+# Steps from a straight line up to which a corner may be the grid's, where jerk is limited.
+_GRID = 1.5
 # Segments of constant speed after which its steps are even.
 _SETTLED = 8
 # To which part of a step braking is right, in the middle of a block and at its end.
@@ -115,6 +118,16 @@ class Block:
     def acceleration(self) -> float:
         """What its axes allow."""
         return self.limits.along(self.unit, self.limits.acceleration)
+
+    def bend(self, after: "Block") -> float:
+        """How far the corner is from the line past it, in steps; infinite where that goes back."""
+        a, b = self.motors, after.motors
+        inner = sum(x * y for x, y in zip(a, b, strict=True))
+        if inner < 0:
+            return inf
+        squares = sum(x * x for x in a), sum(y * y for y in b)
+        cross = max(squares[0] * squares[1] - inner * inner, 0)
+        return sqrt(cross / (squares[0] + squares[1] + 2 * inner))
 
     def junction(self, after: "Block", lean: int = 1) -> float:
         """Junction deviation: the highest speed into the following block, in floats.
@@ -449,7 +462,9 @@ def check_segments(watch: Watch) -> None:
             continue
         change = before.change(hz) + after.change(hz)
         assert abs(after.mean - before.mean) <= change * ACCELERATION_SLACK, "acceleration"
-        if before.ends_block:
+        # Of jerk: the grid of steps has no corners.
+        limited = watch.planner.table[layout.JUNCTION_DERATE]
+        if before.ends_block and not (limited and before.block.bend(after.block) < _GRID):
             corner = before.block.junction(after.block) * JUNCTION_SLACK + _least(watch)
             assert before.speed <= corner + before.block.braked(_END_PART), "corner taken too fast"
     if pieces:
@@ -537,6 +552,21 @@ def _check_density(ticks: "list[int]", rate: float) -> None:
         waiting = max(waiting - (tick - before) * rate, 0.0) + 1
         before = tick
         assert waiting <= 3 + 1e-6, "steps faster than the axis may go"
+
+
+def off_line(trains: "Sequence[Sequence[float]]") -> float:
+    """How far a line's steps are from the line, in steps of a motor: 0.5 is what rounding makes.
+
+    trains: when each motor steps, in order. As a motor makes its step k of n, k + 1/2 from 0, the
+    line has come to that part of its length; so have motors with fewer steps, to half a step.
+    """
+    worst = 0.0
+    for b, a in combinations(sorted((train for train in trains if train), key=len), 2):
+        for k, time in enumerate(a):
+            due = (k + 0.5) / len(a) * len(b)
+            made = bisect_left(b, time), bisect_right(b, time)
+            worst = max(worst, min(abs(due - n) for n in made))
+    return worst
 
 
 def uneven(ticks: Sequence[int]) -> float:

@@ -49,6 +49,9 @@ class Machine:
         self.watch = Watch(
             controller.planner, controller.segments, self.limits, self.rig.engine.tick_hz
         )
+        # What the engine is about to be told to ask, extras included.
+        hooks = controller.state.hooks
+        self.watch._next, hooks.next_segment = hooks.next_segment, self.watch.next
 
     def _trace(self, start: int, row: "array[int]") -> None:
         self.rows.append((start, row[:]))

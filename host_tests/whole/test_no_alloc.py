@@ -166,7 +166,7 @@ def make():
             segments.hold(False)
         made += jerk.next(row)
     planner.catch_up()
-    jerk_plan.reschedule(table, ring, flow)
+    jerk_plan.reschedule(table, ring, flow, -1)
     return made
 
 

@@ -17,17 +17,24 @@ if TYPE_CHECKING:
 _NEVER = 1 << 60
 
 
+def leading(gaps: int, gap: int, longer: int) -> int:
+    """slice_kernel.leading(), as Python, which is asked for each step."""
+    return longer >> 1 if gaps > gap >> 1 else longer
+
+
 def step_tick(row: "array[int]", base: int, k: int) -> int:
     """Tick, from the start of the segment, of step k (from 0) of the axis at row[base].
 
-    The gaps between a segment's steps differ by one tick at the most, the
-    long ones first: what every engine does.
+    The gaps between a segment's steps differ by one tick at the most, in the order that
+    slice_kernel.leading() says: what every engine does.
     """
     gaps = row[base] - 1
     if gaps < 1:
         return row[base + 1]
-    span = row[base + 2] - row[base + 1]
-    return row[base + 1] + k * (span // gaps) + min(k, span % gaps)
+    gap, longer = divmod(row[base + 2] - row[base + 1], gaps)
+    front = leading(gaps, gap, longer)
+    last = max(k - gaps + longer - front, 0)  # longer gaps at the end that are over
+    return row[base + 1] + k * gap + min(k, front) + last
 
 
 def steps_until(row: "array[int]", base: int, tick: int) -> int:
@@ -39,10 +46,13 @@ def steps_until(row: "array[int]", base: int, tick: int) -> int:
         return count
     span = row[base + 2] - row[base + 1]
     gap, longer = divmod(span, count - 1)
+    front = leading(count - 1, gap, longer)
     tick -= row[base + 1]
-    if tick < longer * (gap + 1):
+    if tick < front * (gap + 1):
         return tick // (gap + 1) + 1
-    return (tick - longer) // gap + 1
+    if span - tick <= (longer - front) * (gap + 1):
+        return count - -(-(span - tick) // (gap + 1))
+    return (tick - front) // gap + 1
 
 
 class Switch:
