@@ -5,7 +5,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import accumulate
-from math import inf
+from math import cos, inf, radians, sin, tau
 from types import ModuleType
 from typing import Any
 
@@ -385,6 +385,68 @@ def test_a_curve_of_short_lines_takes_no_longer_but_for_its_ends() -> None:
     plain, _ = duration(limits, 0, curve)
     gentle, bench = duration(limits, 40_000.0, curve)
     assert gentle - plain <= bench.time_s + bench.slot_s * 1.01
+
+
+def polygon(length: float, lines: int) -> Any:
+    """A circle of lines."""
+
+    def program(bench: Bench) -> None:
+        radius = length * lines / tau
+        for k in range(1, lines + 1):
+            turn = tau * k / lines
+            bench.line((radius * cos(turn) - radius, radius * sin(turn), 0), 6000)
+
+    return program
+
+
+def folded(length: float, degrees: float) -> Any:
+    """A zigzag of forty lines."""
+
+    def program(bench: Bench) -> None:
+        half = radians(degrees / 2)
+        for k in range(1, 41):
+            bench.line((k * length * cos(half), length * sin(half) * (k % 2), 0), 6000)
+
+    return program
+
+
+def rounded(bench: Bench) -> None:
+    """Lines of 5 mm, and ten of 0.02 mm round each corner."""
+    x = y = 0.0
+    for k in range(12):
+        for n in range(11):
+            turn = tau / 4 * (k + n / 10)
+            way = 0.02 if n < 10 else 5.0
+            x, y = x + way * cos(turn), y + way * sin(turn)
+            bench.line((x, y, 0), 6000)
+
+
+@pytest.mark.sampled(20)
+@pytest.mark.parametrize(
+    ("program", "most"),
+    [
+        pytest.param(polygon(0.015, 900), 1.3, id="900 lines of 0.015 mm"),
+        pytest.param(polygon(0.05, 900), 1.2, id="900 lines of 0.05 mm"),
+        pytest.param(polygon(0.2, 600), 1.12, id="600 lines of 0.2 mm"),
+        pytest.param(folded(0.1, 30), 1.8, id="zigzag of 0.1 mm"),
+        pytest.param(folded(1.0, 30), 1.75, id="zigzag of 1 mm"),
+        pytest.param(folded(1.0, 90), 2.9, id="zigzag of 1 mm, right angles"),
+        pytest.param(folded(5.0, 45), 1.7, id="zigzag of 5 mm"),
+        pytest.param(rounded, 2.9, id="rounded corners"),
+    ],
+)
+def test_short_lines_take_not_much_longer(program: Any, most: float) -> None:
+    """They took 51, 2.7, 1.1, 22, 4.4, 3.6, 2.1 and 4.7 times as long: a stop at each corner."""
+    limits = Limits((80.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
+    times = []
+    for jerk in (0.0, 20_000.0):
+        bench = JerkBench(limits, (jerk,) * 3, 64)
+        program(bench)
+        bench.planner.catch_up()
+        bench.check()
+        last = bench.watch.made[-1]
+        times.append(last.start + last.ticks)
+    assert times[1] <= most * times[0]
 
 
 def test_where_the_average_would_be_too_long_acceleration_is_less() -> None:

@@ -93,7 +93,7 @@ class Jerk:
     def _replan(self) -> bool:
         """An override has changed: plan anew, where there is a limit."""
         if self._line[FILTER_TAPS]:
-            jerk_plan.reschedule(self._table, self._ring, self._flow)
+            jerk_plan.reschedule(self._table, self._ring, self._flow, self._line[layout.TAIL])
         return self._line[FILTER_TAPS] != 0
 
     def _clear(self) -> None:

@@ -18,6 +18,7 @@ in jerk_layout.py and motion/layout.py.
 import micropython
 from micropython import const
 from motion.layout import (
+    ACCEL,
     ADVANCE,
     AT,
     CARRY,
@@ -28,10 +29,13 @@ from motion.layout import (
     FRACTION,
     HEAD,
     HOLD,
+    JUNCTION_DERATE,
+    JUNCTION_SQR,
     LEFT,
     LENGTH,
     LOADED,
     MOTOR_COUNT,
+    NOMINAL_SQR,
     NOW,
     PARTIAL,
     PIECE,
@@ -40,7 +44,6 @@ from motion.layout import (
     ROOT_SCALE,
     ROW_SIZE,
     ROWS,
-    SLICE,
     SLICES,
     TAIL,
     TIME,
@@ -102,7 +105,7 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     # A part of a slot and a whole one are cut as a segment of today is; what is longer is so for
     # the sake of one step.
     flow[TIME] = 131072 if span > 131072 and span < 262144 else span
-    flow[SLICES] = int(slices(flow, table[SLICE], ring[flow[AT] + FLAGS] & DYNAMIC))
+    flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
     flow[TIME] = span
     flow[PIECE] = PIECES
     return 1
@@ -258,7 +261,7 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
             line[SLOT_DISTANCE] += int(count(line, rest))
         else:
             line[SLOT_DISTANCE] += line[PLAN_LEFT]
-            leave(line, ring)
+            leave(line, ring, table[JUNCTION_DERATE])
         most -= 1
     return 0
 
@@ -278,16 +281,33 @@ def count(line: ptr32, rest: int) -> int:
 
 
 @micropython.viper
-def leave(line: ptr32, ring: ptr32) -> int:
-    """The plan has come to the end of a block. Where the next is entered from rest, it rests."""
-    line[CARRY] = int(ratio(line[NOW], ring[line[AT] + FACTOR]))
+def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
+    """The plan has come to the end of a block. Where the next is entered from rest, it rests.
+
+    The average comes to rest if the plan rests for as long as that is over, T. With acceleration
+    a before and behind, and a rest r, it comes down to a (T - r)2 / 4T: where the corner and the
+    rates allow v, r is T (1 - root of v / (a T / 4)). gentle: T / 4, as table[GENTLE].
+    """
+    before = line[AT]
+    line[CARRY] = int(ratio(line[NOW], ring[before + FACTOR]))
     line[LOADED] = 0
     tail = line[TAIL] + 1
     if tail == line[ROWS]:
         tail = 0
     line[TAIL] = tail
-    if tail == line[HEAD] or ring[tail * line[ROW_SIZE] + ENTRY_SQR] == 0:
-        line[CARRY] = 0
-        line[RESTS] = line[FILTER_TAPS]
-        line[LEFT] = 0
+    at = tail * line[ROW_SIZE]
+    sqr = 0
+    if tail != line[HEAD]:
+        if ring[at + ENTRY_SQR]:
+            return 0
+        sqr = ring[at + JUNCTION_SQR]
+        if sqr > ring[at + NOMINAL_SQR]:
+            sqr = ring[at + NOMINAL_SQR]
+        if sqr > ring[before + NOMINAL_SQR]:
+            sqr = ring[before + NOMINAL_SQR]
+    line[CARRY] = 0
+    line[LEFT] = 0
+    least = int(product(ring[before + ACCEL], gentle, ONE))
+    part = int(square_root(int(share(int(square_root(sqr)), least)) << 12)) if sqr else 0
+    line[RESTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)  # part: in 2**-14.5
     return 0

@@ -19,4 +19,5 @@ REMAINDER = const(47)  # of the division of sums by 2 * FILTER_TAPS
 TO_GO = const(48)  # what the slot has still to go,
 TIME_LEFT = const(49)  # and for how long, in 2**-17 slot
 MADE_LEFT = const(50)  # what the block being made has still to go
-TAP_DISTANCES = const(51)  # the plan's in each of the last slots
+CHAIN = const(51)  # the main loop's: how fast, squared, the last corner of a chain may be passed
+TAP_DISTANCES = const(52)  # the plan's in each of the last slots
