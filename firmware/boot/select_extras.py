@@ -32,6 +32,7 @@ _ORDER = (
     ("LIMIT", "motors.shared_limits"),
     ("TMC2209", "motors.tmc2209"),  # after all that moves: what drivers feel of it
     ("JERK", "motors.jerk"),
+    ("ARC_ACCELERATION", "motors.arc_limit"),
     ("TOOL", ""),  # a laser's part in each segment comes after that of jerk
     ("CLUSTERS", "tools.clusters"),
     ("COUNT_DRAINS", "underruns"),

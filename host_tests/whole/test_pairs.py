@@ -44,6 +44,7 @@ _ASKED: "dict[str, dict[str, Any]]" = {
     "motors.shared_limits": {"shared": True},
     "motors.tmc2209": {"drivers": True},
     "motors.jerk": {"JERK": True, "defaults": {800: 5000.0, 801: 5000.0, 802: 5000.0}},
+    "motors.arc_limit": {"ARC_ACCELERATION": True},
     "tools.laser": {"TOOL": "laser"},
     "tools.punch": {"TOOL": "punch"},
     "tools.clusters": {"TOOL": "laser", "CLUSTERS": True},

@@ -1,0 +1,48 @@
+"""Arcs within the acceleration of their axes, where a board asks for it; as Grbl's elsewhere."""
+
+from types import ModuleType
+
+import pytest
+from laws import check_segments
+from rig_bench import Machine
+from ugrbl.boardfile.files import load_board
+
+# Corners may be taken five times as fast, by acceleration, as chords are off the arc.
+_SETTINGS = {
+    11: 0.01,
+    12: 0.002,
+    110: 9000.0,
+    111: 9000.0,
+    112: 9000.0,
+    120: 200.0,
+    121: 300.0,
+    122: 300.0,
+}
+
+
+def highest(line: str, limited: bool, settings: "dict[int, float] | None" = None) -> float:
+    """The highest speed that a machine comes to in a line, in mm/s."""
+    board = ModuleType("board")
+    vars(board).update(vars(load_board("sim")), ARC_ACCELERATION=limited)
+    machine = Machine({**_SETTINGS, **(settings or {})}, board)
+    machine.play([line])
+    check_segments(machine.watch)
+    return max(piece.mean for piece in machine.watch.pieces)
+
+
+@pytest.mark.parametrize("radius", [0.5, 2.0, 9.0])
+@pytest.mark.parametrize("words", ["G2", "G3", "G2Z-1", "G93G2"])
+def test_an_arc_pulls_no_more_than_its_axes(radius: float, words: str) -> None:
+    way = f"{words}X{2 * radius}I{radius}F9000"
+    allowed = (200 * radius) ** 0.5
+    assert highest(way, False) > 1.4 * allowed
+    assert highest(way, True) == pytest.approx(allowed, rel=0.02)
+
+
+def test_the_weaker_axis_of_the_plane_counts() -> None:
+    assert highest("G19G2Y8J4F9000", True, {122: 50.0}) == pytest.approx(200**0.5, rel=0.02)
+
+
+@pytest.mark.parametrize("line", ["G2X8I4F600", "G1X30F3000", "G0X30"])
+def test_what_is_slow_or_straight_is_as_ever(line: str) -> None:
+    assert highest(line, True) == highest(line, False)

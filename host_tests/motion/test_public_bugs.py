@@ -1,0 +1,132 @@
+"""Programs like those that other controllers' planners went wrong at, written anew.
+
+Each is named for what went wrong there. All laws hold of all of them, on all engines, with jerk
+limited and without: speed and acceleration of every axis, corners, steps, pulses; braking for the
+end of each block, and that lines are kept to.
+"""
+
+from collections.abc import Iterator
+from itertools import groupby, pairwise
+from math import ceil, cos, pi, sin
+from typing import Any
+
+import pytest
+from laws import Bench, Limits, off_line, pulses
+from motion.layout import ROW_TICKS
+from rig_bench import Machine
+from test_braking import ENGINES, FASTEST_HZ
+from test_jerk import JerkBench
+
+Place = tuple[float, ...]
+
+# Some of them in the first ring.
+pytestmark = pytest.mark.sampled(10)
+
+# How fast an engine makes steps, at most, in steps/mm of the machine.
+_PER_MM = {"sim": 400.0, "pio": 400.0, "i2s": 80.0, "rmt": 26.667}
+
+
+def arc(radius: float, start: float, sweep: float, rise: float = 0.0) -> "list[Place]":
+    """Chords of an arc about 0, each 0.01 mm off it at the most; angles are parts of a turn."""
+    chords = max(ceil(abs(sweep) * pi * radius / (0.01 * (2 * radius - 0.01)) ** 0.5), 1)
+    angles = [2 * pi * (start + sweep * k / chords) for k in range(1, chords + 1)]
+    places = zip(angles, range(1, chords + 1), strict=True)
+    return [(radius * cos(a), radius * sin(a), rise * k / chords) for a, k in places]
+
+
+def joined_arcs() -> "Iterator[Place]":
+    """Half circles of 4 mm and less, one into the next."""
+    x = 0.0
+    for k, radius in enumerate((4.0, 2.0, 4.0, 0.5, 1.0, 0.25, 3.0)):
+        way = 1 if k % 2 else -1
+        for a, b, _ in arc(radius, 0.5, -0.5 * way):
+            yield x + radius + a, b, 0.0
+        x += 2 * radius
+
+
+def stairs() -> "Iterator[Place]":
+    for k in range(40):
+        yield (k // 2 + k % 2) * 0.0125, k // 2 * 0.0125, 0.0
+
+
+# What went wrong; the lines; their feed in mm/min.
+PROGRAMS: "dict[str, tuple[list[Place], float]]" = {
+    # LinuxCNC 3773: up to 8 times the acceleration where small arcs were blended.
+    "acceleration overshot between small arcs": (list(joined_arcs()), 6000),
+    # LinuxCNC 4539: braking began too late, and the speed left was dropped at once.
+    "speed left at a line's end": ([(30, 0, 0), (30.02, 0, 0), (30.02, 5, 0), (0, 5.1, 0)], 9000),
+    # LinuxCNC 550: a line of next to no length, and another axis that has a long way in it.
+    "an axis with a long way beside axes with none": (
+        [(2, 2, 1), (2.0001, 2.0001, 40), (0, 0, 0)],
+        9000,
+    ),
+    # LinuxCNC 426: a pause where a helix goes on as arcs.
+    "a pause behind a helix": (
+        [*arc(6, 0, 1, -2), *((x, y, -2) for x, y, _ in [*arc(6, 0, 0.5), *arc(6, 0.5, 0.5)])],
+        1500,
+    ),
+    "a helix faster than its slowest axis": (arc(2, 0, 3, 24), 9000),
+    # A corner of so small an angle that an axis' jump of speed was overlooked.
+    "nearly straight corners": ([(2.0 * k, 0.02 * (k % 2), 0) for k in range(1, 12)], 9000),
+    "a nearly straight corner into a slow axis": ([(20, 0, 0), (40, 0, 0.4), (60, 0, 0)], 9000),
+    "lines shorter than what a segment takes": (
+        [(0.02 * k, 0.003 * k * k, 0) for k in range(1, 60)],
+        3000,
+    ),
+    "lines of a step": (list(stairs()), 3000),
+    "one step in the middle of long lines": ([(20, 0, 0), (20, 0.0376, 0), (40, 0.0376, 0)], 9000),
+    "back by a step": ([(10, 0, 0), (9.96, 0, 0), (20, 0, 0), (20.04, 0, 0), (0, 0, 0)], 9000),
+    # Marlin 2384: a line into a large arc began with a jolt.
+    "a jolt from a line into an arc": ([(19, 0, 0), (20, 0, 0), *arc(20, 0, 0.3)], 6000),
+}
+
+
+def bench(engine: str, jerk: float) -> Bench:
+    per_mm = _PER_MM[engine]
+    limits = Limits(
+        (per_mm, per_mm, 2.5 * per_mm), (9000.0, 9000.0, 1500.0), (800.0, 800.0, 150.0)
+    )
+    limits.step_hz = FASTEST_HZ
+    return JerkBench(limits, (jerk, jerk, jerk / 4), 16, *ENGINES[engine])
+
+
+@pytest.mark.parametrize("jerk", [0.0, 20_000.0], ids=["no limit", "jerk limited"])
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_what_went_wrong_elsewhere_keeps_every_law(name: str, engine: str, jerk: float) -> None:
+    lines, feed = PROGRAMS[name]
+    made: Any = bench(engine, jerk)
+    for place in lines:
+        made.line(place, feed)
+    made.planner.catch_up()
+    made.check()
+    assert made.watch.pieces[-1].ends_block
+    for _, row in groupby(made.watch.made, lambda segment: segment.block):
+        rows = [(segment.start, segment.row) for segment in row]
+        assert off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)]) <= 1.05
+
+
+def test_no_line_of_a_helix_and_its_arcs_is_a_stop() -> None:
+    lines, feed = PROGRAMS["a pause behind a helix"]
+    made = bench("sim", 0.0)
+    for place in lines:
+        made.line(place, feed)
+    made.finish()
+    ends = [piece.speed for piece in made.watch.pieces if piece.ends_block]
+    assert min(ends[3:-3]) > 0.2 * feed / 60
+
+
+@pytest.mark.parametrize("line", ["G1X{x}S{s}", "S{s}G1X{x}", "M3G1X{x}S{s}F6000", "{g}X{x}S{s}"])
+@pytest.mark.parametrize(("laser_mode", "stops"), [(1, 0), (0, 60)])
+def test_a_raster_stops_for_its_powers_where_grbl_does(
+    line: str, laser_mode: int, stops: int
+) -> None:
+    """In M3 a line's S is its block's in laser mode; else the spindle changes at rest."""
+    machine = Machine({1: 255, 32: laser_mode, 110: 6000, 111: 6000, 120: 1000, 121: 1000})
+    raster = [
+        line.format(x=f"{k / 10:.1f}", s=k * 37 % 1000, g="G0" if k % 2 else "G1")
+        for k in range(1, 61)
+    ]
+    machine.play(["M3S10", "G1X0F6000", *raster, "M5"])
+    ends = pairwise((start, start + row[ROW_TICKS]) for start, row in machine.rows)
+    assert sum(start > end for (_, end), (start, _) in ends) + (1 if stops else 0) == stops
