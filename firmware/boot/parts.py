@@ -165,7 +165,7 @@ _ENGINES: "dict[str, Engine]" = {
         ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS"),
         ("I2S",),  # motors are behind shift registers, whose outputs have numbers of their own
         41_666,
-        (("ESP32", (1, 23), "compiled modules of today's kind"),),
+        (("ESP32", (1, 27), "a firmware that was tried with none before"),),
     ),
 }
 # What a board file calls LINK: who makes it.

@@ -13,7 +13,7 @@ from boot import parts
         ("pio", "Raspberry Pi Pico with RP2040", (1, 26)),
         ("pio", "Raspberry Pi Pico2 with RP2350", (1, 27)),
         ("rmt", "Generic ESP32S3 module with ESP32S3", (1, 27)),
-        ("i2s", "Generic ESP32 module with ESP32", (1, 23)),
+        ("i2s", "Generic ESP32 module with ESP32", (1, 27)),
     ],
 )
 def test_an_engine_is_refused_below_its_version_and_not_from_there_on(

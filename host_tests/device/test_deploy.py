@@ -489,8 +489,8 @@ def test_another_board_file_is_put_in_the_place_of_one_that_was_deployed(
     [
         (PICO._replace(mpy=0x1F06), "armv7emsp \\(RP2350\\); the board file is for", "--board"),
         (PICO._replace(mpy=0x2B06), "xtensawin \\(ESP32 or ESP32S3\\)", "--board"),
-        (PICO._replace(mpy=0x1206), "version 6.2, and mpy-cross makes 6.3", "1.23 or newer"),
-        (PICO._replace(mpy=0x1305), "version 5.3, and mpy-cross makes 6.3", "1.23 or newer"),
+        (PICO._replace(mpy=0x1206), "version 6.2, and mpy-cross makes 6.3", "MicroPython 1.28"),
+        (PICO._replace(mpy=0x1305), "version 5.3, and mpy-cross makes 6.3", "MicroPython 1.28"),
         (PICO._replace(mpy=0), "takes no compiled files", "official MicroPython"),
     ],
 )

@@ -25,7 +25,7 @@ from ugrbl.image.file_system import make as sectors_of
 _QEMU = "UGRBL_QEMU_ESP32"
 IMAGE = "UGRBL_ESP32_BIN"
 _IMAGE_AT, _FILES_AT, _FLASH = 0x1000, 0x200000, 4 << 20
-_PATIENCE_S = 120.0
+_PATIENCE_S = 600.0  # on a computer with other work to do
 # An instruction takes 4 ns, as at 240 MHz.
 _CLOCK = "shift=2,align=off,sleep=off"
 

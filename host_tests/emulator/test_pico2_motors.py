@@ -18,7 +18,7 @@ STEP = tuple(range(2, 10))
 DIR = tuple(range(10, 18))
 LIMIT = (19, 20, 21, 0, 1, 28)
 _MOTORS = "XYZABCXY"
-_PINS = """
+PINS = """
 MOTORS = "{motors}"
 STEP = {step}
 DIR = {dir}
@@ -40,7 +40,7 @@ class Machine:
         limit = LIMIT[: len(self.axes)]
         pins = {"motors": self.motors, "step": STEP[:motors], "dir": DIR[:motors], "limit": limit}
         file = folder / f"pico2_{motors}.py"
-        file.write_text(BOARD_FILE.read_text("utf-8") + _PINS.format(**pins), "utf-8")
+        file.write_text(BOARD_FILE.read_text("utf-8") + PINS.format(**pins), "utf-8")
         self.board = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
         for pin in (*limit, 22):
             self.board.pico.drive(pin, 1)

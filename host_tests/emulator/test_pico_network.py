@@ -142,7 +142,7 @@ machine = power_up.run_machine(power)
 
 
 _SAYS = [(0, b"G1X1F600\n"), (1, b"$NET/KEY=23456789\n"), (2, b"G1X2F600\n")]
-_ASKS = [
+ASKS = [
     (b".", request("/1")),
     (b" 200 OK", request("/ws", **WS_UPGRADE)),
     (b"Grbl 1.1h", frame("$NET/KEY=2345", last=False) + frame("6789\n", 0)),
@@ -178,7 +178,7 @@ def with_page(uf2: Path) -> Board:
     made = build.compile_all(described.MPY_ARCH, described)
     text = (BOARDS / "pico_w_wifi.py").read_bytes() + b"PAGE = True\n"
     files = {**files_of("pico_w_wifi"), **made.files, **page_files.made(), "board.py": text}
-    return started(uf2, files, f"socket.asks += {_ASKS}")
+    return started(uf2, files, f"socket.asks += {ASKS}")
 
 
 def test_who_calls_drives_with_the_key_and_memory_is_left(machine: Board) -> None:

