@@ -11,7 +11,7 @@ VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 EMULATOR := .venv/emulator/compiled
 
-.PHONY: run test first-ring test-all mutants check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
+.PHONY: release-files release-dry run test first-ring test-all mutants check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
 
 run: $(PROGRAM)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -49,6 +49,12 @@ deploy: $(VENV)  ## firmware for BOARD onto the board at PORT, or at the only on
 
 dist: $(VENV)  ## the package, with the firmware compiled for every chip, into dist/
 	$(BIN)/python -m build --no-isolation
+
+release-files: dist  ## what a release VERSION has besides images, into dist/
+	$(BIN)/python -m ugrbl.image.release dist $(VERSION)
+
+release-dry: $(VENV)  ## a release as far as it needs no network and no tag, into dist/
+	$(MAKE) release-files VERSION=
 
 compiled-emulator: $(EMULATOR)  ## the emulated Pico three times as fast, where there is a C compiler
 

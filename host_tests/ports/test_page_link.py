@@ -8,9 +8,8 @@ from net_bench import HOST, KEY
 from page_bench import BINARY, CLOSE, MASK, PING, PONG, TEXT, WS_UPGRADE, PageBench, frame, request
 from ports.net.page import PIECE
 from ugrbl.compiling import page_files
-from ugrbl.paths import TOOLS
 
-WHOLE = (TOOLS / "web" / "page" / "index.html").read_bytes()
+WHOLE = page_files.page(from_board=True).encode()
 
 
 @pytest.fixture

@@ -18,11 +18,16 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from socket import SHUT_RDWR
+from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from as_users import as_users
+from ugrbl.compiling import page_files
 
-PAGE = Path(__file__).parent.parent.parent / "tools" / "web" / "page" / "index.html"
+# As somebody saves it, `ugrbl web --save`.
+_FOLDER = TemporaryDirectory(prefix="ugrbl-page-")
+PAGE = Path(_FOLDER.name) / "ugrbl.html"
+PAGE.write_text(page_files.page(), encoding="utf-8")
 _GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455
 _TEXT, _BINARY, _CLOSE = 1, 2, 8
 _PATIENCE_S = 20.0
@@ -33,10 +38,11 @@ _REPORT = re.compile(rb"<(\w+)[^|>]*\|MPos:([^|>]*)[^>]*?\|FS:(\d+)[^>]*>")
 class Machine:
     """`ugrbl sim --stdio` of its own; all that went in and came out is kept."""
 
-    def __init__(self, settings: Path, *options: str) -> None:
-        command = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--settings"]
+    def __init__(self, settings: Path, *options: str, command: "list[str] | None" = None) -> None:
+        """command: of another simulator, in place of all that."""
+        usual = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--settings", str(settings)]
         self.process = subprocess.Popen(
-            [*command, str(settings), *options],
+            command or [*usual, *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=as_users(),
@@ -101,6 +107,10 @@ class Machine:
         while words not in self.said:
             assert time.monotonic() < until, f"never {words!r}"
             time.sleep(0.05)
+
+    def is_new(self) -> bool:
+        """Nobody has used it yet."""
+        return not self.sent and self.process.poll() is None
 
     def close(self) -> None:
         self.process.kill()

@@ -6,6 +6,7 @@ import re
 
 from bridge import PAGE
 from ugrbl import paths
+from ugrbl.compiling import page_files
 from ugrbl.docs import browser
 from ugrbl.grbl.comments import setting_comments
 
@@ -14,8 +15,15 @@ WORDS = json.loads(re.search(r'id="words">(.*?)</script>', TEXT, re.DOTALL)[1])
 EXTRAS = paths.FIRMWARE / "extras"
 
 
-def test_it_is_small_enough_for_a_board_to_serve():
-    assert len(gzip.compress(PAGE.read_bytes())) < 60_000
+def test_it_is_small_and_smaller_where_a_board_serves_it():
+    assert len(gzip.compress(PAGE.read_bytes())) < 110_000
+    assert len(page_files.made()["page.gz"]) < 60_000
+
+
+def test_a_board_serves_nothing_that_needs_its_usb_port():
+    text = page_files.page(from_board=True)
+    assert 'data-step-panel="guide"' in text and "class Prompt" not in text
+    assert not re.findall(r"<!-- part|board_data|data-step-panel=\"pins", text)
 
 
 def test_nothing_comes_from_elsewhere():
@@ -27,7 +35,8 @@ def test_text_goes_in_as_text():
 
 
 def test_its_words_are_the_firmwares_own():
-    assert browser.update(TEXT) == TEXT, "make docs"
+    source = browser.PAGE.read_text(encoding="utf-8")
+    assert browser.update(source) == source, "make docs"
     assert {"errors", "alarms", "settings", "punch", "laser"} == set(WORDS)
 
 

@@ -101,6 +101,16 @@ def jog_to_the_corner(person: Visitor) -> None:
     person.rests_at(0, 0, 0)
 
 
+def test_pins_are_chosen_at_a_drawing_without_a_board(visit: Visit) -> None:
+    person = visit(viewport={"width": 1200, "height": 1000})
+    person.click("#tabs [data-tab=setup]")
+    person.click("#setup-steps [data-step=board]")
+    person.click("#board-cards b:text-is('pico_gantry')")
+    person.reads("#pins-says", "No rule is broken")
+    assert person.page.input_value("#pin-19") == "STEP 3"
+    keep(person, "page_pins.png")
+
+
 def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: Web) -> None:
     person = visit()
     person.sees("Alarm")

@@ -146,3 +146,12 @@ def test_without_a_board_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> 
     done = CliRunner().invoke(app, ["web", "--no-browser", "--http", "0"])
     assert done.exit_code == 1
     assert "no controller is plugged in" in done.output and "--sim" in done.output
+
+
+def test_the_page_is_saved_for_a_browser_without_a_server(tmp_path: Path) -> None:
+    file = tmp_path / "ugrbl.html"
+    command = [sys.executable, "-m", "ugrbl.cli", "web", "--save", str(file)]
+    done = subprocess.run(command, env=as_users(), capture_output=True, text=True, check=True)
+    assert f"written: {file}" in done.stdout
+    text = file.read_text(encoding="utf-8")
+    assert "<!-- part" not in text and "class Prompt" in text

@@ -20,7 +20,7 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "replay": ("boardfile", "compiling"),
     "device": ("grbl", "boardfile", "compiling", "run"),
     "image": ("boardfile", "compiling", "run", "device"),
-    "web": ("grbl", "sim", "run", "draw", "device"),
+    "web": ("grbl", "sim", "run", "draw", "compiling", "device"),
     "docs": ("grbl", "boardfile", "replay"),
 }
 ROOMS["cli"] = tuple(ROOMS)

@@ -40,7 +40,7 @@ _OTHERS = {
 }
 
 # Of an RP2350, which has pulses for one more.
-_MOST_BESIDE_BEAM = 7
+MOST_BESIDE_BEAM = 7
 
 # Pins of an SPI: what is left by 4 of its clock, what it sends at, what it reads at; by turns one
 # SPI has so many of them, and the other.
@@ -50,15 +50,16 @@ _SPI_LOG2 = 3
 
 def problems(board: ModuleType) -> list[str]:
     """Every problem in words: what and why. None for a good board."""
-    values = [*_values(board), *_unknown(board), *_page(board)]
+    values = [*_values(board), *_unknown(board), *_network(board)]
     if is_simulated(board):
         return values or list(_firmware(board))
     found = list(_missing(board)) or list(_parts(board)) or list(_kinds(board))
     if found:
         return found
     check = _inputs if _has_registers(board) else _pins
-    pins = min((list(check(board, chip)) for chip in _chips(board)), key=len)
-    return [*pins, *_wires(board), *_card(board), *(values or _firmware(board)), *_defaults(board)]
+    pins = min((list(check(board, chip)) for chip in chips_of(board)), key=len)
+    rest = values or (() if pins else _firmware(board))  # which takes pins for granted
+    return [*pins, *_wires(board), *_card(board), *rest, *_defaults(board)]
 
 
 def notes(board: ModuleType) -> list[str]:
@@ -66,7 +67,7 @@ def notes(board: ModuleType) -> list[str]:
     if is_simulated(board):
         return []
     check = _inputs if _has_registers(board) else _pins
-    chip = min(_chips(board), key=lambda chip: len(list(check(board, chip))))
+    chip = min(chips_of(board), key=lambda chip: len(list(check(board, chip))))
     behind = ("STEP", "DIR", "ENABLE") if _has_registers(board) else ()
     held = [(name, pin) for name, pins in _held(board) for pin in pins if name not in behind]
     odd = [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
@@ -93,7 +94,8 @@ def _has_registers(board: ModuleType) -> bool:
     return "STEP" not in engines()[board.ENGINE].pins
 
 
-def _chips(board: ModuleType) -> list[Chip]:
+def chips_of(board: ModuleType) -> list[Chip]:
+    """The chip that it names; else those that it may be on."""
     return [CHIPS[board.CHIP]] if hasattr(board, "CHIP") else on_their_own(board.MPY_ARCH)
 
 
@@ -114,8 +116,8 @@ def _parts(board: ModuleType) -> Iterator[str]:
     engine = engines()[board.ENGINE]
     if not any(engine.runs_on(chip.processor) for chip in on_their_own(board.MPY_ARCH)):
         yield f"ENGINE {board.ENGINE!r} does not run on MPY_ARCH {board.MPY_ARCH!r}"
-    elif board.MPY_ARCH != _chips(board)[0].mpy_arch:
-        yield f"CHIP {board.CHIP!r} has MPY_ARCH {_chips(board)[0].mpy_arch!r}"
+    elif board.MPY_ARCH != chips_of(board)[0].mpy_arch:
+        yield f"CHIP {board.CHIP!r} has MPY_ARCH {chips_of(board)[0].mpy_arch!r}"
 
 
 def _problem(board: ModuleType, name: str) -> str:
@@ -282,8 +284,8 @@ def _wires(board: ModuleType) -> Iterator[str]:
     has_power = getattr(board, "SPINDLE_PWM", None) is not None
     if getattr(board, "TOOL", "spindle") == "laser" and not has_power:
         yield "TOOL = laser: there is no pin for SPINDLE_PWM"
-    if getattr(board, "TOOL", "spindle") == "laser" and len(board.STEP) > _MOST_BESIDE_BEAM:
-        yield f"TOOL = laser: its beam takes what a motor takes, and leaves {_MOST_BESIDE_BEAM}"
+    if getattr(board, "TOOL", "spindle") == "laser" and len(board.STEP) > MOST_BESIDE_BEAM:
+        yield f"TOOL = laser: its beam takes what a motor takes, and leaves {MOST_BESIDE_BEAM}"
     for name in getattr(board, "INVERT", ()):
         if name in INVERTIBLE and getattr(board, name, None) is None:
             yield f"INVERT: there is no pin for {name}"
@@ -293,14 +295,16 @@ def _wires(board: ModuleType) -> Iterator[str]:
             yield f"CONTROL_INVERT: there is no pin for {name}, and open means pressed"
 
 
-def _page(board: ModuleType) -> Iterator[str]:
-    """Where the page cannot be served."""
-    if getattr(board, "PAGE", None) is not True:
-        return
-    if getattr(board, "MPY_ARCH", "") == TOO_SMALL:
+def _network(board: ModuleType) -> Iterator[str]:
+    """Where the page cannot be served, or there is no network at all."""
+    chip, link = CHIPS.get(getattr(board, "CHIP", "")), getattr(board, "LINK", "")
+    page = getattr(board, "PAGE", None) is True
+    if page and getattr(board, "MPY_ARCH", "") == TOO_SMALL:
         yield NO_PAGE
-    elif getattr(board, "LINK", "") not in WIRELESS.values():
+    elif page and link not in WIRELESS.values():
         yield 'PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'
+    elif chip and not chip.radio and link in WIRELESS.values():
+        yield f"LINK: {chip.title} has no radio"
 
 
 def _card(board: ModuleType) -> Iterator[str]:

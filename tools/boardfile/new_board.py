@@ -7,7 +7,7 @@ from typing import NamedTuple
 from .. import paths
 from ..sim import motor_names
 from . import engines
-from .chips import CHIPS, Chip, on_their_own
+from .chips import CHIPS, Chip
 
 FEWEST_AXES = 3
 
@@ -45,9 +45,9 @@ ITEMS = (
 # These stand together in the file, None where there is no such input.
 CONTROLS = ("RESET", "HOLD", "START", "DOOR")
 # Steps, and inputs that are looked at all at once: not every pin will do (Chip.last_quick).
-_QUICK = ("STEP", "DIR", "LIMIT", "PROBE", *CONTROLS)
+QUICK = ("STEP", "DIR", "LIMIT", "PROBE", *CONTROLS)
 # What a pin brings with it.
-_SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
+SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
 BY_NAME = {item.name: item for item in ITEMS}
 
 
@@ -93,9 +93,7 @@ class Board:
     def text(self) -> str:
         """The board file."""
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]
-        if not any(self.chip.pins <= one.pins for one in on_their_own(self.chip.mpy_arch)):
-            # It is not what a board file is measured by that does not say.
-            lines += [f'CHIP = "{name}"' for name, one in CHIPS.items() if one is self.chip]
+        lines += [f'CHIP = "{name}"' for name, one in CHIPS.items() if one is self.chip]
         lines += [f'MPY_ARCH = "{self.chip.mpy_arch}"', f'ENGINE = "{self.chip.engine}"']
         link = engines.WIRELESS[self.chip.link] if self.network else self.chip.link
         lines += [f'LINK = "{link}"', *(["PAGE = True"] if self.page else []), ""]
@@ -110,7 +108,7 @@ class Board:
                 value = _tuple(pins) if item.per_axis else str(pins[0])
                 lines.append(f"{item.name} = {value}  # {item.question}")
         lines += [
-            f"{option} = True" for name, option in _SWITCHED_ON.items() if self.pins.get(name)
+            f"{option} = True" for name, option in SWITCHED_ON.items() if self.pins.get(name)
         ]
         if bare := sorted(pin for pin, _ in self.wiring() if pin in self.chip.inputs_only):
             lines.append(f"NO_PULL_UP = {_tuple(bare)}  # resistors to 3.3 V do it")
@@ -187,7 +185,7 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
             continue
         if pin not in board.chip.pins:
             raise BoardError(f"{item.name}: {board.chip.title} has no pin {pin} to connect to")
-        if item.name in _QUICK and pin > board.chip.last_quick:
+        if item.name in QUICK and pin > board.chip.last_quick:
             raise BoardError(
                 f"{item.name}: pin {pin} cannot do it: steps, directions, limits, probe and "
                 f"buttons have to be pins up to {board.chip.last_quick}"

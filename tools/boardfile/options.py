@@ -345,6 +345,10 @@ OPTIONS = (
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
     ),
     Option(
+        *("ARC_ACCELERATION", SWITCH, False),
+        "Arcs are no faster than `$120` and on allow on their radius: see docs/motors.md.",
+    ),
+    Option(
         *("BACKLASH", SWITCH, False),
         "Slack is taken up where an axis turns round, by $160 and on: see docs/motors.md.",
     ),

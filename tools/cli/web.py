@@ -14,7 +14,9 @@ from typing import Annotated
 
 import typer
 
+from .. import paths
 from ..boardfile.files import load_board
+from ..compiling import page_files
 from ..device.connection import BAUD, SendError
 from ..run import machine
 from .outputs import examples, failed
@@ -25,6 +27,7 @@ EXAMPLES = examples(
     "ugrbl web --port /dev/ttyACM0",
     "ugrbl web --sim",
     "ugrbl web --host 0.0.0.0 --no-browser",
+    "ugrbl web --save ugrbl.html",
 )
 
 
@@ -63,6 +66,10 @@ def command(
         int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of it; 0: any.")
     ] = 8010,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the page there, to open from disk; no server."),
+    ] = None,
 ) -> None:
     """Serve a page that jogs the machine and sends jobs.
 
@@ -70,6 +77,10 @@ def command(
     printed, with its token, can move the machine. Ctrl-C ends it; a machine at work is held.
     """
     try:
+        if save:
+            paths.write(save, page_files.page().encode())
+            print(f"written: {save}; open it in Chrome or Edge")
+            return
         options = Options(port, baud, sim, board, settings, host, http, browser)
         _check(options)
         asyncio.run(_serve(options))

@@ -58,7 +58,7 @@ PICTURES = (
 
 
 # By host_tests/web/test_served_page.py.
-OF_THE_PAGE = ("page.png", "page_phone.png")
+OF_THE_PAGE = ("page.png", "page_phone.png", "page_pins.png")
 
 
 def draw(picture: Picture, file: Path) -> None:

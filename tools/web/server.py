@@ -3,11 +3,10 @@
 import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from pathlib import Path
 
 from aiohttp import WSMessage, WSMsgType, web
 
-from .. import paths
+from ..compiling import page_files
 from ..run.tcp_link import why_not
 from .access import Access
 from .board_link import BoardLink, Source
@@ -16,7 +15,6 @@ from .preview import PROGRAM_BYTES
 from .preview_queue import LONGEST_S, PreviewQueue
 from .shared_job import program_of
 
-PAGE = paths.TOOLS / "web" / "page" / "index.html"
 # JSON doubles what it has to escape, and settings come along.
 _BODY_BYTES = 2 * PROGRAM_BYTES + (1 << 20)
 _MESSAGE_BYTES = 1 << 20
@@ -38,12 +36,10 @@ class Server:
         access: Access,
         board: str,
         log: Callable[[str], None],
-        page: Path = PAGE,
         longest_s: float = LONGEST_S,
     ) -> None:
         self._access = access
         self._log = log
-        self._page = page
         self._loop = asyncio.get_running_loop()
         self._link = BoardLink(source, self._heard, self._changed, self._log_from_thread)
         self._hub = Hub(self._link, log)
@@ -107,9 +103,9 @@ class Server:
 
     async def _get_page(self, request: web.Request) -> web.StreamResponse:
         try:
-            text = self._page.read_text(encoding="utf-8")
-        except FileNotFoundError:
-            return _sentence(404, f"the page is missing, {self._page}: install ugrbl anew")
+            text = page_files.page()
+        except FileNotFoundError as error:
+            return _sentence(404, f"the page is missing, {error.filename}: install ugrbl anew")
         # Nobody else's page may hold ours in a frame and have its buttons clicked unseen.
         sources = f"default-src 'self' 'unsafe-inline' data: blob:; connect-src 'self' ws://{request.host}"
         return web.Response(

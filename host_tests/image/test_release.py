@@ -1,0 +1,78 @@
+"""A release, all of it that needs no network: the files that are made, and who names them."""
+
+import hashlib
+import io
+import json
+import re
+import zipfile
+from pathlib import Path
+
+import pytest
+from ugrbl import __version__, paths
+from ugrbl.boardfile.files import board_file
+from ugrbl.compiling import build, page_files
+from ugrbl.image import release
+
+_ROOT = Path(__file__).parents[2]
+_WORKFLOW = (_ROOT / ".github" / "workflows" / "release.yml").read_text()
+_WIZARD = (paths.TOOLS / "web" / "page" / "board_wizard.js").read_text(encoding="utf-8")
+
+
+def test_a_dry_run_makes_all_that_needs_no_network(tmp_path: Path) -> None:
+    image = tmp_path / "ugrbl-dry-RPI_PICO.uf2"
+    image.write_bytes(b"image")
+    release.make("", tmp_path, ["rpi_pico", "esp32_devkit"])
+    assert (tmp_path / "ugrbl.html").read_text(encoding="utf-8") == page_files.page()
+    sums = dict(
+        reversed(row.split("  ")) for row in (tmp_path / "SHA256SUMS").read_text().splitlines()
+    )
+    zips = {f"ugrbl-dry-{name}.zip" for name in ("rpi_pico", "esp32_devkit")}
+    assert set(sums) == {image.name, "ugrbl.html", *zips}
+    for name, checksum in sums.items():
+        assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == checksum
+    assert (tmp_path / "notes" / "notes.md").read_text().startswith("### Added")
+
+
+def test_a_zip_is_what_mip_installs_and_the_same_each_time() -> None:
+    data = release.board_zip("rpi_pico")
+    assert data == release.board_zip("rpi_pico")
+    made = build.for_board(board_file("rpi_pico"))
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        listed = json.loads(packed.read("rpi_pico/package.json"))["urls"]
+        assert {path for path, _ in listed} == set(made.files)
+        assert {path: packed.read(f"rpi_pico/{path}") for path in made.files} == made.files
+
+
+def test_a_tag_is_the_version_and_has_its_notes() -> None:
+    newest = "# Changelog\n\n## [Unreleased]\n\n## [0.2.0] - 2027-01-01\n\n- New.\n"
+    changelog = newest + "\n## [0.1.0]\n\n- Old.\n"
+    assert release.notes(changelog, "v0.2.0") == "- New.\n"
+    assert release.notes(changelog, "v0.1.0") == "- Old.\n"
+    for tag in ("", "v0.3.0"):
+        with pytest.raises(release.ReleaseError, match="has nothing under"):
+            release.notes(changelog, tag)
+    release.check_version(f"v{__version__}")
+    with pytest.raises(release.ReleaseError, match="make them one"):
+        release.check_version("v99.0")
+
+
+def test_nothing_is_written_where_it_cannot_be_released(tmp_path: Path) -> None:
+    with pytest.raises(release.ReleaseError):
+        release.make("v99.0", tmp_path, ["rpi_pico"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_page_and_the_readme_name_the_images_that_the_workflow_makes() -> None:
+    made = set(re.findall(r"board: (RPI_\w+)", _WORKFLOW))
+    assert set(re.findall(r'"(RPI_\w+)"', _WIZARD)) == made
+    assert "ugrbl-$GITHUB_REF_NAME-${{ matrix.board }}.uf2" in _WORKFLOW
+    assert "ugrbl-…-${IMAGES[name]}.uf2" in _WIZARD
+    for board in re.findall(r"file: (\w+)", _WORKFLOW):
+        assert board_file(board).is_file()
+
+
+def test_the_workflow_makes_its_files_as_the_dry_run_does() -> None:
+    makefile = (_ROOT / "Makefile").read_text()
+    assert "make release-files VERSION=$GITHUB_REF_NAME" in _WORKFLOW
+    assert "--notes-file dist/notes/notes.md" in _WORKFLOW
+    assert re.search(r"^release-dry: .*\n\t\$\(MAKE\) release-files", makefile, re.MULTILINE)

@@ -1,0 +1,189 @@
+"""The page's rules for board files are those of Python: random boards, judged by both."""
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bridge import PAGE
+from browser import browser
+from ugrbl.boardfile import board_check, new_board, page_data
+from ugrbl.boardfile.chips import CHIPS
+from ugrbl.boardfile.files import boards, load, load_board
+from ugrbl.boardfile.modules import module
+from ugrbl.boardfile.new_board import ITEMS, Board
+from ugrbl.boardfile.options import BY_NAME, COUNT, NAMES, SWITCH, WORD
+
+pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
+
+_COUNT = 1000
+_MOTORS = (*("", "XYZ", "XYZY", "XYZA", "XYZXY", "XYZAB") * 3, "XYY", "XYZYY", "XZY")
+_ROTARY = (*("",) * 20, "A", "B", "AA", "X", "AC")
+_HOMING = (*((), ("Z", "XY"), ("Z", "X", "Y")) * 3, ("Z", "Z"), ("Q",), tuple("XYZABCX"))
+_FORMS = [name for names in page_data.FORMS.values() for name in names]
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Any]:
+    with browser() as opened:
+        made = opened.new_page()
+        made.goto(PAGE.as_uri())
+        yield made
+
+
+def _pins(chip: str, rng: random.Random, count: int, fresh: list[int]) -> list[Any]:
+    """Mostly pins that are free; now and then one that cannot be, or is in use."""
+    odd = [rng.choice((0, 23, 25, 29, 34, 40, 50)), rng.choice(sorted(CHIPS[chip].pins))]
+    return [
+        rng.choice(odd) if rng.random() < 0.01 or not fresh else fresh.pop() for _ in range(count)
+    ]
+
+
+def _option(name: str, rng: random.Random) -> Any:
+    option = BY_NAME[name]
+    if option.kind is SWITCH:
+        return rng.random() < 0.7
+    if option.kind is COUNT:
+        top = option.high or 20_000
+        edges = (option.low, option.low - 1, top, top + 1)
+        return rng.choice((*edges, *(rng.randint(option.low, top) for _ in range(16))))
+    if option.kind is WORD and option.words:
+        return rng.choice([*[word for word in option.words() if word != "punch"] * 4, "steam"])
+    if option.kind is NAMES:
+        return (
+            rng.choice(_HOMING)
+            if name == "HOMING"
+            else rng.choice((*((), ("FLOOD",)) * 4, ("ENABLE",)))
+        )
+    return rng.choice(("", "jobs"))
+
+
+def draft(rng: random.Random) -> dict[str, Any]:
+    """A board as the page keeps it: good ones, and ones with a fault or two."""
+    chip = rng.choice(list(CHIPS))
+    fresh = sorted(CHIPS[chip].pins)
+    rng.shuffle(fresh)
+    letters = rng.choice(_MOTORS)
+    motors = len(letters) or rng.choice((*(3,) * 12, 4, 4, 6, 7, 9, 2))
+    motors += rng.choice((*(0,) * 40, 1, -1))
+    pins: dict[str, list[Any]] = {}
+    for item in ITEMS:
+        if (not item.needed and rng.random() < 0.5) or rng.random() < 0.002:
+            continue
+        count = motors if item.per_axis else 1
+        count += rng.choice((*(0,) * 60, 1, -1)) if count > 1 else 0
+        pins[item.name] = _pins(chip, rng, count, fresh)
+    limits = pins.get("LIMIT", [])
+    if limits and rng.random() < 0.3:
+        limits[rng.randrange(len(limits))] = rng.choice((None, limits[0]))
+    if "ENABLE" in pins and rng.random() < 0.1:
+        pins["ENABLE"] = _pins(chip, rng, 3, fresh)
+    chosen = rng.sample(_FORMS, rng.choice((0, 0, 1, 2, 3, 6)))
+    return {
+        "chip": chip,
+        "title": "Random",
+        "motors": letters,
+        "rotary": rng.choice(_ROTARY),
+        "pins": pins,
+        "repl": rng.choice((None, *_pins(chip, rng, 1, fresh))),
+        "outputs": dict(
+            zip("ab", _pins(chip, rng, rng.choice((0, 0, 1, 2)), fresh), strict=False)
+        ),
+        "inputs": dict(zip("cd", _pins(chip, rng, rng.choice((0, 0, 1)), fresh), strict=False)),
+        "options": {name: _option(name, rng) for name in chosen},
+        "kept": {},
+    }
+
+
+def test_both_find_the_same_in_a_thousand_boards(
+    page: Any, tmp_path: Path, pytestconfig: pytest.Config
+) -> None:
+    rng = random.Random(pytestconfig.getoption("seed"))
+    drafts = [draft(rng) for _ in range(_COUNT)]
+    said = page.evaluate(
+        "drafts => drafts.map((one) => [boardText(one), boardProblems(one), boardNotes(one)])",
+        drafts,
+    )
+    good = 0
+    for number, (text, problems, notes) in enumerate(said):
+        file = tmp_path / f"random_{number}.py"
+        file.write_text(text)
+        board = load(file)
+        assert problems == board_check.problems(board), text
+        if not problems:
+            good += 1
+            assert notes == board_check.notes(board), text
+    assert _COUNT / 10 < good < _COUNT * 9 / 10, "a test of both needs good ones and bad ones"
+
+
+def test_a_plain_board_is_written_as_new_board_writes_it(
+    page: Any, pytestconfig: pytest.Config
+) -> None:
+    rng = random.Random(pytestconfig.getoption("seed"))
+    compared = 0
+    while compared < 30:
+        one = draft(rng)
+        one.update(repl=None, outputs={}, inputs={}, options={})
+        if page.evaluate("boardProblems", one) or len(one["pins"].get("ENABLE", ())) > 1:
+            continue
+        pins = {name: tuple(held) for name, held in one["pins"].items()}
+        board = Board("Random", CHIPS[one["chip"]], one["motors"], one["rotary"], pins)
+        assert page.evaluate("boardText", one) == board.text()
+        compared += 1
+
+
+def test_every_board_can_be_changed_and_stays_what_it_was(page: Any, tmp_path: Path) -> None:
+    changeable = 0
+    for name in (name for name in boards() if not name.startswith("sim")):
+        text, problems = page.evaluate(
+            """name => {
+              const one = draftOf(name);
+              return one ? [boardText(one), boardProblems(one)] : [null, []];
+            }""",
+            name,
+        )
+        assert problems == [], name
+        if text is None:
+            continue
+        changeable += 1
+        file = tmp_path / f"again_{name}.py"
+        file.write_text(text)
+        again, before = _says(load(file)), _says(load_board(name))
+        before.setdefault("CHIP", again["CHIP"])
+        before.setdefault("PWM_MAX", again["PWM_MAX"])
+        assert again == before
+    assert changeable > 10
+
+
+def _says(board: Any) -> dict[str, Any]:
+    defaults = {"MIST": False, "CONTROL": (None,) * 4, "NO_PULL_UP": ()}
+    found = {name: value for name, value in vars(board).items() if name.isupper()}
+    return {name: value for name, value in found.items() if defaults.get(name) != value}
+
+
+def test_a_drawing_has_every_pin_of_its_chip_once() -> None:
+    for name, chip in CHIPS.items():
+        drawn = module(name)
+        words = f"{drawn.left} {drawn.right} {drawn.on_board}".split()
+        pins = [int(word) for word in words if word.isdigit()]
+        assert sorted(pins) == sorted(chip.pins), name
+
+
+def test_every_option_is_in_a_form_a_pin_or_left_out_for_a_reason() -> None:
+    """A new option is one to decide about: FORMS has it, or this list has."""
+    pins = {item.name for item in ITEMS} | {
+        "REPL_PIN",
+        "OUTPUTS",
+        "INPUTS",
+        "CONTROL",
+        "NO_PULL_UP",
+    }
+    by_chip = {"CHIP", "MPY_ARCH", "ENGINE", "MOTORS", "ROTARY", "SAFETY_DOOR", "MIST"}
+    in_a_file_only = {
+        *("I2S", "I2S_RATE_HZ", "I2S_BUFFERS", "MOVES", "TMC2209", "TMC_UART", "TMC_SENSE_MOHM"),
+        *("CONTROL_INVERT", "DEFAULTS", "SD_CARD", "KINEMATICS", "EXTRAS", "CUSTOM"),
+        *("PUNCH_DOWN", "PUNCH_UP", "PUNCH_DOWN_SENSOR", "PUNCH_UP_SENSOR", "PUNCH_TIMEOUT_MS"),
+        *("SEGMENT_QUEUE", "ANSWER_US", "LOOP_US", "START_US", "PUNCH_STROKE_MS"),
+    }
+    assert pins | by_chip | in_a_file_only | set(_FORMS) == {*BY_NAME, *new_board.BY_NAME}

@@ -1,0 +1,321 @@
+"""Setting a board up in the page: from an empty board to a machine that answers."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import Person
+from prompt_stand_in import PromptBoard
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import load
+from ugrbl.paths import BOARDS
+
+pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
+
+_PICO = (BOARDS / "rpi_pico.py").read_text()
+
+
+@pytest.fixture
+def set_up(
+    person_at: Callable[..., Person], machines: Callable[..., Any], tmp_path: Path
+) -> Iterator[Callable[..., Person]]:
+    """Makes somebody with the page from disk and a board that has what is said."""
+    made: "list[PromptBoard]" = []
+
+    def make(has: str = "frozen", board: str = "", **options: Any) -> Person:
+        flash = tmp_path / "flash"
+        flash.mkdir()
+        if board:
+            (flash / "board.py").write_text(board)
+        person = person_at(**options)
+        ready = machines({})  # it starts while somebody reads
+        made.append(PromptBoard(flash, lambda: ready if ready.is_new() else machines({}), has))
+        person.bridge.machine = made[0]  # type: ignore[assignment]
+        person.open_from_disk()
+        return person
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def flash_of(person: Person) -> Path:
+    return person.bridge.machine.folder  # type: ignore[attr-defined, no-any-return]
+
+
+def step(person: Person, name: str) -> None:
+    if person.page.get_attribute("#tabs [data-tab=setup]", "aria-selected") != "true":
+        person.click("#tabs [data-tab=setup]")
+    person.click(f"#setup-steps [data-step={name}]")
+
+
+def give(person: Person, **jobs: int) -> None:
+    """A job for each pin, as somebody chooses it by its words."""
+    for words, pin in jobs.items():
+        person.page.select_option(f"#pin-{pin}", label=words.replace("_", " "))
+
+
+# In whatever state
+
+
+@pytest.mark.sampled(1)
+def test_a_board_without_a_board_file_is_led_to_the_choice_of_one(set_up):
+    person = set_up()
+    person.click("#connect")
+    person.reads(
+        "#setup-found",
+        "on Raspberry Pi Pico with RP2040, with ugrbl and",
+    )
+    person.click("#setup-actions button")
+    person.reads("#board-cards", "rpi_pico")
+    assert person.page.input_value("#board-chip") == "pico"
+    assert person.text("#state-name") == "Prompt" and not person.page.is_enabled("#stop")
+
+
+def test_micropython_without_ugrbl_says_which_file_to_drag(set_up):
+    person = set_up("nothing")
+    person.click("#connect")
+    person.reads("#setup-found", "without ugrbl")
+    assert person.page.is_visible("#uf2-name")
+    assert person.text("#uf2-name") == "ugrbl-…-RPI_PICO.uf2"
+    person.page.select_option("#uf2-board", "pico2_w")
+    assert person.text("#uf2-name") == "ugrbl-…-RPI_PICO2_W.uf2"
+    assert person.text("#uf2-drive") == "RP2350"
+
+
+def test_a_machine_at_work_goes_on_and_its_board_file_can_be_read(set_up):
+    person = set_up(board=_PICO)
+    person.bridge.machine.power_up()
+    person.click("#connect")
+    person.sees("Idle")
+    person.knows_all()
+    step(person, "connect")
+    person.reads("#setup-found", "A machine is at work")
+    person.click("text=Read its board file")
+    person.waits(
+        "document.getElementById('board-text').value.includes('Raspberry Pi Pico with three')"
+    )
+    person.sees("Idle")  # it was started again
+    person.knows_all()
+
+
+def test_a_machine_in_motion_is_not_disturbed(set_up):
+    person = set_up(board=_PICO)
+    person.bridge.machine.power_up()
+    person.click("#connect")
+    person.sees("Idle")
+    person.knows_all()
+    person.types("G1 X40 F600")
+    person.sees("Run")
+    step(person, "connect")
+    person.click("text=Read its board file")
+    person.reads("#setup-found", "The machine is in Run and is not disturbed")
+    assert b"\x03" not in person.bridge.machine.sent
+
+
+def test_a_board_that_says_nothing_is_said_to(set_up):
+    person = set_up()
+    person.bridge.machine.write = lambda data: None
+    person.click("#connect")
+    step(person, "connect")
+    person.reads("#setup-found", "The board says nothing")
+    person.click("text=Look what is on it")
+    person.reads("#setup-found", "prompt does not answer")
+
+
+# From pins to a machine
+
+
+def test_from_an_empty_board_with_pins_of_ones_own_to_a_machine(set_up):
+    person = set_up()
+    person.click("#connect")
+    person.reads("#setup-found", "without a board file")
+    step(person, "board")
+    person.click("text=My own")
+    person.page.fill("#board-title", "Router")
+    person.reads("#pins-says", "Still without a pin: step X, step Y")
+    give(person, step_X=2, step_Y=3, step_Z=4, dir_X=5, dir_Y=6, dir_Z=7)
+    person.reads("#pins-says", "No rule is broken")
+    give(person, limit_X=9, limit_Y=10, limit_Z=11, probe=12)
+    person.page.fill("#own-name", "vacuum")
+    person.click("text=Add output")
+    give(person, output_vacuum=20)
+    step(person, "options")
+    person.click("summary:has-text('Motors')")
+    person.page.check("#option-JERK")
+    step(person, "file")
+    person.click("#send-board")
+    person.reads("#file-says", "the machine runs")
+    person.sees("Idle")
+    board = load(flash_of(person) / "board.py")
+    assert board_check.problems(board) == []
+    assert (board.STEP, board.DIR, board.LIMIT) == ((2, 3, 4), (5, 6, 7), (9, 10, 11))
+    assert (board.PROBE, board.OUTPUTS, board.JERK) == (12, {"vacuum": 20}, True)
+    assert board.__doc__ == "Router: Raspberry Pi Pico."
+    assert not (flash_of(person) / "new.py").exists()
+
+
+def test_what_cannot_be_is_said_at_once_in_the_words_of_the_board_check(set_up):
+    person = set_up()
+    step(person, "board")
+    person.page.select_option("#board-chip", "esp32")
+    person.click("text=My own")
+    give(person, step_X=34, step_Y=25, step_Z=26, dir_X=27, dir_Y=14, dir_Z=13)
+    person.reads("#pins-says", "STEP: pin 34 of ESP32 can only read")
+    assert not person.page.is_enabled("#send-board")
+    give(person, step_X=12)
+    person.reads("#pins-says", "STEP: pin 12 pulled up at start selects the wrong flash voltage")
+    assert person.page.input_value("#pin-34") == ""
+
+
+def test_a_second_motor_of_an_axis_has_pins_of_its_own(set_up):
+    person = set_up()
+    step(person, "board")
+    person.click("#board-cards b:text-is('rpi_pico')")
+    person.page.fill("#board-motors", "xyzy")
+    person.page.keyboard.press("Tab")
+    person.reads("#pins-says", "Still without a pin: step Y2, dir Y2")
+    give(person, step_Y2=19, dir_Y2=20, limit_Y2=21)
+    step(person, "file")
+    text = person.page.input_value("#board-text")
+    assert 'MOTORS = "XYZY"' in text and "STEP = (2, 3, 4, 19)" in text
+    assert "LIMIT = (9, 10, 11, 21)" in text
+
+
+def test_what_was_entered_outlives_the_page(set_up):
+    person = set_up()
+    step(person, "board")
+    person.click("text=My own")
+    give(person, step_X=2)
+    person.page.reload()
+    person.click("#tabs [data-tab=setup]")
+    assert person.page.is_visible("#module")
+    assert person.page.input_value("#pin-2") == "STEP 0"
+
+
+# What goes wrong
+
+_MARKED = """(() => {
+  const { value, selectionStart, selectionEnd } = document.getElementById("board-text");
+  return value.slice(selectionStart, selectionEnd);
+})()"""
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ('MPY_ARCH = "armv6m"\nSTEP = (2, 3\nDIR = 1\n', 3, "SyntaxError"),
+        ('MPY_ARCH = "armv6m"\nSTEP = STEPS\n', 2, "NameError"),
+        (_PICO + "\nJERK = True\nSKEW = True\n", len(_PICO.split("\n")) + 2, "SKEW and JERK"),
+    ],
+)
+def test_an_error_comes_back_with_its_line(set_up, text, line, words):
+    person = set_up(board=_PICO)
+    person.click("#connect")
+    person.reads("#setup-found", "The machine does not run")
+    step(person, "file")
+    person.page.fill("#board-text", text)
+    person.click("#send-board")
+    person.reads("#file-says", f"Line {line}: ")
+    person.reads("#file-says", words)
+    marked = person.page.evaluate(_MARKED)
+    assert marked == text.split("\n")[line - 1]
+    kept = (flash_of(person) / "board.py").read_text()
+    assert kept == (_PICO if "Error" in words else text), "what Python does not take is not kept"
+    person.click("text=Show the file that was there before")
+    assert person.page.input_value("#board-text") == _PICO
+
+
+def test_a_file_that_is_damaged_on_its_way_does_not_replace_the_old_one(set_up):
+    person = set_up(board=_PICO)
+    person.click("#connect")
+    person.reads("#setup-found", "The machine does not run")
+    step(person, "file")
+    person.bridge.machine.damage = b"\\x58"  # an X, as it is sent
+    person.page.fill("#board-text", 'MPY_ARCH = "armv6m"  # X\n')
+    person.click("#send-board")
+    person.reads("#file-says", "the file was damaged on its way")
+    assert (flash_of(person) / "board.py").read_text() == _PICO
+
+
+def test_a_file_for_another_chip_is_not_sent(set_up):
+    person = set_up(board=_PICO)
+    person.click("#connect")
+    person.reads("#setup-found", "The machine does not run")
+    step(person, "file")
+    person.page.fill("#board-text", 'MPY_ARCH = "xtensawin"\n')
+    person.click("#send-board")
+    person.reads("#file-says", "the file is for another chip")
+    assert (flash_of(person) / "board.py").read_text() == _PICO
+
+
+# Python of the user's own
+
+
+def test_custom_py_is_sent_and_its_error_is_marked(set_up):
+    person = set_up(board=_PICO)
+    person.click("#connect")
+    person.reads("#setup-found", "The machine does not run")
+    step(person, "file")
+    person.page.select_option("#file-name", "custom.py")
+    assert "from ugrbl import mcode" in person.page.input_value("#board-text")
+    person.page.fill("#board-text", "from ugrbl import mcode\n@mcode(100\ndef f(m):\n    pass\n")
+    person.click("#send-board")
+    person.reads("#file-says", "SyntaxError")
+    assert not (flash_of(person) / "custom.py").exists()
+    good = "from ugrbl import mcode\n\n@mcode(100)\ndef f(m):\n    1 / 0\n"
+    person.page.fill("#board-text", good)
+    person.click("#send-board")
+    person.reads("#file-says", "the machine runs")
+    assert (flash_of(person) / "custom.py").read_text() == good
+    person.sees("Idle")
+    person.bridge.machine.machine.say(b"[MSG:M100: custom.py, line 5, in f: divide by zero]\r\n")
+    person.reads("#file-says", "Line 5: M100: custom.py, line 5")
+    assert person.page.evaluate(_MARKED) == "    1 / 0"
+    assert (flash_of(person) / "board.py").read_text() == _PICO
+
+
+# The drive of the boot loader
+
+_DRIVE = """
+async ([id, name, bytes]) => {
+  const root = await navigator.storage.getDirectory(), create = { create: true };
+  const drive = await root.getDirectoryHandle(id || "none", create);
+  if (id) {
+    const info = await (await drive.getFileHandle("INFO_UF2.TXT", create)).createWritable();
+    await info.write(`UF2 Bootloader v3.0\\nModel: Raspberry Pi\\nBoard-ID: ${id}\\n`);
+    await info.close();
+  }
+  try {
+    const words = await writeToDrive(new File([new Uint8Array(bytes)], name), drive);
+    return [words, (await (await drive.getFileHandle(name)).getFile()).size];
+  } catch (error) { return [error.message, 0]; }
+}
+"""
+
+
+def uf2(family: int) -> bytes:
+    words = (0x0A324655, 0x9E5D5157, 0x2000, 0x10000000, 256, 0, 1, family)
+    return (
+        b"".join(word.to_bytes(4, "little") for word in words) + bytes(476) + b"\x30\x6f\xb1\x0a"
+    )
+
+
+@pytest.mark.parametrize(
+    ("drive", "image", "words"),
+    [
+        ("RPI-RP2", uf2(0xE48BFF56), "f.uf2 is on the board"),
+        ("RPI-RP2", uf2(0xE48BFF59), "for an RP2350, and the board has an RP2040"),
+        ("RP2350", uf2(0xE48BFF59), "f.uf2 is on the board"),
+        ("", uf2(0xE48BFF56), "not the drive of a board"),
+        ("RPI-RP2", b"no image" * 100, "This is no UF2 file"),
+        ("RPI-RP2", uf2(0xADA52840), "for another chip"),
+    ],
+)
+def test_only_the_right_file_goes_onto_the_right_drive(person_at, drive, image, words):
+    person = person_at()
+    person.open_served()  # a folder of the browser's own is there for addresses only
+    said, size = person.page.evaluate(_DRIVE, [drive, "f.uf2", list(image)])
+    assert words in said
+    assert size == (len(image) if "is on the board" in words else 0)

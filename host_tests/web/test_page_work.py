@@ -1,0 +1,153 @@
+"""Around a job: outline, coordinate systems, macros, jobs on the board, finding settings."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
+
+_JOB = "G21 G90\nG0 Z5\nG0 X10 Y5\nG1 Z-1 F300\nG1 X30\nG3 X30 Y25 R10\nG1 X10\nG0 Z5\nM2\n"
+
+
+def jogs(person):
+    return [line for line in person.machine.lines() if line.startswith("$J")]
+
+
+# The outline
+
+
+def test_the_outline_goes_round_the_cuts_with_the_tool_up(person):
+    person.loads(_JOB)
+    person.page.fill("#jog-feed", "2000")
+    person.click("#outline")
+    person.reads("#dialog-words", "X from 10 mm to 40 mm, Y from 5 mm to 25 mm")
+    person.reads("#dialog-words", "First Z goes up to 5 mm")
+    person.click("#dialog-yes")
+    person.rests_at(10, 5, 5)
+    places = [(10, 5), (40, 5), (40, 25), (10, 25), (10, 5)]
+    moves = [f"$J=G21 G90 X{x} Y{y} F2000" for x, y in places]
+    assert jogs(person) == ["$J=G21 G90 Z5 F2000", *moves]
+
+
+def test_nothing_moves_where_somebody_thinks_better_of_it(person):
+    person.loads(_JOB)
+    person.click("#outline")
+    person.click("#dialog-no")
+    person.pauses(0.3)
+    assert not jogs(person)
+
+
+def test_a_laser_goes_round_at_a_hundredth_and_ends_dark(person_at):
+    person = person_at({32: "1", 30: "1000"})
+    person.open_from_disk()
+    person.connect()
+    person.loads(_JOB)
+    person.page.fill("#jog-feed", "2000")
+    person.click("#outline")
+    person.reads("#dialog-words", "The laser is on at S10")
+    person.click("#dialog-yes")
+    person.waits("!grbl.linesUnderWay && grbl.state === 'Idle' && grbl.modes.includes('M5')")
+    assert "G1 X40 Y5 F2000 M3 S10" in person.machine.lines()
+    assert person.machine.lines().index("M5 G0") > 0
+
+
+# Coordinate systems
+
+
+def test_a_coordinate_system_is_chosen_and_typed(person):
+    person.click("#tabs [data-tab=offsets]")
+    person.page.fill("[aria-label='G55 X']", "12.5")
+    person.page.keyboard.press("Enter")
+    person.waits("grbl.offsets.get('G55') === '12.500,0.000,0.000'")
+    person.click("[aria-label='Use G55']")
+    person.waits("grbl.modes.includes('G55')")
+    person.rests_at(-12.5, 0, 0)
+    person.reads("#offsets", "in force")
+
+
+def test_a_typed_offset_is_in_the_units_that_are_shown(person):
+    person.types("G20")
+    person.waits("grbl.modes.includes('G20')")
+    person.click("#tabs [data-tab=offsets]")
+    person.page.fill("[aria-label='G56 Y']", "25.4")
+    person.page.keyboard.press("Enter")
+    person.waits("grbl.offsets.get('G56') === '0.000,25.400,0.000'")
+
+
+# Macros
+
+
+def test_a_macro_asks_for_its_numbers_and_runs_line_by_line(person):
+    person.click("#macros-edit")
+    person.click("#macro-add")
+    person.page.fill("[aria-label='Name of macro 1']", "Down")
+    person.page.fill("#macros-rows textarea", "G91 (relative)\nG0 Z-{depth=2}\nG90\n")
+    person.page.keyboard.press("Tab")
+    person.click("#macros button:has-text('Down')")
+    person.page.fill("#dialog input", "3.5")
+    person.click("#dialog-yes")
+    person.rests_at(0, 0, -3.5)
+    lines = person.machine.lines()
+    assert lines.index("G91") < lines.index("G0 Z-3.5") < lines.index("G90")
+    person.page.reload()
+    assert person.text("#macros").strip() == "Down"
+
+
+def test_a_macro_ends_where_a_line_is_refused(person, tmp_path):
+    macros = [{"name": "Bad", "lines": "G91\nG1 X5\nG0 Y9\n"}]
+    file = tmp_path / "macros.json"
+    file.write_text(json.dumps(macros))
+    person.click("#macros-edit")
+    person.page.set_input_files("#macros-file", str(file))
+    person.click("#macros button:has-text('Bad')")
+    person.reads("#notice-trouble", "Bad ends at: G1 X5")
+    assert "G0 Y9" not in person.machine.lines()
+    with person.page.expect_download() as saved:
+        person.click("#macros-save")
+    assert json.loads(Path(saved.value.path()).read_text()) == macros
+
+
+def test_a_file_that_holds_no_macros_changes_nothing(person, tmp_path):
+    file = tmp_path / "no.json"
+    file.write_text('{"name": 1}')
+    person.click("#macros-edit")
+    person.page.set_input_files("#macros-file", str(file))
+    person.reads("#notice-trouble", "no.json")
+    assert person.page.evaluate("macros.length") == 0
+
+
+# Settings
+
+
+def test_settings_are_in_groups_and_found_by_their_words(person):
+    person.click("#tabs [data-tab=settings]")
+    person.reads("#settings", "Limits and homing")
+    person.page.fill("#settings-find", "accel")
+    rows = person.page.locator("#settings tr[id]")
+    assert rows.count() == 3 and person.page.is_visible("#setting-120")
+    assert "Limits and homing" not in person.text("#settings")
+    person.page.fill("#settings-find", "$22")
+    assert rows.count() == 1 and person.page.is_visible("#setting-22")
+
+
+# Jobs on the board
+
+
+def test_a_job_on_the_board_goes_on_at_a_line(person):
+    person.page.evaluate("""
+      grbl.send = (line, quiet, said) => {
+        (window.sentThere ||= []).push(line);
+        if (line === "$F") said.push("[FILE:/PART.NC|SIZE:1234]");
+        return Promise.resolve("ok");
+      };
+    """)
+    person.click("#board-files")
+    person.click("[aria-label='Go on with PART.NC on the board']")
+    person.reads("#dialog-words", "Home the machine first")
+    person.page.fill("#dialog input", "120")
+    person.click("#dialog-yes")
+    person.waits("sentThere.includes('$F=PART.NC@120')")
+    person.click("[aria-label='Go on with PART.NC on the board']")
+    person.click("#dialog-yes")
+    person.waits("sentThere.includes('$F=PART.NC@')")

@@ -1,0 +1,107 @@
+"""What the page in the browser makes board files with: our tables, as JSON.
+
+The rules themselves are in tools/web/page/board_file.js a second time, and
+host_tests/web/test_board_wizard.py compares both over random boards.
+"""
+
+from typing import Any
+
+from .. import paths
+from . import board_check, new_board
+from .chips import CHIPS
+from .engines import WIRELESS, engines
+from .files import boards, load
+from .modules import module
+from .options import BY_NAME, INVERTIBLE, NAMES, WORD, Option
+
+# What a form asks for: rules about others need modules that a page cannot look into, or pins of
+# an engine. Such lines of a board out of boards/ are kept as they are.
+FORMS = {
+    "Motors": (
+        *("COREXY", "BACKLASH", "SKEW", "JERK", "DIR_SETUP_US", "DIR_HOLD_US"),
+        "MAX_STEP_RATE_HZ",
+    ),
+    "Homing and inputs": (
+        *("HOMING", "SINGLE_AXIS_HOMING", "FORCE_SET_ORIGIN", "DUAL_LIMIT_SWITCHES"),
+        *("LIMIT_DEBOUNCE_MS", "CONTROL_DEBOUNCE_MS", "PARKING", "OVERRIDE_CONTROL"),
+    ),
+    "Tool": ("TOOL", "PWM_HZ", "PWM_MAX", "SPINDLE_ENABLE_PIN", "INVERT", "CLUSTERS"),
+    "Network and jobs": ("LINK", "PAGE", "JOBS"),
+    "Language": ("DIALECT", "LENIENT", "LINE_NUMBERS", "ECHO", "COUNT_DRAINS"),
+    "Memory and safety": ("PLANNER_BLOCKS", "RX_BYTES", "LOOP_MS", "WATCHDOG_MS"),
+}
+# A punch has pins of its own: docs/punch.md.
+_LEFT_OUT = {"TOOL": ("punch",)}
+
+
+def data() -> dict[str, Any]:
+    """All of it, of JSON's types only."""
+    return {
+        "chips": {name: _chip(name) for name in CHIPS},
+        "items": [list(item) for item in new_board.ITEMS],
+        "quick": new_board.QUICK,
+        "controls": new_board.CONTROLS,
+        "switchedOn": new_board.SWITCHED_ON,
+        "wireless": WIRELESS,
+        "invertible": INVERTIBLE,
+        "noPage": new_board.NO_PAGE,
+        "tooSmall": new_board.TOO_SMALL,
+        "rmtHz": engines()["rmt"].most_hz,
+        "mostBesideBeam": board_check.MOST_BESIDE_BEAM,
+        "apart": _apart(),
+        "forms": {
+            title: [_option(BY_NAME[name]) for name in names] for title, names in FORMS.items()
+        },
+        "order": list(BY_NAME),
+        "boards": {name: _board(name) for name in boards() if not name.startswith("sim")},
+    }
+
+
+def _chip(name: str) -> dict[str, Any]:
+    chip = CHIPS[name]
+    return {
+        **chip._asdict(),
+        "pins": sorted(chip.pins),
+        "inputs_only": sorted(chip.inputs_only),
+        "odd": {str(pin): words for pin, words in chip.odd.items()},
+        "module": module(name)._asdict(),
+    }
+
+
+def _option(option: Option) -> dict[str, Any]:
+    words = list(option.words()) if option.words and option.kind in (WORD, NAMES) else None
+    left_out = _LEFT_OUT.get(option.name, ())
+    return {
+        "name": option.name,
+        "kind": option.kind.title,
+        "default": option.default,
+        "meaning": option.meaning,
+        "low": option.low,
+        "high": option.high,
+        "words": words,
+        "choices": words and [word for word in words if word not in left_out],
+    }
+
+
+def _apart() -> dict[str, tuple[str, ...]]:
+    """Options that are not for the same machine, as the extras have it, in their order."""
+    paths.use_firmware()
+    from extras.kinematics import skew
+    from extras.motors import backlash
+
+    return {"BACKLASH": backlash._WORDS, "SKEW": skew._WORDS}
+
+
+def _board(name: str) -> dict[str, Any]:
+    """A board file: its text, what it says, and the chip it is for."""
+    file = paths.BOARDS / f"{name}.py"
+    made = load(file)
+    values = {word: value for word, value in vars(made).items() if word.isupper()}
+    chip = next(one for one in CHIPS if CHIPS[one] in board_check.chips_of(made))
+    about = (made.__doc__ or "").strip().partition("\n")[0]
+    return {
+        "about": about,
+        "chip": chip,
+        "values": values,
+        "text": file.read_text(encoding="utf-8"),
+    }

@@ -1,0 +1,93 @@
+"""What a release has besides images and wheel: `make release-files VERSION=v0.1.0`.
+
+Made of the checkout: the page, the firmware of every board as a zip (with the package.json that
+`mpremote mip install` reads), notes out of CHANGELOG.md, and checksums of all that is in the
+folder, images and wheel included. `make release-dry` makes it without a tag.
+"""
+
+import hashlib
+import io
+import re
+import sys
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from .. import __version__, paths
+from ..boardfile.files import board_file, boards
+from ..compiling import build, folder, page_files
+
+CHECKSUMS = "SHA256SUMS"
+UNRELEASED = "Unreleased"
+# A zip says when its files were made; the same files are the same zip.
+_MADE = (2020, 1, 1, 0, 0, 0)
+
+
+class ReleaseError(Exception):
+    """It cannot be released so; the text says why and what to do."""
+
+
+def check_version(tag: str) -> None:
+    """ReleaseError where a tag is not the package's own version; "" is a dry run."""
+    if tag and tag != f"v{__version__}":
+        raise ReleaseError(
+            f"the tag is {tag} and tools/__init__.py says {__version__}: make them one"
+        )
+
+
+def notes(changelog: str, tag: str) -> str:
+    """The changelog's section of that version; in a dry run what is not released yet."""
+    wanted = tag.removeprefix("v") or UNRELEASED
+    found = re.search(
+        rf"^## \[{re.escape(wanted)}\][^\n]*\n(.*?)(?=^## \[|\Z)",
+        changelog,
+        re.DOTALL | re.MULTILINE,
+    )
+    if not found or not found[1].strip():
+        raise ReleaseError(f"CHANGELOG.md has nothing under [{wanted}]: write its section first")
+    return found[1].strip() + "\n"
+
+
+def board_zip(name: str) -> bytes:
+    """The firmware of a board, compiled, in a folder of its name."""
+    made = build.for_board(board_file(name))
+    data = io.BytesIO()
+    with TemporaryDirectory() as place, zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
+        folder.save(made, Path(place))
+        for path in sorted(one for one in Path(place).rglob("*") if one.is_file()):
+            entry = zipfile.ZipInfo(f"{name}/{path.relative_to(place).as_posix()}", _MADE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            file.writestr(entry, path.read_bytes())
+    return data.getvalue()
+
+
+def checksums(files: Iterable[Path]) -> str:
+    """As sha256sum writes them."""
+    rows = (f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in files)
+    return "".join(rows)
+
+
+def make(tag: str, place: Path, names: Iterable[str]) -> None:
+    """Write it all there. ReleaseError before anything is written."""
+    check_version(tag)
+    text = notes((paths.BOARDS.parent / "CHANGELOG.md").read_text(encoding="utf-8"), tag)
+    paths.write(place / "ugrbl.html", page_files.page().encode())
+    for name in names:
+        paths.write(place / f"ugrbl-{tag or 'dry'}-{name}.zip", board_zip(name))
+    there = sorted(one for one in place.iterdir() if one.is_file() and one.name != CHECKSUMS)
+    paths.write(place / CHECKSUMS, checksums(there).encode())
+    paths.write(place / "notes" / "notes.md", text.encode())
+
+
+def main() -> None:
+    """`python -m ugrbl.image.release FOLDER [TAG]`."""
+    place, *tags = sys.argv[1:]
+    try:
+        make("".join(tags), Path(place), [name for name in boards() if not name.startswith("sim")])
+    except ReleaseError as error:
+        sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,311 @@
+// Board files: their text, and all that is wrong with one.
+//
+// A draft has what a board file says: { chip, title, motors, rotary, pins: {STEP: [2, 3, 4], …},
+// outputs: {name: pin}, inputs, options: {JERK: true}, kept: lines of a board that no form asks
+// for }. These are the rules of tools/boardfile/board_check.py and new_board.py once more;
+// test_board_wizard.py compares both over a thousand random boards.
+
+const BOARDS = JSON.parse($("board_data").textContent);
+const FORM_OPTIONS = Object.fromEntries(Object.values(BOARDS.forms).flat().map((row) => [row.name, row]));
+const ITEMS = BOARDS.items.map(([name, question, perAxis, needed, output]) => ({ name, question, perAxis, needed, output }));
+const FEWEST_AXES = 3, MOST_LETTERS = AXES.length, MOST_OF_AN_AXIS = 2;
+const BEAM_HZ = [10, 100000], BESIDE_RADIO = 4;
+
+/** As Python writes it in a file. */
+function literal(value) {
+  if (value === null) return "None";
+  if (typeof value === "boolean") return value ? "True" : "False";
+  if (typeof value === "string") return JSON.stringify(value);
+  if (Array.isArray(value)) return `(${value.map(literal).join(", ")}${value.length === 1 ? "," : ""})`;
+  if (typeof value === "object") return `{${Object.entries(value).map(([key, one]) => `${/^\d+$/.test(key) ? key : JSON.stringify(key)}: ${literal(one)}`).join(", ")}}`;
+  return String(value);
+}
+
+const axesOf = (draft) => new Set(draft.motors).size || (draft.pins.STEP || []).length;
+
+/** Names of motors: X, Y, Z and, of a second one, Y2. */
+function motorNames(letters) {
+  const axes = new Set(letters).size;
+  return [...letters].map((letter, index) => (index < axes ? letter : `${letter}2`));
+}
+
+/** All that the file says, by name, beside pins that ITEMS has. */
+function valuesOf(draft) {
+  const chip = BOARDS.chips[draft.chip];
+  const values = { LINK: chip.link, ...draft.options };
+  for (const [name, option] of Object.entries(BOARDS.switchedOn)) if (draft.pins[name]?.length) values[option] = true;
+  return values;
+}
+
+/** The text of the file. */
+function boardText(draft) {
+  const chip = BOARDS.chips[draft.chip], { options } = draft, kept = draft.kept || {};
+  const held = (name) => draft.pins[name] || [];
+  const lines = [`"""${draft.title}: ${chip.title}."""`, "", `CHIP = "${draft.chip}"`, `MPY_ARCH = "${chip.mpy_arch}"`,
+    `ENGINE = "${chip.engine}"`, `LINK = "${options.LINK || chip.link}"`, ...(options.PAGE ? ["PAGE = True"] : []), ""];
+  if (draft.motors) lines.push(`MOTORS = "${draft.motors}"  # the axis of each motor`);
+  if (draft.rotary) lines.push(`ROTARY = "${draft.rotary}"  # axes that turn, in degrees`);
+  for (const { name, question, perAxis } of ITEMS) {
+    if (name === BOARDS.controls[0] && BOARDS.controls.some((one) => held(one).length)) {
+      lines.push(`CONTROL = (${BOARDS.controls.map((one) => held(one)[0] ?? "None").join(", ")})  # reset, hold, start, door`);
+    }
+    if (BOARDS.controls.includes(name) || !held(name).length) continue;
+    const value = perAxis || held(name).length > 1 ? literal(held(name)) : String(held(name)[0]);
+    lines.push(`${name} = ${value}  # ${question}`);
+  }
+  for (const [name, option] of Object.entries(BOARDS.switchedOn)) if (held(name).length) lines.push(`${option} = True`);
+  const bare = usedPins(draft).map(([pin]) => pin).filter((pin) => chip.inputs_only.includes(pin)).sort((a, b) => a - b);
+  if (bare.length) lines.push(`NO_PULL_UP = ${literal(bare)}  # resistors to 3.3 V do it`);
+  if (draft.repl !== undefined && draft.repl !== null) lines.push(`REPL_PIN = ${draft.repl}`);
+  for (const [name, pins] of [["OUTPUTS", draft.outputs], ["INPUTS", draft.inputs]]) {
+    if (Object.keys(pins || {}).length) lines.push(`${name} = ${literal(pins)}`);
+  }
+  if (chip.engine === "rmt" && !options.MAX_STEP_RATE_HZ) lines.push("", "# See esp32_devkit.py.", `MAX_STEP_RATE_HZ = ${BOARDS.rmtHz}`);
+  lines.push("", `PWM_MAX = ${options.PWM_MAX ?? 1000}`);
+  for (const name of BOARDS.order) {
+    if (["LINK", "PAGE", "PWM_MAX"].includes(name) || !(name in options)) continue;
+    lines.push(`${name} = ${literal(options[name])}`);
+  }
+  for (const [name, value] of Object.entries(kept)) lines.push(`${name} = ${literal(value)}`);
+  return `${lines.join("\n")}\n`;
+}
+
+/** Every pin in use with what is connected to it; null pins are left out. */
+function usedPins(draft) {
+  const names = motorNames(draft.motors || AXES);
+  return ITEMS.flatMap(({ name, question, perAxis }) => (draft.pins[name] || []).map((pin, motor) => {
+    const what = question.split(",")[0];
+    return [pin, perAxis ? `${what} ${names[motor]}` : what];
+  })).filter(([pin]) => pin !== null);
+}
+
+/** Names with their pins, in the order in which they are judged. */
+function heldPins(draft) {
+  const some = (name) => draft.pins[name]?.length;
+  const plain = ITEMS.filter(({ name }) => !BOARDS.controls.includes(name) && some(name)).map(({ name }) => name);
+  const found = [...plain, ...BOARDS.controls.filter(some)].map((name) => [name, draft.pins[name]]);
+  if (draft.repl !== undefined && draft.repl !== null) found.push(["REPL_PIN", [draft.repl]]);
+  for (const [name, pins] of [["OUTPUTS", draft.outputs], ["INPUTS", draft.inputs]]) {
+    if (Object.keys(pins || {}).length) found.push([name, Object.values(pins)]);
+  }
+  for (const name of ["SD_CARD", "TMC_UART"]) if (draft.kept?.[name]) found.push([name, draft.kept[name]]);
+  return found;
+}
+
+/** Why these pins cannot be it, beside those that are known; "" where they can. */
+function itemProblem(draft, known, item, pins) {
+  const { name } = item, chip = BOARDS.chips[draft.chip];
+  const count = item.perAxis ? (known.STEP || pins).length : 1;
+  const axes = new Set(draft.motors).size || (known.STEP || []).length;
+  const wanted = [...new Set(name === "LIMIT" ? [count, axes || count] : [count])].sort((a, b) => a - b);
+  if (name === "STEP" && pins.length > chip.most_motors) return `${chip.engine} has pulses for ${chip.most_motors} motors at most`;
+  if (!wanted.includes(pins.length)) {
+    const many = wanted.join(" or ");
+    return `${name} wants ${many} pin${many === "1" ? "" : "s"}, not ${pins.length}`;
+  }
+  const used = usesOf(known);
+  for (const [index, pin] of pins.entries()) {
+    if (pin === null) {
+      if (name !== "LIMIT") return `${name}: None is for limit switches that are not there`;
+      continue;
+    }
+    if (!chip.pins.includes(pin)) return `${name}: ${chip.title} has no pin ${pin} to connect to`;
+    if (BOARDS.quick.includes(name) && pin > chip.last_quick) {
+      return `${name}: pin ${pin} cannot do it: steps, directions, limits, probe and buttons have to be pins up to ${chip.last_quick}`;
+    }
+    if (item.output && chip.inputs_only.includes(pin)) return `${name}: pin ${pin} of ${chip.title} can only read`;
+    if (used.has(pin)) return `${name}: pin ${pin} is ${used.get(pin)} already`;
+    if (name !== "LIMIT" && pins.indexOf(pin) < index) return `${name} names pin ${pin} twice`;
+  }
+  return "";
+}
+
+function usesOf(known) {
+  return new Map(Object.entries(known).flatMap(([name, pins]) => pins.map((pin) => [pin, name])));
+}
+
+/** What is wrong with pins that no item is about. */
+function loosePins(draft, known, name, pins) {
+  const used = usesOf(known), chip = BOARDS.chips[draft.chip], found = [];
+  for (const [index, pin] of pins.entries()) {
+    if (pin === null) continue;
+    if (!chip.pins.includes(pin)) found.push(`${name}: ${chip.title} has no pin ${pin} to connect to`);
+    else if (used.has(pin)) found.push(`${name}: pin ${pin} is ${used.get(pin)} already`);
+    else if (name !== "LIMIT" && pins.indexOf(pin) < index) found.push(`${name} names pin ${pin} twice`);
+  }
+  return found;
+}
+
+function pinProblems(draft) {
+  const found = [], known = {}, items = Object.fromEntries(ITEMS.map((item) => [item.name, item]));
+  const axes = axesOf(draft);
+  if (axes < FEWEST_AXES) found.push(`STEP wants ${FEWEST_AXES} pins, for ${AXES.slice(0, FEWEST_AXES)}`);
+  for (const [name, pins] of heldPins(draft)) {
+    if (items[name] && !(name === "ENABLE" && pins.length > 1)) {
+      const problem = itemProblem(draft, known, items[name], pins);
+      if (problem) {
+        found.push(problem);
+        continue;
+      }
+    } else found.push(...loosePins(draft, known, name, pins));
+    known[name] = pins;
+    if (name === "STEP" && !draft.motors && pins.length > MOST_LETTERS) {
+      found.push(`STEP has ${pins.length} pins and there are ${MOST_LETTERS} axes: MOTORS says which each moves, "${(AXES + AXES).slice(0, pins.length)}" say`);
+    }
+  }
+  return found;
+}
+
+/** What is out of range, or none of the words there are. */
+function valueProblems(draft) {
+  const found = [];
+  for (const name of BOARDS.order) {
+    const option = FORM_OPTIONS[name], value = draft.options[name];
+    if (!option || value === undefined) continue;
+    if (option.kind.startsWith("whole") && value < option.low) found.push(`${name} is ${value}: it is ${option.low} at the least`);
+    else if (option.high !== null && value > option.high) found.push(`${name} is ${value}: it is ${option.high} at the most`);
+    else if (option.words) {
+      const unknown = [value].flat().find((word) => !option.words.includes(word));
+      if (unknown !== undefined) found.push(`${name}: '${unknown}' is not one of ${option.words.join(", ")}`);
+    }
+  }
+  return found;
+}
+
+function networkProblems(draft) {
+  const chip = BOARDS.chips[draft.chip], { LINK, PAGE } = valuesOf(draft), wireless = Object.values(BOARDS.wireless);
+  if (PAGE && chip.mpy_arch === BOARDS.tooSmall) return [BOARDS.noPage];
+  if (PAGE && !wireless.includes(LINK)) return ['PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'];
+  return !chip.radio && wireless.includes(LINK) ? [`LINK: ${chip.title} has no radio`] : [];
+}
+
+/** What is switched on, or turned round, and has no pin. */
+function wireProblems(draft) {
+  const found = [], laser = draft.options.TOOL === "laser", motors = (draft.pins.STEP || []).length;
+  const has = (name) => Boolean(draft.pins[name]?.length);
+  if (laser && !has("SPINDLE_PWM")) found.push("TOOL = laser: there is no pin for SPINDLE_PWM");
+  if (laser && motors > BOARDS.mostBesideBeam) found.push(`TOOL = laser: its beam takes what a motor takes, and leaves ${BOARDS.mostBesideBeam}`);
+  for (const name of draft.options.INVERT || []) {
+    if (BOARDS.invertible.includes(name) && !has(name)) found.push(`INVERT: there is no pin for ${name}`);
+  }
+  return found;
+}
+
+/** What the firmware itself refuses first, of an extra; in the order in which they come in. */
+function extraProblem(draft) {
+  const says = valuesOf(draft), axes = axesOf(draft);
+  return motorsProblem(draft) || apartProblem("BACKLASH", says, draft) || apartProblem("SKEW", says, draft)
+    || rotaryProblem(draft, axes) || homingProblem(says.HOMING, axes) || limitProblem(draft, axes)
+    || toolProblem(draft, says);
+}
+
+function motorsProblem({ motors, pins, options }) {
+  if (!motors) return "";
+  const count = (pins.STEP || []).length, axes = new Set(motors).size, limits = pins.LIMIT || [];
+  if (motors.length !== count) return `MOTORS has ${motors.length} letters, and STEP ${count} pins`;
+  if (axes < FEWEST_AXES || !AXES.startsWith(motors.slice(0, axes))) return `MOTORS: ${AXES.slice(0, Math.max(axes, FEWEST_AXES))} first, then second motors: XYZY`;
+  const crowded = [...motors].find((letter) => [...motors].filter((one) => one === letter).length > MOST_OF_AN_AXIS);
+  if (crowded) return `MOTORS: ${crowded} has more than two`;
+  for (let motor = axes; motor < motors.length; motor += 1) {
+    const axis = AXES.indexOf(motors[motor]);
+    if (options.COREXY && axis < 2) return `MOTORS: ${motors[motor]} shares its motor, and has no second`;
+    if ((limits[motor] ?? null) !== null && limits[axis] === null) return `LIMIT: ${motors[motor]} has its second switch only`;
+  }
+  return "";
+}
+
+/** Two options that are not for the same machine. */
+function apartProblem(name, says, draft) {
+  if (!says[name]) return "";
+  const other = BOARDS.apart[name].find((word) => says[word] || (word === "ROTARY" && draft.rotary) || draft.kept?.[word]);
+  return other ? `${name} and ${other} are not for the same machine` : "";
+}
+
+function rotaryProblem({ rotary }, axes) {
+  const wrong = [...rotary].find((letter, index) => {
+    const axis = AXES.slice(0, axes).indexOf(letter);
+    return axis < FEWEST_AXES || rotary.indexOf(letter) < index;
+  });
+  return wrong ? `ROTARY: ${wrong} is none of A, B, C here, or there twice` : "";
+}
+
+const MOST_CYCLES = 6;
+function homingProblem(words = [], axes) {
+  if (words.length > MOST_CYCLES) return `HOMING has ${words.length} parts: there may be ${MOST_CYCLES}`;
+  const letters = words.join("");
+  const wrong = [...letters].find((letter, index) => AXES.slice(0, axes).indexOf(letter) < 0 || letters.indexOf(letter) < index);
+  return wrong ? `HOMING: ${wrong} is no axis, or there twice` : "";
+}
+
+/** Of limit inputs that axes share. */
+function limitProblem(draft, axes) {
+  const limits = draft.pins.LIMIT || [], shared = [];
+  const axisOf = (index) => (index >= axes ? AXES.indexOf(draft.motors[index]) : index);
+  for (const pin of new Set(limits.filter((one) => one !== null))) {
+    const sharing = limits.flatMap((one, index) => (one === pin ? [index] : [])), seen = [];
+    for (const index of sharing) {
+      if (seen.includes(axisOf(index))) return `LIMIT: both switches of ${AXES[axisOf(index)]} are on pin ${pin}: None for the second motor's`;
+      seen.push(axisOf(index));
+    }
+    if (sharing.length > 1) shared.push(seen);
+  }
+  if (!shared.length) return "";
+  const words = draft.options.HOMING || [];
+  const cycles = (words.length ? words : ["Z", AXES.slice(0, axes).replace("Z", "")]).map((word) => [...word].map((letter) => AXES.indexOf(letter)));
+  for (const cycle of cycles) {
+    for (const seen of shared) {
+      const both = seen.filter((axis) => cycle.includes(axis)).sort((a, b) => a - b);
+      if (both.length < 2) continue;
+      const apart = ["Z", ...AXES.slice(0, axes).replace("Z", "")].join('", "');
+      return `LIMIT: ${both.map((axis) => AXES[axis]).join(" and ")} share a pin and are homed together: write HOMING = ("${apart}")`;
+    }
+  }
+  return "";
+}
+
+function toolProblem(draft, says) {
+  const chip = BOARDS.chips[draft.chip], hz = says.PWM_HZ ?? 5000;
+  if (says.TOOL === "laser") {
+    if (hz < BEAM_HZ[0] || hz > BEAM_HZ[1]) return `TOOL = laser: PWM_HZ is ${BEAM_HZ[0]} to ${BEAM_HZ[1]}`;
+    if (draft.pins.SPINDLE_ON?.length) return "TOOL = laser: SPINDLE_ON would not follow the beam";
+    const tight = chip.engine === "pio" && chip.mpy_arch === "armv6m" && says.LINK === "wifi";
+    if (tight && draft.pins.STEP.length > BESIDE_RADIO) return `TOOL = laser: with LINK = "wifi" it takes ${BESIDE_RADIO} motors at the most`;
+  }
+  if (!says.CLUSTERS) return "";
+  if (says.TOOL !== "laser") return 'CLUSTERS wants TOOL = "laser"';
+  return chip.engine === "pio" ? "" : "CLUSTERS wants a Pico: others have no machine for a beam";
+}
+
+/** Every problem in words, as `ugrbl build` and `ugrbl deploy` name them; none for a good board. */
+function boardProblems(draft) {
+  const missing = ITEMS.filter(({ name, needed }) => needed && !draft.pins[name]?.length);
+  if (missing.length) return [`${missing[0].name} is missing`];
+  const values = [...valueProblems(draft), ...networkProblems(draft)];
+  const link = values.find((words) => words.startsWith("LINK:") && words.includes("is not one of"));
+  if (link) return [link]; // there is no such part: nothing else is looked at
+  const pins = pinProblems(draft), extra = values.length || pins.length ? "" : extraProblem(draft);
+  return [...pins, ...wireProblems(draft), ...values, ...(extra ? [extra] : [])];
+}
+
+/** What is worth to know about the pins of a good board. */
+function boardNotes(draft) {
+  const { odd } = BOARDS.chips[draft.chip];
+  return heldPins(draft).flatMap(([name, pins]) => pins.filter((pin) => odd[pin]).map((pin) => `${name}: pin ${pin} ${odd[pin]}`));
+}
+
+/** A draft of a board out of boards/; null where its motors have no pins of the chip. */
+function draftOf(name) {
+  const { about, chip, values } = BOARDS.boards[name];
+  if (values.I2S) return null;
+  const draft = { chip, title: about.replace(/["\\]/g, "").replace(/[:.].*/, ""), motors: values.MOTORS || "", rotary: values.ROTARY || "", pins: {}, options: {}, kept: {},
+    repl: values.REPL_PIN ?? null, outputs: values.OUTPUTS || {}, inputs: values.INPUTS || {} };
+  const apart = ["CHIP", "MPY_ARCH", "ENGINE", "MOTORS", "ROTARY", "REPL_PIN", "OUTPUTS", "INPUTS", "NO_PULL_UP", "CONTROL", ...Object.values(BOARDS.switchedOn)];
+  for (const { name: item } of ITEMS) if ((values[item] ?? null) !== null) draft.pins[item] = [values[item]].flat();
+  (values.CONTROL || []).forEach((pin, index) => { if (pin !== null) draft.pins[BOARDS.controls[index]] = [pin]; });
+  for (const [word, value] of Object.entries(values)) {
+    if (apart.includes(word) || ITEMS.some((item) => item.name === word)) continue;
+    if (word in FORM_OPTIONS) draft.options[word] = value;
+    else draft.kept[word] = value;
+  }
+  return draft;
+}

@@ -1,0 +1,491 @@
+// The first steps of setting up: what is on the board, which board it is, its pins, its file.
+
+const IMAGES = { pico: "RPI_PICO", pico_w: "RPI_PICO_W", pico2: "RPI_PICO2", pico2_w: "RPI_PICO2_W" };
+const NEW_DRAFT = { title: "My machine", motors: "XYZ", rotary: "", pins: {}, repl: null, outputs: {}, inputs: {}, options: {}, kept: {} };
+const micropython = new Prompt(grbl);
+let onBoard = null; // what Prompt.about() has found; null before
+let promptTrouble = "", faultLine = 0, looking = ""; // what is being done
+let draft = kept.draft?.chip in BOARDS.chips ? kept.draft : null;
+let ownWords = kept.ownWords ?? null; // the file, where it is not made of the draft
+
+// What is on the board
+
+function situation() {
+  if (looking) return [looking];
+  if (promptTrouble) return [promptTrouble, "look"];
+  if (!SerialLink.possible()) return ["This browser cannot open a USB port. Chrome and Edge on a computer can. A board file can be made and saved here all the same."];
+  if (!grbl.up) return ["No board is connected. Plug it in and press Connect by USB. If no board is in the list, put the firmware on it first: see below.", "connect"];
+  if (grbl.lent && onBoard) return boardWords(onBoard);
+  if (grbl.state) return [`A machine is at work: ${grbl.version ? `version ${grbl.version}` : "a Grbl"}. Its pins can be changed here, or go on with step 6.`, "read", "guide"];
+  if (grbl.message) return [`The firmware does not start: ${grbl.message}`, "look"];
+  if (grbl.silent) return ["The board says nothing. It may have no firmware yet, or another program on it.", "look"];
+  return ["Waiting for an answer …"];
+}
+
+function boardWords({ version, machine, frozen, hasMain, board }) {
+  const python = `MicroPython ${version} on ${machine}`;
+  if (!frozen && !hasMain) return [`${python}, without ugrbl. Put the firmware on it: see below.`, "again"];
+  if (board === null) return [`${python}, with ugrbl and without a board file. The next step makes one.`, "board"];
+  return [`${python}, with ugrbl and a board file. The machine does not run.`, "start", "file"];
+}
+
+const ACTIONS = {
+  connect: ["Connect by USB", () => connectUsb()],
+  look: ["Look what is on it", () => lookAtBoard()],
+  again: ["Look again", () => lookAtBoard()],
+  read: ["Read its board file", () => lookAtBoard(true)],
+  guide: ["Set the machine up", () => showStep("guide")],
+  board: ["Choose the board", () => showStep("board")],
+  start: ["Start it", () => startBoard()],
+  file: ["Show its board file", () => showStep("file")],
+};
+
+let situationWas = "";
+function renderSituation() {
+  const [words, ...actions] = situation();
+  if (words === situationWas) return;
+  situationWas = words;
+  $("setup-found").textContent = words;
+  $("setup-actions").replaceChildren(...actions.map((name, index) => make("button", { className: index ? "" : "main", onclick: ACTIONS[name][1] }, ACTIONS[name][0])));
+}
+grbl.on("change", renderSituation);
+grbl.on("lost", () => { onBoard = null; promptTrouble = ""; });
+grbl.on("prompt", () => {
+  showTab("setup");
+  showStep("connect");
+  lookAtBoard();
+});
+
+/** Ask MicroPython; a machine that was at work is started again. */
+async function lookAtBoard(restart = false) {
+  if (looking) return;
+  await atPrompt(async () => {
+    onBoard = await micropython.about();
+    const chip = chipOf(onBoard.machine);
+    if (chip) $("board-chip").value = $("uf2-board").value = chip;
+    renderUf2();
+    $("bootsel").open = !onBoard.frozen && !onBoard.hasMain;
+    if (onBoard.board !== null) useText(onBoard.board);
+    if (onBoard.custom !== null) keep("custom", onBoard.custom);
+    if (restart) await startMachine(); // else it stays at the prompt
+  });
+  if (!restart || promptTrouble) return;
+  onBoard = null;
+  showStep("file");
+}
+
+function startMachine() {
+  looking = "The board starts …";
+  renderSituation();
+  return micropython.start();
+}
+
+/** Something at the raw prompt; what fails is said. Returns whether it went well. */
+async function atPrompt(act, fresh = false) {
+  looking = "Looking at what is on the board …";
+  promptTrouble = "";
+  renderSituation();
+  try {
+    await micropython.enter(fresh);
+    await act();
+    return true;
+  } catch (error) {
+    promptTrouble = error.words || error.message;
+    faultLine = error.line || 0; // of board.py
+    if (grbl.lent && !onBoard) micropython.leave();
+    return false;
+  } finally {
+    looking = "";
+    renderSituation();
+  }
+}
+
+async function startBoard() {
+  let said = null;
+  await atPrompt(async () => { said = await startMachine(); });
+  onBoard = null;
+  if (said && !said.banner) promptTrouble = `The firmware does not start: ${said.message || "it says nothing"}`;
+  renderSituation();
+}
+
+function renderUf2() {
+  const name = $("uf2-board").value;
+  $("uf2-name").textContent = `ugrbl-…-${IMAGES[name]}.uf2`;
+  $("uf2-drive").textContent = BOARDS.chips[name].processor === "RP2350" ? "RP2350" : "RPI-RP2";
+}
+$("uf2-board").append(...Object.keys(IMAGES).map((name) => make("option", { value: name }, BOARDS.chips[name].title)));
+$("uf2-board").onchange = renderUf2;
+$("uf2-write").hidden = !("showDirectoryPicker" in window);
+$("uf2-file").onchange = async ({ target }) => {
+  const [file] = target.files;
+  target.value = "";
+  const say = (text) => { $("uf2-words").textContent = text; };
+  try {
+    say("Choose the board's drive.");
+    const drive = await window.showDirectoryPicker({ mode: "readwrite" });
+    say("Writing …");
+    say(await writeToDrive(file, drive));
+  } catch (error) {
+    say(error.name === "AbortError" ? "No drive was chosen." : error.message);
+  }
+};
+STEP_SHOWN.connect = () => {
+  renderUf2();
+  renderSituation();
+};
+
+// Which board
+
+$("board-chip").append(...Object.entries(BOARDS.chips).map(([name, { title }]) => make("option", { value: name }, title)));
+$("board-chip").onchange = renderCards;
+function renderCards() {
+  const chip = $("board-chip").value, { processor, title } = BOARDS.chips[chip];
+  const near = Object.entries(BOARDS.boards).filter(([, board]) => BOARDS.chips[board.chip].processor === processor);
+  near.sort(([, one], [, other]) => (other.chip === chip) - (one.chip === chip));
+  $("board-cards").replaceChildren(
+    make("button", { className: "main", onclick: () => chooseOwn(chip) }, make("b", {}, "My own"), make("span", { className: "small" }, `Pins of the ${title}, one by one`)),
+    ...near.map(([name, { about }]) => make("button", { onclick: () => chooseBoard(name) }, make("b", { className: "mono" }, name), make("span", { className: "small" }, about))));
+}
+STEP_SHOWN.board = renderCards;
+
+function chooseOwn(chip) {
+  if (draft?.chip !== chip) setDraft({ ...structuredClone(NEW_DRAFT), chip });
+  ownWords = null;
+  keep("ownWords", null);
+  showStep("pins");
+}
+
+function chooseBoard(name) {
+  const made = draftOf(name);
+  if (made) setDraft(made);
+  useText(BOARDS.boards[name].text);
+  showStep(made ? "pins" : "file");
+}
+
+/** The answers have changed: so has the file. */
+function setDraft(made) {
+  draft = made;
+  ownWords = null;
+  keep("draft", draft);
+  keep("ownWords", null);
+}
+
+function useText(text) {
+  ownWords = text;
+  keep("ownWords", text);
+}
+
+// Pins
+
+const PIN_KINDS = { STEP: "motor", DIR: "motor", ENABLE: "motor" };
+const SHORT = { STEP: "step", DIR: "dir", ENABLE: "enable", LIMIT: "limit", RESET: "reset", HOLD: "hold", START: "start", DOOR: "door",
+  ESTOP: "e-stop", SPINDLE_PWM: "tool PWM", SPINDLE_DIR: "tool dir", SPINDLE_ON: "tool on", FLOOD: "flood", MIST_PIN: "mist" };
+const kindOfItem = ({ name, output }) => PIN_KINDS[name] || (output ? "out" : "in");
+const motorLetters = () => draft.motors || AXES.slice(0, (draft.pins.STEP || []).length);
+
+/** All jobs that a pin may have: [value, words, kind]. */
+function pinJobs() {
+  const names = motorNames(motorLetters());
+  const items = ITEMS.flatMap((item) => {
+    const words = SHORT[item.name] || item.question.split(",")[0];
+    const kind = kindOfItem(item);
+    return item.perAxis ? names.map((motor, index) => [`${item.name} ${index}`, `${words} ${motor}`, kind]) : [[item.name, words, kind]];
+  });
+  const own = (way, word) => Object.keys(draft[way]).map((name) => [`${way} ${name}`, `${word} ${name}`, "own"]);
+  return [...items, ["repl", "prompt", "in"], ...own("outputs", "output"), ...own("inputs", "input")];
+}
+
+/** The job of a pin; "" where it has none. */
+function jobOfPin(pin) {
+  if (draft.repl === pin) return "repl";
+  for (const way of ["outputs", "inputs"]) {
+    const name = Object.keys(draft[way]).find((one) => draft[way][one] === pin);
+    if (name) return `${way} ${name}`;
+  }
+  for (const { name, perAxis } of ITEMS) {
+    const index = (draft.pins[name] || []).indexOf(pin);
+    if (index >= 0) return perAxis ? `${name} ${index}` : name;
+  }
+  return "";
+}
+
+function freePin(pin) {
+  if (draft.repl === pin) draft.repl = null;
+  for (const way of ["outputs", "inputs"]) for (const name of Object.keys(draft[way])) if (draft[way][name] === pin) draft[way][name] = null;
+  for (const item of ITEMS) {
+    const held = draft.pins[item.name];
+    if (!held?.includes(pin)) continue;
+    if (item.perAxis) draft.pins[item.name] = held.map((one) => (one === pin ? null : one));
+    else draft.pins[item.name] = held.filter((one) => one !== pin);
+    if (draft.pins[item.name].every((one) => one === null)) delete draft.pins[item.name];
+  }
+}
+
+/** Give a pin a job; who had it before has none, except enables, of which each driver may have one. */
+function givePin(pin, job) {
+  freePin(pin);
+  const [name, index] = job.split(" ");
+  if (job === "repl") draft.repl = pin;
+  else if (name in draft && index) draft[name][index] = pin;
+  else if (index) {
+    const count = motorLetters().length, held = draft.pins[name] || [];
+    draft.pins[name] = Array.from({ length: count }, (_, motor) => held[motor] ?? null);
+    draft.pins[name][Number(index)] = pin;
+  } else if (name) draft.pins[name] = name === "ENABLE" ? [...(draft.pins.ENABLE || []), pin].sort((a, b) => a - b) : [pin];
+  setDraft(draft);
+  renderPins();
+}
+
+/** The draft as a file has it: names of one's own only with their pins, limits only as far as they go. */
+function tidy() {
+  const wired = (pins) => Object.fromEntries(Object.entries(pins).filter(([, pin]) => pin !== null));
+  const own = motorLetters() === AXES.slice(0, motorLetters().length);
+  return { ...draft, motors: own ? "" : draft.motors, outputs: wired(draft.outputs), inputs: wired(draft.inputs) };
+}
+
+/** Pins that motors need and have not been given. */
+function openJobs() {
+  const names = motorNames(motorLetters());
+  return [["STEP", "step"], ["DIR", "dir"]].flatMap(([item, words]) => names.filter((_, motor) => (draft.pins[item]?.[motor] ?? null) === null).map((name) => `${words} ${name}`));
+}
+
+/** [text, tone] of all that is to be said of the draft. */
+function verdict() {
+  const open = openJobs(), made = tidy();
+  if (open.length) return [[`Still without a pin: ${open.join(", ")}.`, "warn"], ...noteRows(made)];
+  const problems = boardProblems(made);
+  if (problems.length) return problems.map((text) => [text, "bad"]);
+  return [["No rule is broken: the file is ready.", "good"], ...noteRows(made)];
+}
+const noteRows = (made) => boardNotes(made).map((text) => [text, "warn"]);
+
+function renderPins() {
+  $("board-title").value = draft.title;
+  $("board-motors").value = motorLetters();
+  $("board-rotary").value = draft.rotary;
+  const focused = document.activeElement?.id;
+  const { module, title } = BOARDS.chips[draft.chip], left = module.left.split(" "), right = module.right.split(" ");
+  const rows = Math.max(left.length, right.length), jobs = pinJobs();
+  const parts = [make("div", { className: "body", style: `grid-row:1/span ${rows}`, title }, make("span", {}, module.title))];
+  for (let row = 0; row < rows; row += 1) {
+    parts.push(...pinCells(left[row], row, [2, 1], jobs), ...pinCells(right[row], row, [4, 5], jobs));
+  }
+  module.on_board.split(" ").filter(Boolean).forEach((pin, index) => parts.push(...pinCells(pin, rows + index, [2, 1], jobs)));
+  $("module").replaceChildren(...parts);
+  if (focused) $(focused)?.focus();
+  says("pins-says", verdict());
+}
+
+/** A pin's number and the choice of its job; of a supply pin its name. */
+function pinCells(word, row, [padColumn, jobColumn], jobs) {
+  if (word === undefined) return [];
+  const where = (column) => `grid-column:${column};grid-row:${row + 1}`;
+  if (!/^\d+$/.test(word)) return [make("span", { className: "power", style: where(padColumn) }, word)];
+  const pin = Number(word), job = jobOfPin(pin), { odd, inputs_only: inputsOnly } = BOARDS.chips[draft.chip];
+  const kind = jobs.find(([value]) => value === job)?.[2] || "";
+  const hint = [inputsOnly.includes(pin) && "can only read", odd[pin]].filter(Boolean).join("; ");
+  const select = make("select", { id: `pin-${pin}`, "aria-label": `Job of pin ${pin}${hint ? `, which ${hint}` : ""}`, style: where(jobColumn), title: hint, onchange: ({ target }) => givePin(pin, target.value) },
+    make("option", { value: "" }, "–"), ...jobs.map(([value, text]) => make("option", { value, selected: value === job }, text)));
+  return [make("label", { htmlFor: select.id, "data-kind": kind, style: where(padColumn), title: hint }, word + (hint ? "*" : "")), select];
+}
+STEP_SHOWN.pins = () => {
+  if (!draft) return showStep("board");
+  renderPins();
+};
+
+$("board-title").oninput = ({ target }) => {
+  draft.title = target.value.replace(/["\\]/g, "").trim() || NEW_DRAFT.title;
+  setDraft(draft);
+};
+$("board-motors").onchange = ({ target }) => {
+  draft.motors = target.value.toUpperCase().replace(/[^XYZABC]/g, "") || "XYZ";
+  for (const { name, perAxis } of ITEMS) if (perAxis && draft.pins[name]) draft.pins[name] = draft.pins[name].slice(0, draft.motors.length);
+  setDraft(draft);
+  renderPins();
+};
+$("board-rotary").onchange = ({ target }) => {
+  draft.rotary = target.value.toUpperCase();
+  setDraft(draft);
+  renderPins();
+};
+$("own-pins").onsubmit = (event) => {
+  event.preventDefault();
+  const name = $("own-name").value.trim();
+  if (!name || name in draft.outputs || name in draft.inputs) return says("pins-says", [["Give it a name that is not there yet.", "bad"]]);
+  draft[event.submitter.value][name] = null;
+  $("own-name").value = "";
+  setDraft(draft);
+  renderPins();
+};
+
+// Options
+
+function renderOptions() {
+  says("options-says", verdict());
+  $("option-forms").replaceChildren(...Object.entries(BOARDS.forms).map(([title, options]) => make("details", { open: options.some(({ name }) => name in draft.options) },
+    make("summary", {}, make("b", {}, title)), ...options.map(optionRow))));
+  const others = Object.keys(draft.kept);
+  if (others.length) $("option-forms").append(make("p", { className: "small faint" }, `Kept as they are, and checked by the board when it starts: ${others.join(", ")}.`));
+}
+
+function optionRow(option) {
+  const id = `option-${option.name}`;
+  return make("div", { className: "option" }, make("label", { htmlFor: id, className: "mono small" }, option.name),
+    make("div", { className: option.kind === "True or False" ? "tick" : "" }, optionControl(option, id), make("div", { className: "small faint" }, option.meaning)));
+}
+
+/** What is set is in the file, and what is as ever is not. */
+function setOption({ name, default: usual }, value) {
+  if (value === undefined || literal(value) === literal(name === "LINK" ? BOARDS.chips[draft.chip].link : usual)) delete draft.options[name];
+  else draft.options[name] = value;
+  setDraft(draft);
+  says("options-says", verdict());
+}
+
+function optionControl(option, id) {
+  const { name, kind, low, high, choices } = option, value = draft.options[name];
+  const usual = name === "LINK" ? BOARDS.chips[draft.chip].link : option.default;
+  if (kind === "True or False") return make("input", { type: "checkbox", id, checked: value ?? usual, onchange: ({ target }) => setOption(option, target.checked) });
+  if (kind === "whole number") {
+    return make("input", { type: "number", id, min: low, ...(high === null ? {} : { max: high }), value: value ?? "", placeholder: String(usual),
+      onchange: ({ target }) => setOption(option, target.value === "" ? undefined : Math.round(Number(target.value))) });
+  }
+  if (kind === "names" && choices) {
+    return make("div", { className: "bits", id }, ...choices.map((word) => make("label", { className: "check small" }, make("input", { type: "checkbox", checked: (value || []).includes(word),
+      onchange: ({ target }) => setOption(option, choices.filter((one) => (one === word ? target.checked : (draft.options[name] || []).includes(one)))) }), word)));
+  }
+  if (kind === "names") {
+    return make("input", { id, value: (value || []).join(", "), placeholder: "Z, XY",
+      onchange: ({ target }) => setOption(option, target.value.toUpperCase().split(/[\s,]+/).filter(Boolean)) });
+  }
+  if (choices) {
+    return make("select", { id, onchange: ({ target }) => setOption(option, target.value) },
+      ...choices.map((word) => make("option", { value: word, selected: word === (value ?? usual) }, word)));
+  }
+  return make("input", { id, value: value ?? "", placeholder: "none", onchange: ({ target }) => setOption(option, target.value.replace(/[^\w-]/g, "") || undefined) });
+}
+STEP_SHOWN.options = () => {
+  if (!draft) return showStep("board");
+  renderOptions();
+};
+
+// The files: board.py, and the user's own Python
+
+const CUSTOM_BEGIN = `"""My own words: docs/custom.md."""
+
+from ugrbl import mcode
+
+
+@mcode(100)
+def hello(m):
+    m.message("hello")
+`;
+const isBoardFile = () => $("file-name").value === "board.py";
+const boardFileText = () => ownWords ?? (draft ? boardText(tidy()) : "");
+const fileText = () => (isBoardFile() ? boardFileText() : kept.custom ?? CUSTOM_BEGIN);
+
+function renderFile() {
+  $("board-text").value = fileText();
+  renderFileSays();
+}
+
+function renderFileSays() {
+  $("remake-board").hidden = !isBoardFile() || ownWords === null || !draft;
+  says("file-says", fileRows());
+  renderSend();
+}
+
+function fileRows() {
+  if (!isBoardFile()) return [["Your own Python, beside the board file. It is compiled on the board before it replaces what is there; what fails later is a message in the console.", ""]];
+  if (ownWords !== null) return [["This text was written by hand or comes as it is. The board checks it when it starts.", ""]];
+  return draft ? verdict() : [["Choose a board first, or open a file.", "warn"]];
+}
+
+function renderSend() {
+  const open = isBoardFile() && ownWords === null && (!draft || verdict().some(([, tone]) => tone === "bad") || openJobs().length > 0);
+  const usb = grbl.up && grbl.link instanceof SerialLink;
+  $("send-board").disabled = Boolean(looking) || open || !usb || Boolean(grbl.state) && !is("Idle", "Alarm");
+  $("send-board").title = !usb ? "Connect the board by USB first." : open ? "The file is not ready: see above." : "";
+}
+grbl.on("change", renderSend);
+STEP_SHOWN.file = renderFile;
+$("file-name").onchange = renderFile;
+
+/** Keep what was typed, or opened. */
+function useFile(text) {
+  if (isBoardFile()) useText(text);
+  else keep("custom", text);
+}
+$("board-text").oninput = ({ target }) => {
+  useFile(target.value);
+  renderFileSays();
+};
+$("remake-board").onclick = () => {
+  ownWords = null;
+  keep("ownWords", null);
+  renderFile();
+};
+$("save-board").onclick = () => saveFile($("file-name").value, fileText(), "text/x-python");
+$("open-board").onchange = async ({ target }) => {
+  if (target.files[0]) useFile(await target.files[0].text());
+  target.value = "";
+  renderFile();
+};
+
+/** Mark a line of the file that is at fault. */
+function markLine(number) {
+  const area = $("board-text"), lines = area.value.split("\n");
+  const from = lines.slice(0, number - 1).join("\n").length + (number > 1 ? 1 : 0);
+  area.focus();
+  area.setSelectionRange(from, from + (lines[number - 1] || "").length);
+  area.scrollTop = Math.max(0, (number - 4) * area.scrollHeight / lines.length);
+}
+
+/** The line of the file that a message is about: it says so, or begins with an option's name. */
+function lineOf(message) {
+  const said = Number(/(?:board|custom)\.py"?, line (\d+)/.exec(message)?.[1] || 0);
+  const name = isBoardFile() && /([A-Z][A-Z0-9_]{2,})/.exec(message)?.[1];
+  return said || (name ? fileText().split("\n").findIndex((line) => line.startsWith(`${name} =`)) + 1 : 0);
+}
+
+function showFault(message, known = 0) {
+  const line = known || lineOf(message);
+  says("file-says", [[`${line ? `Line ${line}: ` : ""}${message}`, "bad"]]);
+  if (line) markLine(line);
+}
+
+// A handler has failed: its message names the line.
+grbl.on("line", (text) => {
+  if (/^\[MSG:.*custom\.py, line \d+/.test(text) && setupStep === "file" && !isBoardFile()) showFault(text.slice(5, -1));
+});
+
+/** Refuse what belongs to another board. */
+function checkFits({ frozen, hasMain, machine }, text) {
+  if (!frozen && !hasMain) throw new Error("There is no ugrbl on this board: put the firmware on it first, step 1.");
+  const chip = chipOf(machine), wanted = /^MPY_ARCH = "(\w+)"/m.exec(text)?.[1];
+  if (chip && wanted && BOARDS.chips[chip].mpy_arch !== wanted) throw new Error(`This is ${machine}; the file is for another chip (MPY_ARCH = "${wanted}").`);
+}
+
+async function sendFile() {
+  const name = $("file-name").value, text = fileText();
+  let said = null, before = null;
+  $("send-bar").hidden = false;
+  const went = await atPrompt(async () => {
+    onBoard = await micropython.about();
+    before = isBoardFile() ? onBoard.board : onBoard.custom;
+    checkFits(onBoard, text);
+    await micropython.putFile(name, text, (part) => { $("send-bar").value = part; });
+    said = await startMachine();
+    onBoard = null;
+  }, true);
+  $("send-bar").hidden = true;
+  if (!went) showFault(promptTrouble, faultLine);
+  else if (said.banner) says("file-says", [["The board has taken the file, and the machine runs.", "good"]]);
+  else showFault(`The board does not start with it: ${said.message || "it says nothing"}`);
+  if (before !== null && before !== text && !said?.banner) {
+    $("file-says").append(make("li", {}, make("button", { onclick: () => { useFile(before); renderFile(); } }, "Show the file that was there before")));
+  }
+  promptTrouble = "";
+  renderSend();
+}
+$("send-board").onclick = sendFile;

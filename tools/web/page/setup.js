@@ -1,0 +1,56 @@
+// The steps of setting up: one is shown at a time, and what was entered outlives the page.
+
+const KEPT_AS = "ugrbl-setup";
+const kept = (() => {
+  try {
+    return JSON.parse(localStorage.getItem(KEPT_AS)) || {};
+  } catch (error) {
+    console.info("nothing is kept:", error.message); // storage is off, or was written by another page
+    return {};
+  }
+})();
+/** Keep it in this browser. */
+function keep(name, value) {
+  kept[name] = value;
+  try {
+    localStorage.setItem(KEPT_AS, JSON.stringify(kept));
+  } catch (error) {
+    console.info("not kept:", error.message);
+  }
+}
+
+const SETUP_STEPS = [...$("setup-steps").children].map(({ dataset }) => dataset.step);
+let setupStep = "";
+/** What a step does when it is shown, by name. */
+const STEP_SHOWN = {};
+
+function showStep(name) {
+  setupStep = name;
+  keep("step", name);
+  for (const button of $("setup-steps").children) {
+    if (button.dataset.step === name) button.setAttribute("aria-current", "step");
+    else button.removeAttribute("aria-current");
+  }
+  for (const panel of document.querySelectorAll("[data-step-panel]")) panel.hidden = panel.dataset.stepPanel !== name;
+  const steps = SETUP_STEPS.filter((step) => step in STEP_SHOWN), at = steps.indexOf(name);
+  $("step-back").hidden = at < 1;
+  $("step-next").hidden = at === steps.length - 1;
+  $("step-back").onclick = () => showStep(steps[at - 1]);
+  $("step-next").onclick = () => showStep(steps[at + 1]);
+  STEP_SHOWN[name]?.();
+}
+
+/** Sentences, each with a tone: bad, warn or good. */
+function says(id, rows) {
+  $(id).replaceChildren(...rows.map(([text, tone]) => make("li", { className: tone }, text)));
+}
+
+/** Begin, once all parts are there: from a board that serves this page only the guide is. */
+function beginSetup() {
+  for (const button of $("setup-steps").children) {
+    button.hidden = !(button.dataset.step in STEP_SHOWN);
+    button.onclick = () => showStep(button.dataset.step);
+  }
+  showStep(kept.step in STEP_SHOWN ? kept.step : SETUP_STEPS.find((step) => step in STEP_SHOWN));
+}
+addEventListener("load", beginSetup);

@@ -1,0 +1,37 @@
+// A UF2 file onto the drive of a board in its boot loader, where the browser can write to folders.
+
+const UF2_MAGIC = 0x0a324655, UF2_FAMILY_AT = 28, UF2_FLAGS_AT = 8, UF2_HAS_FAMILY = 0x2000;
+const FAMILIES = { 0xe48bff56: "RP2040", 0xe48bff57: "", 0xe48bff59: "RP2350", 0xe48bff5a: "RP2350" };
+const DRIVES = { "RPI-RP2": "RP2040", RP2350: "RP2350" }; // Board-ID of INFO_UF2.TXT
+
+/** The processor that a UF2 file is for; Error where it is none. "" where it does not say. */
+function processorOfUf2(bytes) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  if (bytes.length < 512 || view.getUint32(0, true) !== UF2_MAGIC) throw new Error("This is no UF2 file.");
+  for (let at = 0; at + 512 <= bytes.length; at += 512) { // blocks of no family in particular come first
+    if (!(view.getUint32(at + UF2_FLAGS_AT, true) & UF2_HAS_FAMILY)) continue;
+    const processor = FAMILIES[view.getUint32(at + UF2_FAMILY_AT, true)];
+    if (processor === undefined) throw new Error("This file is for another chip than RP2040 and RP2350.");
+    if (processor) return processor;
+  }
+  return "";
+}
+
+/** Write it there, once the drive is known to be a board's, and of that chip. Returns words. */
+async function writeToDrive(file, drive) {
+  const bytes = new Uint8Array(await file.arrayBuffer()), processor = processorOfUf2(bytes);
+  let info = "";
+  try {
+    info = await (await (await drive.getFileHandle("INFO_UF2.TXT")).getFile()).text();
+  } catch (error) {
+    if (error.name !== "NotFoundError") throw error;
+    throw new Error("There is no INFO_UF2.TXT: this is not the drive of a board in its boot loader.");
+  }
+  const found = DRIVES[/Board-ID: *(\S+)/.exec(info)?.[1]];
+  if (!found) throw new Error("This is the drive of another kind of board.");
+  if (processor && processor !== found) throw new Error(`The file is for an ${processor}, and the board has an ${found}.`);
+  const out = await (await drive.getFileHandle(file.name, { create: true })).createWritable();
+  await out.write(bytes);
+  await out.close();
+  return `${file.name} is on the board, which starts by itself now. Press Connect by USB.`;
+}
