@@ -1,13 +1,19 @@
 # mypy: disable-error-code=arg-type
 """The segments' kernel: integers only, from blocks to a few milliseconds of steps.
 
-Viper, as plan_kernel.py is; all of it runs in the engine's interrupt. What stands where is told in
-layout.py.
+Viper, as plan_kernel.py is; all of it runs in the engine's interrupt. layout.py has the places in
+flow, ring and table; docs/motion.md derives the formulas.
 
-Units: speeds are in 2**-18 step of the block's longest axis per full segment, from 0 to
-2**30 - 2**18, because a full segment has at most 4095 steps (planner.configure). A ramp is the
-change of such a speed in a full segment. Times are in 2**-17 of a full segment, ways in 2**-18 of
-a step. A way of 4095 steps or more does not fit: it is HIGHEST, and whole steps count (unit 0).
+A full segment lasts 2**SEGMENT_LOG2 ticks, about 10 ms. Units within a block, of its longest axis:
+
+    speed     2**-18 step per full segment; 0 to 2**30 - 2**18, because a full segment has at most
+              4095 steps (planner.configure)
+    ramp      acceleration: the change of such a speed in a full segment
+    time      2**-17 of a full segment, so a speed times a time is a distance >> 17
+    distance  2**-18 step; one of 4095 steps or more does not fit: it is HIGHEST, and whole steps
+              are counted instead (unit 0 for 18)
+
+A segment is planned as up to four pieces, each with a constant acceleration.
 """
 
 import micropython
@@ -63,14 +69,14 @@ from motion.minifloat import BIAS, HIGHEST, ONE, product, ratio, square_root
 from motion.ramps import after, braking, share, times
 from motion.slice_kernel import STEP_BIAS, next_row, place_steps, scaled_power, slices, speed_share
 
-_LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
-_LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
-_SPLINTER = const(64)  # a segment is not filled up with pieces as short as that, in 2**-17
+_LEAST = const(0x50000)  # a segment covers at least 1.25 steps, if the block has them,
+_LONGEST = const(0x8000000)  # or lasts 1024 full ones: at low speed it is prolonged
+_SPLINTER = const(64)  # time: less is not worth a piece, the segment ends there
 
 
 @micropython.viper
 def load(flow: ptr32, ring: ptr32, motors: int) -> int:
-    """Take up the next block. Returns 0 where there is none."""
+    """Begin the block at TAIL, or the system's own. Returns 0 where there is none."""
     at = flow[ROWS] if flow[SYSTEM] else flow[TAIL]
     if flow[SYSTEM] == 2 or at == flow[HEAD]:
         return 0
@@ -79,7 +85,7 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     speed = int(product(flow[CARRY], ring[at + FACTOR], ONE))
     cruise = ring[at + CRUISE]
     if speed < cruise and speed + (cruise >> 9) >= cruise:
-        speed = cruise  # what rounding took off between blocks
+        speed = cruise  # within 1/512: only rounding between the units of two blocks
     flow[NOW] = speed
     flow[LEAVE] = 0
     flow[LEAVE_SQR] = 0
@@ -90,14 +96,18 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     flow[SPARE] = 0
     for i in range(motors):
         flow[MOTORS + 2 * i] = ring[at + STEPS + i]
-        flow[MOTORS + 2 * i + 1] = 131072  # half a step: all step where they are nearest the line
+        flow[MOTORS + 2 * i + 1] = 131072  # half a step: a motor steps nearest to the line
     flow[LOADED] = 1
     return 1
 
 
 @micropython.viper
 def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
-    """The speed at which to leave the loaded block: the planner's promise for the next one."""
+    """Return the speed at which to leave the loaded block: the next one's entry speed, or 0.
+
+    scale: ROOT_SCALE, a real. The planner may raise ENTRY_SQR at any time, so it is read anew for
+    each piece; the root is only computed when it has changed.
+    """
     sqr = 0
     following = flow[TAIL] + 1
     if following == flow[ROWS]:
@@ -118,9 +128,13 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 @micropython.viper
 def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
-    """The next piece speeds up, or slows down, by ramp to a goal, as far as there is room.
+    """Plan a piece that changes the speed by ramp towards goal, over a distance of at most room.
 
-    Leaves its end in NOW and WAY. Returns how long it takes, in 2**-17 of a full segment.
+    It ends with the goal, the segment (LEFT) or the room, whichever comes first:
+
+        time to the goal = |goal - speed| / ramp        distance = (speed + end) / 2 * time
+
+    Leaves the speed at its end in NOW, its distance in WAY. Returns its time.
     """
     speed = flow[NOW]
     down = 1 if goal < speed else 0
@@ -145,13 +159,16 @@ def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
 
 @micropython.viper
 def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
-    """The next piece brakes so as to leave the block, rest ahead, at the speed planned.
+    """Plan a piece that brakes, to leave the block, rest ahead, at the speed `leave`.
 
-    The deceleration follows from the way left, so that rounding never adds up; it exceeds the
-    ramp by a sixteenth at most. From v to u over the way s it is (v2 - u2) / 2s: where s is known
-    in 2**-18 step the change of speed is (v - u) * way of this piece / s; where s is 4095 steps
-    or more it is ramp * braking way / s, both in whole steps. rest: s, or HIGHEST. As
-    change_speed().
+    The deceleration is computed anew from the distance that is left, so rounding never adds up; it
+    exceeds ramp by a sixteenth at most. From v to u over s it is (v**2 - u**2) / 2s. With
+    (v + u) / 2 * time = the distance at mean speed, the change of speed in this piece is
+
+        (v - u) * distance at mean speed / s      where s fits 2**-18 step
+        ramp * time * braking distance / s        both in whole steps, where s is HIGHEST
+
+    rest: s, or HIGHEST. Results as change_speed().
     """
     speed = flow[NOW]
     left = flow[LEFT]
@@ -190,13 +207,14 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
 
 @micropython.viper
 def add_piece(flow: ptr32, part: int) -> int:
-    """Add a piece to the segment planned. part: its duration in 2**-17 of a full segment."""
+    """Add the piece that ends at NOW after WAY to the segment; part: its time. Returns 0 where the
+    block has nothing left: its whole steps and fraction, less WAY, are what is still to go."""
     if part > flow[LEFT]:
         part = flow[LEFT]
     flow[LEFT] = flow[LEFT] - part
     at = flow[PIECE]
     if at == MOTORS:
-        at -= 2  # whatever comes behind is taken for one
+        at -= 2  # the places are used up: it is merged with the last one
     else:
         flow[at] = 0
         flow[PIECE] = at + 2
@@ -214,16 +232,17 @@ def add_piece(flow: ptr32, part: int) -> int:
 
 @micropython.viper
 def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
-    """Choose the next piece of the segment. Returns 0 at the end of the block.
+    """Choose and plan the next piece of the segment. Returns 0 at the end of the block.
 
     speed        ________            A piece is one of: speed up, cruise, brake,
                 /        `.          slow down to a lowered nominal speed or to a hold.
-               /           `. leave  It brakes as soon as the way left is no longer
-      entry __/              `.__    than what braking takes.
+               /           `. leave  It brakes as soon as the distance left is no longer
+      entry __/              `.__    than the braking distance.
 
-    slack = way left - braking way, in 2**-18 step, or in whole steps (unit 0). At a constant speed
-    a piece uses its own length of it, while speeding up twice that: room, how far a piece may
-    reach, is all of it or half. Far away braking begins early by 2**-12 of its way: see braking().
+    slack = distance left - braking distance (unit 18 or 0). While cruising a piece uses its own
+    length of it; while speeding up twice that, because the braking distance grows as fast. So
+    room, how far a piece may go, is all of the slack or half. With unit 0 braking begins 2**-12 of
+    its distance early, for the error of braking().
     """
     at = flow[AT]
     ramp = ring[at + RAMP]
@@ -277,7 +296,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 @micropython.viper
 def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
-    """Whether there is a segment to plan: a block, and it is not held at rest."""
+    """Return 1 where there is a segment to plan: a block, which no hold has stopped."""
     if flow[LOADED]:
         return 0 if flow[HOLD] and flow[NOW] == 0 else 1
     if flow[HOLD] and flow[CARRY] == 0:
@@ -287,7 +306,11 @@ def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
 
 @micropython.viper
 def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Plan the next segment. Returns 0 where nothing is to move."""
+    """Plan the next segment as pieces, and its number of rows. Returns 0 where nothing is to move.
+
+    Pieces are added until the segment is full, and further full segments where that is less than
+    _LEAST: a row needs a step. A hold ends it where the speed is 0.
+    """
     if int(is_due(flow, ring, table[MOTOR_COUNT])) == 0:
         return 0
     flow[REACHED] = flow[NOW]
@@ -311,14 +334,15 @@ def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
 
 @micropython.viper
 def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
-    """Make the next row. Returns 0 where nothing is to move."""
+    """Make the next row for the pulse engine, planning a segment first where all rows of the last
+    one are made. Returns 0 where nothing is to move. At the end of a block TAIL moves on."""
     if flow[SLICES] == 0:
         if int(plan(flow, ring, table)) == 0:
             return 0
     steps = int(next_row(flow, row, table[SEGMENT_LOG2]))
     going = flow[SLICES] or flow[WHOLE] or flow[FRACTION]
     if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:
-        return 0  # at rest, less than a step further
+        return 0  # held: stopped between two steps
     at = flow[AT]
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = ring[at + POWER]

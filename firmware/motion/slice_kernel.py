@@ -1,8 +1,9 @@
 # mypy: disable-error-code=arg-type
-"""The slices' kernel: a segment planned becomes rows for the engine, one or several.
+"""The slices' kernel: a planned segment becomes rows for the engine, one or several.
 
-Viper, as segment_kernel.py is, which plans it; all of it runs in the engine's interrupt. What
-stands where is told in layout.py.
+Viper, as segment_kernel.py is, which plans it; units and places are the same. All of it runs in
+the engine's interrupt. A row has, per motor, steps that are evenly spaced between a first and a
+last tick; hardware plays it.
 """
 
 import micropython
@@ -35,7 +36,8 @@ from motion.layout import (
 )
 from motion.ramps import share, times
 
-# Ahead of the truth, so that rounding does not cost the last step of a hold.
+# In 2**-18 step: distances begin with so much too many, so that rounding never loses the last step
+# of a hold.
 STEP_BIAS = const(0x800)
 
 
@@ -52,13 +54,13 @@ def leading(gaps: int, gap: int, longer: int) -> int:
 
 @micropython.viper
 def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
-    """How many rows the segment planned is to be, for the steps of a row are even: as many as it
-    takes that none changes the speed by more than a thirty-second, if they are long enough, and
-    that motors, where several move, are off the line by no more than a quarter of a step besides
-    the half that rounding makes. A row of n steps in t ticks is off by n2 / 8t (leading()): with
-    n, up to 4095, in a full segment of 2**log2 ticks, n2 / 2**(log2 + 1) rows keep to it. Their
-    power is one, too: where that follows speed they are short whenever the speed changes, and no
-    longer than a millisecond.
+    """Return the number of rows for the planned segment, because the steps of a row are even.
+
+    Enough that no row changes the speed by more than 1/32, or 1/256 where power follows speed
+    (dynamic), because power is constant in a row; but none shorter than SLICE. And enough that
+    motors, where several move, are off the line by at most a quarter of a step, in addition to
+    the half of rounding: a row of n steps in t ticks is off by n**2 / 8t steps (leading()), so a
+    full segment of 2**log2 ticks and n steps, up to 4095, takes n**2 / 2**(log2 + 1) rows.
     """
     slow = flow[REACHED]
     fast = slow
@@ -101,7 +103,11 @@ def is_alone(flow: ptr32, motors: int) -> int:
 
 @micropython.viper
 def travel(flow: ptr32, part: int) -> int:
-    """Go on along the pieces of the segment planned, for so long. Returns how far."""
+    """Consume the segment's pieces for the time part. Returns the distance.
+
+    A piece that lasts longer is split: its speed there is speed + (end - speed) * part / time,
+    with both times in units of 64, so that the product fits.
+    """
     speed = flow[REACHED]
     distance = 0
     while part:
@@ -123,7 +129,11 @@ def travel(flow: ptr32, part: int) -> int:
 
 @micropython.viper
 def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
-    """Take the next slice of the segment, of one step at least, or what is left. Returns steps."""
+    """Make the next row from the next slice of the segment. Returns its steps.
+
+    It has at least one step of the longest axis, so slices are merged at low speed; the last row
+    gets all that is left, also where the rest would make no step.
+    """
     distance = 0
     time = 0
     steps = 0
@@ -145,11 +155,11 @@ def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
 
 @micropython.viper
 def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
-    """End the row with a step of the longest axis: whole steps, and the time they take.
+    """End the row with a step of the longest axis. Returns its steps; ROW_TICKS is their time.
 
-    What is left over, distance and time, goes into the next one. So every
-    interval of a row is the same, and at a constant speed every interval
-    of a block. Returns the steps.
+    ticks' = ticks * whole steps / distance. The rest of distance (PARTIAL) and time (SPARE) goes
+    into the next row. So all intervals of a row are equal, and at a constant speed all intervals
+    of a block; otherwise each row would end with an odd one.
     """
     distance += flow[PARTIAL]
     ticks += flow[SPARE]
@@ -168,15 +178,23 @@ def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
 
 @micropython.viper
 def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) -> int:
-    """Lay the row's steps out in time: per motor how many, when the first and the last.
+    """Place each motor's steps in the row: how many, the tick of the first and of the last.
 
-    events: those of the longest axis. A motor's phase runs on from row to row, so that at a
-    constant speed its steps are evenly spaced. The block's last row makes what is left to make.
+    A motor with the share q of the longest axis's steps (events) advances its phase by
+    gain = events * q, in 2**-18 step, and steps where the phase passes a whole number:
+
+        tick of step k = ticks * (k - phase) / gain        k = 1, and k = steps
+
+    The phase runs on from row to row, so at a constant speed the steps of all rows are evenly
+    spaced. The last row of a block makes exactly the steps that are left.
     """
+    # gain = events * ratio >> 11, ratio from 0 to 2**29: events << 3 times its upper 15 bits and
+    # its lower 15.
     events <<= 3
     ticks = row[ROW_TICKS]
     ratios = flow[AT] + STEPS + motors
     last = flow[WHOLE] == 0 and flow[FRACTION] == 0 and flow[SLICES] == 0
+    # ticks may have 27 bits: 18 are kept, for the products below.
     long = 0
     while ticks >> long >= 1 << 18:
         long += 1
@@ -199,6 +217,7 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
         for k in range(2 if steps else 0):
             part = (((steps if k else 1) << 18) - phase) >> scale
             if part < gain:
+                # ticks * part / gain, ticks as two digits of 9 bits; gain has 21 bits at most.
                 coarse = (ticks >> long >> 9) * part
                 quotient = coarse // gain
                 rest = ((coarse - quotient * gain) << 9) + ((ticks >> long) & 511) * part
@@ -211,14 +230,17 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
 
 @micropython.viper
 def speed_share(flow: ptr32, ring: ptr32) -> int:
-    """The part of the programmed rate, in 2**-17, that the row just made has come to."""
+    """Return the speed at the end of the row as a part of the programmed rate, in 2**-17."""
     return int(share(flow[REACHED], ring[flow[AT] + PROGRAMMED]))
 
 
 @micropython.viper
 def scaled_power(table: ptr32, full: int, part: int) -> int:
-    """Spindle power at a part of the programmed rate, where power follows speed; full: at all of
-    it, in 1/64."""
+    """Return the power at a part of the programmed rate (2**-17), where power follows speed.
+
+    full: the power at all of it, in 1/64; POWER_FLOOR and below give the least power, 1. As Grbl's
+    laser mode: linear in the speed, never 0 while S is not.
+    """
     if part < 131072:
         full = int(times(full, part))
     if full == 0:
