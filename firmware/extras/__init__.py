@@ -1,1 +1,1 @@
-"""What only some boards have. A board loads what its file asks for, and nothing else."""
+"""Optional parts. A board loads only those that its board file asks for."""

@@ -1,8 +1,8 @@
-"""What an extra may ask of the machine: its install(cnc) gets one of these.
+"""API for extras: install(cnc) of each extra gets one Cnc.
 
-Main loop only, never an interrupt: what is hooked in here may take memory and its time, as long as
-it lets cnc.service() have a turn now and then. The machine itself knows nothing of extras: where
-they come in stands in base/hooks.py, and a board without any has nobody there.
+Main loop only, never an interrupt. A function registered here may allocate memory and take its
+time, if it calls cnc.service() now and then. The machine itself does not know the extras: they
+register in base/hooks.py, and on a board without extras those hooks are empty.
 """
 
 import micropython
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _CYCLES_END = const(100)
 
-# Methods of Cnc by their old names: they work for one release, and a message tells the new one.
+# Old names of Cnc's methods. They work for one release, and a message reports the new name.
 _RENAMED = {
     "tell": "write_line",
     "without_commands": "remove_commands",
@@ -43,39 +43,42 @@ _RENAMED = {
 
 
 class Cnc:
-    """The machine, for an extra. Numbers are those of Grbl: mm, mm/min, rpm."""
+    """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._hooks = machine.state.hooks
         self._words = CustomCodes(machine)
-        # Whoever knows why a program cannot be entered in its middle now says it; "" where it can.
+        # Each returns why a program cannot be entered at a line in its middle now, or "".
         self.entries: "list[Callable[[], str]]" = []
 
-    # What there is
+    # Parts and answers
 
     @property
     def machine(self) -> "Controller":
-        """All parts, for what the methods here do not do."""
+        """Return the controller, for everything that the methods here do not do."""
         return self._machine
 
     def service(self) -> None:
-        """One turn of whoever waits. Raises Abort after a reset: let it pass."""
+        """Run one turn of the main loop while the caller waits.
+
+        Raises Abort after a reset: do not catch it.
+        """
         self._machine.protocol.service()
 
     def write_line(self, line: bytes) -> None:
-        """Tell the sender something in a form of its own."""
+        """Send a line to the sender as it is; CR LF is added."""
         self._machine.report.send(line + b"\r\n")
 
     def message(self, text: str) -> None:
-        """Tell the sender something, as [MSG:text]."""
+        """Send [MSG:text] to the sender."""
         self._machine.report.message(text)
 
     def refusal(self, number: int) -> GrblError:
-        """To be raised where a line is refused. number: see base/errors.py."""
+        """Return the exception to raise to refuse a line. number: see base/errors.py."""
         return GrblError(number)
 
-    # What can be added
+    # Additions
 
     def add_settings(
         self,
@@ -84,10 +87,11 @@ class Cnc:
         file: str = "",
         words: "dict[int, str] | None" = None,
     ) -> None:
-        """Settings besides Grbl's, as in base/settings.py: number, attribute, kind, default, unit.
+        """Add settings, as in base/settings.py: number, attribute, kind, default, unit.
 
-        without: numbers that are not there any more; their attributes keep what is usual. file:
-        the name they are all kept under. words: what Grbl 0.9 says of each in $$.
+        without: numbers of settings to remove; their attributes keep the default. file: the name
+        under which all settings are stored. words: their descriptions in the $$ of Grbl 0.9, by
+        number.
         """
         settings = self._machine.settings
         for row in settings.rows:
@@ -101,7 +105,7 @@ class Cnc:
             told.update(words)
 
     def check_setting(self, number: int, check: "Callable[[float], object]") -> None:
-        """Called with what the setting is to be, before it is: GrblError refuses it."""
+        """Register a check of a setting's new value. It raises GrblError to refuse the value."""
         settings = self._machine.settings
 
         def check_one(which: int, amount: float) -> None:
@@ -111,7 +115,7 @@ class Cnc:
         settings.checks += (check_one,)
 
     def add_alarms(self, words: "dict[int, str]") -> None:
-        """What Grbl 0.9, which has no numbers for them, says of alarms."""
+        """Add the texts by which Grbl 0.9 reports alarms, because it has no alarm numbers."""
         told = getattr(self._machine.report, "alarms", None)
         if told is not None:
             told.update(words)
@@ -119,10 +123,12 @@ class Cnc:
     def add_m(
         self, number: int, call: "Callable[..., object]", letters: str = "", sync: bool = True
     ) -> None:
-        """An M word, on a line of its own: call gets the numbers behind the letters, in the order
-        of `letters`; lower case may be missing, and is None then. It runs when motion has come to
-        its end, or with sync=False while it goes on; in check mode not at all. ValueError where
-        the word is taken."""
+        """Add an M word, on a line of its own. ValueError if the word is taken.
+
+        call gets the numbers of `letters`, in that order. A lower-case letter may be missing on
+        the line, and is None then. call runs when motion has ended, or with sync=False during
+        motion. In check mode it is not called.
+        """
         self._words.add("M", number, call, letters, sync)
 
     def add_g(
@@ -132,22 +138,21 @@ class Cnc:
         letters: str = "",
         sync: bool = True,
     ) -> None:
-        """The same for a G word: 81, 81.1, or with an L that Grbl has no use for, "10 L1"."""
+        """Add a G word, as add_m(): 81, 81.1, or with an L that Grbl does not use, "10 L1"."""
         self._words.add("G", number, call, letters, sync)
 
     def add_cycle(
         self, number: int, plan: "Callable[..., Iterable[Step]]", letters: str = "R"
     ) -> None:
-        """A canned cycle, G81 say: a motion mode, each line of which is several moves.
+        """Add a canned cycle such as G81: a motion mode whose lines are several moves each.
 
-        plan(here, target, ...) gets two places, a list of mm in machine coordinates each, and the
-        numbers behind the letters (of I J K L P R), in their order; R is a height, as Z is. It
-        raises refusal() where the line is wrong: nothing has changed yet. (A generator would be
-        too late with that.) It returns the moves, one by one: where to, and whether as a rapid. Z
-        and those numbers hold for the lines that follow; all have to be there once, but those in
-        lower case, which may be None.
+        plan(here, target, ...) gets two positions, each a list of mm in machine coordinates, and
+        the numbers of `letters` (of I J K L P R) in that order; R is a height, as Z is. It raises
+        refusal() if the line is wrong, before anything has changed; a generator would raise it too
+        late. It returns the moves: the target of each, and whether it is a rapid.
 
-        number: between 80 and 100. ValueError where it is taken.
+        Z and the numbers hold for the following lines. Each must have been given once, except
+        lower-case letters, which may be None. number: 81 to 99. ValueError if it is taken.
         """
         if not b.NO_MOTION < number < _CYCLES_END or self.is_taken("G", number):
             raise ValueError("G%d is taken" % number)
@@ -160,15 +165,15 @@ class Cnc:
         )
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
-        """Whether Grbl, or somebody else, has that G or M word."""
+        """Return whether Grbl or an extra already has that G or M word."""
         return self._words.is_taken(letter, number)
 
     def has_word(self, line: bytearray, length: int) -> bool:
-        """Whether a line, which a 0 follows, has a word that was added."""
+        """Return whether a line, which a 0 follows, has a word added here."""
         return self._words.find(line, length) is not None
 
     def remove_commands(self, letters: bytes) -> None:
-        """$ commands with these letters are not there any more."""
+        """Remove the $ commands with these letters."""
         self._machine.commands.remove_commands(letters)
 
     def add_command(
@@ -177,8 +182,10 @@ class Cnc:
         call: "Callable[[bytes], object]",
         states: "tuple[int, ...]" = (st.IDLE, st.ALARM),
     ) -> None:
-        """A $ command, by what stands behind the $; call gets what follows. It is taken in these
-        states. GrblError refuses the line."""
+        """Add a $ command. call gets the text after `name`; GrblError refuses the line.
+
+        name: the text after the $. states: of base/state.py, in which the command is accepted.
+        """
         state, hooks = self._machine.state, self._hooks
         usual = hooks.find_command
 
@@ -195,8 +202,10 @@ class Cnc:
         hooks.find_command = whose
 
     def after_command(self, name: bytes, call: "Callable[[int], object]") -> None:
-        """Called when a $ command with this behind the $ has been executed, with the state that
-        the machine was in before (base/state.py)."""
+        """Register a function for after a $ command that begins with `name` (without the $).
+
+        call gets the state before the command (base/state.py).
+        """
         state, hooks = self._machine.state, self._hooks
         usual = hooks.find_command
 
@@ -215,11 +224,14 @@ class Cnc:
         hooks.find_command = whose
 
     def add_field(self, field: "Callable[[], str]") -> None:
-        """A field of the status report: what it returns, `Xx:1` say, or an empty text."""
+        """Add a status report field. `field` returns its text, such as `Xx:1`, or "" for none."""
         self._hooks.fields += (field,)
 
     def add_byte(self, byte: int, call: "Callable[[], object]") -> None:
-        """A real-time byte, 0x80 to 0xFF, that Grbl has no use for; call at the next turn."""
+        """Add a real-time byte, 0x80 to 0xFF; call runs in the next turn of the main loop.
+
+        ValueError if Grbl uses that byte.
+        """
         if byte < 0x80 or byte in st.EVENTS or 0x90 <= byte <= 0xA1:
             raise ValueError("byte 0x%X is taken" % byte)
         reader = self._machine.reader
@@ -240,45 +252,54 @@ class Cnc:
         reader.post = post
         self._hooks.poll += (turn,)
 
-    # What can be heard of
+    # Events
 
     def before_motion(self, may_start: "Callable[[], bool]") -> None:
-        """Called before the machine is set in motion; False keeps it where it is."""
+        """Register a function that runs before the machine moves. False prevents the start."""
         self._hooks.may_start += (may_start,)
 
     def after_start(self, call: "Callable[[], object]") -> None:
-        """Called when the machine has been set in motion; by a jog, homing, a probe and parking,
-        too."""
+        """Register a function for each start of motion: jogs, homing, probes and parking, too."""
         self._hooks.started += (call,)
 
     def after_stop(self, call: "Callable[[], object]") -> None:
-        """Called when the engine has made all that there was to make, in a hold too, some
-        milliseconds before the machine is Idle, and when it has been stopped; at rest, too, now
-        and then. More may come at once: after_start() tells."""
+        """Register a function for when the engine has executed everything, or has been stopped.
+
+        It is called in a hold, too, some milliseconds before the machine is Idle, and now and then
+        while idle. Motion may go on at once; after_start() reports that.
+        """
         self._hooks.stops += (call,)
 
     def after_line(self, call: "Callable[[], object]") -> None:
-        """Called when a line has asked for a motion of G0 to G3, and it has been planned."""
+        """Register a function for after a line with a motion of G0 to G3 has been planned."""
         self._hooks.moved += (call,)
         self._machine.interpreter.watch(b.MOVE)
 
     def before_lines(self, call: "Callable[[], object]") -> None:
-        """Called at the loop's turns, between two lines; the next may have been found already."""
+        """Register a function that the main loop calls between two lines.
+
+        The next line may have been received already.
+        """
         self._hooks.between_lines += (call,)
 
     def after_program(self, call: "Callable[[], object]") -> None:
-        """Called when M2 or M30 has ended a program."""
+        """Register a function for after M2 or M30 has ended a program."""
         self._hooks.ended += (call,)
 
     def after_spindle(self, call: "Callable[[int, float], object]") -> None:
-        """Called when a program has turned the spindle, with its direction, 0 where it stops, and
-        its speed. What else stops it, a reset, homing, parking, 0x9E, is not told:
-        cnc.machine.spindle.direction() says whether it turns now."""
+        """Register a function for after a program has switched the spindle.
+
+        It gets the direction (0: off) and the speed in rpm. Other stops, by a reset,
+        homing, parking or 0x9E, are not reported: cnc.machine.spindle.direction() returns whether
+        the spindle turns now.
+        """
         self._hooks.spun += (call,)
 
     def after_controls(self, call: "Callable[[int], object]") -> None:
-        """Called when a control input has changed, with the mask of base/controls.py. Interrupt:
-        no memory, and next to no stack."""
+        """Register a function for changed control inputs. It gets the mask of base/controls.py.
+
+        It runs in an interrupt: it must not allocate, and has almost no stack.
+        """
         port = self._machine.port
         usual = port.after_controls
 
@@ -294,7 +315,7 @@ class Cnc:
         port.after_controls = both
 
     def after_alarm(self, call: "Callable[[int], object]") -> None:
-        """Called with its number when an alarm has been told. Nothing moves."""
+        """Register a function for reported alarms. It gets the number. Nothing moves then."""
         usual = self._hooks.alarm
 
         def alarm(code: int) -> None:
@@ -304,13 +325,13 @@ class Cnc:
         self._hooks.alarm = alarm
 
     def after_reset(self, call: "Callable[[], object]") -> None:
-        """Called behind the welcome, after power-up and every reset."""
+        """Register a function for after the welcome, at power-up and after every reset."""
         self._hooks.reset += (call,)
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name):
-            """A method by its old name (_RENAMED); reported after each reset."""
+            """Return a method by its old name (_RENAMED), and report that after each reset."""
             if name not in _RENAMED:
                 raise AttributeError(name)
             new = _RENAMED[name]

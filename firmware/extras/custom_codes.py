@@ -1,6 +1,7 @@
 """Custom codes: G and M words that Grbl does not have, on lines of their own.
 
-A line with one goes to whoever has added it, with its numbers; all others go their usual way.
+A line with such a word is passed to the function registered for it. All other lines are executed
+as before.
 """
 
 import micropython
@@ -18,9 +19,10 @@ if TYPE_CHECKING:
 
     from talk.controller import Controller
 
-    # What to call, the letters of its numbers, whether it waits, all letters its line may have.
+    # The function, the letters of its numbers, whether it waits, all letters its line may have.
     Word = tuple[Callable[..., object], str, bool, str]
-    # Letter and tenths of a word, G38.2 is 382, and of its L, where that belongs to it, or 0.
+    # Letter, tenths of the number (G38.2: 382), tenths of its L if that is part of the word, else
+    # 0.
     Key = tuple[str, int, int]
 
 _G10 = const(100)  # in tenths
@@ -28,7 +30,7 @@ _GRBLS_L = (2, 20)
 
 
 def word_of(letter: str, number: "float | str") -> "Key":
-    """A word by what tells it from others: 81, 81.0 and "81" are one. ValueError for no number."""
+    """Return the key of a word: 81, 81.0 and "81" are the same. ValueError if not a number."""
     plain, _, its_l = str(number).partition(" L")
     return letter, _tenths(float(plain)), _tenths(float(its_l or 0))
 
@@ -38,7 +40,7 @@ def _tenths(number: float) -> int:
 
 
 def is_grbls(letter: str, tenths: int) -> bool:
-    """Whether Grbl has that G or M word, or knows how it is malformed."""
+    """Return whether Grbl has that G or M word, or has an error of its own for its decimals."""
     number = tenths // 10
     if letter == "G" and number >= block.M_WORDS:
         return False
@@ -49,7 +51,7 @@ def is_grbls(letter: str, tenths: int) -> bool:
 
 
 class CustomCodes:
-    """The words that have been added, put around the interpreter with the first of them."""
+    """The added words. The first one wraps the execution of lines."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
@@ -57,7 +59,7 @@ class CustomCodes:
         self._read = Words(len(machine.reader.line))
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
-        """Whether Grbl, or somebody else, has that G or M word."""
+        """Return whether Grbl or an extra already has that G or M word."""
         key = word_of(letter, number)
         if key in self._words:
             return True
@@ -74,7 +76,7 @@ class CustomCodes:
         letters: str,
         sync: bool,
     ) -> None:
-        """See Cnc.add_m(). ValueError where the word is taken."""
+        """Add a word; see Cnc.add_m(). ValueError if the word is taken."""
         if self.is_taken(letter, number):
             raise ValueError("%s%s is taken" % (letter, number))
         if not self._words:
@@ -99,7 +101,7 @@ class CustomCodes:
         hooks.execute = execute
 
     def find(self, line: bytearray, length: int) -> "Word | None":
-        """The word of ours that a line has, if there is one."""
+        """Return the added word on this line, or None."""
         words = self._read
         words.read(line, 0, length)
         count = words.count
@@ -113,7 +115,7 @@ class CustomCodes:
         return None
 
     def _numbers(self, word: "Word") -> "list[float | None]":
-        """Check the line, and wait for motion to end where the word wants that."""
+        """Check the line, wait for motion to end if the word wants that, return its numbers."""
         _, letters, sync, allowed = word
         there = self._arguments(allowed)
         missing = [c for c in letters if c == c.upper() and there.get(c) is None]
@@ -124,7 +126,7 @@ class CustomCodes:
         return [there.get(c.upper()) for c in letters]
 
     def _arguments(self, allowed: str) -> "dict[str, float]":
-        """The numbers of the line by letter. GrblError where one is not wanted, or twice."""
+        """Return the line's numbers by letter. GrblError for a wrong or repeated letter."""
         words = self._read
         found: "dict[str, float]" = {}
         own = 0

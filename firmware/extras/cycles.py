@@ -1,4 +1,4 @@
-"""Cycles: motion modes of extras, each line of which is several moves (NIST RS274NGC 3.5.16)."""
+"""Cycles: motion modes of extras whose lines are several moves each (NIST RS274NGC 3.5.16)."""
 
 from base import errors
 from base.axes import Z
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from motion.planner import Move
     from talk.controller import Controller
 
-    # Where to, in mm of machine coordinates, and whether as a rapid.
+    # The target, in mm of machine coordinates, and whether the move is a rapid.
     Step = tuple[list[float], bool]
 
-# The bit of a letter in the block's words, and the place of its number.
+# The bit of a letter in the block's words, and the index of its number.
 _LETTERS = {
     "I": (b.WORD_I, b.I),
     "J": (b.WORD_I << 1, b.I + 1),
@@ -31,7 +31,7 @@ _LETTERS = {
 
 
 class Cycle:
-    """A cycle, in the XY plane, with absolute places. See Cnc.add_cycle()."""
+    """A cycle in the XY plane, with absolute coordinates (G90). See Cnc.add_cycle()."""
 
     def __init__(
         self, machine: "Controller", plan: "Callable[..., Iterable[Step]]", letters: str
@@ -42,13 +42,13 @@ class Cycle:
         self._uses = 0
         for letter in letters.upper():
             self._uses |= _LETTERS[letter][0]
-        # The numbers that hold for the next line, Z first, and those of the line that is checked.
+        # The numbers that hold for the next line, Z first, and those of the line being checked.
         self.kept: "list[float | None]" = []
         self._numbers: "list[float | None]" = []
         self._steps: "Iterable[Step]" = ()
 
     def check(self, block: "Block") -> None:
-        """Refuse what cannot be, and find the moves; nothing changes."""
+        """Refuse a wrong line, or compute its moves. Nothing changes."""
         ints, modes = block.ints, self._modes
         if ints[PLANE] or ints[RELATIVE] or ints[INVERSE_TIME]:
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
@@ -70,7 +70,7 @@ class Cycle:
         self._numbers = found
 
     def _number_of(self, block: "Block", letter: str) -> "float | None":
-        """In mm; R is a height, as Z is, and in machine coordinates."""
+        """Return a letter's number in mm, or None. R is a height in machine coordinates."""
         bit, place = _LETTERS[letter]
         if not block.ints[b.WORDS] & bit:
             return None
@@ -82,7 +82,7 @@ class Cycle:
         return number
 
     def make(self, block: "Block", move: "Move") -> None:
-        """Have the moves made that check() has found."""
+        """Plan the moves that check() has computed."""
         self.kept = self._numbers
         place = block.xyz
         for target, rapid in self._steps:

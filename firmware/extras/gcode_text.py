@@ -1,13 +1,13 @@
-"""G-code as handlers of custom.py write it: made ready for the interpreter, or cut into words."""
+"""G-code text of custom.py's handlers: prepare it for the interpreter, or split it into words."""
 
 
 def clean(line: str) -> bytearray:
-    """As lines come from the reader: upper case, no spaces, no comments; a 0 follows."""
+    """Return a line as the reader passes it: upper case, no spaces or comments, a 0 after it."""
     return bytearray(code_of(line).encode() + b"\0")
 
 
 def code_of(line: str) -> str:
-    """The same as text."""
+    """Return the same as text, without the 0."""
     code = ""
     within = False
     for c in line.upper():
@@ -23,12 +23,12 @@ def code_of(line: str) -> str:
 
 
 def words_of(text: str) -> "list[tuple[str, float]]":
-    """Letters and numbers. ValueError where there is none."""
+    """Return letters and numbers. ValueError if a letter has no number."""
     return [(letter, float(number)) for letter, number in as_written(text)]
 
 
 def as_written(text: str) -> "list[tuple[str, str]]":
-    """Letters and what stands behind each, up to the next."""
+    """Return each letter and the text after it, up to the next letter."""
     found = []
     start = 0
     for end in range(1, len(text) + 1):

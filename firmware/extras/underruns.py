@@ -1,8 +1,8 @@
-"""Underruns: how often motion stopped in the middle of a program for lack of lines.
+"""Underruns: how often motion stopped in the middle of a program because no line had arrived.
 
-A stop counts where motion goes on within a second, and nobody has asked for it: no hold, no dwell,
-no word that waits for motion to end. `$I+` tells the number since power-up, and status reports do
-as soon as there is one: `Dr:2`. A board asks for it with COUNT_DRAINS = True.
+A stop counts if motion goes on within a second, and nothing asked for the stop: no hold, no dwell,
+no word that waits for motion to end. `$I+` reports the number since power-up. Status reports have
+a field `Dr:2` if it is not 0. COUNT_DRAINS = True in the board file selects this.
 """
 
 from base import state as st
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_AGAIN_MS = const(1000)  # who goes on later has had something else to do
+_AGAIN_MS = const(1000)  # a later start follows a pause of the sender
 
 
 class Underruns:
-    """Counts them, put around the machine's stops and starts."""
+    """Count underruns, by hooks at each stop and start of motion."""
 
     def __init__(self, cnc: "Cnc") -> None:
         self.count = 0
@@ -26,9 +26,9 @@ class Underruns:
         self._cnc = cnc
         self._state = machine.state
         self._port = machine.port
-        self._stopped = False  # motion has come to its end, nobody had held it,
-        self._since_ms = 0  # and that was then
-        self._asked = False  # somebody waits for its end
+        self._stopped = False  # motion ended without a hold,
+        self._since_ms = 0  # at this time
+        self._asked = False  # something waited for the end of motion
         self._health = machine.commands.health
         hooks = machine.state.hooks
         hooks.stops += (self._stops,)
@@ -36,38 +36,38 @@ class Underruns:
         self._probe, hooks.probe = hooks.probe, self._probes
 
     def _stops(self) -> None:
-        """The engine has nothing left to do."""
+        """Note that the engine has nothing left to do."""
         state = self._state
         self._stopped = state.run == st.RUN and not state.holding
         self._since_ms = self._port.ticks_ms()
 
     def _waited(self) -> None:
-        """Somebody has waited for the end of motion, which may have been started for that."""
+        """Note that something waited for the end of motion. It may have started that motion."""
         self._asked = True
 
     def _probes(self, *asked: "Any") -> bool:
-        """Stand in for Seek.probe, whose motion ends by itself."""
+        """Replace Seek.probe, because a probing move ends without an underrun."""
         found: bool = self._probe(*asked)
         self._asked = True
         return found
 
     def on_start(self) -> None:
-        """The machine has been set in motion."""
+        """Count the start if it ends an underrun."""
         again = self._stopped and not self._asked and self._state.run == st.RUN
         if again and self._port.elapsed_ms(self._since_ms) < _AGAIN_MS:
             self.count += 1
         self._stopped = self._asked = False
 
     def on_reset(self) -> None:
-        """Power-up or a reset: what stopped has been forgotten."""
+        """Forget the last stop, after power-up or a reset."""
         self._stopped = self._asked = False
         commands = self._cnc.machine.commands
-        if commands.health != self._report:  # power-up has given it to the commands, at last
+        if commands.health != self._report:  # power-up has set it only now
             self._health = commands.health
             commands.health = self._report
 
     def _report(self) -> str:
-        """What $I+ says besides."""
+        """Return the line that $I+ adds."""
         underruns = "Drains: %d" % self.count
         if self._health is None:
             return underruns
@@ -75,12 +75,12 @@ class Underruns:
         return self._health()
 
     def field(self) -> str:
-        """A status report's."""
+        """Return the field of the status report."""
         return "Dr:%d" % self.count if self.count else ""
 
 
 def install(cnc: "Cnc") -> None:
-    """Have them counted."""
+    """Count underruns from now on."""
     underruns = Underruns(cnc)
     cnc.after_start(underruns.on_start)
     cnc.after_reset(underruns.on_reset)

@@ -1,1 +1,1 @@
-"""The user's own Python on the board, custom.py: its words, its events, and what it may do."""
+"""Custom code: the user's own Python on the board (custom.py), its words, events and API."""

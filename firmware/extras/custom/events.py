@@ -1,8 +1,8 @@
 """Events of custom.py: where they come from, and when their handlers run.
 
-Only what somebody has asked for is put around the machine. An event whose handlers may move waits
-until the line that has brought it about is through, or the loop between two lines; what runs
-beside motion has its turn wherever the loop waits.
+Only events with a handler hook into the machine. Handlers that may move run after the line that
+has caused the event, or between two lines. Handlers that run during motion are called wherever the
+main loop waits.
 """
 
 import micropython
@@ -32,30 +32,32 @@ if TYPE_CHECKING:
     from extras.custom.handlers import Function
     from extras.custom.runner import Runner
 
-    Handler = tuple[str, Function]  # what it is called, and itself
+    Handler = tuple[str, Function]  # its name in messages, and itself
 
-_INPUT = "input "  # in front of an input's name
+_INPUT = "input "  # before an input's name
 _MOST_DUE = const(16)
-# So much of the stack may be in use where a handler begins that runs beside motion: interrupts
-# and its own calls want the rest.
+# Bytes of stack that may be in use when a handler during motion starts. Its own calls and
+# interrupts need the rest.
 _STACK_BYTES = const(3712)
 _M6 = const(6)
 _GREETINGS = ("startup", "after_reset")
-# No alarm, or that of a sender who has reset the machine as it moved.
+# Alarms that no handler has caused: none, or the sender has reset a moving machine.
 _SENDERS = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
 
 
 def _field(found: "Any") -> str:
-    """What a handler of on.report has returned, without what ends a report; nothing where it is
-    neither text nor number."""
+    """Return the text of a handler of on.report, without characters that end a report.
+
+    "" if it is neither text nor number.
+    """
     if not isinstance(found, (str, int, float)):
         return ""
     return sanitize(str(found)).replace("<", " ").replace(">", " ")
 
 
 class Events:
-    """The events, and who is to hear of each."""
+    """The events, and the handlers of each."""
 
     def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
         self._cnc = cnc
@@ -65,23 +67,23 @@ class Events:
         self._runner = runner
         self._handlers: "dict[str, list[Handler]]" = {}
         self._inputs: "dict[str, bool]" = {}  # by name: whether it was closed
-        self._timers: "list[list[Any]]" = []  # milliseconds, since when, name, function
-        # What has happened and has not been heard of: by those that may move, by the others.
+        self._timers: "list[list[Any]]" = []  # milliseconds, time of the last call, name, function
+        # Events to handle: by handlers that may move, and by the others.
         self._due: "list[tuple[str, tuple[Any, ...]]]" = []
         self._due_during_motion: "list[tuple[str, tuple[Any, ...]]]" = []
         self._is_polling = False
         self._has_started = False
         self._run = cnc.machine.state.run
-        self._pause: "Callable[[], None] | None" = None  # a program's, which is due
+        self._pause: "Callable[[], None] | None" = None  # M0's hold, to be executed
         self._field = ""
         self._changed = bytearray(1)
-        # Who has failed behind a welcome; whether that has brought about the one that comes.
+        # Handlers that failed after a welcome, and whether such a failure causes the next welcome.
         self._failed: "list[Function]" = []
         self._has_failed = False
         self._synced_words = SyncedWords(cnc.machine, runner)
 
     def subscribe(self, kind: str, key: "Any", what: str, function: "Function") -> None:
-        """Somebody wants to hear of that."""
+        """Register a handler for an event. key: of an input its name, of a timer milliseconds."""
         if kind == handlers.EVERY:
             self._timers.append([key, self._machine.port.ticks_ms(), what, function])
         elif kind == handlers.INPUT:
@@ -100,29 +102,29 @@ class Events:
         due = self._due if name in handlers.MOVING else self._due_during_motion
         if len(due) < _MOST_DUE:
             due.append((name, values))
-        self._state.pending[st.ANY] = 1  # the loop looks at it between two lines
+        self._state.pending[st.ANY] = 1  # so that the loop handles it between two lines
 
-    # Having their turn
+    # Running handlers
 
     @micropython.native
     def between_lines(self) -> None:
-        """The main loop's turn, between two lines."""
+        """Run due events and housekeeping. The main loop calls it between two lines."""
         if self._due:
             self._run_due_between()
         if self._runner.has_run:
             self._runner.run_housekeeping()
 
     def _run_due_between(self) -> None:
-        """Nobody waits for an answer; of an alarm the loop tells behind an Abort."""
+        """Run events that no line waits for. Abort after an alarm: the main loop reports that."""
         try:
             self.run_due()
         except GrblError:
-            return  # its handler refuses, and has said why
+            return  # the handler has refused, and reported why
         if self._state.alarm and not self._state.pending[st.RESET]:
             raise Abort
 
     def run_due(self) -> None:
-        """Those that may move hear of what has happened. Between two lines only."""
+        """Run the handlers that may move. Call it only between two lines."""
         while self._due:
             name, values = self._due.pop(0)
             self._machine.canon.synchronise()
@@ -134,8 +136,11 @@ class Events:
                     self._runner.run(what, function, True, values, word)
 
     def _run_reset_handler(self, what: str, function: "Function") -> None:
-        """Behind a welcome. Who brings another one about is not asked again behind that: there
-        would be no end of it, and no way to unlock the machine."""
+        """Run a handler after a welcome.
+
+        If it causes an alarm, it is not run after that alarm's welcome. Otherwise the welcomes
+        would never end, and the machine could not be unlocked.
+        """
         if function in self._failed:
             return
         try:
@@ -147,8 +152,10 @@ class Events:
 
     @micropython.native
     def poll(self) -> None:
-        """Those that run beside motion hear of what has happened, where there is room. In check
-        mode nobody does; what has changed meanwhile is heard of behind it."""
+        """Run the handlers that run during motion, if the stack has space.
+
+        In check mode none runs; changes in that time are reported after it.
+        """
         run = self._state.run
         if run == st.CHECK:
             return
@@ -184,7 +191,7 @@ class Events:
                 self._runner.run(what, function, False)
 
     def _detect_changes(self) -> None:
-        """See what has happened that nobody else tells."""
+        """Find changes of state and inputs. They have no hooks."""
         run = self._state.run
         if run != self._run:
             self._emit("state_change", STATES[self._run], STATES[run])
@@ -198,17 +205,21 @@ class Events:
                     self._emit(_INPUT + name, closed)
 
     def defer(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
-        """Run the handler when the blocks that wait now have been made. GrblError where it is
-        left out."""
+        """Run the handler when the blocks planned so far have been executed.
+
+        GrblError if the handler has failed before, and is disabled.
+        """
         self._runner.refuse_disabled(what, function)
         self._synced_words.add(what, function, given)
         self.poll()
 
-    # Put around the machine
+    # Hooks
 
     def attach(self, during_motion: bool) -> None:
-        """Put around the machine what somebody wants to hear of. during_motion: there are handlers
-        that run beside motion."""
+        """Hook the events that have handlers into the machine.
+
+        during_motion: some handlers run during motion.
+        """
         heard = self._handlers
         if during_motion:
             self._hooks.poll += (self.poll,)
@@ -235,8 +246,10 @@ class Events:
             self._machine.port.watch_pins(self._on_change)
 
     def _wrap_lines(self) -> None:
-        """What a line has brought about is heard of before the next. Lines with words of
-        custom.py do not come here: a T there is not the spindle's."""
+        """Handle a line's events before the next line.
+
+        Lines with words of custom.py are not executed here. A T on them is not the spindle's.
+        """
         hooks, modes = self._hooks, self._machine.modes
         self._machine.interpreter.watch(SET_TOOL)
         usual = hooks.execute
@@ -245,7 +258,7 @@ class Events:
         def execute(line: bytearray, length: int) -> None:
             usual(line, length)
             if line.find(b"T", 0, length) >= 0:
-                self._select(modes.tool)  # which Grbl forgets with the next line
+                self._select(modes.tool)  # Grbl's parser clears it with the next line
             if self._due:
                 self.run_due()
             if self._pause:
@@ -255,7 +268,7 @@ class Events:
         hooks.execute = execute
 
     def _select(self, tool: int) -> None:
-        """T, on a line of its own or with others."""
+        """Handle T, on a line of its own or with other words."""
         if tool != self._runner.machine_api.tool and self._state.run != st.CHECK:
             self._runner.machine_api.tool = tool
             self._emit("tool_select", tool)
@@ -268,7 +281,7 @@ class Events:
         if not self._has_failed:
             self._failed.clear()
         self._has_failed = False
-        # Also where check mode has been left: the reset has taken the tool's length with it.
+        # Also when check mode ends: that reset has cleared the tool length offset.
         self._queue("after_reset" if self._has_started else "startup")
         self._has_started = True
 
@@ -283,7 +296,7 @@ class Events:
             self.run_due()
 
     def _change_tool(self, tool: "float | None") -> None:
-        """M6, with T on its line or before it."""
+        """Execute M6, with T on its line or before it."""
         if tool is not None:
             if not 0 <= tool <= HIGHEST_TOOL:
                 raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
@@ -311,7 +324,7 @@ class Events:
         self._emit("coolant", bool(mask & coolant.FLOOD), bool(mask & coolant.MIST))
 
     def _defer_pause(self) -> bool:
-        """M0: its handlers come before the machine holds."""
+        """Delay the hold of M0 until its handlers have run. Return False if one runs already."""
         if self._runner.is_running:
             return False
         self._pause = self._machine.canon.hold_program
@@ -319,13 +332,13 @@ class Events:
         return True
 
     def _report(self) -> str:
-        """The field as its handlers made it last; they make it anew behind the report."""
+        """Return the field that its handlers made last. They run again after the report."""
         self._emit(handlers.REPORT)
         return self._field
 
     # Inputs
 
     def _on_change(self) -> None:
-        """Interrupt."""
+        """Note that an input has changed. Called in an interrupt."""
         self._changed[0] = 1
         self._state.pending[st.ANY] = 1

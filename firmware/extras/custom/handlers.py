@@ -1,11 +1,11 @@
-"""Handlers: what custom.py imports by the name of ugrbl, decorators that note its functions down.
+"""Handlers: what custom.py imports as ugrbl, decorators that note its functions down.
 
     from ugrbl import mcode, gcode, on, every
 
     @mcode(100, "Pq")
     def vacuum(m, P, Q=0): ...
 
-What is noted is for extras/custom/user_modules.py, which takes it up when the file has been read.
+extras/custom/user_modules.py registers the notes when the file has been read.
 """
 
 from micropython import const
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from typing import Any
 
     Function = Callable[..., Any]
-    # Kind, what of that kind, the letters of a word, whether it waits for motion (see mcode).
+    # Kind, key within that kind, the letters of a word, whether it waits for motion (see mcode).
     Note = tuple[str, Any, str, bool | None, Function]
 
-# Kinds of notes that are no events.
+# Kinds of notes that are not events.
 M = "M"
 G = "G"
 EVERY = "every"
 INPUT = "input"
 REPORT = "report"
 
-# Events whose handlers may move the machine: they run where motion has come to its end.
+# Events whose handlers may move the machine. They run when motion has ended.
 MOVING = (
     "startup",
     "after_homing",
@@ -40,14 +40,14 @@ MOVING = (
     "program_paused",
     "program_done",
 )
-# The others run beside motion.
+# Handlers of these run during motion.
 DURING_MOTION = ("state_change", "alarm")
 
 _notes: "list[Note]" = []
 
 
 class Refused(Exception):
-    """A line of G-code that m.g() was given is refused. number: what Grbl's answer would be."""
+    """m.g() was given a line that Grbl refuses. number: Grbl's error number."""
 
     def __init__(self, number: int, line: str) -> None:
         super().__init__("refused with %d: %s" % (number, line))
@@ -55,7 +55,7 @@ class Refused(Exception):
 
 
 class Refuse(Exception):
-    """Raised by a handler: its own line is not to be; the sender is told the text, and refused."""
+    """A handler raises it to refuse its own line. The sender gets the text and error:3."""
 
 
 def _note(
@@ -72,7 +72,7 @@ def _note(
 
 
 def _refuse_bare(argument: "Any", example: str) -> None:
-    """A decorator without parentheses gets the function, which would vanish."""
+    """Raise TypeError for a decorator without parentheses, because its function would be lost."""
     if callable(argument):
         raise TypeError("write @" + example)
 
@@ -82,10 +82,13 @@ def mcode(
     letters: str = "",
     sync: "bool | None" = True,
 ) -> "Callable[[Function], Function]":
-    """An M word. letters: its parameters by name; upper case has to be there, lower case may be.
-    sync: the handler runs when motion has come to its end; False: when the blocks planned before
-    it have, and motion goes on; None: as its line is read, ahead of motion, for words that become
-    other G-code: what it has m.g() plan joins what is planned."""
+    """Define an M word. letters: its parameters; upper case is required, lower case optional.
+
+    sync: True runs the handler when motion has ended. False runs it when the blocks planned before
+    it have been executed, while motion goes on. None runs it when its line is read, ahead of
+    motion: for words that become other G-code, because the lines of its m.g() are planned with the
+    rest.
+    """
     _refuse_bare(number, "mcode(100)")
     return _note(M, number, letters, sync)
 
@@ -95,13 +98,13 @@ def gcode(
     letters: str = "",
     sync: "bool | None" = True,
 ) -> "Callable[[Function], Function]":
-    """The same for a G word: 81, 81.1, or with an L that Grbl has no use for, "10 L1"."""
+    """Define a G word, as mcode(): 81, 81.1, or with an L that Grbl does not use, "10 L1"."""
     _refuse_bare(number, "gcode(101)")
     return _note(G, number, letters, sync)
 
 
 def every(ms: int) -> "Callable[[Function], Function]":
-    """Called again and again, not more often than once in so many milliseconds."""
+    """Call a function repeatedly, at most once in so many milliseconds. ValueError below 1."""
     _refuse_bare(ms, "every(50)")
     if ms < 1:
         raise ValueError("every: %r is no number of milliseconds" % ms)
@@ -109,8 +112,7 @@ def every(ms: int) -> "Callable[[Function], Function]":
 
 
 class On:
-    """Events: on.tool_change and the others of MOVING and DURING_MOTION; on.report;
-    on.input(name)."""
+    """Events: on.tool_change and all of MOVING and DURING_MOTION, on.report, on.input(name)."""
 
     def __getattr__(self, name: str) -> "Callable[[Function], Function]":
         if name not in MOVING and name not in DURING_MOTION and name != REPORT:
@@ -118,7 +120,7 @@ class On:
         return _note(name, name, "", name in MOVING)
 
     def input(self, name: str) -> "Callable[[Function], Function]":
-        """The input that the board file calls so has changed."""
+        """Handle a change of the input that the board file calls `name`."""
         _refuse_bare(name, 'on.input("name")')
         return _note(INPUT, name, "", False)
 
@@ -127,7 +129,7 @@ on = On()
 
 
 class Api:
-    """What custom.py imports from: an object with these names, and no others."""
+    """The object that custom.py imports as ugrbl: these names only."""
 
     def __init__(self) -> None:
         self.mcode = mcode
@@ -142,7 +144,7 @@ api = Api()
 
 
 def take_notes() -> "list[Note]":
-    """What has been noted; it is not any more."""
+    """Return the notes and forget them."""
     noted = _notes[:]
     _notes.clear()
     return noted

@@ -1,8 +1,8 @@
-"""Machine API:m, the argument of each handler of custom.py.
+"""Machine API: m, the argument of each handler of custom.py.
 
-Lengths are mm, rates mm/min, times seconds. Whatever waits lets `?`, `!`, `~` and Ctrl-X work. A
-handler that runs beside motion may neither move nor wait. Every call looks first whether a reset
-has come: a handler that has swallowed it once comes no further.
+Lengths are mm, rates mm/min, times seconds. While a call waits, `?`, `!`, `~` and Ctrl-X work. A
+handler that runs during motion may neither move nor wait: such a call raises RuntimeError. Every
+call checks for a reset first, so a handler that has caught Stopped ends at its next call.
 """
 
 import micropython
@@ -42,7 +42,7 @@ STATES = {
     st.SLEEP: "Sleep",
 }
 _MM_PER_INCH = 25.4
-_MOST_JOGS = const(4)  # asked for and not begun
+_MOST_JOGS = const(4)  # requested, not yet started
 
 
 def _never() -> bool:
@@ -50,48 +50,51 @@ def _never() -> bool:
 
 
 class MachineApi(PinApi):
-    """What there is to ask. outputs, inputs: pins by the names of the board file."""
+    """What a handler may call. outputs, inputs: pins, by the names of the board file."""
 
     def __init__(
         self, machine: "Controller", outputs: "dict[str, int]", inputs: "dict[str, int]"
     ) -> None:
         super().__init__(machine, outputs, inputs)
-        self.tool = 0  # the one selected last, T
+        self.tool = 0  # the number of the last T
         self.keep = PersistentValues(machine.saves)
-        self._open: "list[ModalState]" = []  # what is to be put back
-        self._jogs: "list[str]" = []  # asked for and not begun
+        self._open: "list[ModalState]" = []  # open m.saved() blocks, the innermost last
+        self._jogs: "list[str]" = []  # lines requested, not yet started
 
-    # For custom.py's keeper
+    # For the firmware, not for handlers
 
     def _check_may_wait(self) -> None:
-        """What follows moves or waits. RuntimeError where the handler may not."""
+        """Check that the handler may move or wait. RuntimeError if it runs during motion."""
         if not self.may_move:
             raise RuntimeError("a handler that runs beside motion may neither move nor wait")
         self.check_stopped()
 
     def _finish_wait(self) -> None:
-        self.restart_clock()  # what was waited for was not the handler's own
+        self.restart_clock()  # the wait is not the handler's own time
         self.check_stopped()
 
     def clear_requests(self) -> None:
-        """A reset has ended all that was asked for."""
+        """Forget all requests, after a reset."""
         super().clear_requests()
         self._open.clear()
         self._jogs.clear()
 
     def has_jogs(self) -> bool:
-        """Jogs have been asked for that have not begun."""
+        """Return whether requested jogs have not started yet."""
         return bool(self._jogs)
 
     def start_jogs(self) -> None:
-        """Begin the jogs that have been asked for. Between two lines only. A line that has come
-        goes first: in Jog it would be refused; and behind it nobody wants them any more."""
+        """Start the requested jogs. Call it only between two lines.
+
+        A received line has priority, because it would be refused in state Jog. The jogs are then
+        dropped: they are out of date after it.
+        """
         machine, state = self._machine, self._state
         if self._jogs and machine.reader.has_line():
             self._jogs.clear()
         while self._jogs:
             if state.run == st.IDLE and not machine.planner.empty():
-                return  # a line that has not begun
+                return  # a planned line has not started
             code = self._jogs.pop(0).encode()
             if state.run in (st.IDLE, st.JOG):
                 try:
@@ -102,13 +105,15 @@ class MachineApi(PinApi):
     # Motion
 
     def g(self, text: str) -> None:
-        """Execute G-code, a line or several, in the modes in force. Raises Refused with Grbl's
-        number."""
+        """Execute one or several lines of G-code in the current modes.
+
+        Raises Refused with Grbl's error number.
+        """
         for line in text.split("\n"):
             self._line(line, line)
 
     def _line(self, line: str, told: str) -> None:
-        """Execute a line. told: what it is called where it is refused."""
+        """Execute a line. told: its name in the text of Refused."""
         machine = self._machine
         self._check_may_wait()
         if self._state.run == st.ALARM:
@@ -125,8 +130,10 @@ class MachineApi(PinApi):
         self._finish_wait()
 
     def saved(self) -> ModalState:
-        """with m.saved(): millimetres, absolute, XY plane and mm/min within it (G21 G90 G17 G94);
-        modes, feed and offsets are put back behind it."""
+        """Use `with m.saved():` to work in G21 G90 G17 G94 (mm, absolute, XY plane, mm/min).
+
+        Modes, feed and offsets are restored when the block ends.
+        """
         return ModalState(self._machine, True, self._open)
 
     def probe(
@@ -134,9 +141,12 @@ class MachineApi(PinApi):
         words: str,
         must: bool = True,
     ) -> "Position | None":
-        """Move until the probe touches: words as behind G38.2, with G53 mm in machine coordinates.
-        Returns where it touched, in machine coordinates. must: no contact is ALARM:5; otherwise
-        None is returned. One that touches already is ALARM:4, before anything moves."""
+        """Probe as G38.2 with `words`, and return the contact position in machine coordinates.
+
+        With G53 in `words` their positions are mm in machine coordinates. No contact is ALARM:5,
+        or returns None if `must` is False. A probe that touches already is ALARM:4, before
+        anything moves.
+        """
         self._check_may_wait()
         with ModalState(self._machine, False, self._open):
             self.g("G38.%d%s" % (2 if must else 3, self._in_work(words)))
@@ -145,7 +155,7 @@ class MachineApi(PinApi):
         return Position(self._machine.state.hooks.probed_at())
 
     def _in_work(self, words: str) -> str:
-        """The words without a G53: places as they read in work coordinates."""
+        """Return the words without G53, with their positions in work coordinates."""
         text = code_of(words)
         if "G53" not in text:
             return text
@@ -159,21 +169,23 @@ class MachineApi(PinApi):
         return found
 
     def _zero(self, axis: int) -> float:
-        """Where work begins, in machine coordinates, tool length included."""
+        """Return work zero of an axis, mm in machine coordinates, tool length included."""
         coords = self._machine.coords
         return coords.work_zero(coords.active, axis)
 
     def touches(self) -> bool:
-        """Whether the probe touches now."""
+        """Return whether the probe touches now."""
         return self._machine.inputs.probe()
 
     def probing(self) -> bool:
-        """Whether a probing move is under way."""
+        """Return whether a probing move is running."""
         return self._machine.motor_control.touches is not None
 
     def set_work(self, at: Position, words: str) -> None:
-        """From now on that place is called so in work coordinates: "Z0", "X-3 Y-3", mm. Kept, as
-        G10 L2 does it."""
+        """Set the work coordinates of a machine position, in mm: "Z0" or "X-3 Y-3".
+
+        The work offset is stored, as by G10 L2.
+        """
         coords = self._machine.coords
         axes = ""
         for letter, number in words_of(code_of(words)):
@@ -184,14 +196,17 @@ class MachineApi(PinApi):
             self.g("G10L2P0" + axes)
 
     def set_length(self, mm: float) -> None:
-        """The tool is so long, as G43.1 says it; holds until a reset, or G49."""
+        """Set the tool length offset in mm, as G43.1 does. It holds until a reset or G49."""
         with self.saved():
             self.g("G43.1%s%.4f" % (LETTERS[self._machine.coords.length_axis], mm))
             for saved in self._open:
                 saved.keep_length()
 
     def home(self, axes: str = "") -> None:
-        """Home the machine, as $H does; axes: one letter where the board can do that."""
+        """Home as `$H` does. `axes`: one letter, if the board can home one axis.
+
+        Raises Refused.
+        """
         self._check_may_wait()
         self._machine.canon.synchronise()
         line = bytearray(("$H%s\0" % axes).encode())
@@ -203,24 +218,30 @@ class MachineApi(PinApi):
         self._finish_wait()
 
     def wait_motion(self) -> None:
-        """Wait until everything asked for has been done."""
+        """Wait until all planned motion has been executed."""
         self._check_may_wait()
         self._machine.canon.synchronise()
         self._finish_wait()
 
     def run(self, file: str) -> None:
-        """Execute a file of G-code that is on the board."""
+        """Execute a G-code file that is on the board.
+
+        Raises OSError if the file is missing, and Refused if Grbl refuses a line.
+        """
         with open(file, "rb") as lines:
             for number, read in enumerate(lines, 1):
                 line = text_of(read.rstrip())
                 self._line(line, "%s:%d: %s" % (file, number, line))
 
-    # Motion that is asked for, also beside other motion
+    # Motion requests, allowed during other motion too
 
     def jog(self, axis: str, mm: float, rate: float) -> bool:
-        """Jog an axis by so many mm, at mm/min. False, and nothing, where the machine neither
-        stands still nor jogs, or has enough to do, or a line waits or, beside motion, is being
-        executed. A line that comes before the jog begins goes first, and the jog is forgotten."""
+        """Request a jog by `mm` at `rate` mm/min. Return whether it was accepted.
+
+        It returns False in a state other than Idle or Jog, with 4 jogs waiting, while a received
+        line waits, or, during motion, while a line is executed. A line that arrives before the jog
+        starts has priority, and the jog is dropped.
+        """
         self.check_stopped()
         reader = self._machine.reader
         is_late = reader.waiting() if self.may_move else reader.has_line()
@@ -231,26 +252,29 @@ class MachineApi(PinApi):
         return True
 
     def end_jog(self) -> None:
-        """Come to rest, and forget what was asked for."""
+        """Slow down to a stop if the machine jogs, and drop the requested jogs."""
         self._jogs.clear()
         if self._state.run == st.JOG:
             self._state.post(st.CANCEL_MOTION)
 
     def hold(self) -> None:
-        """Come to rest, as with `!`; `~` goes on."""
+        """Start a feed hold, as `!` does. `~` resumes."""
         self.check_stopped()
         self._state.post(st.FEED_HOLD)
 
     def stop(self, text: str) -> None:
-        """Say why; come to rest where the position is certain; all off, and ALARM:34. The handler
-        ends here. In alarm it only does that."""
+        """Report `text`, stop the machine and end the handler, with ALARM:34.
+
+        The position is kept; spindle, coolant and outputs are off. In Alarm it only ends the
+        handler.
+        """
         if self._state.run == st.ALARM:
             raise Stopped
         self.message(text)
         self.halt()
 
     def halt(self) -> None:
-        """Come to rest, wherever the loop waits now; all off, and the alarm. Raises Abort."""
+        """Stop wherever the main loop waits, with all off and ALARM:34. Raises Abort."""
         machine, state = self._machine, self._state
         while state.run == st.HOLD and state.holding:
             machine.motor_control.pump()
@@ -259,9 +283,9 @@ class MachineApi(PinApi):
 
     # Waiting
 
-    @micropython.native  # a handler that runs beside it wants stack
+    @micropython.native  # saves stack for a handler that runs during the wait
     def wait(self, seconds: float) -> None:
-        """Let time pass; motion goes on."""
+        """Wait for so many seconds, while motion goes on."""
         self._until(_never, seconds)
 
     def wait_for(
@@ -270,7 +294,10 @@ class MachineApi(PinApi):
         closed: bool = True,
         seconds: "float | None" = None,
     ) -> bool:
-        """Wait for an input to close, or to open; False where it has not within so long."""
+        """Wait until an input is closed, or with closed=False until it is open.
+
+        It returns False if that takes longer than `seconds`. None waits without limit.
+        """
         return self._until(lambda: self.pin(name) == closed, seconds)
 
     @micropython.native
@@ -288,7 +315,7 @@ class MachineApi(PinApi):
         return found
 
     def ask(self, text: str) -> None:
-        """Tell the sender something, and hold until cycle start (~)."""
+        """Send a message when motion has ended, and hold until cycle start (`~`)."""
         self._check_may_wait()
         self._machine.canon.synchronise()
         self.restart_clock()
@@ -296,20 +323,20 @@ class MachineApi(PinApi):
         self._machine.canon.pause_program()
         self._finish_wait()
 
-    # What there is
+    # State
 
     def position(self) -> Position:
-        """Where the machine is, in machine coordinates."""
+        """Return the position in machine coordinates, in mm."""
         mm = vector(self._machine.planner.axes)
         self._machine.position(mm)
         return Position(mm)
 
     def work(self) -> Position:
-        """The same in work coordinates."""
+        """Return the position in work coordinates, in mm."""
         return self._of_work(self.position())
 
     def target(self) -> Position:
-        """Where the lines read so far lead to, in work coordinates."""
+        """Return the target of the last line read, in work coordinates, in mm."""
         return self._of_work(self._machine.modes.position)
 
     def _of_work(self, mm: "Position | array[float]") -> Position:
@@ -319,32 +346,32 @@ class MachineApi(PinApi):
         return Position(place)
 
     def mm(self, length: float) -> float:
-        """A length as the program has it, in inches where G20 holds, in mm."""
+        """Convert a length of the program to mm. It is in inches if the program is in G20."""
         modal = self._open[0].modal if self._open else self._machine.modes.modal
         return length * _MM_PER_INCH if modal[INCHES] else length
 
     def offset(self, name: str) -> Position:
-        """G54 to G59, G28, G30 or G92, in machine coordinates."""
+        """Return the offset G54 to G59, G28, G30 or G92 in machine coordinates, in mm."""
         coords = self._machine.coords
         return Position(coords.g92 if name == "G92" else coords.systems[NAMES.index(name)])
 
     def modes(self) -> "list[str]":
-        """The words that $G says."""
+        """Return the words that `$G` reports, as a list."""
         return self._machine.commands.modes().split(" ")
 
     @property
     def state(self) -> str:
-        """What `?` says first: Idle, Run, Hold, Alarm and so on."""
+        """The state that `?` reports: Idle, Run, Hold, Alarm and so on."""
         return STATES[self._state.run]
 
     @property
     def is_laser(self) -> bool:
-        """Laser mode, $32."""
+        """Whether laser mode ($32) is on."""
         return self._machine.spindle.laser
 
-    # Words
+    # Messages
 
     def message(self, text: str) -> None:
-        """Tell the sender something, as [MSG:text]."""
+        """Send [MSG:text] to the sender."""
         self.check_stopped()
         self._machine.report.message(sanitize(text))

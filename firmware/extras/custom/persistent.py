@@ -1,7 +1,7 @@
-"""Persistent values: m.keep of custom.py, small values kept over power-off.
+"""Persistent values: m.keep of custom.py, small values stored over power-off.
 
-m.keep["z1"] = 3.5: a number or a text under a name. What is set holds at once, and is written when
-the machine stands still and no line waits; a power cut leaves the old values or the new.
+m.keep["z1"] = 3.5 stores a number or a text under a name. It takes effect at once. It is written
+when the machine is idle and no line waits. A power cut leaves the old values or the new ones.
 """
 
 import json
@@ -18,7 +18,7 @@ _FILE = "keep"
 
 
 class PersistentValues:
-    """The values, by name."""
+    """The stored values, by name."""
 
     def __init__(self, saves: "Saves") -> None:
         self._saves = saves
@@ -28,7 +28,7 @@ class PersistentValues:
             try:
                 name, value = json.loads(line)
             except (ValueError, TypeError):
-                continue  # damaged: the others are as they were
+                continue  # a damaged line: the other values stay valid
             if isinstance(name, str):
                 self._values[name] = value
 
@@ -39,17 +39,19 @@ class PersistentValues:
         return name in self._values
 
     def get(self, name: str, default: "Any" = None) -> "Any":
-        """The value, or another where there is none."""
+        """Return the value, or `default` if there is none."""
         return self._values.get(name, default)
 
     def __setitem__(self, name: str, value: "Any") -> None:
-        """TypeError where it is neither a number nor a text, or its name is no text; ValueError
-        for a number without end. True and False are kept as 1 and 0."""
+        """Store a finite number or a text. True and False are stored as 1 and 0.
+
+        TypeError for another type, or a name that is not text. ValueError for inf and nan.
+        """
         if isinstance(value, bool):
-            value = int(value)  # no int to MicroPython
+            value = int(value)  # in MicroPython a bool is no int
         if not isinstance(name, str):
             raise TypeError("keep: %r is no text" % (name,))
-        if isinstance(value, float) and value - value != 0:  # inf, nan: nobody could read them
+        if isinstance(value, float) and value - value != 0:  # inf, nan: not valid in JSON
             raise ValueError("keep: %s is not finite" % name)
         if not isinstance(value, (int, float, str)):
             raise TypeError("keep: %s is neither a number nor a text" % name)
@@ -62,7 +64,7 @@ class PersistentValues:
         self.is_due = True
 
     def write(self) -> None:
-        """Have them written; at rest only."""
+        """Hand the values to the store. Call it only while idle."""
         self.is_due = False
         lines = [json.dumps([name, value]) for name, value in self._values.items()]
         self._saves.save(_FILE, lines)

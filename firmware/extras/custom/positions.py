@@ -1,4 +1,4 @@
-"""Places, and modes to be put back: what m returns to handlers of custom.py."""
+"""Positions and saved modes: what m returns to handlers of custom.py."""
 
 from array import array
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 _COOLANT = const(SPINDLE + 1)
 _A = const(3)
-# G17, G90, G94 and G21: what lines of a handler are read in.
+# Modes that m.saved() sets to 0: G17, G90, G94 and G21.
 _USUAL = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
 
 
 class Position:
-    """A place: x, y, z and, where there is one, a; or place[0] and so on."""
+    """A position in mm: p.x, p.y, p.z and, on a machine with A, p.a; or p[0] and so on."""
 
     def __init__(self, mm: "array[float]") -> None:
         self._mm = [mm[i] for i in range(len(mm))]
@@ -57,9 +57,11 @@ class Position:
 
 
 class ModalState:
-    """Modes, feed and offsets as they were, behind a with statement; within it G17, G21, G90 and
-    G94 hold where usual is set. Spindle and coolant are what the machine does, and stay. within:
-    those that are open, this one last."""
+    """Context manager that restores modes, feed and offsets when its block ends.
+
+    With `usual`, G17, G21, G90 and G94 hold inside. Spindle and coolant stay as they are, because
+    they are what the machine does. within: the open blocks, this one last.
+    """
 
     def __init__(self, machine: "Controller", usual: bool, within: "list[ModalState]") -> None:
         self._machine = machine
@@ -79,7 +81,7 @@ class ModalState:
                 modes.modal[i] = 0
 
     def keep_length(self) -> None:
-        """The tool's length is to stay as it is now."""
+        """Keep the present tool length when the block ends."""
         self._length = self._machine.coords.tool_length
 
     def __exit__(self, *fault: object) -> None:
@@ -88,7 +90,7 @@ class ModalState:
         if self in self._within:
             self._within.remove(self)
         if machine.state.pending[st.RESET]:
-            return  # which has modes of its own
+            return  # the reset has set the modes
         for i in range(MODAL_LENGTH):
             if i not in (SPINDLE, _COOLANT):
                 modes.modal[i] = self.modal[i]

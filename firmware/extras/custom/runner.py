@@ -1,7 +1,8 @@
-"""Runner: runs a handler of custom.py, and sees to what becomes of it.
+"""Runner: calls the handlers of custom.py, and stops the machine if one fails.
 
-A handler that raises stops the machine. Motion comes to its end, or to rest where the handler ran
-beside it; then all is off, as after a reset, and the machine is in alarm.
+If a handler that may move raises, planned motion is executed first. If a handler during motion
+raises, the machine slows to a stop. Then all is switched off, as after a reset, and the machine is
+in alarm.
 """
 
 import gc
@@ -25,31 +26,32 @@ if TYPE_CHECKING:
     from extras.custom.handlers import Function
     from extras.custom.machine_api import MachineApi
 
-TRACE = "custom"  # under which the end of the last traceback is kept
-_TRACE_LINES = const(12)  # of one that has filled the stack there are many, all alike
-# A handler that takes so long without service is told of, be it that garbage is collected in it.
+TRACE = "custom"  # the name under which the last traceback's end is stored
+_TRACE_LINES = const(12)  # a recursion that fills the stack has many equal lines
+# A handler that takes so long without a call of m is reported, also if it is garbage collection.
 _SLOW_MS = const(20)
-# That comes after so many handlers, where as many blocks wait, or none.
+# Garbage is collected after _CALLS handlers, when _BLOCKS blocks are planned or the machine is
+# idle: then motion does not run out of blocks meanwhile.
 _CALLS = const(64)
 _BLOCKS = const(8)
 
 
 class Runner:
-    """Runs handlers. api: what they are handed; modules: the user's, by name."""
+    """Calls handlers. api: their argument m; modules: the names of the user's modules."""
 
     def __init__(self, cnc: "Cnc", api: "MachineApi", modules: "tuple[str, ...]") -> None:
         self._cnc = cnc
         self._machine = cnc.machine
         self.machine_api = api
         self._modules = [module.replace(".", "/") for module in modules]
-        self.is_running = False  # a handler
-        self._slow: "list[str]" = []  # who has been told of
-        # Failed beside motion: it would again, at every turn.
+        self.is_running = False  # a handler is running
+        self._slow: "list[str]" = []  # handlers reported as slow
+        # Handlers that failed during motion: they would fail again at every turn of the loop.
         self._disabled: "list[Function]" = []
         self._calls = 0
-        self.has_run = False  # there may be something to do for run_housekeeping()
+        self.has_run = False  # run_housekeeping() may have work
 
-    @micropython.native  # needs half the stack
+    @micropython.native  # takes half the stack of bytecode
     def run(
         self,
         what: str,
@@ -58,8 +60,10 @@ class Runner:
         values: "tuple[Any, ...]" = (),
         given: "dict[str, Any] | None" = None,
     ) -> "Any":
-        """Run a handler; returns what it returns. given: of a word, its parameters. Raises
-        GrblError where that refuses its line, and Abort where the machine has been stopped."""
+        """Call a handler and return its result. given: the parameters of a word, by letter.
+
+        Raises GrblError if it refuses its line, and Abort if the machine has been stopped.
+        """
         api, state = self.machine_api, self._machine.state
         if function in self._disabled and not may_move:
             return None
@@ -72,10 +76,10 @@ class Runner:
         except Stopped:
             if state.pending[st.RESET]:
                 raise Abort
-            return None  # the line's end tells of the alarm
+            return None  # the alarm is reported at the end of the line
         except KeyboardInterrupt as stop:
-            raise stop  # native code wants the name
-        except BaseException as fault:  # sys.exit() is no way out of the machine
+            raise stop  # native code has no bare raise
+        except BaseException as fault:  # sys.exit(), too, must not end the firmware
             if isinstance(fault, Abort) or state.pending[st.RESET]:
                 raise Abort
             if isinstance(fault, handlers.Refuse) and given is not None and may_move:
@@ -102,7 +106,7 @@ class Runner:
     # Failing
 
     def text(self, lines: "list[str]") -> str:
-        """Of a traceback: the last line of the user's own, and what has happened there."""
+        """Return from a traceback the last line in the user's own files, and the exception."""
         place = ""
         for line in [line.strip() for line in lines]:
             if line.startswith('File "') and self._is_own(line[6:].split('"')[0]):
@@ -115,9 +119,9 @@ class Runner:
         return any((name == module or name.endswith("/" + module)) for module in self._modules)
 
     def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
-        """A handler has failed: say so, and stop the machine."""
+        """Report that a handler has failed, and stop the machine."""
         machine = self._machine
-        # An interrupt that has come upon a full stack is taken away by MicroPython.
+        # MicroPython removes an interrupt handler that found the stack full. Attach it again.
         machine.port.attach(machine.motor_control)
         machine.port.enable_limits(bool(machine.settings.hard_limits))
         lines = trace(fault)
@@ -135,16 +139,18 @@ class Runner:
         self._cnc.message(what + " is left out until power-up")
 
     def refuse_disabled(self, what: str, function: "Function") -> None:
-        """GrblError where a word's handler beside motion is left out: the sender would take its
-        line as done."""
+        """Raise GrblError if the handler is disabled.
+
+        Otherwise the sender would take the word's line as done.
+        """
         if function in self._disabled:
             self._report_disabled(what)
             raise GrblError(errors.INVALID_STATEMENT)
 
-    # The main loop's turn, between two lines
+    # Between two lines
 
     def run_housekeeping(self) -> None:
-        """Write what is to be kept; make room; begin jogs that have been asked for."""
+        """Write values that are due, collect garbage, and start requested jogs."""
         machine, api = self._machine, self.machine_api
         keep = api.keep
         if keep.is_due and machine.at_rest() and not machine.reader.has_line():

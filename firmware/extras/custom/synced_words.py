@@ -1,7 +1,7 @@
 """Synced words: words of custom.py that run when the blocks planned before them are executed.
 
-The engine takes its last piece of a block long before that has been made. So the place where the
-block ends is looked at: motion has come there when it moves away again, or not at all.
+The engine reads a block's last segment long before its steps are generated. So the block's end
+position is watched: it has been reached when the machine moves away from it, or stands still.
 """
 
 from base import state as st
@@ -18,22 +18,23 @@ if TYPE_CHECKING:
     from extras.custom.handlers import Function
     from extras.custom.runner import Runner
 
-_FAR = const(1_000_000)  # mm: nowhere a machine may be
+_FAR = const(1_000_000)  # mm: outside of every machine
 
 
 class SyncedWords:
-    """The words that wait."""
+    """The words that wait for motion."""
 
     def __init__(self, machine: "Controller", runner: "Runner") -> None:
         self._machine = machine
         self._runner = runner
-        # For how many blocks, where they end, how far that was at the last look; what to run.
+        # Per word: blocks still before it, their end position in mm, the distance to that at the
+        # last look in mm, then name, function and parameters.
         self.waiting: "list[list[Any]]" = []
         self._mm = vector(len(machine.modes.position))
         self._tail = 0
 
     def add(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
-        """One more. What is planned begins to move."""
+        """Add a word after all planned blocks, and start motion if it has not started."""
         machine, flow = self._machine, self._machine.planner.flow
         machine.canon.finish()
         machine.canon.auto_start()
@@ -43,16 +44,16 @@ class SyncedWords:
         self.waiting.append([blocks, place, _FAR, what, function, given])
 
     def run_reached(self) -> None:
-        """Run those that have come to their place."""
+        """Run the words whose position has been reached."""
         self._count_passed()
-        self._machine.state.pending[st.ANY] = 1  # look again behind the next line, whatever it is
+        self._machine.state.pending[st.ANY] = 1  # check again after the next line
         waiting = self.waiting
         while waiting and waiting[0][0] == 0 and self._is_reached(waiting[0]):
             what, function, given = waiting.pop(0)[3:]
             self._runner.run(what, function, False, (), given)
 
     def _count_passed(self) -> None:
-        """The engine has taken blocks since: so many fewer are waited for."""
+        """Subtract the blocks that the engine has read since the last call."""
         flow = self._machine.planner.flow
         passed = (flow[TAIL] - self._tail) % flow[ROWS]
         self._tail = flow[TAIL]

@@ -1,11 +1,10 @@
 """Custom: the user's own Python on the board, custom.py or the modules of the folder custom.
 
 It is read at start, as source, and notes its handlers down (handlers.py). They run in the main
-loop only: those that may move where motion has come to its end, between two lines; the others
-beside motion, wherever the loop waits and the stack has room. Interrupts know nothing of them.
+loop only. Handlers that may move run between two lines, when motion has ended. The others run
+during motion, wherever the main loop waits and the stack has space. Interrupts never call them.
 
-How one is run, and what becomes of it, stands in runner.py; where events come from, in
-events.py; what a handler is handed, in machine_api.py.
+runner.py calls the handlers, events.py has the sources of events, machine_api.py has the API.
 """
 
 import gc
@@ -31,21 +30,23 @@ if TYPE_CHECKING:
     from extras.custom.handlers import Function, Note
     from extras.custom_codes import Key
 
-_API = "ugrbl"  # the name by which custom.py knows handlers.py
+_API = "ugrbl"  # custom.py imports handlers.py under this name
 
 _found: "dict[str, Any]" = {}
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """What there is to read, and what the board file calls pins."""
+    """Note the modules to read and the pins of the board file."""
     option = board.__dict__.get
     _found["modules"] = options.custom
     _found["outputs"], _found["inputs"] = option("OUTPUTS", {}), option("INPUTS", {})
 
 
 def install(cnc: "Cnc") -> None:
-    """Read the user's modules, and put their handlers around the machine. Where that cannot be
-    the machine is the plain one, and says why behind its welcome."""
+    """Read the user's modules and register their handlers.
+
+    If that fails, the machine works without them, and reports why after its welcome.
+    """
     port = cnc.machine.port
     outputs, inputs = _found["outputs"], _found["inputs"]
     if outputs or inputs:
@@ -63,7 +64,7 @@ def install(cnc: "Cnc") -> None:
 
 
 def _read(modules: "tuple[str, ...]") -> "list[Note]":
-    """Import the user's modules; returns what they have noted down."""
+    """Import the user's modules. Return the handlers that they have noted."""
     there = sys.modules.get(_API)
     sys.modules[_API] = handlers.api  # type: ignore[assignment]
     handlers.take_notes()
@@ -71,7 +72,7 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
         for name in modules:
             sys.modules.pop(name, None)
         for name in modules:  # they may import one another
-            gc.collect()  # a compiler takes much, and what it leaves stays where it is
+            gc.collect()  # compiling needs much memory, and fragments it
             __import__(name)
     finally:
         sys.modules.pop(_API)
@@ -81,7 +82,7 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
 
 
 def title(kind: str, key: "Any") -> str:
-    """What a handler is called in messages: M100, on.spindle, on.input(door), every 50."""
+    """Return a handler's name in messages: M100, on.spindle, on.input(door), every 50."""
     if kind in (handlers.M, handlers.G):
         return "%s%s" % (kind, key)
     if kind == handlers.EVERY:
@@ -90,7 +91,7 @@ def title(kind: str, key: "Any") -> str:
 
 
 class Custom:
-    """What the user's modules have noted down, taken up or left out."""
+    """Registers the noted handlers, or leaves them all out."""
 
     def __init__(self, cnc: "Cnc", runner: Runner, events: Events) -> None:
         self._cnc = cnc
@@ -99,9 +100,10 @@ class Custom:
         self._runner = runner
 
     def register(self, notes: "list[Note]") -> None:
-        """Take up what has been noted, all or nothing: what is wrong is found before anything is
-        put around the machine. ValueError where something is taken, TypeError for letters that
-        are no text."""
+        """Register all handlers, or none: everything is checked before the machine is changed.
+
+        ValueError if a word is taken or an input unknown, TypeError if letters are not text.
+        """
         kinds = (handlers.M, handlers.G)
         words = [note for note in notes if note[0] in kinds]
         events = [note for note in notes if note[0] not in kinds]
@@ -115,7 +117,7 @@ class Custom:
             seen.append(word_of(kind, key))
         for kind, key, _, _, _ in events:
             if kind == handlers.INPUT:
-                self._runner.machine_api.pin(key)  # which says that there is none
+                self._runner.machine_api.pin(key)  # raises ValueError if there is none
         for kind, key, _, _, function in events:
             self._events.subscribe(kind, key, title(kind, key), function)
         self._events.attach(any(note[3] is False for note in notes))
@@ -129,19 +131,19 @@ class Custom:
         self._add_build_info(sanitize("Custom: " + ", ".join(names)))
 
     def leave_out(self, fault: BaseException) -> None:
-        """The machine is the plain one."""
+        """Leave all handlers out, and report why after each welcome and in $I."""
         handlers.take_notes()
         text = sanitize("Custom left out: " + self._runner.text(trace(fault)))
         self._cnc.after_reset(lambda: self._cnc.message(text))
         self._add_build_info(text)
 
     def _add_build_info(self, text: str) -> None:
-        """$I says it."""
+        """Add a line to $I."""
         self._machine.state.hooks.build_info += (lambda: self._cnc.message(text),)
         self._cnc.after_command(b"I+", self._report_trace)
 
     def _report_trace(self, was: int) -> None:
-        """$I+ ends with the last traceback that was kept, for `ugrbl doctor`."""
+        """Report the last stored traceback at the end of $I+, for `ugrbl doctor`."""
         for text in self._machine.saves.load(TRACE) or ():
             self._machine.report.message("Trace: " + sanitize(text))
 
