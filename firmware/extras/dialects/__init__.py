@@ -1,1 +1,1 @@
-"""What other controllers say and understand."""
+"""Dialects: the reports of other controllers, and their words."""

@@ -1,8 +1,8 @@
-"""Reports as Grbl 0.9i and 0.9j word them, for senders older than Grbl 1.1.
+"""Reports in the format of Grbl 0.9i and 0.9j, for senders older than Grbl 1.1.
 
-Errors, alarms and settings come with their meaning in words; a status report
-shows both positions and has no slow fields. Only what is said differs: the
-machine is the same. A board asks for it with DIALECT = "0.9".
+Errors, alarms and settings are reported with their meaning as text. A status report has both
+positions, and no fields that come only now and then. Only reports differ; the machine is the same.
+DIALECT = "0.9" in the board file selects this.
 """
 
 from base import state as st
@@ -48,7 +48,7 @@ $H (run homing cycle)\r
 ctrl-x (reset Grbl)\r
 """
 
-# Those that are not here are shown by their numbers.
+# Errors that are not listed are reported by their number.
 _ERRORS = {
     1: "Expected command letter",
     2: "Bad number format",
@@ -80,7 +80,7 @@ _ALARMS = {
     10: "Homing fail",
 }
 
-# What stands in parentheses behind a setting. A mask's bits follow the colon.
+# The text in parentheses after a setting. A mask's bits follow the colon.
 _WORDS = {
     0: "step pulse, usec",
     1: "step idle delay, msec",
@@ -102,7 +102,7 @@ _WORDS = {
     26: "homing debounce, msec",
     27: "homing pull-off, mm",
 }
-# The same for a group of one setting per axis, behind the axis's letter.
+# The same for a group with one setting per axis; the axis's letter comes before it.
 _AXIS_SETTINGS = {
     10: ", step/mm",
     11: " max rate, mm/min",
@@ -112,7 +112,7 @@ _AXIS_SETTINGS = {
 
 
 class Report09(Report):
-    """Report, in the words of 0.9j."""
+    """Reports as 0.9j formats them."""
 
     VERSION = "0.9j"
 
@@ -120,7 +120,7 @@ class Report09(Report):
     alarms = _ALARMS
 
     def connect(self, machine: "Machine") -> None:
-        """As Report does. Buffers are empty yet: 0.9 counts what is in them."""
+        """As Report.connect(). Buffers are still empty: 0.9 counts the used entries."""
         super().connect(machine)
         self.words = _WORDS.copy()  # other extras may add to these
         self.alarms = _ALARMS.copy()
@@ -128,34 +128,34 @@ class Report09(Report):
         self._rx_bytes = free_space(self._reader)
 
     def configure(self) -> None:
-        """Take over $10 and $13."""
+        """Apply $10 and $13."""
         super().configure()
-        self._is_common = False  # not in these words
+        self._is_common = False  # Report's fast path has another format
 
     # Answers
 
     def error(self, code: int) -> None:
-        """The line was refused."""
+        """Report that a line was refused."""
         self._line("error: " + _ERRORS.get(code, "Invalid gcode ID:%d" % code))
 
     def alarm(self, code: int) -> None:
-        """The machine had to stop."""
+        """Report an alarm."""
         self._line("ALARM: " + self.alarms.get(code, "ID:%d" % code))
 
     def message(self, text: str) -> None:
-        """Something a person should know."""
+        """Send a message for the user."""
         self._line("[" + text + "]")
 
     def banner(self) -> None:
-        """The machine has started."""
+        """Send the welcome."""
         self._line("\r\nGrbl " + self.VERSION + " ['$' for help]")
 
     def help(self) -> None:
-        """The answer to $."""
+        """Answer $."""
         self._link.write(_HELP)
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """One line of $$."""
+        """Send one line of $$."""
         words = self.words.get(key) or self._settings.row(key)[0][4]
         if words[-1] == ":":
             words += "{:08b}".format(int(value))
@@ -164,19 +164,19 @@ class Report09(Report):
         self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
 
     def startup_run(self, text: str) -> bytes:
-        """A startup line is about to be executed: it stands before all that comes of it."""
+        """Report a startup line before it is executed, and so before its answer."""
         self._link.write(text.encode())
         return b""
 
     def startup_lost(self) -> None:
-        """Nothing valid is kept in the place of a startup line: it is empty, no more."""
+        """Do nothing: 0.9 takes a damaged startup line as empty."""
 
     def build_info(self, info: str, options: str) -> None:
-        """The answer to $I."""
+        """Answer $I."""
         self._line("[%s.%s:%s]" % (self.VERSION, BUILD, info))
 
     def modes(self, text: str) -> None:
-        """The answer to $G. M0 is always there, before the spindle; T is read and forgotten."""
+        """Answer $G. M0 is always listed, before the spindle. T is T0: 0.9 drops its number."""
         words = ["T0" if word[0] == "T" else word for word in text.split(" ")]
         words.insert(6, "M0")
         self._line("[" + " ".join(words) + "]")
@@ -184,12 +184,12 @@ class Report09(Report):
     # Parts
 
     def rate(self, mm_min: float) -> str:
-        """A feed rate in the units of reports; there is a point even where nothing follows."""
+        """Return a feed rate in report units, always with a decimal point."""
         text = super().rate(mm_min)
         return text if "." in text else text + "."
 
     def speed(self, rpm: float) -> str:
-        """A spindle speed, which 0.9 takes for a feed rate."""
+        """Return a spindle speed, which 0.9 formats as a feed rate."""
         return self.rate(rpm)
 
     # The status report
@@ -197,7 +197,7 @@ class Report09(Report):
     def _fields(
         self, text: bytearray, ints: "array[int]", mm: "array[float]", _closed: int
     ) -> None:
-        """All behind the state. mm: machine position, not written yet."""
+        """Write all fields after the state. mm: machine position, which is not written yet."""
         mask = self._settings.report_mask
         if mask & _MACHINE_POSITION:
             self._lengths(b",MPos:\0", mm)
@@ -221,16 +221,16 @@ class Report09(Report):
         write(form, self._text, self._ints, self._mm)
 
     def _suspended(self) -> bytes:
-        """The name of a state that is none of _STATES."""
+        """Return the state's name where _STATES has none."""
         state = self._state
         suspend = state.suspend
         if state.run == st.DOOR and (suspend & st.DOOR_AJAR or not suspend & st.RETRACT_COMPLETE):
             return b"<Door\0"
-        return b"<Hold\0"  # behind a closed door, too
+        return b"<Hold\0"  # also when the door is closed again
 
 
 class Report09i(Report09):
-    """Report, in the words of 0.9i: the same but for its name."""
+    """Reports as 0.9i formats them: only the version differs."""
 
     VERSION = "0.9i"
 
@@ -244,13 +244,13 @@ _WITHOUT = (10, 30, 31, 32)
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Before the machine is made: who reports, and which bytes are no more than characters."""
+    """Before the machine is created, select the report class and the real-time bytes."""
     options.report = Report09i if board.__dict__["DIALECT"] == "0.9i" else Report09
     options.reads = (0x100, 0x40, 0)  # no upper real-time bytes; @ is the safety door
     options.highest_tool = 1 << 31
 
 
 def install(cnc: "Cnc") -> None:
-    """What 0.9 has otherwise, and has not."""
+    """Replace the settings and remove the commands that 0.9 does not have."""
     cnc.add_settings(_SETTINGS, _WITHOUT)
     cnc.remove_commands(b"JS")

@@ -1,9 +1,9 @@
-"""The words of grblHAL, for senders that show axes A to C, tools and jobs only to it.
+"""Reports of grblHAL, for senders that support axes A to C, tools and jobs only with grblHAL.
 
-Only what is said differs, and some real-time bytes more act: the machine is the same, and no flag
-is said that does not hold. A board asks for it with DIALECT = "hal", see docs/grblhal.md. Names of
-settings, alarms and errors lie in flash (FILE), where `ugrbl build` puts them: they are read line
-by line when a sender asks, and not kept in memory.
+Only reports differ, and some more real-time bytes work. The machine is the same, and no reported
+flag is false. DIALECT = "hal" in the board file selects this; see docs/grblhal.md. The names of
+settings, alarms and errors are in flash (FILE, written by `ugrbl build`). They are read line by
+line when a sender asks for them, and not kept in memory.
 """
 
 from base import errors
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-# A row has a command, the number of what it is about, and the line to send.
+# Each row has a command, the number of its setting, alarm or error, and the line to send.
 FILE = "hal.txt"
-_SETTINGS = b"ES"  # begins the commands about settings
+_SETTINGS = b"ES"  # start of the commands about settings
 
 _WELCOME = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
-_GRBL = const(4)  # how long the word is that "GrblHAL" takes the place of
+_GRBL = const(4)  # length of "Grbl", which "GrblHAL" replaces
 _ALARM = const(6)  # length of "<Alarm"
-# As many as grblHAL's: gSender has 724 under way, whatever [OPT:] says.
+# As grblHAL, because gSender keeps 724 bytes in flight whatever [OPT:] reports.
 _RX_BYTES = const(1024)
 
 # Real-time bytes.
@@ -41,61 +41,61 @@ _STOP = const(0x19)
 _COMPLETE_REPORT = const(0x87)
 _LIKE = {0x80: 0x3F, 0x81: 0x7E, 0x82: _HOLD, _COMPLETE_REPORT: 0x3F}
 
-# Commands that only read are answered in these.
+# States in which commands that only read are answered.
 _STATES = (st.IDLE, st.ALARM, st.CHECK, st.RUN, st.JOG)
 
 
 class ReportHal(Report):
-    """Report, in the words of grblHAL. modal: has the tool; has_jobs: the board has programs."""
+    """Reports as grblHAL formats them. modal: has the tool; has_jobs: the board runs jobs."""
 
     VERSION = "1.1f"
 
     modal: "Modes"
     has_jobs = False
-    is_complete = False  # the next status report is to say everything
+    is_complete = False  # the next status report has all fields
     _alarm = 0
 
     def banner(self) -> None:
-        """The machine has started."""
+        """Send the welcome."""
         self._alarm = 0
         self._link.write(_WELCOME)
 
     def alarm(self, code: int) -> None:
-        """The machine had to stop."""
+        """Report an alarm, and keep its number for the complete status report."""
         self._alarm = code
         super().alarm(code)
 
     def build_info(self, info: str, options: str) -> None:
-        """The answer to $I."""
+        """Answer $I."""
         name, axes = "GrblHAL" + self.identity[_GRBL:], self._axes
         self._line("[VER:%s.%s:%s]" % (self.VERSION, BUILD, name + " " + info if info else name))
-        self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no table of them
+        self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no tool table
         self._line("[AXS:%d:%s]" % (axes, LETTERS[:axes]))
         home = ",HOME" if self._settings.homing else ""
         self._line("[NEWOPT:ENUMS" + home + (",SD]" if self.has_jobs else "]"))
         self._line("[FIRMWARE:grblHAL]")
 
     def modes(self, text: str) -> None:
-        """The answer to $G, which says whether a tool length holds."""
+        """Answer $G, with G43.1 or G49 for the tool length offset."""
         length = " G43.1 M" if self._coords.tool_length else " G49 M"
         super().modes(text.replace(" M", length, 1))
 
     def spindle(self) -> None:
-        """The answer to $SPINDLESH: the only one, which is variable, with its range."""
+        """Answer $SPINDLESH: one spindle with variable speed, and its range."""
         settings = self._settings
         laser = "L" if settings.laser_mode else ""
         speeds = self.speed(settings.min_rpm), self.speed(settings.max_rpm)
         self._line("[SPINDLE:0|0|0|*D%sV|PWM|%s,%s]" % ((laser,) + speeds))
 
     def status(self) -> "memoryview":
-        """The answer to ?, and to the byte that asks for all there is."""
+        """Answer ?, or with all fields the byte for a complete report."""
         if not self.is_complete:
             return super().status()
         self.is_complete = False
         state = self._state
-        state.wco_countdown, state.override_countdown = 1, 0  # in one, they do not fit
+        state.wco_countdown, state.override_countdown = 1, 0  # both do not fit in one report
         text = bytes(super().status())[:-3]  # >\r\n
-        state.override_countdown = 0  # gSender reads Ov: of the others only, and cannot do without
+        state.override_countdown = 0  # gSender needs Ov:, and reads it only in normal reports
         if self._alarm and state.run == st.ALARM:
             text = b"<Alarm:%d" % self._alarm + text[_ALARM:]
         more = "|WCO:" + self.vector(self._work_offset()) + "|T:%d" % self.modal.tool
@@ -104,7 +104,7 @@ class ReportHal(Report):
 
 
 class Bytes:
-    """Real-time bytes of grblHAL. Others vanish, as unknown ones do."""
+    """Real-time bytes of grblHAL. Unknown ones are ignored."""
 
     def __init__(self, machine: "Controller", report: ReportHal) -> None:
         self._state = machine.state
@@ -117,7 +117,7 @@ class Bytes:
         machine.state.hooks.reset += (self._begin,)
 
     def post(self, byte: int) -> None:
-        """One has been received."""
+        """Handle a received real-time byte."""
         if byte == _STOP:
             self._stop()
         else:
@@ -126,8 +126,10 @@ class Bytes:
             self._usual_post(_LIKE.get(byte, byte))
 
     def _stop(self) -> None:
-        """End motion and forget the rest, position kept: a hold, then a reset. An alarm stays.
-        Homing and parking ignore a hold: they are reset at once, into an alarm."""
+        """Stop motion with a hold, then reset: the rest is dropped and the position kept.
+
+        An alarm stays. Homing and parking ignore a hold, so they are reset at once, into an alarm.
+        """
         state = self._state
         if self._is_under_way() and state.run != st.HOMING and not state.system_motion:
             self._usual_post(_HOLD)
@@ -136,7 +138,7 @@ class Bytes:
             self._motor_control.reset()
 
     def _begin(self) -> None:
-        if not self._state.pending[st.FEED_HOLD]:  # which has come since
+        if not self._state.pending[st.FEED_HOLD]:  # a feed hold received since
             self._stopping = False
 
     def _turn(self) -> None:
@@ -144,17 +146,17 @@ class Bytes:
             self._motor_control.reset()
 
     def _is_under_way(self) -> bool:
-        """Motion is not over yet: a reset would raise an alarm."""
+        """Return whether motion has not ended: a reset would cause an alarm."""
         return self._motor_control.moving or self._motor_control.in_idle_delay
 
 
 def texts() -> "IO[bytes]":
-    """The rows; OSError where they are not on the board."""
+    """Open the rows of FILE. OSError if it is not on the board."""
     return open(FILE, "rb")
 
 
 def _enumerate(cnc: "Cnc", command: bytes) -> None:
-    """Send the rows of that command; of settings, those that this machine has."""
+    """Send the rows of a command. Of settings, send those that this machine has."""
     try:
         rows = texts()
     except OSError:
@@ -185,7 +187,7 @@ _found: "dict[str, bool]" = {}
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Choose the report, and have the stop byte act as it arrives."""
+    """Select the report class, and let the stop byte act when it arrives."""
     options.report = ReportHal
     options.rx_bytes = max(options.rx_bytes, _RX_BYTES)
     options.reads = (READS[0], _STOP, READS[2])
@@ -193,14 +195,14 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """What grblHAL answers and Grbl does not."""
+    """Add the commands and bytes that grblHAL has and Grbl has not."""
     machine = cnc.machine
     report, commands = machine.report, machine.commands
     assert isinstance(report, ReportHal)
     report.modal, report.has_jobs = machine.modes, _found["jobs"]
     Bytes(machine, report)
     link = machine.protocol.link
-    if hasattr(link, "welcome"):  # that of a network
+    if hasattr(link, "welcome"):  # a network link
         link.welcome = _WELCOME
         link.questions = b"?\x80\x87"  # type: ignore[attr-defined]
     cnc.add_command(b"E", lambda rest: _enumerate(cnc, b"E" + rest), _STATES)

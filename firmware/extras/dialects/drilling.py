@@ -1,11 +1,11 @@
-"""Drilling cycles: G73, G81, G82, G83, G85, G89 with G98 and G99, as the NIST standard has them.
+"""Drilling cycles: G73, G81, G82, G83, G85, G89 with G98 and G99, as NIST RS274NGC defines them.
 
-A line of a cycle becomes lines of Grbl's own words, which are checked and executed as if they had
-been sent. R, Z, Q and P hold for the lines that follow, up to another motion or cycle, or G80, and
-up to another plane, unit or distance mode, in which they would mean something else. Where G91
-holds, R counts from where the tool was when the first of them began, Z from R. Behind G80 the
-motion holds that held before. Source: NISTIR 6556, 3.5.16; G73 and the way back of G83 to R are
-LinuxCNC's.
+A line with a cycle becomes lines of Grbl's own words, which are checked and executed as if they
+had been sent. R, Z, Q and P hold for the following lines, until another motion or cycle, or G80.
+They also end with a change of plane, units or distance mode, because they would mean something
+else there. In G91, R is relative to the tool's position when the first cycle began, and Z is
+relative to R. After G80 the motion mode from before the cycle is active again. Source: NISTIR
+6556, 3.5.16; G73, and the retract of G83 to R, are LinuxCNC's.
 """
 
 from base import errors
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from talk.controller import Controller
 
-    # Letter, number as it is written, and of G and M words that in tenths, else -1.
+    # Letter, number as it is written, and tenths of a G or M word (-1 for other letters).
     Word = tuple[str, str, int]
 
 _PLANES = ((0, 1), (2, 0), (1, 2))  # the axes of G17, G18, G19
@@ -28,7 +28,7 @@ _G73 = const(730)
 _G83 = const(830)
 _G85 = const(850)
 _G89 = const(890)
-# By the number in tenths: letters that have to be there besides R and Z, and those that may.
+# By number in tenths: required letters in addition to R and Z, and optional ones.
 CYCLES = {
     _G73: ("Q", "P"),
     810: ("", ""),
@@ -38,20 +38,20 @@ CYCLES = {
     _G89: ("P", ""),
 }
 MOTIONS = (0, 10, 20, 30, 382, 383, 384, 385)
-# Others whose axis words are not those of a hole, G80 among them.
+# Other words whose axis words do not give a hole; G80 is one of them.
 _CLAIMS = MOTIONS + (100, 280, 281, 300, 301, 431, 530, 800, 920, 921)
 _LETTERS = "XYZ"
 _OWN = "XYZRQPL"
-# So far from the bottom a drill that has been lifted stops on its way back.
+# A rapid back into the hole stops at this distance above the last depth (in mm, in inches).
 _GAP_MM = 0.254
 _GAP_INCH = 0.01
 _MM_PER_INCH = 25.4
 _LEAST_Q = 0.001
-_LEAST = 0.0001  # a last bit that is thinner is drilled with the one above it
+_LEAST = 0.0001  # mm or inches: a last peck thinner than this is drilled with the one above it
 
 
 def has(words: "list[Word]", letter: str, *tenths: int) -> bool:
-    """Whether one of these G or M words is there, or that letter at all."""
+    """Return whether one of these G or M words is there; without tenths, whether the letter is."""
     for word in words:
         if word[0] == letter and (not tenths or word[2] in tenths):
             return True
@@ -59,31 +59,33 @@ def has(words: "list[Word]", letter: str, *tenths: int) -> bool:
 
 
 def joined(words: "list[Word]") -> str:
-    """Words as a line."""
+    """Return the words as a line."""
     return "".join([letter + number for letter, number, _ in words])
 
 
 class Holes:
-    """What a line of a cycle asks for, in the units of the program. Numbers that the program gives
-    stay as they are written there."""
+    """What a line of a cycle asks for, in the program's units.
+
+    Numbers stay text, as the program has them.
+    """
 
     cycle: int
-    kept: "dict[str, str]"  # what holds for the next lines, too
+    kept: "dict[str, str]"  # letters and numbers that hold for the next lines, too
     to_r: bool
-    first: str  # the line, without what is the cycle's,
-    own: "list[Word]"  # and that
-    manner: "tuple[int, int, int]"  # axis, inches, relative: numbers hold while it is the same
-    letter: str  # of the axis that drills
-    now: float  # where that is
-    begun_mm: float  # and where it was when the first cycle began, in machine coordinates
+    first: str  # the line without the words of the cycle,
+    own: "list[Word]"  # and these words
+    manner: "tuple[int, int, int]"  # axis, inches, relative: the kept numbers depend on them
+    letter: str  # of the drilling axis
+    now: float  # present position of that axis
+    begun_mm: float  # and when the first cycle began, in machine coordinates
     r: str
     bottom: str
-    above: str  # where it ends
+    above: str  # where a hole ends: at R or the initial height
     gap: float
     places: "Iterator[str]"
 
     def lines(self) -> "Iterator[str]":
-        """All of it, hole by hole."""
+        """Yield the lines for all holes, one hole after the other."""
         r = "G0" + self.letter + self.r
         deep = self.now
         if deep < float(self.r):
@@ -107,7 +109,7 @@ class Holes:
         yield (feed if self.cycle in (_G85, _G89) else rapid) + self.above
 
     def _pecks(self, feed: str, rapid: str) -> "Iterator[str]":
-        """Down to all depths but the last, and up from each to clear the chips."""
+        """Yield the pecks to all depths except the last, each with its retract to clear chips."""
         top, bottom, q = float(self.r), float(self.bottom), float(self.kept["Q"])
         count = 1
         while top - count * q - bottom > _LEAST:
@@ -120,9 +122,9 @@ class Holes:
 
 
 class Drilling:
-    """cycle: the one that is in force, in tenths, or 0. to_r: G99 is.
+    """State of the drilling cycles. cycle: the active one in tenths, or 0. to_r: G99 is active.
 
-    run executes a line; check refuses it, or leaves it in the interpreter's block.
+    run executes a line. check refuses a line, or leaves it in the interpreter's block.
     """
 
     def __init__(
@@ -131,27 +133,27 @@ class Drilling:
         self._machine = machine
         self._run = run
         self._check = check
-        self._holes = Holes()  # what plan() has found last
+        self._holes = Holes()  # the result of the last plan()
         self.cycle = 0
-        self._motion = 0  # the one that held before
-        self._begun_mm = 0.0  # and where the axis that drills was, in machine coordinates
+        self._motion = 0  # the motion mode before the cycle
+        self._begun_mm = 0.0  # the drilling axis then, in machine coordinates
         self._manner = (0, 0, 0)
-        self._was_open = True  # kernels were free to execute lines
+        self._was_open = True  # the interpreter's is_open before the cycle
         self.forget()
 
     def forget(self) -> None:
-        """As after a reset."""
+        """Forget the cycle and G99, as after a reset."""
         self.to_r = False
         self.stop(False)
 
     def repeats(self, words: "list[Word]") -> bool:
-        """Another place for the cycle that is in force."""
+        """Return whether the line has only a new position for the active cycle."""
         if not self.cycle or has(words, "G", *_CLAIMS) or has(words, "G", *CYCLES):
             return False
         return any(has(words, letter) for letter in _LETTERS)
 
     def stop(self, with_motion: bool) -> None:
-        """No cycle is in force any more; with_motion: the motion is, that was before."""
+        """End the cycle. with_motion: restore the motion mode from before it."""
         interpreter = self._machine.interpreter
         if self.cycle:
             interpreter.is_open = self._was_open
@@ -161,7 +163,7 @@ class Drilling:
         self._kept: "dict[str, str]" = {}
 
     def make(self, holes: Holes) -> None:
-        """Execute what plan() has found."""
+        """Execute what plan() has prepared."""
         interpreter, modes = self._machine.interpreter, self._machine.modes
         modal = modes.modal
         before = list(modes.position)
@@ -171,7 +173,7 @@ class Drilling:
         if not self.cycle:
             self._motion = modal[MOTION]
             self._was_open = interpreter.is_open
-            interpreter.is_open = False  # a line with no more than places is no move
+            interpreter.is_open = False  # in a cycle a line of axis words only is no move
         self.cycle, self._kept, self.to_r = holes.cycle, holes.kept, holes.to_r
         self._begun_mm, self._manner = holes.begun_mm, holes.manner
         relative, modal[RELATIVE] = modal[RELATIVE], 0
@@ -182,10 +184,10 @@ class Drilling:
         finally:
             modal[RELATIVE] = relative
 
-    # All checks
+    # Checks
 
     def plan(self, words: "list[Word]", to_r: bool) -> Holes:
-        """What a line comes to. GrblError where it cannot be."""
+        """Check a line and prepare its holes. GrblError if it is wrong. Nothing changes."""
         holes = self._holes
         holes.to_r = to_r
         holes.cycle, given, others = self._split(words)
@@ -210,7 +212,7 @@ class Drilling:
         return holes
 
     def _split(self, words: "list[Word]") -> "tuple[int, dict[str, str], list[Word]]":
-        """The cycle, its words by letter, and all others."""
+        """Return the cycle, its numbers by letter, and all other words."""
         cycle = self.cycle
         is_named = False
         given: "dict[str, str]" = {}
@@ -232,7 +234,7 @@ class Drilling:
         return cycle, given, others
 
     def _check_others(self) -> None:
-        """No word that moves, or ends a program, stands beside a cycle, and there is a feed."""
+        """Check that no other word moves or ends the program, and that there is a feed rate."""
         block = self._machine.interpreter.block
         if block.ints[b.COMMANDS] & (b.GROUP_0 | b.GROUP_1 | b.GROUP_M4):
             raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
@@ -242,7 +244,7 @@ class Drilling:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
 
     def _place(self, holes: Holes, axis: int) -> None:
-        """How deep the holes are, and what is above them."""
+        """Compute the bottom of the holes, R and the height at which each ends."""
         ints = self._machine.interpreter.block.ints
         holes.gap = _GAP_INCH if ints[INCHES] else _GAP_MM
         has_begun = self.cycle and axis == self._manner[0]
@@ -258,7 +260,7 @@ class Drilling:
         holes.above = holes.r if holes.to_r or begun <= float(holes.r) else _text(begun)
 
     def _places(self, given: "list[tuple[str, float, int]]", times: int) -> "Iterator[str]":
-        """Words of each place. given: numbers as they are written, places now, and axes."""
+        """Yield the axis words of each hole. given: numbers as written, positions now, axes."""
         relative = self._machine.interpreter.block.ints[RELATIVE]
         return (
             "".join(
@@ -274,7 +276,7 @@ class Drilling:
         return self._at(axis, self._machine.modes.position[axis])
 
     def _at(self, axis: int, mm: float) -> float:
-        """A place in machine coordinates as the program would say it, on the line in the block."""
+        """Convert machine coordinates to the units and work offset of the checked line."""
         coords, ints = self._machine.coords, self._machine.interpreter.block.ints
         mm -= coords.work_zero(ints[SYSTEM], axis)
         return mm / _MM_PER_INCH if ints[INCHES] else mm

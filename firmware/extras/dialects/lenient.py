@@ -1,8 +1,9 @@
-"""Lenient: words of other controllers, accepted where leaving them out does no harm.
+"""Lenient: words of other controllers, accepted where dropping them does no harm.
 
-A line that Grbl refuses is looked at once more. What says nothing that this machine could do is
-left out; M6 becomes a pause, G73 to G89 drilling (drilling.py). Each such word is named once in a
-[MSG:]. Every other line goes its way as it is. A board asks for it with LENIENT = True.
+A line that Grbl refuses is examined once more. Words without a meaning on this machine are
+dropped, M6 becomes a pause, G73 to G89 become drilling (drilling.py). Each such word is reported
+once in a [MSG:]. Every other line is executed as it is. LENIENT = True in the board file selects
+this.
 """
 
 from base import state as st
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from extras.api import Cnc
     from extras.dialects.drilling import Word
 
-# What is said of each.
+# The message for each word.
 _WORDS = {
     "%": "the mark of a tape is passed over",
     "O": "the number of a program is passed over",
@@ -44,7 +45,7 @@ _WORDS = {
     "M6": "a pause with the spindle off, and ~ goes on",
 }
 _CYCLE = "a drilling cycle"
-# In tenths.
+# Words in tenths.
 _G4 = const(40)
 _G43 = const(430)
 _G43_1 = const(431)
@@ -56,15 +57,15 @@ _G80 = const(800)
 _G98 = const(980)
 _G99 = const(990)
 _M6 = const(60)
-_HAVE_P = (_G4, 100) + tuple(CYCLES)  # beside these, P and Q are not those of G64
-_TURNING = (30, 40)  # M3, M4: beside them S is a speed
+_HAVE_P = (_G4, 100) + tuple(CYCLES)  # with these on the line, P and Q are not those of G64
+_TURNING = (30, 40)  # M3, M4: with these on the line S is a speed
 _ENDS = (20, 300)  # M2, M30
 _NONE = const(-1)
 _NUMBER = "0123456789.+-"
 
 
 class Lenient:
-    """Stands around the interpreter."""
+    """Wraps the execution of lines."""
 
     def __init__(self, cnc: "Cnc") -> None:
         machine = cnc.machine
@@ -75,7 +76,7 @@ class Lenient:
         self._drilling = Drilling(machine, self._run, self._check)
         self._told: "list[str]" = []
         self._tool = "0"
-        self._is_within = False  # a line, others
+        self._is_within = False  # a line is being executed; others may be within it
         hooks.execute = self.execute
         machine.interpreter.watch(SET_TOOL)
         cnc.after_reset(self._forget)
@@ -90,8 +91,11 @@ class Lenient:
         return "it goes on with a drilling cycle" if self._drilling.cycle else ""
 
     def execute(self, line: bytearray, length: int) -> None:
-        """As Interpreter.execute(). What a handler of another extra has executed within a line is
-        its own: it neither repeats a cycle nor ends it."""
+        """Execute a line, as Interpreter.execute().
+
+        A line that a handler of another extra executes within this one is passed on: it neither
+        repeats a cycle nor ends it.
+        """
         if self._is_within:
             self._usual(line, length)
             return
@@ -127,7 +131,7 @@ class Lenient:
                 self._tool = number
 
     def _check(self, text: str) -> None:
-        """Refuse a line with GrblError, or leave it in the interpreter's block."""
+        """Check a line. GrblError refuses it; otherwise it is in the interpreter's block."""
         machine = self._machine
         line = bytearray(text.encode() + b"\0")
         machine.interpreter.check_line(line, len(line) - 1 << 8, machine.modes.modal, 0)
@@ -139,8 +143,10 @@ class Lenient:
     # A line that has been refused
 
     def _execute_rest(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
-        """Execute it without what does nothing here; False where there is no such thing, or where
-        it is another extra's."""
+        """Execute the line without the words that have no effect here.
+
+        Return False if there are none, or if the line is another extra's.
+        """
         if words is None or self._cnc.has_word(line, length):
             return False
         if has(words, "G", _G98) and has(words, "G", _G99):
@@ -167,7 +173,7 @@ class Lenient:
         return bool(names)
 
     def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":
-        """What is left; names gets those of what is not."""
+        """Return the words that stay. The names of the others are added to names."""
         left = []
         for word in words:
             name = self._name(word, words)
@@ -180,9 +186,9 @@ class Lenient:
         return left
 
     def _name(self, word: "Word", words: "list[Word]") -> str:
-        """Why this word may be left out: a key of _WORDS, or nothing."""
+        """Return the key in _WORDS of a word that may be dropped, or ""."""
         letter, _, tenths = word
-        if letter == "O":  # beside other words it is a subroutine of LinuxCNC's
+        if letter == "O":  # with other words it is a subroutine of LinuxCNC
             return "O" if all(other[0] in "NO" for other in words) else ""
         if letter == "H":
             return self._name_g(_G43, words) if has(words, "G", _G43) else ""
@@ -212,7 +218,7 @@ class Lenient:
                 self._cnc.message("%s: %s" % (name, _WORDS.get(name, _CYCLE)))
 
     def _pause(self, words: "list[Word]") -> None:
-        """For the tool that this line names, or one before it."""
+        """Pause for the tool that this line names, or the last one named before."""
         self._note_tool(words)
         if self._machine.modes.modal[SPINDLE]:
             self._run("M5")
@@ -223,7 +229,7 @@ class Lenient:
 
 
 def _words(line: bytearray, length: int) -> "list[Word] | None":
-    """The words of a line, without marks of tapes; None where it does not consist of words."""
+    """Return the words of a line without tape marks (%), or None if it is not words only."""
     found = []
     for letter, number in as_written(text_of(line[:length]).strip("%")):
         if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in number):
@@ -237,12 +243,12 @@ def _words(line: bytearray, length: int) -> "list[Word] | None":
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Before the machine is made: numbers of tools may be of any size."""
+    """Before the machine is created, allow tool numbers of any size."""
     options.highest_tool = 1 << 31
 
 
 def install(cnc: "Cnc") -> None:
-    """Behind all other extras: their words are theirs."""
+    """Install after all other extras, because their words have priority."""
     if cnc.machine.interpreter.motions:
         raise ValueError("LENIENT has cycles of its own: no extra can have one beside it")
     Lenient(cnc)
