@@ -1,1 +1,1 @@
-"""What senders are told and may set of the network."""
+"""Network settings and access of extras: `$NET`."""

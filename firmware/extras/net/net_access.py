@@ -1,9 +1,9 @@
-"""The network beside the cable, as far as it is the machine's: `$NET`, its key, and who drives.
+"""Network access: `$NET`, the key, and handover between cable and network clients.
 
-LINK = "wifi" or "uart_wifi" in the board file asks for it. What is kept is written at rest, by
-lines that come over the cable only, and holds from the next start on: ports/net/wifi.py reads it.
-Names and passwords come as hexadecimal digits, for a line has neither small letters nor spaces;
-they are told to nobody. docs/network.md has the words.
+LINK = "wifi" or "uart_wifi" in the board file selects this. Settings are accepted over the cable
+only, and are written while idle. They take effect at the next start: ports/net/wifi.py reads them.
+Names and passwords are written as hexadecimal digits, because a received line has neither
+lower-case letters nor spaces. They are never reported. docs/network.md lists the words.
 """
 
 import sys
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 _FILE = "network"
 _KEY_LENGTH = const(8)
-# No letter that makes a word which senders take for an answer.
+# Without letters that could form a word that senders take for an answer.
 _KEY_SIGNS = "23456789ABCDFGHJKLMNPQRSTVWXYZ"
 
 
 def has_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> bool:
-    """Whether a line has begun and not ended."""
+    """Return whether the reader has an unfinished line."""
     head = at[HEAD]
     if head != at[TAIL]:
         return kinds[ring[head - 1]] != END
@@ -38,7 +38,7 @@ def has_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> bool:
 
 
 def drop_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> None:
-    """Forget the line that has begun and not ended, and nothing before it."""
+    """Drop the unfinished line, and nothing before it."""
     head = at[HEAD]
     while head != at[TAIL] and kinds[ring[head - 1]] != END:
         head = (head or len(ring)) - 1
@@ -48,7 +48,7 @@ def drop_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> None:
 
 
 class Network:
-    """`$NET`, and what it keeps. link: None where the simulator has no network."""
+    """`$NET` and its stored values. link: None in a simulator without network."""
 
     def __init__(self, cnc: "Cnc", link: "NetworkLink | None") -> None:
         machine = cnc.machine
@@ -69,7 +69,7 @@ class Network:
             link.control.has_half = lambda: has_half(*self._received())
 
     def _new_key(self) -> str:
-        """One that nobody can guess: 39 bits of the chip's own noise."""
+        """Return a random key: 39 bits from the chip's noise source."""
         noise = self._link.access.random_bytes(_KEY_LENGTH) if self._link else b""
         return "".join([_KEY_SIGNS[byte % len(_KEY_SIGNS)] for byte in noise])
 
@@ -80,16 +80,16 @@ class Network:
     def _keep(self) -> None:
         self._saves.save(_FILE, ["%s=%s" % row for row in sorted(self._kept.items())])
 
-    # The machine's turns
+    # Hooks
 
     def between(self) -> None:
-        """Between two lines."""
+        """Complete a requested handover between two lines."""
         link = self._link
         if link and link.control.ending and not self._reader.has_line():
             link.control.done()
 
     def greet(self) -> None:
-        """Behind the welcome, at the first start."""
+        """Send a new key after the welcome of the first start."""
         if self._is_new:
             self._is_new = False
             self._send_key()
@@ -106,7 +106,7 @@ class Network:
     # The command
 
     def command(self, rest: bytes) -> None:
-        """$NET, and $NET/… as lines come, without the slash. Raises GrblError."""
+        """Execute $NET, or $NET/… without the slash, which the reader drops. Raises GrblError."""
         text, link = text_of(rest), self._link
         if not rest:
             count = link.client_count() if link else 0
@@ -115,7 +115,7 @@ class Network:
         elif link is None:
             self._refuse("There is no network here")
         elif not link.by_cable():
-            if text != "KEY" and text[:4] != "KEY=":  # a sender may say its key each time
+            if text != "KEY" and text[:4] != "KEY=":  # a sender may send its key each time
                 self._refuse("That is set up at the cable")
         elif text == "KEY":
             self._send_key()
@@ -129,7 +129,7 @@ class Network:
             self._set(text)
 
     def _set(self, text: str) -> None:
-        """What is set up once is read from flash then, and let go again: it takes 1.5 kB."""
+        """Set a value. Its module takes 1.5 kB, so it is loaded only for this call."""
         from extras.net import net_setup
 
         why = net_setup.change(self._kept, text)
@@ -146,7 +146,7 @@ class Network:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have the machine know its network."""
+    """Add `$NET` and its hooks."""
     link = cnc.machine.protocol.link
     network = Network(cnc, link if hasattr(link, "by_cable") else None)  # type: ignore[arg-type]
     cnc.before_lines(network.between)

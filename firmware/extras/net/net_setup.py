@@ -1,6 +1,4 @@
-"""`$NET/NAME=VALUE`: what a network is set up with, checked. See net_access.py, which reads this
-from flash when somebody sets one up.
-"""
+"""Checks for `$NET/NAME=VALUE`. net_access.py imports this only when a value is set."""
 
 from micropython import const
 
@@ -15,7 +13,7 @@ _HIGHEST_PORT = const(65535)
 
 
 def change(kept: "dict[str, str]", text: str) -> str:
-    """Put into kept what is said, or return why not, and nothing has changed."""
+    """Store a value in kept and return "", or return why not and change nothing."""
     name, sign, value = _parted(text)
     if name == "OFF" and not sign:
         for one in ("SSID", "PASS"):
@@ -68,7 +66,7 @@ def _port(text: str) -> str:
 
 
 def _parted(text: str) -> "tuple[str, str, str]":
-    """Name, sign and value of `NAME=VALUE`, `NAME+VALUE` or `NAME`."""
+    """Split `NAME=VALUE`, `NAME+VALUE` or `NAME` into name, sign and value."""
     for sign in "=+":
         name, found, value = text.partition(sign)
         if found and _is_of(name.lower(), _LETTERS):
@@ -77,5 +75,5 @@ def _parted(text: str) -> "tuple[str, str, str]":
 
 
 def _is_of(text: str, signs: str) -> bool:
-    """There is text, of no other signs."""
+    """Return whether the text is not empty and has only these characters."""
     return bool(text) and not [sign for sign in text if sign not in signs]
