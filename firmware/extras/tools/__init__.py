@@ -1,1 +1,1 @@
-"""Tools besides the spindle: a laser, a punch."""
+"""Tools other than the spindle: a laser, a punch."""

@@ -1,9 +1,9 @@
 # mypy: disable-error-code="arg-type, has-type, misc"
-"""Clusters of a laser's powers, S0:0:875:0: one line, one block, up to 16 dots of equal length.
+"""Clusters of laser powers, S0:0:875:0: one line, one block, up to 16 dots of equal length.
 
-A line with a cluster holds what lines that only move hold: G1, axes, F, S and N, with $32 on. To
-the rest of the machine it is one with its last S, and its block is one like others; the powers of
-its dots lie beside the planner's ring.
+A line with a cluster has only what move-only lines have: G1, axes, F, S and N, with $32 on. The
+rest of the machine handles it as a line with its last S, and its block as any other block. The
+powers of its dots are in an array with one row per row of the planner's ring.
 """
 
 from array import array
@@ -53,22 +53,25 @@ if TYPE_CHECKING:
 _LINE_LENGTH = const(160)
 _COLON = const(58)
 _S = const(83)
-# A cut along a straight line, which asks for nothing else.
+# The words of a straight cut: a line with a cluster must have no others.
 _CUT = const(CHECKED | MOVE | IN_MOTION)
 
-# A row per block: how many dots it has, 0 if it is none; their powers, as POWER is.
+# A row per block: the number of dots, 0 for a normal block, then their powers, in POWER's unit.
 MOST = const(16)
 ROOM = const(17)
 
-# The dots of the line just read: how many, and these, as bits of floats.
+# The dots of the line just read: their number, then their S values, as bits of floats.
 DOTS = const(0)
 FIRST_DOT = const(1)
 
 
 @micropython.viper
 def read_dots(line: object, span: int, found: int, memory: object) -> int:
-    """Go on where scan() has found a colon: all numbers of an S go into dots, the last of them is
-    its value. As block.read() wants it; memory: where words are, dots, ints of the block."""
+    """Read the numbers after a colon, where scan() has stopped. For Block.read_on.
+
+    All numbers of an S go into dots; the last one is also the value of S. memory: the arrays of
+    letters and values that scan() fills, dots, and the block's ints. Returns scan()'s result.
+    """
     _letters, _values, _dots, _ints = memory
     text = ptr8(line)
     letters = ptr8(_letters)
@@ -102,8 +105,13 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
 
 @micropython.viper
 def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
-    """The tick at which the axis at row[base] comes to a place: whole steps, and `over` of `parts`
-    of one, into its segment. A step is made half way to the next place of a motor."""
+    """Return the tick in the segment at which a motor reaches whole + over / parts steps.
+
+    row[base]: number of steps, tick of the first, tick of the last; the gaps between them differ
+    by at most one tick, longer ones first. A step is generated half way between two positions, so
+
+        tick = step tick of `whole` + gap * (over / parts - 1 / 2)
+    """
     gaps = row[base] - 1
     tick = row[base + 1]
     gap = row[ROW_TICKS]
@@ -117,7 +125,7 @@ def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
 
 @micropython.viper
 def leader(ring: ptr32, at: int) -> int:
-    """The motor with the most steps in the block at ring[at]: each of its steps is an event."""
+    """Return the motor with the most steps in the block at ring[at]: its steps are the events."""
     motor = 0
     while ring[at + STEPS + motor] != ring[at + EVENTS]:
         motor += 1
@@ -126,7 +134,7 @@ def leader(ring: ptr32, at: int) -> int:
 
 @micropython.viper
 def begun(done: int, events: int, parts: int) -> int:
-    """How many of the dots that share the events have begun, when so many are done."""
+    """Return how many dots have begun after `done` events: ceil(done * parts / events)."""
     return (done * parts + events - 1) // events
 
 
@@ -141,10 +149,10 @@ def dots(
     clusters: ptr32,
     own: int,
 ) -> int:
-    """The changes of power in a segment of a cluster, whose row begins at clusters[own].
+    """Write the changes of power in a segment of a cluster, whose row begins at clusters[own].
 
-    Dots are as long as each other, and the first begins with the block. Where power follows speed,
-    a segment in which no dot begins has the power of the old one at its own speed.
+    All dots have equal length, and the first begins with the block. If power follows speed (M4), a
+    segment in which no dot begins has the power of the current dot at the segment's speed.
     """
     at = flow[AT]
     events = ring[at + EVENTS]
@@ -194,7 +202,7 @@ def mark_dots(
     levels: ptr32,
     clusters: ptr32,
 ) -> int:
-    """As laser.mark(), where the segment's block may be a cluster."""
+    """Move a segment's power to the beam, as laser.mark(), also if its block is a cluster."""
     at = flow[AT] // flow[ROW_SIZE] * ROOM
     if clusters[at] == 0:
         mark(table, row, beam, levels)
@@ -216,8 +224,10 @@ def store(
     speeds: ptr32,
     block: int,
 ) -> int:
-    """Powers, and what they are made of, go where a block's are looked for. scale and flags: as
-    weigh() wants them."""
+    """Store the powers of a block's dots, and the S values that they are computed from.
+
+    scale, flags: see spindle.power_from_rpm(). Equal S values in a row are computed once.
+    """
     at = ROOM * block
     last = -1
     power = 0
@@ -233,15 +243,15 @@ def store(
 
 
 class ClusterLaser(Laser):
-    """A laser whose power changes within blocks."""
+    """A laser whose power also changes within blocks."""
 
     def burn(self, planner: "Planner", clusters: "array[int]") -> None:
-        """Say where blocks are, and the dots of each."""
+        """Connect the planner's blocks and the dots of each."""
         self._flow, self._ring, self._clusters = planner.flow, planner.ring, clusters
 
     @micropython.viper
     def next(self, row: object) -> int:
-        """As segments.Segments.next(), with the changes of power that come in the segment."""
+        """Fill the next segment's row, as segments.Segments.next(), with its changes of power."""
         if int(self._usual_next(row)) == 0:
             return 0
         flow = ptr32(self._flow)
@@ -253,8 +263,10 @@ class ClusterLaser(Laser):
         return 1
 
     def take_up(self) -> bool:
-        """Motion begins: a dot that a hold has cut in two goes on as it was. Power that follows
-        speed begins with none."""
+        """Restore the power of a dot that a hold has interrupted, before motion starts.
+
+        Power that follows speed starts at 0 instead.
+        """
         flow, ring = self._flow, self._ring
         at = flow[AT]
         own = at // flow[ROW_SIZE] * ROOM
@@ -270,14 +282,14 @@ class ClusterLaser(Laser):
 
 
 class Clusters:
-    """What stands around a machine's lines and its planner."""
+    """Hooks of clusters in the reading of lines and in the planner."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         flow = machine.planner.flow
         blocks = flow[ROWS] + 1
         self.powers = array("i", (0 for _ in range(ROOM * blocks)))
-        # S of each dot: an override of the spindle weighs it anew.
+        # S of each dot, because a spindle override computes the powers again.
         self._speeds = array("f", (0.0 for _ in range(MOST * blocks)))
         self._dots = array("i", (0 for _ in range(FIRST_DOT + MOST)))
         self._values = memoryview(self._dots)[FIRST_DOT:]
@@ -299,7 +311,7 @@ class Clusters:
 
     @micropython.native
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """As motion.planner.Planner.plan(); without M3 and M4 there are no dots."""
+        """Plan a line, as motion.planner.Planner.plan(). Without M3 and M4 it has no dots."""
         machine = self._machine
         head = machine.planner.flow[HEAD]
         if not flags & SYSTEM_MOTION:
@@ -312,7 +324,7 @@ class Clusters:
         return planned
 
     def _each_power(self, power: "Any") -> None:
-        """Weigh the dots of every block anew."""
+        """Compute the powers of the dots of all blocks again."""
         planner = self._machine.planner
         flow = planner.flow
         at = flow[TAIL]
@@ -321,13 +333,13 @@ class Clusters:
             at = (at + 1) % flow[ROWS]
 
     def _clear(self) -> None:
-        """Nothing is planned."""
+        """Forget all dots, because the planner is empty."""
         for i in range(0, len(self.powers), ROOM):
             self.powers[i] = 0
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Before the machine is made. Raises ValueError where the board cannot play them."""
+    """Check the board file before the machine is created. ValueError without a laser engine."""
     option = board.__dict__.get
     if option("TOOL", "spindle") != "laser":
         raise ValueError('CLUSTERS wants TOOL = "laser"')
@@ -338,7 +350,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Around the lines, the planner, and the laser's segments."""
+    """Hook into the reading of lines, the planner and the laser's segments."""
     machine = cnc.machine
     laser: "Any" = machine.spindle
     laser.burn(machine.planner, Clusters(machine).powers)

@@ -1,12 +1,13 @@
 # mypy: disable-error-code=arg-type
-"""The laser: what a beam wants besides what every spindle has.
+"""The laser: PWM frequency, and power changed by the engine during motion.
 
-$33 is the frequency of the pulses that power is made of, with grblHAL's number and meaning; the
-board file's PWM_HZ is its default. A spindle's controller wants a certain one; a beam draws a
-raster the better, the more pulses fall on a dot.
+$33 is the frequency of the PWM that sets the power, with grblHAL's number and meaning. PWM_HZ in
+the board file is its default. A spindle's controller needs a certain frequency. A laser engraves a
+raster better with more pulses per dot.
 
-Where the engine can, power changes at the step where it belongs, by hardware, and no interrupt
-sets it: mark() says where in each segment, as motion/beam_layout.py has it.
+On engines that support it, hardware changes the power at the step where the change belongs, and no
+interrupt sets it. mark() writes the changes of each segment, as motion/beam_layout.py defines
+them.
 """
 
 from array import array
@@ -41,21 +42,24 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _SETTINGS: "Rows" = (
-    # Spindle PWM frequency. Pulses a second of the output that power is made of: 10 to 100000.
+    # Spindle PWM frequency. Pulses per second of the output that sets the power: 10 to 100000.
     (33, "pwm_hz", WHOLE, 5000.0, "Hz"),
 )
 _NUMBER = const(33)
-# What every chip's PWM can do with a thousand steps of power, or nearly.
+# Every chip's PWM can do this range, with nearly a thousand steps of power or more.
 _LOWEST_HZ = const(10)
 _HIGHEST_HZ = const(100_000)
-_BESIDE_RADIO = const(4)  # motors
-_SOONEST = const(8)  # ticks in which an engine is ready for the first change of a segment
-_LONG = const(0x100000)  # ticks: no gap is longer
+_BESIDE_RADIO = const(4)  # most motors of an RP2040's PIO with a radio
+_SOONEST = const(8)  # ticks that an engine needs before the first change of a segment
+_LONG = const(0x100000)  # ticks: limit of SINCE
 
 
 @micropython.viper
 def emit(beam: ptr32, levels: ptr32, power: int) -> int:
-    """A change of power: its level goes into the ring."""
+    """Append a change of power to the ring of levels.
+
+    level = power * FULL / 2**FULL_LOG2; beam_layout.full() keeps the product within 31 bits.
+    """
     levels[beam[COUNT] & LEVELS_MASK] = ((power * beam[FULL]) >> FULL_LOG2) * beam[BOTH]
     beam[COUNT] += 1
     beam[LEVEL] = power
@@ -64,7 +68,11 @@ def emit(beam: ptr32, levels: ptr32, power: int) -> int:
 
 @micropython.viper
 def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: int) -> int:
-    """Put so many changes into a row, not sooner than the hardware is ready for them."""
+    """Write `number` changes of power into a row, from tick `first` to tick `last` of the segment.
+
+    Both are delayed where the hardware would not be ready: it needs _SOONEST ticks from the start
+    of the segment, and GAP ticks from one change to the next.
+    """
     base = ROW_AXES + ROW_STRIDE * table[MOTOR_COUNT]
     row[base] = number
     since = beam[SINCE] + row[ROW_TICKS]
@@ -86,7 +94,7 @@ def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: in
 
 @micropython.viper
 def mark(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
-    """Put the change of power into a segment just made: see segment_kernel.fill()."""
+    """Move the power of a segment just made to the beam. See segment_kernel.fill()."""
     number = 0
     if row[ROW_POWER] != beam[LEVEL]:
         emit(beam, levels, row[ROW_POWER])
@@ -97,7 +105,7 @@ def mark(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
 
 
 class Laser(Spindle):
-    """A spindle whose engine changes its power while the machine moves."""
+    """A spindle whose power the engine changes during motion."""
 
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
         super().__init__(port, state, enable_by_direction)
@@ -105,7 +113,7 @@ class Laser(Spindle):
         self._engine: "Any" = None
 
     def connect(self, engine: "BeamEngine", planner: "Planner", usual_next: "NextSegment") -> None:
-        """Say what works on the beam: at rest, this; in motion, the engine."""
+        """Connect the engine, which sets the power during motion, and the planner."""
         self._usual_next = usual_next
         self._engine = engine
         self._beam = engine.beam
@@ -114,19 +122,19 @@ class Laser(Spindle):
 
     @micropython.viper
     def next(self, row: object) -> int:
-        """As segments.Segments.next(), with the changes of power that come in the segment."""
+        """Fill the next segment's row, as segments.Segments.next(), with its changes of power."""
         if int(self._usual_next(row)) == 0:
             return 0
         mark(ptr32(self._table), ptr32(row), ptr32(self._beam), ptr32(self._levels))
         return 1
 
     def set_power(self, power: int) -> None:
-        """Power at rest; of segments, where no engine changes it. Safe in an interrupt."""
+        """Set PWM directly: while idle, or per segment without a beam engine. Interrupt-safe."""
         self._power = power
         self._port.spindle(power != 0, power)
 
     def on_motion_end(self) -> None:
-        """Motion has come to its end: what hardware has made is known from now on. Interrupt."""
+        """Take over the power that the hardware has set last, when motion has ended. Interrupt."""
         beam = self._beam
         if self._reversed and self.laser:
             self.set_power(0)
@@ -135,27 +143,28 @@ class Laser(Spindle):
         beam[bm.LEVEL] = bm.UNKNOWN
 
     def stop(self) -> None:
-        """Off, at once, whatever is still on its way to the pin; safe in an interrupt."""
+        """Switch off at once, whatever is queued for the pin. Safe in an interrupt."""
         if self._engine:
             self._engine.put_out()
         super().stop()
 
     def direction(self) -> int:
-        """OFF, CW or CCW."""
+        """Return OFF, CW or CCW."""
         if self._beam[bm.LEVEL] >= 0:
             self._power = self._beam[bm.LEVEL]
         return super().direction()
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Before the machine is made. Raises ValueError where the board file cannot be."""
+    """Check the board file before the machine is created. ValueError if it is wrong."""
     option = board.__dict__.get
     hz: int = option("PWM_HZ", 5000)
     if not _LOWEST_HZ <= hz <= _HIGHEST_HZ:
         raise ValueError("TOOL = laser: PWM_HZ is %d to %d" % (_LOWEST_HZ, _HIGHEST_HZ))
     if option("SPINDLE_ON", None) is not None:
         raise ValueError("TOOL = laser: SPINDLE_ON would not follow the beam")
-    # Beside five motors the beam's program and a radio's do not fit into PIO 1 of an RP2040.
+    # With five motors the PIO programs of beam and radio do not fit together into PIO 1 of an
+    # RP2040.
     if option("ENGINE", "") == "pio" and option("MPY_ARCH", "") == "armv6m":
         if len(option("STEP", ())) > _BESIDE_RADIO and option("LINK", "usb") == "wifi":
             raise ValueError('TOOL = laser: with LINK = "wifi" it takes 4 motors at the most')
@@ -165,7 +174,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Its setting, and its part in every segment. Raises ValueError where there is no output."""
+    """Add the setting and the changes of power. ValueError without a PWM pin."""
     machine = cnc.machine
     pwm = machine.port.pwm
     if not pwm:

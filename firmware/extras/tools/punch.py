@@ -1,17 +1,16 @@
-"""The punch: a tool that makes a stroke after every motion, in the place of a spindle.
+"""The punch: a tool that makes a stroke after every motion. It replaces the spindle.
 
-M3 or M4 arms it, M5 disarms it: words that every sender passes on. While it is
-armed, each line of G0 to G3 ends with a stroke: when the machine has come to
-rest the actuator goes down until the sensor below sees it, and up until the
-sensor above does. Nothing else makes one: not a jog, G28, a probe or homing.
+M3 or M4 arms it and M5 disarms it, because every sender passes these words on. While it is armed,
+each line of G0 to G3 ends with a stroke: when the machine has stopped, the actuator goes down
+until the lower sensor detects it, and up until the upper sensor does. Nothing else causes a
+stroke: no jog, G28, probe or homing.
 
-Whatever happens, nothing moves unless the sensor above sees the punch: motion
-does not start (may_move), motion under way is stopped, and a reset
-in the middle of a stroke first brings the punch up. A sensor that does not
-answer in time is an alarm.
+Nothing moves unless the upper sensor detects the punch. Motion does not start (may_move), motion
+in progress is stopped, and a reset during a stroke first raises the punch. A sensor that does not
+answer in time causes an alarm.
 
-A stroke is never held half way: a feed hold takes effect behind it. A safety
-door turns it back, and it is made once the door is closed.
+A stroke is never held half way: a feed hold takes effect after it. A safety door reverses a
+stroke, and it is repeated when the door is closed.
 """
 
 from base import state as st
@@ -35,46 +34,47 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-# What a board file has to name besides TOOL = "punch": two outputs, two inputs.
+# The board file names these for TOOL = "punch": two outputs, two inputs.
 PINS = ("PUNCH_DOWN", "PUNCH_UP", "PUNCH_DOWN_SENSOR", "PUNCH_UP_SENSOR")
 
-# The punch went down and the sensor of $32 did not see it come there. Not one of Grbl's.
+# The punch went down, and the sensor of $32 did not detect it there. Not one of Grbl's.
 ALARM_PUNCH_DOWN = const(32)
-# The punch is not up, or the sensor of $33 does not see it: nothing may move. Not one of Grbl's.
+# The punch is not up, or the sensor of $33 does not detect it: nothing may move. Not one of
+# Grbl's.
 ALARM_PUNCH_UP = const(33)
 
 _SETTINGS: "Rows" = (
-    # Punch actuator down invert. Off: 5 V move it down.
+    # Punch actuator down invert. Off: 5 V moves it down.
     (30, "punch_down_invert", BOOL, 0, "boolean"),
-    # Punch actuator up invert. Off: 5 V move it up.
+    # Punch actuator up invert. Off: 5 V moves it up.
     (31, "punch_up_invert", BOOL, 0, "boolean"),
-    # Punch sensor down invert. Off: 5 V say that it is down.
+    # Punch sensor down invert. Off: 5 V means that it is down.
     (32, "punch_down_sensor_invert", BOOL, 0, "boolean"),
-    # Punch sensor up invert. Off: 5 V say that it is up.
+    # Punch sensor up invert. Off: 5 V means that it is up.
     (33, "punch_up_sensor_invert", BOOL, 0, "boolean"),
 )
-# Settings of a spindle, which are not there.
+# A spindle's settings, which a punch does not have.
 _WITHOUT = (30, 31, 32)
-# What Grbl 0.9 says of them.
+# Their descriptions in Grbl 0.9's $$.
 _WORDS = {
     30: "punch actuator down invert, bool",
     31: "punch actuator up invert, bool",
     32: "punch sensor down invert, bool",
     33: "punch sensor up invert, bool",
 }
-# A file of its own: $30=1000 of a spindle would turn an actuator round.
+# A separate file, because a spindle's $30=1000 would invert an actuator.
 _FILE = "settings_punch"
 
 _NOT_DOWN = "Punch not down"
 _NOT_UP = "Punch not up"
 
-# Bits of what drives it, and of what sees it.
+# Bits of actuators and sensors.
 _DOWN = const(1)
 _UP = const(2)
 
 
 class Punch(Spindle):
-    """The actuators and their sensors. Armed is what a spindle calls turning."""
+    """The actuators and their sensors. Armed corresponds to a turning spindle."""
 
     pins: "tuple[int, ...]" = ()
     timeout_ms = 0
@@ -88,16 +88,16 @@ class Punch(Spindle):
         port.add_pins(self.pins[:2], self.pins[2:])
 
     def connect(self, machine: "Controller") -> None:
-        """Say what it is part of, and hear of the sensors from now on."""
+        """Connect the machine, and watch the sensors from now on."""
         self._machine = machine
         self._port.watch_pins(self.on_change)
 
-    # What a spindle has
+    # As a spindle
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
-        """Take over $30 to $33."""
+        """Apply $30 to $33."""
         super().configure(settings, table)
-        for i in range(sp.HIGHEST, st.SPINDLE_LENGTH):  # there is no speed, and no power of any
+        for i in range(sp.HIGHEST, st.SPINDLE_LENGTH):  # there is neither speed nor power
             self._state.spindle[i] = 0.0
         inverts = [getattr(settings, row[1]) for row in _SETTINGS]
         self._down_invert, self._up_invert = inverts[:2]
@@ -106,7 +106,7 @@ class Punch(Spindle):
         self._motor_control(False)
 
     def set_speed(self, direction: int, rpm: float) -> None:
-        """Arm or disarm. Disarmed, it is up, or the machine is in alarm: so after a reset, too."""
+        """Arm or disarm. Disarmed, also by a reset, the punch is up or the machine in alarm."""
         self._armed = direction
         self._state.override_countdown = 0
         if direction == sp.OFF:
@@ -118,26 +118,26 @@ class Punch(Spindle):
             self._lost = False
 
     def stop(self) -> None:
-        """Up, at once; safe in an interrupt."""
+        """Raise the punch at once. Safe in an interrupt."""
         self._motor_control(False)
 
     def direction(self) -> int:
-        """OFF, or how it was armed."""
+        """Return OFF, or the direction with which it was armed."""
         return self._armed
 
-    # The actuators: one of the two is always on
+    # The actuators: one of the two is always on.
 
     def _motor_control(self, down: bool) -> None:
         self._going_down = down
         self._port.drive(down ^ self._down_invert | ((not down) ^ self._up_invert) << 1)
         if down and not self._going_down:
-            self._motor_control(False)  # an interrupt has brought it up meanwhile
+            self._motor_control(False)  # an interrupt has raised it meanwhile
 
     def _sees(self) -> int:
         return self._port.sense() ^ self._sensor_invert
 
     def is_up(self) -> bool:
-        """It is up, is to stay there, and both sensors say so."""
+        """Return whether it is up by both sensors, and not about to go down."""
         return not self._going_down and self._sees() == _UP
 
     def _reach_up(self, turn: "Callable[[], None]") -> bool:
@@ -151,9 +151,9 @@ class Punch(Spindle):
     # Strokes
 
     def stroke(self) -> bool:
-        """Down and up, at rest. False where a door has turned it back: it is up again.
+        """Go down and up while the machine is idle. Return False if a door reversed it.
 
-        Raises Abort where a sensor does not answer, or after a reset.
+        Raises Abort if a sensor does not answer, or after a reset.
         """
         if not self._machine.engine.idle():
             return False
@@ -178,7 +178,7 @@ class Punch(Spindle):
         self._machine.realtime.handle_events()
 
     def _go_down(self) -> "bool | None":
-        """True when it is there, False where a door calls it back, None when time is over."""
+        """Return True when it is down, False if a door reverses it, None after the timeout."""
         since = self._port.ticks_ms()
         while self._sees() != _DOWN:
             if self._state.run & (st.DOOR | st.SLEEP):
@@ -191,7 +191,7 @@ class Punch(Spindle):
     # Guards
 
     def may_move(self) -> bool:
-        """Whether motion may start. If not, the machine is in alarm and a reset is under way."""
+        """Return whether motion may start. If not, set the alarm and reset."""
         if self.is_up():
             return True
         self._fail(ALARM_PUNCH_UP, _NOT_UP)
@@ -204,7 +204,7 @@ class Punch(Spindle):
         self._machine.report.message(words)
 
     def on_change(self) -> None:
-        """A sensor may have changed. Interrupt."""
+        """Stop motion if a sensor has lost the punch. Interrupt."""
         if not self._machine.engine.idle() and not self.is_up():
             self._lost = True
             if self._state.alarm == 0:
@@ -214,7 +214,7 @@ class Punch(Spindle):
     # As an extra
 
     def strike(self) -> None:
-        """A line of motion has been planned: a stroke behind it, if the punch is armed."""
+        """Make a stroke after a planned line of motion, if the punch is armed."""
         state, machine = self._state, self._machine
         if not machine.modes.modal[SPINDLE] or state.run == st.CHECK:
             return
@@ -224,7 +224,7 @@ class Punch(Spindle):
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Before the machine is made. Raises ValueError where the board file lacks a pin."""
+    """Check the board file before the machine is created. ValueError if it lacks a pin."""
     option = board.__dict__.get
     pins = [option(name) for name in PINS]
     missing = [PINS[i] for i in range(len(pins)) if pins[i] is None]
@@ -236,11 +236,11 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Its settings, its guard over every start, and a stroke behind each line of motion."""
+    """Add the settings, a check before each start, and a stroke after each line of motion."""
     punch: "Any" = cnc.machine.spindle
     cnc.add_settings(_SETTINGS, _WITHOUT, _FILE, _WORDS)
     cnc.add_alarms({ALARM_PUNCH_DOWN: _NOT_DOWN, ALARM_PUNCH_UP: _NOT_UP})
     cnc.before_motion(punch.may_move)
-    cnc.after_start(punch.on_change)  # it may have left in between
+    cnc.after_start(punch.on_change)  # it may have left the sensor in between
     cnc.after_line(punch.strike)
     punch.connect(cnc.machine)
