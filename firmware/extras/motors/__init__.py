@@ -1,1 +1,1 @@
-"""What boards have of motors: two on an axis, backlash, drivers, a limit of jerk, their homing."""
+"""Motors: two on an axis, backlash, drivers, jerk limit, homing order, shared limits."""

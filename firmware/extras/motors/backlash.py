@@ -1,10 +1,10 @@
-"""Backlash: BACKLASH = True in the board file, and $160, $161, $162 in mm, an axis each.
+"""Backlash: BACKLASH = True in the board file, and $160, $161, $162 in mm for X, Y, Z.
 
-Where an axis turns round, its motor first takes up the slack, alone and from rest to rest, at the
-axis' own rate and acceleration. A place is what the program means by it: that move is in no
-report, and motors stand beside it by what they have taken up. How much of the slack lies before
-an axis on its way up is known to the step, also where a reset has come in between; where homing
-has pulled off to, it is taken up. Numbers are grblHAL's.
+When an axis reverses, its motor first takes up the slack. It moves alone, from standstill to
+standstill, at the axis' own rate and acceleration. Positions are those of the axis, as the program
+means them: the extra move is in no report, and the motor's position differs by the slack that it
+has taken up. The slack that remains in the positive direction is known to the step, also after a
+reset. Homing takes it up in the direction of the pull-off. Numbers are grblHAL's.
 """
 
 from array import array
@@ -36,54 +36,54 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _SETTINGS: "Rows" = (
-    # Backlash, one value per axis. So far a motor turns, where its axis turns round, before the
-    # axis moves; 0: nothing is taken up.
+    # Backlash, one value per axis. When the axis reverses, its motor turns by this much before the
+    # axis moves; 0: off.
     (160, "backlash_mm", AXIS, 0.0, "millimeters"),
 )
 _FIRST = const(160)
 _MOST_MM = const(5)
-_UNKNOWN = const(-1)  # nobody knows where in its slack the axis is
+_UNKNOWN = const(-1)  # the axis' position within its slack is unknown
 _WORDS = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PARKING")
 
 
 class BacklashKinematics(Kinematics):
-    """Motors stand beside the place of their axis by its slack, in steps."""
+    """Kinematics in which motors differ from their axis' position by its slack, in steps."""
 
     def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
         super().__init__(axes, moves, alone)
         self.slack = array("i", bytes(4 * axes))
-        self.held = 0  # axes (a mask) that stay where they are while their motors take up slack,
-        self.stands = array("i", bytes(4 * axes))  # and that is here
+        self.held = 0  # mask of axes that stand still while their motors take up slack,
+        self.stands = array("i", bytes(4 * axes))  # and where they stand
 
     def motor_of(self, motors: "array[int]", axis: int) -> int:
-        """Steps of an axis' motor, whatever of them is slack."""
+        """Return the steps of an axis' motor, slack included."""
         return super().axis_steps(motors, axis)
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """As Kinematics.axis_steps(): the place of the axis."""
+        """Return the position of the axis, as Kinematics.axis_steps()."""
         if self.held >> axis & 1:
             return self.stands[axis]
         return self.motor_of(motors, axis) - self.slack[axis]
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
-        """As Kinematics.set_axis(): from here on the motor is where the axis is."""
+        """Set the position of axis and motor, as Kinematics.set_axis(). The slack becomes 0."""
         self.slack[axis] = 0
         super().set_axis(motors, axis, steps)
 
 
 class BacklashPlanner(Planner):
-    """A planner that can have motors take up slack."""
+    """A planner that can move motors to take up slack."""
 
     kinematics: "BacklashKinematics"
-    synced = False  # what was planned has been forgotten
+    synced = False  # the plan has been cleared
 
     def sync_motors(self, motors: "array[int]") -> None:
-        """As Planner.sync_motors()."""
+        """Synchronise with the motors, as Planner.sync_motors()."""
         super().sync_motors(motors)
         self.synced = True
 
     def take_up(self, ways: "array[int]", move: "Move", power: int) -> bool:
-        """A move of the system's own: so many steps per axis, as fast as they may."""
+        """Plan a system move by `ways` steps per axis, as a rapid. Return whether it moves."""
         table = self.table
         places = memoryview(table)[layout.LIMITS + layout.TARGET * self.axes :]
         before = array("i", places[: 2 * self.axes])
@@ -99,12 +99,15 @@ class BacklashPlanner(Planner):
 
 
 class BacklashCanon(Canon):
-    """Functions of a machine with backlash. ahead: steps of slack before each axis on its way up,
-    of as many as there are."""
+    """Canon of a machine with backlash.
+
+    ahead: for each axis, the steps that its motor turns before the axis moves in the positive
+    direction, or _UNKNOWN.
+    """
 
     planner: "BacklashPlanner"
     engine: "Any"
-    active = False  # slack of some axis is to be taken up
+    active = False  # some axis has slack to take up
 
     def __init__(self, *parts: "Any") -> None:
         super().__init__(*parts)
@@ -117,7 +120,7 @@ class BacklashCanon(Canon):
         self._behind = array("i", bytes(4 * self.planner.motors))
 
     def configure(self) -> None:
-        """As Canon.configure(); $160 and the others."""
+        """Apply the settings, as Canon.configure(), and $160 and the others."""
         super().configure()
         settings: "Any" = self._settings
         self.active = False
@@ -126,7 +129,7 @@ class BacklashCanon(Canon):
             if steps:
                 self.active = True
             if not self.steps[i]:
-                self.ahead[i] = _UNKNOWN  # nobody has counted
+                self.ahead[i] = _UNKNOWN  # not counted so far
             elif self.ahead[i] >= self.steps[i]:
                 self.ahead[i] = steps
             elif self.ahead[i] > steps:
@@ -134,11 +137,11 @@ class BacklashCanon(Canon):
             self.steps[i] = steps
 
     def pulled_off(self, axis: int, upwards: bool) -> None:
-        """Homing has left the axis so, with its slack taken up."""
+        """Note that homing has pulled the axis off in that direction, which took up its slack."""
         self.ahead[axis] = 0 if upwards else self.steps[axis]
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
-        """As Canon._plan_line()."""
+        """Take up slack if an axis reverses, then plan as Canon._plan_line()."""
         state = self._state
         if self.active and state.run != st.CHECK:
             if state.run == st.JOG or self._is_jog or not self.outside(target):
@@ -148,7 +151,7 @@ class BacklashCanon(Canon):
         super()._plan_line(target, move)
 
     def _plan_chords(self) -> None:
-        """As Canon._plan_chords(); one by one, for axes turn round in an arc."""
+        """Plan chords as Canon._plan_chords(), one by one, because axes reverse within an arc."""
         state, move, course, planner = self._state, self._move, self.course, self.planner
         if not self.active or state.run == st.CHECK:
             super()._plan_chords()
@@ -174,8 +177,10 @@ class BacklashCanon(Canon):
                 self.service()
 
     def _take_up(self, move: "Move") -> bool:
-        """Take up slack before the way that the planner's table has. False: a jog has been
-        cancelled meanwhile."""
+        """Take up the slack before the line in the planner's table.
+
+        Return False if a jog has been cancelled meanwhile.
+        """
         planner = self.planner
         if not self._turns():
             return True
@@ -188,7 +193,7 @@ class BacklashCanon(Canon):
         return not (self._is_jog and planner.synced)
 
     def _turns(self) -> bool:
-        """Which way the axes are to go; whether one of them has slack before it."""
+        """Note the direction of each axis. Return whether one of them has slack to take up."""
         table, axes = self.planner.table, self.planner.axes
         target = layout.LIMITS + layout.TARGET * axes
         for i in range(axes):
@@ -199,7 +204,7 @@ class BacklashCanon(Canon):
         return self._slack_ahead()
 
     def _slack_ahead(self) -> bool:
-        """How far motors have to turn, into ways; whether any has to."""
+        """Compute how far each motor has to turn, into _ways. Return whether any has to."""
         found = False
         for i in range(self.planner.axes):
             sign = self._signs[i]
@@ -211,8 +216,10 @@ class BacklashCanon(Canon):
         return found
 
     def _move_motors(self, move: "Move") -> None:
-        """Have motors turn, at rest, and count what they have done. Hold and reset work meanwhile:
-        they may have done less."""
+        """Turn the motors, with the axes at standstill, and count the steps made.
+
+        Hold and reset work meanwhile, so they may be fewer than requested.
+        """
         planner, kinematics, drive = self.planner, self.planner.kinematics, self._motor_control
         axes = range(planner.axes)
         power = 0 if self._spindle.laser else self.power_of(move)
@@ -223,7 +230,7 @@ class BacklashCanon(Canon):
         kinematics.held = sum([1 << i for i in axes if self._ways[i]])
         try:
             drive.start(st.JOG if self._is_jog else st.RUN)
-            while drive.moving or self._state.run == st.HOLD:  # which ends a little later
+            while drive.moving or self._state.run == st.HOLD:  # a hold ends a little later
                 self.service()
         finally:
             self.engine.position(self._behind)
@@ -238,7 +245,7 @@ class BacklashCanon(Canon):
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """What such a machine is made of. ValueError where that cannot be."""
+    """Select planner, canon and kinematics. ValueError if the board file does not allow them."""
     for word in _WORDS:
         if board.__dict__.get(word):
             raise ValueError("BACKLASH and %s are not for the same machine" % word)
@@ -256,7 +263,7 @@ def _check(mm: float) -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have its settings, and every line go past it where slack is to be taken up."""
+    """Add the settings and the hooks, and watch lines that move if there is slack."""
     machine: "Any" = cnc.machine
     canon, interpreter = machine.canon, machine.interpreter
     canon.engine = machine.engine
@@ -275,7 +282,7 @@ def install(cnc: "Cnc") -> None:
 
 
 def _home(machine: "Any") -> None:
-    """Behind homing an axis has its slack on the side that it has pulled off from."""
+    """Hook into homing: it leaves the slack on the side from which the axis has pulled off."""
     canon, hooks, settings = machine.canon, machine.state.hooks, machine.settings
     usual: "Callable[[int], None]" = hooks.find_switches
 
@@ -292,7 +299,7 @@ def _home(machine: "Any") -> None:
 
 
 def _probe(machine: "Any") -> None:
-    """Where the probe has touched stays the same place, whichever slack is taken up later."""
+    """Hook into probing: store the contact position, because slack taken up later changes it."""
     state, axes = machine.state, machine.planner.axes
     hooks = state.hooks
     place = vector(axes)

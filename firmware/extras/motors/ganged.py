@@ -1,9 +1,9 @@
 """Two motors on an axis, and a gantry that squares itself: MOTORS = "XYZY" in the board file.
 
-The first motors move an axis each, in order; each of those behind goes along with the axis that
-its letter says. Where both motors of an axis have a limit switch, homing runs both and stops each
-at its own; how far apart they are then is $17n. Where only the first has one, they home as one.
-Numbers of settings are grblHAL's, that of the alarm for a switch not found in time is Grbl's.
+The first motors move one axis each, in order. Each further motor moves with the axis of its
+letter. If both motors of an axis have a limit switch, homing runs both and stops each at its own
+switch. $17n is the distance between them then. If only the first has one, they home together. The
+numbers of settings are grblHAL's. The alarm for a switch not found in time is Grbl's.
 """
 
 from base import errors
@@ -24,25 +24,26 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-    Pairs = tuple[tuple[int, int], ...]  # an axis, which is its first motor's number, and a motor
+    Pairs = tuple[tuple[int, int], ...]  # an axis, also its first motor, and its second motor
 
 _INVERT: "Rows" = (
-    # Second motor direction invert. One bit per axis; on top of $3, which turns both of them.
+    # Second motor direction invert. One bit per axis, in addition to $3, which inverts both
+    # motors.
     (8, "ganged_dir_invert", INT, 0, "mask"),
 )
 _SQUARING: "Rows" = (
-    # Squaring fail length. One motor may look for its switch alone for so much of the travel of
-    # the axis across.
+    # Squaring fail length. One motor may search for its switch alone over this share of the travel
+    # of the perpendicular axis.
     (347, "racking_percent", FLOAT, 5.0, "percent"),
-    # Squaring fail distance, least. However short that is.
+    # Squaring fail distance, least. Minimum of that distance.
     (348, "racking_least_mm", FLOAT, 2.5, "millimeters"),
-    # Squaring fail distance, most. However long that is.
+    # Squaring fail distance, most. Maximum of that distance.
     (349, "racking_most_mm", FLOAT, 25.0, "millimeters"),
 )
-# Of each axis that squares itself, the row of its number.
+# For each axis that squares itself, the row with its number.
 _OFFSETS: "Rows" = (
-    # X squaring offset. The second motor goes so much further away from its switch than the first;
-    # negative: the first.
+    # X squaring offset. The second motor moves this much further from its switch than the first;
+    # negative: the first motor does.
     (170, "square_x_mm", FLOAT, 0.0, "millimeters"),
     # Y squaring offset. As $170.
     (171, "square_y_mm", FLOAT, 0.0, "millimeters"),
@@ -62,7 +63,7 @@ _MASKS = (2, 3)
 
 
 class GangedSettings(Settings):
-    """Settings, of which $2 and $3 are of axes; engines are handed a bit for each motor."""
+    """Settings whose $2 and $3 have a bit per axis; engines get a bit per motor."""
 
     pairs: "Pairs" = ()
 
@@ -75,7 +76,7 @@ class GangedSettings(Settings):
         super()._announce(number)
 
     def _of_motors(self, axes: int, turned: int) -> int:
-        """A bit for each motor, of a mask of axes; second ones the other way where turned."""
+        """Return a bit per motor for a mask of axes. turned: axes with inverted second motor."""
         axes &= (1 << self._axes) - 1
         motors = axes
         for axis, motor in self.pairs:
@@ -88,41 +89,45 @@ class GangedSettings(Settings):
 
 
 class GangedInputs(Inputs):
-    """Inputs, of which several may be an axis' limit switches."""
+    """Inputs with more than one limit switch on an axis."""
 
     pairs: "Pairs" = ()
 
     def closed(self) -> int:
-        """As Inputs.closed(): an axis' bit is set where one of its switches is closed."""
+        """Return Inputs.closed(); an axis' bit is set if any of its switches is closed."""
         found = super().closed()
         limits = self.limits()
         for axis, motor in self.pairs:
             if limits >> motor & 1:
-                found |= 2 << axis  # behind the probe
+                found |= 2 << axis  # bit 0 is the probe
         return found
 
     def add(self, pairs: "Pairs") -> None:
-        """The second motors of these have a switch, too."""
+        """Use the limit switches of these second motors, too."""
         self.pairs = pairs
         for _, motor in pairs:
             self._all |= 1 << motor
 
 
 class GangedHoming(HomingProbing):
-    """Homing that squares. How far a pair is racked is told by the steps of its motors, which only
-    homing makes unequal: also behind one that has failed, until one succeeds or the board starts
-    anew."""
+    """Homing that squares.
+
+    The steps of a pair's motors differ by how far the axis is racked. Only homing makes them
+    differ, also homing that fails; they stay so until homing succeeds or the board restarts.
+    """
 
     pairs: "Pairs" = ()
 
     def connect(self, pairs: "Pairs") -> None:
-        """Say which motors have a switch each."""
+        """Set the pairs whose motors have a switch each."""
         self.pairs = pairs
-        self._racked = [0 for _ in pairs]  # steps, up to where the present phase begins
+        self._racked = [0 for _ in pairs]  # steps, until the start of the present phase
 
     def home(self, axes: int) -> bool:
-        """As Seek.home(). Refused where a switch of an axis that squares is closed: nobody knows
-        how far."""
+        """Home, as Seek.home(). Refuse if a switch of a squared axis is closed already.
+
+        The distance that its motor has gone beyond the switch is unknown then.
+        """
         closed = self._inputs.limits()
         for axis, motor in self.pairs:
             if (axes == 0 or axes >> axis & 1) and (closed >> axis | closed >> motor) & 1:
@@ -139,8 +144,11 @@ class GangedHoming(HomingProbing):
         super().find_switches(axes)
 
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
-        """Before motors pull off, switches that have stopped them are still closed: what has only
-        seemed so would leave the axis racked."""
+        """Run a phase of homing, as Seek.home_phase().
+
+        Before a pull-off both switches must still be closed. A motor that stopped without its
+        switch closed would leave the axis racked.
+        """
         closed = self._inputs.limits()
         for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
@@ -148,11 +156,11 @@ class GangedHoming(HomingProbing):
                 if not approach and not closed >> axis & closed >> motor & 1:
                     self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
                     self._motor_control.reset()
-                    self._canon.service()  # which raises Abort
+                    self._canon.service()  # raises Abort
         super().home_phase(axes, approach, travel, rate)
 
     def _difference(self, axis: int, motor: int) -> int:
-        """By how many steps the first motor of an axis has gone further than the second."""
+        """Return by how many steps the first motor of an axis has gone further than the second."""
         self._engine.position(self._steps)
         return self._steps[axis] - self._steps[motor]
 
@@ -167,12 +175,12 @@ class GangedHoming(HomingProbing):
         return self._state.alarm != 0
 
     def _most_mm(self, axis: int) -> float:
-        """How far one motor may look for its switch alone."""
+        """Return how far, in mm, one motor may search for its switch alone."""
         settings: "Any" = self._settings
         across = settings.max_travel[Y if axis == X else X]
         most: float = max(across * settings.racking_percent / 100, settings.racking_least_mm)
         most = min(most, settings.racking_most_mm)
-        return most + abs(self._offset_mm(axis))  # which has made it so
+        return most + abs(self._offset_mm(axis))  # by which the axis is racked
 
     def _offset_mm(self, axis: int) -> float:
         offset: float = getattr(self._settings, _OFFSETS[axis][1])
@@ -191,8 +199,7 @@ class GangedHoming(HomingProbing):
 
 
 def count_axes(letters: str, motors: int) -> int:
-    """How many axes there are, of so many motors with these letters. ValueError where that cannot
-    be."""
+    """Return the number of axes of so many motors with these letters. ValueError if wrong."""
     axes = len(set(letters))
     if len(letters) != motors:
         raise ValueError("MOTORS has %d letters, and STEP %d pins" % (len(letters), motors))
@@ -206,7 +213,7 @@ def count_axes(letters: str, motors: int) -> int:
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Which motor goes with which axis. ValueError where that cannot be."""
+    """Assign motors to axes. ValueError if the board file is wrong."""
     option = board.__dict__.get
     letters: str = option("MOTORS", "")
     limits: "tuple[int | None, ...]" = option("LIMIT", ())
@@ -236,7 +243,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have the second motors turn as the settings say, and square the axes that can be."""
+    """Let second motors follow the settings, and square the axes with two switches."""
     machine: "Any" = cnc.machine
     settings, planner = machine.settings, machine.planner
     kinematics, axes = planner.kinematics, planner.axes

@@ -1,9 +1,8 @@
-"""Which axes $H homes, in which order, which together and how fast: HOMING = ("Z", "XY") in the
-board file.
+"""Homing order: HOMING = ("Z", "XY") in the board file, and rates per axis.
 
-$44 to $49 say it while it runs, as in grblHAL: a mask of axes each, one after the other. What is
-in none of them is not homed: a laser without a switch on Z asks for HOMING = ("XY",). Where all
-are 0 the order is Grbl's own. $180 and $190 are rates of each axis.
+$44 to $49 change it at run time, as in grblHAL: each is a mask of axes, homed one after the other.
+An axis in none of them is not homed: HOMING = ("XY",) is for a laser without a switch on Z. If all
+are 0, the order is Grbl's own. $180 and $190 are rates of each axis.
 """
 
 from base import errors
@@ -40,17 +39,16 @@ _CYCLES: "Rows" = (
     (49, "home_sixth", INT, 0, "mask"),
 )
 _RATES: "Rows" = (
-    # Homing locate rate, one value per axis. In place of $24; 0: $24 holds. Axes that are homed
-    # together go at the slowest of theirs.
+    # Homing locate rate, one value per axis. Replaces $24; 0: $24 holds. Axes that are homed
+    # together use the slowest of their rates.
     (180, "homing_feeds", AXIS, 0.0, "mm/min"),
-    # Homing search rate, one value per axis. As $180, in place of $25.
+    # Homing search rate, one value per axis. As $180, but replaces $25.
     (190, "homing_seeks", AXIS, 0.0, "mm/min"),
 )
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """What the board file says holds as long as the settings say nothing else. ValueError where it
-    cannot be."""
+    """Make the board file's HOMING the default of $44 to $49. ValueError if it is wrong."""
     words: "tuple[str, ...]" = board.__dict__["HOMING"]
     if len(words) > len(_CYCLES):
         raise ValueError("HOMING has %d parts: there may be %d" % (len(words), len(_CYCLES)))
@@ -70,7 +68,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have $H go by them. Where only one axis is asked for ($HX) there is nothing to order."""
+    """Let $H use this order. A command for one axis ($HX) has no order."""
     hooks, settings = cnc.machine.state.hooks, cnc.machine.settings
     all_axes = (1 << cnc.machine.planner.axes) - 1
     usual = hooks.home
@@ -93,7 +91,7 @@ def install(cnc: "Cnc") -> None:
 
 
 def _have_rates(cnc: "Cnc") -> None:
-    """Have axes homed at rates of their own."""
+    """Home axes at rates of their own."""
     machine: "Any" = cnc.machine
     hooks, settings = machine.state.hooks, machine.settings
     usual: "Callable[[int], None]" = hooks.find_switches
@@ -111,5 +109,5 @@ def _have_rates(cnc: "Cnc") -> None:
 
 
 def _slowest(rates: "array[float]", usual: float, axes: int) -> float:
-    """Of these axes (a mask); the usual rate is that of those which have 0."""
+    """Return the slowest rate of these axes (a mask). For an axis with 0, `usual` holds."""
     return min([rates[i] or usual for i in range(len(rates)) if axes >> i & 1])

@@ -1,8 +1,8 @@
 """Limit switches of several axes on one input: LIMIT = (9, 9, 11) in the board file.
 
-As on shields whose switches are in series, and on a Gecko G540. Whoever looks at the input knows
-that one of them is closed, and not which. So axes that share one are homed one after the other,
-and not while one of their switches is closed already; Pn: tells all of them.
+This is for shields whose switches are in series, and for a Gecko G540. The input reports that one
+of the switches is closed, but not which one. So axes that share an input are homed one after the
+other, and not while one of their switches is closed already. Pn: lists all of them.
 """
 
 from base import errors
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 
 _CYCLES = range(44, 50)  # $44 to $49 of home_order.py
 
-_found: "dict[int, list[int]]" = {}  # under 0: masks of axes that share an input
+_found: "dict[int, list[int]]" = {}  # key 0: masks of axes that share an input
 
 
 def sharing(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[int]":
-    """Axes that share an input, a mask for each such input. ValueError where both motors of an
-    axis do: that input says nothing of either."""
+    """Return a mask of axes for each shared input.
+
+    ValueError if both motors of an axis share one, because neither has a switch of its own then.
+    """
     found = []
     for pin in set(limits):
         axes_of = [i for i in range(len(limits)) if limits[i] == pin and pin is not None]
@@ -44,7 +46,7 @@ def sharing(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[i
 
 
 def clash(shared: "list[int]", cycle: int) -> str:
-    """Letters of axes that this cycle (a mask) would home together, and that share an input."""
+    """Return the letters of axes that share an input and are in the same cycle (a mask), or ""."""
     for mask in shared:
         both = mask & cycle
         if both & (both - 1):
@@ -53,12 +55,12 @@ def clash(shared: "list[int]", cycle: int) -> str:
 
 
 def grbl_order(axes: int) -> "tuple[int, int]":
-    """Masks of what $H homes where nothing else is said: Z, and then the others together."""
+    """Return the masks that $H homes by default: Z, then the others together."""
     return 1 << Z, (1 << axes) - 1 & ~(1 << Z)
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Who shares. ValueError where the order of homing does not go with it."""
+    """Find shared inputs. ValueError if the homing order does not fit them."""
     option = board.__dict__.get
     limits: "tuple[int | None, ...]" = option("LIMIT", ())
     _found[0] = shared = sharing(limits, options.axes, option("MOTORS", ""))
@@ -72,7 +74,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have $H look at the inputs first, and $44 to $49 refused where axes share one."""
+    """Check the inputs before $H, and refuse $44 to $49 with axes that share an input."""
     machine: "Any" = cnc.machine
     shared, hooks, inputs = _found[0], machine.state.hooks, machine.inputs
     everything = 0
@@ -96,7 +98,7 @@ def install(cnc: "Cnc") -> None:
         if letters:
             text = "%s share a limit input: have them homed one after the other, $44 to $49"
             give_up(text % letters, errors.ALARM_HOMING_FAIL_RESET)
-            cnc.service()  # which raises Abort
+            cnc.service()  # raises Abort
         usual_find(axes)
 
     def check(mask: float) -> None:

@@ -1,9 +1,10 @@
 """TMC2209 motor drivers over their serial line: TMC2209 = (0, 2, 1) in the board file.
 
-Current, microsteps and the rest are settings, with grblHAL's numbers. Drivers are set up whenever
-their supply has come on, and looked after while the machine stands still: one that is hot, damaged
-or silent is an alarm, and no motor moves before all have been set up. With $339 they feel the end
-of an axis, and DIAG is its limit switch. Nothing is on the wire while anything moves.
+Current, microsteps and more are settings, with grblHAL's numbers. Drivers are configured after
+each power-up of their supply, and are polled while the machine is idle. A hot, damaged or silent
+driver causes an alarm, and no motor moves before all drivers are configured. With $339 StallGuard
+detects the end of an axis, and DIAG replaces its limit switch. There is no traffic on the serial
+line while anything moves.
 """
 
 import math
@@ -36,23 +37,24 @@ _MICROSTEPS = const(150)
 _SEEK = const(200)
 _HOLD = const(210)
 _LOCATE = const(220)
-_LETTERS = const(6)  # numbers of a row
+_LETTERS = const(6)  # numbers per row: six axes
 _SETTINGS: "Rows" = (
-    # Motor current, one value per axis. RMS; both motors of an axis have it.
+    # Motor current, one value per axis. RMS; it holds for both motors of an axis.
     (140, "driver_ma", AXIS, 500.0, "milliampere"),
     # Microsteps, one value per axis. 1, 2, 4 and so on up to 256; $100-$105 count them.
     (150, "driver_microsteps", AXIS, 16.0, "steps"),
-    # StallGuard threshold of homing's search, one value per axis, 0 to 255. Higher feels more.
+    # StallGuard threshold of homing's search, one value per axis, 0 to 255. Higher is more
+    # sensitive.
     (200, "driver_stall_seek", AXIS, 0.0, "threshold"),
     # Hold current, one value per axis. Percent of $140-$145 while the motor stands still.
     (210, "driver_hold", AXIS, 50.0, "percent"),
     # StallGuard threshold of homing's slow approach, one value per axis. As $200.
     (220, "driver_stall_locate", AXIS, 0.0, "threshold"),
-    # Motor drivers that are set up. One bit per axis; those without go as their pins say.
+    # Motor drivers that are set up. One bit per axis; the others are configured by their pins.
     (338, "driver_axes", INT, 63, "mask"),
     # Axes that home without switches, by StallGuard. One bit per axis.
     (339, "driver_homing", INT, 0, "mask"),
-    # Axes whose drivers make spreadCycle: more torque at high rates, and noise. One bit per axis.
+    # Axes whose drivers use spreadCycle: more torque at high rates, but noise. One bit per axis.
     (810, "driver_spread", INT, 0, "mask"),
 )
 _ROWS = (_CURRENT, _MICROSTEPS, _SEEK, _HOLD, _LOCATE)
@@ -67,7 +69,7 @@ _made: "dict[str, Any]" = {}
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Which driver is whose. ValueError where that cannot be."""
+    """Assign drivers to motors. ValueError if the board file is wrong."""
     addresses: "tuple[int, ...]" = board.__dict__["TMC2209"]
     motors = len(board.__dict__.get("STEP", ()))
     if len(addresses) != motors:
@@ -85,7 +87,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def _can_be(number: int, amount: float, most_ma: float) -> bool:
-    """Whether a setting may have that value; most_ma: what the drivers can do."""
+    """Return whether a setting may have that value. most_ma: the drivers' highest current."""
     base = number // 10 * 10
     if base not in _ROWS or number - base >= _LETTERS:
         return True
@@ -97,7 +99,7 @@ def _can_be(number: int, amount: float, most_ma: float) -> bool:
 
 
 def install(cnc: "Cnc") -> None:
-    """Look after them."""
+    """Create the drivers, and add their settings, command and hooks."""
     machine: "Any" = cnc.machine
     wire, ohm = _made["wire"], _made["ohm"]
     chips = [Chip(wire, address, ohm) for address in _made["addresses"]]
@@ -112,7 +114,7 @@ def install(cnc: "Cnc") -> None:
 
 
 def _names(letters: str, motors: int) -> "list[str]":
-    """What motors are called: by their axis, a second one Y2."""
+    """Return the names of motors: the axis letter, Y2 for a second motor."""
     names: "list[str]" = []
     for letter in letters or LETTERS[:motors]:
         names.append(letter + "2" if letter in names else letter)
@@ -120,7 +122,7 @@ def _names(letters: str, motors: int) -> "list[str]":
 
 
 class Drivers:
-    """All of them. Masks are of motors, but those of settings, which are of axes."""
+    """All drivers. Masks are of motors, except those of settings, which are of axes."""
 
     def __init__(
         self, cnc: "Cnc", chips: "list[Chip]", names: "list[str]", sense_ohm: float
@@ -138,16 +140,16 @@ class Drivers:
         self._axes = [LETTERS.index(name[0]) for name in names]
         self._most_ma = tmc2209_chip.full_scale_ma(sense_ohm)
         self._wanted = 0
-        self._ready = 0  # set up
-        self._known = 0  # have answered: their silence is a fault
-        self._told = 0  # that they are warm, or silent
+        self._ready = 0  # configured
+        self._known = 0  # have answered, so silence is a fault
+        self._told = 0  # already reported as warm or silent
         self._next = 0
         self._since = self._port.ticks_ms()
 
     # Settings
 
     def check_settings(self) -> None:
-        """Refuse what no driver can do, before it is set."""
+        """Register a check that refuses values outside a driver's range."""
 
         def check(number: int, amount: float) -> None:
             if not _can_be(number, amount, self._most_ma):
@@ -156,7 +158,7 @@ class Drivers:
         self._settings.checks += (check,)
 
     def configure(self) -> None:
-        """Settings have changed: drivers are to be told of theirs."""
+        """Note that settings have changed: all drivers must be configured again."""
         self._ready = 0
         self._wanted = 0
         for motor, axis in enumerate(self._axes):
@@ -171,10 +173,10 @@ class Drivers:
             bool(settings.driver_spread >> axis & 1),
         )
 
-    # Looking after them
+    # Polling
 
     def poll_drivers(self) -> None:
-        """At rest, look at the next one."""
+        """Check the next driver, while the machine is idle."""
         if self._port.elapsed_ms(self._since) < _LOOK_MS or not self._machine.at_rest():
             return
         self._since = self._port.ticks_ms()
@@ -191,7 +193,7 @@ class Drivers:
                 self._lose(motor, why)
 
     def _check_driver(self, motor: int) -> str:
-        """What is wrong with it; "" where nothing is, and it is set up."""
+        """Check a driver, and configure it if needed. Return its fault, or ""."""
         chip, mask = self._chips[motor], 1 << motor
         try:
             if self._known & mask:
@@ -211,7 +213,7 @@ class Drivers:
         return why
 
     def _welcome(self, motor: int) -> None:
-        """It is set up, and well."""
+        """Note that a driver is configured and has no fault. Report once that it is warm."""
         mask, is_warm = 1 << motor, self._chips[motor].is_warm()
         self._ready |= mask
         self._known |= mask
@@ -231,7 +233,7 @@ class Drivers:
         self._report(motor, why)
 
     def may_start(self) -> bool:
-        """Before anything moves all are set up; otherwise it stays at rest, in alarm."""
+        """Check before motion that all drivers are configured. If not, raise an alarm."""
         for motor in range(len(self._chips)):
             if (self._wanted & ~self._ready) >> motor & 1:
                 why = self._check_driver(motor)
@@ -245,7 +247,7 @@ class Drivers:
     # Homing without switches
 
     def feel_homing(self) -> None:
-        """Stand before each of homing's moves."""
+        """Hook into homing and each of its phases."""
         hooks = self._state.hooks
         usual_home, usual_phase = hooks.home, hooks.home_phase
 
@@ -264,7 +266,7 @@ class Drivers:
         hooks.home, hooks.home_phase = home, phase
 
     def _homing(self, axes: int) -> "list[int]":
-        """Motors that feel the end of one of these axes (a mask)."""
+        """Return the motors that detect the end of one of these axes (a mask)."""
         axes &= self._settings.driver_homing
         kinematics = self._planner.kinematics
         found = []
@@ -275,7 +277,7 @@ class Drivers:
         return found
 
     def _feel(self, axes: int, approach: bool, rate: float) -> None:
-        """rate: of all axes together, mm/min."""
+        """Set the StallGuard thresholds of a phase. rate: of all axes together, mm/min."""
         settings = self._settings
         count = sum([axes >> i & 1 for i in range(self._planner.axes)])
         each = rate / math.sqrt(count)
@@ -294,17 +296,17 @@ class Drivers:
                 self._lose(motor, str(fault))
                 self._motor_control.reset()
                 self._state.alarm = errors.ALARM_DRIVER
-                self._cnc.service()  # which raises Abort
+                self._cnc.service()  # raises Abort
 
     def _rest(self) -> None:
-        """Homing is over, or has been cut short: they are set up anew when they are looked at."""
+        """Have the drivers configured again, after homing has ended or was aborted."""
         for motor in self._homing((1 << self._planner.axes) - 1):
             self._ready &= ~(1 << motor)
 
     # The report
 
     def report(self, words: bytes) -> None:
-        """$TMC: what each says of itself."""
+        """Answer $TMC with the status of each driver."""
         if words:
             raise GrblError(errors.INVALID_STATEMENT)
         for motor, chip in enumerate(self._chips):

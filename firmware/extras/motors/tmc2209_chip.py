@@ -1,8 +1,8 @@
-"""One TMC2209, by its registers and datagrams as Trinamic's data sheet has them (rev. 1.09).
+"""One TMC2209: its registers and datagrams, from Trinamic's data sheet (rev. 1.09).
 
-A datagram to a driver is a 5, its address, a register and a checksum; with four bytes in between,
-most significant first, it writes. A driver that has taken a write counts it, and says so when it
-is asked: nothing else is an acknowledgement.
+A read datagram is 5, the address, a register and a checksum. A write datagram has four more bytes
+before the checksum, most significant first. A driver counts the writes that it has accepted.
+Reading that counter (IFCNT) is the only acknowledgement.
 """
 
 from micropython import const
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 _SYNC = const(5)
 _MASTER = const(0xFF)  # the address of an answer
-_WRITE = const(0x80)  # beside a register
+_WRITE = const(0x80)  # added to the register
 _ANSWER_BYTES = const(8)
 _POLYNOMIAL = const(7)
 _TRIES = const(3)
@@ -30,21 +30,21 @@ _SGTHRS = const(0x40)
 _CHOPCONF = const(0x6C)
 _DRV_STATUS = const(0x6F)
 
-# GCONF: the serial line instead of the pins says current and microsteps; steps are filtered.
+# GCONF: current and microsteps are set over the serial line, not by pins; steps are filtered.
 _SERIAL = const(0x1C0)
 _SPREAD = const(4)
-# GSTAT, whose bits stay until ones are written to them.
+# GSTAT: its bits stay set until ones are written to them.
 _RESET = const(1)
 _DRIVER_FAULT = const(2)
 _LOW_VOLTAGE = const(4)
 _ALL_FLAGS = const(7)
-# NODECONF: an answer waits for 3 times 8 bits; several on a wire want 2 at least.
+# NODECONF: an answer is delayed by 3 * 8 bit times. Several drivers on a wire need at least 2 * 8.
 _SEND_DELAY = const(0x200)
-_HOLD_DELAY = const(8)  # 2^18 clocks each, by which current goes down to that of holding
+_HOLD_DELAY = const(8)  # in 2^18 clocks: time of each step from run to hold current
 # CHOPCONF.
 _OFF_TIME = const(0xF)  # 0: the driver is off
 _USUAL_OFF_TIME = const(3)
-_SENSITIVE = const(1 << 17)  # the lower voltage at the sense resistors
+_SENSITIVE = const(1 << 17)  # lower full-scale voltage at the sense resistors
 _STEPS_AT = const(24)
 _INTERPOLATED = const(1 << 28)
 _SMOOTHEST_LOG2 = const(8)  # 256 microsteps
@@ -53,7 +53,7 @@ _WARM = const(1)
 _FAULTS = ((2, "too hot"), (0xC, "short circuit to ground"), (0x30, "short circuit to supply"))
 _SCALE_AT = const(16)
 _SCALES = const(32)  # current goes from 1/32 to 32/32
-# Voltages at the sense resistors at full scale, with their wires' own resistance, and sqrt(2).
+# Full-scale voltages at the sense resistors, the resistance of their wiring, and sqrt(2).
 _FULL_V = const(0.325)
 _LOW_V = const(0.18)
 _WIRES_OHM = const(0.02)
@@ -63,7 +63,7 @@ _LONGEST_STEP = const(0xFFFFF)
 
 
 def checksum(data: "bytes | bytearray") -> int:
-    """Over all its bytes, whose lowest bits come first."""
+    """Return the CRC-8 of the bytes, lowest bit first."""
     crc = 0
     for byte in data:
         for i in range(8):
@@ -75,21 +75,21 @@ def checksum(data: "bytes | bytearray") -> int:
 
 
 def full_scale_ma(sense_ohm: float, volts: float = _FULL_V) -> float:
-    """The highest current, in mA as a motor's maker says it (RMS), with these resistors."""
+    """Return the highest current (RMS, mA) with these sense resistors (ohm)."""
     return volts / (sense_ohm + _WIRES_OHM) / _PEAK * 1000
 
 
 def is_resolution(microsteps: float) -> bool:
-    """Whether a full step can be divided into so many."""
+    """Return whether a full step can be divided into so many microsteps."""
     return microsteps in [1 << i for i in range(_SMOOTHEST_LOG2 + 1)]
 
 
 class Silence(Exception):
-    """It does not answer, or not as it should; the text says what is known."""
+    """A driver does not answer, or answers wrongly. The text says more."""
 
 
 class Chip:
-    """A driver at an address of the wire. sense_ohm: its sense resistors."""
+    """A driver at an address of the wire. sense_ohm: its sense resistors, in ohm."""
 
     def __init__(self, wire: "DriverWire", address: int, sense_ohm: float) -> None:
         self._wire = wire
@@ -132,15 +132,17 @@ class Chip:
         self._writes = self._read(_IFCNT)
 
     def _end(self) -> None:
-        """Silence where it has not taken all that was written."""
+        """Raise Silence if the driver has not accepted all writes."""
         if self._read(_IFCNT) != self._writes & 0xFF:
             raise Silence("a setting did not arrive")
 
-    # What it can do
+    # Functions
 
     def set_up(self, milliamps: float, hold_percent: float, microsteps: int, spread: bool) -> None:
-        """Say all it has to know, and forget what has been. Its chopper's times stay as its maker
-        has set them. Raises Silence."""
+        """Write the configuration and clear old faults. Raises Silence.
+
+        The chopper's times keep the chip's defaults.
+        """
         sensitive = milliamps <= full_scale_ma(self._sense_ohm, _LOW_V)
         full = full_scale_ma(self._sense_ohm, _LOW_V if sensitive else _FULL_V)
         run = min(max(int(_SCALES * milliamps / full + 0.5), 1), _SCALES)
@@ -168,34 +170,36 @@ class Chip:
             raise Silence("it has other microsteps than it was told")
 
     def feel(self, threshold: int, steps_per_s: float, microsteps: int) -> None:
-        """Say by DIAG when the motor is stopped, above half of that rate, more readily the higher
-        the threshold is; 0: no more. Raises Silence."""
+        """Let DIAG report a stalled motor, at more than half of that step rate. Raises Silence.
+
+        A higher threshold is more sensitive; 0 switches it off.
+        """
         slowest = 0
         if threshold:
             clocks = 2 * _CLOCK_HZ * microsteps / (256 * max(steps_per_s, 1.0))
             slowest = min(int(clocks), _LONGEST_STEP)
         self._begin()
-        if self._spread:  # it feels nothing with that
+        if self._spread:  # StallGuard does not work with spreadCycle
             self._write(_GCONF, _SERIAL)
         self._write(_TCOOLTHRS, slowest)
         self._write(_SGTHRS, threshold)
         self._end()
 
     def read_status(self, tries: int = _TRIES) -> None:
-        """Ask it how it is: what follows is of that moment. Raises Silence."""
+        """Read the status registers for the methods below. Raises Silence."""
         self._flags = self._read(_GSTAT, tries)
         self._status = self._read(_DRV_STATUS)
 
     def has_begun_anew(self) -> bool:
-        """Its supply has failed since it was set up."""
+        """Return whether its supply has failed since it was configured."""
         return bool(self._flags & _RESET)
 
     def is_warm(self) -> bool:
-        """It is about to be too hot."""
+        """Return whether it is near its temperature limit."""
         return bool(self._status & _WARM)
 
     def fault(self) -> str:
-        """What is wrong with it; "" where nothing is."""
+        """Return the fault, or ""."""
         for mask, words in _FAULTS:
             if self._status & mask:
                 return words
@@ -204,7 +208,7 @@ class Chip:
         return "it has switched itself off" if self._flags & _DRIVER_FAULT else ""
 
     def status_text(self) -> str:
-        """What it says of itself, for a report. Raises Silence."""
+        """Return its status as text, for a report. Raises Silence."""
         chopper = self._read(_CHOPCONF)
         self.read_status()
         return "version:%d|microsteps:%d|mode:%s|scale:%d/32|state:%s" % (
