@@ -1,1 +1,1 @@
-"""Ways from axes to motors, besides one motor for each axis."""
+"""Kinematics other than one motor for each axis."""

@@ -1,7 +1,7 @@
 """Joint planner: plans chords for motors that move joints instead of axes. See nonlinear.py.
 
-A chord's row has the steps of its joints, and the length of the tool's way. What limits it is
-worked out from how far each joint goes per mm, and how much that changes from chord to chord.
+A chord's row has the steps of its joints and the length of the tool's path. Its limits are
+computed from the joints' travel per mm, and from the change of that between chords.
 """
 
 import math
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from interfaces import Geometry
     from motion.planner import Move
 
-# Where the tool is, in whole numbers as reports have them: so many are a mm.
+# Positions are whole numbers of 1/1000 mm, as in reports.
 _PER_MM = 1000.0
-_SLOWEST_MM_S = 1e-6  # where motors turn nearly on the spot
-_STRAIGHT = 0.94  # cosine: joints that turn by more are at a corner, and not in a bend
+_SLOWEST_MM_S = 1e-6  # for places where motors turn and the tool hardly moves
+_STRAIGHT = 0.94  # cosine: a larger change of direction is a corner, and not a bend
 _UNIT = const(16384)
-_BEND_SHARE = 0.5  # share of a joint's acceleration that bends may take
+_BEND_SHARE = 0.5  # share of a joint's acceleration available for bends
 
 
 def _nearest(x: float) -> int:
@@ -36,7 +36,7 @@ def _nearest(x: float) -> int:
 
 
 def _parts(mm: float) -> int:
-    """As reports have it."""
+    """Convert mm to the unit of reports, 1/1000 mm."""
     return _nearest(mm * _PER_MM)
 
 
@@ -45,7 +45,7 @@ def _distance(one: "array[float]", other: "array[float]") -> float:
 
 
 class NonlinearKinematics:
-    """Which joints belong to which place. Each motor moves the joint of its own number."""
+    """Converts between joints and the tool's position. Motor i moves joint i."""
 
     def __init__(self, axes: int, geometry: "Geometry") -> None:
         self.geometry = geometry
@@ -57,59 +57,62 @@ class NonlinearKinematics:
         self._place = vector(axes)
 
     def joints_of(self, motors: "array[int]", joints: "array[float]") -> None:
-        """Where the joints are, in their units."""
+        """Compute the joints' positions, in their units, from motor steps."""
         for i in self._axes:
             joints[i] = self.start[i] + motors[i] / self.resolution[i]
 
     def steps_of(self, joint: float, i: int) -> int:
-        """Steps of a joint that is there."""
+        """Return the motor steps of a joint's position."""
         return _nearest((joint - self.start[i]) * self.resolution[i])
 
     def place_of(self, motors: "array[int]", place: "array[float]") -> None:
-        """Where the tool is, in mm."""
+        """Compute the tool's position in mm from motor steps."""
         self.joints_of(motors, self._joints)
         self.geometry.forward(self._joints, place)
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """Where the tool is along an axis, in parts of a mm."""
+        """Return the tool's position along an axis, in 1/1000 mm."""
         self.place_of(motors, self._place)
         return _parts(self._place[axis])
 
     def to_axes(self, motors: "array[int]") -> None:
-        """Put those where the steps of the motors are."""
+        """Replace motor steps by the tool's position, in 1/1000 mm."""
         self.place_of(motors, self._place)
         for i in self._axes:
             motors[i] = _parts(self._place[i])
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
-        """Change the steps of a joint: there is no axis that could be moved alone."""
+        """Set the steps of a joint, because no axis can move alone."""
         motors[axis] = steps
 
     def stopped_by(self, switches: int) -> int:
-        """Each joint has a switch of its own."""
+        """Return the joints that switches stop: each has its own."""
         return switches
 
 
 class NonlinearPlanner(Planner):
-    """A planner of chords. place, joints: where the last one ends. homing: places are those of
-    joints meanwhile, in their units."""
+    """A planner of chords.
+
+    place, joints: the end of the last chord. homing: positions are those of joints, in their
+    units, until it is False again.
+    """
 
     kinematics: "NonlinearKinematics"
 
     def __init__(self, axes: int, *others: "Any") -> None:
         super().__init__(axes, *others)
         self.homing = False
-        self.synced = False  # what was planned has been forgotten
+        self.synced = False  # the plan has been cleared
         self.place = vector(axes)
         self.joints = vector(axes)
         self.course = Segmenter(axes, self.kinematics.geometry)
-        self._at = array("i", (0 for _ in range(axes)))  # steps where the last block ends
-        self._place = vector(axes)  # and where that is meant to be: chords may have no steps
+        self._at = array("i", (0 for _ in range(axes)))  # steps at the end of the last block
+        self._place = vector(axes)  # its exact end, because chords may have no steps
         self._joints = vector(axes)
         self._next = vector(axes)
-        self._slope = vector(axes)  # joints per mm in the last block,
-        self._pace = 1.0  # the root of their squares' sum,
-        self._length = 1.0  # and how long it is
+        self._slope = vector(axes)  # joint units per mm in the last block,
+        self._pace = 1.0  # root of the sum of their squares,
+        self._length = 1.0  # and its length in mm
         self._rates = vector(axes)
         self._accelerations = vector(axes)
         self._fastest = 1.0
@@ -118,7 +121,7 @@ class NonlinearPlanner(Planner):
     def configure(
         self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
-        """As Planner.configure(): resolution, rates and accelerations are of joints."""
+        """Apply settings, as Planner.configure(). Steps, rates, accelerations are of joints."""
         super().configure(settings, tick_hz, segment_log2, step_hz)
         table, kinematics = self.table, self.kinematics
         copy(self.steps_per_mm, kinematics.resolution, self.axes)
@@ -136,21 +139,21 @@ class NonlinearPlanner(Planner):
         self._deviation = 65536.0 * settings.junction_deviation_mm * scale
         self._begin_at(self._at)
 
-    # Places
+    # Positions
 
     def to_mm(self, motors: "array[int]", mm: "array[float]") -> None:
-        """As Planner.to_mm()."""
+        """Convert motor steps to mm, as Planner.to_mm()."""
         if self.homing:
             self.kinematics.joints_of(motors, mm)
         else:
             self.kinematics.place_of(motors, mm)
 
     def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
-        """As Planner.set_axis(), while it is homing: a joint's place."""
+        """Set a joint's position, as Planner.set_axis(). Used only while homing."""
         motors[axis] = self.kinematics.steps_of(mm, axis)
 
     def sync_motors(self, motors: "array[int]") -> None:
-        """As Planner.sync_motors()."""
+        """Synchronise with the motors, as Planner.sync_motors()."""
         self._begin_at(motors)
         self.synced = True
 
@@ -161,14 +164,16 @@ class NonlinearPlanner(Planner):
         copy(self.place, self._place, self.axes)
         copy(self.joints, self._joints, self.axes)
         for i in range(self.axes):
-            self._slope[i] = 0.0  # what comes next begins from rest: it bends from nothing
+            self._slope[i] = 0.0  # the next block starts from standstill, without a bend
             self.position[i] = FAR + _parts(self.place[i])
 
     # Blocks
 
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """Add the chord that course has come to the end of, which is target. Returns False where
-        it has no steps."""
+        """Add the chord that course has computed last; it ends at target.
+
+        Return False if it has no steps.
+        """
         copy(target, self.place, self.axes)
         copy(self.course.joints, self.joints, self.axes)
         at = layout.LIMITS + layout.TARGET * self.axes
@@ -186,8 +191,10 @@ class NonlinearPlanner(Planner):
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"
     ) -> bool:
-        """As Planner.system_line(). All joints go evenly: the way is straight for one that moves
-        its axis alone, as parking does."""
+        """Plan a system move, as Planner.system_line(). All joints move evenly.
+
+        So the tool's path is straight only if one joint moves one axis alone, as in parking.
+        """
         begin, end = vector(self.axes), self._next
         self.kinematics.joints_of(start, begin)
         copy(begin, end, self.axes)
@@ -214,7 +221,10 @@ class NonlinearPlanner(Planner):
         move: "Move",
         power: int,
     ) -> bool:
-        """A row of the ring: joints go from begin, where their steps are start, to end."""
+        """Fill a row of the ring: joints move from begin (steps: start) to end.
+
+        Return False if there are no steps.
+        """
         table, ring, flow, flags = self.table, self.ring, self.flow, move.flags
         row = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
         at = row * flow[layout.ROW_SIZE]
@@ -254,7 +264,7 @@ class NonlinearPlanner(Planner):
         pace: float,
         move: "Move",
     ) -> None:
-        """How fast the joints can go along the chord, how soon, and round the corner before it."""
+        """Compute a chord's speed and acceleration limits, and the limit of its first corner."""
         ring, table, slope = self.ring, self.table, self._slope
         direction = layout.LIMITS + 4 * self.axes
         along = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
@@ -287,7 +297,7 @@ class NonlinearPlanner(Planner):
         self._pace, self._length = pace, length
 
     def _rate(self, move: "Move", rapid: float) -> float:
-        """As programmed, mm/s."""
+        """Return the programmed rate in mm/s."""
         if move.flags & layout.RAPID_MOTION:
             return rapid
         return max(move.feed, 1.0) / 60

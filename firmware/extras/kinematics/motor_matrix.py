@@ -1,8 +1,7 @@
-"""Motor matrix: motors that move axes together, MOVES = ("X+Z", "Y", "X-Z") in the board file, a
-CoreXZ.
+"""Motor matrix: motors that move several axes, MOVES = ("X+Z", "Y", "X-Z") in the board file.
 
-Each word is a motor's, in the order of STEP: X+Z makes the steps of X and of Z, X-Z those of X
-less those of Z. Axes behind the last word have a motor each.
+The example is a CoreXZ. The words belong to the motors in the order of STEP. The motor X+Z makes
+the sum of the steps of X and Z, X-Z their difference. Axes after the last word have a motor each.
 """
 
 from base.axes import LETTERS
@@ -21,8 +20,10 @@ if TYPE_CHECKING:
 
 
 def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
-    """What each motor does, as in motion/kinematics.py. ValueError where a word is none, or where
-    motors do not tell where each axis is."""
+    """Return what each motor moves, as in motion/kinematics.py.
+
+    ValueError if a word is wrong, or if the axes' positions do not follow from the motors'.
+    """
     if len(words) > axes:
         raise ValueError("MOVES has %d words, and there are %d axes" % (len(words), axes))
     moves = [_motor(word, axes) for word in words] + [1 << i for i in range(len(words), axes)]
@@ -38,7 +39,7 @@ def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
 
 
 def _motor(word: str, axes: int) -> int:
-    """The number of a motor's word."""
+    """Return the masks for a motor's word."""
     moves = 0
     shift = 0
     for sign in word:
@@ -54,12 +55,12 @@ def _motor(word: str, axes: int) -> int:
 
 
 def _sign(moves: int, axis: int) -> int:
-    """Which way a motor goes for an axis; 0: it stays."""
+    """Return the direction in which a motor turns for an axis: 1, -1, or 0 for not at all."""
     return (moves >> axis & 1) - (moves >> axis + REVERSE & 1)
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Give the planner its table. ValueError where that cannot be."""
+    """Create the kinematics. ValueError if the board file is wrong."""
     if options.kinematics:
         raise ValueError("MOVES says what COREXY does: write one of them")
     letters: str = board.__dict__.get("MOTORS", "")
@@ -68,4 +69,4 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """The table is all."""
+    """Do nothing: prepare() has done all."""

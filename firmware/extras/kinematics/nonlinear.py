@@ -1,12 +1,12 @@
-"""Kinematics of the user's own: KINEMATICS = "scara" in the board file, and scara.py beside it.
+"""User-defined kinematics: KINEMATICS = "scara" in the board file, and scara.py next to it.
 
-For machines whose motors follow no sum of axes: arms, polar plotters. Programs, reports, offsets,
-probing and soft limits are of the place of the tool, in mm. What motors move are joints, one each,
-in units of their own, and so are steps ($100), rates ($110), acceleration ($120) and homing. Ways
-are cut into chords (segmenter.py) within the arc tolerance, $12, each a block of the planner
-(joint_planner.py): its length is the tool's, and its limits are those of the joints, which it may
-not bend faster than they can follow. What is out of reach is refused before anything of its line
-is done.
+For machines whose motor positions are no sums of axes: arms, polar plotters. Programs, reports,
+offsets, probing and soft limits use the tool's position in mm. Each motor moves one joint. Steps
+($100), rates ($110), accelerations ($120) and homing are in the joints' own units. Paths are cut
+into chords (segmenter.py) within the arc tolerance, $12. Each chord is a block of the planner
+(joint_planner.py). Its length is that of the tool's path, its limits are those of the joints,
+including the acceleration that bends need. A target out of reach is refused before anything of its
+line is executed.
 """
 
 from language.block_layout import MOVE
@@ -29,7 +29,7 @@ _ASKED = ("inverse", "forward", "START", "HOME", "TRAVEL", "CENTRED", "FASTEST")
 
 
 def _geometry(name: str, axes: int) -> "Geometry":
-    """The module of that name. ValueError where it has not what it takes."""
+    """Import the geometry module. ValueError if it lacks a name or has a wrong length."""
     geometry: "Any" = __import__(name)
     for word in _ASKED:
         if not hasattr(geometry, word):
@@ -42,7 +42,7 @@ def _geometry(name: str, axes: int) -> "Geometry":
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """What such a machine is made of. ValueError where that cannot be."""
+    """Select kinematics, planner, canon and homing. ValueError if the board file is wrong."""
     option = board.__dict__.get
     for word in _WORDS:
         if option(word):
@@ -54,7 +54,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have lines checked before anything of them is done. None takes the short way."""
+    """Hook the check of reach into lines. No line uses the stream kernel."""
     machine: "Any" = cnc.machine
     canon, interpreter = machine.canon, machine.interpreter
     canon.pump, canon.tell = machine.protocol.pump, cnc.message

@@ -1,4 +1,4 @@
-"""Canon, homing and probing of a machine whose ways are cut into chords. See nonlinear.py."""
+"""Canon, homing and probing of a machine whose paths are cut into chords. See nonlinear.py."""
 
 from base import errors
 from base import state as st
@@ -26,8 +26,10 @@ if TYPE_CHECKING:
 
 
 class NonlinearCanon(Canon):
-    """Functions of a machine whose ways are cut into chords. stop_planning: an interrupt says that
-    the rest of the way asked for is not to be gone."""
+    """Canon of a machine whose paths are cut into chords.
+
+    stop_planning: set in an interrupt, so that the rest of the path is not planned.
+    """
 
     planner: "NonlinearPlanner"
     pump: "Callable[[], None]"  # reads the link
@@ -38,25 +40,28 @@ class NonlinearCanon(Canon):
     _arc: "Arc | None" = None
 
     def configure(self) -> None:
-        """As Canon.configure(); travel goes to either side of the axes that are CENTRED."""
+        """Apply settings, as Canon.configure(). CENTRED axes have travel on both sides of 0."""
         super().configure()
         for axis in self.planner.kinematics.geometry.CENTRED:
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
 
     def line(self, target: "array[float]", move: "Move") -> None:
-        """As Canon.line()."""
+        """Request a line, as Canon.line()."""
         super().line(target, move)
         self._arc = None
         self.stop_planning = False
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """As Canon.arc()."""
+        """Request an arc, as Canon.arc()."""
         self.line(target, move)
         self._arc = arc
 
     def jog(self, target: "array[float]", move: "Move") -> None:
-        """As Canon.jog(). GrblError where it cannot be reached. Places on the way are tried, and
-        not all of its chords: nobody reads bytes meanwhile, or a cancel would come too early."""
+        """Jog, as Canon.jog(). GrblError if the target cannot be reached.
+
+        Only some positions of the path are checked, not all chords. No bytes are read meanwhile,
+        because a cancel would come before the jog.
+        """
         planner, course = self.planner, self.planner.course
         course.start_path(planner.place, planner.joints, target, None, 0.0)
         if not course.is_in_reach():
@@ -64,7 +69,7 @@ class NonlinearCanon(Canon):
         super().jog(target, move)
 
     def check_block(self) -> None:
-        """Refuse a line whose motion leads out of reach."""
+        """Refuse a line whose motion leaves the reach."""
         ints, xyz, code = self.block.ints, self.block.xyz, errors.GCODE_INVALID_TARGET
         place = self.modes.position
         if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):
@@ -79,7 +84,7 @@ class NonlinearCanon(Canon):
     def check(
         self, start: "array[float]", target: "array[float]", arc: "Arc | None", code: int
     ) -> None:
-        """Refuse a way from start that leads out of reach: all of its chords are tried."""
+        """Refuse a path from start that leaves the reach. All its chords are checked."""
         planner, course = self.planner, self.planner.course
         joints = vector(planner.axes)
         copy(planner.joints, joints, planner.axes)
@@ -97,7 +102,7 @@ class NonlinearCanon(Canon):
         raise GrblError(code)
 
     def wait_for_room(self) -> None:
-        """As Canon.wait_for_room()."""
+        """Wait for a free row, as Canon.wait_for_room(), or until the path is cut short."""
         while self.planner.full() and not self._is_cut():
             self.auto_start()
             self.service()
@@ -106,7 +111,7 @@ class NonlinearCanon(Canon):
         return self.planner.synced or self.stop_planning
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
-        """As Canon._plan_line(), chord by chord, an arc as well."""
+        """Plan a line or an arc as chords, as Canon._plan_line() plans lines."""
         state, planner, course = self._state, self.planner, self.planner.course
         arc, self._arc = self._arc, None
         limited = state.run != st.JOG and not self._is_jog
@@ -132,20 +137,20 @@ class NonlinearCanon(Canon):
             power = self.power_of(move)
             moves |= planner.line(course.place, move, power)
             if self._is_jog and state.run == st.IDLE and not planner.empty():
-                # By its first chord: it can be cancelled from now on.
+                # The first chord starts the jog, so that it can be cancelled from now on.
                 self._motor_control.start(st.JOG)
         if not moves:
             self._apply_zero_length(move)
 
 
 class NonlinearHoming(HomingProbing):
-    """Homing of joints, each to its own switch; probing in space."""
+    """Homing of joints, each to its own switch, and probing with the tool."""
 
     _canon: "NonlinearCanon"
     _planner: "NonlinearPlanner"
 
     def find_switches(self, axes: int) -> None:
-        """As Seek.find_switches(): places, travel and rates are those of joints."""
+        """Home, as Seek.find_switches(). Positions, travel and rates are those of joints."""
         settings, planner = self._settings, self._planner
         travel = settings.max_travel[:]
         planner.homing = True
@@ -158,7 +163,7 @@ class NonlinearHoming(HomingProbing):
             copy(travel, settings.max_travel, planner.axes)
 
     def _set_origin(self, axes: int) -> None:
-        """A joint stands as far from its HOME as it has pulled off."""
+        """Set the joints' positions: HOME plus the pull-off."""
         settings, planner = self._settings, self._planner
         self._engine.position(self._steps)
         for i in range(planner.axes):

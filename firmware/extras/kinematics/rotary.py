@@ -1,9 +1,9 @@
-"""Rotary axes: ROTARY = "A" in the board file. Where Grbl says mm, theirs are degrees.
+"""Rotary axes: ROTARY = "A" in the board file. Their unit is degrees where Grbl's is mm.
 
-As NIST RS274NGC has them: a feed rate is that of X, Y and Z, in whose time the others come to
-their places; where only rotary axes move it is degrees per minute. No number of theirs is ever in
-inches. Travel 0 ($133 for A) means that the axis turns for ever: far from 0 its whole turns are
-taken off its place. One without a limit switch stays where it is when the machine is homed.
+As in NIST RS274NGC, the feed rate is that of X, Y and Z, and the rotary axes move in the same
+time. If only rotary axes move, it is in degrees per minute. Rotary numbers are never in inches.
+Travel 0 ($133 for A) makes an axis endless: far from 0, whole turns are subtracted from its
+position. A rotary axis without a limit switch keeps its position in homing.
 """
 
 import math
@@ -35,28 +35,30 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_FIRST = const(3)  # X, Y and Z are no rotary axes
+_FIRST = const(3)  # X, Y and Z are never rotary
 _TURN = 360.0
-# Up to here single precision knows each step; beyond, an endless axis is unwound.
+# Single precision is exact to this many steps. Beyond it an endless axis is unwound.
 _EXACT = 16777216.0
 _PER_INCH = minifloat.real(1 / 25.4)
-# A line of these has no feed rate of its program's, or one that is of all its axes.
+# Lines without a programmed feed rate, or with one that applies to all axes.
 _ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
 
 
 class RotaryPlanner(Planner):
-    """A planner whose feed rates are those of the linear axes. What it plans knows of no
-    difference: rates and accelerations are along the way of all axes."""
+    """A planner whose feed rates are those of the linear axes.
 
-    linear = 0  # mask of axes
-    on_arc = minifloat.ONE  # how many times as long as its arc a helix is
+    Blocks are as usual: their rates and accelerations are along the path of all axes.
+    """
+
+    linear = 0  # mask of linear axes
+    on_arc = minifloat.ONE  # a helix' length, rotary axes included, per length without them
     block: "Block"
 
     _times = minifloat.ONE
 
     @micropython.native
     def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """As Planner.plan()."""
+        """Plan a line, as Planner.plan()."""
         if not flags & _ITS_OWN_RATE:
             times = stretch(target, self.table, self.ring, self.flow, self.linear)
             if times == 0:
@@ -65,7 +67,7 @@ class RotaryPlanner(Planner):
         return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """As Planner.chords()."""
+        """Plan an arc's chords, as Planner.chords()."""
         if not move.flags & _ITS_OWN_RATE:
             self._times = self.on_arc
         found = super().chords(course, move, power, moves)
@@ -73,12 +75,12 @@ class RotaryPlanner(Planner):
         return found
 
     def rate(self, feed: float) -> int:
-        """As Planner.rate(), along the way of all axes."""
+        """Return a feed rate, as Planner.rate(), along the path of all axes."""
         return minifloat.mul(super().rate(feed), self._times)
 
 
 class RotaryCanon(Canon):
-    """Functions of a machine with rotary axes."""
+    """Canon of a machine with rotary axes."""
 
     axes: "tuple[int, ...]" = ()
     planner: "RotaryPlanner"
@@ -87,7 +89,7 @@ class RotaryCanon(Canon):
     coords: "Any"
 
     def configure(self) -> None:
-        """As Canon.configure(); axes without an end to their travel."""
+        """Apply settings, as Canon.configure(). Endless axes have no limit of travel."""
         super().configure()
         for axis in self.endless():
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
@@ -95,23 +97,25 @@ class RotaryCanon(Canon):
             arcs.limit(self.course, axis, -arcs.FARTHEST, arcs.FARTHEST)
 
     def endless(self) -> "list[int]":
-        """Axes that turn for ever."""
+        """Return the endless axes."""
         return [axis for axis in self.axes if not self._settings.max_travel[axis]]
 
     def outside(self, target: "array[float]") -> bool:
-        """As Canon.outside(), which a jog asks; an endless axis is unwound."""
+        """Return Canon.outside(), which jogs ask for. Unwind endless axes first."""
         self._unwind(target)
         return super().outside(target)
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
-        """As Canon._plan_line(); an endless axis is unwound."""
+        """Plan a line, as Canon._plan_line(). Unwind endless axes first."""
         self._unwind(target)
         super()._plan_line(target, move)
 
     def _unwind(self, target: "array[float]") -> None:
-        """Take whole turns off the place of an endless axis that is to go further from 0 than
-        single precision knows each step. Target, parser and G92 change with it, so the numbers of
-        the program go on. A line that is longer than that itself goes as far as any axis may."""
+        """Subtract whole turns from endless axes whose target is beyond _EXACT steps.
+
+        Target, parser position and G92 change together, so the program's numbers stay valid. A
+        line that is itself longer than that is allowed, up to the limit of any axis.
+        """
         planner, state = self.planner, self._state
         for axis in self.endless():
             exact = _EXACT / planner.steps_per_mm[axis]
@@ -136,14 +140,14 @@ class RotaryCanon(Canon):
             self.limit(axis, max(far, exact))
 
     def _turned(self, axis: int, target: "array[float]") -> float:
-        """The whole turns of an axis, in degrees: those planned; in check mode all of them."""
+        """Return an axis' whole turns in degrees: those planned, or in check mode all of them."""
         if self._state.run == st.CHECK:
             return int(target[axis] / _TURN) * _TURN
         steps = self.planner.position[axis] - arcs.FAR
         return int(steps / self.planner.steps_per_mm[axis] / _TURN) * _TURN
 
     def _take_off(self, axis: int, degrees: float) -> None:
-        """The present place of an axis, at rest, is less by so much, to the step."""
+        """Subtract degrees from an axis' position, exact to the step. Call it while idle."""
         planner, engine = self.planner, self.engine
         motors = array("i", bytes(4 * planner.motors))
         engine.position(motors)
@@ -157,7 +161,7 @@ class RotaryCanon(Canon):
         planner.sync_motors(motors)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """As Canon.arc(); but the time of G93 is kept to."""
+        """Request an arc, as Canon.arc(). The time of G93 applies to all axes."""
         self._unwind(target)
         timed = move.flags & layout.INVERSE_TIME
         super().arc(start, target, arc, move)
@@ -174,7 +178,7 @@ class RotaryCanon(Canon):
 
 
 def mask_of(letters: str, axes: int) -> int:
-    """The axes (a mask) that these letters are. ValueError where one cannot be."""
+    """Return the mask of these letters. ValueError if one is not a rotary axis."""
     mask = 0
     for letter in letters:
         axis = LETTERS[:axes].find(letter)
@@ -188,7 +192,7 @@ _found: "dict[str, int]" = {}
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """What a machine with rotary axes is made of. ValueError where they cannot be."""
+    """Select planner and canon, and find rotary axes. ValueError if the board file is wrong."""
     option = board.__dict__.get
     _found["rotary"] = rotary = mask_of(option("ROTARY", ""), options.axes)
     limits: "tuple[int | None, ...]" = option("LIMIT", ())
@@ -200,7 +204,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have the rotary axes homed, read and shown as such."""
+    """Hook rotary axes into homing, planning, units and reports."""
     machine: "Any" = cnc.machine
     planner, canon, block = machine.planner, machine.canon, machine.interpreter.block
     everything = (1 << planner.axes) - 1
@@ -212,12 +216,15 @@ def install(cnc: "Cnc") -> None:
     machine.interpreter.machine[LENGTHS] &= ~rotary
     planner.move_hook = planner.turn
     _home(machine, everything & ~_found["without_switch"])
-    machine.report.turning = rotary  # degrees stay degrees where reports are in inches
+    machine.report.turning = rotary  # degrees stay degrees when reports are in inches
 
 
 def _home(machine: "Any", homed: int) -> None:
-    """$H leaves axes without a switch alone. The switch of one without an end is searched for as
-    long as it takes to turn one and a half times: it has travel meanwhile."""
+    """Hook into $H: axes without a switch are not homed.
+
+    An endless axis gets one turn of travel meanwhile, so its search ends after one and a half
+    turns.
+    """
     hooks, settings, canon = machine.state.hooks, machine.settings, machine.canon
     usual: "Callable[[int], bool]" = hooks.home
 

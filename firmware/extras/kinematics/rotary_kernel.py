@@ -1,7 +1,7 @@
 # mypy: disable-error-code="arg-type, call-overload, has-type, misc"
-"""The rotary axes' kernel: how long the way of a line is beside that of its linear axes.
+"""The rotary kernel: the ratio of a line's whole length to the length of its linear part.
 
-Viper, for rotary.py; what stands where is told in motion/layout.py.
+Viper, for rotary.py. motion/layout.py defines the indices.
 """
 
 import micropython
@@ -12,9 +12,14 @@ from motion.steps import measure, to_steps
 
 @micropython.viper
 def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) -> int:
-    """How many times as long as the way of the linear axes (a mask) that of all axes is, on a line
-    to target: a real; 0 where no linear axis moves, ONE where nothing moves. Wants room in the
-    ring, for it measures where the next block will be."""
+    """Return length of all axes / length of the linear axes (a mask), as a real.
+
+    ONE if nothing moves, 0 if no linear axis moves. target: mm or degrees, float32. The
+    ring must have a free row, because the line is measured in the next block's row.
+
+    Linear distances are added as squares of 14-bit mantissas with a common exponent, so five axes
+    fit 31 bits.
+    """
     to_steps(target, table)
     at = flow[HEAD] * flow[ROW_SIZE]
     if int(measure(table, ring, at)) == 0:

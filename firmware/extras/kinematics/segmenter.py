@@ -1,9 +1,9 @@
-"""Segmenter: cuts a path into chords so short that evenly moving motors keep to it.
+"""Segmenter: cuts a path into chords short enough for evenly moving motors.
 
-Between two places all motors go from the one to the other in the same time, each at a constant
-rate. Where kinematics are not linear, the tool leaves the straight line meanwhile. How far is
-looked at where a quarter and three quarters of the chord are done: a bend shows at both, and one
-to either side, which would be nothing in the middle, too.
+Between two positions all motors move in the same time, each at a constant rate. With nonlinear
+kinematics the tool leaves the straight line meanwhile. The deviation is computed at a quarter and
+at three quarters of the chord. A bend shows at both, and so does an S-shaped deviation, which is 0
+in the middle.
 """
 
 import math
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from interfaces import Geometry
     from motion.arc_geometry import Arc
 
-# Of the tolerance, what a quarter of a chord may take: in its middle a bend is 4/3 of that.
+# Share of the tolerance allowed at a quarter of a chord: in its middle a bend is 4/3 of that.
 _SHARE = 0.7
-# Chords have this length at the most, in mm: two looks do not show every bend of a long one.
+# Longest chord in mm: two samples do not show every bend of a longer one.
 _LONGEST_MM = 5.0
-# One this much shorter than the tolerance cannot be cut further: motors turn on the spot there.
+# A chord this much shorter than the tolerance is not cut further: there motors turn on the spot.
 _SPLINTER = 0.25
-# So many times the tolerance it may leave its way then, or nobody can go there.
+# Deviation allowed for such a chord, in tolerances. Beyond it the position is out of reach.
 _SPOT = 2.0
-_LONGER = 2.0  # from one chord to the next, at the most
+_LONGER = 2.0  # length ratio of a chord to the one before, at most
 _CAUTION = 9 / 10
 _MOST_LOOKS = const(40)
 
 
 class Path:
-    """A straight line; or an arc, beside which other axes go evenly. length: mm."""
+    """A straight line, or an arc during which the other axes move evenly. length: mm."""
 
     def __init__(self, axes: int) -> None:
         self._start = vector(axes)
@@ -43,7 +43,7 @@ class Path:
         self.length = 0.0
 
     def set_path(self, start: "array[float]", target: "array[float]", arc: "Arc | None") -> None:
-        """Lead from start to target, mm."""
+        """Set the path from start to target, in mm."""
         copy(start, self._start, len(start))
         self._plane = (arc.plane[0], arc.plane[1]) if arc else (-1, -1)
         squares = 0.0
@@ -65,13 +65,13 @@ class Path:
         self._sweep = arc.sweep(start, target)
         if arc.plane[CLOCKWISE]:
             self._sweep = -self._sweep
-        # A program's numbers are rounded: what the circle misses its target by comes bit by bit.
+        # A program's numbers are rounded. The circle's miss of its target is spread over the arc.
         end = self._from + self._sweep
         self._change[a] = target[a] - self._centre_0 - self._radius * math.cos(end)
         self._change[b] = target[b] - self._centre_1 - self._radius * math.sin(end)
 
     def point_at(self, part: float, place: "array[float]") -> None:
-        """The place where so much of it is done, 0 to 1."""
+        """Compute the position after a part of the path, 0 to 1."""
         start, change = self._start, self._change
         for i in range(len(place)):
             place[i] = start[i] + part * change[i]
@@ -83,8 +83,7 @@ class Path:
 
 
 class Segmenter:
-    """Cuts a way. place, joints: where the last chord ends. None of its methods keeps what it is
-    handed."""
+    """Cuts a path. place, joints: the end of the last chord. Methods copy their arguments."""
 
     def __init__(self, axes: int, geometry: "Geometry") -> None:
         self._geometry = geometry
@@ -107,7 +106,7 @@ class Segmenter:
         arc: "Arc | None",
         tolerance: float,
     ) -> None:
-        """A way from start, where joints are, to target, in mm."""
+        """Start a path from start, where the joints are `joints`, to target, in mm."""
         self.path.set_path(start, target, arc)
         copy(start, self.place, self._axes)
         copy(joints, self.joints, self._axes)
@@ -116,7 +115,7 @@ class Segmenter:
         self._step = min(1.0, _LONGEST_MM / (self.path.length or 1.0))
 
     def is_in_reach(self) -> bool:
-        """Places all along the way are in reach; else place is the first that is not."""
+        """Return whether the path is in reach. If not, place is the first position that is not."""
         copy(self.joints, self._ahead, self._axes)
         looks = min(int(self.path.length / _LONGEST_MM) + 1, _MOST_LOOKS)
         for i in range(looks + 1):
@@ -126,12 +125,11 @@ class Segmenter:
         return True
 
     def has_next(self) -> bool:
-        """There is another chord."""
+        """Return whether there is another chord."""
         return self._part < 1
 
     def next_chord(self) -> bool:
-        """Go to the end of another chord. False: to get there is out of reach, and place says
-        where that is."""
+        """Compute the next chord. Return False if it is out of reach; place is its end then."""
         most, step = _LONGEST_MM / (self.path.length or 1.0), min(self._step, 1 - self._part)
         allowed = self.tolerance * _SHARE
         while True:
@@ -157,7 +155,7 @@ class Segmenter:
         return True
 
     def _strays(self, end: float) -> float:
-        """How far, in mm, the tool is from where it is to be within the chord ahead."""
+        """Return the largest deviation of the tool within the next chord, in mm."""
         between, made, meant = self._between, self._made, self._meant
         worst = 0.0
         for part in (0.25, 0.75):

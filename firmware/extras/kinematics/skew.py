@@ -1,11 +1,11 @@
-"""Skew: SKEW = True in the board file, and $780, $781, $782 in mm per m, for axes that are not at
-right angles to each other.
+"""Skew: SKEW = True in the board file, and $780, $781, $782 in mm per m.
 
-Places are true ones, of a square machine: in programs, reports, offsets, soft limits, and of what
-a probe has found. Motors go where they have to for that, along with the axes that lean towards
-theirs. A straight line stays one, and is one block; an arc's chords are such lines. The way back
-is exact, to the step, so what has stopped anywhere knows where it is. Homing is of motors: each
-goes to its own switch alone, and where all of them have been homed, places are those of motors.
+For axes that are not at right angles to each other. Positions are those of a square machine, in
+programs, reports, offsets, soft limits and probe results. Motors move to the corresponding place;
+a motor also compensates the axes that lean towards its own. A straight line stays straight and is
+one block; an arc's chords are such lines. The inverse is exact to the step, so the position is
+known wherever motion has stopped. Homing moves motors, each alone to its own switch. Where all
+have been homed, positions are those of the motors.
 """
 
 import math
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _SETTINGS: "Rows" = (
-    # XY skew. How far the tool goes along X where the motor of Y takes it 1 m up; negative: down
-    # X.
+    # XY skew. Travel of the tool along X when the motor of Y moves it 1 m up; negative: towards
+    # -X.
     (780, "skew_xy", FLOAT, 0.0, "mm/m"),
-    # XZ skew. How far along X where that of Z does.
+    # XZ skew. Travel along X when the motor of Z moves 1 m up.
     (781, "skew_xz", FLOAT, 0.0, "mm/m"),
-    # YZ skew. How far along Y where that of Z does.
+    # YZ skew. Travel along Y when the motor of Z moves 1 m up.
     (782, "skew_yz", FLOAT, 0.0, "mm/m"),
 )
 _NUMBERS = (780, 781, 782)
@@ -53,8 +53,10 @@ _WORDS = ("KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
 
 
 class SkewKinematics(Kinematics):
-    """Motors stand beside the place of their axis. skew: what skew_kernel.py wants to know.
-    homing: an axis is what its motor is."""
+    """Kinematics in which motors differ from their axes by the skew.
+
+    skew: the table of skew_kernel.py. homing: an axis' position is that of its motor.
+    """
 
     def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
         super().__init__(axes, moves, alone)
@@ -63,11 +65,11 @@ class SkewKinematics(Kinematics):
         self.lean([0.0, 0.0, 0.0])
 
     def motor_of(self, motors: "array[int]", axis: int) -> int:
-        """Where the motor of an axis is: its steps, or those of all that move it."""
+        """Return the steps of an axis' motor, or of all motors that move it."""
         return super().axis_steps(motors, axis)
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """As Kinematics.axis_steps(): the place of the axis."""
+        """Return the position of an axis, as Kinematics.axis_steps()."""
         steps = self.motor_of(motors, axis)
         if axis >= Z or self.homing or not self.active:
             return steps
@@ -80,11 +82,11 @@ class SkewKinematics(Kinematics):
         return self.skew[kernel.HOMED + axis] - FAR
 
     def homed(self, motors: "array[int]", axis: int) -> None:
-        """Here the motor of this axis has been homed: its skew counts from here."""
+        """Note that this axis' motor has been homed here: its skew is counted from here."""
         self.skew[kernel.HOMED + axis] = FAR + self.motor_of(motors, axis)
 
     def lean(self, factors: "list[float]") -> bool:
-        """XY, XZ, YZ, in steps per step, are these from now on. Returns whether that is new."""
+        """Set the factors XY, XZ, YZ, in steps per step. Return whether they have changed."""
         skew, before = self.skew, bytes(self.skew)
         self.active = False
         for i in range(len(factors)):
@@ -97,15 +99,15 @@ class SkewKinematics(Kinematics):
 
 
 class SkewPlanner(Planner):
-    """A planner whose TARGET and POSITION are of motors."""
+    """A planner whose TARGET and POSITION are those of motors."""
 
     kinematics: "SkewKinematics"
-    is_new = False  # the skew is: who has asked where the machine is has to ask again
+    is_new = False  # the skew has changed, so positions must be read again
 
     def configure(
         self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
-        """As Planner.configure(); $780 and the others."""
+        """Apply settings, as Planner.configure(), and $780 to $782."""
         super().configure(settings, tick_hz, segment_log2, step_hz)
         asked: "Any" = settings
         x, y, z = self.steps_per_mm[:3]
@@ -114,12 +116,12 @@ class SkewPlanner(Planner):
         self.is_new |= self.kinematics.lean(factors)
 
     def reach_mm(self, axis: int) -> float:
-        """As Planner.reach_mm(); a motor makes up to a fifth more steps than its axis, $78n."""
+        """Return half of Planner.reach_mm(): motors make up to a fifth more steps than axes."""
         return super().reach_mm(axis) / 2
 
     @micropython.native
     def lean(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """As Planner.plan()."""
+        """Plan a line, as Planner.plan()."""
         kinematics = self.kinematics
         if kinematics.active and not kinematics.homing:
             to_steps(target, self.table)
@@ -128,7 +130,7 @@ class SkewPlanner(Planner):
         return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """As Planner.chords()."""
+        """Plan an arc's chords, as Planner.chords()."""
         if not moves or not self.kinematics.active:
             return super().chords(course, move, power, moves)
         self.speeds[self.flow[layout.ROWS] + 1] = move.spindle_rpm
@@ -146,13 +148,13 @@ class SkewPlanner(Planner):
         )
 
     def sync_motors(self, motors: "array[int]") -> None:
-        """As Planner.sync_motors()."""
+        """Synchronise with the motors, as Planner.sync_motors()."""
         for i in range(self.axes):
             self.position[i] = FAR + self.kinematics.motor_of(motors, i)
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """What such a machine is made of. ValueError where that cannot be."""
+    """Select kinematics and planner. ValueError if the board file does not allow them."""
     for word in _WORDS:
         if board.__dict__.get(word):
             raise ValueError("SKEW and %s are not for the same machine" % word)
@@ -165,7 +167,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have its settings, lines and homing of motors go where they have to."""
+    """Add the settings, and hook into lines and homing."""
     machine: "Any" = cnc.machine
     cnc.add_settings(_SETTINGS)
     machine.settings.signed.update(dict.fromkeys(_NUMBERS, _MOST))
@@ -182,7 +184,7 @@ def install(cnc: "Cnc") -> None:
 
 
 def _home(machine: "Any") -> None:
-    """Motors are homed, and not axes."""
+    """Hook into homing, which moves motors instead of axes."""
     hooks, engine, kinematics = machine.state.hooks, machine.engine, machine.planner.kinematics
     usual: "Callable[[int], None]" = hooks.find_switches
     motors = array("i", (0 for _ in range(machine.planner.motors)))

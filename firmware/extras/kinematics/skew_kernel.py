@@ -1,9 +1,9 @@
 # mypy: disable-error-code="arg-type, call-overload, has-type, misc"
-"""The skew's kernel: from places of the axes to places of their motors, in whole steps.
+"""The skew kernel: from positions of axes to those of their motors, in whole steps.
 
-Viper, for skew.py; what stands where is told in motion/layout.py. The
-motor of Y is moved back by what the way of Z's brings along, that of X by what the ways of both
-do. Each is rounded once, from steps that are whole already, so the way back is exact: unskew.
+Viper, for skew.py. motion/layout.py defines the indices. The motor of Y moves back by what Z
+brings along, the motor of X by what Y and Z bring. Each correction is computed from whole steps
+and rounded once, so the inverse is exact.
 """
 
 import micropython
@@ -12,8 +12,8 @@ from motion.arcs import FAR, KNOWN, LEFT, NOWHERE, SOME, advance
 from motion.layout import AXES, HEAD, LIMITS, ROWS, TARGET
 from motion.plan_kernel import FULL, OUTSIDE, full, plan
 
-# What a machine's skew is made of: three shears, each a factor + FAR and its power of two, and
-# behind them where the motors of the axes were homed, in steps + FAR.
+# The skew table: three shears, each with its factor + FAR and its number of fraction bits; then
+# the motors' positions where they were homed, in steps + FAR.
 XY = const(0)
 XZ = const(2)
 YZ = const(4)
@@ -22,16 +22,20 @@ LENGTH = const(9)
 
 _Y = const(1)
 _Z = const(2)
-_BITS = const(15)  # factors, and ways, are multiplied in two halves
+_BITS = const(15)  # factors and ways are multiplied in two halves
 MOST_BITS = const(36)
 FEWEST_BITS = const(21)
-_PART_BITS = const(6)  # shears are in 2**-6 step until they are added up
+_PART_BITS = const(6)  # shears are in 2**-6 step until they are added
 _HALF = const(32)
 
 
 @micropython.viper
 def shear(way: int, skew: ptr32, at: int) -> int:
-    """So many steps times a factor, in 2**-6 step: up to 2**24 steps."""
+    """Return way * factor, in 2**-6 step. way: steps, up to 2**24 in size.
+
+    factor = (skew[at] - FAR) / 2**skew[at + 1]. Both are split at 15 bits, so that each of the
+    four products fits 32 bits.
+    """
     factor = skew[at] - FAR
     bits = skew[at + 1] - _PART_BITS
     above = way >> _BITS
@@ -44,19 +48,19 @@ def shear(way: int, skew: ptr32, at: int) -> int:
 
 @micropython.viper
 def back_x(y: int, z: int, skew: ptr32) -> int:
-    """How far, in steps, X is from its motor where those of Y and Z are that far from home."""
+    """Return X minus its motor, in steps. y, z: steps of the motors of Y and Z from home."""
     return (int(shear(y, skew, XY)) + int(shear(z, skew, XZ)) + _HALF) >> _PART_BITS
 
 
 @micropython.viper
 def back_y(z: int, skew: ptr32) -> int:
-    """How far Y is from its motor."""
+    """Return Y minus its motor, in steps. z: steps of the motor of Z from home."""
     return (int(shear(z, skew, YZ)) + _HALF) >> _PART_BITS
 
 
 @micropython.viper
 def to_motors(table: ptr32, skew: ptr32) -> int:
-    """TARGET of the planner's table was of axes, and now is of their motors."""
+    """Replace TARGET in the planner's table, steps of axes, by steps of their motors."""
     at = LIMITS + TARGET * table[AXES]
     z = table[at + _Z] - skew[HOMED + _Z]
     table[at + _Y] = table[at + _Y] - int(back_y(z, skew))
@@ -77,7 +81,7 @@ def follow_arc(
     rate: int,
     skew: ptr32,
 ) -> int:
-    """As arcs.follow(), where something is to move."""
+    """Plan an arc's chords, as arcs.follow(), where something moves."""
     found = 0
     while found == 0:
         if course[KNOWN] == 0:
