@@ -1,1 +1,1 @@
-"""Programs that live on the board, and run without a computer."""
+"""Jobs: programs stored on the board, which run without a computer."""

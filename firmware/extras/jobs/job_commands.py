@@ -1,10 +1,10 @@
-"""Jobs: programs that live on the board, and run without a computer.
+"""Commands for jobs: programs stored on the board, which run without a computer.
 
-$F lists them, $F=NAME runs one, $F<=NAME shows it, $FD=NAME deletes it, as grblHAL has it; and
-$SD/List, $SD/Run=, $LocalFS/… as FluidNC. $FU=NAME,SIZE,CRC takes one (job_upload.py), $FB=NAME
-gives it to the start button, and $F=NAME@LINE goes on in its middle (job_entry.py); $F=@ does
-where the last one was held or stopped (job_run.py). A board asks for it with JOBS = "jobs", the
-name of the folder, and with SD_CARD, its pins, where that is to be a card.
+As in grblHAL, $F lists them, $F=NAME runs one, $F<=NAME shows it, $FD=NAME deletes it. As in
+FluidNC, there are $SD/List, $SD/Run=, $LocalFS/… too. $FU=NAME,SIZE,CRC receives one
+(job_upload.py). $FB=NAME assigns one to the start button. $F=NAME@LINE starts at a line in its
+middle (job_entry.py), $F=@ where the last one was held or stopped (job_run.py). JOBS = "jobs" in
+the board file, the name of the folder, selects this. SD_CARD, its pins, stores the jobs on a card.
 """
 
 from base import errors
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 PINS = ("SD_CARD",)
 
-# FluidNC's words behind $SD/ and $LocalFS/, and ours behind $F.
+# FluidNC's words after $SD/ and $LocalFS/, and ours after $F.
 _FLUIDNC = {b"LIST": b"", b"RUN": b"=", b"SHOW": b"<=", b"DELETE": b"D="}
-_WITHOUT_FILES = (b"B", b"B=")  # tells what the button runs, has it run nothing: in flash
+_WITHOUT_FILES = (b"B", b"B=")  # report or clear the button's job: in flash, not on a card
 _STATES = (st.IDLE, st.ALARM, st.CHECK)
 _SHOWN_BYTES = const(128)
-# A reader for what is neither the sender's line nor the job's.
+# A reader for text that is neither the sender's line nor the job's.
 _READ_AHEAD = const(512)
 _LONGEST = const(344)  # 256 bytes in base64
 
@@ -41,12 +41,12 @@ _found: "dict[str, JobFiles | None]" = {}
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Where they are."""
+    """Note the job files of the board."""
     _found["files"] = options.job_files
 
 
 def install(cnc: "Cnc") -> None:
-    """Put jobs beside the sender."""
+    """Add the commands and hooks of jobs."""
     files = _found["files"]
     assert files
     files.on_progress = cnc.service
@@ -65,7 +65,7 @@ def install(cnc: "Cnc") -> None:
 
 
 class Jobs:
-    """The commands."""
+    """The commands of jobs."""
 
     def __init__(self, cnc: "Cnc", files: "JobFiles", run: JobRun, upload: Upload) -> None:
         self._cnc = cnc
@@ -75,17 +75,17 @@ class Jobs:
         self._upload = upload
 
     def fluidnc(self, words: bytes) -> None:
-        """What stands behind $SD/ or $LocalFS/, whose slash no line keeps."""
+        """Execute the text after $SD/ or $LocalFS/. The reader drops the slash."""
         word, equals, name = words.partition(b"=")
         if word not in _FLUIDNC or bool(equals) != bool(_FLUIDNC[word]):
             raise GrblError(errors.INVALID_STATEMENT)
         self.command(_FLUIDNC[word] + name)
 
     def command(self, words: bytes) -> None:
-        """What stands behind $F."""
-        if self._run.is_on():  # a line of the job's own
+        """Execute the text after $F."""
+        if self._run.is_on():  # a line of the job itself
             raise GrblError(errors.IDLE_ERROR)
-        self._machine.canon.synchronise()  # files are written at rest
+        self._machine.canon.synchronise()  # files are written only while idle
         try:
             if words not in _WITHOUT_FILES:
                 self._files.mount()
@@ -102,7 +102,7 @@ class Jobs:
         if words in (b"", b"+"):
             self._list()
         elif words == b"M":
-            return  # mounted it is
+            return  # command() has mounted the files
         elif words == b"B":
             self._tell_button()
         elif not equals:
@@ -121,7 +121,7 @@ class Jobs:
             raise GrblError(errors.INVALID_STATEMENT)
 
     def _known(self, name: str) -> str:
-        """A name; GrblError where there is no such job."""
+        """Return the name. GrblError if there is no such job."""
         if self._files.size(name) < 0:
             self._cnc.message("There is no job %s: $F lists them" % sanitize(name))
             raise GrblError(errors.INVALID_STATEMENT)
@@ -168,7 +168,7 @@ class Jobs:
         self._run.request(name, line)
 
     def _noted(self, name: str) -> "tuple[str, str]":
-        """The job that has not come to its end, and a line of it."""
+        """Return the unfinished job and its last noted line."""
         kept = self._run.journal()
         if not kept or name not in ("", kept[0]):
             self._cnc.message("No job is noted" + (" of that name" if name else ""))

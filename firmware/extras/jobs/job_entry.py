@@ -1,9 +1,9 @@
-"""Entry: going on at a line in the middle of a job.
+"""Entry: start a job at a line in its middle.
 
-The lines before it are run in check mode, which moves nothing, so modes, offsets, tool, spindle,
-coolant and position come to be what a whole run would have left. Stored offsets they change in a
-copy. The way there is at a safe height: all off, up, across, tool on, down; then all of that is
-put in force, and the line comes as if all before it had been done.
+The lines before it run in check mode, which moves nothing. So modes, offsets, tool, spindle,
+coolant and position become what a run of these lines would have left. Stored offsets change in a
+copy only. The tool then approaches at a safe height: all off, up, across, tool on, down. After
+that the modes are applied, and the line runs as if all lines before it had been executed.
 """
 
 from array import array
@@ -41,29 +41,29 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _PIECE = const(255)
-_LINES = const(16)  # between two looks at real-time commands
+_LINES = const(16)  # between two checks for real-time commands
 _DOLLAR = const(36)
 _ZERO = const(48)
 _NINE = const(57)
-_HOLD_IN_CLOSED = const(HOLD << 8)  # of Inputs.closed()
+_HOLD_IN_CLOSED = const(HOLD << 8)  # a bit of Inputs.closed()
 _SLOW_MM_MIN = 100.0
-_SAME = 0.0005  # of settings and offsets, which are shown with three decimals
+_SAME = 0.0005  # tolerance of settings and offsets, which are shown with three decimals
 _SPIN_UP_S = const(4)
 _Z = const(2)
 _COOLANTS = ("", "M8", "M7", "M7M8")  # by their mask
 
 
 def differs(one: float, other: float) -> bool:
-    """Whether two values of a setting, or of an offset, are shown as different ones."""
+    """Return whether two values of a setting or an offset are shown as different ones."""
     return abs(one - other) > _SAME
 
 
 class CannotEnter(Exception):
-    """A line that nobody can begin with; its text says why."""
+    """The job cannot start at this line. The text says why."""
 
 
 def in_force(machine: "Controller") -> "list[Any]":
-    """The place, and all that a program can have set: what apply() takes."""
+    """Return the position and all modes that a program can have set, for apply()."""
     modes, coords = machine.modes, machine.coords
     modal = list(modes.modal[:MODAL_LENGTH])
     place, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
@@ -71,7 +71,7 @@ def in_force(machine: "Controller") -> "list[Any]":
 
 
 def apply(machine: "Controller", found: "list[Any]") -> None:
-    """Put it in force; spindle and coolant are what they are."""
+    """Apply a result of in_force(). Spindle and coolant stay as they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
     place, modal, rates, tool, g92, coords.tool_length = found
     modes.position[:] = array("f", place)
@@ -85,7 +85,7 @@ def apply(machine: "Controller", found: "list[Any]") -> None:
 
 
 class Entry:
-    """The way to one line, and what is in force there."""
+    """The approach to a line, and the modes that hold there."""
 
     def __init__(self, cnc: "Cnc", reader: "LineReader") -> None:
         machine = cnc.machine
@@ -94,16 +94,19 @@ class Entry:
         self._reader = reader
         self._longest = len(machine.reader.line) - 1
         self._there: "list[Any]" = []
-        self._systems: "list[array[float]]" = []  # there
+        self._systems: "list[array[float]]" = []  # the stored offsets at that line
         self._highest = 0.0
-        self.has_ended = False  # the program, in front of the line
+        self.has_ended = False  # the program has ended before the line
 
     def find(
         self, file: "IO[bytes]", line: int, start: "list[Any]", systems: "list[array[float]]"
     ) -> None:
-        """Run what is before the line in check mode; the file is left at that line. start: what
-        was in force before the first; systems: a copy of the stored offsets, which the lines
-        change. All is as before then. NoWay where it cannot be known."""
+        """Run the lines before `line` in check mode, and leave the file at that line.
+
+        start: in_force() before the first line; systems: a copy of the stored offsets, which the
+        lines change. The machine's own state is restored. CannotEnter if the state at the line is
+        not certain.
+        """
         machine = self._machine
         coords, state = machine.coords, machine.state
         motions = machine.interpreter.motions
@@ -158,7 +161,7 @@ class Entry:
         file.seek(-1, 1)
 
     def _next_line(self, file: "IO[bytes]") -> int:
-        """What clean() finds of the next line, however long its comments are; 0 at the end."""
+        """Return clean()'s result for the next line, comments of any length; 0 at the end."""
         memory = self._reader.memory()
         ring, at, _, kinds = memory
         found, is_begun = 0, False
@@ -173,7 +176,7 @@ class Entry:
         return found
 
     def poll_realtime(self) -> None:
-        """Real-time commands act. NoWay for those that hold the machine: check mode loses them."""
+        """Handle real-time commands. CannotEnter for a hold, which check mode would lose."""
         machine = self._machine
         machine.protocol.pump()
         pending = machine.state.pending
@@ -207,7 +210,7 @@ class Entry:
             self._highest = modes.position[_Z]
 
     def _check_setting(self, line: bytearray, number: int) -> None:
-        """A setting is stored: it has to be what the line makes it, and is not written again."""
+        """Check that a setting already has the line's value. It is not written again."""
         at, setting = bare(line, 1)
         _, value = bare(line, at + 1)
         for known, amount, _ in self._machine.settings.each():
@@ -216,7 +219,7 @@ class Entry:
                 raise CannotEnter(text % (number, known))
 
     def _check_homed(self, here: "list[float]") -> None:
-        """What was not homed may not have to move."""
+        """Check that axes that are not homed do not have to move."""
         for axis in range(len(here)):
             way = [here[axis], self._there[0][axis]]
             if axis == _Z:
@@ -226,10 +229,10 @@ class Entry:
                 text = "%s is not homed, and would have to move: where it is is not known"
                 raise CannotEnter(text % LETTERS[axis])
 
-    # The way there
+    # The approach
 
     def approach_lines(self) -> "list[str]":
-        """Lines that lead there."""
+        """Return the lines that move the tool to the start."""
         place, modal, rates, _, _, _ = self._there
         spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
         turn = ""
@@ -240,14 +243,14 @@ class Entry:
             if axis != _Z:
                 across += self._word(axis, place[axis])
         begin = ["G21G90G94M5M9", "G53G0" + up, "G53G0" + across]
-        if self._machine.spindle.laser:  # stays dark behind G0
+        if self._machine.spindle.laser:  # dark during G0
             return begin + ["G53G0" + down, coolant, turn]
         feed = _SLOW_MM_MIN if modal[INVERSE_TIME] or rates[FEED] <= 0 else rates[FEED]
         dwell = "G4P%d" % _SPIN_UP_S if turn else ""
         return begin + [turn, coolant, dwell, "G53G1%sF%.3f" % (down, feed)]
 
     def _word(self, axis: int, mm: float) -> str:
-        """The middle of the step that the place is rounded to, so that it is this one exactly."""
+        """Return an axis word for the middle of a position's step: rounding keeps the step."""
         return "%s%.5f" % (LETTERS[axis], self._steps(axis, mm) / self._resolution(axis))
 
     def _resolution(self, axis: int) -> float:
@@ -258,7 +261,7 @@ class Entry:
         return truncate(product + 0.5) if product >= 0 else -truncate(0.5 - product)
 
     def apply_modes(self) -> None:
-        """The tool is there: put in force what is. NoWay where it is not."""
+        """Apply the modes at the line. CannotEnter if the tool is not at its position."""
         place, here = self._there[0], self._machine.modes.position
         for axis in range(len(place)):
             if self._steps(axis, here[axis]) != self._steps(axis, place[axis]):
@@ -271,4 +274,4 @@ class Entry:
 
 
 def _pass_over(_byte: int) -> None:
-    """In the file no byte is a real-time command."""
+    """Ignore a byte: in a file none is a real-time command."""

@@ -1,10 +1,10 @@
 # mypy: disable-error-code="arg-type, call-overload, operator"
-"""Feed: a sender within the board, which streams a file to the machine's own loop.
+"""Feed: a sender on the board, which streams a file to the machine's main loop.
 
-It stands between the loop and its link. While a job runs, the loop reads the file, as much as its
-ring has room for, and its answers are counted, not sent. So a job goes the way of any lines, as
-fast as they. Meanwhile the sender's real-time commands act, its read-only commands are answered,
-and its other lines are refused. Files lie in flash, and to read that takes no time from
+It is between the loop and its link. While a job runs, the loop reads the file, as much as its ring
+has space for, and its answers are counted and not sent. So the lines of a job are executed like
+all others, and as fast. Meanwhile the sender's real-time commands work, its read-only commands are
+answered, and its other lines are refused. Files are in flash. Reading flash does not delay
 interrupts.
 """
 
@@ -29,40 +29,44 @@ if TYPE_CHECKING:
 
 _BLOCK = const(512)
 _HEARD = const(32)
-_FEW = const(12)  # blocks: as many as a piece of the file may make
+_FEW = const(12)  # blocks: a piece of the file may make as many
 _OWED = const(32)
-# A file system wants much of the stack. So a hold is noted, and the file read on, only where not
-# more of it is in use than at the beginning of the job and so many bytes.
+# Bytes of stack that may be in use, beyond the depth at the start of the job, when a hold is noted
+# and when the file is read. A file system needs much stack.
 _TO_NOTE = const(1216)
 _TO_READ = const(1664)
-# What is planned as made may still be in the engine for so long.
+# ms: motion that the planner counts as executed may be in the engine for so long.
 _MADE_MS = const(40)
 
-# What the kernels know.
-_ANSWERED = const(0)  # lines that have been answered
-_NOTED = const(1)  # rows of the planner's ring in front of this one are known by their lines
-_FROM = const(2)  # the next byte of the block,
-_LEFT = const(3)  # and how many there are
-_LAST = const(4)  # the last byte that was handed out
-_ROOM = const(5)  # of the ring, where nothing is in it
+# Indices of the kernels' state.
+_ANSWERED = const(0)  # lines answered
+_NOTED = const(1)  # row of the planner's ring up to which lines are noted
+_FROM = const(2)  # index of the next byte of the block,
+_LEFT = const(3)  # and number of bytes left
+_LAST = const(4)  # the last byte delivered
+_ROOM = const(5)  # free bytes of the reader's ring when it is empty
 
 _NEWLINE = const(10)
 _RETURN = const(13)
 _DOLLAR = const(36)
-_READ = const(0x80)  # with the letter of a read-only command
-_O = const(111)  # of ok
-_STARTUP = const(62)  # ">", in front of what has become of a line at startup
+_READ = const(0x80)  # added to the letter of a read-only command
+_O = const(111)  # first letter of the positive answer
+_STARTUP = const(62)  # ">", before the result of a startup line
 
 
 @micropython.viper
 def _deliver(
     block: ptr8, at: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
 ) -> int:
-    """Move bytes of the file into buf, as many as its size and the ring's room allow. Nothing in
-    it is a real-time command, and the end of a line is one byte.
+    """Move bytes of the file into buf, as many as its size and `room` (the ring's free bytes)
+    allow.
 
-    Where few blocks are free it is no more lines than those, once the last have been taken: so
-    lines do not wait within the interpreter, and a hold finds the stack nearly empty.
+    No byte stays a real-time command: those become spaces, and so does CR. The end of a line is
+    LF.
+
+    With fewer than _FEW free blocks it delivers at most as many lines, and only when the ring is
+    empty. So no line waits inside the interpreter, and a hold finds the stack nearly empty.
+    Returns the number of bytes.
     """
     free = flow[layout.TAIL] - flow[layout.HEAD] - 1
     if free < 0:
@@ -92,8 +96,11 @@ def _deliver(
 
 @micropython.viper
 def _note(at: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
-    """So many lines more have been answered, one or two: whose blocks those planned since are.
-    Where two have made one block it is taken for the first's. Returns the line."""
+    """Note the lines of the blocks planned since the last call. Return the last line.
+
+    answers: number of lines answered now, 1 or 2. If two lines have made one block, it is noted as
+    the first one's.
+    """
     row = at[_NOTED]
     head = flow[layout.HEAD]
     rows = flow[layout.ROWS]
@@ -110,8 +117,11 @@ def _note(at: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
 
 
 class Feed:
-    """A Link for the loop. on_refusal: called with Grbl's number where a line of the file is
-    refused; on_hold: where motion is held, once it is known at which line."""
+    """A Link for the loop.
+
+    on_refusal: called with Grbl's error number when a line of the file is refused. on_hold: called
+    in a hold, when its line is known.
+    """
 
     def __init__(
         self,
@@ -134,9 +144,9 @@ class Feed:
         self._at[_ROOM] = self._reader.free()
         self._block = bytearray(_BLOCK)
         self._heard = bytearray(_HEARD)
-        self._said = bytearray(len(machine.reader.line))  # the sender's line, so far
+        self._said = bytearray(len(machine.reader.line))  # the sender's unfinished line
         self._said_length = 0
-        self._owed = bytearray(_OWED)  # answers to lines of his
+        self._owed = bytearray(_OWED)  # answers to the sender's lines
         self._owed_count = 0
         self._file: "IO[bytes] | None" = None
         self._size = self._read_bytes = 0
@@ -148,11 +158,11 @@ class Feed:
         machine.protocol.read_into = self.read_into
         machine.state.hooks.refuse = self._refuse
 
-    # The link seam
+    # Link
 
     @micropython.native
     def read_into(self, buf: bytearray) -> int:
-        """What has arrived; of the file, while a job runs."""
+        """Read received bytes, or the file's while a job runs."""
         if not self.is_on:
             return self._read(buf)
         count = self._read(self._heard)
@@ -163,7 +173,7 @@ class Feed:
             self._since = port.ticks_ms()
             self._before, self._made = self._made, self._being_made()
             state = self._machine.state
-            if state.suspend & st.HOLD_COMPLETE and not state.system_motion:  # nor is it parking
+            if state.suspend & st.HOLD_COMPLETE and not state.system_motion:  # and not parking
                 self._hold()
         if self._at[_LEFT] == 0 and not (self._file and self._fetch()):
             return 0
@@ -172,8 +182,10 @@ class Feed:
 
     @micropython.native
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """An answer: counted where it is to a line of the file. What becomes of startup lines,
-        behind $H, is for the sender."""
+        """Send an answer, or count it if it is to a line of the file.
+
+        The results of startup lines, after $H, are sent.
+        """
         if not self.is_on or data[0] != _O or self._is_startup:
             self._is_startup = data[0] == _STARTUP
             self._write(data)
@@ -181,7 +193,7 @@ class Feed:
             _note(self._at, self._lines, self._flow, len(data) >> 2)
 
     def _refuse(self, code: int) -> None:
-        """A line has been refused."""
+        """Handle a refused line: of the file by on_refusal, of the sender by an error."""
         if self.is_on and not self._is_startup:
             self._on_refusal(code)
         else:
@@ -189,14 +201,17 @@ class Feed:
             self._error(code)
 
     def discard(self) -> None:
-        """Drop what has arrived and has not been read."""
+        """Drop received bytes that are not read yet."""
         self._link.discard()
 
     # The file
 
     def start(self, file: "IO[bytes]", size: int, line: int = 0) -> None:
-        """Have a file of so many bytes read from where it stands on, so many lines behind its
-        beginning. Only where the ring is empty."""
+        """Start reading a file of `size` bytes at its present position, which is after `line`
+        lines.
+
+        Call it only while the ring is empty.
+        """
         at = self._at
         at[_ANSWERED] = line
         at[_NOTED] = self._flow[layout.HEAD]
@@ -211,7 +226,7 @@ class Feed:
         self.is_on = True
 
     def stop_reading(self) -> None:
-        """Nothing more is read, nor taken of what has been."""
+        """Stop reading the file, and drop what has been read and not executed."""
         if self._file:
             self._file.close()
             self._file = None
@@ -219,8 +234,11 @@ class Feed:
         self._reader.clear()
 
     def stop(self) -> None:
-        """The loop hears the sender again. Lines of his that are not answered yet are, and what
-        he has said of one more comes in front of its rest."""
+        """Let the loop read the sender again.
+
+        Its unanswered lines are answered. The beginning of an unfinished line is put before its
+        rest.
+        """
         self.stop_reading()
         self.answer()
         self.is_on = False
@@ -229,20 +247,20 @@ class Feed:
             self._said_length = 0
 
     def drop(self) -> None:
-        """As stop(), behind a reset: what the sender has said before is forgotten."""
+        """Stop after a reset: what the sender has sent before is dropped."""
         self._said_length = self._owed_count = 0
         self.stop()
 
     def has_ended(self) -> bool:
-        """All lines have been taken."""
+        """Return whether all lines have been accepted."""
         return not (self._file or self._at[_LEFT] or self._reader.has_line())
 
     def line(self) -> int:
-        """The last line that has been answered."""
+        """Return the last line that has been answered."""
         return self._at[_ANSWERED]
 
     def executed_line(self) -> int:
-        """The line whose motion is being made; or was, some 40 to 80 ms ago."""
+        """Return the line whose motion is executed, with a delay of some 40 to 80 ms."""
         return self._before
 
     def _hold(self) -> None:
@@ -260,12 +278,14 @@ class Feed:
         return self._at[_ANSWERED] + 1 if tail == flow[layout.HEAD] else self._lines[tail]
 
     def percent(self) -> float:
-        """How much of the file has been read."""
+        """Return how much of the file has been read, in percent."""
         return min(100 * self._read_bytes / (self._size or 1), 100.0)
 
     def _fetch(self) -> int:
-        """The next block of the file, where it can be read now; at its end, that of its last line.
-        Returns how many bytes."""
+        """Read the next block of the file, if the stack has space. Return its number of bytes.
+
+        At the file's end it is one LF if the last line has none.
+        """
         at, file = self._at, self._file
         assert file
         if not self._has_stack(_TO_READ):
@@ -275,7 +295,7 @@ class Feed:
             at[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
         except OSError as fault:
             self.fault = fault
-            self.stop_reading()  # what has come of a line is none
+            self.stop_reading()  # an incomplete line is dropped
             return 0
         self._read_bytes += at[_LEFT]
         if at[_LEFT] == 0:
@@ -302,7 +322,7 @@ class Feed:
                 self._said_length += 1
 
     def _queue_answer(self) -> None:
-        """The sender's line is complete: what it is answered with, at the loop's next turn."""
+        """Queue the answer to the sender's complete line, for the loop's next turn."""
         line = bytes(self._said[: self._said_length]).upper().strip()
         answer = 0
         if len(line) == 2 and line[0] == _DOLLAR and line[1] in READ_ONLY:
@@ -310,14 +330,14 @@ class Feed:
         elif line:
             answer = errors.IDLE_ERROR if line[0] == _DOLLAR else errors.SYSTEM_GC_LOCK
         if self._owed_count == _OWED:
-            self._error(errors.OVERFLOW)  # who sends so much does not count answers
+            self._error(errors.OVERFLOW)  # such a sender does not count answers
             return
         self._owed[self._owed_count] = answer
         self._owed_count += 1
-        self._machine.state.pending[st.ANY] = 1  # or the loop takes line after line
+        self._machine.state.pending[st.ANY] = 1  # so that the loop answers between two lines
 
     def answer(self) -> None:
-        """Answer what the sender has said. At a turn of the loop."""
+        """Answer the sender's lines. Called at a turn of the loop."""
         machine = self._machine
         for i in range(self._owed_count):
             answer = self._owed[i]

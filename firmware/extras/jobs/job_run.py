@@ -1,6 +1,6 @@
-"""Job run: the job that runs, or is to, from its first line to its last or to what ends it.
+"""Job run: the running or requested job, from its first line to its last, or to what ends it.
 
-Which runs, and where it was held or stopped, is noted in flash at rest.
+The job's name, and the line at which it was held or stopped, are stored in flash while idle.
 """
 
 import binascii
@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-# Under which is kept: the job that runs, a line of it, and what _start has; the start button's.
+# Names in flash. The journal has three lines: the job, its line number, and _start. BUTTON has the
+# start button's job.
 _JOURNAL = "job"
 _JOURNAL_LINES = const(3)
 BUTTON = "button"
-_PRESSED_MS = const(50)  # later, something else has been going on
-# What _start has: a job's CRC-32, what was in force before it, and the stored offsets that it has
-# written since, each with its number, what was there before, and what is there now.
+_PRESSED_MS = const(50)  # an older press is ignored: something else ran meanwhile
+# Indices of _start: the job's CRC-32, in_force() before its first line, and the stored offsets
+# that it has written. Each of these has its number, its values before, and its values now.
 _CRC = const(0)
 _IN_FORCE = const(1)
 _WRITTEN = const(2)
@@ -43,7 +44,7 @@ _PIECE = const(512)
 
 
 class JobRun:
-    """The job. reader: nobody else's while it runs."""
+    """The job. No other part uses `reader` while it runs."""
 
     def __init__(self, cnc: "Cnc", files: "JobFiles", reader: "LineReader") -> None:
         self._cnc = cnc
@@ -51,32 +52,33 @@ class JobRun:
         self._files = files
         self._feed = Feed(cnc.machine, self._refuse, self._note_line)
         hooks = cnc.machine.state.hooks
-        hooks.is_busy += (self.is_on,)  # a job that waits, in a dwell say, is not at rest
+        hooks.is_busy += (self.is_on,)  # a job that waits, in a dwell for example, is not idle
         self._write, hooks.write_offsets = hooks.write_offsets, self._write_offsets
         self._entry = Entry(cnc, reader)
-        self._name = ""  # what runs
+        self._name = ""  # the running job
         self._start: "list[Any]" = []
         self._pressed_ms = 0
-        self._due = ""  # what is to, once the loop has no line of the sender left,
-        self._due_line = 0  # from which line on; 0: all of it,
-        self._due_crc = _UNKNOWN  # and the CRC-32 of its file, once that has been read through
-        self._size = 0  # of its file
-        self._rest: "IO[bytes] | None" = None  # of the file, while the tool is on its way there
-        self._refused = 0  # Grbl's number for the line that has ended it
-        self._pressed = bytearray(1)  # the start button has been
-        self._has_started = False  # the firmware
+        self._due = ""  # requested; it starts when no line of the sender is left,
+        self._due_line = 0  # at this line, or 0 for all of it
+        self._due_crc = _UNKNOWN  # CRC-32 of its file, when that has been read
+        self._size = 0  # of its file, in bytes
+        self._rest: "IO[bytes] | None" = None  # the file, while the tool approaches its line
+        self._refused = 0  # Grbl's error number of the line that has ended it
+        self._pressed = bytearray(1)  # the start button was pressed
+        self._has_started = False  # on_reset() has run once
 
     def is_on(self) -> bool:
-        """A job runs."""
+        """Return whether a job runs."""
         return self._feed.is_on
 
     def request(self, name: str, line: int) -> None:
-        """Have one run, once the sender has nothing more to say; from a line on, or 0: all."""
+        """Request a job, to start when the sender's lines are done. line: its first; 0: all lines.
+        """
         self._due, self._due_line, self._due_crc = name, line, _UNKNOWN
 
     @micropython.native
     def poll_job(self) -> None:
-        """A turn of the loop, between two lines."""
+        """Run the job's part of the main loop, between two lines."""
         if self._pressed[0]:
             self._pressed[0] = 0
             if self._machine.port.elapsed_ms(self._pressed_ms) < _PRESSED_MS:
@@ -87,7 +89,7 @@ class JobRun:
             self._begin()
 
     def _is_free(self) -> bool:
-        """Nothing moves or is going to, and the sender has said nothing that is not done."""
+        """Return whether the machine is idle and all lines of the sender are done."""
         machine = self._machine
         at_rest = machine.stands() or machine.state.run == st.CHECK
         return at_rest and not machine.reader.has_line()
@@ -105,7 +107,7 @@ class JobRun:
         try:
             self._read_through(file)
             if self._machine.reader.has_line():
-                self._due = name  # that comes first
+                self._due = name  # the sender's line goes first
                 file.close()
                 return
             self._start = [self._due_crc, in_force(self._machine), []]
@@ -129,7 +131,7 @@ class JobRun:
         self._feed.start(file, self._size)
 
     def _read_through(self, file: "IO[bytes]") -> None:
-        """Find its size and its CRC-32. NoWay where the machine is held meanwhile."""
+        """Compute the file's size and CRC-32. CannotEnter if the machine is held meanwhile."""
         if self._due_crc == _UNKNOWN:
             crc = 0
             while True:
@@ -140,11 +142,11 @@ class JobRun:
                 if len(piece) == _PIECE:
                     self._entry.poll_realtime()
             self._due_crc = crc
-        self._size = file.seek(0, 2)  # its end
+        self._size = file.seek(0, 2)  # the end of the file
         file.seek(0)
 
     def _find(self, file: "IO[bytes]", line: int) -> None:
-        """Find the way to that line. NoWay where there is none."""
+        """Prepare the approach to a line. CannotEnter if there is none."""
         kept = self.journal()
         if self._machine.state.run != st.IDLE or not self._machine.homing_probing.homed:
             raise CannotEnter("the machine is not homed, or not idle")
@@ -157,7 +159,7 @@ class JobRun:
         self._entry.find(file, line, self._start[_IN_FORCE], systems)
 
     def _lead(self, file: "IO[bytes]", line: int) -> None:
-        """Have the tool led to that line."""
+        """Start the approach to a line."""
         self._rest = file
         way = [text for text in self._entry.approach_lines() if text]
         self.report(self._name, "goes on at line %d" % line)
@@ -165,8 +167,10 @@ class JobRun:
         self._feed.start(lines, self._size, line - 1 - len(way))
 
     def _systems(self) -> "list[array[float]]":
-        """A copy of the stored offsets, as they were before the job has written some. NoWay where
-        others have been stored in the place of those."""
+        """Return a copy of the stored offsets, as they were before the job has written some.
+
+        CannotEnter if some of these have been written by others since.
+        """
         systems = [array("f", values) for values in self._machine.coords.systems]
         for index, before, written in self._start[_WRITTEN]:
             for axis in range(len(written)):
@@ -177,7 +181,7 @@ class JobRun:
         return systems
 
     def _write_offsets(self, index: int, values: "array[float]") -> None:
-        """Stand in for Coords.write(): what a job writes is noted, and stored with the offsets."""
+        """Replace Coords.write(): note what a job writes, and store it with the offsets."""
         if self._feed.is_on and self._machine.state.run != st.CHECK:
             written = self._start[_WRITTEN]
             found = [row for row in written if row[0] == index]
@@ -189,7 +193,7 @@ class JobRun:
         self._write(index, values)
 
     def _arrive(self, file: "IO[bytes]") -> None:
-        """The tool is there: the file's lines come."""
+        """Start the file's lines, after the approach."""
         self._rest = None
         line = self._feed.line()
         try:
@@ -234,12 +238,12 @@ class JobRun:
                 self.report(self._name, "done, %d lines" % line)
 
     def _refuse(self, code: int) -> None:
-        """A line of the file is refused: nothing behind it is done."""
+        """Note that a line of the file was refused, and drop the lines after it."""
         self._refused = code
         self._feed.stop_reading()
 
     def _report_refusal(self, line: int) -> None:
-        """What was planned before has been made: tool off, and say where the program stands."""
+        """Switch the tool off and report the line, when motion planned before it has ended."""
         self._tool_off()
         if self._refused:
             why = "is refused with %d" % self._refused
@@ -254,7 +258,7 @@ class JobRun:
         self.report(self._name, "line %d %s" % (line, why))
 
     def _tool_off(self) -> None:
-        """Whatever the state is. Nothing moves."""
+        """Switch spindle and coolant off in any state. Nothing moves."""
         machine = self._machine
         machine.spindle.set_speed(0, 0.0)
         machine.coolant.set(0)
@@ -266,20 +270,23 @@ class JobRun:
             self._rest = None
 
     def on_program_end(self) -> None:
-        """M2 or M30: what is behind it is not done."""
+        """Drop the lines after M2 or M30."""
         self._entry.has_ended = True
         if self._feed.is_on:
             self._feed.stop_reading()
 
     def alarm(self, _code: int) -> None:
-        """The place may not be what it is held for; and who sees to that may switch off."""
+        """Note the line of a job after an alarm. Homing is needed, because position may be lost.
+
+        The line is stored at once, because the user may switch the board off.
+        """
         self._machine.homing_probing.homed = 0
         self._due = ""
         if self._feed.is_on:
             self._note_line()
 
     def on_reset(self) -> None:
-        """Behind power-up or a reset: what ran has come to its end."""
+        """End the job, after power-up or a reset."""
         self._due = ""
         self._pressed[0] = 0
         if self._feed.is_on:
@@ -294,7 +301,7 @@ class JobRun:
         else:
             self._close_rest()
         if not self._has_started:
-            self.kept(BUTTON)  # for what is damaged to be known from the start
+            self.kept(BUTTON)  # reports a damaged file at power-up
             kept = self.journal()
             if kept:
                 self.report(kept[0], "did not come to its end; last noted: line " + kept[1])
@@ -302,42 +309,42 @@ class JobRun:
 
     @micropython.native
     def on_controls(self, active: int) -> None:
-        """A control input has changed. Interrupt. Who ends something else starts no job."""
+        """Note a press of the start button. Interrupt. A press that ends a hold starts no job."""
         state = self._machine.state
         if active & START and state.run == st.IDLE and not state.suspend:
             self._pressed_ms = self._machine.port.ticks_ms()
             self._pressed[0] = 1
 
-    # What is told and kept
+    # Reports and stored data
 
     def field(self) -> str:
-        """A status report's."""
+        """Return the field of the status report."""
         if not self._feed.is_on:
             return ""
         return "SD:%.1f,/%s" % (self._feed.percent(), self._name)
 
     def report(self, name: str, what: str) -> None:
-        """A message of a job."""
+        """Send a message about a job."""
         self._cnc.message("Job %s: %s" % (sanitize(name), what))
 
     def kept(self, what: str) -> "list[str]":
-        """Lines that are in flash under that word."""
+        """Return the lines stored in flash under that name."""
         return self._machine.saves.load(what) or []
 
     def journal(self) -> "list[str]":
-        """What is kept of the job that has not come to its end; empty where there is none."""
+        """Return the stored lines of the unfinished job; empty without one."""
         kept = self.kept(_JOURNAL)
         return kept if len(kept) == _JOURNAL_LINES else []
 
     def _note_line(self) -> None:
-        """Motion is held."""
+        """Store the line at which motion is held."""
         if not self._rest:
             self._note(self._feed.executed_line())
 
     def _note(self, line: int) -> None:
-        """Keep where the job is; 0: it is done."""
+        """Store the job's line; 0: the job is done."""
         if self._machine.state.run == st.CHECK:
-            return  # which has made nothing
+            return  # nothing was executed
         self._save(line)
         self._machine.save_due()
 

@@ -1,9 +1,9 @@
-"""Upload: a file that comes over the sender's line, while real-time commands act as ever.
+"""Upload: a file received from the sender, while real-time commands work.
 
-It comes in pieces of 2 kB, for flash stops the processor while it is written: the next one waits
-until `[FU:n]` says that n bytes are there; `[FU:0]` asks for the first. A piece is deflated, for a
-byte on its way costs 10 us and more, and then made lines of base64, for nothing in them is a
-real-time command. An empty line ends it.
+It is sent in pieces of 2 kB, because flash stops the processor while it is written. The next piece
+waits for `[FU:n]`, which reports that n bytes are stored; `[FU:0]` asks for the first. A piece is
+deflated, because a byte takes 10 us and more on its way, and then encoded as lines of base64,
+because these contain no real-time commands. An empty line ends it.
 """
 
 import binascii
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _PIECE = const(2048)
-_LINE_BYTES = const(256)  # packed, of a line
+_LINE_BYTES = const(256)  # bytes packed in one line
 _WINDOW_LOG2 = const(10)
 _READ = const(128)
 _SILENCE_MS = const(5000)
@@ -34,7 +34,7 @@ _AS_IT_IS = const(0)
 
 
 class Upload:
-    """Takes files. reader: nobody else's meanwhile."""
+    """Receives files. No other part uses `reader` meanwhile."""
 
     def __init__(self, cnc: "Cnc", files: "JobFiles", reader: LineReader) -> None:
         machine = cnc.machine
@@ -46,9 +46,11 @@ class Upload:
         self._reader = reader
 
     def receive_file(self, order: str) -> None:
-        """NAME,SIZE,CRC: take that file. GrblError where it cannot be taken, before anything is
-        done, or does not come whole; OSError where flash does not hold it: what was there is as
-        it was. CRC: its CRC-32 in hexadecimal digits."""
+        """Receive a file. order: NAME,SIZE,CRC, with the CRC-32 in hexadecimal digits.
+
+        GrblError if it cannot be accepted, before anything is written, or if it is damaged.
+        OSError if flash cannot store it. In all these cases an existing file stays as it was.
+        """
         name, _, rest = order.partition(",")
         size_text, _, checksum_text = rest.partition(",")
         try:
@@ -102,7 +104,7 @@ class Upload:
         return piece
 
     def _unpack(self, piece: bytearray) -> int:
-        """Fill the piece with what comes up to an empty line. Returns how many bytes that were."""
+        """Fill the piece with the data up to an empty line. Return the number of bytes."""
         packed = b""
         length = self._next_line()
         try:
@@ -114,7 +116,7 @@ class Upload:
             return 0
 
     def _next_line(self) -> int:
-        """The length of the next line. Raises Abort after a reset."""
+        """Return the length of the next line. Raises Abort after a reset."""
         port = self._machine.port
         since = port.ticks_ms()
         while True:
@@ -129,7 +131,7 @@ class Upload:
                 self._drain("it broke off")
 
     def _receive(self) -> bool:
-        """Take in what has come; real-time commands act. Returns whether there was more."""
+        """Read received bytes and handle real-time commands. Return whether there were more."""
         reader, free = self._reader, self._reader.free()
         count = self._link.read_into(self._buffer)
         if count:
@@ -138,7 +140,7 @@ class Upload:
         return reader.free() != free
 
     def _drain(self, why: str) -> None:
-        """Say so; what is still on its way is not to be taken for commands."""
+        """Report why, and drop what is still being sent, so that it is not read as commands."""
         port = self._machine.port
         begun = since = port.ticks_ms()
         while port.elapsed_ms(since) < _DRAIN_MS and port.elapsed_ms(begun) < _SILENCE_MS:
