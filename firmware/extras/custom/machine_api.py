@@ -113,7 +113,7 @@ class MachineApi(PinApi):
             self._line(line, line)
 
     def _line(self, line: str, told: str) -> None:
-        """Execute a line. told: its name in the text of Refused."""
+        """Execute a line. told: its name in the message of Refused."""
         machine = self._machine
         self._check_may_wait()
         if self._state.run == st.ALARM:
@@ -143,9 +143,9 @@ class MachineApi(PinApi):
     ) -> "Position | None":
         """Probe as G38.2 with `words`, and return the contact position in machine coordinates.
 
-        With G53 in `words` their positions are mm in machine coordinates. No contact is ALARM:5,
-        or returns None if `must` is False. A probe that touches already is ALARM:4, before
-        anything moves.
+        With G53 in `words` the target is in mm and machine coordinates. No contact is ALARM:5, or
+        returns None if `must` is False. A probe that touches already is ALARM:4, before anything
+        moves.
         """
         self._check_may_wait()
         with ModalState(self._machine, False, self._open):
@@ -182,7 +182,7 @@ class MachineApi(PinApi):
         return self._machine.motor_control.touches is not None
 
     def set_work(self, at: Position, words: str) -> None:
-        """Set the work coordinates of a machine position, in mm: "Z0" or "X-3 Y-3".
+        """Set the work coordinates of the position `at`, in mm: "Z0" or "X-3 Y-3".
 
         The work offset is stored, as by G10 L2.
         """
@@ -236,11 +236,12 @@ class MachineApi(PinApi):
     # Motion requests, allowed during other motion too
 
     def jog(self, axis: str, mm: float, rate: float) -> bool:
-        """Request a jog by `mm` at `rate` mm/min. Return whether it was accepted.
+        """Request a jog of an axis by `mm` at `rate` mm/min. Return whether it was accepted.
 
-        It returns False in a state other than Idle or Jog, with 4 jogs waiting, while a received
-        line waits, or, during motion, while a line is executed. A line that arrives before the jog
-        starts has priority, and the jog is dropped.
+        It returns False in a state other than Idle or Jog, with 4 jogs waiting, and while a
+        received line waits. In a handler that runs during motion it also returns False while a
+        line is executed. A line that arrives before the jog starts has priority, and the jog is
+        dropped.
         """
         self.check_stopped()
         reader = self._machine.reader
@@ -296,7 +297,8 @@ class MachineApi(PinApi):
     ) -> bool:
         """Wait until an input is closed, or with closed=False until it is open.
 
-        It returns False if that takes longer than `seconds`. None waits without limit.
+        It returns False if that takes longer than `seconds`. None waits without limit. ValueError
+        for an unknown name.
         """
         return self._until(lambda: self.pin(name) == closed, seconds)
 
@@ -346,12 +348,12 @@ class MachineApi(PinApi):
         return Position(place)
 
     def mm(self, length: float) -> float:
-        """Convert a length of the program to mm. It is in inches if the program is in G20."""
+        """Convert a length of the program to mm, from inches if the program is in G20."""
         modal = self._open[0].modal if self._open else self._machine.modes.modal
         return length * _MM_PER_INCH if modal[INCHES] else length
 
     def offset(self, name: str) -> Position:
-        """Return the offset G54 to G59, G28, G30 or G92 in machine coordinates, in mm."""
+        """Return G54 to G59, G28, G30 or G92 in mm, by name. ValueError for another name."""
         coords = self._machine.coords
         return Position(coords.g92 if name == "G92" else coords.systems[NAMES.index(name)])
 

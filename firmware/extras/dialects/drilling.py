@@ -42,7 +42,7 @@ MOTIONS = (0, 10, 20, 30, 382, 383, 384, 385)
 _CLAIMS = MOTIONS + (100, 280, 281, 300, 301, 431, 530, 800, 920, 921)
 _LETTERS = "XYZ"
 _OWN = "XYZRQPL"
-# A rapid back into the hole stops at this distance above the last depth (in mm, in inches).
+# A rapid back into the hole stops this far above the last depth, and G73 retracts by it.
 _GAP_MM = 0.254
 _GAP_INCH = 0.01
 _MM_PER_INCH = 25.4
@@ -77,7 +77,7 @@ class Holes:
     manner: "tuple[int, int, int]"  # axis, inches, relative: the kept numbers depend on them
     letter: str  # of the drilling axis
     now: float  # present position of that axis
-    begun_mm: float  # and when the first cycle began, in machine coordinates
+    begun_mm: float  # its position when the first cycle began, in machine coordinates
     r: str
     bottom: str
     above: str  # where a hole ends: at R or the initial height
@@ -136,7 +136,7 @@ class Drilling:
         self._holes = Holes()  # the result of the last plan()
         self.cycle = 0
         self._motion = 0  # the motion mode before the cycle
-        self._begun_mm = 0.0  # the drilling axis then, in machine coordinates
+        self._begun_mm = 0.0  # position of the drilling axis then, in machine coordinates
         self._manner = (0, 0, 0)
         self._was_open = True  # the interpreter's is_open before the cycle
         self.forget()

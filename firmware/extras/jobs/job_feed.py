@@ -58,15 +58,12 @@ _STARTUP = const(62)  # ">", before the result of a startup line
 def _deliver(
     block: ptr8, at: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
 ) -> int:
-    """Move bytes of the file into buf, as many as its size and `room` (the ring's free bytes)
-    allow.
+    """Move bytes of the file into buf. Return their number, at most `size` and `room`.
 
-    No byte stays a real-time command: those become spaces, and so does CR. The end of a line is
-    LF.
+    room: the ring's free bytes. Real-time commands and CR become spaces; a line ends with LF.
 
     With fewer than _FEW free blocks it delivers at most as many lines, and only when the ring is
     empty. So no line waits inside the interpreter, and a hold finds the stack nearly empty.
-    Returns the number of bytes.
     """
     free = flow[layout.TAIL] - flow[layout.HEAD] - 1
     if free < 0:
@@ -207,10 +204,9 @@ class Feed:
     # The file
 
     def start(self, file: "IO[bytes]", size: int, line: int = 0) -> None:
-        """Start reading a file of `size` bytes at its present position, which is after `line`
-        lines.
+        """Start reading a file of `size` bytes at its present position.
 
-        Call it only while the ring is empty.
+        `line` lines are before that position. Call it only while the ring is empty.
         """
         at = self._at
         at[_ANSWERED] = line
@@ -226,7 +222,7 @@ class Feed:
         self.is_on = True
 
     def stop_reading(self) -> None:
-        """Stop reading the file, and drop what has been read and not executed."""
+        """Stop reading the file, and drop its lines that are not executed yet."""
         if self._file:
             self._file.close()
             self._file = None

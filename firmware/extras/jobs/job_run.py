@@ -72,8 +72,7 @@ class JobRun:
         return self._feed.is_on
 
     def request(self, name: str, line: int) -> None:
-        """Request a job, to start when the sender's lines are done. line: its first; 0: all lines.
-        """
+        """Request a job. It starts when the sender's lines are done. line: its first, or 0."""
         self._due, self._due_line, self._due_crc = name, line, _UNKNOWN
 
     @micropython.native

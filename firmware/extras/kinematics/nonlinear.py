@@ -1,12 +1,12 @@
 """User-defined kinematics: KINEMATICS = "scara" in the board file, and scara.py next to it.
 
-For machines whose motor positions are no sums of axes: arms, polar plotters. Programs, reports,
-offsets, probing and soft limits use the tool's position in mm. Each motor moves one joint. Steps
-($100), rates ($110), accelerations ($120) and homing are in the joints' own units. Paths are cut
-into chords (segmenter.py) within the arc tolerance, $12. Each chord is a block of the planner
-(joint_planner.py). Its length is that of the tool's path, its limits are those of the joints,
-including the acceleration that bends need. A target out of reach is refused before anything of its
-line is executed.
+It is for machines whose motor positions are no sums of axes: arms, polar plotters. Programs,
+reports, offsets, probing and soft limits use the tool's position in mm. Each motor moves one
+joint. Steps ($100), rates ($110), accelerations ($120) and homing are in the joints' own units.
+Paths are cut into chords (segmenter.py) within the arc tolerance, $12. Each chord is a block of
+the planner (joint_planner.py). Its length is that of the tool's path, its limits are those of the
+joints, including the acceleration that bends need. A target out of reach is refused before
+anything of its line is executed.
 """
 
 from language.block_layout import MOVE

@@ -1,10 +1,10 @@
 """Skew: SKEW = True in the board file, and $780, $781, $782 in mm per m.
 
-For axes that are not at right angles to each other. Positions are those of a square machine, in
-programs, reports, offsets, soft limits and probe results. Motors move to the corresponding place;
-a motor also compensates the axes that lean towards its own. A straight line stays straight and is
-one block; an arc's chords are such lines. The inverse is exact to the step, so the position is
-known wherever motion has stopped. Homing moves motors, each alone to its own switch. Where all
+It is for axes that are not at right angles to each other. Positions are those of a square machine,
+in programs, reports, offsets, soft limits and probe results. Motors move to the corresponding
+place; a motor also compensates the axes that lean towards its own. A straight line stays straight
+and is one block; an arc's chords are such lines. The inverse is exact to the step, so the position
+is known wherever motion has stopped. Homing moves motors, each alone to its own switch. Where all
 have been homed, positions are those of the motors.
 """
 
@@ -37,12 +37,11 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _SETTINGS: "Rows" = (
-    # XY skew. Travel of the tool along X when the motor of Y moves it 1 m up; negative: towards
-    # -X.
+    # XY skew. Travel of the tool along X while the motor of Y moves it 1 m in +Y; negative: in -X.
     (780, "skew_xy", FLOAT, 0.0, "mm/m"),
-    # XZ skew. Travel along X when the motor of Z moves 1 m up.
+    # XZ skew. Travel of the tool along X while the motor of Z moves it 1 m in +Z.
     (781, "skew_xz", FLOAT, 0.0, "mm/m"),
-    # YZ skew. Travel along Y when the motor of Z moves 1 m up.
+    # YZ skew. Travel of the tool along Y while the motor of Z moves it 1 m in +Z.
     (782, "skew_yz", FLOAT, 0.0, "mm/m"),
 )
 _NUMBERS = (780, 781, 782)

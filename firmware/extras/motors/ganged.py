@@ -35,9 +35,9 @@ _SQUARING: "Rows" = (
     # Squaring fail length. One motor may search for its switch alone over this share of the travel
     # of the perpendicular axis.
     (347, "racking_percent", FLOAT, 5.0, "percent"),
-    # Squaring fail distance, least. Minimum of that distance.
+    # Squaring fail distance, least. Minimum of the distance of $347.
     (348, "racking_least_mm", FLOAT, 2.5, "millimeters"),
-    # Squaring fail distance, most. Maximum of that distance.
+    # Squaring fail distance, most. Maximum of the distance of $347.
     (349, "racking_most_mm", FLOAT, 25.0, "millimeters"),
 )
 # For each axis that squares itself, the row with its number.

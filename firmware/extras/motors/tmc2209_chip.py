@@ -1,4 +1,4 @@
-"""One TMC2209: its registers and datagrams, from Trinamic's data sheet (rev. 1.09).
+"""One TMC2209: registers and datagrams of Trinamic's data sheet, revision 1.09.
 
 A read datagram is 5, the address, a register and a checksum. A write datagram has four more bytes
 before the checksum, most significant first. A driver counts the writes that it has accepted.

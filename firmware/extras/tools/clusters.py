@@ -339,7 +339,7 @@ class Clusters:
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Check the board file before the machine is created. ValueError without a laser engine."""
+    """Check the board file before the machine is created. ValueError without a laser on PIO."""
     option = board.__dict__.get
     if option("TOOL", "spindle") != "laser":
         raise ValueError('CLUSTERS wants TOOL = "laser"')

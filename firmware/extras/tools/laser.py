@@ -49,7 +49,7 @@ _NUMBER = const(33)
 # Every chip's PWM can do this range, with nearly a thousand steps of power or more.
 _LOWEST_HZ = const(10)
 _HIGHEST_HZ = const(100_000)
-_BESIDE_RADIO = const(4)  # most motors of an RP2040's PIO with a radio
+_BESIDE_RADIO = const(4)  # most motors, on an RP2040 with a radio
 _SOONEST = const(8)  # ticks that an engine needs before the first change of a segment
 _LONG = const(0x100000)  # ticks: limit of SINCE
 
