@@ -140,7 +140,7 @@ class Upload:
         return reader.free() != free
 
     def _drain(self, why: str) -> None:
-        """Report why, and drop what is still being sent, so that it is not read as commands."""
+        """Report why, and drop the rest, which must not be read as commands."""
         port = self._machine.port
         begun = since = port.ticks_ms()
         while port.elapsed_ms(since) < _DRAIN_MS and port.elapsed_ms(begun) < _SILENCE_MS:

@@ -1,8 +1,8 @@
 """Arcs within the acceleration of their axes: ARC_ACCELERATION = True in the board file.
 
-Grbl plans an arc as lines whose corners may be taken as fast as $11 allows, which may pull more
-than $120 and $121 for as long as the arc is. Here its feed rate is no more than their acceleration
-allows on its radius: v2 = a r. Overrides above 100 % are added to that.
+Grbl plans an arc as short lines whose corners are limited by $11 only. That may need more than the
+acceleration of $120 and $121 for the whole arc. This limits the feed rate by the acceleration a
+and the radius r: v = sqrt(a * r). Overrides above 100 % exceed it.
 """
 
 from math import sqrt
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 
 def install(cnc: "Cnc") -> None:
-    """Around what makes arcs."""
+    """Hook into the requests of arcs."""
     canon: "Any" = cnc.machine.canon
     settings: "Any" = cnc.machine.settings
     usual = canon.arc
 
     def arc(start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        usual(start, target, arc, move)  # made by finish(); its feed is in mm/min by now
+        usual(start, target, arc, move)  # planned by finish(); move.feed is in mm/min now
         plane, accelerations = arc.plane, settings.acceleration  # mm/min2
         accel = min(accelerations[plane[ONE_AXIS]], accelerations[plane[OTHER_AXIS]])
         move.feed = min(move.feed, sqrt(accel * arc.numbers[RADIUS]))
