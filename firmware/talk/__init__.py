@@ -1,1 +1,1 @@
-"""What a sender says and hears: lines, commands, reports, and the loop that answers."""
+"""Conversation with the sender: lines, commands, reports, and the main loop."""

@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 _STARTUP = "startup"
 _BUILD_INFO = "build"
 STARTUP_LINES = const(2)
-_HIGHEST_SETTING = const(999)  # Grbl's end at 255, an extra's here
+_HIGHEST_SETTING = const(999)  # Grbl's end at 255; extras have higher ones
 _MOVES = const(st.RUN | st.JOG)
 _JOG = const(74)  # $J
 _AT_ANY_TIME = b"\0$GCX"
-READ_ONLY = b"G$#IN"  # alone after the $: such a command changes nothing
+READ_ONLY = b"G$#IN"  # such a command, with nothing after it, changes nothing
 
 
 class Commands:
-    """What lines beginning with $ do. options: the letters and numbers of [OPT:…]."""
+    """Execute lines that begin with $. options: the letters and numbers of [OPT:...]."""
 
     def __init__(
         self, machine: "Machine", options: str, single_axis_homing: bool, override_control: bool
@@ -62,20 +62,21 @@ class Commands:
         self._override_control = override_control
         self._startup = [""] * STARTUP_LINES
         self._letters = self._make_letters()
-        # What $I+ says besides $I: of the chip, where it can tell, and of the last fault.
+        # $I+ also prints these: the chip's health, where the chip can measure it, and the last
+        # fault.
         self.health: "Callable[[], str] | None" = None
         self.fault = ""
 
     def connect(self, answer: "Callable[[bytearray, int, bytes], None]") -> None:
-        """Say what executes a line of G-code and prints what becomes of it, beginning with the
-        bytes it is given."""
+        """Set the function that executes a line of G-code and prints its answer. It is passed the
+        line, its length, and the text in front of the answer."""
         self._answer = answer
 
-    # Kept lines
+    # Startup lines
 
     def load(self) -> None:
-        """Read the startup lines; none where nothing valid is kept."""
-        self._store.load(_BUILD_INFO)  # for what is damaged to be known from the start
+        """Load the startup lines; none if the stored ones are invalid."""
+        self._store.load(_BUILD_INFO)  # so that damaged data is known from the start
         lines = self._store.load(_STARTUP)
         self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
         self._startup_valid = lines is not None
@@ -86,7 +87,7 @@ class Commands:
         self._store.save(_STARTUP, self._startup)
 
     def run_startup(self) -> None:
-        """Execute the startup lines, each with its answer."""
+        """Execute the startup lines and print an answer to each."""
         for text in self._startup:
             if not self._startup_valid:
                 self._report.startup_lost()
@@ -114,22 +115,23 @@ class Commands:
         }
 
     def find_command(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
-        """Who executes a line beginning with $: the loop calls it, for the stack is short. Raises
-        GrblError where it is refused."""
+        """Return the function that executes a line beginning with $. Raises GrblError if the line
+        is refused. The loop calls the function, because the stack is short."""
         execute = self._letters.get(line[1])
         if execute and line[1] == _JOG:
-            return execute  # it sees to that itself, and is in a hurry
+            return execute  # it checks the state itself, and time is short
         if execute and line[1] in _AT_ANY_TIME:
             if length > 2:
                 raise GrblError(errors.INVALID_STATEMENT)
         elif self._state.run not in (st.IDLE, st.ALARM):
-            # A sender that connects in motion asks for these. Grbl starts anew then.
+            # A sender that connects during motion sends these. In Grbl, connecting resets the
+            # machine.
             if not (self._state.run & _MOVES and length == 2 and line[1] in READ_ONLY):
                 raise GrblError(errors.IDLE_ERROR)
-        return execute or self._set  # what is no letter is the number of a setting
+        return execute or self._set  # anything else is the number of a setting
 
     def remove_commands(self, letters: bytes) -> None:
-        """Commands with these letters are not there any more."""
+        """Remove the commands with these letters."""
         for letter in letters:
             self._letters.pop(letter, None)
 
@@ -157,7 +159,7 @@ class Commands:
         self._report.modes(self.modes())
 
     def modes(self) -> str:
-        """What is in force, in words."""
+        """Return the modal state as text, as $G prints it."""
         modes, modal, report = self._modes, self._modes.modal, self._report
         motion = modal[MOTION]
         words = ["G%d" % motion if motion < PROBE_TOWARD else "G38.%d" % ((motion - 138) // 10)]
@@ -187,7 +189,7 @@ class Commands:
         else:
             if state.run != st.IDLE:
                 raise GrblError(errors.IDLE_ERROR)
-            self._canon.synchronise()  # nothing moves in check mode, what is planned neither
+            self._canon.synchronise()  # check mode moves nothing: finish the planned motion first
             state.enter(st.CHECK)
             self._report.message(errors.MSG_ENABLED)
 
@@ -204,7 +206,7 @@ class Commands:
             self._report.message(errors.MSG_EMERGENCY_STOP)
             raise GrblError(errors.SYSTEM_GC_LOCK)
 
-    # Commands that want the machine at rest
+    # Commands that need an idle machine
 
     def _show_offsets(self, line: bytearray, length: int) -> None:
         if length != 2:
@@ -214,7 +216,7 @@ class Commands:
     def _home(self, line: bytearray, length: int) -> None:
         if not self._settings.homing:
             raise GrblError(errors.SETTING_DISABLED)
-        self._canon.synchronise()  # homing would forget what is planned
+        self._canon.synchronise()  # homing drops planned blocks
         self._check_stop()
         if self._inputs.door_open():
             raise GrblError(errors.CHECK_DOOR)
@@ -272,7 +274,7 @@ class Commands:
         self._motor_control.reset()
 
     def forget(self) -> None:
-        """Startup lines and build info away."""
+        """Clear startup lines and build info."""
         self._startup = [""] * STARTUP_LINES
         self._keep_startup()
         self._store.save(_BUILD_INFO, [""])
@@ -291,7 +293,7 @@ class Commands:
             raise GrblError(errors.INVALID_STATEMENT)
         kept = line[at + 1 : length + 1]
         self._state.hooks.execute(kept, length - at - 1)
-        self._canon.synchronise()  # memory is written at rest
+        self._canon.synchronise()  # flash is written while idle
         index = truncate(number)
         if 0 <= index < STARTUP_LINES:
             self._startup[index] = text_of(kept[: length - at - 1])
@@ -308,5 +310,5 @@ class Commands:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 0 or number > _HIGHEST_SETTING:
             raise GrblError(errors.INVALID_STATEMENT)
-        self._canon.synchronise()  # what is planned was planned with what holds now
+        self._canon.synchronise()  # blocks were planned with the old settings
         self._settings.set(int(number), value)

@@ -1,4 +1,4 @@
-"""The machine as a whole: where it is, what its settings mean to its parts, and its life."""
+"""The machine as a whole: position, settings, power-up, reset."""
 
 from array import array
 
@@ -9,7 +9,7 @@ from control import spindle as sp
 from control.modes import RPM, SPINDLE
 from micropython import const
 
-# A save erases six sectors of flash at the most, each in 400 ms.
+# A save erases at most six sectors of flash, each in 400 ms.
 _FLASH_MS = const(2500)
 
 TYPE_CHECKING = const(False)
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class Controller:
-    """The machine, made by wiring.build(). motors: how many it has."""
+    """Hold all parts of the machine; wiring.build() makes it. motors: number of motors."""
 
     port: "Port"
     engine: "StepEngine"
@@ -71,7 +71,7 @@ class Controller:
     def __init__(self, motors: int) -> None:
         self._steps = array("i", (0 for _ in range(motors)))
 
-    # Positions: machine (steps really made) -> planner -> parser
+    # Positions: machine (steps executed) -> planner -> parser
 
     def position(self, mm: "array[float]") -> None:
         """Copy the machine position, in mm."""
@@ -79,7 +79,7 @@ class Controller:
         self.planner.to_mm(self._steps, mm)
 
     def resync(self) -> None:
-        """Plan and interpret from where the machine really is."""
+        """Set the planner's and the parser's position from the steps executed."""
         self.engine.position(self._steps)
         self.planner.sync_motors(self._steps)
         self.planner.to_mm(self._steps, self.modes.position)
@@ -87,7 +87,7 @@ class Controller:
     # Settings
 
     def configure(self) -> None:
-        """A setting has changed: tell those who work something out from it and from each other."""
+        """Pass a changed setting to the parts that derive values from it."""
         settings = self.settings
         engine = self.engine
         engine.configure(settings.step_pulse_us, settings.step_invert, settings.dir_invert)
@@ -98,7 +98,7 @@ class Controller:
             engine.max_step_hz(settings.step_pulse_us),
         )
         self.spindle.configure(settings, self.planner.table)
-        # Of all of them, a reset does the rest.
+        # These depend on the setting that changed; a reset applies the rest.
         if settings.changed == 21:
             self.port.enable_limits(bool(settings.hard_limits))
         if settings.changed in (30, 31):
@@ -109,18 +109,19 @@ class Controller:
     # Life
 
     def power_up(self) -> None:
-        """Take in what is kept, and hear of what comes. Then protocol.run() is its life."""
+        """Load the stored data and attach the interrupt handlers. Then protocol.run() takes
+        over."""
         self.engine.attach(
             self.state.hooks.next_segment, self.spindle.set_power, self.spindle.on_motion_end
         )
         whole = self._loads(self.settings.load)
         if not whole:
-            # As Grbl with an erased memory: say so, show what holds now.
+            # As Grbl does with erased memory: report it and print the settings in force.
             self.report.error(errors.SETTING_READ_FAIL)
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
-        if whole and self.saves.damaged:  # the banner says what
+        if whole and self.saves.damaged:  # the banner says which
             self.report.error(errors.SETTING_READ_FAIL)
         self.port.attach(self.motor_control)
         if self.settings.homing:
@@ -128,33 +129,33 @@ class Controller:
         self.motor_control.power(True)
 
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
-        """Read something that is kept, or begin to keep it."""
+        """Load stored data; write the defaults at once if there is none."""
         whole = load()
         self.save_due()
         return whole
 
     def at_rest(self) -> bool:
-        """Nothing moves or is going to."""
+        """Return whether nothing moves and no extra is about to move."""
         for is_busy in self.state.hooks.is_busy:
             if is_busy():
                 return False
         return self.stands()
 
     def stands(self) -> bool:
-        """As at_rest(), but for what extras are going to do."""
+        """Return whether nothing moves or is planned, extras not asked."""
         return self.state.run in (st.IDLE, st.ALARM) and self.planner.empty()
 
     def welcome(self) -> None:
-        """A sender has opened the port anew. Greet it in motion, too: some senders reset a machine
-        that says nothing. What extras put around the banner is of resets, and is left out."""
+        """Greet a sender that has opened the port anew, also during motion: some senders reset a
+        machine that says nothing. The reset hooks of extras run only at rest."""
         if self.at_rest():
             self._banner()
         else:
             self.report.banner()
 
     def _banner(self) -> None:
-        """Greet. What could not be read is reported each time, until the power goes: at power-up
-        a sender may not have opened the port yet."""
+        """Print the banner and run the reset hooks. Damaged data is reported each time until
+        power-off, because at power-up no sender may have opened the port yet."""
         self.report.banner()
         call_all(self.state.hooks.reset)
         for name, has_older in self.saves.damaged.items():
@@ -163,11 +164,12 @@ class Controller:
     def around_saves(
         self, allow: "Callable[[int], None]", written: "Callable[[], None] | None"
     ) -> "tuple[Callable[[], None], Callable[[], None]]":
-        """What to do before and after flash is written, which keeps all interrupts off.
+        """Return the functions to call before and after a flash write, which blocks all
+        interrupts.
 
-        The machine is at rest then. A spindle goes on; a laser that M3 has switched on would burn
-        for longer than the program says, and is off so long. allow: the supervisor's; written:
-        the engine wants to hear of it.
+        The machine is idle then. A spindle keeps turning. A laser that M3 has switched on would
+        burn longer than the program says, so it is off during the write. allow: the supervisor's;
+        written: notifies the engine, if it needs that.
         """
         lit = False
         state, spindle, modes = self.state, self.spindle, self.modes
@@ -189,14 +191,16 @@ class Controller:
         return before, after
 
     def restart(self) -> None:
-        """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
+        """Reset the machine, greet, and run the startup lines. Raises Abort if another reset
+        comes."""
         self._reset()
         self.motor_control.wait_idle_delay()
-        self.save_due()  # what a reset has cut short
+        self.save_due()  # saves that the reset cut short
         self._greet()
 
     def save_due(self) -> None:
-        """Write what is due, at rest. What cannot be kept is as it has to be, until power off."""
+        """Write pending saves; the machine is idle. Data that cannot be written stays valid until
+        power-off."""
         try:
             self.saves.write_due()
         except OSError:
@@ -227,7 +231,7 @@ class Controller:
     def _greet(self) -> None:
         state = self.state
         self._banner()
-        if self.settings.is_new:  # no error: senders stop at it
+        if self.settings.is_new:  # a message, not an error: senders stop at errors
             self.settings.is_new = False
             self.report.message(errors.MSG_FIRST_START)
         if self.settings.hard_limits and self.inputs.limits():

@@ -1,10 +1,10 @@
 # mypy: disable-error-code=arg-type
-"""Digits: numbers as Grbl prints them, single precision all the way, and texts made of them.
+"""Digits: print numbers as Grbl does, in single precision, and build texts from forms.
 
-A number is multiplied by 100 and 10 until its decimals are whole, a half is added, and the
-fraction dropped; each result is rounded to single precision, which shows in the last digit. In
-integers, and into a buffer that is there already, a status report costs a quarter of what it costs
-in floats and strings, and no memory.
+A number is multiplied by 100 and 10 until its decimals are whole; then 0.5 is added and the
+fraction dropped. Each result is rounded to single precision, as Grbl's is, which shows in the last
+digit. With integers and an existing buffer a status report costs a quarter of the time that floats
+and strings take, and allocates nothing.
 """
 
 from array import array
@@ -13,19 +13,20 @@ import micropython
 from base.text import text_of
 from micropython import const
 
-# What write() is told, and tells.
-END = const(0)  # where the text ends so far
-VALUES = const(1)  # whole numbers and masks, in the order in which a form asks for them
+# Places in `ints`, the integers of write().
+END = const(0)  # length of the text written so far
+VALUES = const(1)  # integers and masks, in the order in which the form uses them
 
 
 @micropython.viper
 def scaled(x: ptr32, at: int, decimals: int) -> int:
-    """The size of the float at x[at] times 10**decimals, to the nearest whole number.
+    """Return |x[at]| * 10**decimals, rounded to the nearest whole number; x holds singles.
 
-    -1 where that leaves 31 bits.
+    -1 if the result needs more than 31 bits. `number` is the mantissa, below 2**24, so `number *
+    100` fits 31 bits.
     """
-    exponent = ((x[at] >> 23) & 255) - 150
-    if exponent == 105:
+    exponent = ((x[at] >> 23) & 255) - 150  # |x| = number * 2**exponent
+    if exponent == 105:  # infinite, or not a number
         return -1
     number = (x[at] & 0x7FFFFF) | 0x800000
     while decimals > 0:
@@ -41,24 +42,25 @@ def scaled(x: ptr32, at: int, decimals: int) -> int:
         number >>= 1
         exponent += 1
     if exponent >= 0:
-        if exponent == 0:
+        if exponent == 0:  # adding 0.5 is a tie: to even
             number += number & 1
         return number << exponent if exponent < 8 else 0 - 1
     exponent = 0 - exponent
     if exponent > 25:
         return 0
-    number += 1 << (exponent - 1)
-    if number >> 24 and number & 3 == 3:
+    number += 1 << (exponent - 1)  # add 0.5
+    if number >> 24 and number & 3 == 3:  # 25 bits: round to 24, halves to even
         number += 1
     return number >> exponent
 
 
 @micropython.viper
 def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
-    """Put a form, which a 0 ends, behind what is in `out` already, with values in some places.
+    """Append a form, which a 0 ends, to the text in `out`, and fill in its placeholders. Returns
+    END.
 
-    %: the next of the VALUES. #3: the next single, with three decimals. ?P: a P, if the lowest
-    bit of the next of the VALUES is set; that is shifted, for the letter behind. Returns END.
+    %: the next of the VALUES. #3: the next single, with three decimals. ?P: a P if the lowest bit
+    of the next of the VALUES is set; the value is then shifted right, for the next letter.
     """
     end = ints[END]
     value = VALUES
@@ -66,6 +68,7 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
     i = 0
     c = form[0]
     while c:
+        # 35 is #, 37 is %, 63 is ?; any other byte is copied.
         if c > 63 or (c < 63 and c != 35 and c != 37):  # noqa: PLR1714 (a viper cannot ask `in`)
             out[end] = c
             end += 1
@@ -78,12 +81,12 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
                 i += 1
                 decimals = form[i] - 48
                 number = int(scaled(singles, single, decimals))
-                if ptr8(singles)[4 * single + 3] > 128:  # minus, but not minus nothing
+                if ptr8(singles)[4 * single + 3] > 128:  # negative, and not -0.0
                     out[end] = 45
                     end += 1
                 single += 1
-            # From the last digit on, with room for eleven more in front of it; then moved there.
-            # To divide takes the chip ten times as long as to multiply and shift.
+            # Written backwards from the last digit, at end + 12 at most, then moved to `end`. n *
+            # 26215 >> 18 is n // 10 up to 43689: a division takes the chip ten times as long.
             at = end + 12
             c = at
             while number or decimals >= 0:
@@ -121,7 +124,7 @@ _single = array("f", (0.0,))
 
 
 def number(x: float, decimals: int) -> str:
-    """X with so many decimals (0, 1, 3 or 4)."""
+    """Return x as text with so many decimals (0, 1, 3 or 4)."""
     _end[END] = 0
     _single[0] = x
     end = write(b"#%d\0" % decimals, _out, _end, _single)

@@ -1,7 +1,7 @@
 # mypy: disable-error-code="arg-type, call-overload, has-type, misc"
-"""Fields: what nearly every status report is made of, in two kernels.
+"""Fields: the parts that nearly every status report has, written by two kernels.
 
-To ask each object for its part and to write it by itself takes a Pico a millisecond.
+Asking each object for its value and writing each field by itself takes a Pico 1 ms.
 """
 
 import micropython
@@ -14,14 +14,18 @@ from motion.minifloat import per_minute, ratio
 from talk.digits import END, VALUES, write
 from talk.lines import free_space
 
-# States in which there is a feed rate.
+# States that have a feed rate.
 MOVING = const(HOMING | RUN | HOLD | JOG | DOOR)
 
 
 @micropython.viper
 def begin(name: ptr8, memory: object) -> int:
-    """A report begins, with the name of a state; and machine position in mm, not written yet.
-    memory: text, integers, singles, axes, steps, planner's table, where in it steps per mm are."""
+    """Begin a report: write the name of the state, and compute machine position in mm, without
+    writing it.
+
+    memory: text, integers, singles, axes, steps, the planner's table, and the index in it of steps
+    per mm.
+    """
     out, ints, mm, axes, steps, table, at = memory
     ptr32(ints)[END] = 0
     write(name, ptr8(out), ptr32(ints), ptr32(mm))
@@ -31,10 +35,13 @@ def begin(name: ptr8, memory: object) -> int:
 
 @micropython.viper
 def write_common(name: ptr8, memory: object, spindle: ptr32, state: int) -> int:
-    """A whole report: state, machine position, room in buffers, and speeds, as the form has them.
-    Returns its length. memory: the form, begin()'s, text, integers, singles with room for the
-    spindle's speed behind the axes, axes, the planner's flow and ring, LineReader's own, and
-    whether the form asks for room."""
+    """Write a whole report: state, machine position, free space in buffers, and speeds, as the
+    form has them. Returns its length.
+
+    memory: the form, begin()'s memory, text, integers, singles (after the axes comes the spindle
+    speed), axes, the planner's flow and ring, LineReader's state, and whether the form has free
+    space.
+    """
     form, begun, out, ints, mm, axes, flow, ring, reader, buffers = memory
     begin(name, begun)
     return int(
@@ -68,6 +75,8 @@ def _speeds(
     spindle: ptr32,
     state: int,
 ) -> int:
+    """Fill in free blocks, free bytes, feed rate (mm/min) and spindle speed; then write the
+    form."""
     value = VALUES
     if buffers:
         free = flow[TAIL] - flow[HEAD] - 1

@@ -1,8 +1,8 @@
-"""Lines: received bytes become clean lines; real-time bytes are taken off first.
+"""Lines: turn received bytes into clean lines; real-time bytes are removed first.
 
-A real-time byte acts wherever it stands, in the middle of a line or of a
-comment. Everything else waits in a ring, whose free space is what senders
-that count characters rely on, until the main loop asks for a line.
+A real-time byte acts wherever it stands, also inside a line or a comment. All other bytes wait in
+a ring until the main loop asks for a line. Senders that count characters rely on the ring's free
+space.
 """
 
 from array import array
@@ -14,26 +14,26 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# What clean() found: below the length of the line, times 4.
+# What clean() found, in the lowest two bits; the length of the line is above them.
 NOTHING = const(0)
 LINE = const(1)
 TOO_LONG = const(2)
 
-# Where the reader is.
-_SIZE = const(0)  # of the ring
+# The reader's state, by index.
+_SIZE = const(0)  # size of the ring
 HEAD = const(1)
 TAIL = const(2)
-LENGTH = const(3)  # of the line so far
+LENGTH = const(3)  # length of the line so far
 _LONGEST = const(4)
 _TOO_MUCH = const(5)
-SKIPPING = const(6)  # mask:
+SKIPPING = const(6)  # a mask:
 _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
-COMPLETE = const(8)  # the line has been found: the next one begins
-_ADVERTISED = const(7)  # bytes that a sender may have sent without an answer
+COMPLETE = const(8)  # the line is complete: the next call begins another
+_ADVERTISED = const(7)  # bytes that a sender may have sent and not had answered
 
-# Kinds of bytes.
+# Kinds of bytes, by value.
 _AS_IT_IS = const(0)
 REALTIME = const(1)
 END = const(2)
@@ -41,14 +41,18 @@ _NOTHING = const(3)
 _COMMENT = const(4)
 _LOWER_CASE = const(5)
 
-# What a reader is told: the first of the upper real-time bytes, one more of them, and what is
-# to become of the rest of a line too long: _OVERFLOW skips it, 0 makes it a line of its own.
+# LineReader's `reads`: the first of the upper real-time bytes; one more real-time byte; and what
+# to do with the rest of a line that is too long: _OVERFLOW skips it, 0 makes it a line of its own.
 READS = (0x80, 0x84, _OVERFLOW)
 
 
 @micropython.viper
 def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
-    """Go on with the line: upper case, no spaces, comments, control characters, slashes."""
+    """Continue the line from the ring: make letters upper case; drop spaces, control characters,
+    slashes and comments.
+
+    at: the reader's state. Returns NOTHING, or length << 2 | LINE or TOO_LONG.
+    """
     tail = at[TAIL]
     head = at[HEAD]
     size = at[_SIZE]
@@ -71,13 +75,13 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
         elif kind == END:
             found = TOO_LONG if skipping & _OVERFLOW else LINE
         elif skipping:
-            if c == 41 and skipping & _IN_PARENTHESES:
+            if c == 41 and skipping & _IN_PARENTHESES:  # )
                 skipping &= ~_IN_PARENTHESES
                 room = 0 if skipping else at[_LONGEST]
         elif kind == _NOTHING:
             pass
         elif kind == _COMMENT:
-            skipping = _IN_PARENTHESES if c == 40 else _AFTER_SEMICOLON
+            skipping = _IN_PARENTHESES if c == 40 else _AFTER_SEMICOLON  # ( or ;
             room = 0
         elif length < room:
             line[length] = c - 32
@@ -96,7 +100,7 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
 
 @micropython.viper
 def free_space(at: ptr32) -> int:
-    """Bytes that may still be sent."""
+    """Return how many bytes a sender may still send."""
     used = at[HEAD] - at[TAIL]
     if used < 0:
         used += at[_SIZE]
@@ -105,14 +109,14 @@ def free_space(at: ptr32) -> int:
 
 @micropython.viper
 def has_bytes(at: ptr32) -> int:
-    """Whether there are bytes in the ring."""
+    """Return whether the ring holds bytes."""
     return 1 if at[HEAD] != at[TAIL] else 0
 
 
 @micropython.viper
 def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
-    """Move received bytes into the ring; post is called with those that are real-time. Bytes that
-    find no room are lost."""
+    """Move received bytes into the ring; call post with each real-time byte. Bytes that do not fit
+    are lost."""
     head = at[HEAD]
     tail = at[TAIL]
     size = at[_SIZE]
@@ -133,7 +137,8 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
 
 
 def _make_kinds(first: int, extra: int) -> bytearray:
-    """What to do with each byte. Real-time bytes: from first on, and extra, besides the usual."""
+    """Return the kind of each byte value. Real-time bytes: those from `first` on, and `extra`, in
+    addition to the common ones."""
     kinds = bytearray(bytes([_NOTHING]) * 33 + bytes(223))
     kinds[97:123] = bytes([_LOWER_CASE]) * 26
     for chars, kind in (
@@ -150,10 +155,11 @@ def _make_kinds(first: int, extra: int) -> bytearray:
 
 
 class LineReader:
-    """The ring and the line being put together. size: bytes that a sender may have under way;
-    longest: of a line; more: bytes that the ring holds besides, for senders that miscount.
+    """The ring and the line being read. size: bytes that a sender may have under way; longest: of
+    a line; more: bytes that the ring holds in addition, for senders that miscount.
 
-    clean(*memory()) goes on with the line: length * 4 + LINE once it is complete, followed by a 0.
+    clean(*memory()) continues the line. It returns length * 4 + LINE once the line is complete; a
+    0 follows the line.
     """
 
     def __init__(
@@ -171,28 +177,28 @@ class LineReader:
         self._kinds = _make_kinds(reads[0], reads[1])
 
     def memory(self) -> "tuple[bytearray, array[int], bytearray, bytearray]":
-        """What clean() works on: the ring, where the reader is, the line, and kinds of bytes."""
+        """Return the arguments of clean(): ring, reader's state, line, kinds of bytes."""
         return self._ring, self._at, self.line, self._kinds
 
     def feed(self, data: bytearray, count: int) -> None:
-        """Accept received bytes. Those that do not fit are lost: the sender has miscounted."""
+        """Accept received bytes. Bytes that do not fit are lost: the sender has miscounted."""
         feed(data, count, self._ring, self._at, self._kinds, self.post)
 
     def free(self) -> int:
-        """Bytes that may still be sent."""
+        """Return how many bytes a sender may still send."""
         return free_space(self._at)
 
     def waiting(self) -> bool:
-        """Bytes have come that clean() has not seen."""
+        """Return whether the ring holds bytes that clean() has not read."""
         return self._at[HEAD] != self._at[TAIL]
 
     def has_line(self) -> bool:
-        """A line has been found, or is on its way: clean() has not come to an empty ring since."""
+        """Return whether a line is complete or begun, or bytes wait in the ring."""
         at = self._at
         return at[HEAD] != at[TAIL] or at[LENGTH] > 0 or at[SKIPPING] > 0
 
     def clear(self) -> None:
-        """Forget everything received, the line in progress too."""
+        """Drop everything received, also the line in progress."""
         self._at[TAIL] = self._at[HEAD]
         self._at[LENGTH] = 0
         self._at[SKIPPING] = 0

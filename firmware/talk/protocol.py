@@ -1,8 +1,8 @@
-"""Protocol: the loop. Bytes in, a line out to the interpreter or commands, "ok" or "error:n" back.
+"""Protocol: the main loop. It reads bytes, hands each line to the interpreter or to commands, and
+answers "ok" or "error:n".
 
-pump() reads the link and takes real-time bytes off; it decides nothing.
-service() is pump() and what realtime then has to do: the only place where
-code waits.
+pump() reads the link and removes real-time bytes; it decides nothing. service() is pump() plus the
+handling of real-time events: the only place where code waits.
 """
 
 from base import errors
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 _LOCKED = const(st.ALARM | st.JOG)
 _DOLLAR = const(36)
-_IN_PYTHON = const(2)  # a line that Python does takes as long as so many more
-_DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
+_IN_PYTHON = const(2)  # a line executed in Python counts as so many lines of the kernel
+_DEAF_MS = const(500)  # nothing is answered for so long after an alarm
 
 
 class Protocol:
-    """The loop and its buffer. restart: makes the machine ready for lines, and greets."""
+    """The main loop and its buffer. restart: prepares the machine for lines, and greets."""
 
     def __init__(self, machine: "Machine", link: "Link", echoes: bool) -> None:
         self._state = machine.state
@@ -40,23 +40,24 @@ class Protocol:
         self._interpreter = machine.interpreter
         self._canon = machine.canon
         self._echoes = echoes
-        # Much at once, for a ? is not to wait behind lines; a line longer than the ring passes.
+        # Read much at once, so that a ? does not wait after lines. A line longer than the ring
+        # passes through in parts.
         self._buffer = bytearray(machine.reader.free() // 2)
         self._feed = machine.reader.feed
-        # Others may put themselves here before run().
+        # Extras may replace these before run().
         self.restart = machine.restart
         self.link = link
         self.read_into = link.read_into
 
     def pump(self) -> None:
-        """Take in what has arrived."""
+        """Read the bytes received and queue them."""
         count = self.read_into(self._buffer)
         if count:
             self._feed(self._buffer, count)
 
     def service(self) -> None:
-        """One turn of whoever waits. Raises Abort after a reset."""
-        count = self.read_into(self._buffer)  # as pump() does, without its frame
+        """Handle real-time events once while waiting. Raises Abort after a reset."""
+        count = self.read_into(self._buffer)  # pump() inlined: it saves a stack frame
         if count:
             self._feed(self._buffer, count)
         self._realtime.handle_events()
@@ -64,10 +65,12 @@ class Protocol:
             self._realtime.wait_suspended()
 
     def run(self) -> None:
-        """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
+        """Execute lines for ever; a reset restarts the loop. The stack is short, so calls are
+        inlined here."""
         reader, state, pending = self._reader, self._state, self._state.pending
         interpreter, write, due = self._interpreter, self.link.write, self._saves.due
-        # Once, for it is a new object each time; here, for an extra may have put another there.
+        # Looked up once, because a bound method is a new object each time; and only here, because
+        # an extra may have replaced it.
         self._interpret = state.hooks.execute
         interpreter.line = line = reader.line
         needed = kernel_args(reader, interpreter, self.link, self._buffer)
@@ -76,7 +79,7 @@ class Protocol:
         echoes = self._echoes
         while True:
             try:
-                if self._motor_control.by_pin:  # what is unread was sent before the reset
+                if self._motor_control.by_pin:  # unread bytes were sent before the reset
                     self._motor_control.by_pin = False
                     self.link.discard()
                 self.restart()
@@ -89,21 +92,23 @@ class Protocol:
                             self.pump()
                     else:
                         found = run_lines(pending, needed)
-                    # Everybody has a turn, if not at each line: a $ may ask for what comes of it.
+                    # Events and hooks are handled here, not at each line; always before a $ line,
+                    # which may ask about their effect.
                     counts[LINES_LEFT] -= _IN_PYTHON
                     waits = pending[st.ANY] or state.suspend or counts[LINES_LEFT] <= 0
                     if waits or found & LINE == 0 or line[0] == _DOLLAR:
                         counts[LINES_LEFT] = LINES
-                        # A ? comes first, once: it would wait for motion to be prepared.
+                        # Answer a ? before auto_start(), but not twice in a row: preparing motion
+                        # would delay the answer.
                         asked = pending[st.STATUS_REPORT] and not asked
                         if found == NOTHING and not asked and not reader.waiting():
                             self._canon.auto_start()
                         self._realtime.run()
                         if found == NOTHING:
-                            if pending[st.ANY]:  # whoever asks for every turn
+                            if pending[st.ANY]:  # something posts an event in every turn
                                 self.pump()
                             continue
-                        counts[ASKED] = 0  # what has been posted may have changed what it means
+                        counts[ASKED] = 0  # the event may have changed the check
                     if found & LINE == 0:
                         state.hooks.refuse(errors.OVERFLOW)
                         continue
@@ -122,7 +127,7 @@ class Protocol:
                 self._report_alarm()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
-        """Execute one line and answer it. before: what the answer begins with."""
+        """Execute one line and answer it. before: text in front of the answer."""
         try:
             self._find_command(line, length)(line, length)
             if self._saves.due:
@@ -136,13 +141,14 @@ class Protocol:
             self.link.write(OK)
 
     def _save(self) -> None:
-        """Write what the line has changed, at rest: it may have moved itself."""
+        """Write what the line has changed, once motion has ended: the line may have started
+        motion."""
         if self._state.run & st.UNDER_WAY:
             self._canon.synchronise()
         self._saves.write_due()
 
     def _find_command(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
-        """Who is to execute the line. Raises GrblError where nobody is."""
+        """Return the function that executes the line. Raises GrblError if the line is refused."""
         if self._echoes:
             self._report.echo(bytes(line[:length]))
         if length == 0:
@@ -154,7 +160,7 @@ class Protocol:
         return self._interpret
 
     def _report_alarm(self) -> None:
-        """Say that there is an alarm, if there is one: here, for the stack is nearly empty."""
+        """Report a pending alarm. Done here because the stack is nearly empty here."""
         state, report, drive = self._state, self._report, self._motor_control
         code = state.alarm
         if code == 0:
@@ -163,7 +169,7 @@ class Protocol:
         state.hooks.alarm(code)
         drive.wait_unanswered(_DEAF_MS)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
-            # Nothing but a reset is heard: the user is to look at the machine first.
+            # Only a reset is accepted: the user must look at the machine first.
             report.message(errors.MSG_CRITICAL_EVENT)
             state.pending[st.RESET] = 0
             while not state.pending[st.RESET]:
@@ -175,10 +181,10 @@ class Protocol:
             after()
 
     def _refuse(self, reason: Exception, before: bytes) -> None:
-        """Answer a line that has not come to its end."""
+        """Answer a line that raised an exception."""
         self._report_alarm()
         if isinstance(reason, OSError):
-            self._report.message(errors.MSG_NOT_KEPT)  # it holds until the power goes
+            self._report.message(errors.MSG_NOT_KEPT)  # the change is valid until power-off
         if before:
             self.link.write(before)
         if isinstance(reason, GrblError):
@@ -191,4 +197,4 @@ class Protocol:
 
 
 def _pass_over(_line: bytearray, _length: int) -> None:
-    """An empty line."""
+    """Accept an empty line."""

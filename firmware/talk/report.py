@@ -1,8 +1,7 @@
-"""Reports: every byte that leaves the machine as text.
+"""Reports: all text that the machine sends.
 
-Formats are Grbl 1.1h's to the byte. Answers are constant bytes; a status
-report, which is asked for while the machine moves, is written into a buffer
-of its own and takes no memory.
+Formats are those of Grbl 1.1h, byte for byte. Answers are constant bytes. A status report, which
+is requested during motion, is written into a buffer of its own and allocates nothing.
 """
 
 from array import array
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
     from control.coords import Coords
     from interfaces import Link, Machine
 
-# Date of this firmware's behaviour, in Grbl's place for it, and who we are. Senders look for
-# "Grbl" here, and must not find another firmware's name.
+# Date of this firmware's behaviour, in the place of Grbl's build date. Senders look for "Grbl"
+# here and must not find another firmware's name.
 VERSION = "1.1h"
 BUILD = "20261121"
 
@@ -50,24 +49,25 @@ _STATES = {
 }
 _REPORT_MPOS = const(1)
 _REPORT_BUFFERS = const(2)
-# Reports from one showing of WCO: or Ov: to the next, at rest and in motion.
+# Status reports from one WCO: or Ov: field to the next, while idle and during motion.
 _WCO_IDLE = const(10)
 _WCO_BUSY = const(30)
 _OVERRIDE_IDLE = const(10)
 _OVERRIDE_BUSY = const(20)
-# A status report, and 12 bytes for write(): what is of no axis, and per axis place and offset.
+# Bytes of a status report: the fields that do not depend on axes, with 12 bytes of scratch for
+# write(); and per axis a position and an offset.
 _LONGEST = const(112)
 _PER_AXIS = const(26)
-_VALUES = const(3)  # at once, in a form
+_VALUES = const(3)  # integers in one form, at most
 
 
 class Report:
-    """Puts words to what the others know, and writes it to the link.
+    """Format the state of other objects as text and write it to the link.
 
-    An extra may have another speak in its place: Options.report.
+    An extra may replace this class: Options.report.
     """
 
-    # Who we are, in the answer to $I; senders look for this word.
+    # Name of the firmware in the answer to $I; senders look for this word.
     identity = "Grbl"
 
     def __init__(
@@ -86,25 +86,25 @@ class Report:
         self._coords = coords
         self._axes = axes
         self._line_numbers = line_numbers
-        # A status report, and what it is made of.
+        # The status report, and the values it is made of.
         self._text = bytearray(_LONGEST + _PER_AXIS * axes)
-        self._sent = 0  # the length of the last one, and its piece of the buffer
+        self._sent = 0  # length of the last report, and its slice of the buffer
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
-        self._mm = vector(axes + 1)  # and the spindle's speed
-        self._shown = vector(axes + 1)  # what is worked out to be written
-        self.turning = 0  # a mask of axes in degrees: they are no lengths
+        self._mm = vector(axes + 1)  # and the spindle speed
+        self._shown = vector(axes + 1)  # scratch: values converted for a report
+        self.turning = 0  # mask of axes in degrees, which are not converted to inches
 
     def connect(self, machine: "Machine") -> None:
-        """Take whom a status report is to ask; all of the machine is there now."""
+        """Store the objects that a status report reads. Called once all of the machine exists."""
         self._planner = machine.planner
         self._segments = machine.segments
         self._inputs = machine.inputs
         self._spindle = machine.spindle
         self._coolant = machine.coolant
-        self._reader = machine.reader.memory()[1]  # where it is in its ring
+        self._reader = machine.reader.memory()[1]  # the reader's indices into its ring
         self._steps = array("i", bytes(4 * machine.planner.motors))
-        # What begin() and usual() work on; to look each up costs 5 us.
+        # Arguments of begin() and write_common(); each look-up of an attribute costs 5 us.
         self._written = self._text, self._ints, self._mm, self._axes
         resolution = LIMITS + RESOLUTION * self._axes
         self._begun = self._written + (self._steps, machine.planner.table, resolution)
@@ -112,7 +112,7 @@ class Report:
         self._kinematics = machine.planner.kinematics
 
     def configure(self) -> None:
-        """Take over $10 and $13: forms of digits.write(), which end with a 0."""
+        """Apply $10 and $13: build the forms for digits.write(), each ended by a 0."""
         settings = self._settings
         self._form = (b",#3" * self._axes)[1:] + b"\0"
         self._speed_form = b"|FS:#0,#0\0"
@@ -124,7 +124,7 @@ class Report:
         if settings.report_mask & _REPORT_BUFFERS:
             self._place_form = self._place_form[:-1] + b"|Bf:%,%\0"
         self._is_laser = settings.laser_mode
-        # All of it in one kernel, where nothing else is to be told.
+        # The common report is written by one kernel, if it needs no other field.
         form = self._place_form[:-1] + b"|FS:%,#0>\r\n\0"
         planner, buffers = self._planner, settings.report_mask & _REPORT_BUFFERS
         asked = planner.flow, planner.ring, self._reader, buffers
@@ -135,58 +135,58 @@ class Report:
     # Answers
 
     def error(self, code: int) -> None:
-        """The line was refused."""
+        """Send error:n."""
         self._link.write(_ERROR % code)
 
     def alarm(self, code: int) -> None:
-        """The machine had to stop."""
+        """Send ALARM:n."""
         self._link.write(b"ALARM:%d\r\n" % code)
 
     def message(self, text: str) -> None:
-        """Something a person should know."""
+        """Send [MSG:...], a text for the user."""
         self._link.write(("[MSG:" + text + "]\r\n").encode())
 
     def banner(self) -> None:
-        """The machine has started."""
+        """Send the banner of power-up and reset."""
         self._link.write(_BANNER)
 
     def help(self) -> None:
-        """The answer to $."""
+        """Answer $."""
         self._link.write(_HELP)
 
     def echo(self, line: bytes) -> None:
-        """The line as it was understood."""
+        """Send the line as the parser reads it."""
         self._link.write(b"[echo: " + line + b"]\r\n")
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """One line of $$."""
+        """Send one line of $$."""
         self._line("$%d=%s" % (key, number(value, decimals)))
 
     def startup_line(self, index: int, text: str) -> None:
-        """One line of $N."""
+        """Send one line of $N."""
         self._line("$N%d=%s" % (index, text))
 
     def startup_run(self, text: str) -> bytes:
-        """A startup line is about to be executed; returns what its answer begins with."""
+        """Return the text in front of the answer to a startup line."""
         return (">" + text + ":").encode()
 
     def startup_lost(self) -> None:
-        """Nothing valid is kept in the place of a startup line."""
+        """Report a startup line whose stored text is invalid."""
         self._link.write(self.startup_run(""))
         self.error(errors.SETTING_READ_FAIL)
 
     def build_info(self, info: str, options: str) -> None:
-        """The answer to $I."""
+        """Answer $I."""
         name = self.identity + " " + info if info else self.identity
         self._line("[VER:%s.%s:%s]" % (VERSION, BUILD, name))
         self._line("[OPT:" + options + "]")
 
     def modes(self, text: str) -> None:
-        """The answer to $G."""
+        """Answer $G."""
         self._line("[GC:" + text + "]")
 
     def offsets(self, probe: "array[float]") -> None:
-        """The answer to $#: every offset and the last probe."""
+        """Answer $#: all offsets and the last probe."""
         coords = self._coords
         for i in range(len(coords.systems)):
             self._line("[%s:%s]" % (NAMES[i], self.vector(coords.systems[i])))
@@ -195,14 +195,14 @@ class Report:
         self.probe(probe)
 
     def probe(self, probe: "array[float]") -> None:
-        """Where the probe touched last, and whether it did."""
+        """Send the position of the last probe contact, and whether the probe succeeded."""
         succeeded = 1 if self._state.probe_succeeded else 0
         self._line("[PRB:%s:%d]" % (self.vector(probe), succeeded))
 
     # Parts
 
     def vector(self, mm: "array[float]") -> str:
-        """Axis values in the units of reports."""
+        """Return axis values as text, in the units of reports."""
         self._ints[END] = 0
         self._lengths(b"\0", mm)
         return text_of(self._text[: self._ints[END]])
@@ -213,13 +213,13 @@ class Report:
         return number(mm, 3)
 
     def rate(self, mm_min: float) -> str:
-        """A feed rate in the units of reports."""
+        """Return a feed rate as text, in the units of reports."""
         if self._settings.report_inches:
             return number(f32(mm_min * INCH_PER_MM), 1)
         return number(mm_min, 0)
 
     def speed(self, rpm: float) -> str:
-        """A spindle speed."""
+        """Return a spindle speed as text."""
         return number(rpm, 0)
 
     def _line(self, text: str) -> None:
@@ -228,7 +228,7 @@ class Report:
     # The status report
 
     def status(self) -> "memoryview":
-        """The answer to ?, to be sent before there is another."""
+        """Return the answer to ?. The buffer is reused: send it before the next call."""
         state = self._state
         self._count(self._steps)
         if self._kinematics:
@@ -243,16 +243,16 @@ class Report:
             spindle = self._beam() if self._is_laser and state.run & MOVING else state.spindle
             end = write_common(name, self._usual, spindle, state.run)
         if end != self._sent:
-            # A piece of a buffer is an object; most reports are as long as the last one.
+            # A slice allocates an object; most reports are as long as the last one.
             self._sent = end
             self._piece = memoryview(self._text)[:end]
         return self._piece
 
-    # Its parts. Each call of one takes 40 us of the board's time.
+    # Its parts. Each call costs 40 us.
 
     def _long(self, name: bytes, closed: int) -> int:
-        """A report that says more than most, or all in other units. Returns its length. closed:
-        inputs."""
+        """Write a report with rare fields, or in inches. Returns its length. closed: mask of
+        active inputs."""
         begin(name, self._begun)
         text, ints, mm = self._text, self._ints, self._mm
         self._fields(text, ints, mm, closed)
@@ -261,7 +261,8 @@ class Report:
     def _fields(
         self, text: bytearray, ints: "array[int]", mm: "array[float]", closed: int
     ) -> None:
-        """All behind the state. mm: machine position, not written yet; closed: inputs."""
+        """Write all fields after the state. mm: machine position, not written yet; closed: mask of
+        active inputs."""
         state, planner, settings = self._state, self._planner, self._settings
         mask, inches, moves = settings.report_mask, settings.report_inches, state.run & MOVING
         if not mask & _REPORT_MPOS:
@@ -285,10 +286,10 @@ class Report:
             self._extras(text, ints)
 
     def _speeds(self, text: bytearray, ints: "array[int]", moves: int, inches: int) -> None:
-        """Feed rate and spindle speed."""
+        """Write feed rate and spindle speed."""
         shown, rate = self._shown, self._segments.rate() if moves else 0
         spindle = self._beam() if moves and self._is_laser else self._state.spindle
-        copy(spindle, shown, 2)  # RPM is behind the place of the feed rate
+        copy(spindle, shown, 2)  # index 0 is the feed rate, index 1 RPM
         if inches:
             shown[0] = minifloat.value(rate) * 60 * INCH_PER_MM
         else:
@@ -296,7 +297,8 @@ class Report:
         write(self._speed_form, text, ints, shown)
 
     def _beam(self) -> "array[float]":
-        """What tells the speed of a laser in motion: that of the block that is being made."""
+        """Return the array with the spindle speed to report for a laser in motion: that of the
+        block that segments are made of."""
         state, rpm = self._state, self._segments.beam_rpm()
         spindle = state.spindle
         if rpm is None or state.suspend & st.HOLD_COMPLETE:
@@ -305,7 +307,7 @@ class Report:
         return self._shown
 
     def _lengths(self, name: bytes, mm: "array[float]") -> None:
-        """Axis values."""
+        """Write a field of axis values."""
         text, ints = self._text, self._ints
         write(name, text, ints, mm)
         if self._settings.report_inches:
@@ -313,16 +315,17 @@ class Report:
         write(self._form, text, ints, mm)
 
     def in_inches(self, mm: "array[float]") -> "array[float]":
-        """Places in inches, of which there is one array."""
+        """Convert axis values to inches. Returns the one scratch array, which the next call
+        overwrites."""
         for i in range(self._axes):
             self._shown[i] = mm[i] if self.turning >> i & 1 else mm[i] * INCH_PER_MM
         return self._shown
 
     def _suspended(self) -> bytes:
-        """The name of a state that is none of _STATES."""
+        """Return the name of a state that is not in _STATES: Hold or Door, with its phase."""
         state = self._state
         if state.run == st.HOLD:
-            # A jog being cancelled goes on as one.
+            # A jog that is being cancelled stays in the state Jog.
             return b"<Hold:0\0" if state.suspend & st.HOLD_COMPLETE else b"<Hold:1\0"
         self._ints[VALUES] = self._door_phase()
         return b"<Door:%\0"
@@ -336,7 +339,7 @@ class Report:
         return 2
 
     def _work_offset(self) -> "array[float]":
-        """What machine position has more than work position."""
+        """Return machine position minus work position, per axis."""
         coords, offset = self._coords, self._shown
         copy(coords.zero(coords.active), offset, self._axes)
         if coords.length_axis < self._axes:
@@ -344,7 +347,7 @@ class Report:
         return offset
 
     def _extras(self, text: bytearray, ints: "array[int]") -> None:
-        """WCO: now and then, Ov: and A: now and then but not with it."""
+        """Write WCO: now and then; Ov: and A: now and then, but not together with WCO:."""
         state = self._state
         busy = state.run & MOVING
         if state.wco_countdown > 0:

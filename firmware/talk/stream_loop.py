@@ -1,8 +1,8 @@
 # mypy: disable-error-code="arg-type, call-overload, has-type, misc, operator"
-"""Stream loop: runs move-only lines one after the other, in one call.
+"""Stream loop: executes move-only lines one after the other, in one call.
 
-From received bytes to blocks of the planner and their answers nothing is looked up by its name and
-no number is made an object. All other lines are the loop's (protocol.py).
+From received bytes to planner blocks and their answers, it looks up no name and allocates no
+object. All other lines are executed by the main loop (protocol.py).
 """
 
 import micropython
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
     from talk.lines import LineReader
 
-# Behind so many lines the loop has its turn, however many wait: motion is watched there, and
-# whoever has been put around it waits for that. An even number.
+# After so many lines the main loop runs, even if more lines wait: it monitors motion and runs the
+# hooks of extras. An even number.
 LINES = const(16)
-# Bytes that are read where there is not room for all that may come.
+# Bytes to read at once if the ring may not hold all that may arrive.
 _LONG = const(64)
 _SHORT = const(16)
 
@@ -34,7 +34,7 @@ _SHORT = const(16)
 def kernel_args(
     reader: "LineReader", interpreter: "Interpreter", link: "Link", buffer: bytearray
 ) -> "tuple[Any, ...]":
-    """What run_lines() is called with besides what is posted. buffer: for what is received."""
+    """Return the second argument of run_lines(). buffer: for received bytes."""
     long, short = bytearray(_LONG), bytearray(_SHORT)
     hears = link.read_into, reader.post, len(buffer), buffer, long, short
     modal, machine, memory = interpreter.memory()
@@ -43,11 +43,11 @@ def kernel_args(
 
 @micropython.viper
 def run_lines(pending: ptr8, needed: object) -> int:
-    """Do lines up to one that does more than move, or none, or until something is posted, or for
-    as long as the loop may wait. Returns what clean() has found at last, which is not done.
+    """Execute lines until one is not move-only or none is complete, an event is posted, or the
+    main loop is due. Returns the last result of clean(), whose line has not been executed.
 
-    Answers go out in twos, for to write takes as long as a third of a line: one is owed where an
-    odd number is left.
+    needed: kernel_args(). Answers are sent in pairs, because a write takes as long as a third of a
+    line: one is owed if an odd number is left.
     """
     ring, places, line, all_kinds, modes, machine, memory, write, one, both, hears = needed
     heard = ptr8(ring)
@@ -57,7 +57,7 @@ def run_lines(pending: ptr8, needed: object) -> int:
     modal = ptr32(modes)
     counts = ptr32(machine)
     left = counts[LINES_LEFT]
-    if int(has_bytes(at)):  # a ? is not to wait behind a line that is there
+    if int(has_bytes(at)):  # a ? must not wait for the line that is complete
         _receive(pending, hears, heard, at, kinds)
     while left > 0:
         found = int(clean(heard, at, text, kinds))
@@ -73,7 +73,7 @@ def run_lines(pending: ptr8, needed: object) -> int:
         else:
             if left & 1:
                 write(one)
-            left = (left - 1) & -2  # bytes without the end of a line count as one
+            left = (left - 1) & -2  # a part of a line counts as one line
             counts[LINES_LEFT] = left
             if found or pending[ANY] or int(_receive(pending, hears, heard, at, kinds)) == 0:
                 return found
@@ -82,9 +82,11 @@ def run_lines(pending: ptr8, needed: object) -> int:
 
 @micropython.viper
 def _receive(pending: ptr8, hears: object, heard: ptr8, at: ptr32, kinds: ptr8) -> int:
-    """Take in what has arrived, as much as fits: who counts nothing must not overrun the ring, and
-    a ? that has come behind lines is not to wait for them. Returns whether it is for us to go on
-    with."""
+    """Read the bytes received, as many as fit: a sender that does not count must not overrun the
+    ring, and a ? after lines must not wait for them.
+
+    Returns how many bytes, or 0 if an event is posted.
+    """
     read_into, post, size, piece, long, short = hears
     free = int(free_space(at))
     count = 0
@@ -98,6 +100,6 @@ def _receive(pending: ptr8, hears: object, heard: ptr8, at: ptr32, kinds: ptr8) 
         if read:
             feed(ptr8(piece), read, heard, at, kinds, post)
         count += read
-        more = 1 if read == most and most <= _LONG else 0  # the end of what has come
+        more = 1 if read == most and most <= _LONG else 0  # a short read: nothing more has arrived
         free = int(free_space(at))
     return 0 if pending[ANY] else count
