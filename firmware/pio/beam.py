@@ -1,16 +1,16 @@
 # mypy: disable-error-code=arg-type
-"""BeamEngine: a PioEngine that changes the power of a beam at the step where it belongs.
+"""BeamEngine: a PioEngine that changes the power of a beam exactly at the right step.
 
-The beam has a lane of its own behind the motors', and a machine as they have. Its words are those
-of steps; where a motor would step, its machine wakes two DMA channels, which wake each other in
-turn: one takes what the machine has said, the other moves a level from a ring to where the PWM
-compares. What becomes of a segment, a stop, or a machine that has run out of words is what becomes
-of steps.
+The beam has a lane of its own after the motors', and a machine of its own. Its words have the
+format of step words; where a motor would step, its machine triggers two DMA channels, which
+trigger each other in turn: the taker reads the word that the machine has pushed, the mover copies
+a level from a ring to the PWM's compare register. Segments, stops and running out of words are
+handled as for steps.
 
     changes in a row -> words -> machine -> taker -> mover: level -> PWM
 
-A beam that is put out has a mover that moves levels nowhere: whatever is still on its way does not
-come to the pin.
+While the beam is put out, the mover copies levels to an unused word: those still on their way do
+not reach the pin.
 """
 
 import sys
@@ -40,27 +40,27 @@ if TYPE_CHECKING:
 
 _PWM = const(0x40050000)
 _PWM_2350 = const(0x400A8000)
-_SLICE = const(0x14)  # from one to the next: two pins each
-_COMPARE = const(0x0C)  # of both its pins
+_SLICE = const(0x14)  # bytes from one slice to the next; two pins each
+_COMPARE = const(0x0C)  # compare levels of both its pins
 _TOP = const(0x10)
 _BOTH = const(0x10001)
 
-_LAST_OF_8 = const(31)  # pins above, which an RP2350B has, have slices from the ninth on
+_LAST_OF_8 = const(31)  # pins above have slices from the ninth on (RP2350B)
 
-_RX = const(4)  # requests of PIO 0's machines that have said something begin here, PIO 1's 8 on
+_RX = const(4)  # DREQ of the first RX FIFO of PIO 0; PIO 1's come 8 later
 _UNPACED = const(63)
-_BYTES = const(1024)  # of the ring of levels, which lies at a multiple of it
+_BYTES = const(1024)  # size of the ring of levels, which is aligned to its size
 
 
 def slice_of(pin: int) -> int:
-    """Where a pin's slice of the PWM is."""
+    """Return the address of a pin's PWM slice."""
     base = _PWM_2350 if "RP2350" in sys.implementation._machine else _PWM
     which = pin >> 1 & 3 | 8 if RP2350 and pin > _LAST_OF_8 else pin >> 1 & 7
     return base + _SLICE * which
 
 
 class BeamEngine(PioEngine):
-    """The engine. power: the pin of the PWM."""
+    """A PioEngine with a beam. power: the pin of the PWM."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class BeamEngine(PioEngine):
     ) -> None:
         super().__init__(step, direction, hold_us, setup_us, 1)
         self._slice = slice_of(power)
-        # What motion/beam_layout.py works on, and its ring of levels.
+        # The array that motion/beam_layout.py works on.
         self.beam = array("i", (0 for _ in range(bm.LENGTH)))
         self.beam[bm.BOTH] = _BOTH
         self.beam[bm.LEVEL] = bm.UNKNOWN
@@ -94,7 +94,8 @@ class BeamEngine(PioEngine):
         taker, mover = rp2.DMA(), rp2.DMA()
         taker_at, mover_at = (DMA_AT + DMA_EACH * one.channel for one in (taker, mover))
         self._taker, self._mover, self._mover_at = taker, mover, mover_at
-        # Two rings, for one of them lies as it has to; where is asked of the channels.
+        # Twice the ring's size, so that an aligned ring fits in it. The addresses are read back
+        # from the channel's registers.
         room, nothing = (array("i", (0 for _ in range(n))) for n in (_BYTES // 2, 1))
         mover.config(read=room, write=nothing)
         at, self._nowhere = (machine.mem32[mover_at + 4 * n] for n in (READ, WRITE))
@@ -124,22 +125,23 @@ class BeamEngine(PioEngine):
         machine.mem32[taker_at + 4 * COUNT_TRIGGER] = 1
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Take over $0, $2 and $3. Called at rest only."""
+        """Apply $0, $2 and $3. Called only while idle."""
         super().configure(pulse_us, step_invert, dir_invert)
         self.beam[bm.GAP] = pulses.shortest_gap(self._memory.timing[pulses.PULSE])
 
     def scale(self, power_max: int) -> None:
-        """The PWM has another frequency: see which level is full power now."""
+        """Compute the level of full power again, after the PWM's frequency has changed."""
         self.beam[bm.FULL] = bm.full(machine.mem32[self._slice + _TOP] + 1, power_max)
 
     def arm(self) -> None:
-        """Motion is possible again; levels of segments that have been dropped are too."""
+        """Allow motion again; levels of dropped segments are dropped, too."""
         channel = self._mover_at
         machine.mem32[channel + 4 * READ] = self._ring + 4 * (self.beam[bm.COUNT] & bm.LEVELS_MASK)
         super().arm()
 
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments: a beam that is out may burn."""
+        """Request segments after the engine had run out of them; the beam may be switched on
+        again."""
         if not self._engine_state[RUNNING]:
             self.beam[bm.LEVEL] = bm.UNKNOWN
             machine.mem32[self._mover_at + 4 * WRITE] = self._slice + _COMPARE
@@ -147,6 +149,7 @@ class BeamEngine(PioEngine):
 
     @micropython.viper
     def put_out(self) -> int:
-        """No level comes to the pin any more, until motion begins anew. Safe in an interrupt."""
+        """Keep the beam off until the next motion: no level reaches the pin. Safe in an
+        interrupt."""
         ptr32(self._mover_at)[WRITE] = int(self._nowhere)
         return 0

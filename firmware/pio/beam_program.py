@@ -2,8 +2,15 @@
 # ruff: noqa: F821
 """The program of the machine that changes a beam's power: assembly only.
 
-It plays the words of programs.stepper in the same times, to the tick. In place of a step it hands
-a word to DMA, which then moves the next level; what the word says nobody reads.
+It reads the words of programs.stepper, in the same times, to the tick:
+
+    bit  31              13 12          1   0
+        +------------------+-------------+---+
+        |    delay : 19    | changes : 12| - |
+        +------------------+-------------+---+
+
+Instead of a step it pushes a word, which makes DMA move the next level. Nothing reads the pushed
+word.
 """
 
 from rp2 import PIO, asm_pio
@@ -13,15 +20,15 @@ from rp2 import PIO, asm_pio
 def beam():
     label("next")
     pull(block)  #            1
-    out(null, 1)  #           1   no direction
-    out(x, 12)  #             1   X: changes still to make
+    out(null, 1)  #           1   bit 0: no direction
+    out(x, 12)  #             1   X: changes left
     label("step")
     mov(y, osr)  #            1   the delay
     label("wait")
     jmp(y_dec, "wait")  #     1 + delay
     jmp(not_x, "next")  #     1
-    mov(y, isr)  #            1   a push clears ISR, which is the length of a pulse less 3
-    push(block)  #            1   the change: a tick behind where a step would be
+    mov(y, isr)  #            1   a push clears ISR, which holds the length of a pulse less 3
+    push(block)  #            1   the change: one tick after a stepper's edge
     mov(isr, y)  #            1
     label("high")
     jmp(y_dec, "high")  #     1 + ISR

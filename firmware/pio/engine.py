@@ -1,22 +1,22 @@
 # mypy: disable-error-code=arg-type
-"""PioEngine: pulses made by PIO state machines, fed by DMA, refilled by one hard interrupt.
+"""PioEngine: PIO state machines make the pulses, DMA feeds them, one hard interrupt refills.
 
-Each motor has a machine of PIO 0, from the fifth on one of PIO 1, which plays words
-(programs.py, pulses.py) out of a ring in memory. A clock, the last machine of PIO 1, or of an
-RP2350's PIO 2 where an eighth motor has that one, interrupts as each segment begins: spindle
-power is set, the next segments are made and handed over. All machines start within a tick
-(engine_state._launch) and stay together, for every lane's words fill the same time. DMA is handed
-counted words and ends with them: where the interrupt comes too late, the machines wait at `pull`,
-and when all have come to rest they are started together again. Nothing is lost or repeated.
+Each motor has a machine of PIO 0, from the fifth motor on one of PIO 1. It plays words
+(programs.py, pulses.py) out of a ring in memory. The clock, the last machine of PIO 1 (of an
+RP2350's PIO 2 if an eighth motor has that one), interrupts as each segment begins; the handler
+sets spindle power, makes the next segments and hands them over. All machines start within a tick
+(engine_state._launch) and stay together, because every lane's words fill the same time. DMA is
+given a count of words and ends with them. If the interrupt comes too late, the machines wait at
+`pull`; once all have stopped they are started together again. Nothing is lost or repeated.
 
-A stop holds until arm(): whatever it has interrupted goes on, and starts nothing. The interrupt
-lets no exception out, for MicroPython would never call it again: the machines are switched off,
-whoever has a tool is told, and the main loop learns of it by fault().
+A stop holds until arm(). The code that it has interrupted continues, but starts nothing. The
+interrupt catches all exceptions, because MicroPython would never call it again after one: it
+switches the machines off and calls on_fault; the main loop reads the cause from fault().
 
     segments -> rows, a ring -> words, a ring per lane -> DMA -> FIFO -> machine
 
-Positions while moving follow from the time and the rows; after a stop they are read out of
-the machines. Nothing here allocates once the engine is made.
+During motion, positions follow from the time and the rows; after a stop they are read from the
+machines. Nothing here allocates once the engine is made.
 """
 
 import sys
@@ -60,12 +60,12 @@ if TYPE_CHECKING:
 
 _TICK_HZ = const(12_500_000)
 _SEGMENT_LOG2 = const(17)
-# Motors: PIO 1 has a machine left, for a radio or a beam; and an RP2350's PIO 2 has three.
+# Most motors: one machine of PIO 1 stays free, for a radio or a beam; an RP2350's PIO 2 has three.
 _MOST = const(6)
 _MOST_2350 = const(8)
-_LAST_PIN = const(31)  # of those that a PIO has, as it begins; an RP2350B has 48
+_LAST_PIN = const(31)  # highest pin of a PIO after reset; an RP2350B has 48 pins
 
-# fault(): in the order of layout.RAISED and those behind it.
+# Texts of fault(), by fault code (hub_layout.RAISED and the following ones).
 _FAULTS = (
     "",
     "the pulse engine's interrupt has failed",
@@ -77,15 +77,16 @@ _FAULTS = (
 
 
 def _ticks(us: int) -> int:
-    """Ticks that last so long at least."""
+    """Return microseconds in ticks, rounded up."""
     return -(-us * _TICK_HZ // 1_000_000)
 
 
 class PioEngine:
-    """The engine. step, direction: pin numbers per axis; hold, setup: of DIR around its change.
+    """A StepEngine on PIO. step, direction: pin numbers per axis; hold_us, setup_us: of DIR after
+    and before a step.
 
-    on_fault, if set: called in the interrupt where that has failed, to kill the tool. A leaf, for
-    there may be next to no stack left.
+    on_fault: called in the interrupt if that has failed, to switch the tool off. It must be a
+    leaf, because next to no stack may be left.
     """
 
     tick_hz = _TICK_HZ
@@ -120,7 +121,7 @@ class PioEngine:
         self._engine_state = self._memory.state
         self._rows = self._memory.rows
         self._machines = [self._make_lane(i) for i in range(lanes)]
-        # A board forgets both modules once the engine is there.
+        # A board unloads both modules once the engine is made.
         import rp2
 
         from pio import programs
@@ -159,10 +160,10 @@ class PioEngine:
         self._memory.connect(axis, channel.channel)
         return stepper, channel
 
-    # The StepEngine seam
+    # The StepEngine interface
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Highest rate of one axis with step pulses of pulse_us microseconds."""
+        """Return the highest step rate of one axis with step pulses of pulse_us microseconds."""
         return _TICK_HZ // pulses.shortest_gap(_ticks(pulse_us))
 
     def attach(
@@ -171,14 +172,14 @@ class PioEngine:
         on_power: "Callable[[int], None]",
         on_rest: "Callable[[], None]",
     ) -> None:
-        """Say where segments come from, who is told the spindle power of each as it starts, and
-        who hears that the machines stand still."""
+        """Set the source of segments. on_power is called with the spindle power of each segment as
+        it starts, on_rest when the machines have stopped."""
         self._next_segment = next_segment
         self._on_power = on_power
         self._on_rest = on_rest
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Take over $0, $2 and $3. Called at rest only."""
+        """Apply $0, $2 and $3. Called only while idle."""
         hold, setup = _ticks(self._hold_us), _ticks(self._setup_us)
         pulses.set_timing(self._memory.timing, _ticks(pulse_us), hold, setup)
         for i in range(len(self._step)):
@@ -191,40 +192,43 @@ class PioEngine:
         machine.mem32[address] = others | invert << self._invert_shift
 
     def arm(self) -> None:
-        """Motion is possible again, after power-up or stop(). For the main loop."""
-        # Anew: MicroPython may have taken the interrupt away from us.
+        """Allow motion again, after power-up or stop(). Main loop only."""
+        # Attached again, because MicroPython may have removed the interrupt.
         self._pio.irq(self._refill, trigger=self._pio.IRQ_SM3, hard=True)
         arm(self._engine_state)
 
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
+        """Request segments, after the engine had run out of them. A stopped engine stays
+        stopped."""
         request_refill(self._engine_state)
 
     @micropython.viper
     def stop(self) -> int:
-        """At once, until arm(); safe in an interrupt; queued steps are dropped, locks released."""
+        """Stop at once, until arm(). Queued steps are dropped, locks released. Safe in an
+        interrupt."""
         halt(self._engine_state, -1)
         return 0
 
     def fault(self) -> str:
-        """What is wrong with the engine, in words, or nothing. For the main loop."""
+        """Return the engine's fault as text, "" if there is none. Main loop only."""
         return _FAULTS[fault_code(self._engine_state)]
 
     def lock(self, motors: int) -> None:
-        """These motors (a mask) make no more pulses until stop(); the others go on."""
+        """Stop the pulses of these motors (a mask) until stop(); the others continue."""
         halt(self._engine_state, motors)
 
     def idle(self) -> bool:
-        """Nothing is moving and nothing is queued in hardware."""
+        """Return whether nothing moves and nothing is queued in hardware."""
         state = self._engine_state
         return state[RUNNING] == 0 and (state[HALT] != 0 or state[MADE] == state[FED])
 
     def position(self, steps: "array[int]") -> None:
-        """Copy the steps really made, per motor: the only truth. Safe in an interrupt."""
+        """Copy the steps executed, per motor: the only source of position. Safe in an
+        interrupt."""
         position(self._engine_state, steps)
 
     def set_position(self, steps: "array[int]") -> None:
-        """Name the present place, also of motors that are locked. At rest only."""
+        """Set the present position, also of locked motors. Only while idle."""
         lanes = self._memory.lanes
         for i in range(len(self._step)):
             at, here = pulses.LANE * i, steps[i]
@@ -232,7 +236,7 @@ class PioEngine:
 
     @micropython.viper
     def _refill(self, _source: object) -> int:
-        """Interrupt: a segment has begun, or the engine is to start. Keep the hardware busy."""
+        """Refill the hardware. Interrupt: a segment has begun, or start() has requested it."""
         state = ptr32(self._engine_state)
         state[ASKED] = 0
         if state[HALT]:
@@ -242,7 +246,7 @@ class PioEngine:
         except:  # noqa: E722
             state[FAULT] = RAISED
         if state[FAULT]:
-            # No calls up to here: the stack may be what there is too little of.
+            # No calls up to here: a full stack may be the cause.
             state[HALT] = 1
             ptr32(state[PIO0])[CLEAR] = state[OURS]
             ptr32(state[PIO1])[CLEAR] = state[OURS + 1]
@@ -252,7 +256,7 @@ class PioEngine:
             try:
                 self.on_fault()
             except:  # noqa: E722
-                state[FAULT] = RAISED  # the main loop sees to the tool
+                state[FAULT] = RAISED  # the main loop switches the tool off
             try:
                 halt(state, -1)
             except:  # noqa: E722

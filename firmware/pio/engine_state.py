@@ -1,9 +1,8 @@
 # mypy: disable-error-code=arg-type
-"""The engine state: all that the PIO engine's interrupt works on, in one array, and the leaves
-that do.
+"""The engine state: all that the PIO engine's interrupt works on, in one array, and its kernels.
 
-One array, for every argument of a viper call costs a microsecond: the engine's state, addresses
-of registers and of what else it keeps. What all do is told in engine.py; nothing here allocates.
+It is one array because each argument of a viper call costs 1 us. hub_layout.py says what it holds;
+engine.py gives an overview. Nothing here allocates.
 """
 
 import micropython
@@ -99,26 +98,28 @@ from pio.registers import (
     TXOVER,
 )
 
-# So much is made ahead of the segment that runs, in ticks: what a hold has to wait for, besides.
-# The clock calls so long before the end of a long segment.
+# Ticks of motion made ahead of the segment that is played; a hold takes that much longer. In a
+# long segment the clock interrupts so long before its end.
 LEAD = const(40_000)
-# Words handed over later than that before the last ones end might come too late, in us.
+# Words must be handed over so many us before the last ones end, or they might come too late.
 _MARGIN = const(20)
 
-# Instructions that are forced into a machine.
+# PIO instructions that are forced into a machine: pull noblock; mov isr, null; set x, 0; in x, 5;
+# set pins, 0.
 _PULL = const(0x8080)
 _CLEAR_ISR = const(0xA0C3)
-_SET_X = const(0xE020)  # to five bits,
-_SHIFT_IN = const(0x4025)  # which go into ISR from below
+_SET_X = const(0xE020)  # five bits are added
+_SHIFT_IN = const(0x4025)  # shifts them into ISR from below
 _STEP_LOW = const(0xE000)
 
 _CLOCK_INSTR = const(MACHINES + SM * CLOCK + INSTR)
-_CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
+_CLOCK_OVERHEAD = const(4)  # ticks of its loop in addition to the count
 
 
 @micropython.viper
 def read_progress(state: ptr32) -> int:
-    """See how far the hardware is. Returns the power to set, or KEEP_POWER."""
+    """Update the state from what the hardware has played. Returns the power to set, or
+    KEEP_POWER."""
     pio = ptr32(state[CLOCK_PIO])
     level = (pio[FLEVEL] >> 8 * CLOCK) & 15
     beat = state[BEATS] - level
@@ -141,7 +142,7 @@ def read_progress(state: ptr32) -> int:
 
 @micropython.viper
 def append(state: ptr32) -> int:
-    """Take over the segment just made, or the next piece of it."""
+    """Add the segment just made to the rows, or the next piece of a long one; update positions."""
     axes = state[AXES]
     lanes = ptr32(state[LANES])
     row = ptr32(state[ROW + (state[MADE] & LAST_ROW)])
@@ -164,7 +165,7 @@ def append(state: ptr32) -> int:
 
 @micropython.viper
 def _load(player: ptr32, pulse: int) -> int:
-    """The length of a pulse into a machine's ISR, five bits at a time."""
+    """Load the length of a pulse (15 bits) into a machine's ISR, five bits at a time."""
     player[INSTR] = _CLEAR_ISR
     shift = 15
     while shift:
@@ -176,10 +177,11 @@ def _load(player: ptr32, pulse: int) -> int:
 
 @micropython.viper
 def _prepare(state: ptr32) -> int:
-    """Machines that have stopped or run dry back to their beginnings, with nothing queued.
+    """Restart all machines, which have stopped or run dry, at the start of their programs, with
+    empty FIFOs.
 
-    DMA counts how much room there is in a machine's FIFO: what it has put there may be taken
-    out by hand, for that is what a machine does too, but nothing may be put there.
+    DMA counts the space in a machine's FIFO. Words may be pulled out of a FIFO by a forced
+    instruction, as the machine itself does; nothing may be written to it except by DMA.
     """
     axes = state[AXES]
     pio = ptr32(state[PIO0])
@@ -192,12 +194,12 @@ def _prepare(state: ptr32) -> int:
     timer = ptr32(state[TIMER])
     patience = 1000
     while ((timer[0] & MASK) - state[END_US]) & MASK <= timing[PULSE] // 12 + 1 and patience:
-        patience -= 1  # the last pulses have their full length
+        patience -= 1  # let the last pulses end at their full length
     first = state[OURS]
     second = state[OURS + 1]
     pio[CTRL + CLEAR] = first
     other[CTRL + CLEAR] = second
-    pio[CTRL + SET] = first << 4  # restart
+    pio[CTRL + SET] = first << 4  # SM_RESTART
     other[CTRL + SET] = second << 4
     if RP2350 and state[THIRD]:
         clock[CTRL + CLEAR] = state[THIRD]
@@ -222,12 +224,12 @@ def _prepare(state: ptr32) -> int:
         lanes[lane + SENT] = 0
         lanes[lane + CARRY] = 0
         player = ptr32(lanes[lane + MACHINE])
-        # Words that have turned it may never have been played.
+        # Read the pin: words that change DIR may never have been played.
         levels = ptr32(state[PIO0 + (i >> BLOCK_LOG2)])[PADOUT]
         lanes[lane + DIR] = (levels >> (player[PINCTRL] & 31)) & 1
         _load(player, timing[PULSE] - 3)
         player[INSTR] = _STEP_LOW
-        player[INSTR] = (player[EXECCTRL] >> 7) & 31  # jump there
+        player[INSTR] = (player[EXECCTRL] >> 7) & 31  # jmp to the start
     clock[_CLOCK_INSTR] = state[CLOCK_AT] - 1
     state[END_US] = 0
     state[END_REST] = 0
@@ -237,13 +239,13 @@ def _prepare(state: ptr32) -> int:
 
 @micropython.viper
 def feed(state: ptr32) -> int:
-    """Make words of waiting segments, if the hardware can take them, and hand them over."""
+    """Convert waiting segments to words, if the hardware has space, and hand the words over."""
     axes = state[AXES]
     space = CLOCK_FIFO
     if state[RUNNING]:
         left = (state[END_US] - (ptr32(state[TIMER])[0] & MASK)) & MASK
         if left >= NEGATIVE or left < _MARGIN + ptr32(state[TIMING])[KEEP] // 12:
-            return 0  # too late: all go on together when the last has come to rest
+            return 0  # too late: all machines are restarted once the last has stopped
         for i in range(axes):
             if ptr32(state[DMA + i])[STATUS] & state[BUSY] and (state[LOCKED] >> i) & 1 == 0:
                 return 0
@@ -284,9 +286,11 @@ def feed(state: ptr32) -> int:
 
 @micropython.viper
 def _start_transfer(state: ptr32, fed: int, count: int) -> int:
-    """Give DMA the words up to segment `fed`, the clock `count` words; start what is at rest.
+    """Hand DMA the words up to segment `fed`, and the clock `count` words; start the machines if
+    they are stopped.
 
-    Interrupts that may stop the engine wait so long. Where a word has been lost nothing goes on.
+    Interrupts that may stop the engine are masked meanwhile. If a word was lost, nothing is
+    started.
     """
     axes = state[AXES]
     lanes = ptr32(state[LANES])
@@ -327,15 +331,16 @@ def _start_transfer(state: ptr32, fed: int, count: int) -> int:
 
 @micropython.viper
 def _launch(state: ptr32, fed: int) -> int:
-    """All machines begin, in the same tick. Rows were timed from 0: tell them the time."""
+    """Start all machines within one tick, and add the present time to the times of rows, which
+    were counted from 0."""
     axes = state[AXES]
     for i in range(axes):
         pio = ptr32(state[PIO0 + (i >> BLOCK_LOG2)])
         patience = 100
         while (pio[FLEVEL] >> 8 * (i & IN_BLOCK)) & 15 == 0 and patience:
-            patience -= 1  # DMA puts the first word there
+            patience -= 1  # wait for DMA to write the first word
     now = ptr32(state[TIMER])[0] & MASK
-    first = state[OURS] * 0x101  # enable, restart the divider
+    first = state[OURS] * 0x101  # bits 0 to 3 enable, bits 8 to 11 restart the divider
     second = state[OURS + 1] * 0x101
     pio = ptr32(state[PIO0] + 4 * (CTRL + SET))
     clock = ptr32(state[CLOCK_PIO] + 4 * (CTRL + SET))
@@ -344,8 +349,8 @@ def _launch(state: ptr32, fed: int) -> int:
     if RP2350:
         other = ptr32(state[PIO1] + 4 * (CTRL + SET))
         third = state[THIRD] * 0x101
-    # Nothing comes in between (_start_transfer): nine cycles as they are compiled, and a tick has
-    # ten; an RP2350's has twelve.
+    # No interrupt can come in between (_start_transfer masks them). The writes compile to nine
+    # cycles, a tick has ten; with the third, an RP2350's tick has twelve.
     pio[0] = first
     other[0] = second
     if RP2350 and third:

@@ -1,75 +1,73 @@
-"""Layout: what stands where in the engine state, the one array that the PIO engine's leaves work
-on.
+"""Layout of the engine state: the one array that the kernels of the PIO engine work on.
 
-Lanes and timing, which the engine state has the addresses of, are told in pulses.py; what chips
-call their registers, in registers.py.
+Lanes and timing, whose addresses the engine state holds, are described in pulses.py, the chips'
+registers in registers.py.
 """
 
 from micropython import const
 
-# Whether the chip may be an RP2350, which has a third PIO: a build for an RP2040 has 0 here
-# (tools/compiling/for_chip.py), and nothing of what that takes.
+# Whether the chip may be an RP2350, which has a third PIO. A build for an RP2040 sets 0 here
+# (tools/compiling/for_chip.py), and the code for a third PIO is left out.
 RP2350 = const(1)
 
-HALF_TICKS_PER_US = const(25)
-ROWS = const(16)  # segments made, and not yet played
+HALF_TICKS_PER_US = const(25)  # a tick is 80 ns
+ROWS = const(16)  # segments that may wait to be played
 LAST_ROW = const(15)
-CLOCK = const(3)  # the clock's machine, of PIO 1, or PIO 2 where an eighth lane has that one
-CLOCK_FIFO = const(4)  # words that it may be given ahead
-BEFORE_CLOCK = const(7)  # lanes that leave it to the clock
-# Lane 4 has the first machine of PIO 1, as MicroPython counts them.
+CLOCK = const(3)  # the clock's machine: of PIO 1, or of PIO 2 if an eighth lane has that one
+CLOCK_FIFO = const(4)  # words that its FIFO holds
+BEFORE_CLOCK = const(7)  # with up to so many lanes the clock is on PIO 1
+# A lane's PIO is lane >> 2, its machine lane & 3: lane 4 has the first machine of PIO 1, as
+# MicroPython counts them.
 BLOCK_LOG2 = const(2)
 IN_BLOCK = const(3)
 
-# First the engine's state …
-RUNNING = const(0)  # machines are enabled
+# First the engine's state ...
+RUNNING = const(0)  # the machines are enabled
 HALT = const(1)  # stopped: nothing moves before arm()
 MADE = const(2)  # segments made, since power-up
 FED = const(3)  # segments handed to the hardware
-BEGUN = const(4)  # the segment that runs
-AHEAD = const(5)  # ticks made behind it
-POWER = const(6)  # spindle power told last
-LOCKED = const(7)  # mask of lanes that stand still
-END_US = const(8)  # when the words end, in us and half ticks
+BEGUN = const(4)  # the segment that is played
+AHEAD = const(5)  # ticks made after BEGUN
+POWER = const(6)  # the last spindle power reported
+LOCKED = const(7)  # mask of lanes that are locked
+END_US = const(8)  # when the words end: in us, and a rest in half ticks
 END_REST = const(9)
-CUT = const(10)  # where in a long segment the next piece begins; 0: there is none
+CUT = const(10)  # where in a long segment the next piece begins; 0: no long segment
 BEATS = const(11)  # words handed to the clock, since power-up
-EARLY = const(12)  # the clock will call again before the running segment ends
+EARLY = const(12)  # > 0: the clock interrupts again before the segment ends
 AXES = const(13)
-# … then registers, which depend on the chip …
+# ... then registers, which depend on the chip ...
 PIO0 = const(14)
 PIO1 = const(15)
 TIMER = const(16)
 NVIC = const(17)
-RIVALS = const(18)  # masks: interrupts in which the engine is stopped, and its own;
-BUSY = const(19)  # a channel has words to move
-MOTORS = const(20)  # lanes whose steps are those of motors
-CLOCK_AT = const(21)  # where the clock waits for a word
-OURS = const(22)  # masks: the machines of PIO 0 and of PIO 1 that play our words
-# (of PIO 2: THIRD)
-# … and memory.
+RIVALS = const(18)  # masks for NVIC: the interrupts that may stop the engine, and its own
+BUSY = const(19)  # mask of STATUS: a channel has words to move
+MOTORS = const(20)  # number of lanes that are motors'
+CLOCK_AT = const(21)  # program address at which the clock waits for a word
+OURS = const(22)  # masks: our machines of PIO 0, of PIO 1 (of PIO 2: THIRD)
 LANES = const(24)
 WORDS = const(25)
 TIMING = const(26)
 CLOCKED = const(27)  # words for the clock
-WHOLE = const(28)  # a long segment, made in pieces
-ROW = const(29)  # a row per segment
-FAULT = const(ROW + ROWS)  # what has gone wrong (stops.py), until arm()
-ASKED = const(ROW + ROWS + 1)  # start() waits for the interrupt
-DMA = const(ROW + ROWS + 2)  # a channel per lane, which end the engine state of an RP2040
-# An RP2350's goes on: the machines of PIO 2 that are ours, none but the clock; and where the
-# clock's PIO is.
+WHOLE = const(28)  # a long segment that is made in pieces
+ROW = const(29)  # a row per segment, ROWS of them
+FAULT = const(ROW + ROWS)  # fault code (below), until arm()
+ASKED = const(ROW + ROWS + 1)  # start() has requested the interrupt, which has not come yet
+DMA = const(ROW + ROWS + 2)  # a DMA channel per lane. The engine state of an RP2040 ends here.
+# An RP2350's goes on: the mask of our machines of PIO 2, which is the clock's or 0; and the
+# address of the clock's PIO.
 THIRD = const(DMA + 8)
 CLOCK_PIO = const(THIRD + 1 if RP2350 else PIO1)
 LENGTH = const(THIRD + 2)
 
-# Behind a segment's row: when it begins, us and half ticks; the clock's word with which it
-# ends; and where it begins, per axis.
+# After a segment's row: when it begins, in us and half ticks; the value of BEATS when it ends; and
+# its start position per axis.
 ROW_EXTRA = const(3)
 
-# What may be wrong: trouble().
-RAISED = const(1)  # the interrupt has met an exception
-LOST = const(2)  # a word has come to a FIFO that was full
-JAMMED = const(3)  # DMA does not move on
-UNHEARD = const(4)  # the interrupt does not come
-BEHIND = const(5)  # words should have been played long since
+# Fault codes: fault_code().
+RAISED = const(1)  # the interrupt raised an exception
+LOST = const(2)  # a word was written to a full FIFO
+JAMMED = const(3)  # DMA makes no progress
+UNHEARD = const(4)  # the interrupt did not come
+BEHIND = const(5)  # the words should have ended long ago

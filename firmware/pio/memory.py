@@ -1,7 +1,7 @@
 # mypy: disable-error-code=arg-type
-"""Memory: the arrays that the PIO engine's interrupt works on, made and told of each other.
+"""Memory: make the arrays that the PIO engine's interrupt works on, and store their addresses.
 
-Made once, before there are holes in memory; engine_state.py has what works on them.
+They are made once, before the heap is fragmented; engine_state.py works on them.
 """
 
 from array import array
@@ -65,8 +65,8 @@ def _make_array(length: int) -> "array[int]":
 
 
 class Memory:
-    """What the interrupt works on, with the engine state that leads to it. rp2350: which chip this
-    is."""
+    """The arrays of the interrupt, and the engine state, which holds their addresses. rp2350:
+    whether the chip is one."""
 
     def __init__(self, axes: int, rp2350: bool) -> None:
         length = row_length(axes)
@@ -79,7 +79,7 @@ class Memory:
         self.rows = [_make_array(length + ROW_EXTRA + axes) for _ in range(ROWS)]
         self._clocked = _make_array(CLOCK_FIFO)
         self._whole = _make_array(length)
-        # The rings lie at multiples of their size: DMA wraps around within address bits.
+        # A ring is aligned to its size, because DMA wraps around within address bits.
         ring = 4 << pulses.RING_LOG2
         self._rings = bytearray(ring * (axes + 1))
         self.timing[pulses.AXES] = state[AXES] = state[MOTORS] = axes
@@ -97,7 +97,7 @@ class Memory:
         state[OURS + 1] = machines >> 4 | 1 << CLOCK
         state[PIO0] = PIO0_AT
         state[PIO1] = PIO1_AT
-        state[TIMER] = 0x40054028
+        state[TIMER] = 0x40054028  # TIMERAWL
         state[NVIC] = 0xE000E100 - (1 << 32)
         # IO_IRQ_BANK0, PIO1_IRQ_0, and the timer's four.
         state[RIVALS] = 1 << 13 | 1 << 9 | 15
@@ -114,8 +114,8 @@ class Memory:
                 state[RIVALS] |= 1 << 19  # PIO2_IRQ_0
 
     def connect(self, axis: int, channel: int) -> None:
-        """A lane's words go through this DMA channel."""
+        """Assign a DMA channel to a lane."""
         pio = self.state[PIO0 + (axis >> BLOCK_LOG2)]
         self.lanes[LANE * axis + MACHINE] = pio + 4 * (MACHINES + SM * (axis & IN_BLOCK))
         self.state[DMA + axis] = at = DMA_AT + DMA_EACH * channel
-        machine.mem32[at + 4 * CREDITS] = 0  # counted anew: the FIFO is empty
+        machine.mem32[at + 4 * CREDITS] = 0  # the channel counts from 0: the FIFO is empty

@@ -1,9 +1,9 @@
 # mypy: disable-error-code=arg-type
-"""Pins of an RP2040 or RP2350 that are not steps: limits, probe, controls, spindle, coolant.
+"""Pins of an RP2040 or RP2350 other than STEP and DIR: limits, probe, controls, spindle, coolant.
 
-Interrupts are hard: what they call runs at once, whatever the main loop does, and neither
-allocates nor raises. They come before all others, so that a limit switch is heard also while
-the pulse engine's interrupt runs. All inputs have pull-ups.
+Interrupts are hard: a handler runs at once, whatever the main loop does, and neither allocates nor
+raises. Pins have a higher priority than all other interrupts, so that a limit switch acts also
+while the pulse engine's interrupt runs. All inputs have pull-ups.
 """
 
 import sys
@@ -24,18 +24,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
-# The interrupt controller's table of priorities, a byte each: MicroPython leaves all at 0x80,
-# and less comes first.
+# The interrupt controller's table of priorities, a byte each. MicroPython sets all to 0x80; a
+# lower value comes first.
 _PRIORITIES = const(0xE000E400)
 _FIRST = const(0x40)
 
-# The watchdog's control register, and where ones clear bits of it.
+# The watchdog's control register, and the offset of its alias where ones clear bits.
 _WATCHDOG = const(0x40058000)
 _WATCHDOG_2350 = const(0x400D8000)
 _CLEAR = const(0x3000)
 
-# Control of pin 0 where ones set bits, from one pin to the next, and, in words, where ones clear
-# them. OUTOVER in it says what becomes of the output: 0 as it is, 2 low, 3 high.
+# The control register of pin 0, in the alias where ones set bits; bytes from one pin to the next;
+# words to the alias where ones clear bits. Its field OUTOVER says what comes out: 0 the output as
+# it is, 2 low, 3 high.
 _CONTROL = const(0x40016004)
 _CONTROL_2350 = const(0x4002A004)
 _CONTROL_STEP = const(8)
@@ -46,14 +47,14 @@ _FORCED = const(2)
 _ALL_BITS = const(3)
 _GPIO_IN = const(0xD0000004)  # levels of pins 0 to 31
 _LAST = const(31)
-# Pins that do not differ in these bits, or in the last one alone, share their pulses; of those
-# above 31, which an RP2350B has, others.
+# Two pins whose numbers differ in no bit of this mask, except the lowest, share a PWM slice. Pins
+# above 31, which an RP2350B has, have a mask of their own.
 _SLICES = const(0x2F)
 _SLICES_ABOVE = const(0x27)
 
 
 class GpioPort(PortPins):
-    """A Port."""
+    """A Port on the pins of an RP2 chip."""
 
     def __init__(self, board: "ModuleType") -> None:
         enables = getattr(board, "ENABLE", None)
@@ -62,14 +63,14 @@ class GpioPort(PortPins):
             for number in self._input_numbers:
                 if _LAST < number < NOT_WIRED:
                     raise ValueError("pin %d: limits, probe, buttons are pins 0 to 31" % number)
-        # What kill() writes: whether it has, then pairs of an address and bits, then 0.
+        # What kill() writes: 1 once it has run, then pairs of an address and bits, then 0.
         self._pads = array("i", [0, 0])
         self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
         self._hold()
         _make_urgent()
 
     def _hold(self) -> None:
-        """See which pads kill() is to hold, and at which level."""
+        """List the pads that kill() holds, each with its level."""
         control, shift = _CONTROL, _OUTOVER
         if _is_rp2350():
             control, shift = _CONTROL_2350, _OUTOVER_2350
@@ -83,9 +84,10 @@ class GpioPort(PortPins):
 
     @micropython.viper
     def kill(self) -> int:
-        """Spindle, laser, coolant, and outputs of extras, off until revive().
+        """Switch off spindle, laser, coolant, and outputs of extras, until revive().
 
-        The pads are held: what an interrupted set_power() still writes does not come out.
+        The pads are held at their level: what an interrupted set_power() still writes does not
+        come out.
         """
         pads = ptr32(self._pads)
         pads[0] = 1
@@ -97,21 +99,22 @@ class GpioPort(PortPins):
         return 0
 
     def levels(self) -> int:
-        """As PortInputs has them, out of the register of all pins at once."""
+        """Return all inputs as PortInputs.levels() does, from the register of all pins at once."""
         numbers = self._input_numbers
         return _levels(_GPIO_IN - (1 << 32), numbers, len(numbers), self._control_invert)
 
     def revive(self) -> None:
-        """What has been killed is off, and obeys again."""
+        """Release what kill() has held. The outputs are off and can be set again."""
         if self._pads[0]:
             self.safe()
             for pwm in [self.pwm] + self._own_pwm:
-                if pwm:  # a new width counts from the next pulse on
+                if pwm:  # a new duty cycle takes effect with the next pulse
                     time.sleep_us(1_000_000 // pwm.freq() + 1)
             _release(self._pads, self._all_bits)
 
     def _begin_pulses(self, index: int, hz: int) -> PWM:
-        """Two pins of one slice have one frequency, and of sixteen one each the same pulses."""
+        """Start PWM on an output of an extra. ValueError on a conflict: the two pins of a slice
+        have one frequency, and two pins of the same channel of a slice have the same pulses."""
         own = self._own_numbers[index]
         others: "list[tuple[int | None, int]]" = list(zip(self._own_numbers, self._own_hz))
         slices = _SLICES
@@ -125,21 +128,22 @@ class GpioPort(PortPins):
             if its_hz != hz or (number ^ own) & 1 == 0:
                 raise ValueError("pin %d cannot have other pulses than pin %d" % (own, number))
         pwm = super()._begin_pulses(index, hz)
-        if self._pads[0]:  # a pad that is given to the PWM is not held any more
+        if self._pads[0]:  # switching a pad to the PWM releases it
             self.kill()
         return pwm
 
     def rest(self, levels: int) -> None:
-        """The levels of an extra's outputs that kill() sets."""
+        """Set the levels that kill() gives to an extra's outputs."""
         super().rest(levels)
         self._hold()
 
     def watch(self, timeout_ms: int) -> "Callable[[], None] | None":
-        """Make the chip start anew where the result is not called for so long; 0: no more."""
+        """Start the watchdog: it resets the chip if the returned function is not called for
+        timeout_ms. 0 stops the watchdog."""
         if timeout_ms:
             watchdog: "Callable[[], None]" = machine.WDT(timeout=timeout_ms).feed
             return watchdog
-        # MicroPython has no way to stop it; clearing the enabling bit is one.
+        # MicroPython cannot stop the watchdog; clearing its enable bit can.
         machine.mem32[(_WATCHDOG_2350 if _is_rp2350() else _WATCHDOG) + _CLEAR] = 1 << 30
         return None
 
@@ -166,7 +170,7 @@ def _release(pads: ptr32, bits: int) -> int:
 
 
 def _make_urgent() -> None:
-    """Interrupts of pins before all others."""
+    """Give the interrupt of pins a higher priority than all others have."""
     number = 21 if _is_rp2350() else 13
     address = _PRIORITIES + number // 4 * 4
     shift = number % 4 * 8

@@ -2,23 +2,27 @@
 # ruff: noqa: F821
 """The programs of the PIO state machines: assembly only.
 
-A machine advances one instruction per engine tick; a remark of a line says how many ticks
-it takes. What the words mean is pulses.py's business, where they come from engine.py's.
+A machine executes one instruction per engine tick (80 ns); the comment on a line says how many
+ticks it takes. pulses.py makes the words, engine.py hands them over.
 """
 
 from rp2 import PIO, asm_pio
 
-# One axis. A word, lowest bit first:
+# One axis. A word, which out() reads from the lowest bit on:
 #
-#     direction : 1 | steps : 12 | delay : 19
+#     bit  31              13 12          1   0
+#         +------------------+-------------+---+
+#         |    delay : 19    |  steps : 12 |DIR|
+#         +------------------+-------------+---+
 #
-# asks for so many steps, each after a delay; a word without steps is the delay alone.
-# ISR: length of a pulse, less 3 ticks; put there by the engine, never changed here.
+# asks for so many steps in direction DIR, each after a delay in ticks; a word without steps is the
+# delay alone. ISR holds the length of a pulse less 3 ticks; the engine loads it (_load() in
+# engine_state.py), and the program never changes it.
 #
-# Counting from the tick in which a machine is ready for its next word (at `next`), the first
-# edge comes after 6 + delay ticks, or the machine is ready again, if the word has no steps.
-# From a step's edge it takes length + 9 + delay ticks to the next step of the same word,
-# length + 3 to being ready for the next word.
+# Times, from the tick in which a machine is ready for its next word (at `next`): the first edge
+# comes after 6 + delay ticks; without steps, the machine is ready again after 6 + delay ticks.
+# From a step's edge it is length + 9 + delay ticks to the next step of the same word, and length +
+# 3 ticks until the machine is ready for the next word.
 
 
 @asm_pio(
@@ -29,14 +33,14 @@ from rp2 import PIO, asm_pio
 )
 def stepper():
     label("next")
-    pull(block)  #            1   stalls here where no word has come
+    pull(block)  #            1   stalls here if no word has come
     out(pins, 1)  #           1   DIR
-    out(x, 12)  #             1   X: steps still to make
+    out(x, 12)  #             1   X: steps left
     label("step")
-    mov(y, osr)  #            1   OSR: what is left of the word, the delay
+    mov(y, osr)  #            1   OSR: the rest of the word, the delay
     label("wait")
     jmp(y_dec, "wait")  #     1 + delay
-    jmp(not_x, "next")  #     1   no steps wanted
+    jmp(not_x, "next")  #     1   a word without steps
     set(pins, 1)  #           1   STEP rises
     mov(y, isr)  #            1
     label("high")
@@ -48,21 +52,21 @@ def stepper():
     jmp("step")[2]  #        3   as long as fetching a word takes
 
 
-# Where a stepper is, from its start: up to here X counts the step in progress …
+# Addresses in the stepper, from its start. Up to RISEN, X counts the step in progress.
 NEXT = 0
 STEP = 3
-RISEN = 7  # … from here it is made, though X still counts it …
-MADE = 11  # … and here X has been told.
+RISEN = 7  # from here the step is made, though X still counts it
+MADE = 11  # and from here X does not count it any more
 
 
-# The clock. A word is the length of a segment, less 4 ticks; an interrupt at the end of each,
-# and one when the machine is started.
+# The clock. A word is one number, the length of a segment less 4 ticks. The clock interrupts at
+# the end of each segment, and when the machine starts.
 
 
 @asm_pio()
 def clock():
     label("next")
-    irq(rel(0))  #            1   a segment is over, another begins
+    irq(rel(0))  #            1   a segment ends, the next begins
     pull(block)  #            1
     mov(x, osr)  #            1
     label("wait")

@@ -1,5 +1,5 @@
 # mypy: disable-error-code=operator
-"""Refill: the PIO engine's interrupt, error-free path (engine.py)."""
+"""Refill: the PIO engine's interrupt, the path without errors (engine.py)."""
 
 import micropython
 from micropython import const
@@ -8,13 +8,14 @@ from motion.layout import KEEP_POWER
 from pio.engine_state import LEAD, append, feed, read_progress
 from pio.hub_layout import AHEAD, CUT, EARLY, FED, HALT, LAST_ROW, MADE, ROW, RUNNING
 
-_MOST = const(2)  # segments made in one interrupt
-_WAITING = const(10)  # rows that may wait; the others may still be looked at
+_MOST = const(2)  # segments made in one interrupt, at most
+_WAITING = const(10)  # rows that may wait; position() may still read the others
 
 
 @micropython.viper
 def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object) -> int:
-    """A segment has begun, or the engine is to start: keep the hardware busy."""
+    """Set spindle power if a segment has begun; make the next segments and hand them to the
+    hardware."""
     power = int(read_progress(state)) if state[RUNNING] else KEEP_POWER
     if power != KEEP_POWER:
         on_power(power)

@@ -1,11 +1,12 @@
-"""Registers: where RP2 chips have what the PIO engine's leaves read and write, in words.
+"""Registers: where RP2 chips have what the kernels of the PIO engine read and write.
 
-RP2040 datasheet, 3.7 (PIO), 2.5.7 (DMA), 2.1.2 (aliases); the RP2350 has them in the same places.
+Offsets are in words. RP2040 datasheet, 3.7 (PIO), 2.5.7 (DMA), 2.1.2 (aliases); the RP2350 has the
+registers in the same places.
 """
 
 from micropython import const
 
-# A PIO's; where they stand, the third in an RP2350.
+# A PIO's registers, after the addresses of the PIOs; the third is an RP2350's.
 PIO0_AT = const(0x50200000)
 PIO1_AT = const(0x50300000)
 PIO2_AT = const(0x50400000)
@@ -16,19 +17,19 @@ TXF = const(4)
 RXF = const(8)
 IRQ_FORCE = const(13)
 PADOUT = const(15)  # levels of all pins
-MACHINES = const(0x32)  # the first machine's begin here,
-SM = const(6)  # and those of the next so much further
-SET = const(0x800)  # the same register, where ones set bits,
-CLEAR = const(0xC00)  # and where they clear them
+MACHINES = const(0x32)  # registers of the first machine begin here,
+SM = const(6)  # those of the next so many words further
+SET = const(0x800)  # alias in which ones set bits of the same register,
+CLEAR = const(0xC00)  # and in which ones clear them
 
-# A machine's.
-EXECCTRL = const(1)  # where its program begins, from bit 7 on
+# A machine's registers.
+EXECCTRL = const(1)  # the start of its program, from bit 7 on
 ADDR = const(3)
 INSTR = const(4)
-PINCTRL = const(5)  # the direction pin in its lowest bits
+PINCTRL = const(5)  # the direction pin in its lowest 5 bits
 
-# Where the first DMA channel's stand, and bytes from one to the next; what each has, and the
-# interrupt controller.
+# The first DMA channel, bytes from one to the next, and a channel's registers; last, the interrupt
+# controller's.
 DMA_AT = const(0x50000000)
 DMA_EACH = const(0x40)
 READ = const(0)
@@ -36,8 +37,8 @@ WRITE = const(1)
 COUNT = const(2)
 STATUS = const(3)
 COUNT_TRIGGER = const(7)
-CREDITS = const(0x200)  # how many words a channel believes that its FIFO has room for
+CREDITS = const(0x200)  # how many words the channel counts its FIFO to have room for
 DISABLE = const(32)
 
-# In FDEBUG, from the bit of the first machine on: a word has come to a FIFO that was full.
+# FDEBUG, from this bit on, one per machine: a word was written to a full FIFO.
 TXOVER = const(16)

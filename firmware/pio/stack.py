@@ -1,8 +1,8 @@
 # mypy: disable-error-code=arg-type
-"""Stack: how much of the C stack has been used at most, by the main loop and what interrupts it.
+"""Stack: measure how much of the C stack the main loop and its interrupts have used at most.
 
-Both share 8 kB on these chips. What has never been used still holds the pattern that paint()
-left there; an interrupt that finds no room fails, so what is left is worth knowing.
+Both share 8 kB on these chips. Words that were never used still hold the pattern that paint()
+wrote. An interrupt that finds the stack full fails, so the rest is worth knowing.
 """
 
 import sys
@@ -18,7 +18,7 @@ SIZE = const(8192)
 _TOP = const(0x20042000)
 _TOP_2350 = const(0x20082000)
 _PATTERN = const(0x2A2A2A2A)
-_CALLS = const(256)  # what paint() itself may use, and whom it calls
+_CALLS = const(256)  # bytes that paint() itself and its calls may use
 
 
 @micropython.viper
@@ -30,7 +30,7 @@ def _fill(words: ptr32, count: int) -> int:
 
 @micropython.viper
 def _untouched(words: ptr32, count: int) -> int:
-    """How many words from the bottom on still hold the pattern."""
+    """Return how many words from the bottom on still hold the pattern."""
     i = 0
     while i < count and words[i] == _PATTERN:
         i += 1
@@ -42,22 +42,22 @@ def _bottom() -> int:
 
 
 def paint() -> None:
-    """Begin anew: what lies below the present depth has not been used."""
+    """Start a new measurement: fill the stack below the present depth with the pattern."""
     free = SIZE - micropython.stack_use() - _CALLS
     _fill(_bottom(), free // 4)
 
 
 def watch() -> "Callable[[], str]":
-    """Begin now; returns who tells of it."""
+    """Start a measurement; return the function that reports it."""
     paint()
     return report
 
 
 def used() -> int:
-    """Bytes of the stack that have been used at most since paint()."""
+    """Return the most bytes of the stack used since paint()."""
     return SIZE - 4 * _untouched(_bottom(), SIZE // 4)
 
 
 def report() -> str:
-    """The same in words, for a message."""
+    """Return the same as text, for a message."""
     return "Stack: %d of %d bytes used" % (used(), SIZE)

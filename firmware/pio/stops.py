@@ -1,9 +1,8 @@
 # mypy: disable-error-code=arg-type
-"""Stops, starts, and where the motors are: the other leaves that work on the engine state
-(engine_state.py).
+"""Stop, start and position: the other kernels that work on the engine state (engine_state.py).
 
-They may be called in any interrupt, also one that has interrupted the engine's own: what must
-not be divided is done with all these interrupts held back, for some microseconds.
+They may be called in any interrupt, also in one that has interrupted the engine's own. Sections
+that must not be interrupted mask all these interrupts, for a few microseconds.
 """
 
 import micropython
@@ -67,18 +66,18 @@ from pio.registers import (
     TXOVER,
 )
 
-# Instructions that are forced into a machine.
+# PIO instructions that are forced into a machine: mov isr, x; push noblock.
 _SAVE_X = const(0xA0C1)
 _PUSH = const(0x8000)
-_FIFO = const(4)  # words it holds
+_FIFO = const(4)  # words that a FIFO holds
 
-# The interrupt may be late for so long: a flash page is written in less.
+# The interrupt may be late by so much: writing a flash page takes less.
 _PATIENCE_US = const(50_000)
 
 
 @micropython.viper
 def _stopped_position(state: ptr32, axis: int) -> int:
-    """Where a machine just stopped has come to."""
+    """Return the position of a machine that has just been stopped."""
     pio = ptr32(state[PIO0 + (axis >> BLOCK_LOG2)])
     number = axis & IN_BLOCK
     dma = ptr32(state[DMA + axis])
@@ -88,7 +87,8 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     if state[RUNNING] == 0:
         return end
     player[INSTR] = _SAVE_X
-    # A word on its way is counted nowhere: wait until DMA has no more of them, or no room.
+    # A word between DMA and FIFO is counted nowhere: wait until DMA has no more words, or the FIFO
+    # is full.
     busy = 1
     waiting = 0
     patience = 100
@@ -108,15 +108,15 @@ def _stopped_position(state: ptr32, axis: int) -> int:
 
 @micropython.viper
 def halt(state: ptr32, which: int) -> int:
-    """Machines of these lanes (a mask) off, positions as they are; -1: all, until arm().
+    """Stop the machines of these lanes (a mask), positions as they are; -1: all, until arm().
 
-    Nothing may raise here: one function, which calls no other as soon as it is compiled.
+    Nothing may raise here. Once compiled, it is one function that calls no other.
     """
     axes = state[AXES]
     lanes = ptr32(state[LANES])
     nvic = ptr32(state[NVIC])
     if which < 0:
-        state[HALT] = 1  # first of all: whoever comes in between starts nothing any more
+        state[HALT] = 1  # first: an interrupt that comes in between then starts nothing
     nvic[DISABLE] = state[RIVALS]
     ptr32(state[PIO0])[CTRL + CLEAR] = which & state[OURS]
     ptr32(state[PIO1])[CTRL + CLEAR] = (which >> 4) & state[OURS + 1]
@@ -141,7 +141,7 @@ def halt(state: ptr32, which: int) -> int:
 
 @micropython.viper
 def request_refill(state: ptr32) -> int:
-    """Make the engine's interrupt happen now, unless it is stopped."""
+    """Trigger the engine's interrupt, unless the engine is stopped."""
     if state[HALT] == 0:
         state[ASKED] = 1
         ptr32(state[CLOCK_PIO])[IRQ_FORCE] = 1 << CLOCK
@@ -150,7 +150,7 @@ def request_refill(state: ptr32) -> int:
 
 @micropython.viper
 def arm(state: ptr32) -> int:
-    """Forget faults and the segments that no machine has been given: motion is possible again."""
+    """Clear faults and drop the segments that were not handed over: motion is possible again."""
     axes = state[AXES]
     lanes = ptr32(state[LANES])
     if state[HALT] == 0:
@@ -161,7 +161,7 @@ def arm(state: ptr32) -> int:
     state[CUT] = 0
     for i in range(axes):
         lanes[LANE * i + PLACE] = lanes[LANE * i + END]
-    # Ones clear.
+    # Ones clear these bits.
     ptr32(state[PIO0])[FDEBUG] = state[OURS] << TXOVER
     ptr32(state[PIO1])[FDEBUG] = state[OURS + 1] << TXOVER
     if RP2350 and state[THIRD]:
@@ -174,7 +174,7 @@ def arm(state: ptr32) -> int:
 
 @micropython.viper
 def fault_code(state: ptr32) -> int:
-    """What is wrong, 0 if nothing is. For the main loop."""
+    """Return the fault code, 0 if there is no fault. Main loop only."""
     if state[FAULT]:
         return state[FAULT]
     over = (ptr32(state[PIO0])[FDEBUG] >> TXOVER) & state[OURS]
@@ -185,7 +185,7 @@ def fault_code(state: ptr32) -> int:
     if state[ASKED]:
         return UNHEARD
     if state[RUNNING]:
-        # In this order: an interrupt in between makes it less, if anything.
+        # END_US is read first: an interrupt in between can then only make `late` smaller.
         end = state[END_US]
         late = ((ptr32(state[TIMER])[0] & MASK) - end) & MASK
         if late >= _PATIENCE_US and late < NEGATIVE:
@@ -195,11 +195,11 @@ def fault_code(state: ptr32) -> int:
 
 @micropython.viper
 def position(state: ptr32, steps: ptr32) -> int:
-    """Where the motors are now."""
+    """Copy the present position of each motor, in steps."""
     motors = state[MOTORS]
     lanes = ptr32(state[LANES])
     begins = ROW_AXES + ROW_STRIDE * state[AXES]
-    locked = state[LOCKED]  # now, for stop() may come in between
+    locked = state[LOCKED]  # read now, because stop() may come in between
     if state[RUNNING] == 0:
         for i in range(motors):
             steps[i] = lanes[LANE * i + END]
@@ -212,10 +212,10 @@ def position(state: ptr32, steps: ptr32) -> int:
             k += 1
             row = ptr32(state[ROW + ((fed - k) & LAST_ROW)])
             passed = (now - row[begins]) & MASK
-        tick = -1  # not begun yet
+        tick = -1  # the row has not begun yet
         if passed < NEGATIVE:
             if passed > 1 << 20:
-                passed = 1 << 20  # or the product wraps; no row is that long
+                passed = 1 << 20  # or the product wraps; no row is that long (1 s)
             tick = (passed * HALF_TICKS_PER_US - row[begins + 1]) >> 1
         places(row, tick, int(row) + 4 * (begins + ROW_EXTRA), steps, motors)  # type: ignore[call-overload]
     for i in range(motors):
