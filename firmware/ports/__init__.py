@@ -1,1 +1,1 @@
-"""What all chips have alike: pins that are not steps, links, flash, the supervisor."""
+"""Code that all chips share: pins other than STEP and DIR, links, flash, the supervisor."""

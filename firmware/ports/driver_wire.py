@@ -1,6 +1,6 @@
-"""The wire to motor drivers that have a serial port, all on one, each by its address.
+"""The wire to motor drivers with a serial port: one for all drivers, each with its own address.
 
-Both directions are one wire: what is sent comes back, in front of the answer.
+Both directions share one wire: the bytes sent come back, before the answer.
 """
 
 from machine import UART
@@ -11,15 +11,16 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Any
 
-# An ESP32's UART 0 is the sender's; an RP2040's have pins of their own.
+# An ESP32's UART 0 is the sender's; an RP2040's UARTs have pins of their own.
 _UARTS = (1, 0)
 _BAUD = const(115200)
-_PATIENCE_MS = const(3)  # twelve bytes take 1.1, and a driver waits 0.2 at the most
+_PATIENCE_MS = const(3)  # twelve bytes take 1.1 ms, and a driver waits 0.2 ms at most
 _BUFFER = const(32)
 
 
 def of_board(board: "ModuleType") -> "DriverWire":
-    """That of a board file that names TMC_UART: TX and RX. ValueError where no UART has them."""
+    """Return the wire of a board file that names TMC_UART: TX and RX. ValueError if they are not
+    the pins of one UART."""
     pins: "tuple[int, ...]" = board.__dict__.get("TMC_UART", ())
     if len(pins) != 2:
         raise ValueError("TMC_UART wants two pins: TX and RX")
@@ -45,15 +46,15 @@ def _make_uart(number: int, tx: int, rx: int) -> "Any":
 
 
 class DriverWire:
-    """The wire. Main loop only, and at rest: an exchange takes 2 ms, or 4 where nobody answers."""
+    """The wire. Main loop only, while idle: an exchange takes 2 ms, or 4 if no driver answers."""
 
     def __init__(self, uart: "Any") -> None:
         self._uart = uart
         self._in = bytearray(_BUFFER)
 
     def exchange(self, request: "bytes | bytearray", answer_bytes: int) -> "bytes | None":
-        """Send, and return the answer: fewer bytes, or none, where it has not come. None where not
-        even what was sent has come back: the wire is broken."""
+        """Send a request and return the answer, which is short or empty if the driver did not
+        answer in time. None if not even the request came back: the wire is broken."""
         uart, sent = self._uart, len(request)
         while uart.any():
             uart.readinto(self._in)

@@ -1,8 +1,8 @@
 # mypy: disable-error-code=arg-type
-"""Escape: the way back to MicroPython's prompt, heard among the bytes that a sender sends.
+"""Escape: the way to MicroPython's prompt, found among the bytes that a sender sends.
 
-Only while the machine is at rest: Ctrl-C three times in a row, or Ctrl-C and Ctrl-A as mpremote
-sends them. KeyboardInterrupt leaves listen() then.
+Only while the machine is idle: Ctrl-C three times in a row, or Ctrl-C and Ctrl-A as mpremote sends
+them. listen() then raises KeyboardInterrupt.
 """
 
 import io
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 _CTRL_A = const(1)
 CTRL_C = const(3)
 _CR = const(13)
-_PATIENCE = const(3)  # times Ctrl-C
+_PATIENCE = const(3)  # Ctrl-C, so many times
 
 
 @micropython.viper
 def _follow(buf: ptr8, count: int, interrupts: int) -> int:
-    """How many times in a row there was Ctrl-C; -1 - i where byte i asks for the prompt."""
+    """Return how many times in a row Ctrl-C was received; -1 - i if byte i requests the prompt."""
     for i in range(count):
         byte = buf[i]
         if byte == CTRL_C:
@@ -38,30 +38,30 @@ def _follow(buf: ptr8, count: int, interrupts: int) -> int:
 
 
 class Escape:
-    """close: called before the prompt is left alone with the line."""
+    """Detect a request for the prompt. close: called before the prompt takes over the line."""
 
     def __init__(self, close: "Callable[[], None]") -> None:
         self._close = close
         self._interrupts = 0
-        # Whether the prompt may be had now.
+        # Whether the prompt is allowed now.
         self.at_rest: "Callable[[], bool]" = lambda: True
 
     def listen(self, buf: bytearray, count: int) -> None:
-        """So much has arrived. Raises KeyboardInterrupt where the prompt is asked for."""
+        """Check the bytes received. Raises KeyboardInterrupt if they request the prompt."""
         found = _follow(buf, count, self._interrupts)
         self._interrupts = max(found, 0)
         if found < 0 and self.at_rest():
             at = -1 - found
             if buf[at] == CTRL_C:
-                at += 1  # or it would interrupt what is to come
+                at += 1  # or it would interrupt the code that follows
             self._close()
             if at < count:
-                push(bytes(buf[at:count]))  # the prompt reads on where we stop
+                push(bytes(buf[at:count]))  # the prompt reads the remaining bytes
             raise KeyboardInterrupt
 
 
 class _Pusher(io.IOBase):
-    """A stream with bytes for MicroPython to read, as if they had arrived."""
+    """A stream from which MicroPython reads bytes as if they had been received."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -82,7 +82,7 @@ class _Pusher(io.IOBase):
 
 
 def push(data: bytes) -> None:
-    """Put bytes behind those that have arrived."""
+    """Append bytes to those received."""
     before = os.dupterm(_Pusher(data))
     os.dupterm_notify(None)
     os.dupterm(before)

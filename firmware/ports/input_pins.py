@@ -1,10 +1,10 @@
-"""Inputs of a board, as far as all chips have them alike, and who is called when one changes.
+"""Inputs of a board, as far as all chips share them, and the callbacks for their changes.
 
-An input is closed when pulled to ground; one that is not wired (None in the board file) is never
-closed. What they call in an interrupt neither allocates nor raises: where a callback fails all
-the same, the tool goes off and motion stops. Every callback disarms the pin that has called it; a
-timer arms it again some milliseconds later and looks at it then, so that interference, on whatever
-pin, starves neither engine nor main loop.
+An input is closed when pulled to ground; an input that is not wired (None in the board file) is
+never closed. The callbacks, which run in an interrupt, neither allocate nor raise; if one raises
+all the same, the tool goes off and motion stops. Every interrupt of a pin disarms that pin. A
+timer arms it again some milliseconds later and reads it then, so that interference on any pin
+starves neither engine nor main loop.
 """
 
 import micropython
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
 NOT_WIRED = const(255)
-# For so long an input that has called is left in peace where the board file says nothing.
+# How long an input stays disarmed after an interrupt, unless the board file says otherwise.
 _PEACE_MS = const(2)
-# The probe is left in peace after so many edges that were over before it was looked at: contacts
-# bounce, and the place of the first touch that lasts is to be exact to the step.
+# The probe is disarmed after so many edges that were over before the pin was read: contacts
+# bounce, and the position of the first touch that lasts must be exact to the step.
 _MOST_MISSES = const(4)
 
 _FAILED = "A pin's callback has failed"
@@ -34,35 +34,35 @@ _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
 class PortInputs:
     """The inputs of a Port.
 
-    timers: two that nobody else uses. has_hard: interrupts can be hard.
+    timers: two that nothing else uses. has_hard: interrupts can be hard.
     """
 
-    _sensors: "list[Pin | None]"  # inputs of an extra, where there is one
+    _sensors: "list[Pin | None]"  # inputs of an extra, if there is one
 
-    kill: "Callable[[], object]"  # tools off, for good: whoever has outputs says how
+    kill: "Callable[[], object]"  # switches tools off until revive(); PortPins has it
 
     def __init__(self, board: "ModuleType", timers: "tuple[Timer, Timer]", has_hard: bool) -> None:
         self._hard = has_hard
         self._look_timer, self._control_timer = timers
         self._make_inputs(board)
-        self.fault = ""  # what is wrong with the inputs, in words
+        self.fault = ""  # the fault of the inputs, as text
         self.limit_invert = 0
         self._limits_enabled = False
         self._limits_seen = 0
-        # Some of these pins are disarmed until the timer looks at them.
+        # Some of these pins are disarmed until the timer reads them.
         self._limits_wait = self._sensors_wait = False
-        self._looks_soon = False  # that timer runs
-        self._quiet = False  # a button bounces
+        self._looks_soon = False  # that timer is running
+        self._quiet = False  # a button was pressed and may bounce
         self._controls_seen = 0
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
-        self._misses = 0  # edges of the probe that were over when it was looked at
-        # Taking a method as a value allocates.
+        self._misses = 0  # edges of the probe that were over when it was read
+        # A bound method allocates each time it is taken: take it once.
         self._look_again = self._look_at_inputs
         self._settle = self._settled
 
     def _make_inputs(self, board: "ModuleType") -> None:
-        option = board.__dict__.get  # getattr() would keep the names for good
+        option = board.__dict__.get  # getattr() would intern the names for good
         self._without_pull: "tuple[int, ...]" = option("NO_PULL_UP", ())
         self._limits = [self._make_input(pin) for pin in option("LIMIT", ())]
         self._limit_debounce_ms: int = option("LIMIT_DEBOUNCE_MS", 0)
@@ -75,7 +75,7 @@ class PortInputs:
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
         self._probe = self._make_input(option("PROBE", None))
-        # As levels() has them.
+        # In the order of levels().
         without = [None] * (PROBE_AT - len(self._controls))
         self._inputs = self._controls + without + [self._probe] + self._limits
         numbers = list(option("CONTROL", ())) + without + [option("PROBE", None)]
@@ -92,8 +92,9 @@ class PortInputs:
     # Interrupts
 
     def attach(self, listener: "InputListener") -> None:
-        """Who is called, in an interrupt, when one of these inputs changes, the emergency stop
-        being one of the controls, which are handed over; and where a callback has failed."""
+        """Set the listener: its callbacks are called in an interrupt when one of these inputs
+        changes, or if a callback has failed. on_controls is passed a mask, which includes the
+        emergency stop."""
         self._listener = listener
         self._enable_interrupts(self._limits, self._limit_changed)
         self._enable_interrupts((self._probe,), self._probe_changed)
@@ -103,7 +104,7 @@ class PortInputs:
     def _enable_interrupts(
         self, pins: "Iterable[Pin | None]", changed: "Callable[[Pin], object]"
     ) -> None:
-        """Prepare for interrupts; _arm() lets them come."""
+        """Prepare the pins' interrupts; _arm() enables them."""
         for pin in pins:
             if pin and self._hard:
                 pin.irq(changed, 0, hard=True)
@@ -111,24 +112,26 @@ class PortInputs:
                 pin.irq(changed, 0)
 
     def _fail(self) -> None:
-        """A callback has raised: the tool off, and whoever stops the machine is told."""
+        """Handle a callback that has raised: switch the tool off and notify the listener, which
+        stops motion."""
         self.fault = _FAILED
         try:
             self.kill()
             self._listener.on_fault()
-            self._limits_wait = True  # to be heard again
+            self._limits_wait = True  # arm them again
             self._look_in(0)
             self._await_quiet()
         except BaseException:
             self.fault = _FAILED_TWICE
 
     def _look_in(self, ms: int) -> None:
-        """Look at inputs that are disarmed, in so many ms; 0: with others that wait already. Begun
-        anew at every edge, the timer fails at last on a Pico whose main loop hangs (emulated)."""
+        """Read disarmed inputs in `ms` milliseconds; 0: together with others that wait already. If
+        the timer were restarted at every edge, it would fail at last on a Pico whose main loop
+        hangs (emulated)."""
         if ms or not self._looks_soon:
             self._looks_soon = True
-            # Again and again until the callback ends it: a call may get lost. No frame more: the
-            # stack is short here.
+            # Periodic until the callback ends it, because a call may get lost. Not in a function
+            # of its own: the stack is short here.
             self._look_timer.init(
                 mode=Timer.PERIODIC,
                 period=ms or _PEACE_MS,
@@ -137,7 +140,8 @@ class PortInputs:
             )
 
     def _look_at_inputs(self, timer: "Timer") -> None:
-        """Arm what has been disarmed. Before the look, each: nothing falls in between."""
+        """Arm disarmed inputs again. Each is armed before it is read, so that no change is
+        missed."""
         try:
             timer.deinit()
             self._looks_soon = False
@@ -158,12 +162,13 @@ class PortInputs:
     # Limits
 
     def enable_limits(self, on: bool) -> None:
-        """Call on_limits, or leave the limit inputs in peace ($21)."""
+        """Call on_limits when a limit input changes, or ignore the limit inputs ($21)."""
         self._limits_enabled = on
         self._limits_seen = self.limits()
         _arm(self._limits, _BOTH_EDGES if on else 0)
 
-    # Native code needs half the stack, on top of the main loop's and the engine's.
+    # Native code needs half the stack that bytecode does, on top of the main loop's and the
+    # engine's.
 
     @micropython.native
     def _limit_changed(self, pin: "Pin") -> None:
@@ -187,7 +192,7 @@ class PortInputs:
             self._listener.on_limits()
 
     def limits(self) -> int:
-        """Mask of limit inputs pulled to ground, bit 0 = X."""
+        """Return the mask of limit inputs pulled to ground, bit 0 = X."""
         return _mask(self._limits)
 
     # Control inputs
@@ -199,8 +204,8 @@ class PortInputs:
             if self._quiet and self._debounce_ms and pin is not self._estop:
                 return
             seen = self._seen_by(pin)
-            self._controls_seen |= seen  # also where the listener fails
-            self._listener.on_controls(seen)  # before the other inputs are looked at
+            self._controls_seen |= seen  # also if the listener fails
+            self._listener.on_controls(seen)  # before the other inputs are read
             if self.after_controls:
                 self.after_controls(seen)
             self._controls_seen = self.controls()
@@ -211,7 +216,7 @@ class PortInputs:
 
     @micropython.native
     def _seen_by(self, pin: "Pin") -> int:
-        """Mask of this control input alone, 0 where it is not active."""
+        """Return the mask of this control input alone, 0 if it is not active."""
         if pin is self._estop:
             return EMERGENCY_STOP if pin.value() else 0
         bit = 1 << self._controls.index(pin)
@@ -230,7 +235,7 @@ class PortInputs:
         try:
             timer.deinit()
             self._quiet = False
-            _arm(self._buttons, _BOTH_EDGES)  # before the look: nothing falls in between
+            _arm(self._buttons, _BOTH_EDGES)  # before the pins are read: no change is missed
             changed = self._controls_seen != self.controls()
             self._controls_seen = self.controls()
             if changed or (self._estop and self._estop.value()):
@@ -243,17 +248,17 @@ class PortInputs:
             self._fail()
 
     def _active(self) -> int:
-        """What has been seen, with the emergency stop."""
+        """Return the active controls last read, with the emergency stop."""
         if self._estop and self._estop.value():
             return self._controls_seen | EMERGENCY_STOP
         return self._controls_seen
 
     def controls(self) -> int:
-        """Mask of control inputs that are active: reset, hold, start, door."""
+        """Return the mask of active control inputs: reset, hold, start, door."""
         return _mask(self._controls) ^ self._control_invert
 
     def _is_open(self) -> bool:
-        """The emergency stop is pressed."""
+        """Return whether the emergency stop is pressed."""
         return self._estop is not None and self._estop.value() == 1
 
     # The probe
@@ -275,7 +280,7 @@ class PortInputs:
     @micropython.native
     def _probe_changed(self, pin: "Pin") -> None:
         try:
-            self._misses += 1  # unless this is the contact
+            self._misses += 1  # one too many if this is the contact
             enough = self._misses >= _MOST_MISSES
             if enough:
                 pin.irq().trigger(0)
@@ -288,29 +293,29 @@ class PortInputs:
     def _look_at_probe(self) -> None:
         if self.probe() != self._contact_level:
             return
-        on_contact = self._on_contact  # not before the look: an interrupt may have come first
+        on_contact = self._on_contact  # after the pin is read: an interrupt may have come first
         self._on_contact = None
         if on_contact:
             on_contact()
             self._arm_probe()
 
     def probe(self) -> bool:
-        """The probe input is pulled to ground."""
+        """Return whether the probe input is pulled to ground."""
         return self._probe is not None and self._probe.value() == 0
 
     def levels(self) -> int:
-        """All of these at once: base.controls says which bit is whose."""
+        """Return all inputs as one mask; base.controls says which bit is which."""
         return _mask(self._inputs) ^ self._control_invert
 
     # Inputs of extras
 
     def sense(self) -> int:
-        """Levels of those inputs, a bit each."""
+        """Return the levels of an extra's inputs, a bit each."""
         return (1 << len(self._sensors)) - 1 ^ _mask(self._sensors)
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
-        """Call on_change, in an interrupt, whenever one of them changes; and once more when one
-        that has called is looked at again."""
+        """Call on_change, in an interrupt, whenever one of them changes, and once more when a
+        disarmed one is read again."""
         self._on_sensor = on_change
         self._enable_interrupts(self._sensors, self._sensor_changed)
         _arm(self._sensors, _BOTH_EDGES)

@@ -1,4 +1,4 @@
-"""The pins of a board file, before anything is done with one of them."""
+"""Check the pins of a board file before one of them is used."""
 
 from machine import Pin
 from micropython import const
@@ -7,7 +7,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
-# Names that stand for pins of the chip, for tuples of them, or for those of custom.py by name, on
+# Names whose values are pins of the chip, tuples of pins, or custom.py's dicts of pins by name, on
 # every board; None is not wired.
 _NAMES = (
     "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN "
@@ -16,14 +16,15 @@ _NAMES = (
 
 
 def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ...]" = ()) -> None:
-    """No pin twice, but for limit switches that share one, and none that the chip has not.
+    """Check that no pin is used twice, except by limit switches that share one, and that the chip
+    has each pin.
 
-    motors: the engine's names for pins. others: those of extras. Raises ValueError, which says
-    where.
+    motors: the engine's names for pins. others: those of extras. Raises ValueError, which names
+    the entry.
     """
     used: "dict[int, str]" = {}
     for name in list(motors) + _NAMES.split() + list(others):
-        value = board.__dict__.get(name)  # getattr() would keep the names for good
+        value = board.__dict__.get(name)  # getattr() would intern the names for good
         if isinstance(value, dict):
             value = tuple(value.values())
         for pin in value if isinstance(value, tuple) else (value,):

@@ -1,4 +1,4 @@
-"""Pins that are not steps, as far as all chips have them alike: pio/pins.py, esp_chip/pins.py."""
+"""Pins other than STEP and DIR, in code that all chips share: pio/pins.py, esp_chip/pins.py."""
 
 import time
 
@@ -18,7 +18,7 @@ _INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 class PortPins(PortInputs):
     """A Port.
 
-    timers: two that nobody else uses. enables: pins of the motor drivers' enable. has_hard:
+    timers: two that nothing else uses. enables: pins that enable the motor drivers. has_hard:
     interrupts can be hard.
     """
 
@@ -38,7 +38,7 @@ class PortPins(PortInputs):
         # What kill() switches off: number, pin, and level when off. PWM is apart.
         self._tools: "list[tuple[int, Pin, int]]" = []
         self._own_pwm: "list[PWM | None]" = []
-        self._own_hz: "list[int]" = []  # as asked for, which PWM meets to the nearest it can
+        self._own_hz: "list[int]" = []  # as requested; PWM sets the nearest frequency it can
         self._make_outputs(board)
 
     def _make_outputs(self, board: "ModuleType") -> None:
@@ -67,19 +67,20 @@ class PortPins(PortInputs):
     # Outputs
 
     def enable(self, level: int) -> None:
-        """Level of the motor drivers' enable pins."""
+        """Set the level of the motor drivers' enable pins."""
         for pin in self._enables:
             pin.value(level)
 
     def direction(self, level: int) -> None:
-        """Spindle direction: 1 = counterclockwise."""
+        """Set the spindle direction: 1 = counterclockwise."""
         if self._direction:
             self._direction.value(level ^ self._direction_off)
         if self._killed:
             self.safe()
 
     def spindle(self, on: bool, power: int) -> None:
-        """Spindle output: enable, and PWM power 0..pwm_max. May be called in an interrupt."""
+        """Set the spindle output: enable, and PWM power 0..pwm_max. May be called in an
+        interrupt."""
         if self.pwm:
             self.pwm.duty_u16(power * _FULL // self.pwm_max)
         if self._spindle_on:
@@ -88,7 +89,7 @@ class PortPins(PortInputs):
             self.safe()
 
     def coolant(self, mask: int) -> None:
-        """Coolant outputs: flood, mist."""
+        """Set the coolant outputs: bit 0 flood, bit 1 mist."""
         if self._flood:
             self._flood.value(mask & 1 ^ self._flood_off)
         if self._mist:
@@ -97,20 +98,21 @@ class PortPins(PortInputs):
             self.safe()
 
     def kill(self) -> object:
-        """Spindle, laser, coolant, and outputs of extras, off until revive(), whatever is asked of
-        them: who writes to them looks behind that whether this has come in between."""
+        """Switch off spindle, laser, coolant and outputs of extras, until revive(). A method that
+        sets one of them checks afterwards whether kill() has come in between."""
         self._killed = True
         self.safe()
         return None
 
     def revive(self) -> None:
-        """What has been killed is off, and obeys again."""
+        """Allow outputs to be set again; they are off."""
         if self._killed:
             self.safe()
             self._killed = False
 
     def safe(self) -> None:
-        """What could do harm off; motors stay as they are: an axis that drops is no safer."""
+        """Switch off all outputs that could do harm. Motors stay as they are: an axis that drops
+        is no safer."""
         if self.pwm:
             self.pwm.duty_u16(0)
         for pwm in self._own_pwm:
@@ -122,17 +124,17 @@ class PortPins(PortInputs):
     # The clock
 
     def ticks_ms(self) -> int:
-        """Milliseconds, wrapping; compare with elapsed_ms."""
+        """Return milliseconds, which wrap; compare with elapsed_ms."""
         return time.ticks_ms()
 
     def elapsed_ms(self, since: int) -> int:
-        """Milliseconds since a value of ticks_ms()."""
+        """Return the milliseconds since a value of ticks_ms()."""
         return time.ticks_diff(time.ticks_ms(), since)
 
     # Pins of extras
 
     def add_pins(self, outputs: "tuple[int, ...]", inputs: "tuple[int, ...]") -> None:
-        """Outputs that drive() sets, inputs that sense() reads."""
+        """Make the outputs that drive() sets and the inputs that sense() reads."""
         self._own_numbers = outputs
         self._own = [Pin(pin, Pin.OUT, value=0) for pin in outputs]
         self._own_pwm = [None] * len(outputs)
@@ -140,15 +142,15 @@ class PortPins(PortInputs):
         self._sensors = [self._make_input(pin) for pin in inputs]
 
     def drive(self, levels: int) -> None:
-        """Levels of those outputs, a bit each. May be called in an interrupt."""
+        """Set the levels of those outputs, a bit each. May be called in an interrupt."""
         for i in range(len(self._own)):
             self._own[i].value(levels >> i & 1)
         if self._killed:
             self.safe()
 
     def pulse(self, index: int, hz: int, duty: int) -> None:
-        """That output makes pulses from now on, and drive() leaves it alone: hz in a second, on
-        for duty / 65535 of the time; 0 is off. ValueError where it cannot."""
+        """Start PWM on that output, which drive() then no longer affects: hz per second, on for
+        duty / 65535 of the time; 0 is off. ValueError if the pin cannot."""
         pwm = self._own_pwm[index]
         if pwm is None or self._own_hz[index] != hz:
             pwm = self._begin_pulses(index, hz)
@@ -158,7 +160,7 @@ class PortPins(PortInputs):
             self.safe()
 
     def _begin_pulses(self, index: int, hz: int) -> PWM:
-        """An output's pulses begin, or become as many as that."""
+        """Start an output's PWM, or change its frequency."""
         pwm = self._own_pwm[index]
         if pwm is None:
             pwm = self._own_pwm[index] = PWM(self._own[index], freq=hz, duty_u16=0)
@@ -167,7 +169,7 @@ class PortPins(PortInputs):
         return pwm
 
     def rest(self, levels: int) -> None:
-        """The levels that kill() sets."""
+        """Set the levels that kill() gives to those outputs."""
         own = self._own
         tools = [tool for tool in self._tools if tool[1] not in own]
         for i in range(len(own)):
@@ -177,7 +179,7 @@ class PortPins(PortInputs):
     # For power_up.py
 
     def held(self, pin: "int | None") -> bool:
-        """A button between this pin and ground is held."""
+        """Return whether a button between this pin and ground is held."""
         return pin is not None and Pin(pin, Pin.IN, Pin.PULL_UP).value() == 0
 
 

@@ -1,12 +1,13 @@
 # mypy: disable-error-code=arg-type
-"""Supervisor: stops the machine where the main loop does not turn any more.
+"""Supervisor: stop the machine if the main loop no longer runs.
 
-Whatever waits reads the link, so a link that is not read is a main loop that hangs. A timer,
-hard where the chip has such, counts for how long; past the limit tools go off and motors stop, at
-every beat, until the loop is back, where an exception then tells of it. Where it never comes
-back the watchdog ends it, which is fed here, as long as the link is read.
+All code that waits reads the link, so a link that is not read means that the main loop hangs. A
+timer, hard if the chip has hard timers, measures for how long. Past the limit it switches tools
+off and stops motors, at every beat, until the loop is back; an exception then reports the cause.
+If the loop never comes back, the watchdog resets the chip: it is fed here, as long as the link is
+read.
 
-A write to flash, and one to a host that does not read, may take longer: they say so first.
+A write to flash, and one to a host that does not read, may take longer: they announce it first.
 """
 
 import sys
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
     from interfaces import BoardLink, Port, StepEngine
 
-# Beats of a hard timer, and of one that goes through MicroPython's queue of 8, not to fill it.
+# Beat of a hard timer, and of one that goes through MicroPython's queue of 8, which must not fill
+# up.
 _HARD_MS = const(5)
 _SOFT_MS = const(50)
 _SOFT_TIMER = const(3)  # 0 is the engine's, 1 and 2 the port's
@@ -34,7 +36,7 @@ _CTRL_X = const(24)
 
 
 class Supervisor:
-    """Watches over a link, an engine and a port. limit_ms: how long the main loop may be away."""
+    """Watch a link, an engine and a port. limit_ms: how long the main loop may be away."""
 
     def __init__(
         self, link: "BoardLink", engine: "StepEngine", port: "Port", limit_ms: int
@@ -48,13 +50,13 @@ class Supervisor:
         self._limit_ms = limit_ms
         hard = sys.platform == "rp2"
         self._beat_ms = _HARD_MS if hard else _SOFT_MS
-        self._last_ms = 0  # when a soft beat came
+        self._last_ms = 0  # time of the last soft beat
         self._timer = Timer(-1 if hard else _SOFT_TIMER)
 
     def start(self, feed: "Callable[[], None] | None", on_reset: "Callable[[int], None]") -> None:
-        """Watch from now on. feed: the watchdog's; on_reset: hears of a Ctrl-X that came while the
-        main loop does not listen, in the interrupt, when tool and motors have been stopped, with
-        no alarm (0)."""
+        """Start watching. feed: feeds the watchdog. on_reset: called with 0 (no alarm), in the
+        interrupt, if a Ctrl-X came while the main loop does not read; tool and motors have been
+        stopped then."""
         self._feed = feed
         self._on_reset = on_reset
         self.allow(0)
@@ -63,24 +65,25 @@ class Supervisor:
         self._timer.init(period=self._beat_ms, callback=beat, hard=hard)
 
     def close(self) -> None:
-        """Watch no more."""
+        """Stop watching."""
         self._timer.deinit()
 
     def allow(self, ms: int) -> None:
-        """The main loop may be away for so much longer, this time."""
+        """Let the main loop be away for so much longer, once."""
         self._shared[AWAY] = -ms
 
     def _soft_beat(self, timer: object) -> None:
-        """Those that have waited while flash was written come all at once, and are one."""
+        """Merge beats into one that were queued while flash was written."""
         if self._port.elapsed_ms(self._last_ms) >= _SOFT_MS // 2:
             self._last_ms = self._port.ticks_ms()
             self._beat(timer)
 
     @micropython.viper
     def _beat(self, _timer: object) -> int:
-        """Interrupt. Catches all, for MicroPython would not call it again.
+        """Measure the absence, feed the watchdog, look for Ctrl-X. Interrupt.
 
-        Kernel and all: as bytecode it took twice the time, at every beat.
+        It catches all exceptions, because MicroPython would not call it again after one. It is one
+        viper function: as bytecode it took twice the time, at every beat.
         """
         shared = ptr32(self._shared)
         stops = 0
@@ -92,7 +95,7 @@ class Supervisor:
             else:
                 shared[AWAY] += int(self._beat_ms)
                 if shared[AWAY] == 0:
-                    shared[AWAY] = 1  # it has been away for all of what it was allowed
+                    shared[AWAY] = 1  # the allowance is used up; 0 means not away
             if shared[AWAY] & NEGATIVE == 0 and shared[AWAY] >= int(self._limit_ms):
                 stops = 1
                 shared[STOPPED] = shared[AWAY]
@@ -119,12 +122,12 @@ class Supervisor:
             except:  # noqa: E722
                 shared[STOPPED] = _FAILED
         if stops:
-            micropython.kbd_intr(_CTRL_X)  # which ends what does not come back by itself
+            micropython.kbd_intr(_CTRL_X)  # Ctrl-X received interrupts code that does not return
         return 0
 
     def end_absence(self) -> int:
-        """The main loop is back. Returns for how long it was away, in ms, if the machine has been
-        stopped for that."""
+        """Note that the main loop is back. Returns how long it was away, in ms, if the machine was
+        stopped for that, else 0."""
         self._shared[TURNED] = 1
         micropython.kbd_intr(-1)
         away = self._shared[STOPPED]
@@ -132,7 +135,7 @@ class Supervisor:
         return away
 
     def raise_if_stopped(self) -> None:
-        """The main loop is back. Raises RuntimeError, which says why the machine was stopped."""
+        """Raise RuntimeError, which says why the machine was stopped: the main loop is back."""
         away = self.end_absence()
         if away == _FAILED:
             raise RuntimeError("the timer's interrupt has failed")

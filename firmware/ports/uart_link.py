@@ -1,8 +1,8 @@
 """The sender on the ESP32's own serial port: stdin and stdout, which are UART 0 or native USB.
 
-MicroPython keeps 260 bytes that have arrived; a UART drops what comes on top of that and says
-nothing, so a board file that uses this tells senders of 128. Native USB lets the sender wait.
-Where there is native USB, what we say goes out on UART 0 as well, and no faster than there.
+MicroPython keeps 260 bytes that have arrived; a UART drops more than that without notice, so a
+board file that uses this link advertises 128 to senders. Native USB makes the sender wait. On a
+chip with native USB, output goes to UART 0 as well, and no faster than there.
 """
 
 import array
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-# What a UART's own memory takes without waiting; soft interrupts come in between.
+# What a UART's buffer takes without waiting; soft interrupts run between pieces.
 _PIECE = const(64)
 
 
 class UartLink:
-    """A Link. For the supervisor: shared is what they share; there is nothing to look at but by
-    reading; check_supervisor is its own, called in the main loop, and raises. on_poll: called in
-    every turn."""
+    """A Link. shared: memory shared with the supervisor. poll_reset is None: Ctrl-X can be found
+    only by reading. check_supervisor: the supervisor's, called in the main loop, which raises.
+    on_poll: called in every turn."""
 
     poll_reset = None
-    is_slow = False  # Ctrl-X is heard as soon as the chip's MicroPython lets anyone hear it
+    is_slow = False  # Ctrl-X is read as soon as this chip's MicroPython can
 
     def __init__(self) -> None:
-        micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
+        micropython.kbd_intr(-1)  # Ctrl-C is an ordinary byte
         self.check_supervisor: "Callable[[], None]" = lambda: None
         self.on_poll: "Callable[[], None]" = lambda: None
         self.shared = array.array("i", (0, 0, 0))
@@ -45,11 +45,11 @@ class UartLink:
         self._escape = Escape(self.close)
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Say when the REPL may be asked for. That a sender opens the port nobody hears of."""
+        """Set when the REPL may be requested. This link cannot see a sender open the port."""
         self._escape.at_rest = at_rest
 
     def read_into(self, buf: bytearray) -> int:
-        """Move what has arrived into buf; return how many bytes."""
+        """Move the bytes received into buf; return how many."""
         self.shared[TURNED] = 1
         if self.shared[STOPPED]:
             self.check_supervisor()
@@ -65,7 +65,7 @@ class UartLink:
         return count
 
     def discard(self) -> None:
-        """Drop what has arrived. MicroPython keeps less than 1 kB; more may follow."""
+        """Drop the bytes received. MicroPython keeps less than 1 kB; more may follow."""
         piece = bytearray(_PIECE)
         for _ in range(PIECES):
             self.read_into(piece)
@@ -76,7 +76,7 @@ class UartLink:
         return False
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send; waits where the line is slower than we are."""
+        """Send; wait if the line is slower than the output."""
         if len(data) <= _PIECE:
             self._send(data)
             return
@@ -90,5 +90,5 @@ class UartLink:
         self.shared[AWAY] = 0
 
     def close(self) -> None:
-        """Ctrl-C interrupts again."""
+        """Let Ctrl-C interrupt again."""
         micropython.kbd_intr(CTRL_C)

@@ -1,1 +1,1 @@
-"""Wi-Fi: senders, the page, and who of them is in control."""
+"""Wi-Fi: senders, the page, and which client controls the machine."""

@@ -9,7 +9,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from ports.net.client import Client
 
-# Lines that change nothing, as plain() has them.
+# Lines that change nothing, in the form that plain() returns.
 READING = (b"", b"$", b"$$", b"$#", b"$G", b"$I", b"$I+", b"$N", b"$NET")
 _KEY = b"$NETKEY="
 OK = b"ok\r\n"
@@ -19,13 +19,13 @@ _MSG_KEY = b"[MSG:Read only: the network's key comes first, $NET/KEY=...]\r\n" +
 _MSG_WRONG = b"[MSG:Wrong network key]\r\n" + _LOCKED
 MSG_TAKEN = b"[MSG:Somebody else drives]\r\n"
 TAKEN = MSG_TAKEN + _LOCKED
-# How requests of HTTP begin, and TLS: no line for a Grbl begins with two letters like these.
+# The first bytes of HTTP requests and of TLS. No line for Grbl begins with two such letters.
 _LETTERS = const(2)
 _OF_BROWSERS = (b"GE", b"PO", b"PU", b"HE", b"OP", b"PA", b"DE", b"CO", b"TR", b"PR", b"\x16\x03")
 
 
 def plain(said: bytearray) -> bytes:
-    """A line in capitals, without spaces and slashes, its end, and what asks for a report."""
+    """Return a line in capitals, without spaces, slashes, ?, and its end."""
     line = bytes(said).upper()
     for sign in (b" ", b"/", b"?", b"\r", b"\n"):
         line = line.replace(sign, b"")
@@ -33,24 +33,25 @@ def plain(said: bytearray) -> bytes:
 
 
 def is_browser(said: bytearray, count: int) -> bool:
-    """Whether a line that begins like this is a browser's, which any page can have sent here."""
+    """Return whether a line with this beginning is a browser's: any web page can send one here."""
     return count == _LETTERS and bytes(said[:count]) in _OF_BROWSERS
 
 
 class Access:
-    """secret: the key; "" is nobody's. No address is trusted: a sender shares its own with every
-    page that is open in a browser beside it."""
+    """The access check. secret: the key, "" if there is none. No address is trusted, because a
+    sender shares its address with every page open in a browser on the same computer."""
 
     def __init__(self) -> None:
         self.secret = ""
 
     def random_bytes(self, count: int) -> bytes:
-        """So many bytes of the chip's own."""
+        """Return so many random bytes from the chip."""
         return os.urandom(count)
 
     def answer(self, client: "Client", line: bytes) -> bytes:
-        """What becomes of a client's line, if it is not to be done: a key, or more than it may.
-        Each key costs the same, and nobody waits for another's: there are 30 ** 8."""
+        """Return the answer to a client's line if the line must not be executed: one with the key,
+        or one that the client may not send; else b"". Each key tried costs the same time, and no
+        client waits for another's: there are 30 ** 8 keys."""
         if not line.startswith(_KEY):
             return b"" if client.trusted or line in READING else _MSG_KEY
         if self.secret and line[len(_KEY) :] == self.secret.encode():

@@ -1,14 +1,16 @@
 # mypy: disable-error-code=arg-type
-"""A client: one of those who may control the machine, at the cable or over the network.
+"""A client that may control the machine, at the cable or over the network.
 
-Nothing here waits. Output is queued and sent in pieces that lwIP has memory for: where that is
-used up, MicroPython 1.28 waits up to ten seconds in a write, also for a socket that is not to
-block (extmod/modlwip.c, lwip_tcp_send). Its memory is 8000 bytes and 32 segments for all, and what
-a closed connection has not acknowledged stays there for ten seconds. Memory counts all of it.
+Nothing here waits. Output is queued and sent in pieces that lwIP has memory for. If that memory is
+used up, MicroPython 1.28 waits up to ten seconds in a write, even on a non-blocking socket
+(extmod/modlwip.c, lwip_tcp_send). lwIP's memory is 8000 bytes and 32 segments for all connections,
+and what a closed connection has not acknowledged stays there for ten seconds. Memory counts all of
+it.
 
-Bytes that arrive prove that the client is alive, not that it has read our output. With the key
-they are taken as proof. Without it a websocket proves it (web_socket.py), and raw TCP cannot: such
-a client gets a fixed number of bytes, and no answers after them, until it says the key.
+Bytes that arrive prove that the client is alive, not that it has read our output. From a client
+with the key they are accepted as that proof. Without the key a websocket proves it
+(web_socket.py), and raw TCP cannot: such a client is sent a fixed number of bytes, and no answers
+after them, until it sends the key.
 """
 
 import time
@@ -21,24 +23,24 @@ if TYPE_CHECKING:
     from interfaces import Connection
 
 _QUESTION = const(0x3F)
-_SAID = const(256)  # twice what a sender that counts has under way
+_SAID = const(256)  # twice the bytes that a sender that counts has under way
 _PIECE = const(64)
 _OUT = const(512)
-_SEGMENT = const(100)  # what a write counts for at the least
-MEMORY = const(7200)  # a third for each client
+_SEGMENT = const(100)  # what a write counts for, at least
+MEMORY = const(7200)  # bytes; a client may use a third
 _CLOSED_MS = const(10_000)
-# Senders ask for a report a few times a second: a client silent for so long has gone.
+# Senders request a report a few times a second: a client silent for so long has gone.
 _GONE_MS = const(3000)
-# So long a client may keep its place where others want one: without the key from when it came,
-# with it from when it was last heard, for senders wait for the end of a long move.
+# How long a client may keep its place if another client needs one: without the key, since it
+# connected; with the key, since its last bytes, because senders wait for the end of a long move.
 _STRANGER_MS = const(250)
 _LOST_MS = const(600_000)
-_TRIES = const(3)  # wrong keys
+_TRIES = const(3)  # wrong keys that are allowed
 
 
 @micropython.viper
 def asks(data: ptr8, count: int) -> int:
-    """Whether there is a ? among the bytes."""
+    """Return 1 if there is a ? among the bytes, else 0."""
     for i in range(count):
         if data[i] == _QUESTION:
             return 1
@@ -46,54 +48,55 @@ def asks(data: ptr8, count: int) -> int:
 
 
 class Memory:
-    """Bytes that lwIP may hold for all connections, those that are closed included. Clients
-    without the key have a third of it, all together."""
+    """Bytes that lwIP may hold for all connections, including closed ones. Clients without the key
+    together have a third of it."""
 
     def __init__(self, most: int = MEMORY) -> None:
         self.share = most // 3
         self.held = 0
         self._most = most
-        self._closed: "list[tuple[int, int]]" = []  # when, and how many bytes
+        self._closed: "list[tuple[int, int]]" = []  # time of closing, in ms, and bytes held
 
     def space(self, trusted: bool) -> int:
-        """Bytes that may be sent."""
+        """Return how many bytes may be sent."""
         return (self._most if trusted else self.share) - self.held
 
     def leave(self, count: int) -> None:
-        """So many bytes are held for a connection that has been closed."""
+        """Count bytes that a closed connection still holds."""
         if count:
             self._closed.append((time.ticks_ms(), count))
 
     def forget(self, now_ms: int) -> None:
-        """Those that MicroPython has given up are free."""
+        """Free the bytes that MicroPython has given up."""
         while self._closed and time.ticks_diff(now_ms, self._closed[0][0]) >= _CLOSED_MS:
             self.held -= self._closed.pop(0)[1]
 
 
 class Client:
-    """A place for one. conn: None where it is free. trusted: has said the key."""
+    """A place for a client. conn: None if the place is free. trusted: the client has sent the
+    key."""
 
     def __init__(self, memory: Memory) -> None:
         self._memory = memory
         self.conn: "Connection | None" = None
         self.address = ""
         self.trusted = False
-        self.asked = False  # for a status report that it has not got yet
+        self.asked = False  # it requested a status report that it has not been sent
         self.tries = _TRIES
         self.heard_ms = 0
-        self.spoke_ms = 0  # when its last line came; without the key, when it came itself
-        # Received and not yet passed to the machine: up to `ready` it may be.
+        self.spoke_ms = 0  # time of its last line; without the key, of its connection
+        # Bytes received and not yet passed to the machine; those before `ready` may be passed.
         self.said = bytearray(_SAID)
         self.length = 0
         self.ready = 0
         self.is_too_long = False
         self._out = bytearray(_OUT)
         self._waiting = 0
-        self._held = 0  # of memory
+        self._held = 0  # bytes of lwIP's memory
         self._proves = False
 
     def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
-        """A new connection."""
+        """Assign the place to a new connection."""
         self.conn = conn
         self.address = address
         self.trusted = False
@@ -105,7 +108,7 @@ class Client:
         self.forget()
 
     def end(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         conn, self.conn = self.conn, None
         self.forget()
         self._memory.leave(self._held)
@@ -114,12 +117,12 @@ class Client:
             conn.close()
 
     def forget(self) -> None:
-        """Drop what was received."""
+        """Drop the bytes received."""
         self.length = self.ready = 0
         self.is_too_long = False
 
     def note_received(self, now_ms: int) -> None:
-        """Something has arrived: the client is alive."""
+        """Note that bytes arrived: the client is alive."""
         self.heard_ms = now_ms
         if self.trusted and not self._proves:
             self._hold(0)
@@ -129,17 +132,17 @@ class Client:
         self._held = count
 
     def is_gone(self, now_ms: int) -> bool:
-        """Nothing is heard of it, over the network."""
+        """Return whether a network client has been silent for _GONE_MS."""
         return bool(self.conn) and time.ticks_diff(now_ms, self.heard_ms) >= _GONE_MS
 
     def overdue_ms(self, now_ms: int) -> int:
-        """How much longer than it may it has kept its place."""
+        """Return how many ms the client has kept its place beyond its time."""
         if self.trusted:
             return time.ticks_diff(now_ms, self.heard_ms) - _LOST_MS
         return time.ticks_diff(now_ms, self.spoke_ms) - _STRANGER_MS
 
     def read(self, buf: bytearray) -> int:
-        """What has arrived; -1 where the client has gone."""
+        """Read the bytes received and return how many; -1 if the client has gone."""
         try:
             count = self.conn.readinto(buf) if self.conn else 0
         except OSError:
@@ -150,11 +153,12 @@ class Client:
         return count or -1
 
     def has_room(self) -> bool:
-        """Whether more may be read. Without the key each line waits for the one before."""
+        """Return whether more bytes may be read. Without the key each line waits for the one
+        before it."""
         return self.length <= _SAID - _PIECE if self.trusted else not self.ready
 
     def keep(self, byte: int) -> None:
-        """One more byte received."""
+        """Store a received byte."""
         if self.length < _SAID:
             self.said[self.length] = byte
             self.length += 1
@@ -162,14 +166,14 @@ class Client:
             self.is_too_long = True
 
     def end_line(self, byte: int, now_ms: int) -> None:
-        """A line is whole, and is the machine's."""
+        """Store the end of a line, which may be passed to the machine then."""
         self.keep(byte)
         self.ready = self.length
         if self.trusted:
             self.spoke_ms = now_ms
 
     def move_lines(self, buf: bytearray) -> int:
-        """Move what may be the machine's into buf. Returns how many bytes."""
+        """Move bytes that may be passed to the machine into buf. Returns how many."""
         count = min(self.ready, len(buf))
         buf[:count] = self.said[:count]
         left = self.length - count
@@ -179,17 +183,17 @@ class Client:
         return count
 
     def may_hear(self) -> bool:
-        """Whether an answer would be sent: there is memory for it."""
+        """Return whether an answer would be sent: there is memory for it."""
         return self.space() >= _SEGMENT
 
     def space(self) -> int:
-        """Bytes that may be sent now."""
+        """Return how many bytes may be sent now."""
         if self._proves:
             self._hold(self.conn.unproved)  # type: ignore[union-attr]  # WebSocket's
         return min(self._memory.share - self._held, self._memory.space(self.trusted))
 
     def put(self, data: "bytes | bytearray | memoryview") -> bool:
-        """Queue output. False where the client reads too little: it has to go."""
+        """Queue output. False if the client reads too slowly; it must be dropped then."""
         count = len(data)
         if self._waiting + count > _OUT and not self.send():
             return False
@@ -200,7 +204,7 @@ class Client:
         return True
 
     def send(self) -> bool:
-        """Send as much queued output as there is memory for. False where the client is gone."""
+        """Send as much queued output as there is memory for. False if the client is gone."""
         if not self._waiting or not self.conn:
             return True
         space = self.space()
@@ -220,8 +224,12 @@ class Client:
 
 
 def slot_for(address: str, clients: "list[Client]", at_rest: bool, now_ms: int) -> "Client | None":
-    """A free place, or the one most overdue, for a new connection. While the machine works none of
-    those with the key is. Without the key a computer takes no other's place where it has one."""
+    """Return the place for a new connection: a free one, or the one most overdue; None if there is
+    none.
+
+    During motion no client with the key loses its place. Without the key, a computer that has a
+    place is given no other client's.
+    """
     found = own = None
     most_ms = 0
     for client in clients:

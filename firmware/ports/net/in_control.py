@@ -1,7 +1,7 @@
-"""Who is in control: whose lines the machine does, and who hears what it answers.
+"""Control: the client whose lines the machine executes, and the client that gets the answers.
 
-A read-only line neither takes nor keeps control. Its client borrows the machine after the owner's
-lines are done, and gives it back after the answer.
+A read-only line neither takes nor keeps control. Its client borrows the machine once the owner's
+lines are executed, and returns it after the answer.
 """
 
 import time
@@ -20,32 +20,33 @@ _SILENT_MS = const(5000)
 
 
 class Control:
-    """owner: the client in control, driver: whose lines the machine is handed. They differ while
-    one borrows it; None: nobody. hears: who gets the answers. ending: lines of another driver are
-    not done yet, and this one's wait."""
+    """Who controls the machine. owner: the client in control; driver: the client whose lines the
+    machine is passed; they differ while a client borrows the machine; None: no client. receiver:
+    the client that gets the answers. ending: lines of the previous driver are not all executed
+    yet, and this one's wait."""
 
     def __init__(self, user: "Client") -> None:
         self.owner: "Client | None" = user
         self.driver: "Client | None" = user
         self.receiver: "Client | None" = user
         self.ending = False
-        # Forget the line that has begun; and whether there is one.
+        # Drop the unfinished line; and whether there is one.
         self.drop_half: "Callable[[], None]" = lambda: None
         self.has_half: "Callable[[], bool]" = lambda: False
-        self._reads = 0  # lines of the borrower without an answer yet
+        self._reads = 0  # lines of the borrower that have no answer yet
 
     def is_borrowed(self) -> bool:
-        """The owner's lines wait."""
+        """Return whether the owner's lines wait for a borrower's."""
         return self.driver is not self.owner
 
     def set(self, owner: "Client | None") -> None:
-        """Nobody's lines are under way."""
+        """Set the client in control; no lines are being executed."""
         self.owner = self.driver = owner
         self.receiver = owner or self.receiver
 
     def request(self, client: "Client", at_rest: bool, reads: bool, now_ms: int) -> bool:
-        """Let a client that is not in control have the machine, if that may be; reads: for a line
-        that only reads."""
+        """Give the machine to a client that is not in control, if that is allowed. Returns
+        whether. reads: its line only reads."""
         if reads and client is self.driver:
             self._reads += 1
             return True
@@ -70,11 +71,11 @@ class Control:
 
     @staticmethod
     def is_silent(client: "Client", now_ms: int) -> bool:
-        """It has sent nothing for a while that does more than read."""
+        """Return whether the client has sent no line but read-only ones for _SILENT_MS."""
         return time.ticks_diff(now_ms, client.spoke_ms) >= _SILENT_MS
 
     def _transfer_control(self, owner: "Client | None") -> None:
-        """Another is in control from now on, or nobody."""
+        """Give control to another client, or to none."""
         before = self.owner
         if not self.is_borrowed():
             self._hand_over(owner)
@@ -84,13 +85,13 @@ class Control:
             before.put(MSG_TAKEN)
 
     def _hand_over(self, driver: "Client | None") -> None:
-        """Lines of another come now, and those before it are nobody's."""
+        """Switch to another client's lines; the answers to those before have no receiver."""
         self.driver, self.receiver = driver, None
         self.ending = True
         self.drop_half()
 
     def on_client_gone(self, client: "Client") -> bool:
-        """A client has gone. Returns whether it was in control."""
+        """Handle that a client has gone. Returns whether it was in control."""
         was_owner = client is self.owner
         if was_owner:
             self._transfer_control(None)
@@ -101,17 +102,17 @@ class Control:
         return was_owner
 
     def done(self) -> None:
-        """Lines of the driver before are all done and answered."""
+        """Note that the previous driver's lines are all executed and answered."""
         self.ending = False
         self.receiver = self.driver
 
     def answered(self) -> None:
-        """A line has got its ok or its error."""
+        """Note that a line was answered by ok or error."""
         if self.is_borrowed() and not self.ending:
             self._reads -= 1
             if self._reads == 0:
                 self.give_back()
 
     def give_back(self) -> None:
-        """The owner's lines are the machine's again."""
+        """Return the machine to the owner."""
         self.driver = self.receiver = self.owner

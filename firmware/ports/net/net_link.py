@@ -1,17 +1,16 @@
-"""The sender at the cable or on the network: one is in control, the others watch.
+"""The sender at the cable or on the network: one client is in control, the others watch.
 
-Put around a link of the cable, whose way to the prompt stays. Bytes of the client in control pass
-unread; of the others' each is looked at.
+It is put around the cable's link, and keeps that link's way to the prompt. Bytes of the client in
+control pass unread; each byte of the other clients is checked.
 
-| client | lines | `!`, Ctrl-X, door, end of a jog | `~`, overrides | place |
-| --- | --- | --- | --- | --- |
-| at the cable, or with the key | take control, where it is free | act | as lines | is kept |
-| without the key | reading ones, at rest, where nobody is in control | none | none | 0.25 s |
+| client | lines | `!`, Ctrl-X, door, jog cancel | `~`, overrides | place | | --- | --- | --- | ---
+| --- | | at the cable, or with the key | take control, if it is free | act | as lines | kept | |
+without the key | read-only ones, while idle, if no client is in control | none | none | 0.25 s |
 
-Control is free where nobody has it, where its client has gone (3 s without a byte, over the
-network), and at rest when it has sent no line for 5 s. Lines that only read neither take it nor
-keep it: they borrow it. `?` is answered to the client that asks. The key is said by
-`$NET/KEY=...` on each connection. client.py bounds what clients may cost.
+Control is free if no client has it; if its client has gone (a network client silent for 3 s); or
+while idle if its client has sent no line for 5 s. Read-only lines neither take nor keep control:
+they borrow it. `?` is answered to the client that sends it. The key is sent as `$NET/KEY=...` on
+each connection. client.py limits the memory that clients use.
 """
 
 import time
@@ -31,9 +30,9 @@ if TYPE_CHECKING:
 
     from interfaces import BoardLink, Connection, Incoming
 
-_MOST_CLIENTS = const(3)  # clients at once
+_MOST_CLIENTS = const(3)  # clients on the network at once
 _PIECE = const(64)
-_LONGEST_READING = const(8)  # bytes of a line that only reads
+_LONGEST_READING = const(8)  # longest read-only line, in bytes
 _URGENT = const(16)
 _ROUND_MS = const(10)
 _RADIO_MS = const(1000)
@@ -41,8 +40,8 @@ _RADIO_MS = const(1000)
 _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
-_ANSWERS = b"oe"  # how ok and error: begin
-# What begins with these goes to all: alarms, the welcome; and messages, [M.
+_ANSWERS = b"oe"  # the first letters of ok and error:
+# Output with these first bytes goes to all clients: alarms, the banner, and messages, [M.
 _A = const(0x41)
 _RETURN = const(0x0D)
 _BRACKET = const(0x5B)
@@ -51,8 +50,8 @@ _REPORT = const(0x3C)
 
 
 class NetLink:
-    """A Link. cable: another. calls: who calls; None without a network. memory: of lwIP, for all
-    clients. on_poll: as UartLink's."""
+    """A Link. cable: the cable's link. calls: new connections, None without a network. memory: of
+    lwIP, for all clients. on_poll: as UartLink's."""
 
     def __init__(
         self, cable: "BoardLink", calls: "Incoming | None", memory: "Memory | None" = None
@@ -64,33 +63,34 @@ class NetLink:
         self.is_slow = cable.is_slow
         self.check_supervisor: "Callable[[], None]" = lambda: None
         self.on_poll: "Callable[[], None] | None" = None
-        # What greets a client, and the bytes that ask for a status report.
+        # The greeting of a client, and the bytes that request a status report.
         self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
         self.questions = b"?"
         self.access = Access()
-        # The radio's, if there is one: called once a second, at rest or not; and what it says.
+        # The radio's, if there is one: a function called once a second, with whether the machine
+        # is idle; and one that returns its state.
         self.radio: "Callable[[bool], None] | None" = None
         self.status: "Callable[[], str]" = lambda: "no network is set up"
         self._at_rest: "Callable[[], bool]" = lambda: True
         self._read = cable.read_into
         self._write = cable.write
         self._memory = memory or Memory()
-        self._user = Client(self._memory)  # at the cable
+        self._user = Client(self._memory)  # the client at the cable
         self._user.trusted = True
         self._clients = [Client(self._memory) for _ in range(_MOST_CLIENTS)]
         self._all = [self._user] + self._clients
         self.control = Control(self._user)
-        # Only the cable: nothing has to be looked at. And nobody has spoken there.
+        # Only the cable is used: no byte needs checking. And nothing has been received there.
         self._is_plain = self._is_nobodys = True
         self._piece = bytearray(_PIECE)
         self._urgent = bytearray(_URGENT)
         self._urgent_count = 0
         self._round_ms = self._radio_ms = time.ticks_ms()
 
-    # The Link seam
+    # The Link interface
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Say when the prompt may be asked for, and who greets."""
+        """Set when the prompt may be requested, and what greets a sender."""
         self._at_rest = at_rest
         cable = self._cable
         cable.check_supervisor = self.check_supervisor
@@ -98,7 +98,7 @@ class NetLink:
             cable.on_poll = self.on_poll  # type: ignore[attr-defined]  # UartLink's
 
         def greet() -> None:
-            is_plain, self._is_plain = self._is_plain, True  # nobody else has come anew
+            is_plain, self._is_plain = self._is_plain, True  # no network client is new
             on_open()
             self._is_plain = is_plain
 
@@ -106,11 +106,11 @@ class NetLink:
 
     @micropython.native
     def read_into(self, buf: bytearray) -> int:
-        """Move what has arrived into buf; return how many bytes."""
+        """Move the bytes received into buf; return how many."""
         if self._is_plain:
             count = self._read(buf)
             if count:
-                self._user.asked = True  # has spoken: see _round()
+                self._user.asked = True  # has sent bytes: see _round()
                 return count
         now_ms = time.ticks_ms()
         if time.ticks_diff(now_ms, self._round_ms) >= _ROUND_MS:
@@ -119,14 +119,14 @@ class NetLink:
         return 0 if self._is_plain else self._sort(buf, now_ms)
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send to whom it is for."""
+        """Send output to the clients it is for."""
         if self._is_plain:
             self._write(data)
         elif len(data):
             self._distribute(data)
 
     def discard(self) -> None:
-        """Drop what has arrived: it was sent before a reset."""
+        """Drop the bytes received: they were sent before a reset."""
         self._cable.discard()
         self.control.give_back()
         driver = self.control.driver
@@ -137,7 +137,7 @@ class NetLink:
         self._urgent_count = 0
 
     def close(self) -> None:
-        """Leave the cable to MicroPython's prompt, and the network to nobody."""
+        """Leave the cable to MicroPython's prompt; end all network connections."""
         for client in self._clients:
             client.end()
         if self._calls:
@@ -150,21 +150,21 @@ class NetLink:
     # For extras/net/net_access.py
 
     def expel(self) -> None:
-        """Hang up on all clients of the network: their key is another one now."""
+        """Close all network connections, because the key has changed."""
         for client in self._clients:
             if client.conn:
                 self._drop(client)
 
     def by_cable(self) -> bool:
-        """Who drives sits at the cable."""
+        """Return whether the client whose lines are executed is at the cable."""
         return self.control.driver is self._user
 
     def write_cable(self, data: bytes) -> None:
-        """What nobody else is to read."""
+        """Send output that only the cable's client may read."""
         self._write(data)
 
     def client_count(self) -> int:
-        """How many are connected."""
+        """Return how many network clients are connected."""
         return len([1 for client in self._clients if client.conn])
 
     def _restore_plain(self) -> None:
@@ -178,7 +178,7 @@ class NetLink:
                 user.asked = False
 
     def _is_open(self, client: Client) -> bool:
-        """Whether what a client sends passes to the machine as it is."""
+        """Return whether a client's bytes pass to the machine unchecked."""
         control = self.control
         is_owner = client is control.driver is control.owner
         return is_owner and client.trusted and not (control.ending or client.length)
@@ -186,7 +186,8 @@ class NetLink:
     # In
 
     def _sort(self, buf: bytearray, now_ms: int) -> int:
-        """What is the machine's: what acts at once, then what the client in control has sent."""
+        """Return bytes for the machine: first real-time commands, then those of the client in
+        control."""
         count, self._urgent_count = self._urgent_count, 0
         if count:
             buf[:count] = self._urgent[:count]
@@ -208,7 +209,8 @@ class NetLink:
         return 0
 
     def _read_driver(self, driver: Client, buf: bytearray, now_ms: int) -> int:
-        """Bytes for the machine as they are; 0 where there are none, or each is looked at."""
+        """Read the client in control: into buf, returning how many bytes pass unchecked; 0 if
+        there are none or each is checked."""
         is_open = self._is_open(driver)
         if not is_open and not driver.has_room():
             return 0
@@ -226,7 +228,7 @@ class NetLink:
         return 0
 
     def _note(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
-        """What passes as it is. A lone ? is no line."""
+        """Note bytes that pass unchecked. A lone ? is no line."""
         if asks(buf, count):
             driver.asked = True
         if count > _LONGEST_READING or plain(buf[:count]) not in READING:
@@ -234,7 +236,7 @@ class NetLink:
         return count
 
     def _round(self, now_ms: int) -> None:
-        """Everybody who does not drive, and who calls."""
+        """Serve all clients except the one in control, and accept new connections."""
         self._memory.forget(now_ms)
         if self._is_plain and self._user.asked:
             self._user.asked = self._is_nobodys = False
@@ -262,7 +264,7 @@ class NetLink:
             self._restore_plain()
 
     def _accept(self, conn: "Connection", address: str, now_ms: int) -> None:
-        """Somebody has called."""
+        """Give a new connection a place."""
         place = slot_for(address, self._clients, self._at_rest(), now_ms)
         if place is None:
             conn.close()
@@ -280,12 +282,13 @@ class NetLink:
             self._drop(place)
 
     def _drop(self, client: Client) -> None:
-        """Hang up. Of who has driven: a jog ends, a line that has only begun is forgotten."""
+        """Close a connection. If the client was in control, a jog ends and an unfinished line is
+        dropped."""
         client.end()
         if self.control.on_client_gone(client):
             self._queue_realtime(_JOG_CANCEL)
 
-    # What others say, and the client in control while lines wait
+    # Bytes of other clients, and of the client in control while lines wait
 
     def _filter_bytes(self, client: Client, data: bytearray, count: int, now_ms: int) -> None:
         for i in range(count):
@@ -309,7 +312,7 @@ class NetLink:
                 return
 
     def _may_act(self, client: Client, byte: int, now_ms: int) -> bool:
-        """Whether a real-time command acts."""
+        """Return whether a client's real-time command acts."""
         if not client.trusted:
             return False
         is_owner = client is self.control.owner
@@ -319,7 +322,7 @@ class NetLink:
         return self.control.request(client, self._at_rest(), reads, now_ms)
 
     def _queue_realtime(self, byte: int) -> None:
-        """To be the machine's in front of all lines. A stop finds space always."""
+        """Queue a real-time byte, to be passed before all lines. A stop always finds space."""
         count = self._urgent_count
         if byte in bytes(self._urgent[:count]):
             return
@@ -371,7 +374,7 @@ class NetLink:
                 control.answered()
 
     def _report(self, data: "bytes | bytearray | memoryview") -> None:
-        """To those who have asked; to who drives where nobody has."""
+        """Send a report to the clients that requested one; to the one in control if none did."""
         asking = [client for client in self._all if client.asked]
         if not asking and self.control.owner:
             asking.append(self.control.owner)

@@ -1,13 +1,14 @@
-"""The page from the board itself: HTTP, as far as one static file wants it, and websockets.
+"""The page from the board itself: HTTP, as far as a static file needs it, and websockets.
 
-An Incoming around another: who has come by a websocket is a client as those are who have come by
-TCP. The page lies in flash, compressed (NAME); what a browser asks for first is a few lines
-(FIRST) that fetch it piece by piece. Each names the next one, with four signs of chance (`Next:`,
-in FIRST a path), so the request for that proves that all before it has been read, and its part of
-lwIP's memory is free (client.py). A visitor that finds no memory waits, and nobody waits for it.
+It is an Incoming around another: a websocket's client is treated like a TCP client. The page lies
+in flash, compressed (NAME). A browser's first request returns a few lines (FIRST) that fetch the
+page piece by piece. Each piece names the next one with four random hex digits (`Next:`, in FIRST a
+path), so the request for the next one proves that all before it has been read, and its part of
+lwIP's memory is free (client.py). A visitor that finds no memory waits, and nothing else waits for
+it.
 
-Only a page that came from here may open a websocket, and only under a name of the board's, so that
-no other site in somebody's browser can (DNS rebinding). Keys are said on the link: access.py.
+Only a page that came from here may open a websocket, and only under a name of the board, so that
+no other site in a browser can (DNS rebinding). Keys are sent on the link: access.py.
 """
 
 import binascii
@@ -26,23 +27,23 @@ if TYPE_CHECKING:
 
 FIRST = "page.html"
 NAME = "page.gz"
-PIECE = const(672)  # in one segment of lwIP's, with its head
+PIECE = const(672)  # with its head it fits one segment of lwIP
 _HEAD = const(512)
 _READ = const(256)
-_LONGEST = const(4096)  # of a request
+_LONGEST = const(4096)  # longest request, in bytes
 _VISITORS = const(2)
-_SILENT_MS = const(2000)  # a request that is not whole by then is not waited for
-_MEMORY = const(2400)  # three pieces
+_SILENT_MS = const(2000)  # a request that is not complete by then is dropped
+_MEMORY = const(2400)  # bytes of lwIP's memory: three pieces
 _SEGMENT = const(800)
-_SHORT = const(300)  # an answer without a piece; of a websocket, with its last frame
+_SHORT = const(300)  # an answer without a piece; a websocket's, with its last frame
 _SMALLEST = const(150)
 _CHANCE = const(2)
 
 _KEY_LENGTH = const(24)
-_LONGEST_HOST = const(21)  # of one that is a number, with its port
+_LONGEST_HOST = const(21)  # longest numeric host, with its port
 _DIGITS = const(5)
-# Constants stand in few tuples: a collection of garbage can keep 60 of a module's in mind.
-# What is read of a request, the first line being "", and their places here.
+# The constants are in few tuples, because a garbage collection can keep track of 60 objects of a
+# module at once. Fields of a request that are read, the first line being "", and their indices.
 _FIELDS = (
     b"",
     b"host",
@@ -61,11 +62,11 @@ _KEY = const(4)
 _VERSION = const(5)
 _LENGTH = const(6)
 _ENCODING = const(7)
-# What has to be in some of them.
+# Values that some fields must have.
 _WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")
 _NAMES = (b"localhost", b".local")
 _SIGNS = b".0123456789"
-# Statuses and sentences.
+# Statuses and texts of refusals.
 _REFUSALS = (
     (b"400 Bad Request", b"this is no request of HTTP/1.1"),
     (b"405 Method Not Allowed", b"the page can be read, and no more"),
@@ -85,8 +86,8 @@ _NO_PAGE = const(5)
 _NO_SOCKET = const(6)
 _OTHER_VERSION = const(7)
 _GOOD = const(-1)
-# An answer's head; what ends it; whose page may hold ours in a frame and have its buttons clicked
-# unseen: nobody's; the answer to a handshake; which piece is next, and paths of pieces.
+# An answer's head; its end; the policy, by which no site may hold our page in a frame and have its
+# buttons clicked unseen; the answer to a handshake; the header of the next piece; paths of pieces.
 _FORMS = (
     b"HTTP/1.1 %s\r\nContent-Type: %s\r\nContent-Length: %d\r\nCache-Control: no-store\r\n",
     b"Connection: close\r\n",
@@ -103,9 +104,9 @@ _AND_GO = const(1)
 _POLICY = const(2)
 _ACCEPTED = const(3)
 _NEXT = const(4)
-_FIRST_PATH = const(5)  # in FIRST
+_FIRST_PATH = const(5)  # the path in FIRST
 _PATH = const(6)
-# Kinds of what is sent.
+# Content types, and their indices.
 _KINDS = (b"text/plain", b"text/html", b"application/octet-stream")
 _SENTENCE = const(0)
 _HTML = const(1)
@@ -113,21 +114,21 @@ _PIECE = const(2)
 
 
 class Visitor:
-    """A place for one who asks. conn: None where it is free."""
+    """A place for an HTTP connection. conn: None if the place is free."""
 
     def __init__(self) -> None:
         self.conn: "Connection | None" = None
         self.address = ""
         self.owes = 0  # bytes sent that may not have been read
-        self.proof = b""  # the path that a request proves it by
-        self.begun_ms = 0  # the request that is read, or the wait for one
-        self.asks: "dict[int, bytes] | None" = None  # what is not answered yet
+        self.proof = b""  # the path of the request that proves it
+        self.begun_ms = 0  # start of the present request, or of the wait for one
+        self.asks: "dict[int, bytes] | None" = None  # the request that has no answer yet
         self._rest = b""
         self._size = 0
         self._fields: "dict[int, bytes]" = {}
 
     def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
-        """Somebody has come."""
+        """Assign the place to a new connection."""
         self.conn = conn
         self.address = address
         self.owes = 0
@@ -142,14 +143,14 @@ class Visitor:
         self._fields = {}
 
     def hear(self, data: bytes) -> "dict[int, bytes] | None":
-        """A request, when it is whole; without a first line where it cannot be one."""
+        """Return the request's fields once it is complete, None before; {} if it is malformed."""
         self._size += len(data)
         lines = (self._rest + data).split(b"\n")
         self._rest = lines.pop()
         fields = self._fields
         while lines:
             line = lines.pop(0).strip()
-            if not line and fields:  # what comes behind it has not waited for the answer
+            if not line and fields:  # bytes after it were sent before our answer
                 good = not (lines or self._rest)
                 self._forget()
                 return fields if good else {}
@@ -179,7 +180,8 @@ class Page:
         self._read = bytearray(_READ)
 
     def next(self) -> "tuple[Connection, str] | None":
-        """Who has called, or has opened a websocket; a turn for all others, too."""
+        """Return a new TCP client, or one that has opened a websocket, with its address. Serve all
+        visitors."""
         now_ms = time.ticks_ms()
         self._memory.forget(now_ms)
         for visitor in self._visitors:
@@ -191,7 +193,7 @@ class Page:
             try:
                 found = self._serve(visitor, now_ms)
             except OSError:
-                self._owe(visitor, 0)  # lwIP has dropped all of it
+                self._owe(visitor, 0)  # lwIP has freed all of it
                 self._end(visitor)
                 continue
             if found:
@@ -199,7 +201,7 @@ class Page:
         return self._calls.next()
 
     def close(self) -> None:
-        """Hear nobody any more."""
+        """Stop listening; close all connections."""
         for visitor in self._visitors:
             self._end(visitor)
         self._visits.close()
@@ -208,7 +210,7 @@ class Page:
     # Requests
 
     def _serve(self, visitor: Visitor, now_ms: int) -> "WebSocket | None":
-        """Read on; answer what has been asked."""
+        """Read more of the request; answer it once it is complete."""
         count = visitor.conn.readinto(self._read) if visitor.conn else 0
         if count is None:
             if visitor.asks:
@@ -250,7 +252,7 @@ class Page:
         return None
 
     def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
-        """Why a request is none of ours, a place in _REFUSALS; _GOOD where it is."""
+        """Return why a request is refused, an index into _REFUSALS; _GOOD if it is not."""
         if len(words) != 3 or words[2] != _WORDS[1]:
             return _NO_REQUEST
         if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:
@@ -265,14 +267,15 @@ class Page:
         return _GOOD if path in (b"/", b"/ws") or _number(path) >= 0 else _NOT_HERE
 
     def _is_ours(self, host: bytes) -> bool:
-        """A name of the board's, or a number, which leads nowhere else tomorrow."""
+        """Return whether a host is a name of the board or a number; a number cannot resolve to
+        another address later."""
         name = host.partition(b":")[0]
         if name in (self._host, self._host + _NAMES[1], _NAMES[0]):
             return True
         return _is_of(name, _SIGNS) and len(host) <= _LONGEST_HOST
 
     def _open(self, visitor: Visitor, fields: "dict[int, bytes]") -> "WebSocket | None":
-        """The handshake."""
+        """Answer the handshake and return the websocket, None if it is refused."""
         key = fields.get(_KEY, b"")
         if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:
             self._refuse(visitor, _NO_SOCKET)
@@ -286,13 +289,14 @@ class Page:
             return None
         visitor.conn = None
         self._owe(visitor, visitor.owes + _SHORT)
-        self._end(visitor)  # the answer, and the last frame where there is no place for it
+        self._end(visitor)  # the answer, and a last frame that finds no place
         return WebSocket(conn)
 
     # Answers
 
     def _refuse(self, visitor: Visitor, why: int) -> None:
-        """With a sentence of _REFUSALS, where there is memory for more than that, and the end."""
+        """Answer with a text of _REFUSALS, if there is memory for more than that, and end the
+        connection."""
         status, text = _REFUSALS[why]
         head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_GO]
         if self._memory.space(True) >= _SEGMENT + _SHORT:
@@ -300,7 +304,7 @@ class Page:
         self._end(visitor)
 
     def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes) -> None:
-        """Part of a file; behind the last there is an empty one, and the end."""
+        """Send a piece of a file. After the last piece comes an empty one, and the end."""
         out = memoryview(self._out)
         name = self._folder + (FIRST if kind == _HTML else NAME)
         try:
@@ -327,13 +331,14 @@ class Page:
             self._end(visitor)
 
     def _put(self, visitor: Visitor, data: memoryview) -> None:
-        """At once or not at all: else the visitor is let go."""
+        """Send all of it at once, or end the connection."""
         self._owe(visitor, visitor.owes + max(len(data), _SMALLEST))
         if visitor.conn and visitor.conn.write(data) != len(data):
             self._end(visitor)
 
     def _end(self, visitor: Visitor) -> None:
-        """Let it go. What it may not have read stays in lwIP's memory for a while."""
+        """End the connection. Bytes that it may not have read stay in lwIP's memory for a
+        while."""
         conn, visitor.conn = visitor.conn, None
         self._memory.leave(visitor.owes)
         visitor.owes = 0
@@ -342,11 +347,11 @@ class Page:
 
 
 def _number(path: bytes) -> int:
-    """Of `/12` or `/12?ab34`: 12; -1 of anything else."""
+    """Return the number of a path: 12 of `/12` or `/12?ab34`; -1 of anything else."""
     text = path[1:].split(b"?")[0]
     return int(text) if _is_of(text, _SIGNS[1:]) and len(text) < _DIGITS else -1
 
 
 def _is_of(text: bytes, signs: bytes) -> bool:
-    """There is text, of no other signs."""
+    """Return whether the text is not empty and has only these characters."""
     return bool(text) and not [sign for sign in text if sign not in signs]

@@ -1,6 +1,6 @@
-"""The network's link of a board that serves the page: pages are told who drives.
+"""The network's link of a board that serves the page: it sends pages the state of control.
 
-Clients have less of lwIP's memory here than elsewhere: pieces of the page want the rest, page.py.
+Clients have less of lwIP's memory here than elsewhere, because page.py needs the rest for pieces.
 """
 
 from micropython import const
@@ -34,8 +34,8 @@ class PageLink(NetLink):
             self._tell()
 
     def _tell(self) -> None:
-        """Each page hears how things stand when that has changed, as from `ugrbl web`
-        (docs/web.md); with "key": whether it is wanted of him."""
+        """Send each page the state of control if it has changed, as `ugrbl web` does
+        (docs/web.md); with "key": whether the client must send the key."""
         driver = self.control.owner
         watchers = len([1 for client in self._clients if client.conn and client is not driver])
         for client in self._clients:
@@ -55,6 +55,6 @@ class PageLink(NetLink):
 
 
 def beside(cable: "BoardLink", calls: "Incoming", host: str) -> PageLink:
-    """The cable's link, with the network and the page around it. calls: by TCP. OSError where
-    there cannot be one."""
+    """Return the cable's link, with the network and the page around it. calls: by TCP. OSError if
+    the page's port cannot be opened."""
     return PageLink(cable, Page(calls, Calls(_HTTP), host), host)

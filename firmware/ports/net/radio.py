@@ -1,8 +1,9 @@
 """The radio of a Pico W or an ESP32: station of a network, or an access point of its own.
 
-Switched on before there is a machine, for that takes a second or two. Later nothing is waited for;
-a station that has lost its network calls for it again at rest only, for that takes some tens of
-milliseconds. MicroPython answers for the host name itself, as NAME.local (mDNS).
+It is switched on before the machine is built, because that takes a second or two. After that
+nothing here waits. A station that has lost its network tries to rejoin only while the machine is
+idle, because that takes some tens of milliseconds. MicroPython itself answers to the host name, as
+NAME.local (mDNS).
 """
 
 import time
@@ -18,7 +19,7 @@ _AGAIN_MS = const(15000)
 
 
 class Radio:
-    """name: of the network, password: empty for an open one."""
+    """The radio. name: of the network; password: empty for an open network."""
 
     def __init__(self, name: bytes, password: bytes, host: str, is_station: bool) -> None:
         network.hostname(host)
@@ -37,12 +38,12 @@ class Radio:
                 security=wlan.SEC_WPA_WPA2 if password else wlan.SEC_OPEN,
             )
         self._wlan.active(True)
-        self._wlan.config(pm=wlan.PM_NONE)  # saving power makes each answer wait 100 ms
+        self._wlan.config(pm=wlan.PM_NONE)  # power saving delays each answer by 100 ms
         if is_station:
             self._join(name, password)
 
     def poll_radio(self, at_rest: bool) -> None:
-        """See to it that there is a network."""
+        """Rejoin the network if it is lost and the machine is idle."""
         if not (self._is_station and at_rest) or self._wlan.isconnected():
             return
         now_ms = time.ticks_ms()
@@ -51,10 +52,10 @@ class Radio:
             try:
                 self._join(self._name, self._password)
             except OSError:
-                return  # it is at it already
+                return  # it is already trying
 
     def status(self) -> str:
-        """What it is, in words, without its name or password."""
+        """Return the radio's state as text, without the network's name or password."""
         if self._is_station and not self._wlan.isconnected():
             return "station, no network yet (%d), %s.local" % (self._wlan.status(), self._host)
         kind = "station" if self._is_station else "access point"

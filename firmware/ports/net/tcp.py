@@ -1,4 +1,4 @@
-"""TCP by MicroPython's sockets, never waited for: who calls, and the bytes of who has called."""
+"""TCP by MicroPython's sockets, without waiting: new connections and their bytes."""
 
 import select
 import socket
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
 
     from interfaces import Connection
 
-# So many who call may wait to be seen to; lwIP has memory for five connections in all.
+# So many connections may wait to be accepted; lwIP has memory for five in all.
 _WAITING = const(2)
 _IPPROTO_TCP = const(6)
 
 
 class Calls:
-    """Listens at a port of every address that the board has. OSError where that cannot be."""
+    """Listen at a port of every address of the board. OSError if that fails."""
 
     def __init__(self, port: int) -> None:
         self._listener: "Any" = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -30,7 +30,7 @@ class Calls:
         self._no_delay: int = getattr(socket, "TCP_NODELAY", 0)  # desktops' MicroPython has none
 
     def next(self) -> "tuple[Connection, str] | None":
-        """Who has called, and from which address; None where nobody has."""
+        """Return a new connection and its address; None if there is none."""
         for _ in self._arrived.ipoll(0):
             try:
                 client, address = self._listener.accept()
@@ -38,10 +38,10 @@ class Calls:
                 if self._no_delay:
                     client.setsockopt(_IPPROTO_TCP, self._no_delay, 1)
             except OSError:
-                return None  # gone again
+                return None  # closed again
             return client, str(address[0])
         return None
 
     def close(self) -> None:
-        """Hear nobody any more."""
+        """Stop listening."""
         self._listener.close()

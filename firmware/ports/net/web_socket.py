@@ -1,12 +1,12 @@
 # mypy: disable-error-code=arg-type
-"""A websocket (RFC 6455) as a Connection: the bytes of the link, in binary messages both ways.
+"""A websocket (RFC 6455) as a Connection: the link's bytes, in binary messages both ways.
 
-Nothing is kept of what comes but the head of a frame and a ping: a message may be as long as it
-likes, in as many parts. What is no frame of a browser's ends the connection, with a code that says
-why. Text goes out only: the latest of what is to be told.
+Of what arrives only a frame's head and a ping are stored, so a message may have any length and any
+number of parts. A frame that a browser would not send ends the connection, with a code that says
+why. Text is sent only: the latest state of control.
 
-What is sent is followed by a ping with four bytes of chance: the pong that brings them back proves
-that all before it has been read. Until then it counts as unproved, for client.py.
+Output is followed by a ping with four random bytes. The pong that returns them proves that all
+output before the ping has been read. Until then it counts as unproved, for client.py.
 """
 
 import binascii
@@ -27,18 +27,18 @@ _BINARY = const(2)
 _CLOSE = const(8)
 _PING = const(9)
 _PONG = const(10)
-_LAST = const(0x80)  # of the first byte: the message ends with this frame
+_LAST = const(0x80)  # in the first byte: the message ends with this frame
 _RESERVED = const(0x70)
-_MASKED = const(0x80)  # of the second byte
-_TWO_BYTES = const(126)  # of length follow; more than that: eight
+_MASKED = const(0x80)  # in the second byte
+_TWO_BYTES = const(126)  # two bytes of length follow; a higher number: eight
 _MOST_CONTROL = const(125)
 _MASK = const(4)
-_HEAD = const(8)  # first bytes, length, mask
-_PAYLOAD = const(512)  # of a frame that is sent
+_HEAD = const(8)  # first two bytes, length, mask
+_PAYLOAD = const(512)  # of a frame sent, at most
 _CHANCE = const(4)
-_READS = const(4)  # in a row: a pong delays no message behind it
-_SEGMENT = const(100)  # what a frame counts for at the least, as in client.py
-_UNPROVED = const(1600)  # with more than that neither pongs nor news are sent
+_READS = const(4)  # reads in a row: a pong does not delay the message after it
+_SEGMENT = const(100)  # what a frame counts for, at least, as in client.py
+_UNPROVED = const(1600)  # with more than that, neither pongs nor news are sent
 
 _GOOD_BYE = const(1000)
 _GOING_AWAY = const(1001)
@@ -48,46 +48,48 @@ _TOO_BIG = const(1009)
 
 
 def accepted(key: bytes) -> bytes:
-    """What the handshake answers to a Sec-WebSocket-Key."""
+    """Return the handshake's answer to a Sec-WebSocket-Key."""
     return binascii.b2a_base64(hashlib.sha1(key + _GUID).digest())[:-1]
 
 
 @micropython.viper
 def unmask(data: ptr8, at: int, count: int, to: int, head: ptr8, mask: int, phase: int) -> int:
-    """Move so many bytes down, from one place to another, without their mask. Returns how many."""
+    """Move `count` bytes down from `at` to `to`, without their mask. Returns count. phase: index
+    of the first byte in the frame's payload."""
     for i in range(count):
         data[to + i] = data[at + i] ^ head[mask + ((phase + i) & 3)]
     return count
 
 
 class WebSocket:
-    """A Connection. conn: behind the handshake; OSError comes of it."""
+    """A Connection. conn: the TCP connection after the handshake, whose OSErrors pass through."""
 
     def __init__(self, conn: "Connection") -> None:
         self._conn = conn
-        self.told = -1  # how things stood when that was said last, see page.py
-        self.news = b""  # what is to be said of it
+        self.told = -1  # the state of control that was sent last, see page_link.py
+        self.news = b""  # text to send about it
         self.unproved = 0  # bytes sent that may not have been read
-        self._covered = 0  # how many of them the ping that is under way will prove
+        self._covered = 0  # how many of them the ping under way will prove
         self._chance = b""
-        # In: the frame that comes.
+        # In: the frame being received.
         self._head = bytearray(_HEAD)
-        self._have = 0  # bytes of its head
+        self._have = 0  # bytes of its head received
         self._wanted = 2
-        self._left = 0  # bytes of it that are to come
+        self._left = 0  # bytes of its payload to come
         self._done = 0
         self._is_open = False  # a message has begun and not ended
         self._control = bytearray(_MOST_CONTROL)
-        self._pong = -1  # bytes of a ping to answer
-        # Out: the frame that goes.
+        self._pong = -1  # bytes of the ping to answer; -1: none
+        # Out: the frame being sent.
         self._out = bytearray(_HEAD + _PAYLOAD)
         self._at = self._end = 0
-        self._over = 0  # code of the end, where it has come
+        self._over = 0  # code of the end; 0: open
 
-    # The Connection seam
+    # The Connection interface
 
     def readinto(self, buf: bytearray) -> "int | None":
-        """Move what has come into buf; None where nothing has, 0 at the end."""
+        """Move the bytes received into buf; return how many, None if there are none, 0 at the
+        end."""
         self._flush()
         if self._over:
             return 0
@@ -101,7 +103,7 @@ class WebSocket:
         return None
 
     def write(self, data: "bytes | bytearray | memoryview") -> "int | None":
-        """Send as much as goes into a frame; None while another one is on its way."""
+        """Send as much as fits into a frame; None while another frame is being sent."""
         if self._over or not self._flush():
             return None
         count = min(len(data), _PAYLOAD)
@@ -110,17 +112,17 @@ class WebSocket:
         return count
 
     def close(self) -> None:
-        """Hang up, and say so where there is room for it."""
+        """Close the connection, with a last frame if there is space for it."""
         try:
             self._fail(_GOING_AWAY)
         except OSError:
-            self._over = _GOING_AWAY  # he has been quicker
+            self._over = _GOING_AWAY  # the other end has closed first
         self._conn.close()
 
     # In
 
     def _decode(self, buf: bytearray, count: int) -> int:
-        """What is the machine's of bytes that have come, at the beginning of the same buf."""
+        """Move the machine's bytes to the beginning of the same buf. Returns how many."""
         found = at = 0
         while at < count and not self._over:
             if self._have < self._wanted:
@@ -160,7 +162,7 @@ class WebSocket:
                 self._end_frame()
 
     def _fault(self, first: int, second: int, length: int) -> int:
-        """Why such a frame cannot be; 0 where it can."""
+        """Return the code of a frame that is not allowed; 0 if it is."""
         opcode = first & 0x0F
         is_last = first & _LAST
         if first & _RESERVED or not second & _MASKED:
@@ -177,7 +179,7 @@ class WebSocket:
         return 0
 
     def _take_piece(self, buf: bytearray, at: int, count: int, to: int) -> int:
-        """Part of a frame's payload. Returns how much of it is the machine's."""
+        """Read part of a frame's payload. Returns how much of it is the machine's."""
         opcode = self._head[0] & 0x0F
         if opcode in (_PING, _PONG):
             self._control[self._done : self._done + count] = buf[at : at + count]
@@ -192,7 +194,7 @@ class WebSocket:
         elif opcode > _CLOSE:
             unmask(control, 0, self._done, 0, self._head, self._wanted - _MASK, 0)
             if opcode == _PING:
-                self._pong = self._done  # of several the last is answered
+                self._pong = self._done  # of several pings the last is answered
             elif self._covered and control[: self._done] == self._chance:
                 self.unproved -= self._covered
                 self._covered = 0
@@ -202,7 +204,7 @@ class WebSocket:
     # Out
 
     def _frame(self, opcode: int, data: "bytes | bytearray | memoryview", count: int) -> None:
-        """The next one to go. Only where the one before has gone."""
+        """Make the next frame to send. Only if the one before has been sent."""
         out, start = self._out, 2
         out[0] = _LAST | opcode
         if count < _TWO_BYTES:
@@ -218,7 +220,8 @@ class WebSocket:
         self.unproved += max(self._end, _SEGMENT)
 
     def _flush(self) -> bool:
-        """Have sent what is on its way, then what is due. Whether all has gone."""
+        """Send the rest of the frame, then pings, pongs and news that are due. Returns whether all
+        were sent."""
         while True:
             while self._at < self._end:
                 sent = self._conn.write(memoryview(self._out)[self._at : self._end])
@@ -243,7 +246,7 @@ class WebSocket:
                 return True
 
     def _fail(self, code: int) -> None:
-        """The last frame, where there is room for one."""
+        """Send the last frame, if there is space for it."""
         if not self._over and self._flush():
             self._frame(_CLOSE, bytes((code >> 8, code & 0xFF)), 2)
             self._over = code

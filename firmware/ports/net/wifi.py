@@ -1,7 +1,7 @@
-"""Wi-Fi beside the cable: the link of a board whose LINK is "wifi" or "uart_wifi".
+"""Wi-Fi in addition to the cable: the link of a board whose LINK is "wifi" or "uart_wifi".
 
-Imported at start and forgotten again. What `$NET` has had kept says which network that is; without
-a network, or where the radio fails, there is only the cable.
+The module is imported at start and unloaded again. The network is the one that `$NET` has stored;
+without one, or if the radio fails, there is only the cable.
 """
 
 from micropython import const
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
-    """The cable's link, with the network around it. with_page: it serves the page, too."""
+    """Return the cable's link with the network around it. with_page: it also serves the page."""
     kept: "dict[str, str]" = {}
     for line in FlashStore().load("network") or []:
         name, _, kept[name] = line.partition("=")

@@ -1,11 +1,10 @@
 """Store in the board's flash: one text file per name, which survives a power cut at any byte.
 
-A save writes a new file, reads it back, keeps the old one as the previous
-copy and puts the new one in its place; littlefs makes each renaming happen
-or not happen. A file's last line is the checksum of the others, and its bytes
-are decoded only after that has been checked. Whoever saves sees to it that
-the machine is at rest: flash stops the processor, up to 0.4 s for each of the
-sectors it erases, and nothing is heard meanwhile.
+A save writes a new file, reads it back, keeps the old one as the previous copy and puts the new
+one in its place; littlefs makes each renaming atomic. A file's last line is the checksum of the
+other lines; the bytes are decoded only after the checksum has been checked. The caller of save()
+makes sure that the machine is idle: a flash write stops the processor, up to 0.4 s for each sector
+that it erases, and no input is read meanwhile.
 """
 
 import binascii
@@ -17,7 +16,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-# In the order in which load() looks: the newest whole file counts.
+# In the order in which load() tries them: the first whole file is used.
 _NOW = ".txt"
 _NEW = ".new"
 _OLD = ".old"
@@ -28,18 +27,18 @@ _NO_MEMORY = const(12)  # ENOMEM
 
 
 def _nothing() -> None:
-    """Where nobody has to be told."""
+    """Do nothing: the default of before() and after()."""
 
 
 def _checksum(data: bytes) -> bytes:
-    """The last line of a file."""
+    """Return the last line of a file."""
     return _CHECKSUM + b"%08x\n" % binascii.crc32(data)
 
 
 class FlashStore:
     """A Store. folder: where the files are, with a slash at its end.
 
-    before, after: called around each save, whatever becomes of it.
+    before, after: called around each save, also if it fails.
     """
 
     def __init__(self, folder: str = "/") -> None:
@@ -49,13 +48,13 @@ class FlashStore:
         self.damaged: "dict[str, bool]" = {}
 
     def load(self, name: str) -> "list[str] | None":
-        """The lines kept under that name: none where there never were any, None where no copy
-        of them is whole. What is not the newest copy's is noted in `damaged`."""
+        """Return the lines stored under a name: [] if nothing was ever stored, None if no copy is
+        whole. If an older copy is used, or none, the name is noted in `damaged`."""
         is_damaged = False
         for kind in (_NOW, _NEW, _OLD):
             lines, there = self._read(self._folder + name + kind)
-            # A power cut leaves part of a new file, or all of it and none in its place; it neither
-            # spoils the one in place nor leaves the previous copy alone.
+            # A power cut during a save leaves a part of the new file, or all of it and no file in
+            # its place. A partial new file is no damage.
             if kind == _OLD or (kind == _NOW and lines is None):
                 is_damaged = is_damaged or there
             if lines is not None:
@@ -68,8 +67,8 @@ class FlashStore:
         return []
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
-        """Replace the lines at once or not at all. Raises OSError where flash is full or
-        worn, or memory has no room for all of them."""
+        """Replace the lines atomically. Raises OSError if flash is full or worn, or memory cannot
+        hold all lines."""
         kept = list(lines)
         self.before()
         try:
@@ -82,7 +81,7 @@ class FlashStore:
     def _write(self, path: str, kept: "list[str]") -> None:
         is_whole = self._read(path + _NOW)[0] is not None
         if not is_whole and self._read(path + _NEW)[0] is not None:
-            os.rename(path + _NEW, path + _NOW)  # a power cut came before that
+            os.rename(path + _NEW, path + _NOW)  # a power cut came before this step
             is_whole = True
         data = "".join([line + "\n" for line in kept]).encode()
         with open(path + _NEW, "wb") as file:
@@ -95,7 +94,7 @@ class FlashStore:
         os.rename(path + _NEW, path + _NOW)
 
     def _read(self, path: str) -> "tuple[list[str] | None, bool]":
-        """The lines of a file, None where it is not whole; and whether there is one."""
+        """Return a file's lines, None if it is not whole; and whether the file exists."""
         try:
             with open(path, "rb") as file:
                 data = file.read()
@@ -106,5 +105,5 @@ class FlashStore:
             return None, True
         try:
             return kept.decode().split("\n")[:-1], True
-        except ValueError:  # somebody else has written it
+        except ValueError:  # other software has written it
             return None, True

@@ -1,10 +1,10 @@
-"""Job files: programs that are kept on the board, in a folder of its flash, or on an SD card.
+"""Job files: programs stored on the board, in a folder of its flash or on an SD card.
 
-Names are as lines bring them, in capitals: letters, digits, and `.`, `_`, `-`. A file that comes
-over the line is written beside the old one, read back, and takes its place: a power cut leaves the
-old file or the new. In flash that is one step. On a card it is a copy, begun anew behind a cut:
-FAT's renaming, cut short, leaves two names for the same blocks, and who takes away one of them
-spoils the other.
+Names are those that lines carry, in capitals: letters, digits, and `.`, `_`, `-`. A file that is
+sent over the line is written under another name, read back, and then replaces the old one: a power
+cut leaves the old file or the new. In flash the replacement is one step, a renaming. On a card it
+is a copy, which is started again after a power cut: a FAT renaming that is cut short leaves two
+names for the same blocks, and deleting one of them damages the other.
 """
 
 import binascii
@@ -21,23 +21,25 @@ if TYPE_CHECKING:
 
     from interfaces import Card, Link, Store
 
-# Behind the name of a file: it comes; it has come whole, and is to be copied. No job is called so.
+# Suffixes of a file name: the file is being received; it is complete and must be copied. No job
+# has such a name.
 _NEW = "~NEW"
 _WHOLE = "~WHOLE"
 _SIGNS = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-"
-_LONGEST = const(32)  # name
-# In what os.stat() returns; a folder has this mode.
+_LONGEST = const(32)  # bytes of a name
+# Indices in the result of os.stat(); the mode of a folder.
 _MODE_AT = const(0)
 _SIZE_AT = const(6)
 _FOLDER = const(0x4000)
 _KB = const(1024)
-# A file system wants some of its own, and settings are to find room after all.
+# The file system needs some space itself, and settings must still find space.
 _SPARE_KB = const(32)
 _PIECE = const(512)
 
 
 def of_board(board: "ModuleType") -> "JobFiles":
-    """Those of a board file that names JOBS, their folder: in flash, or on the card at SD_CARD."""
+    """Return the job files of a board file that names JOBS, their folder: in flash, or on the card
+    at SD_CARD."""
     option = board.__dict__.get
     folder, pins = option("JOBS", ""), option("SD_CARD", ())
     if not pins:
@@ -48,35 +50,36 @@ def of_board(board: "ModuleType") -> "JobFiles":
 
 
 def _nothing() -> None:
-    """On a desktop nothing has to be."""
+    """Do nothing: the default of on_progress, and of before() and after() on a desktop."""
 
 
 def _called(name: bytes) -> str:
-    """What a file of that name is called as a job; "" where none is. Names that computers write
-    have whatever signs."""
+    """Return the job name of a file name, "" if it cannot be a job's. Computers may write names
+    with any characters."""
     upper = name.upper()
     fits = 0 < len(upper) <= _LONGEST and upper[:1] != b"." and all(c in _SIGNS for c in upper)
     return text_of(upper) if fits else ""
 
 
 def _coming(name: bytes, end: str) -> str:
-    """The job that a file of ours with that end belongs to; "" where it is another file."""
+    """Return the job that our file with this suffix belongs to, "" for other files."""
     job = name[: -len(end)] if name.endswith(end.encode()) else b""
     return text_of(job) if _called(job) else ""
 
 
 class JobFiles:
-    """The folder. card: what is mounted there, and can be taken out."""
+    """The folder of job files. card: a removable card that is mounted there."""
 
     def __init__(self, folder: str, card: "Card | None" = None) -> None:
         self._folder = folder
         self._card = card
-        # Called again and again while files are gone through.
+        # Called repeatedly while files are read.
         self.on_progress: "Callable[[], object]" = _nothing
 
     def connect(self, store: "Store", link: "Link") -> None:
-        """Flash is written with all that the store has around its own writing; a card tells the
-        supervisor that it answers. In the simulator they are in the folder, card or not."""
+        """Set the store, whose before() and after() are called around flash writes, and share the
+        supervisor's memory with the card. In the simulator the files are in the folder, with or
+        without a card."""
         self._store: "Any" = store
         shared = getattr(link, "shared", None)
         if self._card and shared is not None:
@@ -86,8 +89,8 @@ class JobFiles:
             self._card = None
 
     def mount(self) -> None:
-        """Have the card there that is in its holder now, if they are on one. OSError where it
-        cannot be read. Only where none is open."""
+        """Mount the card that is in the holder now, if the files are on a card. OSError if it
+        cannot be read. Call it only while no file is open."""
         if self._card:
             self._around(self._card.mount)
             for name in self._names():
@@ -96,7 +99,8 @@ class JobFiles:
                     self._copy(job)
 
     def lose(self) -> bool:
-        """Behind an OSError: look for the card anew next time. Returns whether they are on one."""
+        """Unmount the card after an OSError; the next mount() looks for it again. Returns whether
+        the files are on a card."""
         if self._card:
             self._card.unmount()
         return self._card is not None
@@ -112,7 +116,7 @@ class JobFiles:
         return self._folder + "/" + name
 
     def _names(self) -> "list[bytes]":
-        """Of all there is, in order."""
+        """Return the names of all files, sorted."""
         try:
             names = self._around(lambda: os.listdir(self._folder.encode()))
         except OSError:
@@ -120,11 +124,12 @@ class JobFiles:
                 raise
             return []  # nothing has ever been put there
         if self._card:
-            self._card.check()  # a list that cannot be read ends early
+            self._card.check()  # a fault ends the list without an exception
         return sorted(names)
 
     def _found(self, name: str) -> "tuple[str, int]":
-        """The name as it is written, whatever its capitals, and bytes; "" and -1 without one."""
+        """Return a job's file name as it is written, in whatever case, and its bytes; "" and -1 if
+        there is none."""
         for there in self._names():
             if _called(there) == name:
                 written = text_of(there)
@@ -134,16 +139,16 @@ class JobFiles:
         return "", -1
 
     def _size(self, name: str) -> int:
-        """Bytes; -1 for a folder."""
+        """Return a file's bytes; -1 for a folder."""
         about: "Any" = os.stat(self._path(name))
         return -1 if about[_MODE_AT] & _FOLDER else int(about[_SIZE_AT])
 
     def is_name(self, name: str) -> bool:
-        """Whether a file may be called so."""
+        """Return whether a job may have this name."""
         return _called(name.encode()) == name
 
     def files(self) -> "list[tuple[str, int]]":
-        """Names and sizes, in order."""
+        """Return names and sizes, sorted."""
         found = []
         for name in [text_of(there) for there in self._names() if _called(there)]:
             self.on_progress()
@@ -153,15 +158,16 @@ class JobFiles:
         return found
 
     def size(self, name: str) -> int:
-        """Bytes; -1 where there is none of that name."""
+        """Return a job's bytes; -1 if there is none of that name."""
         return self._found(name)[1]
 
     def open(self, name: str) -> "IO[bytes]":
-        """To be read. OSError where there is none, or it cannot be."""
+        """Open a job to read it. OSError if there is none, or it cannot be read."""
         return open(self._path(self._found(name)[0] or name), "rb")
 
     def free_kb(self) -> int:
-        """What still fits; on a card a file comes and is copied."""
+        """Return the kB that fit. On a card it is half the free space, because a file is received
+        and then copied."""
         try:
             found = self._around(lambda: os.statvfs(self._folder))
         except OSError:
@@ -172,21 +178,21 @@ class JobFiles:
         return room_kb // 2 if self._card else room_kb
 
     def delete(self, name: str) -> None:
-        """Take a file away. OSError where that cannot be."""
+        """Delete a job. OSError if that fails."""
         self._remove(self._found(name)[0] or name)
 
     def _remove(self, name: str) -> None:
         self._around(lambda: os.remove(self._path(name)))
 
-    # A file that comes in pieces
+    # Files received in pieces
 
     def begin(self, name: str) -> "IO[bytes]":
-        """Where to write what is to be called so. OSError where that cannot be."""
+        """Create the file into which a job is received. OSError if that fails."""
         if not self._is_there():
             self._around(lambda: os.mkdir(self._folder))
         for left in self._names():
             job = _coming(left, _NEW)
-            if job:  # of a transfer that a power cut has ended
+            if job:  # left by a transfer that a power cut has ended
                 self._remove(job + _NEW)
         return self._create(name + _NEW)
 
@@ -202,11 +208,12 @@ class JobFiles:
             return False
 
     def append(self, file: "IO[bytes]", piece: "bytes | bytearray") -> None:
-        """Write the next piece. OSError where there is no room."""
+        """Write the next piece. OSError if no space is free."""
         self._around(lambda: file.write(piece))
 
     def finish(self, name: str, file: "IO[bytes]", checksum: int) -> bool:
-        """Have it take its place; False where it is not what was sent, which leaves the old."""
+        """Replace the job by the received file. False if its checksum is another than the
+        sender's; the old job is then kept."""
         self._around(file.close)
         if self._checksum(self._path(name + _NEW)) != checksum:
             self._remove(name + _NEW)
@@ -217,12 +224,12 @@ class JobFiles:
             return True
         old, _ = self._found(name)
         self._around(lambda: os.rename(self._path(name + _NEW), self._path(name)))
-        if old and old != name:  # in other capitals
+        if old and old != name:  # in another case
             self._remove(old)
         return True
 
     def _copy(self, name: str) -> None:
-        """What has come whole takes its place, now or behind a power cut."""
+        """Copy a complete received file to its job, now or after a power cut."""
         file = self._create(name)
         try:
             self._pieces(self._path(name + _NEW), lambda piece: self.append(file, piece))
@@ -232,7 +239,7 @@ class JobFiles:
         self._remove(name + _NEW)
 
     def drop(self, name: str, file: "IO[bytes]") -> None:
-        """What has come is not wanted."""
+        """Delete the received file."""
         self._around(file.close)
         self._remove(name + _NEW)
 

@@ -1,8 +1,9 @@
-"""Blocks of an SD card, over SPI, each with its checksum.
+"""Blocks of an SD card over SPI, each with its checksum.
 
-MicroPython's driver for the RP2040 looks at none, and beside a spindle a bit that is read wrong is
-another path: here the card is asked for them, and what came damaged is read again. Commands and
-answers are those of the SD Association's Physical Layer Simplified Specification, chapter 7.
+MicroPython's driver for the RP2040 checks none, and close to a spindle a bit that is read wrong
+means another path. Here the card is set to send checksums, and damaged blocks are read again.
+Commands and answers are those of the SD Association's Physical Layer Simplified Specification,
+chapter 7.
 """
 
 import errno
@@ -31,44 +32,44 @@ _STATUS = const(13)
 _BLOCK_LENGTH = const(16)
 _READ = const(17)
 _WRITE = const(24)
-_BEGIN = const(41)  # behind _APPLICATION
+_BEGIN = const(41)  # ACMD41, sent after _APPLICATION
 _APPLICATION = const(55)
 _CHECKSUMS = const(59)
 
-_VOLTAGE = const(0x1AA)  # 2.7 to 3.6 V, and a pattern that comes back
-_LARGE = const(0x40000000)  # we know cards of more than 2 GB
+_VOLTAGE = const(0x1AA)  # 2.7 to 3.6 V, and a pattern that the card returns
+_LARGE = const(0x40000000)  # HCS: we support cards of more than 2 GB
 _IDLE = const(1)
-_START = const(0xFE)  # of a block
+_START = const(0xFE)  # the token before a block
 _ACCEPTED = const(5)
-_HIGH = const(0xFF)  # the line at rest
+_HIGH = const(0xFF)  # the level of an idle line
 
 _ANSWER_BYTES = const(9)
 _TRIES = const(3)
-# The specification's longest times, of a card that begins, reads and writes.
+# The specification's longest times for a card to start, to read, and to write.
 _BEGIN_MS = const(1000)
 _READ_MS = const(100)
 _BUSY_MS = const(500)
 
-_COUNT = const(4)  # of blocks
-_SIZE = const(5)  # of one
+_COUNT = const(4)  # ioctl: number of blocks
+_SIZE = const(5)  # ioctl: bytes of a block
 
 
 @micropython.viper
 def _sum7(command: ptr8, count: int) -> int:
-    """A command's checksum (CRC-7), as it is sent."""
+    """Return a command's checksum (CRC-7) as it is sent: in bits 7 to 1, bit 0 is 1."""
     crc = 0
     for at in range(count):
         crc ^= command[at]
         for _ in range(8):
             crc <<= 1
             if crc & 0x100:
-                crc ^= 0x112
+                crc ^= 0x112  # x^7 + x^3 + 1, shifted left by 1
     return crc | 1
 
 
 @micropython.viper
 def _sum16(block: ptr8, count: int) -> int:
-    """A block's (CRC-16, CCITT)."""
+    """Return a block's checksum (CRC-16 CCITT: x^16 + x^12 + x^5 + 1, from 0)."""
     crc = 0
     for at in range(count):
         x = crc >> 8 ^ block[at]
@@ -78,25 +79,25 @@ def _sum16(block: ptr8, count: int) -> int:
 
 
 class SdBlocks:
-    """What a file system is made on, from begin() to end(). pins: clock, to the card, from the
-    card, select; shared: with the supervisor, which hears of each block."""
+    """The block device of a file system, from begin() to end(). pins: clock, to the card, from the
+    card, select; shared: memory shared with the supervisor, which is notified of each block."""
 
     def __init__(self, pins: "tuple[int, ...]", shared: "array[int]") -> None:
         clock, to_card, from_card, select = pins
         self._shared = shared
         self._select = Pin(select, Pin.OUT, value=1)
-        into = Pin(from_card, Pin.IN, Pin.PULL_UP)  # without a card it is high
+        into = Pin(from_card, Pin.IN, Pin.PULL_UP)  # high without a card
         self._bus = SPI(clock >> 3 & 1, sck=Pin(clock), mosi=Pin(to_card), miso=into)
         self._byte = bytearray(1)
         self._command = bytearray(6)
         self._sum = bytearray(2)
         self._since = 0
-        self._shift = 0  # from a block's number to its address
+        self._shift = 0  # shift from a block's number to its address
         self._count = 0
-        self.is_faulty = False  # something could not be read or written: all else cannot be either
+        self.is_faulty = False  # a read or write failed: all later ones fail, too
 
     def begin(self) -> None:
-        """Wake the card that is in the holder now. OSError where there is none, or it does not
+        """Start the card that is in the holder now. OSError if there is none, or it does not
         answer in time."""
         self._set_speed(_BEGIN_HZ)
         self._wake()
@@ -106,30 +107,31 @@ class SdBlocks:
         self._bus.init(baudrate=hz)
 
     def end(self) -> None:
-        """Have no blocks any more, and say nothing of it. Who still asks is a file left open, as
-        it is collected, and a fault there would be written to the sender."""
+        """Become a device with no blocks, without errors. A file left open still accesses it when
+        it is collected, and a fault there would be printed to the sender."""
         self._count = 0
 
     def is_there(self) -> bool:
-        """The card is the one that has been begun with, and well: a new one does not answer so."""
+        """Return whether the card is the one that begin() started, and works: a new card does not
+        answer the same."""
         try:
             return not self.is_faulty and self._status() == 0
         except OSError:
             return False
 
-    # As MicroPython calls them: 0, or -EIO. Raised, a fault would pass by the file system, which
-    # would go on with half of what it knows.
+    # The methods that MicroPython calls return 0 or -EIO. An exception would pass by the file
+    # system, which would then go on with half of its state.
 
     def readblocks(self, number: int, into: "bytearray | memoryview") -> int:
-        """Fill what is given with blocks, from one on."""
+        """Read blocks, from `number` on, into a buffer of whole blocks."""
         return self._each(self._read_block, number, into)
 
     def writeblocks(self, number: int, data: "bytes | bytearray | memoryview") -> int:
-        """Write whole blocks."""
+        """Write whole blocks, from `number` on."""
         return self._each(self._write_block, number, data)
 
     def ioctl(self, what: int, _argument: int) -> int:
-        """How many blocks there are, and how long they are; all else is done anyway."""
+        """Return the number of blocks or the size of one; other requests need no action."""
         if what == _COUNT:
             return self._count
         return _BLOCK if what == _SIZE else 0
@@ -154,10 +156,10 @@ class SdBlocks:
             return -errno.EIO
         return 0
 
-    # The card's own words
+    # The card's protocol
 
     def _wake(self) -> None:
-        self._bus.read(10, _HIGH)  # unselected: it wants 74 clocks
+        self._bus.read(10, _HIGH)  # not selected: the card needs 74 clocks
         self._reset()
         answer = bytearray(4)
         is_new = self._order(_INTERFACE, _VOLTAGE, answer) == _IDLE
@@ -179,7 +181,8 @@ class SdBlocks:
         self._order(_BLOCK_LENGTH, _BLOCK)
 
     def _reset(self) -> None:
-        """Whatever it has been at: in the middle of a block it does not hear the first order."""
+        """Reset the card, whatever its state: in the middle of a block it does not react to the
+        first command."""
         for _ in range(_TRIES):
             try:
                 if self._order(_GO_IDLE, 0) == _IDLE:
@@ -190,12 +193,13 @@ class SdBlocks:
         raise OSError(errno.ENODEV)
 
     def _status(self) -> int:
-        """0: all is well."""
+        """Return the card's status, 0 if it is good."""
         answer = bytearray(1)
         return self._order(_STATUS, 0, answer) | answer[0]
 
     def _order(self, command: int, argument: int, more: "bytearray | None" = None) -> int:
-        """Send a command without data; more: filled with what follows the answer, a byte."""
+        """Send a command without data and return its answer, a byte. more: filled with the bytes
+        that follow."""
         self._since = time.ticks_ms()
         self._select(0)
         try:
@@ -210,7 +214,7 @@ class SdBlocks:
         self._read(_READ, address, into)
 
     def _read(self, command: int, argument: int, into: "bytearray | memoryview") -> None:
-        """What a command brings."""
+        """Send a command and read the block that it returns, at most _TRIES times."""
         self._since = time.ticks_ms()
         for _ in range(_TRIES):
             self._select(0)
@@ -234,7 +238,7 @@ class SdBlocks:
         raise OSError(errno.EIO)
 
     def _ask(self, command: int, argument: int) -> int:
-        """Send a command to the card, which is selected; its answer, a byte of bits."""
+        """Send a command to the selected card; return its answer, a byte of bits."""
         self._wait(_READ_MS)
         words = self._command
         words[0] = 0x40 | command
@@ -249,7 +253,7 @@ class SdBlocks:
         raise OSError(errno.ENODEV)
 
     def _take(self, into: "bytearray | memoryview") -> bool:
-        """A block the card sends; False where its checksum is another, or it has none."""
+        """Receive a block; False if its checksum is wrong or the card sends none."""
         token = self._next()
         while token == _HIGH:
             self._check_time(_READ_MS)
@@ -261,10 +265,10 @@ class SdBlocks:
         return _sum16(into, len(into)) == self._sum[0] << 8 | self._sum[1]
 
     def _give(self, block: memoryview) -> bool:
-        """Send it a block; False where it has not come as it was sent."""
+        """Send a block; False if the card reports that it was damaged."""
         checksum = _sum16(block, len(block))
         self._sum[0], self._sum[1] = checksum >> 8, checksum & 0xFF
-        self._next()  # it wants a byte in between
+        self._next()  # the card needs a byte in between
         self._byte[0] = _START
         self._bus.write(self._byte)
         self._bus.write(block)
@@ -275,7 +279,7 @@ class SdBlocks:
         return answer == _ACCEPTED
 
     def _wait(self, limit_ms: int) -> None:
-        """While it is busy."""
+        """Wait while the card is busy. OSError after limit_ms."""
         while self._next() != _HIGH:
             self._check_time(limit_ms)
 
@@ -285,18 +289,18 @@ class SdBlocks:
 
     def _release(self) -> None:
         self._select(1)
-        self._next()  # it lets go of the line at a clock
+        self._next()  # the card releases the line at the next clock
         self._shared[TURNED] = 1
 
     def _check_time(self, limit_ms: int) -> None:
-        """OSError where what is done takes longer."""
+        """Raise OSError if the transfer has taken longer than limit_ms."""
         self._shared[TURNED] = 1
         if time.ticks_diff(time.ticks_ms(), self._since) > limit_ms:
             raise OSError(errno.ETIMEDOUT)
 
 
 def _blocks(about: bytearray) -> int:
-    """How many, by what the card tells of itself (CSD, of either version)."""
+    """Return the number of blocks, from the card's CSD register (version 1 or 2)."""
     if about[0] >> 6:
         return ((about[7] & 0x3F) << 16 | about[8] << 8 | about[9]) + 1 << 10
     size = (about[6] & 3) << 10 | about[7] << 2 | about[8] >> 6

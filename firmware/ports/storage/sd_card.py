@@ -1,4 +1,4 @@
-"""SD card: a folder that can be taken out."""
+"""SD card: a folder on a removable card."""
 
 import errno
 import os
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from array import array
     from typing import Any
 
-_ESP32_SLOT = const(2)  # over SPI, as 3 is
+_ESP32_SLOT = const(2)  # over SPI, like slot 3
 
 
 class SdCard:
-    """The card of a holder. pins: clock, to the card, from the card, select."""
+    """The card in a holder. pins: clock, to the card, from the card, select."""
 
-    shared: "array[int]"  # with the supervisor
+    shared: "array[int]"  # shared with the supervisor
 
     def __init__(self, folder: str, pins: "tuple[int, ...]") -> None:
         self.folder = folder
@@ -27,8 +27,8 @@ class SdCard:
         self._mounted: "Any" = None
 
     def mount(self) -> None:
-        """Have the card that is in the holder now in its folder. OSError where there is none, or
-        none with a FAT file system. Only where no file of it is open."""
+        """Mount the card that is in the holder now. OSError if there is none, or none with a FAT
+        file system. Call it only while no file of the card is open."""
         if isinstance(self._mounted, SdBlocks) and self._mounted.is_there():
             return
         self.unmount()
@@ -41,20 +41,20 @@ class SdCard:
         self._mounted = blocks
 
     def unmount(self) -> None:
-        """Forget what was known of it."""
+        """Unmount the card."""
         blocks, self._mounted = self._mounted, None
         if blocks:
             os.umount(self.folder)
             _end(blocks)
 
     def check(self) -> None:
-        """OSError where something could not be read or written."""
+        """Raise OSError if a read or write has failed."""
         if isinstance(self._mounted, SdBlocks) and self._mounted.is_faulty:
             raise OSError(errno.EIO)
 
     def _begin(self) -> "Any":
         theirs: "Any" = getattr(machine, "SDCard", None)
-        if theirs:  # an ESP32's MicroPython has its own
+        if theirs:  # an ESP32's MicroPython has its own driver
             clock, to_card, from_card, select = (machine.Pin(pin) for pin in self._pins)
             return theirs(slot=_ESP32_SLOT, sck=clock, mosi=to_card, miso=from_card, cs=select)
         blocks = SdBlocks(self._pins, self.shared)
@@ -63,7 +63,7 @@ class SdCard:
 
 
 def _end(blocks: "Any") -> None:
-    """A file that is still open writes to no other card."""
+    """Detach the blocks, so that a file still open cannot write to another card."""
     if isinstance(blocks, SdBlocks):
         blocks.end()
     else:

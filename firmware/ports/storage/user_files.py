@@ -1,10 +1,10 @@
-"""User files: the Python that its user has put on the board, beside the firmware."""
+"""User files: Python modules that the user has put on the board, next to the firmware."""
 
 import os
 
 
 def modules(name: str) -> "tuple[str, ...]":
-    """The module NAME.py, or those of the folder NAME; none where neither is there."""
+    """Return the module NAME.py, or the modules of the folder NAME; none if neither exists."""
     folder, _, last = name.rpartition("/")
     there = os.listdir(folder or ".") if name else ()
     if last + ".py" in there:
@@ -12,6 +12,6 @@ def modules(name: str) -> "tuple[str, ...]":
     if last not in there:
         if last + ".whole" not in there:
             return ()
-        os.rename(name + ".whole", name)  # `ugrbl custom push` was cut between two renamings
+        os.rename(name + ".whole", name)  # `ugrbl custom push` stopped between two renamings
     files = sorted(os.listdir(name))
     return tuple([name + "." + file[:-3] for file in files if file.endswith(".py")])

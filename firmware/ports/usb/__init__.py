@@ -1,1 +1,1 @@
-"""A Pico's own USB."""
+"""The USB of a Pico."""

@@ -1,16 +1,16 @@
 # mypy: disable-error-code="arg-type, has-type, misc"
-"""The sender on the board's USB, which MicroPython calls stdin and stdout.
+"""The sender on the board's USB, which MicroPython exposes as stdin and stdout.
 
-MicroPython collects what has arrived in a ring of 512 bytes, and hands it out byte by byte at
-13 us each, or in pieces whose length one has to know. So the ring is looked for in memory
-(usb_ring.py) and read where it lies; where it is not found the plain way is taken. USB makes the
-sender wait when the ring is full: nothing is ever lost.
+MicroPython collects the bytes received in a ring of 512 bytes. Its streams return them one at a
+time, at 13 us each, or in pieces whose length one has to know. So the ring is located in memory
+(usb_ring.py) and read in place; if it is not found, bytes are read one at a time. USB makes the
+sender wait when the ring is full: no byte is ever lost.
 
-The supervisor's timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a
-sender that opens the port is seen, for the welcome. What MicroPython writes while no port is open
-waits for the first one that is.
+The supervisor's timer reads the ring, too: Ctrl-X acts even while the main loop is busy, and a
+sender that opens the port is noticed and greeted. What MicroPython writes while no port is open
+waits for the first one that is opened.
 
-The way back to the REPL is escape.py's.
+escape.py is the way back to the REPL.
 """
 
 import array
@@ -52,16 +52,16 @@ if TYPE_CHECKING:
 
 _CTRL_X = const(24)
 
-# A host that does not read for so long is taken for absent, and is not waited for any more.
+# A host that does not read for so long counts as absent, and writes no longer wait for it.
 _DEAF_MS = const(250)
 
-# An Arduino is silent for longer after it has been opened, and senders count on it: the Universal
-# G-Code Sender begins twice where it is greeted before it has noted that it has begun.
+# An Arduino is silent for longer after it has been opened, and senders rely on it: the Universal
+# G-Code Sender starts twice if it is greeted before it has noted that it has started.
 _GREET_MS = const(300)
 
-# Answers of a line wait for others, up to so many bytes, and until nothing has come for so many
-# turns: to send takes USB as long as a line takes to be read. What is longer is sent at once, with
-# those that wait, and so is the answer to a $ command, for whoever sends one waits for it.
+# Answers to lines are collected, up to so many bytes, and until nothing was received for so many
+# turns: a write to USB takes as long as reading a line. Longer output is sent at once, together
+# with those that wait. So is the answer to a $ command, because its sender waits for it.
 _ANSWERS_BYTES = const(64)
 _OUT_BYTES = const(192)
 _QUIET_TURNS = const(2)
@@ -69,13 +69,14 @@ _ANSWER = const(16)
 _LATER = const(1)
 _DOLLAR = const(0x24)
 
-# With a count of bytes: there is more to see to. Or without one: answers are to be sent.
+# Flags of _take()'s result: NOTE, with a count of bytes, asks for UsbLink._note(); FLUSH, without
+# one, asks to send the answers.
 _NOTE = const(0x100)
 _FLUSH = const(0x200)
 
-# The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
-# of the port being open or not (its DTR), that come with opening alone, and that the cable has
-# been plugged in.
+# The host's last request, in the memory of RP2040's and RP2350's USB. Three requests matter: the
+# one that says whether the port is open (DTR), those that come only when it is opened, and the one
+# that says that the cable has been plugged in.
 _SETUP = const(0x50100000)
 _SET_LINE_STATE = const(0x2221)
 _LINE_CODING = const(0x2021)  # SET is 0x2021, GET is 0x21A1
@@ -84,10 +85,10 @@ _SET_CONFIGURATION = const(0x0900)
 
 @micropython.viper
 def _take(at: ptr32, buf: ptr8, room: int) -> int:
-    """Move up to `room` bytes that the ring holds into buf, and fewer than NOTE.
+    """Move up to `room` bytes, but fewer than NOTE, from the ring into buf.
 
-    Returns how many, and NOTE where UsbLink._note() is to see to something, or else FLUSH where
-    answers have waited long enough.
+    Returns how many, with NOTE set if UsbLink._note() has work to do; or FLUSH if answers have
+    waited long enough.
     """
     if room >= _NOTE:
         room = _NOTE - 1
@@ -122,8 +123,8 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
 @micropython.viper
 def _keep(memory: object, data: ptr8, count: int) -> int:
-    """Put an answer behind those that wait to be sent. Returns 0 where there is no room, LATER, or
-    how many bytes of them are to be sent now. memory: what the link remembers, and its answers."""
+    """Append an answer to those that wait. Returns 0 if it does not fit, LATER if it waits, or how
+    many bytes of answers to send now. memory: the link's state and the waiting answers."""
     at, out = memory
     return int(_put(ptr32(at), ptr8(out), data, count))
 
@@ -149,17 +150,17 @@ def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
 class UsbLink:
     """A Link.
 
-    read_into(buf) moves what has arrived into buf and returns how many bytes; write(data) sends,
-    soon. For the supervisor: shared is what they share, look what its timer calls, None where
-    there is nothing to see; check_supervisor is its own, called in the main loop, and raises.
-    is_slow: Ctrl-X is not heard before the main loop reads.
+    read_into(buf) moves the bytes received into buf and returns how many; write(data) sends, soon.
+    shared: memory shared with the supervisor. poll_reset: called by the supervisor's timer, None
+    if the ring was not found. check_supervisor: the supervisor's, called in the main loop, which
+    raises. is_slow: Ctrl-X is found only when the main loop reads.
     """
 
     read_into: "Callable[[bytearray], int]"
     write: "Callable[[bytes | bytearray | memoryview], None]"
 
     def __init__(self) -> None:
-        micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
+        micropython.kbd_intr(-1)  # Ctrl-C is an ordinary byte
         self.check_supervisor: "Callable[[], None]" = lambda: None
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
@@ -184,15 +185,17 @@ class UsbLink:
         self.write = self._make_write()
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Say when the REPL may be asked for, and who greets a sender that opens the port anew."""
+        """Set when the REPL may be requested, and what greets a sender that opens the port
+        again."""
         self._escape.at_rest = at_rest
         self._on_open = on_open
 
     @micropython.viper
     def _poll_reset(self) -> int:
-        """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one.
+        """Drop all bytes received up to a Ctrl-X. Returns whether there was one. Interrupt.
 
-        And see the port being opened, which for the first time is no news."""
+        It also notes when the port is opened; the first time needs no greeting.
+        """
         at = ptr32(self._at)
         shorts = ptr16(at[RING])
         data = ptr8(ptr32(at[RING])[0])
@@ -224,21 +227,21 @@ class UsbLink:
         return found
 
     def _drain(self) -> bytearray:
-        """All that has arrived."""
+        """Return all bytes received."""
         early = bytearray()
         while self._waiting() and self._in.readinto(self._byte):
             early.append(self._byte[0])
         return early
 
-    # These are called at every turn, and find what they need without a look-up. With arguments a
-    # closure has five values at the most: for more MicroPython takes memory at each call.
+    # These closures are called in every turn and look up no attribute. With arguments a closure
+    # may hold at most five values: MicroPython allocates at each call for more.
 
     def _make_read_into(self) -> "Callable[[bytearray], int]":
         if self._at[RING] == 0:
             return self._read_plainly
         at, take, note, flush = self._at, _take, self._note, self._flush
 
-        # It sends by itself: a turn for that may be the deepest on the stack.
+        # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
             count: int = take(at, buf, len(buf))
             if count < _NOTE:
@@ -248,8 +251,8 @@ class UsbLink:
         return read_into
 
     def _make_send(self) -> "Callable[..., None]":
-        """The same, for what is to go now: so many bytes of the answers that wait, or of others. A
-        host that does not read is waited for once, then goes without."""
+        """Return the function that sends: so many bytes of the waiting answers, or of other data.
+        It waits once for a host that does not read; after that output to it is dropped."""
 
         def send(
             length: int,
@@ -271,10 +274,10 @@ class UsbLink:
         return send
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
-        """The same, for answers."""
+        """Return the function that sends answers."""
         memory, keep, send, go_on = self._memory, _keep, self._send, self._make_room
 
-        # Eleven values, on its way included: for more MicroPython takes memory at each call.
+        # Eleven values including those it passes on: MicroPython allocates at each call for more.
         def write(data: "bytes | bytearray | memoryview") -> None:
             kept = keep(memory, data, len(data))
             if kept > _LATER:
@@ -285,7 +288,7 @@ class UsbLink:
         return write
 
     def _make_room(self, data: "bytes | bytearray | memoryview") -> None:
-        """An answer finds no room behind those that wait."""
+        """Send the answers that wait, then write one that did not fit."""
         self._flush()
         if len(data) > _OUT_BYTES:
             self._send(len(data), data)
@@ -293,7 +296,7 @@ class UsbLink:
             self.write(data)
 
     def _note(self, buf: bytearray, count: int) -> int:
-        """See to more than bytes. Returns their count."""
+        """Handle events other than bytes. Returns the count of bytes."""
         at = self._at
         if at[STOPPED]:
             self.check_supervisor()
@@ -305,11 +308,11 @@ class UsbLink:
             return count
         if at[FULL]:
             at[FULL] = 0
-            self._waiting()  # to ask fills the ring
+            self._waiting()  # polling refills the ring
         return 0
 
     def _greet(self, count: int) -> None:
-        """A program has opened the port: greet it when it says something, or in a while."""
+        """Greet a program that has opened the port, once it sends something or after _GREET_MS."""
         at = self._at
         if at[OPENED] == JUST:
             at[OPENED] = JUST + 1
@@ -338,13 +341,14 @@ class UsbLink:
         return count
 
     def discard(self) -> None:
-        """Drop what has arrived. MicroPython and its USB keep less than 1 kB; more may follow."""
+        """Drop the bytes received. MicroPython and its USB keep less than 1 kB; more may
+        follow."""
         piece = bytearray(64)
         for _ in range(PIECES):
             self.read_into(piece)
 
     def _flush(self) -> int:
-        """Send the answers that wait. Returns 0: nothing has been read."""
+        """Send the answers that wait. Returns 0, the count of bytes read."""
         at = self._at
         length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
         if length:
@@ -352,6 +356,6 @@ class UsbLink:
         return 0
 
     def close(self) -> None:
-        """Send what is left; Ctrl-C interrupts again."""
+        """Send the answers that wait; let Ctrl-C interrupt again."""
         self._flush()
         micropython.kbd_intr(CTRL_C)

@@ -1,8 +1,8 @@
 # mypy: disable-error-code=arg-type
-"""Where MicroPython keeps what has come over USB: a ring in memory, found by trying it out.
+"""Locate the ring where MicroPython stores bytes received over USB, by trial in memory.
 
-And where TinyUSB, the library below it, keeps the host's control lines (DTR, which says whether a
-program has the port open): in a struct that is known by its two pointers into itself.
+And locate where TinyUSB, the library below it, stores the host's control lines (DTR, which says
+whether a program has the port open): a struct recognised by its two pointers into itself.
 """
 
 import array
@@ -22,16 +22,17 @@ _MEMORY_WORDS = const(0x10000)
 _TRIALS = (b"Where is the ring?", b"Here?")
 
 # TinyUSB's struct cdcd_interface_t, in words: 7 bytes, the last of which are line_state and
-# wanted_char, -1; line_coding; from here on two FIFOs of a few words, address and size first, and
-# behind them what the first address points to, then what the second does.
+# wanted_char, -1; line_coding; from _FIFOS on two FIFOs of a few words, each with address and size
+# first; then the memory that the first address points to, then that of the second.
 _FIFOS = const(4)
 _FIFO_WORDS_MOST = const(8)
-_LINE_STATE = const(5)  # byte
+_LINE_STATE = const(5)  # byte offset
 
 
 @micropython.viper
 def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
-    """Index, from start on, of a word that may begin a ring that ends with the trial; or -1."""
+    """Return the index, from `start` on, of a word that may begin a ring whose bytes are the
+    trial; -1 if there is none."""
     i = start
     while i < _MEMORY_WORDS - 3:
         at = memory[i] - _MEMORY
@@ -52,10 +53,10 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
 
 @micropython.viper
 def find_line(memory: ptr32) -> int:
-    """Address of line_state, or 0."""
+    """Return the address of line_state, or 0."""
     for i in range(_MEMORY_WORDS - 3 * _FIFO_WORDS_MOST):
         here = _MEMORY + 4 * (i + _FIFOS)
-        fifo = (memory[i + _FIFOS] - here) >> 3  # its words; both FIFOs lie between
+        fifo = (memory[i + _FIFOS] - here) >> 3  # words of a FIFO; two of them lie in between
         if fifo >= 3 and fifo <= _FIFO_WORDS_MOST and memory[i + _FIFOS] == here + 8 * fifo:
             second = memory[i + _FIFOS] + (memory[i + _FIFOS + 1] & 0xFFFF)
             if memory[i + _FIFOS + fifo] == second and (memory[i + 1] >> 16) & 0xFF == 0xFF:
@@ -68,8 +69,8 @@ def find(
     drain: "Callable[[], bytearray]",
     take: "Callable[[array.array[int], bytearray, int], int]",
 ) -> None:
-    """Put both addresses into what a link remembers, or 0. drain: reads all that has come; take:
-    as usb_link has it."""
+    """Store both addresses in a link's state, 0 if not found. drain: reads all bytes received;
+    take: usb_link._take."""
     early = drain()
     try:
         push(_TRIALS[0])
