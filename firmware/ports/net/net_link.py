@@ -3,9 +3,10 @@
 It is put around the cable's link, and keeps that link's way to the prompt. Bytes of the client in
 control pass unread; each byte of the other clients is checked.
 
-| client | lines | `!`, Ctrl-X, door, jog cancel | `~`, overrides | place | | --- | --- | --- | ---
-| --- | | at the cable, or with the key | take control, if it is free | act | as lines | kept | |
-without the key | read-only ones, while idle, if no client is in control | none | none | 0.25 s |
+| client | lines | `!`, Ctrl-X, door, jog cancel | `~`, overrides | place |
+| --- | --- | --- | --- | --- |
+| at the cable, or with the key | take control, if it is free | act | as lines | kept |
+| without the key | read-only, while idle, if no client is in control | none | none | 0.25 s |
 
 Control is free if no client has it; if its client has gone (a network client silent for 3 s); or
 while idle if its client has sent no line for 5 s. Read-only lines neither take nor keep control:

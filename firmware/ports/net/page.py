@@ -43,7 +43,8 @@ _KEY_LENGTH = const(24)
 _LONGEST_HOST = const(21)  # longest numeric host, with its port
 _DIGITS = const(5)
 # The constants are in few tuples, because a garbage collection can keep track of 60 objects of a
-# module at once. Fields of a request that are read, the first line being "", and their indices.
+# module at once.
+# Fields of a request that are read, the first line being "", and their indices.
 _FIELDS = (
     b"",
     b"host",
@@ -143,7 +144,8 @@ class Visitor:
         self._fields = {}
 
     def hear(self, data: bytes) -> "dict[int, bytes] | None":
-        """Return the request's fields once it is complete, None before; {} if it is malformed."""
+        """Return the request's fields once it is complete, None before; {} if it is
+        malformed or too long."""
         self._size += len(data)
         lines = (self._rest + data).split(b"\n")
         self._rest = lines.pop()

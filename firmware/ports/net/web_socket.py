@@ -3,7 +3,7 @@
 
 Of what arrives only a frame's head and a ping are stored, so a message may have any length and any
 number of parts. A frame that a browser would not send ends the connection, with a code that says
-why. Text is sent only: the latest state of control.
+why. Text is only sent, never received: the latest state of control.
 
 Output is followed by a ping with four random bytes. The pong that returns them proves that all
 output before the ping has been read. Until then it counts as unproved, for client.py.
