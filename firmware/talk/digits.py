@@ -56,8 +56,7 @@ def scaled(x: ptr32, at: int, decimals: int) -> int:
 
 @micropython.viper
 def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
-    """Append a form, which a 0 ends, to the text in `out`, and fill in its placeholders. Returns
-    END.
+    """Append a form, which a 0 ends, to `out`, and fill in its placeholders. Returns END.
 
     %: the next of the VALUES. #3: the next single, with three decimals. ?P: a P if the lowest bit
     of the next of the VALUES is set; the value is then shifted right, for the next letter.

@@ -65,8 +65,8 @@ class Protocol:
             self._realtime.wait_suspended()
 
     def run(self) -> None:
-        """Execute lines for ever; a reset restarts the loop. The stack is short, so calls are
-        inlined here."""
+        """Execute lines for ever; a reset restarts the loop. Inlined, because the stack is
+        short."""
         reader, state, pending = self._reader, self._state, self._state.pending
         interpreter, write, due = self._interpreter, self.link.write, self._saves.due
         # Looked up once, because a bound method is a new object each time; and only here, because
@@ -98,8 +98,7 @@ class Protocol:
                     waits = pending[st.ANY] or state.suspend or counts[LINES_LEFT] <= 0
                     if waits or found & LINE == 0 or line[0] == _DOLLAR:
                         counts[LINES_LEFT] = LINES
-                        # Answer a ? before auto_start(), but not twice in a row: preparing motion
-                        # would delay the answer.
+                        # Answer a ? before auto_start(), which delays it, but not twice in a row.
                         asked = pending[st.STATUS_REPORT] and not asked
                         if found == NOTHING and not asked and not reader.waiting():
                             self._canon.auto_start()
