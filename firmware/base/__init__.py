@@ -1,1 +1,1 @@
-"""What all others stand on: errors, axes, settings, the state record, single precision."""
+"""What every other folder uses: errors, axes, settings, the state record, single precision."""

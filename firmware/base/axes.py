@@ -1,4 +1,4 @@
-"""Axes: their numbers and letters, in the order in which they stand everywhere."""
+"""Axes: their numbers and letters, in the order used everywhere."""
 
 from micropython import const
 

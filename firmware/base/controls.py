@@ -1,4 +1,4 @@
-"""Inputs, bit by bit, as ports have them in a mask."""
+"""Bits of the input masks that ports report."""
 
 from micropython import const
 
@@ -8,6 +8,6 @@ START = const(4)
 DOOR = const(8)
 EMERGENCY_STOP = const(16)  # from Port.attach() only
 
-# Port.levels() has all inputs at once: the controls, and behind them the probe and the limits.
+# Port.levels() reports all inputs at once: the controls, then the probe, then the limits.
 PROBE_AT = const(5)
 LIMITS_AT = const(6)

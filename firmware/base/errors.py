@@ -19,7 +19,7 @@ NEGATIVE_VALUE = const(4)
 SETTING_DISABLED = const(5)
 # The step pulse time ($0) must be 3 microseconds or more.
 SETTING_STEP_PULSE_MIN = const(6)
-# Kept settings could not be read; defaults were restored.
+# The stored settings could not be read; defaults were restored.
 SETTING_READ_FAIL = const(7)
 # The '$' command can only be used while the machine is idle, and not in check mode ($C).
 IDLE_ERROR = const(8)
@@ -29,31 +29,31 @@ SYSTEM_GC_LOCK = const(9)
 SOFT_LIMIT_ERROR = const(10)
 # The line is longer than the line buffer; it was not executed.
 OVERFLOW = const(11)
-# The setting asks for a step rate that the pulse engine cannot make.
+# The setting asks for a step rate that the pulse engine cannot generate.
 MAX_STEP_RATE_EXCEEDED = const(12)
 # The safety door is open.
 CHECK_DOOR = const(13)
-# Build info or startup line is longer than the place where it is kept.
+# Build info or startup line is longer than the space for it.
 LINE_LENGTH_EXCEEDED = const(14)
-# The target of a jog lies outside the machine's travel; the jog was ignored.
+# The target of a jog is outside the machine's travel; the jog was ignored.
 TRAVEL_EXCEEDED = const(15)
-# A jog command has no '=' or holds words that a jog does not take.
+# A jog command has no '=' or has words that are not allowed in a jog.
 INVALID_JOG_COMMAND = const(16)
 # Laser mode needs a PWM output.
 SETTING_DISABLED_LASER = const(17)
-# The block holds a word that is not supported or not valid here.
+# The block has a word that is not supported or not valid here.
 GCODE_UNSUPPORTED_COMMAND = const(20)
-# Two words of the same modal group stand in one block.
+# Two words of the same modal group are in one block.
 GCODE_MODAL_GROUP_VIOLATION = const(21)
 # The feed rate has not been set, or is not defined in this mode.
 GCODE_UNDEFINED_FEED_RATE = const(22)
-# A G or M word takes a whole number.
+# A G or M word needs a whole number.
 GCODE_COMMAND_VALUE_NOT_INTEGER = const(23)
-# Two words in one block both want the axis words.
+# Two words in one block both need the axis words.
 GCODE_AXIS_COMMAND_CONFLICT = const(24)
 # A word is repeated in the block.
 GCODE_WORD_REPEATED = const(25)
-# The command needs axis words, and none are there.
+# The command needs axis words, and the block has none.
 GCODE_NO_AXIS_WORDS = const(26)
 # The line number is out of range.
 GCODE_INVALID_LINE_NUMBER = const(27)
@@ -61,21 +61,21 @@ GCODE_INVALID_LINE_NUMBER = const(27)
 GCODE_VALUE_WORD_MISSING = const(28)
 # The work coordinate system does not exist: there are six, G54 to G59.
 GCODE_UNSUPPORTED_COORD_SYS = const(29)
-# G53 goes with G0 and G1 only.
+# G53 is allowed with G0 and G1 only.
 GCODE_G53_INVALID_MOTION_MODE = const(30)
-# Axis words stand in the block and nothing uses them.
+# The block has axis words that no command uses.
 GCODE_AXIS_WORDS_EXIST = const(31)
 # An arc needs an axis word in its plane.
 GCODE_NO_AXIS_WORDS_IN_PLANE = const(32)
-# The target of the motion is not valid: the arc cannot be, or the probe is there already.
+# The target of the motion is not valid: the arc is impossible, or the probe is already there.
 GCODE_INVALID_TARGET = const(33)
 # No arc of that radius reaches the target.
 GCODE_ARC_RADIUS_ERROR = const(34)
 # An arc by centre needs an offset word (I, J, K) in its plane.
 GCODE_NO_OFFSETS_IN_PLANE = const(35)
-# A value word in the block is used by no command.
+# The block has a value word that no command uses.
 GCODE_UNUSED_WORDS = const(36)
-# G43.1 takes the tool length axis and no other.
+# G43.1 accepts the tool length axis and no other.
 GCODE_G43_DYNAMIC_AXIS_ERROR = const(37)
 # The tool number is greater than 255.
 GCODE_MAX_VALUE_EXCEEDED = const(38)
@@ -84,7 +84,7 @@ GCODE_MAX_VALUE_EXCEEDED = const(38)
 
 # A limit switch was hit. The machine's position is probably lost: home it again.
 ALARM_HARD_LIMIT = const(1)
-# A motion would leave the machine's travel. Position is kept.
+# A motion would leave the machine's travel. The position is still valid.
 ALARM_SOFT_LIMIT = const(2)
 # Reset while moving: steps may have been lost.
 ALARM_ABORT_CYCLE = const(3)
@@ -102,18 +102,18 @@ ALARM_HOMING_FAIL_PULLOFF = const(8)
 ALARM_HOMING_FAIL_APPROACH = const(9)
 # Homing failed: the second switch of an axis was not found in time.
 ALARM_HOMING_FAIL_DUAL_APPROACH = const(10)
-# The firmware met a fault of its own and stopped the machine. Not one of Grbl's.
+# The firmware found an internal fault and stopped the machine. Not one of Grbl's.
 ALARM_INTERNAL = const(16)
 # The emergency stop was pressed. Not one of Grbl's.
 ALARM_EMERGENCY_STOP = const(17)
-# A handler of the user's own has failed: the message before it names file and line. Position is
-# kept. Not one of Grbl's.
+# A handler of the user's own has failed: the message before it names file and line. The position
+# is still valid. Not one of Grbl's.
 ALARM_HANDLER = const(34)
 # A motor driver is hot, damaged, without supply, or does not answer: the message before it says
 # which. The machine's position is probably lost. Not one of Grbl's.
 ALARM_DRIVER = const(35)
 
-# Messages, as they stand in [MSG:…]. None may contain "ok" or "error".
+# Messages, as sent in [MSG:…]. None may contain "ok" or "error".
 MSG_CRITICAL_EVENT = "Reset to continue"
 MSG_ALARM_LOCK = "'$H'|'$X' to unlock"
 MSG_ALARM_UNLOCK = "Caution: Unlocked"
@@ -130,7 +130,7 @@ MSG_FIRST_START = "First start: factory settings"
 MSG_NOT_KEPT = "Flash is full or worn: not kept"
 MSG_DAMAGED = "Damaged in flash: %s (%s)"
 
-# What tells builds apart: `ugrbl build` writes it here.
+# Identifies the build: `ugrbl build` writes it here.
 BUILD_ID = "--------"
 
 
@@ -143,4 +143,4 @@ class GrblError(Exception):
 
 
 class Abort(Exception):
-    """A soft reset unwinds everything that waits. The sender sees the banner."""
+    """A soft reset unwinds every wait. The sender sees the banner."""

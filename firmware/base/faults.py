@@ -1,4 +1,4 @@
-"""Faults: an exception in words that a sender takes for what they are."""
+"""Faults: the text of an exception, made safe for senders."""
 
 import io
 import sys
@@ -8,7 +8,7 @@ from micropython import const
 from base.text import text_of
 
 _LONGEST = const(120)
-# What senders look for, and what is said instead.
+# Words that senders look for, and their replacements.
 _LAST_LINES = (
     ("ok", "o-k"),
     ("oK", "o-K"),
@@ -21,17 +21,18 @@ _LAST_LINES = (
 
 
 def trace(fault: BaseException) -> "list[str]":
-    """The whole traceback, a text per line."""
-    out = io.BytesIO()  # names in a damaged source are no text
+    """Return the whole traceback, one text per line."""
+    out = io.BytesIO()  # bytes, because names in a damaged source may not decode
     sys.print_exception(fault, out)
     return [text_of(line) for line in out.getvalue().strip().split(b"\n")]
 
 
 def sanitize(text: str) -> str:
-    """The text without what senders take for an answer ("ok", "error") or for a message's end."""
+    """Return the text without what senders take for an answer ("ok", "error") or for the end of a
+    message (brackets). Only the first 120 characters are kept."""
     clean = bytearray()
     for byte in text[:_LONGEST].encode("utf-8", "surrogatepass"):
-        if byte & 0xC0 != 0x80:  # a letter has one that is not so, its first
+        if byte & 0xC0 != 0x80:  # a character's first byte: one place per character
             clean.append(byte if 32 <= byte < 127 and byte not in b"[]" else 32)
     text = text_of(clean)
     for word, told in _LAST_LINES:

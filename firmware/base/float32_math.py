@@ -1,18 +1,23 @@
 # mypy: disable-error-code=arg-type
-"""Single precision by integers only: positions as Grbl computes them, in viper kernels.
+"""Single precision with integers only: positions as Grbl computes them, in viper kernels.
 
-A float of MicroPython is a piece of memory, and takes longer to make than all that is done here.
+A MicroPython float is an object on the heap, and creating one takes longer than a function here.
+Floats are therefore read and written as their bits: sign, 8 bits of exponent (bias 127), 23 bits
+of mantissa, with a leading 1 that is not stored.
 """
 
 import micropython
 from micropython import const
 
-MINUS = const(128)  # in the last byte of a float
+MINUS = const(128)  # the sign bit, in the last byte of a float
 
 
 @micropython.viper
 def mantissas(number: int, divisor: int) -> int:
-    """The mantissa of a quotient from 1 to 2, rounded to even. divisor: 24 bits."""
+    """Return the mantissa of number / divisor, both of 24 bits, rounded to even; 24 bits or 2**24.
+
+    number / divisor must be from 1 to 2. Long division, with 7 bits per digit.
+    """
     rest = number - divisor
     number = 1
     for _ in range(4):
@@ -20,7 +25,7 @@ def mantissas(number: int, divisor: int) -> int:
         digit = rest // divisor
         number = (number << 7) + digit
         rest -= digit * divisor
-    # Five bits more than there is room for; what is left matters only behind a half.
+    # The quotient has five extra bits. Any remainder counts only as "more than half".
     if rest:
         number |= 1
     return (number + 15 + ((number >> 5) & 1)) >> 5
@@ -28,9 +33,10 @@ def mantissas(number: int, divisor: int) -> int:
 
 @micropython.viper
 def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: int) -> int:
-    """Divide whole numbers, made floats first, by the floats above 0 at divisors[at].
+    """Set quotients[i] to numbers[i] / divisors[at + i], for count axes.
 
-    Floats are seen as bits, and rounded to the nearest, halves to even. Numbers have 30 bits.
+    Numbers are whole, of 30 bits, and become floats first; divisors are floats above 0. Results
+    are rounded to the nearest, halves to even.
     """
     for i in range(count):
         number = numbers[i]
@@ -47,6 +53,7 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
                 number += (1 << (exponent - 1)) - 1 + ((number >> exponent) & 1)
                 number >>= exponent
             divisor = divisors[at + i]
+            # A whole number of 24 bits has the exponent 150, and the bias is 127.
             exponent += 277 - (divisor >> 23)
             divisor = (divisor & 0x7FFFFF) | 0x800000
             while number < divisor:
@@ -58,8 +65,10 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
 
 @micropython.viper
 def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
-    """Make values[at] its product with factors[of], all bits of single-precision floats, rounded
-    to even."""
+    """Multiply values[at] by factors[of], both floats as bits. Rounds to even.
+
+    Mantissas are split into halves of 12 bits, so that all products fit 32 bits.
+    """
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
@@ -85,7 +94,7 @@ def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
 
 @micropython.viper
 def quotient(values: ptr32, at: int, divisors: ptr32, of: int) -> int:
-    """Make values[at] its quotient by divisors[of], which is not 0; as multiply() does."""
+    """Divide values[at] by divisors[of], which is not 0, both floats as bits. Rounds to even."""
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
@@ -101,7 +110,7 @@ def quotient(values: ptr32, at: int, divisors: ptr32, of: int) -> int:
 
 @micropython.viper
 def store(values: ptr32, at: int, number: int, exponent: int, sign: int) -> int:
-    """Put a number of 24 bits, or one more than they hold, into values[at] as a float."""
+    """Store a mantissa (24 bits, or 2**24), exponent (with bias) and sign as values[at]."""
     if number >> 24:
         number >>= 1
         exponent += 1
@@ -109,7 +118,7 @@ def store(values: ptr32, at: int, number: int, exponent: int, sign: int) -> int:
         exponent = 255  # infinite
         number = 0
     elif exponent < 1:
-        exponent = 0  # too small for a board
+        exponent = 0  # boards have no subnormal numbers
         number = 0
     values[at] = (exponent << 23) | (number & 0x7FFFFF)
     ptr8(values)[4 * at + 3] |= sign
@@ -118,12 +127,12 @@ def store(values: ptr32, at: int, number: int, exponent: int, sign: int) -> int:
 
 @micropython.viper
 def root(values: ptr32, at: int) -> int:
-    """Make values[at], a float that is not negative, its square root, rounded to the nearest."""
+    """Replace values[at], a float that is not negative, by its square root, rounded to nearest."""
     exponent = values[at] >> 23
     if exponent == 0:
         return 0
-    # With an even exponent, two bits above the mantissa's and 24 of them, all 0, behind it: a root
-    # of 25 bits. Two bits are looked at for each of its own.
+    # With an even exponent, the radicand has two bits above the mantissa's 24, and 24 zero bits
+    # below it. The root has 25 bits; each step uses two bits of the radicand.
     number = ((values[at] & 0x7FFFFF) | 0x800000) << (2 - (exponent & 1))
     found = 0
     rest = 0
@@ -139,7 +148,7 @@ def root(values: ptr32, at: int) -> int:
 
 @micropython.viper
 def whole_part(values: ptr32, at: int, power: int) -> int:
-    """The whole part of values[at], a float, times 2**power; 0 where that has over 30 bits."""
+    """Return values[at], a float, times 2**power, truncated; 0 if that has more than 30 bits."""
     shift = ((values[at] >> 23) & 255) - 150 + power
     number = (values[at] & 0x7FFFFF) | 0x800000
     if shift > 6 or shift < -24:
@@ -150,7 +159,7 @@ def whole_part(values: ptr32, at: int, power: int) -> int:
 
 @micropython.viper
 def store_if_changed(kept: ptr32, at: int, values: ptr32, of: int) -> int:
-    """Make kept[at] values[of]. Returns whether it was another."""
+    """Copy values[of] to kept[at]. Returns 1 if it has changed, else 0."""
     if kept[at] == values[of]:
         return 0
     kept[at] = values[of]
@@ -159,7 +168,7 @@ def store_if_changed(kept: ptr32, at: int, values: ptr32, of: int) -> int:
 
 @micropython.viper
 def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
-    """Make b[j] the sum of a[i] and b[j], all bits of single-precision floats, rounded to even."""
+    """Set b[j] to a[i] + b[j], all floats as bits. Rounds to even."""
     sign_a = ptr8(a)[4 * i + 3] >> 7
     sign_b = ptr8(b)[4 * j + 3] >> 7
     x = (a[i] & 0x3FFFFFFF) | ((ptr8(a)[4 * i + 3] & 64) << 24)
@@ -174,7 +183,7 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
     exponent = x >> 23
     shift = exponent - (y >> 23)
     if y >> 23 and shift < 27:
-        # Three more bits, the last one sticky, are enough to round as if all were there.
+        # Three extra bits, the last one sticky, are enough for correct rounding.
         y = ((y & 0x7FFFFF) | 0x800000) << 3
         rest = y & ((1 << shift) - 1)
         y = (y >> shift) | (1 if rest else 0)
@@ -202,9 +211,9 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
 
 @micropython.viper
 def add(numbers: ptr32, flip: int, sums: ptr32, count: int) -> int:
-    """Add floats, or take them away: flip is 0 or MINUS. numbers are negative afterwards, then.
+    """Add numbers to sums, or subtract them; both are floats as bits.
 
-    What is infinite stays so.
+    flip: 0 adds. MINUS subtracts, and leaves the numbers negated. An infinite sum stays infinite.
     """
     for i in range(count):
         ptr8(numbers)[4 * i + 3] ^= flip

@@ -1,7 +1,7 @@
-"""Frozen: firmware that is a part of MicroPython's own file, and lies in flash with it.
+"""Frozen: support for firmware that is part of MicroPython's own image in flash.
 
-Only such a build has this module (tools/compiling/freeze.py); it puts in_memory() before each
-function of native code.
+Only a frozen build has this module (tools/compiling/freeze.py). It decorates each function of
+native code with in_memory().
 """
 
 from array import array
@@ -13,20 +13,22 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# What is frozen, as the build has it: the tools look for this in MicroPython's file, too.
+# Describes the frozen build. The tools also search MicroPython's image for this text.
 ABOUT = "ugrbl frozen: nothing"
 
-# Where a function's object has the address of its code, and a closure's that of the function.
+# Bytes from a function object to the address of its code, and from a closure to its function's.
 _CODE_AT = const(12)
 _FUNCTION_AT = const(4)
 _ADDRESS = const(4)  # bytes
-_HEAD = const(4)  # bytes in front of the code: a jump over its length
+_HEAD = const(4)  # bytes before the code: a jump over its length
 
 
 def in_memory(function: "Callable[..., object]") -> "Callable[..., object]":
-    """Have the function run from memory. Kernels keep words of their own among their code
-    (tools/compiling/machine_code.py), and those that code looks up may lie where they cannot be
-    read in flash."""
+    """Copy the function's code to RAM and make the function run from there.
+
+    Kernels keep data words among their code (tools/compiling/machine_code.py), and words that the
+    code reads may lie where flash cannot be read as data.
+    """
     at = id(function)
     if type(function).__name__ == "closure":
         at = array("I", uctypes.bytearray_at(at + _FUNCTION_AT, _ADDRESS))[0]

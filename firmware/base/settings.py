@@ -1,9 +1,9 @@
 """Settings: declared once, in _TABLE; everything else is derived from its rows.
 
-A setting is an attribute here, in the units of its row. Kept as the very
-lines a user would type; lines nobody understands are kept too, so that an
-older firmware does not lose a newer one's. Whoever works something out from
-a setting subscribes, see on_change(); nothing is to change while it moves.
+A setting is an attribute here, in the units of its row. The store holds the lines that a user
+would type. It also keeps lines that this firmware does not know, so that an older firmware does
+not lose the settings of a newer one. Code that derives a value from a setting subscribes with
+on_change(). Settings must not change during motion.
 """
 
 from array import array
@@ -29,7 +29,7 @@ WHOLE = const(2)  # a float, shown without decimals
 FLOAT = const(3)
 AXIS = const(4)  # a float per axis: number + axis
 
-# In place of a number: all of them.
+# In place of a number: all settings.
 ALL = const(-1)
 
 _FILE = "settings"
@@ -40,7 +40,7 @@ _TABLE: "Rows" = (
     # Step pulse time. Length of one step pulse; the driver's data sheet gives the minimum. No
     # less than 3.
     (0, "step_pulse_us", INT, 10, "microseconds"),
-    # Step idle delay. Motors are released so long after a motion; 255 keeps them on for ever.
+    # Step idle delay. Motors are released this long after a motion; 255 keeps them on for ever.
     (1, "idle_lock_ms", INT, 25, "milliseconds"),
     # Step pulse invert. One bit per axis: X = 1, Y = 2, Z = 4.
     (2, "step_invert", INT, 0, "mask"),
@@ -54,9 +54,9 @@ _TABLE: "Rows" = (
     (6, "probe_invert", BOOL, 0, "boolean"),
     # Status report options. 1: machine position rather than work position; 2: buffer state.
     (10, "report_mask", INT, 1, "mask"),
-    # Junction deviation. How far a corner may be rounded in thought; more makes corners faster.
+    # Junction deviation. How far the speed computation rounds a corner; more makes corners faster.
     (11, "junction_deviation_mm", FLOAT, 0.010, "millimeters"),
-    # Arc tolerance. How far the chords of an arc may stray from it.
+    # Arc tolerance. How far the chords of an arc may be off the arc.
     (12, "arc_tolerance_mm", FLOAT, 0.002, "millimeters"),
     # Report in inches. Positions and rates in reports, not in settings.
     (13, "report_inches", BOOL, 0, "boolean"),
@@ -68,17 +68,17 @@ _TABLE: "Rows" = (
     (22, "homing", BOOL, 0, "boolean"),
     # Homing direction invert. One bit per axis; set: the switch is at the negative end.
     (23, "homing_dir_invert", INT, 0, "mask"),
-    # Homing locate feed rate. The slow approach that counts.
+    # Homing locate feed rate. The slow approach that sets the position.
     (24, "homing_feed", FLOAT, 25.0, "mm/min"),
     # Homing search seek rate. The fast approach that finds the switch.
     (25, "homing_seek", FLOAT, 500.0, "mm/min"),
-    # Homing switch debounce delay. Rest between the moves of homing.
+    # Homing switch debounce delay. Pause between the moves of homing.
     (26, "homing_debounce_ms", INT, 250, "milliseconds"),
-    # Homing switch pull-off distance. Way back from the switch, far enough to open it.
+    # Homing switch pull-off distance. Move back from the switch, far enough to open it.
     (27, "homing_pull_off_mm", FLOAT, 1.0, "millimeters"),
     # Maximum spindle speed. The speed at full power.
     (30, "max_rpm", WHOLE, 1000.0, "RPM"),
-    # Minimum spindle speed. The speed at least power.
+    # Minimum spindle speed. The speed at the lowest power.
     (31, "min_rpm", WHOLE, 0.0, "RPM"),
     # Laser mode. S changes without stopping; M4 power follows the speed; G0 is dark.
     (32, "laser_mode", BOOL, 0, "boolean"),
@@ -91,15 +91,15 @@ _TABLE: "Rows" = (
     # Maximum travel, one value per axis, from the homing switch.
     (130, "max_travel", AXIS, 200.0, "millimeters"),
 )
-_BEYOND = float("3.5e38")  # single precision; as a number it could not be frozen
+_BEYOND = float("3.5e38")  # above single precision; a literal could not be frozen
 
-# Held in these units inside, as single-precision Grbl does, and shown in the row's.
+# Stored internally in mm/min2, as Grbl does in single precision, and shown in the row's unit.
 _ACCELERATION = const(120)
 _PER_SECOND_SQR = 3600.0
 
 
 class Settings:
-    """All settings, with what is kept in the store."""
+    """All settings. They are read from the store and written to it."""
 
     step_pulse_us: int
     idle_lock_ms: int
@@ -134,24 +134,24 @@ class Settings:
         axes: int,
         defaults: "dict[int, float]",
     ) -> None:
-        self.max_step_hz = 0  # a board that checks step rates ($100-$112) sets it
-        # An extra may have others, or keep them under another name.
+        self.max_step_hz = 0  # set by a board that limits step rates ($100-$112)
+        # An extra may replace the rows, or the name of the file.
         self.rows: "Rows" = _TABLE
         self.file = _FILE
-        self.checks: "tuple[Callable[[int, float], object], ...]" = ()  # before one is set
-        self.signed: "dict[int, float]" = {}  # numbers that may be below 0, and how far from it
+        self.checks: "tuple[Callable[[int, float], object], ...]" = ()  # called before set()
+        self.signed: "dict[int, float]" = {}  # numbers that may be negative: largest magnitude
         self._store = store
         self._axes = axes
         self._board_defaults = defaults
         self._unknown: "list[str]" = []
         self._callbacks: "list[Callable[[], None]]" = []
         self.changed = ALL
-        self.is_new = False  # nothing has ever been kept: until that is told of
+        self.is_new = False  # the store has never held settings, which is still to be reported
 
-    # Whom a change concerns
+    # Subscribers
 
     def on_change(self, callback: "Callable[[], None]") -> None:
-        """Have it called after every change of one or of all; `changed` is the number, or ALL."""
+        """Subscribe a callback to every change; `changed` is the setting's number, or ALL."""
         self._callbacks.append(callback)
 
     def _announce(self, number: int) -> None:
@@ -159,10 +159,10 @@ class Settings:
         for callback in self._callbacks:
             callback()
 
-    # Keeping
+    # Storage
 
     def load(self) -> bool:
-        """Read what is kept; False where it is lost and defaults were restored."""
+        """Read the stored settings; False if they are lost and defaults were restored."""
         lines = self._store.load(self.file)
         if not lines:
             self.restore()
@@ -180,7 +180,7 @@ class Settings:
         return True
 
     def _read(self, line: str) -> None:
-        """Take over a kept line. Raises ValueError where it is not one that was ever written."""
+        """Apply a stored line. Raises ValueError if save() cannot have written it."""
         number, _, amount = line.partition("=")
         key, value = int(number[1:]), float(amount)
         if not abs(value) < _BEYOND:
@@ -188,27 +188,27 @@ class Settings:
         try:
             row, axis = self.row(key)
         except GrblError:
-            self._unknown.append(line)  # another firmware's, or another board's
+            self._unknown.append(line)  # from another firmware or board
         else:
             if self._fault(key, value):
                 raise ValueError(line)
             self._store_value(row, axis, value)
 
     def save(self) -> None:
-        """Keep everything as it is now."""
+        """Store all settings."""
         lines = [
             "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
         ]
         self._store.save(self.file, lines + self._unknown)
 
     def restore(self) -> None:
-        """Back to defaults ($RST=$)."""
+        """Restore and store the defaults ($RST=$)."""
         self._set_defaults()
         self._announce(ALL)
         self.save()
 
     def set(self, number: int, amount: float) -> None:
-        """$number=amount. Raises GrblError where it is refused; nothing has changed then."""
+        """Execute $number=amount. Raises GrblError if it is refused; nothing has changed then."""
         for check in self.checks:
             check(number, amount)
         self._assign(number, amount)
@@ -216,7 +216,7 @@ class Settings:
         self.save()
 
     def each(self) -> "list[tuple[int, float, int]]":
-        """(number, value, decimals) of every setting in the order of $$."""
+        """Return (number, value, decimals) of every setting in the order of $$."""
         return [
             (number, self._shown(number, row), self._decimals(row))
             for number, row in self._numbers()
@@ -260,7 +260,7 @@ class Settings:
             setattr(self, row[1], f32(amount))
 
     def row(self, number: int) -> "tuple[Row, int]":
-        """The row of a number, and which axis it is of. GrblError where there is none."""
+        """Return the row of a number, and its axis. Raises GrblError if there is no such row."""
         for row in self.rows:
             axis = number - row[0]
             if axis == 0 or (row[2] == AXIS and 0 < axis < self._axes):
@@ -282,7 +282,7 @@ class Settings:
             check(self, axis, amount)
         self._store_value(row, axis, amount)
 
-    # Checks across fields, by number.
+    # Checks that involve other settings, by number.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
         if truncate(amount) & 255 < 3:
@@ -294,7 +294,7 @@ class Settings:
 
     def _check_homing(self, axis: int, amount: float) -> None:
         if not truncate(amount) & 255:
-            self.soft_limits = 0  # they cannot be without
+            self.soft_limits = 0  # soft limits need homing
 
     def _check_resolution(self, axis: int, amount: float) -> None:
         if self.max_step_hz and amount * self.max_rate[axis] > self.max_step_hz * 60.0:

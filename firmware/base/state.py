@@ -1,7 +1,7 @@
-"""State: what the machine is doing, in one record that everyone above reads.
+"""State: what the machine is doing, in one record that all other modules read.
 
-The run state goes from one to the next by enter(), which knows what may follow what. The numbers
-are Grbl's, so that a set of states is a mask.
+enter() changes the run state and checks that the new one may follow the old one. The numbers are
+Grbl's, so that a set of states is a mask.
 """
 
 from array import array
@@ -21,11 +21,12 @@ HOLD = const(0x10)
 JOG = const(0x20)
 DOOR = const(0x40)
 SLEEP = const(0x80)
-# Those that motion has not come to its end in, as long as they last.
+# States in which motion has not ended.
 UNDER_WAY = const(RUN | HOLD | JOG | DOOR | SLEEP)
 
-# The states that each may follow (mask), with a bit of its own for Idle, whose number has none.
-# An alarm ends with $X, homing, or what a reset finds; sleep with a reset only, in an alarm.
+# Per state, the states that it may follow (mask). Idle is 0, so it has a bit of its own here.
+# Alarm ends with $X, with homing, or in the state that a reset determines. Sleep ends with a reset
+# only, and in Alarm.
 _IDLE_BIT = const(0x100)
 _FOLLOWS = {
     IDLE: _IDLE_BIT | ALARM | CHECK | HOMING | RUN | HOLD | JOG | DOOR,
@@ -39,7 +40,7 @@ _FOLLOWS = {
     SLEEP: _IDLE_BIT | ALARM | HOMING | RUN | HOLD | JOG | DOOR | SLEEP,
 }
 
-# Why, and how far, motion is suspended (mask); 0 = it is not.
+# Why motion is suspended, and how far that has progressed (mask); 0: it is not suspended.
 HOLD_COMPLETE = const(0x01)
 RESTART_RETRACT = const(0x02)
 RETRACT_COMPLETE = const(0x04)
@@ -55,8 +56,8 @@ STOP_INITIATE = const(0x02)
 STOP_RESTORE = const(0x04)
 STOP_RESTORE_CYCLE = const(0x08)
 
-# Events waiting for realtime.run(): indices into `pending`. A byte each, so that an
-# interrupt can set one without losing another.
+# Events that wait for realtime.run(): indices into `pending`. One byte each, so that an interrupt
+# can set one without losing another.
 STATUS_REPORT = const(0)
 CYCLE_START = const(1)
 CYCLE_STOP = const(2)
@@ -65,46 +66,46 @@ RESET = const(4)
 SAFETY_DOOR = const(5)
 CANCEL_MOTION = const(6)
 SLEEP_REQUEST = const(7)
-OVERRIDE = const(8)  # one at least of those that follow:
+OVERRIDE = const(8)  # at least one of the following:
 # Real-time bytes 0x90 to 0xA1, in their order.
 OVERRIDES = const(9)
-ANY = const(27)  # something has been posted that realtime.py has not looked at
+ANY = const(27)  # an event was posted that realtime.py has not handled
 
-# State.spindle: what control/spindle.py makes power of; the speed that it is told, overridden and
-# limited; and the override, as a part of 1.
+# Places in State.spindle, from which control/spindle.py computes power: the speed after override
+# and limits; the override as a fraction, 1 for 100 %.
 RPM = const(1)
 OVERRIDE_PART = const(2)
 SPINDLE_LENGTH = const(10)
 
 FIRST_OVERRIDE_BYTE = const(0x90)
 LAST_OVERRIDE_BYTE = const(0xA1)
-# The other real-time bytes, and what they ask for; a soft reset, 0x18, is none of these.
+# The other real-time bytes and their events; soft reset, 0x18, is handled apart.
 EVENTS = {
     0x3F: STATUS_REPORT,  # ?
     0x7E: CYCLE_START,  # ~
     0x21: FEED_HOLD,  # !
-    0x40: SAFETY_DOOR,  # @, which only Grbl 0.9 takes off a line
+    0x40: SAFETY_DOOR,  # @, which only Grbl 0.9 removes from a line
     0x84: SAFETY_DOOR,
     0x85: CANCEL_MOTION,  # jog cancel: only while jogging
 }
 
 
 class State:
-    """The record. clear() is what a soft reset does; run survives it."""
+    """The record. A soft reset calls clear(); the run state survives it."""
 
     def __init__(self) -> None:
-        self.pending = bytearray(ANY + 1)  # the last byte: something is
+        self.pending = bytearray(ANY + 1)
         self.alarm = 0  # an alarm not yet reported
-        self.run = IDLE  # enter() writes it
+        self.run = IDLE  # only enter() writes it
         self.running = array("i", (IDLE,))  # the same, for kernels
-        # Counts on with every change of what an arc's chords depend on.
+        # Incremented at every change that affects the chords of an arc.
         self.changes = array("i", (0,))
         self.spindle = array("f", (0.0 for _ in range(SPINDLE_LENGTH)))
         self.hooks = Hooks()
         self.clear()
 
     def enter(self, run: int) -> None:
-        """Go over to another run state. RuntimeError, a fault of ours, where it may not follow."""
+        """Change the run state. Raises RuntimeError, an internal fault, if it may not follow."""
         if not _FOLLOWS[run] & (self.run or _IDLE_BIT):
             raise RuntimeError("state %d cannot follow %d" % (run, self.run))
         if (self.run | run) & CHECK:
@@ -112,38 +113,38 @@ class State:
         self.run = self.running[0] = run
 
     def invalidate_lines(self) -> None:
-        """What lines depend on is another now: a setting, an override, a mode."""
+        """Invalidate what lines derive from settings, overrides and modes."""
         self.changes[0] = (self.changes[0] + 1) & 0xFFFF
 
     def post(self, event: int) -> None:
-        """Ask for something at the next turn of realtime.run(). Safe in an interrupt."""
+        """Request an event at the next realtime.run(). Safe in an interrupt."""
         self.pending[event] = 1
         self.pending[ANY] = 1
 
     def count(self, event: int) -> None:
-        """Ask for something once more than it has been asked for."""
+        """Request an event one more time, up to 255."""
         self.pending[event] = min(self.pending[event] + 1, 255)
 
     def take_event(self, event: int) -> int:
-        """How often that was asked for, once where it was posted; it is not any more."""
+        """Return how often the event was requested (1 if posted), and clear it."""
         times = self.pending[event]
         if times:
             self.pending[event] = 0
         return times
 
     def override_spindle(self, percent: int) -> None:
-        """Have the spindle turn so fast, beside what is programmed."""
+        """Set the spindle override, in percent of the programmed speed."""
         self.spindle_override = percent
         self.spindle[OVERRIDE_PART] = f32(f32(0.01) * percent)
 
     def clear(self) -> None:
-        """Back to a fresh start, but for the run state and what is pending in alarm."""
+        """Reset everything except the run state and the pending events and alarm."""
         self.invalidate_lines()
         self.suspend = 0
         self.soft_limit = False
         self.holding = False  # motion is slowing down, or has stopped, for a hold
-        self.system_motion = False  # a parking move is under way
-        self.update_spindle = False  # power must be set anew where motion stands still
+        self.system_motion = False  # a parking move is being executed
+        self.update_spindle = False  # power must be set again while nothing moves
         self.stop_override = 0
         self.feed_override = 100
         self.rapid_override = 100
