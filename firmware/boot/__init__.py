@@ -1,1 +1,1 @@
-"""Which parts a board has, how they are put together, and what keeps them running."""
+"""Select the parts of a board, build the machine from them, and keep it running."""

@@ -1,7 +1,7 @@
-"""Options: what a board file may say of the machine, with what holds where it says nothing.
+"""Options: what a board file may set, and the defaults.
 
-All that one may say stands in tools/boardfile/options.py, with what it means. Nothing here is used
-once the machine is built: a board forgets this module then.
+tools/boardfile/options.py lists every option with its meaning. This module is not used once the
+machine is built: a board forgets it then.
 """
 
 from base.settings import Settings
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 
 class Options:
-    """What wiring.py wants to know. Raises ValueError where an extra cannot be."""
+    """The options that wiring.py reads. Raises ValueError if an extra is impossible."""
 
     def __init__(self, board: "ModuleType") -> None:
-        option = board.__dict__.get  # getattr() would keep the names for good
+        option = board.__dict__.get  # getattr() would intern the names for good
 
         self.axes: int = len(option("STEP", ()))
         self.motors = self.axes
@@ -56,7 +56,7 @@ class Options:
         self.shared_switches: bool = option("DUAL_LIMIT_SWITCHES", False)
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
         self.echo: bool = option("ECHO", False)
-        # What an extra may have otherwise, before the machine is made: prepare().
+        # Extras may replace the rest in prepare(), before the machine is built.
         self.custom = select_extras.custom_modules(board)
         self.job_files: "JobFiles | None" = None
         self.driver_wire: "DriverWire | None" = None
@@ -71,7 +71,7 @@ class Options:
         self.canon: "type[Canon]" = Canon
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle
-        self.reads = READS  # which bytes are taken off a line
+        self.reads = READS  # which bytes are removed from a line
         self.highest_tool = HIGHEST_TOOL
         self.line_length = LINE_LENGTH
         for extra in self.extras:
@@ -79,7 +79,7 @@ class Options:
                 extra.prepare(self, board)
 
     def _hardware(self, board: "ModuleType") -> None:
-        """What extras are handed of it: where programs lie, and the line of motor drivers."""
+        """Create hardware that extras use: the files of jobs, the motor drivers' serial line."""
         option = board.__dict__.get
         if option("JOBS", ""):
             from ports.storage import job_files
@@ -91,13 +91,14 @@ class Options:
             self.driver_wire = driver_wire.of_board(board)
 
     def identity(self) -> str:
-        """What [VER:…] says of us: "Grbl" for senders, the rest for `ugrbl doctor`."""
+        """Return the text of [VER:…]: "Grbl" for senders, the rest for `ugrbl doctor`."""
         rate = "%dHz" % self.max_step_hz if self.max_step_hz else ""
         return " ".join([word for word in ("Grbl", self.engine, rate) if word])
 
     def letters(self) -> str:
-        """The text of [OPT:…]: Grbl's letters for what is on, planner blocks, receive bytes."""
-        text = bytearray(b"V")  # a text of one letter would be kept for good
+        """Return the text of [OPT:…]: Grbl's letters of enabled options, planner blocks, receive
+        bytes."""
+        text = bytearray(b"V")  # a text of one letter would be interned for good
         for on, letter in zip(
             (
                 self.line_numbers,

@@ -1,7 +1,7 @@
-"""Parts: chooses what the board has, makes the machine of it, and forgets how that was done.
+"""Parts: selects the board's hardware, builds the machine, and frees the code that did it.
 
-The tables _ENGINES and _LINKS have all that is to be known of either; the tools read them too. A
-board forgets this module once the machine is there: it has no use for it then.
+The tables _ENGINES and _LINKS describe every engine and link; the tools read them too. A board
+forgets this module once the machine is built.
 """
 
 import sys
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from ports.supervisor import Supervisor
     from talk.controller import Controller
 
-    # And what can wait until somebody has been welcomed: called once, and let go of.
+    # Work that can wait until the first welcome: each is called once, and dropped.
     Later = list[Callable[[], None]]
     Parts = tuple[Controller, BoardLink, BoardPort, StepEngine, Supervisor, Later]
-    # Engine, pins, and who watches the chip's health once the machine is there, for $I+.
+    # Engine, pins, and a function that starts to watch the chip's health, for $I+.
     Hardware = tuple[StepEngine, BoardPort, Callable[[], Callable[[], str]] | None]
     Oldest = tuple[str, tuple[int, int], str]
     Engine = tuple[
@@ -32,37 +32,39 @@ if TYPE_CHECKING:
         tuple[Oldest, ...],
     ]
 
-# Nothing of ours is there, and to look for each module of MicroPython's there takes 3 ms.
+# Left out of the search path at start: it has none of our modules, and looking there for each of
+# MicroPython's modules takes 3 ms.
 _USERS = "/lib"
 
-# Stuck for so long, the chip starts anew: flash is written in less, the longest of all work.
+# Longest time without a feed before the chip resets. Writing flash, the longest work, takes less.
 _WATCHDOG_MS = const(5000)
 
-# The main loop turns within so long, or the machine is stopped. A collection takes 30 ms at the
-# most; who has more to do, in main.py say, reads the link in between.
+# Longest turn of the main loop; after that the machine is stopped. A garbage collection takes
+# 30 ms at most. Code with more to do, in main.py for example, must read the link in between.
 _LOOP_MS = const(250)
 
-# What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
+# Added to $I where Ctrl-X takes effect only when the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
-# Extras that do no more than make a machine, a kilobyte each.
+# Extras that are needed only while the machine is built, a kilobyte each.
 _MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.motor_matrix")
 
-# What makes objects, or has that in its name, in a class or a module; and what extras do then.
+# Names of functions that are needed only while the machine is built: in a class or module those
+# with MAKER in their name, too; the last two are those of extras.
 MAKERS = ("__init__", "connect", "prepare", "install")
 MAKER = "_make_"
 
 
-# Engines and links: a build takes the imports of those that the board file names.
+# Engines and links. A build keeps only the imports of those that the board file names.
 
 
 def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """State machines of a PIO."""
+    """Create an engine on the state machines of a PIO."""
     from pio import stack
     from pio.engine import PioEngine
     from pio.pins import GpioPort
 
-    option = board.__dict__.get  # getattr() would keep the names for good
+    option = board.__dict__.get  # getattr() would intern the names for good
     hold_us, setup_us = option("DIR_HOLD_US", 2), option("DIR_SETUP_US", 5)
     pins = board.STEP, board.DIR, hold_us, setup_us
     if option("TOOL", "spindle") == "laser":
@@ -74,13 +76,13 @@ def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
         engine = PioEngine(*pins)
     port = GpioPort(board)
     engine.on_fault = port.kill
-    forget("rp2")  # with our programs, which it has made, nearly 2 kB
+    forget("rp2")  # nearly 2 kB, with the assembler of our programs
     forget("pio.programs")
     return engine, port, stack.watch
 
 
 def rmt(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Pins of their own, by esp32.RMT."""
+    """Create an engine on pins of its own, with esp32.RMT."""
     from boot import parts_esp
 
     engine, port = parts_esp.rmt(board, link)
@@ -89,7 +91,7 @@ def rmt(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
 
 def i2s(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Shift registers, by machine.I2S."""
+    """Create an engine on shift registers, with machine.I2S."""
     from boot import parts_esp
 
     engine, port = parts_esp.i2s(board, link)
@@ -98,23 +100,23 @@ def i2s(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
 
 def usb() -> "BoardLink":
-    """The board's USB."""
+    """Create the link over the board's USB."""
     from ports.usb.usb_link import UsbLink
 
     link = UsbLink()
-    forget("ports.usb.usb_ring")  # it has found what there is to find
+    forget("ports.usb.usb_ring")  # it has found the ring, and is not needed again
     return link
 
 
 def uart() -> "BoardLink":
-    """UART 0 of an ESP32, or its native USB."""
+    """Create the link over UART 0 of an ESP32, or its native USB."""
     from ports.uart_link import UartLink
 
     return UartLink()
 
 
 def wifi() -> "BoardLink":
-    """The board's USB, and Wi-Fi: a Pico W."""
+    """Create the link of a Pico W: its USB, and Wi-Fi."""
     import board
     from ports.net import wifi as air
     from ports.usb.usb_link import UsbLink
@@ -127,7 +129,7 @@ def wifi() -> "BoardLink":
 
 
 def uart_wifi() -> "BoardLink":
-    """The same of an ESP32."""
+    """Create the link of an ESP32: its UART, and Wi-Fi."""
     import board
     from ports.net import wifi as air
     from ports.uart_link import UartLink
@@ -138,10 +140,10 @@ def uart_wifi() -> "BoardLink":
     return link
 
 
-# What a board file calls ENGINE: who makes it, with the pins that are not steps; what the board
-# file has to name; which of these names are pins of the chip; how many steps a second one axis can
-# expect where the board file does not say, for the tools; and per chip, as MicroPython calls it,
-# the oldest MicroPython that will do, and what came with that.
+# ENGINE of a board file: its constructor, which also makes the port; the names that the board file
+# must have; which of them are pins of the chip; the steps per second of one axis that the tools
+# assume if the board file does not say; and per chip, as MicroPython names it, the oldest
+# MicroPython that works, and the reason.
 _ENGINES: "dict[str, Engine]" = {
     "pio": (
         pio,
@@ -163,12 +165,12 @@ _ENGINES: "dict[str, Engine]" = {
     "i2s": (
         i2s,
         ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS"),
-        ("I2S",),  # motors are behind shift registers, whose outputs have numbers of their own
+        ("I2S",),  # shift registers drive the motors; their outputs have numbers of their own
         41_666,
         (("ESP32", (1, 27), "a firmware that was tried with none before"),),
     ),
 }
-# What a board file calls LINK: who makes it.
+# LINK of a board file: its constructor.
 _LINKS: "dict[str, Callable[[], BoardLink]]" = {
     "usb": usb,
     "uart": uart,
@@ -181,9 +183,9 @@ _LINKS: "dict[str, Callable[[], BoardLink]]" = {
 
 
 def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | None":
-    """Make the machine of board.py; None where there cannot be one, or the REPL is asked for.
+    """Build the machine of board.py; None if that is impossible, or the REPL is requested.
 
-    stay: called with the link, if there is one, and what is wrong where there cannot be one.
+    stay: called with the link, or None, and the exception that made it impossible.
     """
     link: "BoardLink | None" = None
     port: "BoardPort | None" = None
@@ -193,10 +195,10 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         import board
 
         option = board.__dict__.get
-        link = _link(getattr(board, "LINK", "usb"))  # to tell by what is wrong
+        link = _link(getattr(board, "LINK", "usb"))  # first, so that errors can be reported
         from motion import layout
 
-        # The biggest first, before there are holes.
+        # The largest allocation first, while memory is not fragmented.
         ring = layout.ring(len(option("STEP", ())), option("PLANNER_BLOCKS", 16))
         from ports.supervisor import Supervisor
 
@@ -225,8 +227,8 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         _forget_makers(made)
 
     watch.start(feed, machine.motor_control.note_reset)
-    # Some word of machine code may look to the collector like the address of something in here:
-    # that is not to lead to all of it. The last comes first.
+    # A word of machine code may look to the garbage collector like an address in this module.
+    # Clearing the globals keeps it from retaining all of them. Called from the last to the first.
     return machine, link, port, engine, watch, [globals().clear, make_room]
 
 
@@ -237,7 +239,7 @@ def _link(kind: str) -> "BoardLink":
 
 
 def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """What runs the machine; the engine's buffers are the first large things in memory."""
+    """Create engine and port; the engine's buffers are the first large blocks in memory."""
     from ports import pin_check
 
     from boot import select_extras
@@ -250,7 +252,7 @@ def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
 
 def _check_engine(board: "ModuleType") -> None:
-    """An engine there is, and all that it needs. Raises ValueError, which says what is missing."""
+    """Check that the engine exists and has all that it needs. Raises ValueError with the cause."""
     engine: str = board.ENGINE
     if engine not in _ENGINES:
         raise ValueError("ENGINE %s is not one there is" % engine)
@@ -266,8 +268,10 @@ def _check_engine(board: "ModuleType") -> None:
 
 
 def too_old(engine: str, chip: str, version: "tuple[int, ...]") -> str:
-    """Why this MicroPython is too old for that engine; "" where it is not. chip: as MicroPython
-    names it, with the board perhaps."""
+    """Return why this MicroPython is too old for that engine, or "".
+
+    chip: MicroPython's name for it, perhaps with that of the board.
+    """
     _, _, _, _, rows = _ENGINES[engine]
     for name, oldest, why in rows:
         if name in chip and version < oldest:
@@ -282,8 +286,8 @@ def too_old(engine: str, chip: str, version: "tuple[int, ...]") -> str:
 
 
 def make(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """By a board file. Engine, pins and link work together. Raises MemoryError where compiled code
-    finds no room on an ESP32."""
+    """Create the board file's engine and port, and connect them to the link. Raises MemoryError if
+    an ESP32 has no memory for compiled code."""
     maker, _, _, _, _ = _ENGINES[board.ENGINE]
     return maker(board, link)
 
@@ -302,7 +306,7 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    forget("boot.wiring")  # with these, 5 kB that nobody needs any more
+    forget("boot.wiring")  # 5 kB, with these
     forget("boot.options")
     forget("boot.select_extras")
     forget("ports.storage.user_files")
@@ -320,7 +324,7 @@ def _build(
 
 
 def forget(module: str) -> None:
-    """Let go of a module, which its folder knows too."""
+    """Remove a module from sys.modules and from its package."""
     there = sys.modules.pop(module, None)
     folder, _, name = module.rpartition(".")
     if there and folder:
@@ -328,8 +332,8 @@ def forget(module: str) -> None:
 
 
 def _forget_makers(parts: "Iterable[object]") -> None:
-    """Let go of what has made these: there is one of each, for good. Of their classes, of those
-    that these are made of, and of their modules, each of which has many; and of extras."""
+    """Free the functions that built these objects, because none is built twice: in their classes,
+    the base classes, the modules of all these, and the extras. (Names: see MAKERS.)"""
     left = [type(part) for part in parts]
     seen: "set[object]" = set()
     for name, module in sys.modules.items():
@@ -347,10 +351,10 @@ def _forget_makers(parts: "Iterable[object]") -> None:
 
 
 def _forget_in(thing: object) -> None:
-    names, maker = thing.__dict__, MAKER  # a thousand names are looked at
+    names, maker = thing.__dict__, MAKER  # locals, because a thousand names are checked
     made = [name for name in MAKERS if name in names]
     for name in names:
         if maker in name:
             made.append(name)
     for name in made:
-        setattr(thing, name, None)  # what is deleted stays in memory, in its place
+        setattr(thing, name, None)  # deleting would leave the slot in the table

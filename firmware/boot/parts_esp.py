@@ -1,4 +1,4 @@
-"""Parts of an ESP32 board: the engines that parts.py has it make, under their names there."""
+"""Parts of an ESP32 board: its engines, under the names that parts.py uses."""
 
 from esp_chip.pins import EspPort
 from esp_chip.start import prepare
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def rmt(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine, EspPort]":
-    """Raises MemoryError where there is too little."""
+    """Create the RMT engine and its port. Raises MemoryError if memory is short."""
     prepare()
     from esp_chip.rmt import RmtEngine
 
@@ -25,7 +25,7 @@ def rmt(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine, EspPort]":
 
 
 def i2s(board: "ModuleType", link: "BoardLink") -> "tuple[I2sEngine, EspPort]":
-    """Raises MemoryError where there is too little."""
+    """Create the I2S engine and its port. Raises MemoryError if memory is short."""
     prepare()
     from esp_chip.i2s import I2sEngine
 
@@ -38,7 +38,7 @@ def i2s(board: "ModuleType", link: "BoardLink") -> "tuple[I2sEngine, EspPort]":
 
 
 def _join(engine: "RmtEngine | I2sEngine", port: EspPort, link: "BoardLink") -> None:
-    """All three work together."""
+    """Connect engine, port and link."""
     engine.on_poll = port.poll_inputs
     link.on_poll = port.poll_inputs  # type: ignore[attr-defined]  # UartLink's
     engine.on_fault = port.kill

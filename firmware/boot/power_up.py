@@ -1,9 +1,9 @@
-"""Power up: have the machine built (parts.py), keep it running.
+"""Power up: builds the machine (parts.py) and keeps it running.
 
-The last safety net is here too. Where a board file cannot be right, or something is missing,
-nothing moves, and whoever asks is told why. Whatever goes wrong later that nobody has thought of
-stops the motors, switches spindle and coolant off, and says so in one line; the machine is in
-alarm then, until a soft reset.
+This is also the last safety net. If the board file is wrong or a file is missing, nothing moves,
+and the cause is reported to every client that writes. An unforeseen exception later stops the
+motors, switches spindle and coolant off, and is reported in one line; the machine is then in alarm
+until a soft reset.
 """
 
 import gc
@@ -25,17 +25,17 @@ _RESET = const(0x18)
 _QUESTION = const(0x3F)
 _DOLLAR = const(0x24)
 _MESSAGE = "[MSG:%s]"
-# Garbage is collected after so many bytes while modules are imported. What an import leaves for
-# good lies between what it needs for a moment: without this the largest hole was 2.7 kB in 95 kB
-# that were free, with it 35 kB.
+# While modules are imported, garbage is collected each time so many bytes were allocated. What an
+# import leaves for good would otherwise lie between its temporary objects: the largest free block
+# was 2.7 kB of 95 kB free without this, and is 35 kB with it.
 _COLLECT_BYTES = const(32768)
 
 
 def build() -> "Parts | None":
-    """Make the machine of board.py; None where there cannot be one, or the REPL is asked for."""
+    """Build the machine of board.py; None if that is impossible, or the REPL is requested."""
     gc.threshold(_COLLECT_BYTES)
     try:
-        from boot import parts  # and with it all else
+        from boot import parts  # imports everything else
     except Exception as fault:
         _stay_without_parts(fault)
         return None
@@ -46,13 +46,14 @@ def build() -> "Parts | None":
 
 
 def run_machine(parts: "Parts | None") -> "Controller | None":
-    """Run the machine, for ever or until the REPL is asked for; returns it. main.py calls this
-    and not build() does, for an interrupt needs what the stack has left."""
+    """Run the machine, for ever or until the REPL is requested; return it. main.py calls this, not
+    build(), because an interrupt needs the rest of the stack."""
     if parts is None:
         return None
     machine, link, port, engine, watch, later = parts
 
-    # Whoever calls a kernel stays in its memory until the next one does: not parts.py, which goes.
+    # A kernel's memory keeps a reference to its last caller until it is called again. So begin()
+    # is here, and not in parts.py, which must be freed.
     def begin() -> None:
         machine.restart()
         while later:
@@ -69,7 +70,7 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
             machine.power_up()
             machine.protocol.run()
         except KeyboardInterrupt as stop:
-            # Ctrl-X, if it has ended what would not come back; else the prompt is asked for.
+            # The watchdog's Ctrl-X ended code that did not return; else the REPL is requested.
             fault = stop if watch.end_absence() else None
         except (Exception, SystemExit) as unforeseen:  # sys.exit() would leave motors running
             fault = unforeseen
@@ -85,7 +86,7 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
 
 
 def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> None:
-    """Say what has happened, again to who begins a $-command; then wait for a soft reset."""
+    """Report the fault, again at each `$`; answer `?`; return at a soft reset."""
     machine.state.alarm = 0
     machine.state.enter(st.ALARM)
     link.write(b"ALARM:%d\r\n" % errors.ALARM_INTERNAL)
@@ -105,7 +106,7 @@ def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> No
 
 
 def _stay(link: "BoardLink | None", fault: Exception) -> None:
-    """There is no machine: tell why, again to whoever writes to us."""
+    """Without a machine: report the cause, and again whenever bytes arrive. Ctrl-C ends this."""
     text = _text(fault)
     if link is None:
         print(_MESSAGE % text)
@@ -122,8 +123,8 @@ def _stay(link: "BoardLink | None", fault: Exception) -> None:
 
 
 def _stay_without_parts(fault: Exception) -> None:
-    """The same where a file is missing or spoilt: nothing is there that hears who writes, so it is
-    told every second. What is typed is left to the prompt."""
+    """Report the cause if a file is missing or damaged. Without a link no bytes can be read, so it
+    is printed every second. Typed characters are left to the prompt."""
     text = _MESSAGE % _text(fault)
     try:
         while True:
@@ -138,7 +139,7 @@ def _line(text: str) -> bytes:
 
 
 def _text(fault: BaseException) -> str:
-    """What happened, where, and in which build."""
+    """Return the exception, its place in the source, and the build."""
     lines = trace(fault)
     place = lines[-2].strip() if len(lines) > 1 else ""
     return "%s (%s)" % (sanitize("%s %s" % (lines[-1], place)), errors.BUILD_ID)

@@ -15,30 +15,30 @@ if TYPE_CHECKING:
 
     from interfaces import Extra
 
-# The options that ask for an extra of ours, and its module, in the order in which they come in:
-# base/hooks.py says what comes of that.
+# The options that select one of our extras, and its module, in the order of installation. For the
+# effect of the order see base/hooks.py.
 _ORDER = (
-    ("LINK", "net.net_access"),  # hears of lines before others do
-    ("DIALECT", ""),  # adds to what is said, and others to that
-    # Which motor moves what.
+    ("LINK", "net.net_access"),  # first: it receives lines before the others
+    ("DIALECT", ""),  # changes replies, to which later extras add
+    # Which motors an axis moves.
     ("KINEMATICS", "kinematics.nonlinear"),
     ("MOVES", "kinematics.motor_matrix"),
-    ("MOTORS", "motors.ganged"),  # second motors go with what the first do
+    ("MOTORS", "motors.ganged"),  # second motors repeat the steps of the first
     ("BACKLASH", "motors.backlash"),
     ("SKEW", "kinematics.skew"),
     ("ROTARY", "kinematics.rotary"),
     # Homing, from the inside out: which axes, when, and whether their input is free.
     ("HOMING", "motors.home_order"),
     ("LIMIT", "motors.shared_limits"),
-    ("TMC2209", "motors.tmc2209"),  # after all that moves: what drivers feel of it
+    ("TMC2209", "motors.tmc2209"),  # after all that changes motion, because it senses stalls
     ("JERK", "motors.jerk"),
     ("ARC_ACCELERATION", "motors.arc_limit"),
-    ("TOOL", ""),  # a laser's part in each segment comes after that of jerk
+    ("TOOL", ""),  # a laser changes a segment after jerk has
     ("CLUSTERS", "tools.clusters"),
     ("COUNT_DRAINS", "underruns"),
     ("JOBS", "jobs.job_commands"),
 )
-# Options whose words ask for one module or another; the first of each asks for none.
+# Options whose value selects one of several modules; "" is no module.
 WORDS = {
     "DIALECT": {
         "1.1": "",
@@ -53,12 +53,12 @@ _NETWORKS = ("wifi", "uart_wifi")  # links
 
 
 def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
-    """Modules by their names; with_custom: the user has modules of his own. Raises ValueError
-    where a word asks for none there is."""
-    option = board.__dict__.get  # getattr() would keep the names for good
+    """Return the names of the modules; with_custom: the user has custom modules. Raises ValueError
+    if an option has an unknown value."""
+    option = board.__dict__.get  # getattr() would intern the names for good
     found = [_module(word, option(word), module) for word, module in _ORDER]
     own: "tuple[str, ...]" = option("EXTRAS", ())
-    # Last those whose words are only what nobody else takes.
+    # Last, because they handle only words that nothing else accepts.
     last = [
         "custom.user_modules" if with_custom else "",
         "dialects.lenient" if option("LENIENT") else "",
@@ -67,7 +67,7 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
 
 
 def _module(word: str, value: "Any", module: str) -> str:
-    """The module that an option asks for, or ""."""
+    """Return the module that an option selects, or ""."""
     if word in WORDS:
         return "" if value is None else _known(word, value, WORDS[word])
     if word == "LINK":
@@ -91,21 +91,21 @@ def _known(option: str, word: str, known: "dict[str, str]") -> str:
 
 
 def custom_modules(board: "ModuleType") -> "tuple[str, ...]":
-    """The user's own modules that are there: a file of that name, or those of a folder."""
+    """Return the user's own modules that exist: a file of that name, or those of a folder."""
     from ports.storage import user_files
 
     return user_files.modules(board.__dict__.get("CUSTOM", "custom"))
 
 
 def import_extras(asked: "list[str]") -> "list[Extra]":
-    """The modules themselves, by their names."""
+    """Import the modules with these names, and return them."""
     if [name for name in asked if name not in sys.modules]:
         gc.collect()  # else what they leave for good is spread over all of memory
     return [__import__(name, None, None, ("install",)) for name in asked]
 
 
 def pin_options(board: "ModuleType") -> "tuple[str, ...]":
-    """What they call pins in the board file."""
+    """Return the board file's names for pins of the selected extras."""
     found: "tuple[str, ...]" = ()
     for module in import_extras(extra_names(board, False)):
         found += getattr(module, "PINS", ())

@@ -1,6 +1,6 @@
-"""The wiring diagram: makes every object and says who gets whom. Start reading here.
+"""The wiring diagram: creates every object and connects them. Start reading here.
 
-Nothing here is used once the machine is built: a board forgets this module then.
+This module is not used once the machine is built: a board forgets it then.
 """
 
 from base.axes import TOOL_LENGTH
@@ -43,7 +43,7 @@ def build(
     store: "Store",
     ring: "array[int] | None" = None,
 ) -> Controller:
-    """Make a machine of a board file and its hardware. ring: the planner's, if it is there."""
+    """Build a machine from a board file and its hardware. ring: the planner's, if allocated."""
     options = Options(board)
     machine = Controller(options.motors)
     machine.port = port
@@ -68,7 +68,7 @@ def build(
 
 
 def _make_basics(machine: Controller, options: Options, ring: "array[int] | None") -> None:
-    """What the machine is, what it has planned, what it switches."""
+    """Create settings, coordinates, planner, spindle, coolant and inputs."""
     axes, port, state = options.axes, machine.port, State()
     machine.state = state
     machine.settings = options.settings(machine.saves, axes, options.defaults)
@@ -83,7 +83,7 @@ def _make_basics(machine: Controller, options: Options, ring: "array[int] | None
 
 
 def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
-    """Whatever is said."""
+    """Create the reports."""
     machine.report = options.report(
         link,
         machine.state,
@@ -96,7 +96,7 @@ def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
 
 
 def _make_motion(machine: Controller, options: Options) -> None:
-    """What sets the machine in motion, and what may be asked of it."""
+    """Create what executes motion: motor control, canon, homing and probing."""
     machine.motor_control = MotorControl(machine)
     machine.canon = options.canon(machine, options.zero_origin)
     machine.homing_probing = options.homing_probing(
@@ -105,7 +105,7 @@ def _make_motion(machine: Controller, options: Options) -> None:
 
 
 def _make_states(machine: Controller, options: Options) -> None:
-    """The run states and what moves the machine between them."""
+    """Create the run states: overrides, suspension and real-time commands."""
     machine.overrides = Overrides(
         machine.state,
         machine.planner,
@@ -119,7 +119,7 @@ def _make_states(machine: Controller, options: Options) -> None:
 
 
 def _make_language(machine: Controller, options: Options) -> None:
-    """G-code."""
+    """Create the G-code parser and interpreter."""
     block = Block(
         options.axes,
         options.mist,
@@ -131,7 +131,7 @@ def _make_language(machine: Controller, options: Options) -> None:
 
 
 def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
-    """The way of a byte to its answer."""
+    """Create the path of a byte to its answer: commands, line reader, protocol."""
     machine.commands = Commands(
         machine,
         options.letters(),
@@ -149,7 +149,7 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
 
 
 def _connect(machine: Controller) -> None:
-    """Hand those above to those below who wait for them or report on them."""
+    """Connect lower modules to the higher ones that they wait for or report to."""
     machine.report.connect(machine)
     hooks = machine.state.hooks
     hooks.execute, hooks.find_command = machine.interpreter.execute, machine.commands.find_command
