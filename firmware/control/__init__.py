@@ -1,1 +1,1 @@
-"""What the machine does: run states, spindle, coolant, homing, probing, what moves it."""
+"""The machine's behaviour: run states, motor control, spindle, coolant, homing, probing."""

@@ -1,12 +1,11 @@
-"""Canon: the canonical machining functions, what the language may ask of the machine.
+"""Canon: the canonical machining functions that the G-code interpreter calls.
 
-Targets are absolute, in mm of machine coordinates. Everything that has to wait
-does so here, through `service`, which raises Abort after a reset. In check
-mode nothing moves and nothing waits.
+Targets are absolute, in mm of machine coordinates. Everything that must wait does so here, through
+`service`, which raises Abort after a reset. In check mode nothing moves and nothing waits.
 
-A move is asked for (line, arc, jog) deep within the interpreter, and made by
-finish(), which waits for room, when that has returned: an interrupt needs what
-is left of the stack.
+line(), arc() and jog() only request a move, deep within the interpreter. finish() executes it
+after the interpreter has returned, and waits for free blocks: an interrupt needs the rest of the
+stack.
 """
 
 from array import array
@@ -33,9 +32,10 @@ if TYPE_CHECKING:
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
 
-# What check_travel() is told: how many axes; a mask of those that may not go above 0, and behind
-# BELOW of those that may not go below it; floats, mm: how far each may be from 0 (with soft limits
-# its travel; always what its steps can count, Planner.reach_mm()).
+# The array `travel`, for check_travel(): the number of axes; a mask of axes that may not go above
+# 0, and shifted by BELOW of those that may not go below 0; per axis a float, mm, the greatest
+# distance from 0 (always within what its steps can count, Planner.reach_mm(); with soft limits
+# within its travel, too).
 _AXES = const(0)
 SHUT = const(1)
 TRAVEL = const(2)
@@ -44,10 +44,10 @@ BELOW = const(8)
 
 @micropython.viper
 def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
-    """What stands against a line to target: it is OUTSIDE the machine's travel, the ring FULL.
+    """Return why a line to target is impossible: OUTSIDE the machine's travel, ring FULL (mask).
 
-    target: floats, mm. Bits of floats that are not negative compare as they do, and infinity and
-    what is no number lie outside.
+    target: floats, mm. The bits of floats that are not negative compare as the floats do; infinity
+    and NaN compare as outside.
     """
     signs = ptr8(target)
     found = 0
@@ -61,7 +61,7 @@ def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
 
 
 class Canon:
-    """Its functions. positive_origin: homing sets 0, and travel goes either way."""
+    """The functions. positive_origin: homing sets 0, so travel may be in either direction."""
 
     def __init__(self, machine: "Machine", positive_origin: bool) -> None:
         self._state = machine.state
@@ -74,17 +74,17 @@ class Canon:
         self._positive_origin = positive_origin
         self.travel = array("i", (machine.planner.axes, 0) + (0,) * machine.planner.axes)
         self._flow = machine.planner.flow
-        # The move asked for: a line, and the chords of an arc in front of it.
+        # The requested move: a line, after the chords of an arc if it is one.
         self._asked = False
         self.course = array("i", (0 for _ in range(arcs.course_length(machine.planner.axes))))
         self._is_jog = False
 
     def connect(self, service: "Callable[[], None]") -> None:
-        """Say how to wait: one turn of it, which raises Abort after a reset."""
+        """Set the function to call while waiting; it raises Abort after a reset."""
         self.service = service
 
     def configure(self) -> None:
-        """Take over $20, $23, $130 and the others of travel."""
+        """Apply the settings of travel ($20, $23, $130 and following) and the arc tolerance."""
         settings = self._settings
         travel = self.travel
         positive = settings.homing_dir_invert if self._positive_origin else 0
@@ -101,13 +101,13 @@ class Canon:
         arcs.stray(self.course, settings.arc_tolerance_mm)
 
     def limit(self, axis: int, far: float) -> None:
-        """Say how far from 0 an axis may be, in mm."""
+        """Set the greatest distance of an axis from 0, mm."""
         copy(array("f", (far,)), memoryview(self.travel)[TRAVEL + axis :], 1)
 
     # Moves
 
     def line(self, target: "array[float]", move: "Move") -> None:
-        """A straight line: rapid or feed, by the move's flags. Made by finish()."""
+        """Request a straight line, rapid or feed by the move's flags; finish() executes it."""
         if self._asked:
             self.finish()
         self._target = target
@@ -115,7 +115,7 @@ class Canon:
         self._asked = True
 
     def finish(self) -> None:
-        """Make what has been asked for."""
+        """Plan the requested move, and start it if it is a jog."""
         if self.course[arcs.LEFT]:
             self._plan_chords()
         if self._asked:
@@ -126,7 +126,7 @@ class Canon:
             self.begin_jog()
 
     def begin_jog(self) -> None:
-        """A jog has been planned: it starts at once, unless one is under way."""
+        """Start a planned jog at once, unless one is being executed."""
         if self._state.run == st.IDLE and not self.planner.empty():
             self._motor_control.start(st.JOG)
 
@@ -145,7 +145,7 @@ class Canon:
             self._apply_zero_length(move)
 
     def make_room(self) -> None:
-        """As a line does that is planned: a turn for what has been posted, and room."""
+        """Do as before a planned line: handle posted events, and wait for a free block."""
         if self._state.pending[st.ANY] or self._state.suspend:
             self.service()
         if full(self._flow):
@@ -158,11 +158,11 @@ class Canon:
             self.service()
 
     def _plan_chords(self) -> None:
-        """All of an arc but its last chord, which is a line to its target."""
+        """Plan all chords of an arc except the last, which is a line to its target."""
         state, move, course = self._state, self._move, self.course
         moves = state.run != st.CHECK
         power, known = 0, -1
-        looks = state.pending[st.ANY] or state.suspend  # else the loop has, right before the line
+        looks = state.pending[st.ANY] or state.suspend  # else the loop has just called service()
         while course[arcs.LEFT]:
             if looks:
                 self.service()
@@ -181,23 +181,23 @@ class Canon:
                 self._apply_zero_length(move)
 
     def _apply_zero_length(self, move: "Move") -> None:
-        """There was no way to go. A laser's S takes effect all the same."""
+        """Zero-length move; a laser's S still applies."""
         if self._spindle.laser and move.flags & plan.SPINDLE_CW:
             self.spin(plan.SPINDLE_CW, move.spindle_rpm)
 
     def clear_request(self) -> None:
-        """Nothing has been asked for."""
+        """Drop the requested move."""
         self._asked = False
         self.course[arcs.LEFT] = 0
         self._is_jog = False
 
     def jog(self, target: "array[float]", move: "Move") -> None:
-        """A line that starts at once, and that a hold would cancel. Made by finish()."""
+        """Request a line that starts at once, and that a hold cancels; finish() executes it."""
         self.line(target, move)
         self._is_jog = True
 
     def power_of(self, move: "Move") -> int:
-        """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
+        """Return a planner block's spindle power. In laser mode with M4 it follows the speed."""
         if not move.flags & plan.SPINDLE_MASK:
             return 0
         if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
@@ -205,16 +205,16 @@ class Canon:
         return self._spindle.block_power(move.flags, move.spindle_rpm)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """An arc, or helix, as chords within $12 of it. Made by finish()."""
+        """Request an arc or helix as chords within $12 of it; finish() executes it."""
         self.line(target, move)
         chords = arc.lay(start, target, self.planner.steps_per_mm, self.course)
         if chords and move.flags & layout.INVERSE_TIME:
-            # Its time is shared out among the chords, whose rate counts from here on.
+            # Its time is divided equally among the chords; the rate is per chord from here on.
             move.feed *= chords
             move.flags &= ~layout.INVERSE_TIME
 
     def dwell(self, seconds: float) -> None:
-        """Stand still; hold and reset work meanwhile."""
+        """Wait without motion; hold and reset work meanwhile."""
         if self._state.run == st.CHECK:
             return
         self.synchronise()
@@ -228,13 +228,13 @@ class Canon:
             self._motor_control.wait_unanswered(_DWELL_TICK_MS - self._port.elapsed_ms(since))
 
     def auto_start(self) -> None:
-        """Whatever is planned is to move."""
+        """Post a cycle start if planned motion waits in Idle."""
         self.planner.catch_up()
         if self._state.run == st.IDLE and not self.planner.empty():
             self._state.post(st.CYCLE_START)
 
     def synchronise(self) -> None:
-        """Wait until everything planned has been done; in a hold, until that has ended, too."""
+        """Wait until all planned motion is executed and any hold has ended."""
         self.finish()
         self.auto_start()
         self.service()
@@ -252,7 +252,7 @@ class Canon:
     # Accessories
 
     def spin(self, direction: int, rpm: float) -> None:
-        """Turn the spindle, once motion has come to where it was asked."""
+        """Set spindle direction and speed after all planned motion."""
         if self._state.run == st.CHECK:
             return
         self.synchronise()
@@ -264,7 +264,7 @@ class Canon:
             call(direction, rpm)
 
     def cool(self, mask: int) -> None:
-        """Switch coolant, once motion has come to where it was asked."""
+        """Switch coolant after all planned motion."""
         if self._state.run == st.CHECK:
             return
         self.synchronise()
@@ -276,7 +276,7 @@ class Canon:
             call(mask)
 
     def end_program(self) -> None:
-        """Spindle and coolant off, overrides back to 100 %."""
+        """Switch spindle and coolant off, and set overrides to 100 %."""
         state = self._state
         state.feed_override = state.rapid_override = 100
         state.override_spindle(100)
@@ -287,20 +287,20 @@ class Canon:
         call_all(state.hooks.ended)
 
     def control_overrides(self, parking: bool) -> None:
-        """M56: parking is in action, or is not."""
+        """Execute M56: enable or disable parking."""
         if self._state.run != st.CHECK:
             self.synchronise()
         self._state.override_control = parking
 
     def pause_program(self) -> None:
-        """M0: hold until cycle start."""
+        """Execute M0: hold until cycle start."""
         for take in self._state.hooks.paused:
             if take():
                 return
         self.hold_program()
 
     def hold_program(self) -> None:
-        """As pause_program(), without asking extras."""
+        """Do as pause_program(), without asking extras."""
         if self._state.run != st.CHECK:
             self._state.post(st.FEED_HOLD)
             self.service()
@@ -308,11 +308,11 @@ class Canon:
     # Limits
 
     def outside(self, target: "array[float]") -> bool:
-        """The target lies outside the machine's travel."""
+        """Return whether the target is outside the machine's travel."""
         return bool(check_travel(target, self.travel, self._flow) & OUTSIDE)
 
     def stop_with_alarm(self, alarm: int) -> None:
-        """Come to rest where position is certain, then alarm and reset."""
+        """Stop by a hold, so that the position stays certain, then alarm and reset."""
         state = self._state
         state.soft_limit = True  # a hold ends in Idle then
         if state.run & (st.RUN | st.JOG):

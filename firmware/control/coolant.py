@@ -13,7 +13,7 @@ MIST = const(2)
 
 
 class Coolant:
-    """The outputs. Whoever changes them synchronises first (canon.py)."""
+    """The outputs. The caller must synchronise before it changes them (canon.py)."""
 
     def __init__(self, port: "Port", state: "State") -> None:
         self._port = port
@@ -21,12 +21,12 @@ class Coolant:
         self.mask = OFF
 
     def set(self, mask: int) -> None:
-        """Switch now."""
+        """Switch at once."""
         self.mask = mask
         self._port.coolant(mask)
         self._state.override_countdown = 0
 
     def stop(self) -> None:
-        """Off; safe in an interrupt."""
+        """Switch off at once; safe in an interrupt."""
         self.mask = OFF
         self._port.coolant(OFF)

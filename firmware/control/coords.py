@@ -1,6 +1,6 @@
-"""Coordinate systems: where work is, in mm of machine coordinates.
+"""Coordinate systems: the work offsets, in mm of machine coordinates.
 
-Sole owner of G54-G59, G28 and G30 (kept), G92 and tool length (not kept).
+Sole owner of G54-G59, G28 and G30 (stored), G92 and tool length (not stored).
 """
 
 from array import array
@@ -26,8 +26,8 @@ NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30")
 
 
 class Coords:
-    """All offsets, in one array of floats: those of systems, an axis each, G92's, and the tool's
-    length."""
+    """All offsets, in one array of floats: the systems, one float per axis, then G92, then the
+    tool length."""
 
     def __init__(self, store: "Store", axes: int, length_axis: int) -> None:
         self._store = store
@@ -44,7 +44,7 @@ class Coords:
 
     @property
     def tool_length(self) -> float:
-        """How much longer than none the tool is, in mm."""
+        """Length of the tool, relative to no offset, in mm."""
         return self.offsets[-1]
 
     @tool_length.setter
@@ -52,7 +52,7 @@ class Coords:
         self.offsets[-1] = mm
 
     def load(self) -> bool:
-        """Read what is kept; False, and zero, where there was nothing valid."""
+        """Read the stored offsets; False, and all 0, if there are no valid ones."""
         lines = self._store.load(_FILE)
         if lines is None or not self._parse(lines):
             self.restore()
@@ -80,43 +80,45 @@ class Coords:
         self._store.save(_FILE, lines)
 
     def restore(self) -> None:
-        """Everything that is kept to zero ($RST=#)."""
+        """Set and store all stored offsets to zero ($RST=#)."""
         for system in self.systems:
             for i in range(self._axes):
                 system[i] = 0.0
         self._save()
 
     def clear(self) -> None:
-        """What a reset forgets: the active system, G92 and tool length."""
+        """Clear what a reset clears: the active system, G92 and tool length."""
         self.active = 0
         self.tool_length = 0.0
         self.clear_g92()
 
     def clear_g92(self) -> None:
-        """G92.1: work begins where its system does."""
+        """Clear the G92 offset (G92.1)."""
         self.set_g92(vector(self._axes))
 
     def set_g92(self, values: "array[float]") -> None:
-        """G92: work begins so far from where its system does."""
+        """Set the G92 offset, which adds to that of the system."""
         copy(values, self.g92, self._axes)
 
     def write(self, index: int, values: "array[float]") -> None:
-        """Set and keep a system, or G28, G30."""
+        """Set and store a system, or G28, G30."""
         self.change(index, values)
         self._save()
 
     def change(self, index: int, values: "array[float]") -> None:
-        """Set one without keeping it."""
+        """Set a system without storing it."""
         copy(values, self.systems[index], self._axes)
 
     def zero(self, system: int) -> "array[float]":
-        """Where work in that system begins, with G92, without tool length. Not to be changed."""
+        """Return the work zero of a system, with G92, without tool length. The array is shared: do
+        not change it."""
         zero = self._zero
         copy(self.systems[system], zero, self._axes)
         add(self.g92, 0, zero, self._axes)
         return zero
 
     def work_zero(self, system: int, axis: int) -> float:
-        """Where work in that system begins, with tool length, in machine coordinates."""
+        """Return the work zero of a system on one axis, with tool length, in machine
+        coordinates."""
         length = self.tool_length if axis == self.length_axis else 0.0
         return self.zero(system)[axis] + length

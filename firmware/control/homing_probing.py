@@ -1,4 +1,4 @@
-"""Homing and probing: motion that ends when a switch says so."""
+"""Homing and probing: motion that a switch ends."""
 
 import math
 from array import array
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from motion.planner import Move
 
 
-# How much further than the travel, or the pull-off, a switch is searched for.
+# Search distance: per travel on the first approach, per pull-off distance on the second.
 _SEARCH = 1.5
 _LOCATE = 5.0
 # Approach fast, pull off, approach slowly, pull off.
@@ -25,8 +25,8 @@ _PHASES = const(4)
 
 
 class HomingProbing:
-    """Both cycles. position copies the machine's, in mm; resync plans on from there. zero_origin:
-    homing sets 0; shared_switches: an input serves both ends."""
+    """Both cycles. position copies the machine's position, in mm; resync makes planner and parser
+    continue from there. zero_origin: homing sets 0; shared_switches: an input serves both ends."""
 
     def __init__(self, machine: "Machine", zero_origin: bool, shared_switches: bool) -> None:
         self._state = machine.state
@@ -53,9 +53,10 @@ class HomingProbing:
     # Probing (G38.2 to G38.5)
 
     def probe(self, target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-        """Move until contact, or until it is lost. Returns whether the parser is at the target.
+        """Move until contact, or until contact is lost. Returns whether the parser is at the
+        target.
 
-        Where the probe fails and alarms is set, the machine is in alarm afterwards.
+        alarms: a probe that fails puts the machine into alarm.
         """
         state = self._state
         if state.run == st.CHECK:
@@ -75,7 +76,7 @@ class HomingProbing:
         while state.run != st.IDLE:
             self._canon.service()
         self._end_watch()
-        state.take_event(st.CANCEL_MOTION)  # of a contact as motion ended
+        state.take_event(st.CANCEL_MOTION)  # posted by a contact at the very end of motion
         self._planner.clear()
         if self._contact:
             state.probe_succeeded = True
@@ -98,14 +99,14 @@ class HomingProbing:
         self._report_probe()
 
     def forget_probe(self) -> None:
-        """As if nothing had been probed yet; end a cycle in progress."""
+        """Clear the last probe position; end a cycle in progress."""
         self._end_watch()
         for i in range(len(self.probe_steps)):
             self.probe_steps[i] = 0
 
     def _touches(self) -> bool:
-        """Watch the probe from now on, unless it has touched; return whether it touches, so that
-        nothing may move."""
+        """Watch the probe from now on, unless it has touched. Returns whether it has: then motion
+        must not start."""
         if not self._contact:
             self._port.watch_probe(self._on_contact, self._contact_level)
         if self._contact:
@@ -117,8 +118,8 @@ class HomingProbing:
         self._motor_control.touches = None
 
     def _on_contact(self) -> None:
-        """Interrupt: note the place, to the step, and stop. A contact made while a hold stands
-        still counts only if it lasts until motion is to go on: _touches() looks again."""
+        """Interrupt: store the position, to the step, and stop. A contact during a completed hold
+        counts only if it lasts until motion resumes: _touches() checks again."""
         state = self._state
         if not state.suspend & st.HOLD_COMPLETE:
             self._engine.position(self.probe_steps)
@@ -130,7 +131,7 @@ class HomingProbing:
         self._voice.probe(self._target)
 
     def probe_position(self) -> "array[float]":
-        """Where the probe touched last, in mm."""
+        """Return the position of the last contact, in mm."""
         self._planner.to_mm(self.probe_steps, self._target)
         return self._target
 
@@ -139,7 +140,7 @@ class HomingProbing:
     def home(self, axes: int) -> bool:
         """Find the switches: of these axes (a mask), or of all, Z first.
 
-        Returns False where it cannot begin: the machine will be in alarm.
+        Returns False if homing cannot begin: the machine will be in alarm.
         """
         state = self._state
         if self._shared_switches and self._inputs.limits():
@@ -157,7 +158,7 @@ class HomingProbing:
         return True
 
     def find_switches(self, axes: int) -> None:
-        """Find the switches of these axes (a mask), all of them in the same moves."""
+        """Find the switches of these axes (a mask), all in the same moves."""
         settings = self._settings
         travel = 0.0
         count = 0
@@ -165,7 +166,7 @@ class HomingProbing:
             if axes >> i & 1:
                 travel = max(travel, _SEARCH * settings.max_travel[i])
                 count += 1
-        # Each axis is to move at the homing rate, the diagonal that much faster.
+        # Each axis moves at the homing rate, so the diagonal is faster by this factor.
         diagonal = math.sqrt(count)
         rate = settings.homing_seek
         for phase in range(_PHASES):
@@ -182,7 +183,10 @@ class HomingProbing:
         self.homed |= axes
 
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
-        """One move; ends when all switches were found, or with the way back done."""
+        """Execute one move, until all switches are found, or the pull-off is complete.
+
+        axes: mask; travel: mm; rate: mm/min along the diagonal.
+        """
         engine = self._engine
         planner = self._planner
         engine.position(self._steps)
@@ -211,7 +215,7 @@ class HomingProbing:
             if self._failed(approach, axes):
                 self._motor_control.reset()
                 self._canon.service()
-            # First: an engine that has failed stands still, too.
+            # First, because a failed engine is idle, too.
             self._motor_control.check_engine()
             if engine.idle():
                 break
@@ -222,7 +226,7 @@ class HomingProbing:
         self._motor_control.arm()
 
     def _failed(self, approach: bool, axes: int) -> bool:
-        """Set the alarm if the cycle cannot go on."""
+        """Set and return the alarm if the cycle cannot continue."""
         state = self._state
         done = self._engine.idle()
         if state.pending[st.RESET]:

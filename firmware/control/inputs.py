@@ -1,6 +1,6 @@
-"""Inputs: limit switches, probe and control buttons, as the machine means them.
+"""Inputs: limit switches, probe and control buttons, with their polarity.
 
-The port says which pins are pulled to ground; $5 and $6 say what that means, of control inputs the
+The port reports which pins are low; $5 and $6 say what that means, and for control inputs the
 board file.
 """
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Inputs:
-    """axes: how many limit inputs there are; door: the hold input is a safety door's."""
+    """axes: the number of limit inputs; has_door: the hold input is a safety door's."""
 
     def __init__(self, port: "Port", settings: "Settings", axes: int, has_door: bool) -> None:
         self._port = port
@@ -24,11 +24,11 @@ class Inputs:
         self.has_door = has_door
         self._limit_invert = 0
         self._probe_invert = False
-        self._inverted = 0  # as in Port.levels()
+        self._inverted = 0  # bits of Port.levels()
         self._watched = self._all << LIMITS_AT | 1 << PROBE_AT | DOOR | START | HOLD | RESET
 
     def configure(self) -> None:
-        """Take over $5 and $6."""
+        """Apply $5 and $6."""
         settings = self._settings
         self._limit_invert = self._all if settings.limit_invert else 0
         self._probe_invert = bool(settings.probe_invert)
@@ -36,29 +36,30 @@ class Inputs:
         self._port.limit_invert = self._limit_invert
 
     def limits(self) -> int:
-        """Mask of axes whose limit switch is hit."""
+        """Return a mask of the axes whose limit switch is hit."""
         return self._port.limits() ^ self._limit_invert
 
     def closed(self) -> int:
-        """All that is closed, a bit each: probe, limits of six axes, door, reset, hold, start."""
+        """Return all closed inputs, a bit each: probe, limits of six axes, door, reset, hold,
+        start."""
         levels = (self._levels() ^ self._inverted) & self._watched
         if not levels:
-            return 0  # as nearly always
+            return 0  # the common case
         return levels >> PROBE_AT | (levels & DOOR) << 4 | (levels & (RESET | HOLD | START)) << 8
 
     def estop(self) -> bool:
-        """The emergency stop is pressed; never so where there is none."""
+        """Return whether the emergency stop is pressed; False without one."""
         estop = self._port.estop
         return estop is not None and estop()
 
     def probe(self) -> bool:
-        """The probe touches."""
+        """Return whether the probe touches."""
         return self._port.probe() != self._probe_invert
 
     def contact_level(self, away: bool) -> bool:
-        """Level of the probe pin at which a cycle, towards or away, is to end."""
+        """Return the level of the probe pin that ends a cycle, towards or away."""
         return (not away) != self._probe_invert
 
     def door_open(self) -> bool:
-        """The safety door is open; never so where there is no door input."""
+        """Return whether the safety door is open; False without a door input."""
         return self.has_door and bool(self._port.controls() & DOOR)

@@ -1,7 +1,7 @@
-"""Modes: what a program has in force, until a word of its changes it. Data only.
+"""Modes: the modal state of the program. Data only.
 
-The interpreter writes it; an override switches coolant. Who holds, parks or restores asks what
-was wanted here. Lengths are mm in machine coordinates, rates mm/min, speeds rpm.
+The interpreter writes it; an override may switch coolant. Code that holds, parks or restores reads
+the programmed state here. Lengths are mm in machine coordinates, rates mm/min, speeds rpm.
 """
 
 from array import array
@@ -11,7 +11,7 @@ from base.float32_math import whole_part
 from micropython import const
 from motion.planner import COOLANT_SHIFT
 
-# What is in force, by its place in Modes.modal; the values are in language/block_layout.py.
+# Places in Modes.modal; language/block_layout.py has the values.
 MOTION = const(0)
 PLANE = const(1)
 RELATIVE = const(2)
@@ -24,10 +24,10 @@ SPINDLE = const(8)
 COOLANT = const(9)
 OVERRIDE_CONTROL = const(10)
 MODAL_LENGTH = const(11)
-# Behind them there is room for what a block has besides (language/block_layout.py): 0 here.
+# Length of Modes.modal: a block has more words after these (language/block_layout.py); 0 here.
 MODAL_ROOM = const(18)
 
-# By its place in Modes.rates.
+# Places in Modes.rates.
 FEED = const(0)
 RPM = const(1)
 TOOL = const(2)
@@ -46,7 +46,7 @@ class Modes:
         self.reset()
 
     def reset(self) -> None:
-        """Those of a fresh start. The position stays."""
+        """Set the modes of a fresh start. The position stays."""
         for i in range(MODAL_LENGTH):
             self.modal[i] = 0
         self.modal[OVERRIDE_CONTROL] = 1
@@ -54,9 +54,9 @@ class Modes:
 
     @property
     def tool(self) -> int:
-        """T of the last line, which Grbl forgets with the next."""
+        """T of the last line; Grbl forgets it with the next line."""
         return whole_part(self.rates, TOOL, 0)
 
     def accessory_flags(self) -> int:
-        """Spindle and coolant as flags of a planner block."""
+        """Return spindle and coolant as flags of a planner block."""
         return self.modal[SPINDLE] | self.modal[COOLANT] << COOLANT_SHIFT

@@ -1,7 +1,7 @@
 """Motor control: starts and stops motion, and powers the motors while they need it ($1).
 
-What stops comes first: a reset, a switch, a button. Those are the interrupts of pins, too: the
-object that listens to the port (InputListener). The main loop does the rest with poll_motors().
+Stops come first: a reset, a switch, a button. They are also called from interrupts of pins, as the
+port's listener (InputListener). The main loop does the rest with poll_motors().
 """
 
 import micropython
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 _FOR_EVER = const(255)
-# The engine may be running on its own.
+# States in which the engine may be running.
 _MOTION = const(st.RUN | st.HOLD | st.JOG)
-_PATIENCE = const(3)  # times that motion may be set going in vain
+_PATIENCE = const(3)  # restarts without progress, before that is a fault
 
 
 class MotorControl:
@@ -39,40 +39,40 @@ class MotorControl:
         self._coolant = machine.coolant
         self._port = machine.port
         self._voice = machine.report
-        self.moving = False  # the engine was started and has not been seen idle since
-        self.by_pin = False  # a switch or a button has asked for the reset that is due
-        self.in_idle_delay = False  # it stands still, and the motors are still powered ($1)
-        # While probing: whether the probe touches, asked before motion begins or goes on.
+        self.moving = False  # the engine was started, and has not been found idle since
+        self.by_pin = False  # a switch or a button has requested the pending reset
+        self.in_idle_delay = False  # motion has stopped, and motors are still powered ($1)
+        # While probing: returns whether the probe touches; called before motion starts or resumes.
         self.touches: "Callable[[], bool] | None" = None
         self._since = 0
-        self._level = -1  # of the motors' enable output: none has been set
-        self._is_new = True  # power is on, and nothing can have moved
-        # Where motion stood when it was set going again, and how often that was in vain.
+        self._level = -1  # of the motors' enable output; -1: not set yet
+        self._is_new = True  # since power-up nothing has moved
+        # Progress at the last restart of motion, and the number of restarts without progress.
         self._progress = -1
         self._stalls = 0
         self._after_alarm: "Callable[[], None] | None" = None
 
     def connect(self, pump: "Callable[[], None]") -> None:
-        """Say how the link is read."""
+        """Set the function that reads the link."""
         self.pump = pump
 
-    # Stops, from anywhere
+    # Stops, callable from anywhere
 
     def reset(self) -> None:
-        """Soft reset: tool off and motors stopped at once, the rest in the next run(). Both stay
-        so, whatever this has interrupted goes on to do, until arm()."""
+        """Soft reset: tool off and motors stopped at once, the rest in the next run(). Until arm()
+        both stay off, whatever the interrupted code does."""
         try:
             self._port.kill()
         finally:
             self._engine.stop()
         self.note_reset(0)
 
-    # Interrupts of pins come through these: as native code, and without reset() in between, they
-    # need half the stack. Where one of them raises, the port's callback sees to the rest.
+    # Interrupts of pins call these. As native code, and without reset() in between, they need half
+    # the stack. If one of them raises, the port's callback handles it (on_fault).
 
     @micropython.native
     def note_reset(self, alarm: int) -> None:
-        """All has been stopped: what for, where that is an alarm, and that a reset is due."""
+        """Note that everything was stopped: set the alarm, 0 for none, and post a reset."""
         state = self._state
         if not state.pending[st.RESET]:
             moving = state.run & (st.RUN | st.HOMING | st.JOG)
@@ -86,7 +86,7 @@ class MotorControl:
 
     @micropython.native
     def on_limits(self) -> None:
-        """A limit switch has changed. Interrupt."""
+        """Handle a change of a limit switch. Interrupt."""
         state = self._state
         heard = self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING)
         if heard and state.alarm == 0:
@@ -97,7 +97,7 @@ class MotorControl:
 
     @micropython.native
     def on_controls(self, active: int) -> None:
-        """A control input has changed, or the emergency stop. active: mask. Interrupt."""
+        """Handle a change of a control input or the emergency stop. active: mask. Interrupt."""
         state = self._state
         emergency = active & EMERGENCY_STOP and state.run != st.ALARM
         if active & RESET or emergency:
@@ -113,35 +113,35 @@ class MotorControl:
             state.post(st.SAFETY_DOOR)
 
     def emergency(self) -> None:
-        """The emergency stop is pressed. Where the machine is in alarm it is stopped already."""
+        """Handle a pressed emergency stop. In alarm the machine is already stopped."""
         state = self._state
         if state.run != st.ALARM and state.alarm != errors.ALARM_EMERGENCY_STOP:
             self.reset()
             state.alarm = errors.ALARM_EMERGENCY_STOP
 
     def on_fault(self) -> None:
-        """A callback of the port has raised. Interrupt."""
+        """Handle an exception in a callback of the port. Interrupt."""
         self._state.alarm = errors.ALARM_INTERNAL
         self.reset()
 
     # Alarms
 
     def fail(self, alarm: int, after: "Callable[[], None] | None" = None) -> None:
-        """What a line asks for has failed: an alarm at its end. after: called with the alarm
-        reported, to say more."""
+        """Set an alarm that is reported at the end of the line. after: called once the alarm is
+        reported, to add messages."""
         self._state.alarm = alarm
         self._after_alarm = after
 
     def enter_alarm(self) -> "Callable[[], None] | None":
-        """There is an alarm: nothing is to turn. Returns what to call after it is reported."""
+        """Enter Alarm with nothing turning. Returns what to call after the alarm is reported."""
         state = self._state
-        if state.pending[st.RESET]:  # which has killed what these switch off for good
+        if state.pending[st.RESET]:  # the port's kill() lasts until arm(); these last
             self._spindle.stop()
             self._coolant.stop()
             if self.moving:
                 self.release()
             if state.run == st.HOMING:
-                self.in_idle_delay = False  # motors stay powered up to the reset
+                self.in_idle_delay = False  # motors stay powered until the reset
         state.enter(st.ALARM)
         after, self._after_alarm = self._after_alarm, None
         return self._report_fault if state.alarm == errors.ALARM_INTERNAL else after
@@ -152,7 +152,7 @@ class MotorControl:
     # Motors: they stay powered a little longer than they move ($1)
 
     def arm(self) -> None:
-        """Motors and tool obey again after a stop, if nothing has come that stops them anew."""
+        """Enable motors and tool again after a stop, unless another stop is pending."""
         self._engine.arm()
         self._port.revive()
         if self._state.pending[st.RESET] or self._state.alarm:
@@ -160,22 +160,22 @@ class MotorControl:
             self._engine.stop()
 
     def poll_motors(self) -> None:
-        """One turn of the main loop, as long as it moves or settles."""
+        """Do one turn of the main loop while motion or the idle delay lasts."""
         if self.moving:
-            self.check_engine()  # first: an engine that has failed stands still, too
+            self.check_engine()  # first, because a failed engine is idle, too
             if self._engine.idle():
                 self.release()
         if self.in_idle_delay:
             self._end_idle_delay()
 
     def check_engine(self) -> None:
-        """Motion that is behind its own schedule is a fault of ours."""
+        """Raise RuntimeError if the engine has failed: motion late for its own schedule, …"""
         fault = self._engine.fault()
         if fault:
             raise RuntimeError(fault)
 
     def start(self, run: int) -> None:
-        """Set the machine in motion, in that run state."""
+        """Start motion in the given run state, unless an extra objects."""
         if self._state.hooks.may_start and not all_agree(self._state.hooks.may_start):
             return
         self._state.enter(run)
@@ -189,7 +189,8 @@ class MotorControl:
             call_all(self._state.hooks.started)
 
     def release(self) -> None:
-        """The machine stands still: power the motors off in a while, and call it a stop then."""
+        """Motion has stopped: start the idle delay. At its end the motors are powered off and a
+        cycle stop is posted."""
         if self._state.hooks.stops:
             call_all(self._state.hooks.stops)
         self.moving = False
@@ -197,7 +198,7 @@ class MotorControl:
         self._since = self._port.ticks_ms()
 
     def wait_unanswered(self, milliseconds: int) -> None:
-        """Wait: bytes are taken in, and nothing is answered."""
+        """Wait. Bytes are read meanwhile, and not answered."""
         since = self._port.ticks_ms()
         while self._port.elapsed_ms(since) < milliseconds:
             self.pump()
@@ -205,7 +206,7 @@ class MotorControl:
                 self._end_idle_delay()
 
     def wait_idle_delay(self) -> None:
-        """Wait for the delay to pass; lines and real-time commands wait too."""
+        """Wait until the idle delay is over; lines and real-time commands wait too."""
         while self.in_idle_delay:
             self.pump()
             self._end_idle_delay()
@@ -213,7 +214,7 @@ class MotorControl:
     def _end_idle_delay(self) -> None:
         state = self._state
         if state.run & (st.RUN | st.JOG) and not state.holding and not self._planner.empty():
-            self._restart()  # more has come in the meantime: nothing is lost
+            self._restart()  # more was planned in the meantime
             return
         delay = self._settings.idle_lock_ms
         stay = delay == _FOR_EVER and state.run != st.SLEEP
@@ -225,7 +226,7 @@ class MotorControl:
             state.post(st.CYCLE_STOP)
 
     def _restart(self) -> None:
-        """Go on with what is planned. Raises RuntimeError where that has led nowhere before."""
+        """Resume planned motion. Raises RuntimeError if earlier restarts made no progress."""
         progress = self._segments.progress()
         self._stalls = self._stalls + 1 if progress == self._progress else 0
         if self._stalls > _PATIENCE:
@@ -234,7 +235,7 @@ class MotorControl:
         self.start(self._state.run)
 
     def power(self, on: bool) -> None:
-        """Motors on or off ($4)."""
+        """Switch the motors on or off ($4)."""
         level = (0 if on else 1) ^ self._settings.enable_invert
         if level != self._level:
             self._level = level

@@ -1,4 +1,4 @@
-"""Overrides: feed, rapids and spindle in percent, spindle stop, coolant, by real-time bytes."""
+"""Overrides by real-time bytes: feed, rapids and spindle in percent, spindle stop, coolant."""
 
 from base import state as st
 from micropython import const
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from control.modes import Modes
     from control.spindle import Spindle
 
-# Override bytes, from 0x90: which override, and by how much; 0 is back to 100 %.
+# Override bytes, from 0x90: which override, and its change in percent; 0 restores 100 %.
 _FEED = const(0)
 _RAPID = const(1)
 _SPINDLE = const(2)
@@ -40,12 +40,12 @@ _MIST_TOGGLE = const(0xA1)
 _LOWEST = const(10)
 _HIGHEST = const(200)
 
-# States in which blocks are being executed, or wait for it.
+# States in which blocks are executed, or wait for it.
 _MOTION = const(st.RUN | st.HOLD | st.JOG)
 
 
 class Overrides:
-    """What they change. has_mist: there is a mist output."""
+    """Applies overrides to planner, spindle and coolant. has_mist: there is a mist output."""
 
     def __init__(
         self,
@@ -64,10 +64,10 @@ class Overrides:
         self._has_mist = has_mist
 
     def apply_requests(self) -> None:
-        """Do what has been asked by override bytes."""
+        """Apply the override bytes received."""
         state = self._state
         new = [state.feed_override, state.rapid_override, state.spindle_override]
-        for byte in range(st.FIRST_OVERRIDE_BYTE, _SPINDLE_STOP):  # in this order, as Grbl
+        for byte in range(st.FIRST_OVERRIDE_BYTE, _SPINDLE_STOP):  # in Grbl's order
             times = self._asked(byte)
             if times and byte in _OVERRIDES:
                 which, change = _OVERRIDES[byte]
@@ -86,11 +86,11 @@ class Overrides:
         self._accessory_overrides()
 
     def _asked(self, byte: int) -> int:
-        """How often that byte has come: each of a burst counts."""
+        """Return how often that byte was received: each of a burst counts."""
         return self._state.take_event(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
     def _override_spindle(self) -> None:
-        """The spindle's override has changed: now, with the motion, or once it is held."""
+        """Apply a changed spindle override: now, with the motion, or once it is held."""
         state = self._state
         state.invalidate_lines()
         if state.run == st.IDLE:
@@ -112,7 +112,7 @@ class Overrides:
         self._coolant.set(self._modes.modal[COOLANT])
 
     def stop_spindle(self) -> None:
-        """Spindle stop override: toggles, and only while held."""
+        """Toggle the spindle stop override; only during a hold."""
         state = self._state
         if state.run == st.HOLD:
             if not state.stop_override:

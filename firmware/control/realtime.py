@@ -1,9 +1,8 @@
 """Real-time commands: the run-state machine.
 
-post() takes a real-time byte wherever it comes from; run() is called at every
-turn of every loop that waits, and does what has been asked, in Grbl's order:
-alarm, reset, report, holds, cycle start, cycle stop, overrides. While motion
-is suspended run() does not return: suspension.py has its turn there.
+post() accepts a real-time byte from any source. run() is called in every turn of every loop that
+waits, and handles posted events in Grbl's order: alarm, reset, report, holds, cycle start, cycle
+stop, overrides. While motion is suspended run() does not return, and calls suspension.py.
 """
 
 from base import errors
@@ -25,7 +24,7 @@ _HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)
 
 
 class Realtime:
-    """The state machine. resync copies the machine's position to all."""
+    """The state machine. resync copies the machine's position to planner and parser."""
 
     def __init__(self, machine: "Machine") -> None:
         self._state = machine.state
@@ -38,14 +37,14 @@ class Realtime:
         self._voice = machine.report
         self._resync = machine.resync
 
-    # What asks, from anywhere
+    # Requests, from anywhere
 
     def post(self, byte: int) -> None:
-        """A real-time byte has been received. Unknown ones vanish."""
+        """Post the event of a real-time byte. Unknown bytes are ignored."""
         state = self._state
         if byte in st.EVENTS:
             if byte != _JOG_CANCEL or state.run & st.JOG:
-                # As State.post(), whose frame a ? would wait for.
+                # State.post() inline, because the answer to ? would wait for its frame.
                 state.pending[st.EVENTS[byte]] = state.pending[st.ANY] = 1
         elif byte == _SOFT_RESET:
             self._motor_control.reset()
@@ -53,10 +52,10 @@ class Realtime:
             state.count(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             state.post(st.OVERRIDE)
 
-    # What answers, in the main loop
+    # Handling, in the main loop
 
     def run(self) -> None:
-        """Do what has been asked; wait while motion is suspended. Raises Abort after a reset."""
+        """Handle events; wait while motion is suspended. Raises Abort after a reset."""
         self.handle_events()
         if self._state.suspend:
             self.wait_suspended()
@@ -64,7 +63,7 @@ class Realtime:
             call_all(self._state.hooks.between_lines)
 
     def wait_suspended(self) -> None:
-        """Wait until motion is not suspended any more."""
+        """Wait until motion is no longer suspended."""
         self._suspension.start()
         while self._state.suspend:
             self._suspension.run_step()
@@ -72,12 +71,12 @@ class Realtime:
             self.handle_events()
 
     def handle_events(self) -> None:
-        """As run(), but does not wait for a suspension to end."""
+        """Do as run(), but do not wait for a suspension to end."""
         state, drive = self._state, self._motor_control
         pending = state.pending
         if self._estop and self._estop():
             drive.emergency()
-        if pending[st.ANY] or drive.in_idle_delay or drive.moving:  # nearly always none of them
+        if pending[st.ANY] or drive.in_idle_delay or drive.moving:  # rarely
             if pending[st.RESET]:
                 raise Abort  # the loop then reports an alarm
             if pending[st.STATUS_REPORT]:
@@ -85,13 +84,13 @@ class Realtime:
                 if state.hooks.fields:
                     report = _with_fields(report, state.hooks.fields)
                 drive.pump()
-                pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
+                pending[st.STATUS_REPORT] = 0  # also answers requests received meanwhile
                 self._voice.send(report)
             drive.poll_motors()
             if pending[st.ANY]:
                 pending[st.ANY] = 0
                 if pending[st.RESET]:
-                    raise Abort  # it has come since
+                    raise Abort  # posted meanwhile
                 if any(pending):
                     held = self._holds()
                     if state.take_event(st.CYCLE_START) and not held:
@@ -104,7 +103,8 @@ class Realtime:
             call_all(state.hooks.poll)
 
     def _holds(self) -> bool:
-        """Feed hold, door, sleep, motion cancel. Returns whether cycle start is to be ignored."""
+        """Handle feed hold, door, sleep and motion cancel. Returns whether to ignore cycle
+        start."""
         state = self._state
         cancel = state.take_event(st.CANCEL_MOTION)
         hold = state.take_event(st.FEED_HOLD)
@@ -188,7 +188,7 @@ class Realtime:
             self._planner.clear()
             self._resync()
             state.holding = False
-        # As in Grbl `holding` stays after a probe's contact: a reset before motion is an alarm.
+        # As in Grbl, `holding` stays after a probe's contact: a reset before motion is an alarm.
         if state.suspend & st.DOOR_AJAR:
             state.suspend = state.suspend & ~st.JOG_CANCEL | st.HOLD_COMPLETE
             state.enter(st.DOOR)

@@ -1,7 +1,7 @@
-"""Saves: what is to be kept waits here until the loop has it written, before the line is answered.
+"""Saves: lines to be stored wait here until the loop writes them, before the line is answered.
 
-Whoever changes what is kept is deep in calls, and so is a file system: one on top of the other
-they need more stack than there is beside the interrupts.
+Code that changes stored values is deep in calls, and so is a file system. Both together would need
+more stack than the interrupts leave.
 """
 
 from micropython import const
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Saves:
-    """A Store in front of another one, which save() leaves as it is until write_due()."""
+    """A Store in front of another one, which changes only in write_due()."""
 
     def __init__(self, store: "Store") -> None:
         self._store = store
@@ -22,17 +22,17 @@ class Saves:
         self.due: "dict[str, list[str]]" = {}
 
     def load(self, name: str) -> "list[str] | None":
-        """The lines kept under that name: none where there never were any, None where they are
-        lost."""
+        """Return the lines stored under that name: an empty list if there never were any, None if
+        they are lost."""
         return self._store.load(name)
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
-        """Replace them with the next write_due()."""
+        """Replace them at the next write_due()."""
         self.due[name] = list(lines)
 
     def write_due(self) -> None:
-        """Write what is due; at rest only. Raises OSError where something could not be kept: it
-        holds until the power goes."""
+        """Write all due lines; only while idle. Raises OSError if some could not be stored: these
+        are then valid until power-off."""
         failed: "OSError | None" = None
         while self.due:
             name, lines = self.due.popitem()

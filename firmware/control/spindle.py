@@ -1,9 +1,8 @@
 # mypy: disable-error-code=arg-type
 """Spindle and laser: from a speed in rpm to power at the pin.
 
-The interrupt sets power per segment while the machine moves (set_power);
-everything else goes through set_speed(). Never waits: whoever changes the spindle
-synchronises first (canon.py).
+During motion the interrupt sets power per segment (set_power); everything else calls set_speed().
+Nothing here waits: the caller must synchronise before it changes the spindle (canon.py).
 """
 
 import micropython
@@ -26,29 +25,30 @@ CW = const(0x10)
 CCW = const(0x20)
 _TURNING = const(0x30)
 
-# Least power of a spindle that turns.
+# Lowest power of a turning spindle.
 _MIN_POWER = const(1)
 
-# State.spindle, besides what base/state.py names: S, of which power is made;
+# More places in State.spindle (see base/state.py): S, from which power is computed;
 ASKED = const(0)
-# $30; $31, and the same below 0; full power, a whole number; power per S above $31, and in 1/64.
+# $30; $31; -$31; full power, a whole number; power per rpm above $31; the same in 1/64.
 HIGHEST = const(3)
 _LOWEST = const(4)
 _LESS = const(5)
 _FULL = const(6)
 _GRADIENT = const(7)
 _FINE = const(8)
-LASER = const(9)  # 0: it is none
+LASER = const(9)  # 0: not a laser
 _ONE = const(0x3F800000)  # the float 1
-_STEEPEST = 8388608.0  # power for all of S, if $31 were far below: 64 times as much has 30 bits
+_STEEPEST = 8388608.0  # 2**23, above power at $30 from 0 rpm: 64 times it must have 30 bits
 
 
 @micropython.viper
 def power_from_rpm(scale: ptr32, flags: int) -> int:
-    """What a planner block with these flags carries of scale[ASKED]: see
-    slice_kernel.scaled_power().
+    """Return the power of a planner block with these flags: see slice_kernel.scaled_power().
 
-    scale: State.spindle, whose RPM then says what speed that is at rest: of a laser in M4, 0.
+    scale: State.spindle. scale[ASKED], the programmed rpm, is lost. scale[RPM] becomes the speed
+    while idle: 0 for a laser in M4. Power is 1 + (rpm - $31) * gradient; with DYNAMIC it is
+    rpm * gradient in 1/64, rpm at most $30.
     """
     if not flags & _TURNING:
         return 0
@@ -75,6 +75,7 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
         multiply(scale, ASKED, scale, _GRADIENT)
         least = _MIN_POWER
     rpm = scale[ASKED]
+    # The float's whole part: a mantissa of 24 bits has the exponent 150.
     shift = 150 - (rpm >> 23)
     rpm = (rpm & 0x7FFFFF) | 0x800000
     if shift < 0:
@@ -83,7 +84,8 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
 
 
 def in_range(scale: "array[float]", rpm: float) -> float:
-    """What speed a programmed one is: with its override, from $31 to $30. scale: State.spindle."""
+    """Return the speed for a programmed one: with override, from $31 to $30. scale:
+    State.spindle."""
     rpm = f32(rpm * scale[OVERRIDE_PART])
     highest, lowest = scale[HIGHEST], scale[_LOWEST]
     if rpm >= highest or lowest >= highest:
@@ -97,23 +99,23 @@ class Spindle:
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
         self._port = port
         self._state = state
-        # The direction's pin says that the spindle is on: M3 and M4 are the same then.
+        # The direction pin is an enable pin: M3 and M4 are then the same.
         self._has_enable = enable_by_direction
         self._power = 0
-        self._direction = CW  # of the pin
+        self._direction = CW  # of the direction pin
         self._enabled = False
         self.laser = False
-        self._reversed = False  # M4; in laser mode power follows the speed then
+        self._reversed = False  # M4; in laser mode power then follows the speed
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
-        """Take over $30, $31 and $32. table: the planner's, for the kernels."""
+        """Apply $30, $31 and $32. table: the planner's, for the kernels."""
         self.laser = bool(settings.laser_mode)
         scale, full = self._state.spindle, self._port.pwm_max
         scale[LASER] = self.laser
         span = f32(settings.max_rpm - settings.min_rpm)
         gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
         if settings.max_rpm * gradient >= _STEEPEST:
-            gradient = 0.0  # $30 and $31 are as good as equal
+            gradient = 0.0  # $30 and $31 are practically equal
         scale[HIGHEST] = settings.max_rpm
         scale[_LOWEST] = settings.min_rpm
         scale[_LESS] = -settings.min_rpm
@@ -124,17 +126,17 @@ class Spindle:
         copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL:], 1)
 
     def power(self, rpm: float) -> int:
-        """Power for a programmed speed, override included; tells the state what speed that is."""
+        """Return the power for a programmed speed with its override; sets the state's RPM."""
         return self.block_power(CW, rpm)
 
     def block_power(self, flags: int, rpm: float) -> int:
-        """What a planner block with these flags carries: see power_from_rpm()."""
+        """Return the power of a planner block with these flags: see power_from_rpm()."""
         scale = self._state.spindle
         scale[ASKED] = rpm
         return power_from_rpm(scale, flags)
 
     def set_speed(self, direction: int, rpm: float) -> None:
-        """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
+        """Set direction and speed at once. In laser mode M4 starts without power."""
         if direction == OFF:
             self._reversed = False
             self._state.spindle[RPM] = 0.0
@@ -144,32 +146,33 @@ class Spindle:
         self._state.override_countdown = 0
 
     def restore_laser(self, direction: int, rpm: float) -> None:
-        """Like set_speed(), of a laser that a hold has darkened: Grbl reports no change then."""
+        """Restore a laser that a hold has switched off: set_speed(), but without a report of the
+        override, as Grbl."""
         self.enable(direction)
         if self.laser and self._reversed:
             rpm = 0.0
         self.set_power(self.power(rpm))
 
     def enable(self, direction: int) -> None:
-        """Set direction, CW or CCW, and the enable pin; power comes with the motion."""
+        """Set direction, CW or CCW, and the enable pin; motion sets the power."""
         self._reversed = direction == CCW
         self._direction = CW if self._has_enable else direction
         self._enabled = True
         self._port.direction(1 if self._has_enable or direction == CCW else 0)
 
     def set_power(self, power: int) -> None:
-        """Power of the segment that begins. Safe in an interrupt."""
+        """Set the power of the segment that begins. Safe in an interrupt."""
         if power != self._power:
             self._power = power
             self._port.spindle(power != 0, power)
 
     def on_motion_end(self) -> None:
-        """Motion has come to its end. A beam that follows the speed has none. Interrupt."""
+        """Motion has ended: switch off a beam whose power follows the speed. Interrupt."""
         if self._reversed and self.laser:
             self.set_power(0)
 
     def stop(self) -> None:
-        """Off, at once; safe in an interrupt."""
+        """Switch off at once; safe in an interrupt."""
         self._power = 0
         self._port.spindle(False, 0)
         if self._has_enable:
@@ -177,6 +180,6 @@ class Spindle:
             self._port.direction(0)
 
     def direction(self) -> int:
-        """OFF, CW or CCW: what the pins say."""
+        """Return OFF, CW or CCW, from the pins' state."""
         on = self._enabled if self._has_enable else self._power
         return self._direction if on else OFF

@@ -1,9 +1,8 @@
-"""Suspension: what happens while motion is held, behind an open door, or asleep.
+"""Suspension: what happens during a hold, an open door, or sleep.
 
-run_step() is called over and over by realtime.suspended() until the suspension ends.
-What takes time is a generator: it yields where it waits, so that no wait is
-nested in another. Parking, an option of the board, moves the tool away from
-the work and back.
+realtime.wait_suspended() calls run_step() until the suspension ends. Work that takes time is a
+generator, which yields where it waits, so that no wait is nested in another. Parking, an option of
+the board, moves the tool away from the work and back.
 """
 
 from array import array
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from interfaces import Machine
 
 
-# What a spindle and a pump need before cutting goes on behind a closed door.
+# Time for spindle and coolant to start after the door is closed, before cutting resumes.
 _SPINDLE_DELAY_MS = const(4000)
 _COOLANT_DELAY_MS = const(1000)
 
@@ -37,8 +36,8 @@ _PULL_OUT_MM = 5.0
 
 
 class Suspension:
-    """Holds, door and sleep. position copies the machine's, in mm; parks: the board has parking
-    motion."""
+    """Holds, door and sleep. position copies the machine's position, in mm; parks: the board has
+    the parking option."""
 
     def __init__(self, machine: "Machine", parks: bool) -> None:
         self._state = machine.state
@@ -61,11 +60,11 @@ class Suspension:
         self._target = vector(machine.planner.axes)
         self._resume_at = vector(machine.planner.axes)
         self._waypoint = 0.0
-        self._lit = False  # a laser that has been darkened burned
-        self._routine: "Iterator[None] | None" = None  # what is under way
+        self._lit = False  # the laser was on before the hold switched it off
+        self._routine: "Iterator[None] | None" = None  # the work in progress
 
     def run_step(self) -> None:
-        """One turn of a suspension."""
+        """Do one turn of a suspension."""
         if not self._routine:
             self._choose()
         if self._routine:
@@ -75,7 +74,7 @@ class Suspension:
                 self._routine = None
 
     def _choose(self) -> None:
-        """What is to be done now: at once, or as a routine."""
+        """Do the next work: at once, or as a routine."""
         state = self._state
         if not state.suspend & st.HOLD_COMPLETE:
             return
@@ -97,7 +96,7 @@ class Suspension:
     # Feed hold
 
     def start(self) -> None:
-        """A suspension has just begun: remember what turned, and darken a laser."""
+        """Begin a suspension: store spindle direction and speed, and switch a laser off."""
         self._routine = None
         self._lit = False
         row = self._planner.row()
@@ -142,9 +141,9 @@ class Suspension:
         elif self._planner.empty():
             spindle.restore_laser(direction, self._rpm if self._lit else 0.0)
         else:
-            self._state.update_spindle = True  # comes back with the motion
+            self._state.update_spindle = True  # power is set when motion resumes
             spindle.enable(direction)
-            self._planner.each_power(spindle.block_power)  # and is reported
+            self._planner.each_power(spindle.block_power)  # also updates the reported speed
 
     # Sleep
 
@@ -206,12 +205,12 @@ class Suspension:
             bool(self._settings.homing)
             and not self._spindle.laser
             and self._state.override_control
-            # A probe stays where it is to touch, or has touched.
+            # While probing, the tool stays where it is.
             and self._motor_control.touches is None
         )
 
     def _park(self) -> "Iterator[None]":
-        """Pull out slowly with the spindle on, then go up fast without it."""
+        """Pull out slowly with the spindle on, then retract fast with it off."""
         target = self._target
         self._position(target)
         if not self._interrupted():
