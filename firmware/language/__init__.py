@@ -1,1 +1,1 @@
-"""G-code: words to checked blocks to what control may be asked for."""
+"""G-code: from words to checked blocks to calls of control/canon.py."""

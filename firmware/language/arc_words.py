@@ -11,8 +11,8 @@ from motion.arc_geometry import length, subtract
 
 from language import block_layout as b
 
-# A target may be so far off an arc's circle, floats by their bits: 0.005 mm, or that part of the
-# radius, 0.001, up to 0.5 mm.
+# Tolerance of a target's distance from the arc's circle, as bits of floats: 0.005 mm, or 0.001 of
+# the radius but at most 0.5 mm.
 _CLOSE = const(0x3BA3D70A)
 _PART = const(0x3A83126F)
 _WORST = const(0x3F000000)
@@ -23,8 +23,8 @@ _HALF = const(0x3F000000)
 def find_arc(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, r: ptr32
 ) -> int:
-    """Find plane, centre and radius of a block's arc from position to xyz. Returns what is wrong
-    with it, or 0. r: the arc's numbers."""
+    """Find plane, centre and radius of a block's arc from position to xyz. Returns Grbl's error
+    number, or 0. r: the arc's numbers."""
     words = ints[b.WORDS]
     if words & b.AXIS_WORDS == 0:
         return errors.GCODE_NO_AXIS_WORDS
@@ -54,6 +54,7 @@ def find_arc(
     r[arc.B] = xyz[other]
     subtract(r, arc.B, position, other)
     subtract(r, arc.B, r, arc.CENTRE_1)
+    # The target's distance from the centre, less the radius.
     length(r, arc.A, arc.B)
     subtract(r, arc.A, r, arc.RADIUS)
     off = r[arc.A] & int(0x7FFFFFFF)
@@ -64,7 +65,7 @@ def find_arc(
 
 @micropython.viper
 def same_position(position: ptr32, xyz: ptr32, axes: int) -> int:
-    """Whether the two places are the same."""
+    """Return 1 if the two positions are equal, else 0."""
     for i in range(axes):
         if position[i] != xyz[i] and (position[i] | xyz[i]) & int(0x7FFFFFFF):
             return 0
@@ -77,14 +78,14 @@ def _by_radius(
 ) -> int:
     """Find the centre of the arc with radius R over the chord to the target.
 
-    It lies on the chord's perpendicular bisector, left of the way for a
-    counterclockwise arc of less than half a circle. R < 0 asks for the longer arc.
+    The centre is on the chord's perpendicular bisector: left of the direction of motion for a
+    counterclockwise arc of less than half a circle. R < 0 requests the longer arc.
     """
     if int(same_position(position, xyz, axes)):
         return errors.GCODE_INVALID_TARGET
     if ints[mode.INCHES]:
         multiply(singles, b.R, singles, b.INCH_MM)
-    # The chord, and its halves.
+    # The chord. It is halved at the end.
     r[arc.CENTRE_0] = xyz[plane[arc.ONE_AXIS]]
     subtract(r, arc.CENTRE_0, position, plane[arc.ONE_AXIS])
     r[arc.CENTRE_1] = xyz[plane[arc.OTHER_AXIS]]
@@ -103,7 +104,7 @@ def _by_radius(
     subtract(r, arc.A, r, arc.C)
     if ptr8(r)[4 * arc.A + 3] & MINUS:
         return errors.GCODE_ARC_RADIUS_ERROR
-    # How far the centre lies from the chord's middle, as a part of half the chord.
+    # The centre's distance from the middle of the chord, as a fraction of half the chord.
     add_single(r, arc.C, r, arc.B)
     root(r, arc.A)
     root(r, arc.B)

@@ -1,8 +1,8 @@
 # mypy: disable-error-code="arg-type, call-overload, has-type, misc"
-"""Block: the words of one line, taken in and given their places.
+"""Block: reads the words of one line into a block.
 
-Step one and two of the interpreter: begin with a copy of the modal state, then take in word after
-word. Refuses what is wrong with words as such: unknown ones, two of a group, one repeated.
+Steps one and two of the interpreter: copy the modal state, then store word after word. Refuses
+errors of single words: unknown ones, two of a modal group, a repeated one.
 """
 
 from array import array
@@ -34,37 +34,38 @@ _BIT_C = const(5)
 _BIT_I = const(6)
 _BIT_T = const(15)
 
-# The dictionary, in bytes, for store_words(). Its index, of which each block has its own, for
-# boards differ: the number of a word's row by its code, M words behind G words; then the bit of
-# each letter from A on.
+# The dictionary of words, in bytes, for store_words(). The index has the number of a word's row by
+# its code, M words after G words, and then the bit of each letter from A on. Each block has its
+# own index, because boards differ.
 M_WORDS = const(100)
 _INDEXED = const(160)
 _NO_LETTER = const(255)
 ROW = const(6)
-# The place in Modes.modal is first; NOWHERE: none.
-SETTING = const(1)  # what is put there, or in NON_MODAL
-_CLAIM = const(2)  # who claims the axis words
-_DECIMALS = const(3)  # those it may have besides none, a bit for each tenth from 1 on
+# Places in a row. The first is the place in Modes.modal, or NOWHERE.
+SETTING = const(1)  # value to store there, or in NON_MODAL
+_CLAIM = const(2)  # use of the axis words: AXES_…
+_DECIMALS = const(3)  # allowed decimals: bit n for .n
 GROUP = const(4)  # two bytes
 NOWHERE = const(255)
-# Besides the tenths: others are unsupported, which elsewhere are malformed; one must be there.
+# In _DECIMALS, too. OTHERS: other decimals are "unsupported", not "no whole number". NEEDED: a
+# decimal is required.
 OTHERS = const(0x80)
 NEEDED = const(0x40)
 TENTHS = const(0x3F)
 
 index = bytearray(_INDEXED) + b"\xff" * 26
-dictionary = bytearray(ROW)  # the first row is no word's
+dictionary = bytearray(ROW)  # row 0 means no word
 
 
 def add_word(
     at: int, group: int, place: int, setting: int, claim: int = b.AXES_UNCLAIMED, decimals: int = 0
 ) -> None:
-    """Put a word into the dictionary: a G number, or an M number behind M_WORDS."""
+    """Add a word to the dictionary: a G number, or M_WORDS plus an M number."""
     index[at] = len(dictionary) // ROW
     dictionary.extend(bytes((place, setting, claim, decimals, group & 255, group >> 8)))
 
 
-# By calls, for rows that are constants would stay in memory beside their copy.
+# Calls, because constant rows would stay in memory in addition to the dictionary.
 add_word(0, b.GROUP_1, mode.MOTION, b.SEEK, b.AXES_MOTION)
 add_word(1, b.GROUP_1, mode.MOTION, b.LINEAR, b.AXES_MOTION)
 add_word(2, b.GROUP_1, mode.MOTION, b.CW_ARC, b.AXES_MOTION)
@@ -99,7 +100,7 @@ add_word(94, b.GROUP_5, mode.INVERSE_TIME, 0)
 add_word(M_WORDS + 0, b.GROUP_M4, mode.PROGRAM_FLOW, b.PAUSED)
 add_word(
     M_WORDS + 1, b.GROUP_M4, mode.PROGRAM_FLOW, b.RUNNING
-)  # optional stop: there is no switch for it
+)  # optional stop: no input for it, so it is ignored
 add_word(M_WORDS + 2, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M2)
 add_word(M_WORDS + 30, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M30)
 add_word(M_WORDS + 3, b.GROUP_M7, mode.SPINDLE, 0x10)
@@ -114,14 +115,17 @@ for _bit in range(len(VALUE_LETTERS)):
 
 
 def decimals_of(at: int) -> int:
-    """A word's decimals in the dictionary, -1 if there is no such word; at as for add_word()."""
+    """Return the allowed decimals of a word, -1 if there is no such word; at: as in add_word()."""
     row = index[at] if at < _INDEXED else 0
     return dictionary[row * ROW + _DECIMALS] if row else -1
 
 
 @micropython.viper
 def byte(value: int, top: int) -> int:
-    """The float as a number from 0 to 255; 256 where it is none. top: its last byte."""
+    """Return the float as a whole number from 0 to 255, or 256 if it is not one.
+
+    value: its bits; top: the last byte of these.
+    """
     exponent = (value >> 23) & 255
     if top > 127 or exponent > 134 or (exponent < 127 and exponent):
         return 256
@@ -132,7 +136,7 @@ def byte(value: int, top: int) -> int:
 
 @micropython.viper
 def enter(place: int, setting: int, claim: int, group: int, ints: ptr32) -> int:
-    """Take in a G or M word by what the dictionary says of it. Returns what is wrong with it."""
+    """Store a G or M word by its row of the dictionary. Returns Grbl's error number, or 0."""
     if claim:
         if ints[b.CLAIM]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
@@ -161,9 +165,10 @@ def store_words(
     singles: ptr32,
     take_odd: object,
 ) -> int:
-    """Take in words, in their order. Returns what is wrong with the first that is, or 0.
+    """Store words in their order. Returns Grbl's error number of the first wrong one, or 0.
 
-    at: an index. take_odd: takes in a G or M word whose number is no byte, or lacks decimals.
+    at: a block's index; words: the dictionary. take_odd: a function that stores word i, a G or M
+    word that `byte` cannot read, or that needs decimals.
     """
     wrong = 0
     i = 0
@@ -214,9 +219,11 @@ def read(
     axes: int,
     words: object,
 ) -> int:
-    """Start from a modal state, and take in the words of line[start:end], which a 0 follows, in
-    their order. span: end << 8 | start; ints, singles, xyz, words: a block's. Returns what is
-    wrong with the first that is, or 0."""
+    """Copy a modal state, and store the words of line[start:end], which ends with a 0.
+
+    span: end << 8 | start. ints, singles, xyz: those of a block; words: Block.words. Returns
+    Grbl's error number of the first wrong word, or 0.
+    """
     _letters, _values, index, rows, read_on, own, take_odd = words
     letters = ptr8(_letters)
     values = ptr32(_values)
@@ -233,7 +240,7 @@ def read(
 
 @micropython.viper
 def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> int:
-    """Make a block empty, in a modal state."""
+    """Clear a block and copy the modal state into it."""
     for i in range(axes):
         xyz[i] = 0
     for i in range(b.TOOL_LIMIT):
@@ -244,7 +251,7 @@ def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> 
 
 
 class Block:
-    """One line being interpreted. Reused for every line."""
+    """The block of the line being interpreted. Reused for every line."""
 
     def __init__(
         self,
@@ -259,12 +266,13 @@ class Block:
         self.xyz = vector(axes)
         self.singles = vector(b.SINGLES)
         self.singles[b.TOOL_LIMIT], self.singles[b.INCH_MM] = highest_tool, 25.4
-        # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
+        # Results of the checks: the arc, and what G10 stores or where G28 and G30 go.
         self.arc = Arc()
         self.stored = vector(axes)
         self._words = Words(longest)
-        # An extra's kernel, for what scan() cannot read: it is passed a line, span and result of
-        # scan(), whose result it returns anew, and the object with it. It may set ONLY.
+        # An extra's kernel for text that scan() cannot read, and an object for it. It is passed
+        # line, span, the result of scan() and the object, and returns a new result. It may set
+        # ONLY.
         self.read_on: "tuple[ReadOn | None, object]" = None, None
         self._index = bytearray(index)
         if not has_mist:
@@ -277,20 +285,20 @@ class Block:
 
     @property
     def words(self) -> "tuple[object, ...]":
-        """What read() works on besides: first, where words are, as for scan()."""
+        """The last argument of read(): the words' letters and values, the dictionary, extras."""
         read, index, rows = self._words, self._index, self._rows
         read_on, own = self.read_on
         return read.letters, read.values, index, rows, read_on, own, self._store_rare
 
     def add_motion(self, number: int) -> None:
-        """Take this G number for a motion mode. Other blocks do not know it."""
+        """Add a G number as a motion mode of this block only."""
         self._index[number] = len(self._rows) // ROW
         row = bytes((mode.MOTION, number, b.AXES_MOTION, 0, b.GROUP_1, 0))
         self._rows = self._rows + row
 
     def _store_rare(self, i: int) -> int:
-        """Take in a G or M word of any number. Returns what is wrong with it."""
-        # The whole part is a byte; the rest, larger numbers included, counts as hundredths.
+        """Store word i, a G or M word of any number. Returns Grbl's error number, or 0."""
+        # The number's whole part, modulo 256; the rest, however large, is in hundredths.
         value = self._words.values[i]
         number = truncate(value) & 255
         hundredths = _round(100 * f32(value - number))
@@ -325,7 +333,7 @@ class Block:
 
 
 def _round(x: float) -> int:
-    """To the nearest whole number, halves away from zero, in 16 bits without sign."""
+    """Return x rounded, halves away from zero, modulo 2**16."""
     x = f32(x)
     if abs(x) >= _BEYOND:
         return 0xFFFF

@@ -1,14 +1,14 @@
-"""Block layout: what stands where in a block, and what its numbers mean.
+"""Block layout: the places in a block, and the meaning of its numbers.
 
-Constants only. A block is the modal state as its line would make it, and behind that what else the
-line asks for; its numbers are in arrays of their own.
+Constants only. A block begins with the modal state as its line would set it. The line's other
+requests follow, and its numbers are in separate arrays.
 """
 
 from control.modes import MODAL_LENGTH
 from micropython import const
 
-# Motion modes: the G number, for the probes G38.n the same with n * 10 + 100 added. Between
-# NO_MOTION and the probes are those of extras.
+# Motion modes: the G number; for probes, G38.n, it is 138 + 10 n. Extras' are between NO_MOTION
+# and the probes.
 SEEK = const(0)
 LINEAR = const(1)
 CW_ARC = const(2)
@@ -37,40 +37,39 @@ PAUSED = const(1)
 END_M2 = const(2)
 END_M30 = const(30)
 
-# Who uses the axis words.
+# Which command uses the axis words.
 AXES_UNCLAIMED = const(0)
 AXES_NON_MODAL = const(1)
 AXES_MOTION = const(2)
 AXES_TOOL_LENGTH = const(3)
 
-# A block: the modal state as the line would make it, and behind that, by place in Block.ints:
-COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has words of
-WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
+# Places in Block.ints, after the modal state as the line would set it:
+COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups of the line's words
+WORDS = const(MODAL_LENGTH + 1)  # mask of the line's value words
 NON_MODAL = const(MODAL_LENGTH + 2)
-CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
-INDEX = const(MODAL_LENGTH + 4)  # of the coordinate system that G10 writes
-ONLY = const(MODAL_LENGTH + 5)  # all that the line has to ask for, S besides; 0: anything
+CLAIM = const(MODAL_LENGTH + 3)  # AXES_…
+INDEX = const(MODAL_LENGTH + 4)  # the coordinate system that G10 writes
+ONLY = const(MODAL_LENGTH + 5)  # not 0: the line must request exactly this, with or without S
 
-# What a checked block asks for, a bit each; see checks.check().
+# Requests of a checked block, a bit each: see checks.check().
 SPEED = const(0x001)
 SET_TOOL = const(0x002)
 ACCESSORIES = const(0x004)
 OFFSETS = const(0x008)
-COMMAND = const(0x010)  # one that is not modal
+COMMAND = const(0x010)  # a non-modal command
 MOVE = const(0x020)
 FLOW = const(0x040)
-SPECIAL = const(0x080)  # its motion is an arc, or a probe's
-# Laser mode: what it means for the beam.
-DARK = const(0x100)  # it is no cutting motion
-IN_MOTION = const(0x200)  # S goes with the motion
-SYNC = const(0x400)  # the beam changes though nothing moves
-CHECKED = const(0x800)  # always there
+SPECIAL = const(0x080)  # the motion is an arc, a probe, or an extra's
+# Laser mode: the line's effect on the beam.
+DARK = const(0x100)  # not a cutting motion
+IN_MOTION = const(0x200)  # S takes effect with the motion
+SYNC = const(0x400)  # the beam changes without motion
+CHECKED = const(0x800)  # always set
 
-# What kernels are told of the machine, by place in Interpreter.machine: how many axes; which of
-# them have numbers in mm or inches (a mask); the tool's; whether kernels may execute lines; what
-# of a line somebody in Python is to see first (a mask of what check() finds); how many lines may
-# be done before the loop has its turn; and what check() has found last, 0 where nothing has been
-# checked since.
+# Places in Interpreter.machine, for kernels: the number of axes; a mask of axes whose numbers are
+# in mm or inches; the axis of the tool length; whether kernels may execute lines; the requests (a
+# mask) that need Python before a line is executed; how many lines may be executed before the
+# loop's next turn; the last result of check(), 0 if there is none for this line.
 AXES = const(0)
 LENGTHS = const(1)
 LENGTH_AXIS = const(2)
@@ -80,8 +79,8 @@ LINES_LEFT = const(5)
 ASKED = const(6)
 MACHINE_LENGTH = const(7)
 
-# The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
-I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
+# Numbers of a line: places in Block.singles. Axis words are in Block.xyz.
+I = const(0)  # noqa: E741 (the letter of the word); J and K follow
 F = const(3)
 L = const(4)
 N = const(5)
@@ -89,12 +88,12 @@ P = const(6)
 R = const(7)
 S = const(8)
 T = const(9)
-TOOL_LIMIT = const(10)  # behind them: the highest tool number there is,
+TOOL_LIMIT = const(10)  # constants: the highest tool number,
 INCH_MM = const(11)  # and 25.4
 SCRATCH = const(12)
 SINGLES = const(13)
 
-# Modal groups, as bits of COMMANDS. Names are the standard's.
+# Modal groups, as bits of COMMANDS. The names are the standard's.
 GROUP_0 = const(0x0001)  # non-modal
 GROUP_1 = const(0x0002)  # motion
 GROUP_2 = const(0x0004)  # plane
@@ -111,7 +110,7 @@ GROUP_M7 = const(0x1000)  # spindle
 GROUP_M8 = const(0x2000)  # coolant
 GROUP_M9 = const(0x4000)  # override control
 
-# Value words, as bits of WORDS, in the order of block.VALUE_LETTERS: X, Y, Z, A, B, C come first,
+# Value words, as bits of WORDS, in the order of block.VALUE_LETTERS. X, Y, Z, A, B, C are first,
 # one bit per axis.
 AXIS_WORDS = const(0x003F)
 WORD_I = const(0x0040)
@@ -123,5 +122,5 @@ WORD_P = const(0x1000)
 WORD_R = const(0x2000)
 WORD_S = const(0x4000)
 WORD_T = const(0x8000)
-MOTION_WORDS = const(WORD_IJK | WORD_L | WORD_P | WORD_R)  # what a motion may use besides axes
+MOTION_WORDS = const(WORD_IJK | WORD_L | WORD_P | WORD_R)  # allowed in an extra's motion mode
 HIGHEST_TOOL = const(255)

@@ -1,10 +1,10 @@
 # mypy: disable-error-code="arg-type, attr-defined, call-overload, has-type, misc"
-"""Checks: step three of the interpreter, in kernels. All that can refuse a block does so here.
+"""Checks: step three of the interpreter, in kernels. Everything that can refuse a block is here.
 
-Along the way the block's values become what execution wants: mm, absolute, machine coordinates.
-The order of checks is the standard's order of execution (NIST RS274NGC v3, table 8), which decides
-the number that a block with two faults gets. Nothing that is in force changes. Sections named here
-are the standard's.
+The checks also convert the block's values for execution: mm, absolute, machine coordinates. Their
+order is the standard's order of execution (NIST RS274NGC v3, table 8), which decides the error
+number of a block with two errors. They do not change the modal state. The sections named here are
+the standard's.
 """
 
 import micropython
@@ -38,15 +38,17 @@ def check(
     plane: ptr32,
     arc: ptr32,
 ) -> int:
-    """Check a block that begins with that modal state. Returns what it asks for, the bits above,
-    or below 0 what is wrong with it. laser: the machine is in laser mode; jog: it is a line of
-    $J=; stored, plane, arc: a block's."""
+    """Check a block that was read in that modal state. Returns its requests, bits of
+    block_layout.py, or minus Grbl's error number.
+
+    laser: laser mode is on; jog: the line is a $J= line; stored, plane, arc: the block's.
+    """
     words = ints[b.WORDS]
     if ints[b.CLAIM] == b.AXES_UNCLAIMED and words & b.AXIS_WORDS:
         ints[b.CLAIM] = b.AXES_MOTION
     if singles[b.N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
         return 0 - errors.GCODE_INVALID_LINE_NUMBER
-    # 3.5.19: feed rate, and how it is meant.
+    # 3.5.19: feed rate and feed rate mode.
     wrong = int(_rate(ints, singles, modal, rates, jog))
     if wrong:
         return 0 - wrong
@@ -54,7 +56,7 @@ def check(
         singles[b.S] = rates[mode.RPM]
     used = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
     if ints[b.COMMANDS] & b.GROUP_M9:
-        # Grbl's own: M56 P0 takes parking out of action, M56 or M56 P1 puts it back.
+        # Grbl's own: M56 P0 disables parking, M56 or M56 P1 enables it.
         ints[mode.OVERRIDE_CONTROL] = 1
         if words & b.WORD_P and singles[b.P] & int(0x7FFFFFFF) == 0:
             ints[mode.OVERRIDE_CONTROL] = 0
@@ -65,7 +67,8 @@ def check(
             return 0 - errors.GCODE_VALUE_WORD_MISSING
     if ints[mode.INCHES]:
         _in_mm(xyz, machine, singles)
-    if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
+    # G43.1 is Grbl's, in place of 3.5.11.
+    if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:
         if words & b.AXIS_WORDS != 1 << machine[b.LENGTH_AXIS]:
             return 0 - errors.GCODE_G43_DYNAMIC_AXIS_ERROR
     found = int(_targets(ints, singles, xyz, position, offsets, machine, stored))
@@ -87,7 +90,7 @@ def check(
 
 @micropython.viper
 def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> int:
-    """Find F of a block, as it will be in force. Returns what is wrong with it, or 0."""
+    """Compute the block's feed rate, mm/min or 1/min. Returns Grbl's error number, or 0."""
     has_f = ints[b.WORDS] & b.WORD_F
     motion = ints[mode.MOTION]
     if jog:
@@ -109,7 +112,7 @@ def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> 
 
 @micropython.viper
 def _in_mm(xyz: ptr32, machine: ptr32, singles: ptr32) -> int:
-    """Inches to mm, of the axes that are lengths."""
+    """Convert inches to mm, for axes that are lengths."""
     for i in range(machine[b.AXES]):
         if (machine[b.LENGTHS] >> i) & 1:
             multiply(xyz, i, singles, b.INCH_MM)
@@ -126,8 +129,8 @@ def _targets(
     machine: ptr32,
     stored: ptr32,
 ) -> int:
-    """What the axis words mean: a target, or offsets. Returns the value words used for it, or
-    below 0 what is wrong."""
+    """Convert axis words into a target or offsets. Returns the value words used, or minus Grbl's
+    error number."""
     command = ints[b.NON_MODAL]
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if command != b.SET_COORDS and command != b.SET_G92:  # noqa: PLR1714 (a viper cannot ask `in`)
@@ -135,9 +138,8 @@ def _targets(
             _target(ints, singles, xyz, position, offsets, machine)
         if command == 0:
             return 0
-        if (
-            command == b.ABSOLUTE_OVERRIDE and ints[mode.MOTION] > b.LINEAR
-        ):  # 3.5.12: with G0 and G1 only
+        # 3.5.12: with G0 and G1 only.
+        if command == b.ABSOLUTE_OVERRIDE and ints[mode.MOTION] > b.LINEAR:
             return 0 - errors.GCODE_G53_INVALID_MOTION_MODE
     axes = machine[b.AXES]
     if command == b.SET_COORDS:
@@ -164,7 +166,8 @@ def _set_coords(
     offsets: ptr32,
     machine: ptr32,
 ) -> int:
-    """3.5.5, G10 L2 and L20: the new offsets go to stored, the system's number to INDEX."""
+    """3.5.5, G10 L2 and L20: compute the new offsets into stored, the system's number into
+    INDEX. Returns the value words used, or minus Grbl's error number."""
     words = ints[b.WORDS]
     if words & b.AXIS_WORDS == 0:
         return 0 - errors.GCODE_NO_AXIS_WORDS
@@ -199,8 +202,11 @@ def _offset(
     old: int,
     new: ptr32,
 ) -> int:
-    """3.5.18, G92 and G10 L20: the offset which, beside the other one, makes the present place
-    read as programmed. other, old: where they begin in offsets; new may be xyz."""
+    """3.5.18, G92 and G10 L20: compute the offset that, together with the other offset, makes the
+    current position read as programmed.
+
+    other, old: the offsets' first places in offsets; new: the result, may be xyz.
+    """
     axes = machine[b.AXES]
     for i in range(axes):
         singles[b.SCRATCH] = offsets[old + i]
@@ -218,14 +224,14 @@ def _offset(
 def _target(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, offsets: ptr32, machine: ptr32
 ) -> int:
-    """Axis words become a target in machine coordinates; axes without a word stay."""
+    """Convert axis words into a target in machine coordinates; an axis without a word stays."""
     axes = machine[b.AXES]
     system = ints[mode.SYSTEM] * axes
     adds = ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE
     for i in range(axes):
         if (ints[b.WORDS] >> i) & 1 == 0:
             xyz[i] = position[i]
-        elif adds and (xyz[i] >> 23) & 255 != 255:  # what is infinite stays so
+        elif adds and (xyz[i] >> 23) & 255 != 255:  # an infinite word stays infinite
             if ints[mode.RELATIVE]:
                 add_single(position, i, xyz, i)
             else:
@@ -241,7 +247,7 @@ def _target(
 def _where_stored(
     ints: ptr32, stored: ptr32, position: ptr32, offsets: ptr32, system: int, axes: int
 ) -> int:
-    """3.5.8: where G28 or G30 is to go; with axis words, only those axes."""
+    """3.5.8: compute where G28 or G30 goes; with axis words, on those axes only."""
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if axis_words == 0:
         ints[b.CLAIM] = b.AXES_UNCLAIMED
@@ -256,7 +262,7 @@ def _where_stored(
 def _motion(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, arc: ptr32
 ) -> int:
-    """Check group 1. Returns the value words it uses, or below 0 what is wrong."""
+    """Check group 1. Returns the value words it uses, or minus Grbl's error number."""
     motion = ints[mode.MOTION]
     words = ints[b.WORDS]
     axis_words = words & b.AXIS_WORDS
@@ -275,16 +281,16 @@ def _motion(
         if wrong:
             return 0 - wrong
         return b.WORD_R if words & b.WORD_R else b.WORD_IJK
-    elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # see Motion
+    elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # an extra's: see interfaces.Motion
         return b.MOTION_WORDS
-    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: it has to move
+    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: it must move
         return 0 - errors.GCODE_INVALID_TARGET
     return 0
 
 
 @micropython.viper
 def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) -> int:
-    """What a block asks for that is right."""
+    """Return the requests of a valid block: bits of block_layout.py."""
     asked = b.CHECKED
     if rates[mode.RPM] != singles[b.S] and (rates[mode.RPM] | singles[b.S]) & int(0x7FFFFFFF):
         asked |= b.SPEED

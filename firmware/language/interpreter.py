@@ -1,10 +1,9 @@
-"""The G-code interpreter: words to a checked block to canonical calls.
+"""The G-code interpreter: from words to a checked block to calls of the canon.
 
-A block is handled in four steps: start from the modal state, take in the
-words (block.py), check everything (checks.py), execute in the order of the
-standard (here). Nothing changes until every check has passed. Sole writer of
-what is in force (control/modes.py), but for overrides. Order and meaning: NIST
-RS274NGC v3, table 8, as Grbl 1.1 reads it.
+A block is handled in four steps: copy the modal state, store the words (block.py), check
+everything (checks.py), execute in the order of the standard (here). Nothing changes until every
+check has passed. Except for overrides, only the interpreter writes the modal state
+(control/modes.py). Order and meaning: NIST RS274NGC v3, table 8, as Grbl 1.1 reads it.
 """
 
 from array import array
@@ -32,12 +31,12 @@ if TYPE_CHECKING:
 
     from language.block import Block
 
-JOG_START = const(3)  # behind "$J="
+JOG_START = const(3)  # the length of "$J="
 _SWITCHES = const(b.SPEED | b.SYNC | b.ACCESSORIES | b.OFFSETS | b.COMMAND)
 
 
 class Interpreter:
-    """The interpreter. line_numbers: N goes with the motion, and into reports."""
+    """The interpreter. line_numbers: N is stored with the motion, and reported."""
 
     def __init__(self, machine: "Machine", block: "Block", line_numbers: bool) -> None:
         self._modes = machine.modes
@@ -50,12 +49,12 @@ class Interpreter:
         self.block = block
         self._jog_modal = array("i", machine.modes.modal)
         self._move = plan.Move()
-        # The numbers that it has: what they are made objects of takes memory.
+        # Bits of the floats in _move and _rpm, so that only a changed one takes new memory.
         self._numbers = vector(2)
         self._rpm = 0.0
         self._line_numbers = line_numbers
-        self.motions: "dict[int, Motion]" = {}  # of extras
-        self.line = bytearray(1)  # the loop's
+        self.motions: "dict[int, Motion]" = {}  # motion modes of extras, by G number
+        self.line = bytearray(1)  # the loop sets its own
         self.machine = array("i", (0 for _ in range(b.MACHINE_LENGTH)))
         self.machine[b.AXES] = block.axes
         self.machine[b.LENGTHS] = (1 << block.axes) - 1
@@ -75,7 +74,10 @@ class Interpreter:
         self.memory()
 
     def memory(self) -> "tuple[array[int], array[int], tuple[Any, ...]]":
-        """What kernels work on; to look each up costs 5 us. Once extras are there."""
+        """Return what kernels work on: one tuple, because each attribute look-up costs 5 us.
+
+        Call it again after extras are installed.
+        """
         planner = self._canon.planner
         plans = (
             self._canon.travel,
@@ -93,7 +95,7 @@ class Interpreter:
 
     @property
     def is_open(self) -> bool:
-        """Lines that do no more than move may be executed by kernels alone."""
+        """Whether kernels alone may execute move-only lines."""
         return bool(self.machine[b.IS_OPEN])
 
     @is_open.setter
@@ -101,22 +103,22 @@ class Interpreter:
         self.machine[b.IS_OPEN] = may
 
     def watches(self) -> bool:
-        """Some lines are not to be executed by kernels alone."""
+        """Return whether some lines must not be executed by kernels alone."""
         return self.machine[b.WATCHED] != 0 or not self.is_open
 
     def watch(self, asked: int) -> None:
-        """Have lines that ask for one of these (bits of block_layout.py) come to execute()."""
+        """Pass lines with any of these requests (bits of block_layout.py) to execute()."""
         self.machine[b.WATCHED] |= asked
 
     def add_motion(self, number: int, motion: "Motion") -> None:
-        """Add a motion mode, by a G number between 80 and 100. Before memory() is asked for."""
+        """Add a motion mode, by a G number between 80 and 100. Call it before memory()."""
         self.block.add_motion(number)
         self.motions[number] = motion
 
     def execute(self, line: bytearray, length: int) -> None:
-        """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
+        """Interpret line[:length], which ends with a 0. Raises GrblError if it is refused."""
         modal, machine = self._modes.modal, self.machine
-        asked = machine[b.ASKED] if line is self.line else 0  # the loop has looked at it
+        asked = machine[b.ASKED] if line is self.line else 0  # the loop has checked it already
         machine[b.ASKED] = 0
         if asked == 0:
             asked = self.check_line(line, length << 8, modal, 0)
@@ -126,7 +128,7 @@ class Interpreter:
             if asked & b.MOVE and self._state.run != st.CHECK:
                 machine[b.ASKED] = asked
                 self._canon.make_room()
-                if machine[b.ASKED] != asked:  # lines have been executed while this one waited
+                if machine[b.ASKED] != asked:  # other lines were executed during the wait
                     asked = self.check_line(line, length << 8, modal, 0)
                 machine[b.ASKED] = 0
             if ln.run_move(asked, modal, self._memory):
@@ -136,8 +138,7 @@ class Interpreter:
             self._canon.finish()
 
     def check_line(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
-        """Steps one to three: see line.check_line(). Raises GrblError where the line is
-        refused."""
+        """Steps one to three: see line.check_line(). Raises GrblError if the line is refused."""
         asked = ln.check_line(line, span, modal, jog, self._memory)
         if asked < 0:
             raise GrblError(-asked)
@@ -146,7 +147,7 @@ class Interpreter:
         return asked
 
     def jog(self, line: bytearray, length: int) -> None:
-        """Interpret a "$J=" line. The modal state stays as it is."""
+        """Interpret a "$J=" line. The modal state does not change."""
         block, modes, modal = self.block, self._modes, self._jog_modal
         copy(modes.modal, modal, mode.MODAL_LENGTH)
         modal[mode.MOTION] = b.LINEAR
@@ -162,7 +163,8 @@ class Interpreter:
     # Step four
 
     def _execute(self, asked: int) -> None:
-        """What a checked block asks for, in the standard's order. What waits is done beneath."""
+        """Execute a checked block in the standard's order. Moves are only requested here:
+        execute() then calls Canon.finish(), with less on the stack."""
         block, modes = self.block, self._modes
         if asked & b.SPECIAL and block.ints[mode.MOTION] in self.motions:
             self.motions[block.ints[mode.MOTION]].check(block)
@@ -184,12 +186,12 @@ class Interpreter:
             self._control_program(block.ints[mode.PROGRAM_FLOW])
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
-        """The move of a block, with its feed rate, and spindle and coolant as they are."""
-        move, numbers, modes = self._move, self._numbers, self._modes  # of four a tuple is made
+        """Return the move of a block, with its feed rate and the active spindle and coolant."""
+        move, numbers, modes = self._move, self._numbers, self._modes  # four would need a tuple
         if store_if_changed(numbers, mode.FEED, block.singles, b.F):
             move.feed = block.singles[b.F]
         if block.ints[mode.INVERSE_TIME]:
-            numbers[mode.FEED] = -1.0  # an arc shares its time out among its chords
+            numbers[mode.FEED] = -1.0  # an arc changes move.feed: set it again next time
         if store_if_changed(numbers, mode.RPM, modes.rates, mode.RPM):
             self._rpm = modes.rates[mode.RPM]
         move.flags = flags | modes.accessory_flags()
@@ -198,7 +200,7 @@ class Interpreter:
         return move
 
     def _switch(self, block: "Block", left: int) -> None:
-        """What comes before motion: speed, M words, a dwell, offsets."""
+        """Execute what precedes motion: speed, M words, a dwell, offsets."""
         modes, new = self._modes, block.ints
         if left & (b.SPEED | b.SYNC):
             self._set_speed(block, left)
@@ -216,7 +218,7 @@ class Interpreter:
         modes.rates[mode.RPM] = speed
 
     def _set_accessories(self, new: "array[int]", rpm: float) -> None:
-        """M words of spindle, coolant and override control."""
+        """Execute M words of spindle, coolant and override control."""
         canon, modal = self._canon, self._modes.modal
         if modal[mode.SPINDLE] != new[mode.SPINDLE]:
             canon.spin(new[mode.SPINDLE], rpm)
@@ -229,7 +231,7 @@ class Interpreter:
             canon.control_overrides(bool(new[mode.OVERRIDE_CONTROL]))
 
     def _set_offsets(self, block: "Block") -> bool:
-        """Returns whether work is somewhere else now."""
+        """Set tool length and coordinate system. Returns whether the work zero has changed."""
         changed = False
         modal, new, coords = self._modes.modal, block.ints, self._coords
         if new[b.CLAIM] == b.AXES_TOOL_LENGTH:
@@ -244,7 +246,7 @@ class Interpreter:
         return changed
 
     def _offsets_changed(self) -> None:
-        """The next status report shows WCO:. Reports of motion under way do not jump."""
+        """Show WCO: in the next status report, after all motion, so that reports do not jump."""
         self._canon.synchronise()
         self._state.wco_countdown = 0
 
@@ -252,7 +254,7 @@ class Interpreter:
         command = block.ints[b.NON_MODAL]
         coords, modes = self._coords, self._modes
         if command == b.SET_COORDS:
-            self._canon.synchronise()  # what is kept is written at rest only
+            self._canon.synchronise()  # stored values are written only while idle
             self._state.hooks.write_offsets(block.ints[b.INDEX], block.stored)
             if block.ints[b.INDEX] == modes.modal[mode.SYSTEM]:
                 self._offsets_changed()
@@ -276,7 +278,7 @@ class Interpreter:
             self._offsets_changed()
 
     def run_move(self, block: "Block", move: "plan.Move") -> None:
-        """Make the motion of a block."""
+        """Request the motion of a block."""
         modes = self._modes
         motion = modes.modal[mode.MOTION]
         if motion == b.LINEAR:
@@ -290,14 +292,14 @@ class Interpreter:
             self.motions[motion].make(block, move)
             return
         elif not self._probe(block, move):
-            return  # the position has been seen to, or has not changed
+            return  # the position is already set, or has not changed
         copy(block.xyz, modes.position, block.axes)
         if motion <= b.CCW_ARC and self._state.hooks.moved:
             self._canon.finish()
             call_all(self._state.hooks.moved)
 
     def _probe(self, block: "Block", move: "plan.Move") -> bool:
-        """Search for the probe's contact. Returns whether the target has been reached."""
+        """Execute a probe cycle. Returns whether the target has been reached."""
         motion = self._modes.modal[mode.MOTION]
         move.flags |= layout.NO_FEED_OVERRIDE
         away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
@@ -305,7 +307,7 @@ class Interpreter:
         return self._state.hooks.probe(block.xyz, move, away, alarms)
 
     def _control_program(self, flow: int) -> None:
-        """Pause it, or end it."""
+        """Pause or end the program."""
         self._canon.synchronise()
         if flow == b.PAUSED:
             self._canon.pause_program()

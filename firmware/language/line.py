@@ -1,10 +1,10 @@
 # mypy: disable-error-code="arg-type, attr-defined, call-overload, has-type, misc, operator"
-"""A line: read, checked, and where it does no more than move, executed; all in kernels.
+"""A line: read, check, and if it is a move-only line, execute it; all in kernels.
 
-An arc is a line, too, where one chord does for it; and in check mode, where there are no soft
-limits that it might pass on its way.
+An arc is executed here, too, if one chord is enough, and in check mode if there are no soft limits
+that a chord could violate.
 
-Called for every line by the loop (talk/stream_loop.py), which has the interpreter do what is left.
+The loop (talk/stream_loop.py) calls this for every line. The interpreter executes other lines.
 """
 
 import micropython
@@ -29,15 +29,17 @@ from language import block_layout as b
 from language.block import read
 from language.checks import check
 
-# All that can be done here.
+# The requests that can be executed here.
 PLAIN = const(b.CHECKED | b.MOVE | b.SPECIAL | b.SPEED | b.SET_TOOL | b.DARK | b.IN_MOTION)
 
 
 @micropython.viper
 def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: object) -> int:
-    """Execute a line that does no more than move, and has nothing in its way. Returns 1; or 0, and
-    nothing has changed, but the block is ready, with what check_line() says in machine[ASKED].
-    machine, memory: an interpreter's."""
+    """Execute a move-only line, if nothing makes it wait. Returns 1; or 0, and then nothing has
+    changed, except that the block is ready, with check_line()'s result in machine[ASKED].
+
+    machine, memory: an interpreter's.
+    """
     machine[b.ASKED] = 0
     if machine[b.IS_OPEN] == 0:
         return 0
@@ -50,8 +52,8 @@ def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: obj
 
 @micropython.viper
 def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) -> int:
-    """Read and check line[start:end], span = end << 8 | start, which a 0 follows. Returns what it
-    asks for, or below 0 what is wrong with it: see check(). memory: an interpreter's."""
+    """Read and check line[start:end], which ends with a 0; span: end << 8 | start. Returns its
+    requests, or minus Grbl's error number: see check(). memory: an interpreter's."""
     words, block, _ = memory
     _ints, _singles, _xyz, rates, position, offsets, _machine, scale, rare = block
     stored, plane, arc = rare
@@ -88,8 +90,8 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
 
 @micropython.viper
 def run_move(asked: int, modal: ptr32, memory: object) -> int:
-    """Execute a block that asks for that, if it is no more than a line, which has room. Returns 1;
-    or 0, and what is left is for the interpreter. memory: its."""
+    """Execute a block with those requests, if it is one line and the ring has a free block.
+    Returns 1; or 0, and the interpreter must do the rest. memory: the interpreter's."""
     if asked & ~PLAIN or (asked & b.SPEED and modal[mode.SPINDLE] and asked & b.IN_MOTION == 0):
         return 0
     _, block, plans = memory
@@ -113,7 +115,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
     if asked & b.SPECIAL:
         if ints[mode.MOTION] > b.CCW_ARC or ints[mode.INVERSE_TIME]:
             return 0
-        if moves == 0 and travel[SHUT]:  # one of its chords may lie outside
+        if moves == 0 and travel[SHUT]:  # a chord may be outside
             return 0
         if moves and (hook or int(_is_bent(xyz, position, axes, rare, plans))):
             return 0
@@ -146,7 +148,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
 
 @micropython.viper
 def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
-    """What a block in the planner is told of its move."""
+    """Return the flags of a block's move, for the planner."""
     flags = modal[mode.SPINDLE] | modal[mode.COOLANT] << COOLANT_SHIFT
     if laser and flags & SPINDLE_CCW:
         flags |= layout.DYNAMIC
@@ -159,7 +161,7 @@ def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
 
 @micropython.viper
 def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object) -> int:
-    """Whether an arc takes more than one chord."""
+    """Return 0 if one chord is enough for an arc."""
     _, plane, arc = rare
     _, _, _, _, _, _, _, steps_per_mm, course = plans
     way = ptr32(course)
@@ -171,8 +173,8 @@ def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object
 
 @micropython.viper
 def commit_modal(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32) -> int:
-    """Put in force what a checked block changes by itself: modes of how to read numbers and how to
-    move, and the feed rate."""
+    """Apply the modes of a checked block that need no action: units, plane, distance, feed rate
+    and motion mode, and the feed rate."""
     modal[mode.INVERSE_TIME] = ints[mode.INVERSE_TIME]
     modal[mode.PLANE] = ints[mode.PLANE]
     modal[mode.INCHES] = ints[mode.INCHES]

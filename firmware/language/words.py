@@ -1,9 +1,9 @@
 # mypy: disable-error-code=arg-type
 """Words: a letter and a number, the atoms of a G-code line.
 
-Numbers come out in single precision, rounded digit by digit as Grbl's reader
-does: eight digits count, the rest only move the point. Called by the
-interpreter and commands; it knows no meaning of any letter.
+Numbers are converted to single precision, rounded in the same steps as by Grbl's reader: eight
+digits count, further ones only move the point. The interpreter and commands use this module; it
+does not know the meaning of any letter.
 """
 
 from array import array
@@ -12,15 +12,17 @@ import micropython
 from base import errors
 from micropython import const
 
-LINE_LENGTH = const(79)  # characters, as Grbl has them
+LINE_LENGTH = const(79)  # characters, as in Grbl
 
 
 @micropython.viper
 def store_single(number: int, power: int, values: ptr32, at: int) -> int:
-    """Put number * 10**power, in single precision, into values[at]; number < 2**27.
+    """Store number * 10**power in single precision as values[at]; number < 2**27.
 
-    Powers are taken in steps of 0.01, 0.1 or 10, and each product is rounded.
+    Multiplies by 0.01, 0.1 or 10, and rounds each product to even. A factor is 0.01 * 2**30,
+    0.1 * 2**27 or 10 * 2**20, of 24 bits; products are divided by 2**24.
     """
+    # The exponent of a whole number of 24 bits.
     exponent = 150
     rest = 0
     half = 1
@@ -75,7 +77,7 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
 
 @micropython.viper
 def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
-    """Read a number at text[pos] into values[at]. Returns where it ends; 0 if there is none."""
+    """Read a number at text[pos] into values[at]. Returns the index after it, 0 for none."""
     sign = text[pos]
     if sign == 45 or sign == 43:  # noqa: PLR1714 (a viper cannot ask `in`)
         pos += 1
@@ -108,12 +110,12 @@ def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
 
 @micropython.viper
 def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
-    """Read words from text[start:end]; text[end] is 0. span: words there are already << 16 | end
-    << 8 | start.
+    """Read words from text[start:end]; text[end] is 0. span: count of earlier words << 16 |
+    end << 8 | start.
 
-    Letters and values, as bits of single-precision floats, go into their arrays. Returns the
-    count of words; above it (<< 8) Grbl's number of what is wrong after the last of them; and its
-    place (<< 16), where that is no letter.
+    Letters and values, as bits of single-precision floats, are stored in their arrays. Returns the
+    count of words; plus, << 8, Grbl's error number of what follows them, if that is wrong; plus,
+    << 16, its index in text, if a letter was expected there.
     """
     pos = span & 255
     end = span >> 8 & 255
@@ -141,7 +143,7 @@ class Words:
         self.fault = 0
 
     def read(self, text: bytearray, start: int, end: int) -> None:
-        """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
+        """Read text[start:end], which ends with a 0. Sets fault to Grbl's error number, or 0."""
         found = scan(text, end << 8 | start, self.letters, self.values)
         self.count = found & 255
         self.fault = found >> 8 & 255
@@ -151,6 +153,6 @@ _bare = array("f", (0.0,))
 
 
 def bare(text: bytearray, start: int) -> "tuple[int, float]":
-    """Read a number without a letter; returns the position after it, or -1, and its value."""
+    """Read a number without a letter; return the index after it, or -1, and its value."""
     end = number(text, start, _bare, 0)
     return (end, _bare[0]) if end else (-1, 0.0)
