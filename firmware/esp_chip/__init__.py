@@ -1,1 +1,1 @@
-"""Pulse engines of the ESP32: I2S into shift registers, RMT on pins of its own."""
+"""Pulse engines of the ESP32: I2S into shift registers, RMT on its own pins."""

@@ -1,12 +1,12 @@
-"""Channels: esp32.RMT of one axis, and the stop at once that it does not have.
+"""Channels: esp32.RMT of one axis, with the immediate stop that it lacks.
 
-On the ESP32 `active(False)` overwrites the first symbol of a train only and waits for the train's
-end, interrupts off, while its pulses go on (ESP-IDF 5.5.1, rmt_tx.c). So a stop takes the pin away
-from the channel: the GPIO matrix gives it to the pin's own register, which rests. The train plays
-on to nobody and to its end, as MicroPython expects it to.
+On the ESP32 `active(False)` overwrites only the first symbol of a train, and waits for the train's
+end with interrupts off, while its pulses continue (ESP-IDF 5.5.1, rmt_tx.c). So a stop disconnects
+the pin: the GPIO matrix connects it to the pin's own register, at its idle level. The channel
+plays the train to its end without a pin, as MicroPython expects.
 
-A train fits into the channel's memory with the mark of its end. What did not fit would be filled
-in by an interrupt, which waits while flash is written to, and old steps would be played again.
+A train fits into the channel's memory, with its end marker. An interrupt would have to refill a
+longer one; that interrupt waits while flash is written, and old steps would be repeated.
 """
 
 import sys
@@ -17,12 +17,12 @@ from micropython import const
 
 RESOLUTION_HZ = const(1_000_000)
 
-# A pin's word in the GPIO matrix: the signal it shows, and whether inverted.
+# A pin's word in the GPIO matrix: the signal that it outputs, and whether it is inverted.
 _SIGNAL = const(0x1FF)
 _REGISTER = const(0x100)  # no signal, but the pin's own level
 _INVERTED = const(0x200)
 
-# Of a chip: symbols of a block of RMT's memory, blocks, RMT's first signal, pin 0's word.
+# Per chip: symbols in a block of RMT's memory, blocks, RMT's first signal, the word of pin 0.
 _ESP32 = (64, 8, 87, 0x3FF44530)
 _ESP32_S3 = (48, 4, 81, 0x60004554)
 
@@ -35,13 +35,13 @@ def _chip() -> "tuple[int, int, int, int]":
 
 
 def most_steps(axes: int) -> int:
-    """How many steps there may be in a train: a symbol each, and one for the end."""
+    """Return the most steps in a train: one symbol each, and one for the end."""
     symbols, blocks, _, _ = _chip()
     return symbols * (blocks // axes) - 1
 
 
 class Channel:
-    """number: from 0, for each axis. axes: how many there are; they share RMT's memory."""
+    """number: from 0, one per axis. axes: how many there are; they share RMT's memory."""
 
     def __init__(self, number: int, pin: int, axes: int) -> None:
         symbols, blocks, signal, word = _chip()
@@ -57,15 +57,15 @@ class Channel:
         self.cut()
 
     def invert(self, on: int) -> None:
-        """Pulses are low, or high. At rest."""
+        """Make pulses low, or high. Only while idle."""
         self._inverted = _INVERTED if on else 0
         self.cut()
 
     def cut(self) -> None:
-        """The pin rests, from now on."""
+        """Disconnect the pin from the channel, at its idle level."""
         machine.mem32[self._word] = _REGISTER | self._inverted
 
     def play(self, durations: "list[int]") -> None:
-        """Begin a train, with a pause; the last one has ended. Returns once it has begun."""
+        """Start a train, which begins with a pause; the last one must have ended."""
         machine.mem32[self._word] = self._signal | self._inverted
         self._rmt.write_pulses(durations, False)

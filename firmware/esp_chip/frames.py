@@ -1,13 +1,13 @@
 # mypy: disable-error-code=arg-type
-"""Frames: from segment rows to the words that shift registers are filled with, in integers.
+"""Frames: from segment rows to the words for the shift registers, in integers.
 
-A frame is one 32-bit word: what all outputs show for so many microseconds. Frames come in
-buffers of 256, the length of one DMA buffer of machine.I2S. A lane is what is remembered per
-axis, a few integers. Times are in ticks, 16 to a frame, counted from the start of the buffer
-being filled; what they point at may lie behind it. No value but a position is negative.
+A frame is one 32-bit word: the levels of all outputs for some microseconds. Frames come in buffers
+of 256, the length of one DMA buffer of machine.I2S. A lane is the state of one axis, a few
+integers. Times are in ticks, 16 per frame, from the start of the buffer being filled; they may be
+later than its end. Only positions may be negative.
 
-A pulse never reaches over the end of a buffer: what follows may be zeros (see i2s.py), and must
-not be the second half of a step. Called in the engine's turns; nothing here allocates.
+A pulse never crosses the end of a buffer: zeros may follow (see i2s.py), and must not replace the
+second half of a step. Called in the engine's turns; nothing here allocates.
 """
 
 import micropython
@@ -18,9 +18,9 @@ from motion.slice_kernel import leading
 
 from esp_chip.i2s_layout import BEFORE, BEGAN, MADE, NOWHERE, NUMBER, PLAYING, SENT
 
-FRAMES = const(256)  # of a buffer: DMA_BUF_LEN_IN_I2S_FRAMES of MicroPython's machine_i2s.c
-FRAME_LOG2 = const(4)  # ticks of a frame
-_TICKS = const(4096)  # of a buffer
+FRAMES = const(256)  # per buffer: DMA_BUF_LEN_IN_I2S_FRAMES of MicroPython's machine_i2s.c
+FRAME_LOG2 = const(4)  # log2 of the ticks per frame
+_TICKS = const(4096)  # per buffer
 
 # Lanes: integers per axis.
 LANE = const(12)
@@ -28,22 +28,22 @@ STEP = const(0)  # the bit of its step output,
 DIR = const(1)  # and of its direction output
 INVERT = const(2)  # 1: the direction output is high forwards
 BACK = const(3)  # 1: it turns backwards
-TURN = const(4)  # the frame after which the direction output is to change; 0: no change is due
-FREE = const(5)  # from this frame on it may step
-LEFT = const(6)  # steps of the row that are still to come,
+TURN = const(4)  # 1 + frame of the direction output's next change; 0: no change is due
+FREE = const(5)  # first frame in which it may step
+LEFT = const(6)  # steps of the row that are still to be made,
 NEXT = const(7)  # the next one's tick,
 GAP = const(8)  # ticks from step to step,
-LONGER = const(9)  # how many of the gaps that come now are longer by one tick,
+LONGER = const(9)  # how many of the next gaps are one tick longer,
 PLACE = const(10)  # position after all steps put into buffers
-LAST_LONGER = const(11)  # and how many of the row's last gaps are
+LAST_LONGER = const(11)  # and how many of the row's last gaps
 
-# What all lanes share.
+# Integers shared by all lanes.
 AXES = const(0)
 PULSE = const(1)  # frames of a pulse
 SETUP = const(2)  # frames from a change of direction to a step
-WORD = const(3)  # the direction outputs, as they are at the end of what has been filled
+WORD = const(3)  # the direction outputs at the end of the filled frames
 ROW_END = const(4)  # tick at which the row ends
-LOCKED = const(5)  # mask of axes that stand still
+LOCKED = const(5)  # mask of locked axes, which do not step
 ENABLE = const(6)  # the enable outputs, for the next buffer
 TIMING_LENGTH = const(7)
 
@@ -58,7 +58,7 @@ def blank(frames: ptr32, word: int) -> int:
 
 @micropython.viper
 def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
-    """Start a buffer, the next in time: no steps yet, but changes of direction that are due.
+    """Start the next buffer: no steps yet, but the due changes of direction.
 
     Returns its first word.
     """
@@ -78,7 +78,7 @@ def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def end_buffer(timing: ptr32, lanes: ptr32) -> int:
-    """Count from the start of the next buffer."""
+    """Make all times relative to the start of the next buffer."""
     end = timing[ROW_END] - _TICKS
     timing[ROW_END] = end if end > 0 else 0
     for i in range(timing[AXES]):
@@ -94,7 +94,8 @@ def end_buffer(timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
-    """Make a row that takes the owed steps back, `gap` ticks apart. Returns how many it lasts."""
+    """Make a row that takes the owed steps back, `gap` ticks apart. Returns the most steps
+    of an axis."""
     most = 0
     dirs = 0
     for i in range(axes):
@@ -117,10 +118,10 @@ def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
 
 @micropython.viper
 def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
-    """Ticks by which a row that would begin at ROW_END has to begin later.
+    """Return by how many ticks a row must start later than ROW_END.
 
-    An axis that reverses too soon after its last step makes all axes wait, and so do pulses
-    that would run into each other.
+    All axes wait for one that would reverse too soon after its last step, or whose pulses would
+    overlap.
     """
     late = 0
     at = timing[ROW_END]
@@ -142,7 +143,7 @@ def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int) -> int:
-    """Take up a row: it begins where the last one ended, and so much later."""
+    """Start a row `late` ticks after the end of the last one."""
     now = timing[ROW_END] >> FRAME_LOG2
     at = timing[ROW_END] + late
     timing[ROW_END] = at + row[ROW_TICKS]
@@ -177,7 +178,8 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
 
 @micropython.viper
 def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
-    """Put the row's steps into the buffer. Returns whether the row is over and there is room."""
+    """Put the row's steps into the buffer. Returns 1 if the row is over and the buffer has space
+    for another one, else 0."""
     over = 1 if timing[ROW_END] < _TICKS else 0
     pulse = timing[PULSE]
     for i in range(timing[AXES]):
@@ -211,7 +213,7 @@ def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def drop_row(timing: ptr32, lanes: ptr32) -> int:
-    """Forget the row in progress; direction outputs as the lanes say."""
+    """Drop the row in progress; set direction outputs from the lanes."""
     word = 0
     timing[ROW_END] = 0
     for i in range(timing[AXES]):
@@ -227,7 +229,7 @@ def drop_row(timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) -> int:
-    """Add to steps those that the first frames of a buffer make: the truth, read from the bits."""
+    """Add to steps those in the first frames of a buffer: the truth, counted from its bits."""
     for i in range(timing[AXES]):
         lane = LANE * i
         bit = lanes[lane + STEP]
@@ -247,10 +249,10 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
 
 @micropython.viper
 def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
-    """See which buffer is being played. Returns for how long it has been, in us."""
+    """Update PLAYING, the buffer being played. Returns for how long it has been played, in us."""
     passed = (now - state[BEGAN]) & MASK
     if passed > NEGATIVE:
-        return 0  # asked before a turn, answered behind it
+        return 0  # a turn of the timer since `now` has moved BEGAN past it
     while passed >= buffer_us:
         passed -= buffer_us
         state[BEGAN] = (state[BEGAN] + buffer_us) & MASK
@@ -260,7 +262,8 @@ def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
 
 @micropython.viper
 def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
-    """Slot of the buffer being played; where zeros are, the next one's less BEFORE."""
+    """Return the slot of the buffer being played. While zeros are played, it is the next buffer's
+    slot - BEFORE, or NOWHERE if there is none."""
     sent = state[SENT]
     first = sent - slots + 1
     if first < 0:

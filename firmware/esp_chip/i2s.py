@@ -1,27 +1,27 @@
 # mypy: disable-error-code=arg-type
 """I2sEngine: pulses through shift registers (74HC595), made by machine.I2S as a stream of bits.
 
-Every frame of the stream is one 32-bit word and carries all outputs: steps, directions and the
-drivers' enable (frames.py). DMA plays buffers of 256 frames (stream.py); a soft timer makes the
+Every frame of the stream is one 32-bit word and has all outputs: steps, directions and the
+drivers' enable (frames.py). DMA plays buffers of 256 frames (stream.py); a soft timer fills the
 next ones and hands them over.
 
     segment rows -> frames (our ring) -> DMA's ring -> BCK, WS, DATA -> shift registers
 
-Where the engine comes too late, DMA plays zeros. A zero is no step, a motor that is powered
-(enable is low-active) and some direction; so the stream goes on with a buffer in which nothing
-steps, and directions stand long before the next step does. No step is lost or repeated.
+If the engine is late, DMA plays zeros. A zero is no step, a powered motor (enable is low-active)
+and some direction. The stream then continues with a buffer without steps, so that directions are
+stable long before the next step. No step is lost or repeated.
 
-Position is read from the bits of the buffer that is being played. To stop at once means to
-close the stream; a new one begins with zeros. What DMA has been handed of one axis alone cannot
-be taken back: a locked axis runs on with it, and makes good for it before the next motion, so
-that this begins where the axis was when it was locked.
+Position is counted from the bits of the buffer being played. An immediate stop closes the stream;
+a new one begins with zeros. What DMA has received cannot be taken back for one axis alone: a
+locked axis continues to the end of it, and returns before the next motion, which therefore starts
+where the axis was locked.
 
-While flash is written to, nobody hears of buffers that have been played (the interrupt of ESP-IDF
-is not in RAM), and the next free one is not the next to be played any more. So the stream is
-opened anew before the next motion: that begins a round of the ring, 32 ms, later.
+While flash is written, notices of played buffers are lost (the interrupt of ESP-IDF is not in
+RAM), and the next free buffer is no longer the next one to be played. So the stream is opened
+again before the next motion, which starts one round of the ring, 32 ms, later.
 
-Philips format: data come one bit later than WS, which the registers take for their latch. So
-an output's bit stands one place higher than its number. Unverified on hardware, like all here.
+Philips format: data come one bit later than WS, which the registers use as their latch. So an
+output's bit is one place higher than its number. Unverified on hardware, like all here.
 """
 
 import time
@@ -65,22 +65,22 @@ from esp_chip.i2s_layout import (
 from esp_chip.stream import BYTES, Stream
 from esp_chip.timer_engine import LOST_US, SETUP_US, TimerEngine
 
-_HIGHEST_OUTPUT = const(29)  # bit 30: the highest one that makes a small integer
+_HIGHEST_OUTPUT = const(29)  # its bit, 30, is the highest of a small integer
 _TURN_MS = const(4)
-_SPARE = const(2)  # buffers of DMA's ring that are left free
+_SPARE = const(2)  # buffers of DMA's ring that are not filled
 _DEPTH_AT_REST = const(5)
-# So close to the end of a DMA buffer it is not certain which one a word would go to, in us.
+# So close to the end of a DMA buffer, in us, it is uncertain which buffer the next write would be.
 _DOUBT = const(300)
-# A locked axis goes back to its place at so many steps a second, without a ramp.
+# A locked axis returns to its position at this rate, without a ramp.
 _BACK_HZ = const(1000)
 
 
 class I2sEngine(TimerEngine):
-    """The engine. step, direction: numbers of outputs per axis; enable: that of the drivers, or
-    those, which go together.
+    """The engine. step, direction: numbers of outputs per axis; enable: output of the drivers'
+    enable, or several, which are switched together.
 
-    pins: BCK, WS and DATA. rate_hz: frames per second, 256 of which last whole microseconds.
-    buffers: of DMA's ring; all but two are filled ahead while the machine moves.
+    pins: BCK, WS and DATA. rate_hz: frames per second; 256 must last whole microseconds. buffers:
+    of DMA's ring; all but two are filled ahead during motion.
     """
 
     segment_log2 = 14
@@ -114,7 +114,7 @@ class I2sEngine(TimerEngine):
             self._lanes[LANE * i + frames.STEP] = 2 << step[i]
             self._lanes[LANE * i + frames.DIR] = 2 << direction[i]
         self._row = array("i", (0 for _ in range(row_length(axes))))
-        # Our ring holds what DMA's may still have to play, and what is not handed over yet.
+        # Our ring holds the buffers that DMA may still have to play, and those to be handed over.
         self._slots = buffers + 2
         self._memory = bytearray(BYTES * self._slots)
         whole = memoryview(self._memory)
@@ -122,7 +122,7 @@ class I2sEngine(TimerEngine):
         self._pause = bytearray(BYTES)
         self._size = NOTE + axes
         self._notes = array("i", (0 for _ in range(self._size * self._slots)))
-        # Of axes that are, or were, locked: where, and how far they have gone since then.
+        # Per axis that is or was locked: where, and the steps made since then.
         self._locked_at, self._owed, self._steps = [
             array("i", (0 for _ in range(axes))) for _ in range(3)
         ]
@@ -131,7 +131,7 @@ class I2sEngine(TimerEngine):
         self._timer = machine.Timer(0)
         self.configure(10, 0, 0)
         self._open()
-        self.flash_written()  # or read from, in what is still to be loaded
+        self.flash_written()  # later imports read flash, which has the same effect
         self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._refill)
 
     def _open(self) -> None:
@@ -142,22 +142,22 @@ class I2sEngine(TimerEngine):
         state[LAST] = -1
         state[PAUSE] = 1
         state[STALE] = 0
-        for slot in range(self._slots):  # numbers begin anew
+        for slot in range(self._slots):  # buffers are numbered from 0 again
             self._notes[slot * self._size + NUMBER] = -1
 
-    # The StepEngine seam
+    # The StepEngine interface
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Highest rate of one axis: pulses take whole frames, and there is one between them."""
+        """Return the highest rate of one axis: pulses are whole frames, with one between them."""
         return self._rate_hz // (self._frames_of(pulse_us) + 1)
 
     def _frames_of(self, us: int) -> int:
         return -(-us * self._rate_hz // 1_000_000)
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Take over $0 and $3. Called at rest only.
+        """Apply $0 and $3. Called while idle only.
 
-        $2 is not heard: with inverted steps, the zeros of a stream run dry would be one.
+        $2 is ignored: with inverted steps, the zeros of a late stream would be a step.
         """
         timing = self._timing
         timing[frames.PULSE] = self._frames_of(pulse_us)
@@ -167,23 +167,23 @@ class I2sEngine(TimerEngine):
         frames.drop_row(timing, self._lanes)
 
     def enable(self, level: int) -> None:
-        """Level of the motor drivers' enable outputs, from the next buffer on. For the port."""
+        """Set the level of the drivers' enable outputs, from the next buffer on. For the port."""
         self._timing[frames.ENABLE] = self._enable_bits if level else 0
 
     def flash_written(self) -> None:
-        """The stream cannot be relied upon any more. At rest only."""
+        """Note that the stream must be opened again. Only while idle."""
         self._state[STALE] = 1
 
     def arm(self) -> None:
-        """Motion is possible again, after power-up or stop()."""
-        if self._failure:  # nobody has followed the stream since then
+        """Enable motion after power-up or stop()."""
+        if self._failure:  # since then no turn has followed the stream
             self.flash_written()
             self._failure = None
         self._timing[frames.LOCKED] = 0
         self._state[STOPPED] = 0
 
     def start(self) -> None:
-        """Begin to pull, in the timer's next turn. A stopped engine stays so."""
+        """Begin to pull, in the timer's next turn. A stopped engine stays stopped."""
         state = self._state
         if state[STOPPED] or state[PULLING]:
             return
@@ -198,13 +198,13 @@ class I2sEngine(TimerEngine):
         state[MOVING] = 1
 
     def stop(self) -> None:
-        """At once, until arm(); safe in a soft interrupt; queued steps and locks are dropped."""
+        """Stop at once, until arm(); safe in a soft interrupt. Drops queued steps and locks."""
         self._halt()
         self._state[MOVING] = 0
 
     def _halt(self) -> None:
         state, lanes, steps = self._state, self._lanes, self._steps
-        halted = state[HALT]  # by what this has interrupted
+        halted = state[HALT]  # 1 if the interrupted code has set it
         state[STOPPED] = state[HALT] = 1
         state[LATEST] = -1
         if state[MOVING] or state[PULLING]:
@@ -227,16 +227,16 @@ class I2sEngine(TimerEngine):
         state[HALT] = halted
 
     def _renew(self) -> None:
-        """Forget what has not been played, and begin a new stream."""
+        """Drop all frames that were not played, and begin a new stream."""
         state = self._state
         state[SENT] = state[MOVED] = state[MADE]
         frames.drop_row(self._timing, self._lanes)
         self._open()
 
     def lock(self, motors: int) -> None:
-        """These motors (a mask) make no more pulses until stop(); the others go on.
+        """Stop the pulses of these motors (a mask) until stop(); the others continue.
 
-        What DMA has been handed goes on too; its steps are taken back before the next motion.
+        Steps that DMA already has are made, and taken back before the next motion.
         """
         timing = self._timing
         self._state[HALT] = 1
@@ -249,7 +249,7 @@ class I2sEngine(TimerEngine):
         self._state[HALT] = 0
 
     def idle(self) -> bool:
-        """Nothing is moving and nothing is queued in hardware, as the last turn has seen it."""
+        """Return whether nothing moves and nothing is queued in hardware, as of the last turn."""
         return not self._state[MOVING]
 
     def _is_late(self) -> bool:
@@ -258,7 +258,7 @@ class I2sEngine(TimerEngine):
         return bool(state[MOVING]) and late > LOST_US
 
     def position(self, steps: "array[int]") -> None:
-        """Copy the steps really made, per motor, to the frame; those to be taken back are not."""
+        """Copy the steps really made, per motor, to the frame, without those to be taken back."""
         self._find_note(steps, time.ticks_us())
 
     def _find_note(self, steps: "array[int]", now: int) -> None:
@@ -274,35 +274,35 @@ class I2sEngine(TimerEngine):
             frames.count(self._ring[slot], until, self._timing, self._lanes, steps)
 
     def set_position(self, steps: "array[int]") -> None:
-        """Name the present place, also of motors that are locked. At rest only."""
+        """Set the present position, also of locked motors. Only while idle."""
         self._state[HALT] = 1
         for i in range(self._axes):
             self._locked_at[i] = steps[i]
             place = steps[i] + self._owed[i]
             self._lanes[LANE * i + PLACE] = place
-            # What has been played at rest counts from there too.
+            # Buffers played while idle count from there too.
             for slot in range(self._slots):
                 self._notes[slot * self._size + NOTE + i] = place
         self._state[HALT] = 0
 
     def underrun_count(self) -> int:
-        """How often the machine has had to pause because the engine came too late."""
+        """Return how often the machine has paused during motion because the engine was late."""
         return self._state[DRY]
 
-    # The timer's turns: no other soft interrupt comes in between
+    # The timer's turns: no other soft interrupt runs within them
 
     def _advance(self) -> None:
         state = self._state
         if state[HALT]:
             return
-        if state[STOPPED]:  # the stop may have come into start()
+        if state[STOPPED]:  # the stop may have interrupted start()
             state[PULLING] = state[MOVING] = 0
         passed = frames.find_playing(state, time.ticks_us(), self._buffer_us)
         self._report_power()
         if state[WRITTEN] <= state[PLAYING] + 1:
             if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
                 return
-            # The stream has run dry, or may have.
+            # The stream is out of data, or may be.
             state[WRITTEN] = state[PLAYING] + 1
             state[PAUSE] = 1
             if state[PULLING] or state[MOVED] > state[SENT]:
@@ -317,13 +317,14 @@ class I2sEngine(TimerEngine):
 
     def _report_power(self) -> None:
         slot = frames.playing_slot(self._state, self._notes, self._slots, self._size)
-        # Not at rest: whoever has seen us idle may have turned the spindle.
+        # Not while idle, because code that sees idle() may set the spindle.
         if slot >= 0 and self._notes[slot * self._size + MOVES]:
             self._tell(self._notes[slot * self._size + POWER])
         self._check_idle()
 
     def _check_idle(self) -> None:
-        """All has been played: power is the last row's then, or what whoever hears of it says."""
+        """After the last buffer: report the last row's power, then the end of motion, whose
+        callback may change it."""
         state = self._state
         played = state[MOVED] <= state[SENT] and state[LAST] < state[PLAYING]
         if state[MOVING] and not state[PULLING] and played:
@@ -368,7 +369,7 @@ class I2sEngine(TimerEngine):
         state[MADE] += 1
 
     def _send_pause(self) -> bool:
-        """Behind zeros, and before anything steps: directions as they are to be."""
+        """Send a buffer without steps after zeros, with the directions of the next one."""
         state = self._state
         frames.blank(self._pause, self._notes[state[SENT] % self._slots * self._size + START])
         if not self._stream.write(self._pause):
@@ -378,7 +379,7 @@ class I2sEngine(TimerEngine):
         return True
 
     def _send(self) -> bool:
-        """Hand over the buffer that is waiting. Returns False where there is no room yet."""
+        """Hand over the next buffer. Returns False if DMA has no space yet."""
         state = self._state
         slot = state[SENT] % self._slots
         if not self._stream.write(self._ring[slot]):

@@ -1,25 +1,24 @@
 # mypy: disable-error-code=arg-type
 """RmtEngine: pulses on pins of their own, made by esp32.RMT, a channel per axis.
 
-RMT plays a list of durations exactly, but MicroPython can hand it the next list only when the
-last one has ended. So motion is cut into trains (trains.py), the same stretch for all axes,
-and between two trains there is a gap, for as long as three calls of write_pulses() take. A
-train ends behind a step, and the gap goes into the pause before the next one: steps come when
-they are due, as long as that pause is longer. Faster than that, motion stands still for the
-rest of the gap at every end of a train: MAX_STEP_RATE_HZ of a board file says where this begins.
+RMT plays a list of durations exactly, but MicroPython can hand it the next list only after the
+last one has ended. So motion is cut into trains (trains.py), the same stretch for all axes.
+Between two trains there is a gap, as long as three calls of write_pulses() take. A train ends
+after a step, and the gap falls into the pause before the next one: steps are on time as long as
+that pause is longer. Above that rate motion stands still for the rest of the gap at every end of a
+train: MAX_STEP_RATE_HZ of a board file says where this begins.
 
-A soft timer gives the engine its turns. It waits for the end of a train there, for a
-millisecond at the most, so that nothing else comes in between. Each channel is started a bit
-later than the one before; the time to its first step is made shorter by that, with what the
-last call of write_pulses() took as the measure. Directions change between trains.
+A soft timer gives the engine its turns. There it waits for the end of a train, for a millisecond
+at most, so that nothing else runs in between. Each channel is started a bit later than the one
+before; its time to the first step is shortened by that, as measured at the last call of
+write_pulses(). Directions change between trains.
 
-A channel has memory for so many steps (channel.py): trains are shorter where steps come faster,
-and the gap comes the more often. At the highest rate they last 4 ms, a row.
+A channel has memory for a limited number of steps (channel.py): at higher rates trains are
+shorter, and gaps more frequent. At the highest rate a train lasts 4 ms, one row.
 
-Where time goes is known from the clock, never from the hardware. What stop() leaves of a train
-cannot be known to the step: position is what the clock says, and whoever stops a moving machine
-raises an alarm. The channels play what they have to its end, which the pins do not show; the next
-motion waits for that.
+The clock gives the progress, never the hardware. How much of a train stop() leaves cannot be known
+to the step: position is the clock's, and code that stops a moving machine must raise an alarm. The
+channels play their trains to the end, which the pins do not show; the next motion waits for that.
 """
 
 import time
@@ -37,52 +36,52 @@ from esp_chip.timer_engine import LOST_US, SETUP_US, TimerEngine
 from esp_chip.trains import made
 
 _HIGHEST_HZ = const(20_000)
-_SHORTEST_US = const(6_000)  # what a channel holds lasts so long at the highest rate
+_SHORTEST_US = const(6_000)  # a channel's steps last this long at the highest rate
 _PULSE_MAX = const(32_767)
 
-# The next train is made so long before it is due, and handed over so long before, in us.
+# How long before it is due the next train is prepared, and handed over, in us.
 _PREPARE_US = const(6_000)
 _EARLY_US = const(4_000)
-# Shorter than that the end of a train is waited for; the timer comes every millisecond.
+# For less than this the end of a train is waited for in a loop; the timer period is 1 ms.
 _WAIT_US = const(1_200)
 _FROM_REST_US = const(2_000)
 _GUARD_US = const(20)
-# So long before write_pulses() returns the hardware has begun, about.
+# About how long the hardware has been running when write_pulses() returns.
 _RETURN_US = const(10)
-# What write_pulses() takes, before it has been measured: us, and per duration in 1/8 us.
+# First estimate of the time of write_pulses(): us, and per duration in 1/8 us.
 _CALL_US = const(150)
 _CALL_EIGHTHS = const(2)
-# A start that is later than that was held up: by flash, or a radio.
+# A later start than that was delayed by flash or a radio.
 _HELD_UP_US = const(60)
 
 # State.
 _HALT = const(0)  # stopped, until arm()
 _PULLING = const(1)  # there may be more segments
 _RUNNING = const(2)  # a train is being played, or waited for
-_READY = const(3)  # the next one has been made
+_READY = const(3)  # the next train is prepared
 _DUE = const(4)  # when the next train is due, in us
 _FREE = const(5)  # when the channels have ended
-_BEGAN = const(6)  # when the train that is played was due
-_TOLD = const(7)  # spindle power told last
-_GAP = const(8)  # longest time that motion had to stand still for, in us,
-_SKEW = const(9)  # most that a channel was started too early or late by,
-_TRAINS = const(10)  # and how many trains there were
-_CUT = const(11)  # a train was cut off: its channels may still be at work
+_BEGAN = const(6)  # when the train being played was due
+_TOLD = const(7)  # last spindle power reported
+_GAP = const(8)  # longest standstill between trains, in us,
+_SKEW = const(9)  # largest error of a channel's start, us,
+_TRAINS = const(10)  # and number of trains
+_CUT = const(11)  # a train was cut off: its channels may still be playing
 _STATE_LENGTH = const(12)
 
 # Lanes: integers per axis.
 _LANE = const(6)
-_PLACE = const(0)  # position at the beginning of the train that is played
+_PLACE = const(0)  # position at the start of the train being played
 _BACK = const(1)  # 1: its steps go backwards
 _COUNT = const(2)  # its durations,
-_START = const(3)  # and when the channel was started
+_START = const(3)  # and the start of the channel
 _LEVEL = const(4)  # of the direction pin, before $3; -1: unknown
-_CALL = const(5)  # what write_pulses() takes, besides the durations
+_CALL = const(5)  # time of write_pulses(), without that per duration, us
 
 
 @micropython.viper
 def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
-    """Where a motor is."""
+    """Return the position of a motor at a time."""
     lane = _LANE * axis
     place = lanes[lane + _PLACE]
     if lanes[lane + _COUNT] == 0:
@@ -119,26 +118,26 @@ class RmtEngine(TimerEngine):
         self._size = row_length(axes)
         self._row = array("i", (0 for _ in range(self._size)))
         self._rows = array("i", (0 for _ in range(self._size * trains.ROWS)))
-        # Of each axis: the train that is played, the next one, and the list that RMT wants.
+        # Per axis: the train being played, the next one, and the list for RMT.
         self._playing = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
         self._next = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
         self._counts = array("i", (0 for _ in range(axes)))
         self._lists: "list[list[int]]" = [[] for _ in range(axes)]
-        # Spindle power of a train: when it begins, and what it is.
+        # Spindle powers of a train: start in us, power.
         self._powers = array("i", (0 for _ in range(2 * trains.ROWS)))
         self._next_powers = array("i", (0 for _ in range(2 * trains.ROWS)))
         self._timer = machine.Timer(0)
         self.configure(10, 0, 0)
 
-    # The StepEngine seam
+    # The StepEngine interface
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Highest rate of one axis: as much as can be made ready in the time of a train."""
+        """Return the highest rate of one axis: as many steps as can be prepared per train."""
         most = self._timing[trains.MOST] * RESOLUTION_HZ // _SHORTEST_US
         return min(_HIGHEST_HZ, most, RESOLUTION_HZ // (2 * pulse_us))
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Take over $0, $2 and $3. Called at rest only."""
+        """Apply $0, $2 and $3. Called while idle only."""
         self._timing[trains.PULSE] = pulse_us
         self._dir_invert = dir_invert
         for i in range(self._axes):
@@ -147,13 +146,13 @@ class RmtEngine(TimerEngine):
             self._direction[i].value(level ^ (dir_invert >> i & 1))
 
     def arm(self) -> None:
-        """Motion is possible again, after power-up or stop()."""
+        """Enable motion after power-up or stop()."""
         self._failure = None
         self._timing[trains.LOCKED] = 0
         self._state[_HALT] = 0
 
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
+        """Begin to pull, if the engine had run out of segments. A stopped engine stays stopped."""
         state = self._state
         if state[_HALT]:
             return
@@ -171,7 +170,7 @@ class RmtEngine(TimerEngine):
             self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._refill)
 
     def stop(self) -> None:
-        """At once, until arm(); safe in a soft interrupt; queued steps and locks are dropped."""
+        """Stop at once, until arm(); safe in a soft interrupt. Drops queued steps and locks."""
         self._halt()
         self._state[_RUNNING] = 0
 
@@ -188,7 +187,7 @@ class RmtEngine(TimerEngine):
         timing[trains.LOCKED] = 0
 
     def _cut_off(self, axes: int) -> None:
-        """End these axes' trains now; they are where the clock says."""
+        """End these axes' trains now; their positions are the clock's."""
         for i in range(self._axes):
             if axes >> i & 1:
                 self._channels[i].cut()
@@ -200,7 +199,7 @@ class RmtEngine(TimerEngine):
                 self._lanes[lane + _COUNT] = 0
 
     def lock(self, motors: int) -> None:
-        """These motors (a mask) make no more pulses until stop(); the others go on."""
+        """Stop the pulses of these motors (a mask) until stop(); the others continue."""
         self._timing[trains.LOCKED] = self._timing[trains.LOCKED] | motors
         for i in range(self._axes):
             if motors >> i & 1:
@@ -208,7 +207,7 @@ class RmtEngine(TimerEngine):
         self._cut_off(motors)
 
     def idle(self) -> bool:
-        """Nothing is moving and nothing is queued in hardware."""
+        """Return whether nothing moves and nothing is queued in hardware."""
         return not self._state[_RUNNING]
 
     def _is_late(self) -> bool:
@@ -217,29 +216,29 @@ class RmtEngine(TimerEngine):
         return bool(state[_RUNNING]) and late > LOST_US
 
     def position(self, steps: "array[int]") -> None:
-        """Copy the steps really made, per motor, by the clock."""
+        """Copy the steps made, per motor, by the clock."""
         for i in range(self._axes):
             steps[i] = _place(self._lanes, i, self._playing[i], time.ticks_us())
 
     def set_position(self, steps: "array[int]") -> None:
-        """Name the present place, also of motors that are locked. At rest only."""
+        """Set the present position, also of locked motors. Only while idle."""
         for i in range(self._axes):
             self._lanes[_LANE * i + _PLACE] = steps[i]
             self._lanes[_LANE * i + _COUNT] = 0
 
     def longest_gap_us(self) -> int:
-        """For how long motion has had to stand still between trains, at the most."""
+        """Return the longest standstill of motion between trains."""
         return self._state[_GAP]
 
     def worst_skew_us(self) -> int:
-        """By how much a channel was started too early or too late, at the most."""
+        """Return the largest error of a channel's start, early or late."""
         return self._state[_SKEW]
 
-    # The timer's turns: no other soft interrupt comes in between
+    # The timer's turns: no other soft interrupt runs within them
 
     def _advance(self) -> None:
         state = self._state
-        if state[_HALT] or not state[_RUNNING]:  # turns are told of even behind the timer's end
+        if state[_HALT] or not state[_RUNNING]:  # turns queued before deinit() still run
             state[_RUNNING] = 0
             self._timer.deinit()
             return
@@ -264,7 +263,7 @@ class RmtEngine(TimerEngine):
         self._collect(self._timing[trains.LENGTH] - _PREPARE_US)
 
     def _prepare(self) -> bool:
-        """Make the next train. Returns False where there is nothing to move."""
+        """Prepare the next train. Returns False if there is nothing to move."""
         state, timing, rows = self._state, self._timing, self._rows
         size = self._size
         while (
@@ -293,7 +292,7 @@ class RmtEngine(TimerEngine):
         return True
 
     def _note_powers(self) -> None:
-        """Remember what power belongs to which part of the next train."""
+        """Store the spindle powers of the next train, with their start times."""
         timing, rows = self._timing, self._rows
         at_us = -timing[trains.DONE]
         for k in range(trains.ROWS):
@@ -316,7 +315,7 @@ class RmtEngine(TimerEngine):
             self._on_power(power)
 
     def _end_train(self) -> None:
-        """The train has been played: its steps are made."""
+        """Add the steps of the train, which has been played, to the positions."""
         for i in range(self._axes):
             lane = _LANE * i
             steps = self._lanes[lane + _COUNT] // 2
@@ -325,11 +324,11 @@ class RmtEngine(TimerEngine):
             self._lanes[lane + _PLACE] += -steps if back else steps
 
     def _call_us(self, axis: int) -> int:
-        """How long write_pulses() is going to take."""
+        """Return the expected time of write_pulses()."""
         return self._lanes[_LANE * axis + _CALL] + (self._counts[axis] * _CALL_EIGHTHS >> 3)
 
     def _send(self) -> None:
-        """Hand the next train over, all axes in step. The last one has ended."""
+        """Start the next train on all axes in step. The last one must have ended."""
         state, lanes = self._state, self._lanes
         self._end_train()
         setup = 0
@@ -359,15 +358,15 @@ class RmtEngine(TimerEngine):
         for i in range(self._axes):
             if self._counts[i]:
                 behind = max(behind, self._start_channel(i))
-        # The next one waits for the slowest: no interval between steps is shorter than planned.
+        # The next train waits for the slowest: no interval between steps is shorter than planned.
         state[_GAP] = max(state[_GAP], late + behind)
         state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH] + behind) & MASK
         state[_READY] = 0
         state[_TRAINS] += 1
 
     def _start_channel(self, axis: int) -> int:
-        """Start one axis so that its first step comes when it is due. Returns by how much, in us,
-        it comes later, if it was held up."""
+        """Start one axis so that its first step is on time. Returns by how many us it is late, if
+        the start was delayed, else 0."""
         state, lanes = self._state, self._lanes
         lane = _LANE * axis
         count = self._counts[axis]

@@ -1,8 +1,8 @@
-"""Stream: machine.I2S as a ring of DMA buffers that plays for ever, filled without waiting.
+"""Stream: machine.I2S as an endless ring of DMA buffers, filled without waiting.
 
-Buffers are numbered from the moment the stream is opened; the hardware's clock is the
-processor's, so that the clock says which one is being played. Not one byte goes in but whole
-buffers: a rest would be played a whole round later. Where nothing has been written, zeros come.
+Buffers are numbered from the opening of the stream. The hardware's clock is the processor's, so
+the time says which buffer is being played. Only whole buffers are written: the rest of one would
+be played a whole round later. Where nothing was written, zeros are played.
 """
 
 import select
@@ -14,11 +14,11 @@ from micropython import const
 from esp_chip.frames import FRAMES
 
 _PORT = const(0)
-BYTES = const(1024)  # of a buffer
+BYTES = const(1024)  # per buffer
 
 
 class Stream:
-    """pins: BCK, WS and DATA. rate_hz: frames per second. buffers: how many DMA has."""
+    """pins: BCK, WS and DATA. rate_hz: frames per second. buffers: the number of DMA's."""
 
     def __init__(self, pins: "tuple[int, int, int]", rate_hz: int, buffers: int) -> None:
         if FRAMES * 1_000_000 % rate_hz:
@@ -29,9 +29,9 @@ class Stream:
         self._rate_hz = rate_hz
 
     def open(self) -> int:
-        """Begin with zeros. Returns when, in us.
+        """Open the stream, which plays zeros. Returns its start, in us.
 
-        Buffer number `buffers`, a whole round away, is the first that can be written.
+        Buffer number `buffers`, a whole round later, is the first that can be written.
         """
         bck, ws, data = self._pins
         self._i2s = machine.I2S(
@@ -46,7 +46,7 @@ class Stream:
             ibuf=BYTES * self.buffers,
         )
         began = time.ticks_us()
-        # Once it has been polled, write() takes what fits and does not wait.
+        # After a poll, write() accepts what fits and does not wait.
         poller = select.poll()
         poller.register(self._i2s, select.POLLOUT)
         poller.poll(0)
@@ -54,9 +54,9 @@ class Stream:
         return began
 
     def write(self, buffer: "bytearray | memoryview") -> bool:
-        """Hand over a buffer; False where DMA has no room for it yet."""
+        """Hand over a buffer; False if DMA has no space for it yet."""
         return bool(self._i2s.write(buffer))
 
     def close(self) -> None:
-        """Stop at once. The outputs keep the levels they have."""
+        """Stop at once. The outputs keep their levels."""
         self._i2s.deinit()

@@ -1,10 +1,11 @@
-"""Timer engine: what the timers of both ESP32 engines have in common.
+"""Timer engine: the common part of both ESP32 engines, driven by a timer.
 
-Interrupts are soft here: MicroPython prints what one of them raises, and calls it again. So a turn
-catches all. What goes wrong switches the tool off, then the motors, and is told to the main loop.
+Interrupts are soft here: MicroPython prints an exception of one, and calls it again. So a turn
+catches all exceptions. A fault switches the tool off, then stops the motors, and is reported to
+the main loop.
 
-An edge at a pin is lost where the scheduler's eight places are taken, and a timer of a millisecond
-takes them all in eight of a collection. So each turn begins with a look at the inputs.
+An edge at a pin is lost while the scheduler's queue of eight is full, and a timer of 1 ms fills it
+in 8 ms of a garbage collection. So each turn first checks the inputs.
 """
 
 import gc
@@ -19,27 +20,27 @@ if TYPE_CHECKING:
     from interfaces import NextSegment
 
 
-# Direction is there so long before a step.
+# Time from a change of direction to a step.
 SETUP_US = const(10)
-# What has not come so long after it was due, a train or a buffer that DMA takes, never will.
+# A train, or a buffer that DMA accepts, that is so late will never come.
 LOST_US = const(500_000)
-# Garbage is collected after so many trains: more often than it would be by itself.
+# Garbage is collected after so many trains: more often than automatically.
 _COLLECT_TRAINS = const(100)
 
 
 def _nothing() -> None:
-    """Nobody has to be told."""
+    """Default callback: do nothing."""
 
 
 class TimerEngine:
-    """Half an engine. on_poll: has the inputs looked at. on_fault: switches the tool off."""
+    """Base of both engines. on_poll: checks the inputs. on_fault: switches the tool off."""
 
     def __init__(self) -> None:
         self.on_poll: "Callable[[], None]" = _nothing
         self.on_fault: "Callable[[], object]" = _nothing
         self._failure: "BaseException | None" = None
-        self._trains_since = 0  # the last collection
-        self._collect_us = 0  # what that took, once it is known
+        self._trains_since = 0  # trains since the last collection
+        self._collect_us = 0  # time of the last collection; 0: unknown
 
     def attach(
         self,
@@ -47,14 +48,14 @@ class TimerEngine:
         on_power: "Callable[[int], None]",
         on_rest: "Callable[[], None]",
     ) -> None:
-        """Say where segments come from, who is told the spindle power of each as it starts, and
-        who hears that motion has come to its end."""
+        """Set the source of segments, and two callbacks: one is passed the spindle power of each
+        segment as it starts, the other is called when motion has ended."""
         self._next_segment = next_segment
         self._on_power = on_power
         self._on_rest = on_rest
 
     def fault(self) -> str:
-        """What is wrong with the engine, in words; "" as long as nothing is."""
+        """Return the engine's fault, in words; "" without a fault."""
         if self._failure:
             words = "the engine's turn has failed: %s %s" % (
                 type(self._failure).__name__,
@@ -83,14 +84,14 @@ class TimerEngine:
             self._failure = worse
 
     def _collect(self, room_us: int) -> None:
-        """Collect garbage, if it is time for it and room_us are enough.
+        """Collect garbage, if that is due and room_us is enough.
 
-        A collection that comes by itself between two trains holds motion up for as long as it
-        takes: interrupts are soft here, and wait for it.
+        An automatic collection between two trains delays motion by its whole time, because soft
+        interrupts wait for it.
         """
         self._trains_since += 1
         if self._trains_since > 2 * _COLLECT_TRAINS:
-            self._collect_us >>= 1  # nothing had room for what one has taken: it may be less now
+            self._collect_us >>= 1  # there was never enough time; it may take less by now
             self._trains_since = _COLLECT_TRAINS
         if self._trains_since >= _COLLECT_TRAINS and self._collect_us < room_us:
             before = time.ticks_us()
@@ -98,16 +99,16 @@ class TimerEngine:
             self._collect_us = time.ticks_diff(time.ticks_us(), before)
             self._trains_since = 0
 
-    # What the other half has
+    # Implemented by the engines
 
     def _advance(self) -> None:
-        """A turn."""
+        """Do one turn."""
         raise NotImplementedError
 
     def _halt(self) -> None:
-        """Stop the motors; the engine is not idle, so that the main loop asks for the fault."""
+        """Stop the motors, and do not become idle, so that the main loop asks for the fault."""
         raise NotImplementedError
 
     def _is_late(self) -> bool:
-        """Motion should have gone on long ago."""
+        """Return whether motion is so late that it will never continue."""
         raise NotImplementedError

@@ -1,10 +1,10 @@
 # mypy: disable-error-code=arg-type
 """Trains: from segment rows to the durations that esp32.RMT plays, in integers and us.
 
-Rows wait in a ring. A train is a stretch of them, the same for all axes, in which no axis
-reverses, and none has more steps than a channel can hold: its length is chosen by cut(), one
-axis' durations are made by durations(). They begin with the time to the first step; then pulses
-and pauses follow each other, a pulse last.
+Rows wait in a ring. A train is a stretch of them, the same for all axes, in which no axis reverses
+and none has more steps than a channel can hold. cut() chooses its length; durations() makes the
+train of one axis. It begins with the time to the first step; then pulses and pauses alternate, and
+a pulse is last.
 
 Called in the engine's turns; nothing here allocates.
 """
@@ -17,29 +17,29 @@ from motion.slice_kernel import leading
 ROWS = const(16)
 _ROWS_MASK = const(15)
 
-# A train is so long at the most, in us: what a hold has to wait for. It rather ends earlier
-# than where steps come faster by a quarter, but not before half of that.
+# Longest train, in us: a hold waits for its end. Up to _WORTH a train may end after any row; later
+# only where steps are at most a quarter faster than at the last possible end.
 LONGEST = const(18000)
 _WORTH = const(9000)
 
-# What all axes share.
+# Integers shared by all axes.
 AXES = const(0)
 PULSE = const(1)  # us
 FIRST = const(2)  # the first row of the next train,
-DONE = const(3)  # and how much of it has gone into the last one
+DONE = const(3)  # and how much of it was in the last one, us
 HELD = const(4)  # rows in the ring
-TAKEN = const(5)  # by the next train: whole rows,
-PART = const(6)  # and behind them so much of another one
+TAKEN = const(5)  # whole rows in the next train,
+PART = const(6)  # and how much of another one, us
 LENGTH = const(7)  # of the next train, in us
 DIRS = const(8)  # directions in the next train, for axes that step
-LOCKED = const(9)  # mask of axes that stand still
-MOST = const(10)  # steps of an axis in a train
+LOCKED = const(9)  # mask of locked axes, which do not step
+MOST = const(10)  # most steps of an axis in a train
 TIMING_LENGTH = const(11)
 
 
 @micropython.viper
 def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
-    """How long the rows in the ring last, as far as it matters."""
+    """Return how long the rows in the ring last, in us; a value above LONGEST may be too low."""
     total = 0 - timing[DONE]
     for k in range(timing[HELD]):
         total += rows[((timing[FIRST] + k) & _ROWS_MASK) * size]
@@ -50,7 +50,8 @@ def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
 
 @micropython.viper
 def cut(rows: ptr32, timing: ptr32, size: int) -> int:
-    """Choose where the next train ends: at the end of a row, where steps are slowest."""
+    """Choose the end of the next train: the end of a row, where steps are slow. Returns its
+    length, us."""
     known = 0
     dirs = 0
     total = 0 - timing[DONE]
@@ -76,7 +77,7 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
                     if gap < least:
                         least = gap
         if known & busy & (dirs ^ rows[at + ROW_DIRS]):
-            break  # an axis reverses
+            break  # an axis reverses here
         rest = rows[at] if k else total + rows[at]
         count = most
         if least > 0 and rest // least + 1 < most:
@@ -105,7 +106,8 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
 
 @micropython.viper
 def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
-    """Where to cut a long row: behind the last step before `end`, or there."""
+    """Return where to cut a long row, in us: after the last step before `end`, or at `end` if that
+    step is too early."""
     latest = timing[DONE]
     for i in range(timing[AXES]):
         base = at + ROW_AXES + ROW_STRIDE * i
@@ -114,7 +116,7 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
             tick = rows[base + 1]
             gap = (rows[base + 2] - tick) // (steps - 1) if steps > 1 else 1
             if tick < end:
-                # Not the longer gaps: a tick too early is early enough.
+                # Without the longer gaps: one tick too early does no harm.
                 made = (end - 1 - tick) // (gap + 1)
                 if made >= steps:
                     made = steps - 1
@@ -126,9 +128,9 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
 
 @micropython.viper
 def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> int:
-    """Make one axis' train. Returns how many durations; 0 where it does not step.
+    """Make one axis' train. Returns the number of durations; 0 if it does not step.
 
-    -1: it is longer than a channel, and would lose steps.
+    -1: it is longer than a channel, which would lose steps.
     """
     if (timing[LOCKED] >> axis) & 1:
         return 0
@@ -175,7 +177,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
 
 @micropython.viper
 def advance(timing: ptr32) -> int:
-    """The next train has been made: the one after it begins where it ends."""
+    """Move on in the ring: the train after the next one begins at its end."""
     timing[FIRST] = (timing[FIRST] + timing[TAKEN]) & _ROWS_MASK
     timing[HELD] = timing[HELD] - timing[TAKEN]
     if timing[TAKEN]:
@@ -187,7 +189,7 @@ def advance(timing: ptr32) -> int:
 
 @micropython.viper
 def made(durations: ptr32, count: int, passed: int) -> int:
-    """Steps of a train so many us after it was started."""
+    """Return the steps of a train that are made `passed` us after its start."""
     steps = 0
     for k in range(count):
         passed -= durations[k]
@@ -200,7 +202,7 @@ def made(durations: ptr32, count: int, passed: int) -> int:
 
 @micropython.viper
 def lasts(durations: ptr32, count: int) -> int:
-    """How long a train is, in us."""
+    """Return the length of a train, in us."""
     total = 0
     for k in range(count):
         total += durations[k]
