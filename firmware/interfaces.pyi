@@ -1,7 +1,7 @@
-"""The seams of the firmware, as mypy sees them. Never copied to a board.
+"""The interfaces between parts of the firmware, for mypy. Never copied to a board.
 
-An implementation need not inherit from these: mypy checks each one where
-`wiring.build()` is called.
+An implementation need not inherit from these: mypy checks each one where `wiring.build()` is
+called.
 """
 
 from array import array
@@ -20,29 +20,28 @@ from motion.planner import Move, Planner
 from talk.controller import Controller
 from talk.report import Report
 
-# The machine, of which each part takes what is there before it: boot/wiring.py has the order.
+# The machine. Each part uses those that were created before it: boot/wiring.py has the order.
 Machine = Controller
 
-# Fills one segment row (see segments.py for its layout) and returns 1, or
-# returns 0 where no motion is due. Called from the engine's interrupt: it
-# neither allocates nor raises.
+# Fills one segment row (see layout.py) and returns 1, or returns 0 if no motion is due. Called
+# from the engine's interrupt: it neither allocates nor raises.
 NextSegment = Callable[[array[int]], int]
 
-# Moves to a target until contact, or until it is lost (away); alarms where it fails, if it is to.
-# Returns whether the target has been reached.
+# (target, move, away, alarms): moves to a target until contact, or with `away` until it is lost;
+# `alarms`: a failure is an alarm. Returns whether the target has been reached.
 Probe = Callable[[array[float], Move, bool, bool], bool]
 
 class StepEngine(Protocol):
-    """Who makes pulses: pio, rmt, i2s or the simulator.
+    """Generates step pulses: pio, rmt, i2s or the simulator.
 
-    The engine pulls: it asks for a segment whenever its hardware has room.
+    The engine pulls: it requests a segment whenever its hardware has space.
     """
 
     tick_hz: int  # unit of every time in a segment row
     segment_log2: int  # a full segment lasts 2**segment_log2 ticks
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Highest rate of one axis with step pulses of pulse_us microseconds."""
+        """Return the highest rate of one axis with step pulses of pulse_us microseconds."""
 
     def attach(
         self,
@@ -50,328 +49,332 @@ class StepEngine(Protocol):
         on_power: Callable[[int], None],
         on_rest: Callable[[], None],
     ) -> None:
-        """Say where segments come from, who is told the spindle power of each as it starts, and
-        who hears, in the engine's interrupt, that motion has come to its end for want of them."""
+        """Set the source of segments, and two callbacks: one is passed the spindle power of each
+        segment as it starts, the other is called in the engine's interrupt when motion has ended
+        because there are no more segments."""
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Take over $0, $2 and $3. Called at rest only."""
+        """Apply $0, $2 and $3. Called while idle only."""
 
     def arm(self) -> None:
-        """Motion is possible again, after power-up or stop(). For the main loop, which looks
-        behind it whether something has stopped the machine meanwhile."""
+        """Enable motion after power-up or stop(). For the main loop, which then checks whether
+        something has stopped the machine meanwhile."""
 
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
+        """Begin to pull, if the engine had run out of segments. A stopped engine stays stopped."""
 
     def stop(self) -> object:
-        """At once, and for good until arm(); safe in an interrupt, also in one that has come
-        into start() or into the engine's own; queued steps are dropped, locks released."""
+        """Stop at once, until arm(). Safe in an interrupt, even one within start() or within the
+        engine's own. Drops queued steps and releases locks."""
 
     def fault(self) -> str:
-        """What is wrong with the engine, in words: its interrupt has failed, or motion is behind
-        its own schedule. "" as long as nothing is. For the main loop, at every turn."""
+        """Return the engine's fault, in words: its interrupt has failed, or motion is late for its
+        own schedule. "" without a fault. For the main loop, in every turn."""
 
     def lock(self, motors: int) -> None:
-        """These motors (a mask) make no more pulses until stop(); the others go on."""
+        """Stop the pulses of these motors (a mask) until stop(); the others continue."""
 
     def idle(self) -> bool:
-        """Nothing is moving and nothing is queued in hardware."""
+        """Return whether nothing moves and nothing is queued in hardware."""
 
     def position(self, steps: array[int]) -> None:
         """Copy the steps really made, per motor: the only truth."""
 
     def set_position(self, steps: array[int]) -> None:
-        """Name the present place, also of motors that are locked. At rest only."""
+        """Set the present position, also of locked motors. Only while idle."""
 
 class BeamEngine(StepEngine, Protocol):
     """An engine that changes the power of a beam: see motion/beam_layout.py."""
 
-    beam: array[int]  # what is known of the beam
-    levels: Any  # its ring of them, integers
+    beam: array[int]  # the beam's state
+    levels: Any  # its ring of levels, integers
 
     def scale(self, power_max: int) -> None:
-        """The PWM has another frequency: set the level of full power anew. At rest only."""
+        """Set the level of full power again after a change of PWM frequency. Only while idle."""
 
     def put_out(self) -> object:
-        """No level comes to the pin any more until motion begins anew. Safe in an interrupt."""
+        """Send no more levels to the pin until motion starts again. Safe in an interrupt."""
 
 class Canon(Protocol):
-    """The canonical machining functions: what the language may ask of the machine. Targets are
-    absolute, in mm of machine coordinates. Who has to wait does so in them, and a reset raises
-    Abort there; in check mode nothing moves."""
+    """The canonical machining functions that the interpreter calls. Targets are absolute, in mm of
+    machine coordinates. All waits are in them, and a reset raises Abort there; in check mode
+    nothing moves."""
 
-    planner: Planner  # where a line that does no more than move is put
-    travel: array[int]  # and what it is held against first: see canon.check_travel()
-    course: array[int]  # where arcs are laid: see arcs.py
+    planner: Planner  # receives move-only lines
+    travel: array[int]  # their limits: see canon.check_travel()
+    course: array[int]  # the arc in progress: see arcs.py
 
     def make_room(self) -> None:
-        """Wait until a line finds room in the planner."""
+        """Wait until the planner has space for a line."""
 
     def line(self, target: array[float], move: Move) -> None:
-        """A straight line: rapid or feed, by the move's flags. Made by finish()."""
+        """Request a straight line, rapid or feed by the move's flags; finish() executes it."""
 
     def arc(self, start: array[float], target: array[float], arc: Arc, move: Move) -> None:
-        """An arc, or helix. Made by finish()."""
+        """Request an arc or helix; finish() executes it."""
 
     def jog(self, target: array[float], move: Move) -> None:
-        """A line that starts at once, and that a hold would cancel. Made by finish()."""
+        """Request a line that starts at once, and that a hold cancels; finish() executes it."""
 
     def finish(self) -> None:
-        """Make what has been asked for."""
+        """Plan the requested move."""
 
     def synchronise(self) -> None:
-        """Wait until everything planned has been done."""
+        """Wait until all planned motion is executed."""
 
     def dwell(self, seconds: float) -> None:
-        """Stand still; hold and reset work meanwhile."""
+        """Wait without motion; hold and reset work meanwhile."""
 
     def spin(self, direction: int, rpm: float) -> None:
-        """Turn the spindle, once motion has come to where it was asked."""
+        """Set spindle direction and speed after all planned motion."""
 
     def cool(self, mask: int) -> None:
-        """Switch coolant, once motion has come to where it was asked."""
+        """Switch coolant after all planned motion."""
 
     def control_overrides(self, parking: bool) -> None:
-        """M56: parking is in action, or is not."""
+        """Execute M56: enable or disable parking."""
 
     def pause_program(self) -> None:
-        """M0: hold until cycle start."""
+        """Execute M0: hold until cycle start."""
 
     def end_program(self) -> None:
-        """Spindle and coolant off, overrides back to 100 %."""
+        """Switch spindle and coolant off, and set overrides to 100 %."""
 
     def outside(self, target: array[float]) -> bool:
-        """The target lies outside the machine's travel."""
+        """Return whether the target is outside the machine's travel."""
 
 class Motion(Protocol):
-    """A motion mode that an extra brings, besides lines, arcs and probes."""
+    """A motion mode of an extra, in addition to lines, arcs and probes."""
 
-    kept: list[float | None]  # numbers that hold while it is in force: a mode as well
+    kept: list[float | None]  # numbers that stay in force as long as the mode
 
     def check(self, block: Block) -> None:
-        """Refuse a block with GrblError; nothing has changed yet. Its target is in block.xyz, and
-        of MOTION_WORDS no more than the motion uses may be there."""
+        """Refuse a block with GrblError; nothing has changed yet. Its target is in block.xyz.
+        Check that it has no MOTION_WORDS that the motion does not use."""
 
     def make(self, block: Block, move: Move) -> None:
-        """Have its moves made, and say in Modes.position where they end."""
+        """Execute its moves, and set Modes.position to their end."""
 
 class Kinematics(Protocol):
-    """Which motor moves which axes, where they do not move one each: motion/kinematics.py.
+    """Which motor moves which axes, if they do not move one each: motion/kinematics.py.
 
-    Steps are whole ones, of all motors or of one axis.
+    Steps are whole, of all motors or of one axis.
     """
 
     @property
     def moves(self) -> Sequence[int]:
-        """What each motor does, at least one per axis, as the kernels read it."""
+        """A number per motor, at least one per axis: layout.MOVES."""
 
     def axis_steps(self, motors: array[int], axis: int) -> int:
-        """Steps of an axis from those of the motors."""
+        """Return the steps of an axis, from those of the motors."""
 
     def to_axes(self, motors: array[int]) -> None:
-        """Put the steps of the axes where those of the first motors are. Takes no memory."""
+        """Replace the steps of the first motors by those of the axes. Takes no memory."""
 
     def set_axis(self, motors: array[int], axis: int, steps: int) -> None:
-        """Change the steps of an axis' motors so that it stands there, and no other axis moves."""
+        """Change the steps of an axis' motors so that it is there, and no other axis moves."""
 
     def stopped_by(self, switches: int) -> int:
-        """The motors (a mask) that stop at these limit switches (a mask)."""
+        """Return the motors (a mask) that stop at these limit switches (a mask)."""
 
 class Geometry(Protocol):
-    """Kinematics of the user's own, a module beside the board file.
+    """The user's own kinematics, a module next to the board file.
 
-    Places are of the tool, in mm; joints one per motor, in units of their own.
+    A place is the tool's position, in mm; joints are one per motor, in units of their own.
     """
 
-    START: Sequence[float]  # where the joints are at power-up,
+    START: Sequence[float]  # joints at power-up,
     HOME: Sequence[float]  # and when their switches close
-    TRAVEL: Sequence[float]  # how far it is to a switch, at the most
-    CENTRED: Sequence[int]  # axes whose travel goes to either side of 0
+    TRAVEL: Sequence[float]  # greatest distance to a switch
+    CENTRED: Sequence[int]  # axes whose travel is to either side of 0
     FASTEST: float  # mm/min: no motion is faster
 
     def inverse(self, place: array[float], joints: array[float]) -> bool:
-        """Fill in the joints, which hold where they are before. False: out of reach."""
+        """Compute the joints; on entry they hold their present values. False: out of reach."""
 
     def forward(self, joints: array[float], place: array[float]) -> object:
-        """Fill in the place."""
+        """Compute the place."""
 
 class InputListener(Protocol):
-    """Who hears of a port's inputs, in interrupt context. An object, and not three callables:
-    to call a method needs less stack than to call what has been taken from it."""
+    """Receives events of a port's inputs, in interrupt context. An object, not three callables,
+    because a call of a method needs less stack than a call of a bound method object."""
 
     def on_limits(self) -> None:
-        """A limit switch has changed."""
+        """Handle a change of a limit switch."""
 
     def on_controls(self, active: int) -> None:
-        """A control input has changed, or the emergency stop, which is one of them. Mask."""
+        """Handle a change of a control input or the emergency stop. active: mask."""
 
     def on_fault(self) -> None:
-        """A callback has raised; kill() has been called."""
+        """Handle an exception in a callback; kill() has been called."""
 
 class Pwm(Protocol):
-    """What makes the pulses of the spindle's power: machine.PWM."""
+    """Generates the pulses of the spindle's power: machine.PWM."""
 
     def freq(self, hz: int = ..., /) -> int:
-        """How many there are in a second; hz: so many, at once, each as large a part as before."""
+        """Return the frequency; hz: change it at once, with the same duty."""
 
 class Port(Protocol):
-    """Pins that are not steps, and the clock."""
+    """All pins except step and direction, and the clock."""
 
     pwm_max: int  # spindle(): full power
-    limit_invert: int  # limits() where no switch is hit; Inputs sets it
+    limit_invert: int  # limits() while no switch is hit; set by Inputs
     estop: Callable[[], bool] | None  # whether the emergency stop is pressed; None: not wired
-    fault: str  # what is wrong with the inputs, in words; "" as long as nothing is
-    # An extra's, called with the mask behind InputListener.on_controls(), in the interrupt too.
+    fault: str  # a fault of the inputs, in words; "" without one
+    # An extra's, called with the mask after InputListener.on_controls(), in the interrupt too.
     after_controls: Callable[[int], object] | None
 
     @property
     def pwm(self) -> Pwm | None:
-        """Power of spindle or laser; None: there is no such output."""
+        """Power of spindle or laser; None if there is no such output."""
 
     def attach(self, listener: InputListener) -> None:
-        """Who is called, in interrupt context, when an input changes."""
+        """Set the listener, which is called in interrupt context when an input changes."""
 
     def enable_limits(self, on: bool) -> None:
-        """Call on_limits, or leave the limit inputs in peace ($21). An input that has called is
-        looked at again some milliseconds later and not heard meanwhile."""
+        """Call on_limits at changes of limit inputs, or do not ($21). After a call an input is
+        ignored for some milliseconds, and then checked again."""
 
     def kill(self) -> object:
-        """Spindle, laser, coolant, and outputs of extras, off; they stay off, whatever is asked of
-        them, until revive(). What an interrupt that has to stop the machine does first; needs
-        little stack."""
+        """Switch off spindle, laser, coolant, and outputs of extras. They stay off until revive(),
+        whatever is called meanwhile. The first action of an interrupt that must stop the machine;
+        needs little stack."""
 
     def revive(self) -> None:
-        """They obey again. For the main loop, which looks behind it whether something has
+        """Enable these outputs again. For the main loop, which then checks whether something has
         stopped the machine meanwhile."""
 
     def watch_probe(self, on_contact: Callable[[], None] | None, closed: bool) -> None:
         """Call on_contact once, in interrupt context, as soon as the probe pin is `closed`."""
 
     def limits(self) -> int:
-        """Mask of limit inputs pulled to ground, bit 0 = X."""
+        """Return a mask of limit inputs pulled to ground, bit 0 = X."""
 
     def controls(self) -> int:
-        """Mask of control inputs that are active: base.controls: RESET, HOLD, START, DOOR."""
+        """Return a mask of active control inputs: RESET, HOLD, START, DOOR of base.controls."""
 
     def probe(self) -> bool:
-        """The probe input is pulled to ground."""
+        """Return whether the probe input is pulled to ground."""
 
     def levels(self) -> int:
-        """All of these at once: base.controls says which bit is whose."""
+        """Return all of these at once; base.controls has the bits."""
 
     def enable(self, level: int) -> None:
-        """Level of the motor drivers' enable pin."""
+        """Set the level of the motor drivers' enable pin."""
 
     def direction(self, level: int) -> None:
-        """Level of the spindle direction pin: 1 = counterclockwise."""
+        """Set the level of the spindle direction pin: 1 = counterclockwise."""
 
     def spindle(self, on: bool, power: int) -> None:
-        """Spindle output: enable, and PWM power 0..pwm_max. May be called in an interrupt."""
+        """Set the spindle's enable and PWM power, 0..pwm_max. Safe in an interrupt."""
 
     def coolant(self, mask: int) -> None:
-        """Coolant outputs: coolant.FLOOD, coolant.MIST."""
+        """Set the coolant outputs: coolant.FLOOD, coolant.MIST."""
 
     def add_pins(self, outputs: tuple[int, ...], inputs: tuple[int, ...]) -> None:
-        """Pins of an extra: outputs that drive() sets, inputs that sense() reads."""
+        """Add an extra's pins: outputs that drive() sets, inputs that sense() reads."""
 
     def drive(self, levels: int) -> None:
-        """Levels of the outputs of add_pins(), a bit each. May be called in an interrupt."""
+        """Set the levels of the outputs of add_pins(), a bit each. Safe in an interrupt."""
 
     def pulse(self, index: int, hz: int, duty: int) -> None:
-        """Have that output make pulses: hz in a second, on for duty / 65535 of the time."""
+        """Make output `index` pulse: hz times per second, on for duty / 65535 of the time."""
 
     def rest(self, levels: int) -> None:
-        """The levels that kill() sets."""
+        """Set the levels of these outputs that kill() sets."""
 
     def sense(self) -> int:
-        """Levels of the inputs of add_pins(), a bit each."""
+        """Return the levels of the inputs of add_pins(), a bit each."""
 
     def watch_pins(self, on_change: Callable[[], None]) -> None:
-        """Call on_change, in interrupt context, when one of those inputs changes, and once more
-        when that one is looked at again, some milliseconds later."""
+        """Call on_change, in interrupt context, when one of those inputs changes, and again when
+        it is checked once more, some milliseconds later."""
 
     def ticks_ms(self) -> int:
-        """Milliseconds, wrapping at some power of two; compare with elapsed_ms."""
+        """Return milliseconds, modulo some power of two; compare with elapsed_ms."""
 
     def elapsed_ms(self, since: int) -> int:
-        """Milliseconds since a value of ticks_ms()."""
+        """Return the milliseconds since a value of ticks_ms()."""
 
 class BoardPort(Port, Protocol):
-    """A Port of a real board: what power_up wants besides."""
+    """A Port of a real board, with what power_up needs in addition."""
 
     def safe(self) -> None:
-        """What could do harm off, once; motors stay as they are."""
+        """Switch off everything that could do harm, once; motors are not changed."""
 
     def held(self, pin: int | None) -> bool:
-        """A button between this pin and ground is held."""
+        """Return whether a button between this pin and ground is held."""
 
     def watch(self, timeout_ms: int) -> Callable[[], None] | None:
-        """Make the chip start anew where the result is not called for so long; 0: no more."""
+        """Start the watchdog: the chip resets if the result is not called for timeout_ms. 0 ends
+        it."""
 
 class DriverWire(Protocol):
     """A serial line to motor drivers: ports/driver_wire.py."""
 
     def exchange(self, request: bytes | bytearray, answer_bytes: int) -> bytes | None:
-        """Send, and return the answer, or what has come of it. None: the wire is broken."""
+        """Send, and return the answer, or as much as was received. None: the wire is broken."""
 
 class JobFiles(Protocol):
-    """Programs that live on the board, by name. What cannot be done is an OSError."""
+    """Programs stored on the board, by name. Failures raise OSError."""
 
-    on_progress: Callable[[], object]  # called while files are gone through
+    on_progress: Callable[[], object]  # called repeatedly while files are read through
 
     def mount(self) -> None:
-        """See to it that they can be reached. None may be open."""
+        """Make the files accessible. No file may be open."""
 
     def lose(self) -> bool:
-        """Behind an OSError: mount() begins anew. Returns whether they can be taken out."""
+        """After an OSError: forget the medium, so that mount() starts again. Returns whether it is
+        removable."""
 
     def is_name(self, name: str) -> bool:
-        """Whether a program may be called so."""
+        """Return whether a program may have this name."""
 
     def files(self) -> list[tuple[str, int]]:
-        """Names and sizes in bytes, in order."""
+        """Return names and sizes in bytes, in order."""
 
     def size(self, name: str) -> int:
-        """Bytes; -1 where there is none of that name."""
+        """Return the size in bytes; -1 if there is no such program."""
 
     def open(self, name: str) -> IO[bytes]:
-        """To be read."""
+        """Open a program for reading."""
 
     def free_kb(self) -> int:
-        """What still fits."""
+        """Return the free space, in kB."""
 
     def delete(self, name: str) -> None:
-        """Take one away."""
+        """Delete a program."""
 
     def begin(self, name: str) -> IO[bytes]:
-        """Where to write what is to be called so."""
+        """Open a file for a new program of this name."""
 
     def append(self, file: IO[bytes], piece: bytes | bytearray) -> None:
         """Write the next piece."""
 
     def finish(self, name: str, file: IO[bytes], checksum: int) -> bool:
-        """Have it take its place ; False where its CRC-32 is another: the old one stays."""
+        """Replace the program by the new file. If the CRC-32 differs from checksum the old program
+        stays, and False is returned."""
 
     def drop(self, name: str, file: IO[bytes]) -> None:
-        """What has come is not wanted."""
+        """Discard the new file."""
 
 class Card(Protocol):
-    """A folder that can be taken out."""
+    """A removable folder."""
 
     folder: str
     shared: array[int]  # with the supervisor, see ports/supervisor.py
 
     def mount(self) -> None:
-        """Have what is in the holder now in its folder; OSError where that cannot be."""
+        """Mount the present medium at its folder. Raises OSError if that fails."""
 
     def unmount(self) -> None:
-        """Forget what was known of it."""
+        """Forget the medium."""
 
     def check(self) -> None:
-        """OSError where something could not be read or written since."""
+        """Raise OSError if something could not be read or written since."""
 
 class Options(Protocol):
-    """What an extra's prepare() may have otherwise, before the machine is made."""
+    """Options that an extra's prepare() may change before the machine is built."""
 
     axes: int
     kinematics: Kinematics | None  # None: each motor moves the axis of its own number
@@ -380,139 +383,141 @@ class Options(Protocol):
     homing_probing: type[HomingProbing]
     planner: type[Planner]
     canon: type[MachineCanon]
-    report: type[Report]  # or one that speaks another dialect
-    spindle: type[Spindle]  # or a tool that is told the same
+    report: type[Report]  # or one of another dialect
+    spindle: type[Spindle]  # or a tool with the same methods
     reads: tuple[int, int, int]  # talk/lines.py
     highest_tool: int
     line_length: int  # characters of a line
-    rx_bytes: int  # that a sender may have under way
+    rx_bytes: int  # that a sender may send before they are answered
     defaults: dict[int, float]  # settings that differ from Grbl's
     custom: tuple[str, ...]  # the user's own modules
-    job_files: JobFiles | None  # programs that live on the board
-    driver_wire: DriverWire | None  # to motor drivers that have one
+    job_files: JobFiles | None  # programs stored on the board
+    driver_wire: DriverWire | None  # to motor drivers with a serial line
 
 class Extra(Protocol):
-    """A module of extras/, or a user's. It may have PINS: what it calls pins in the board file;
-    and prepare(options, board), called before the machine is made."""
+    """A module of extras/, or a user's. It may have PINS, the board file's options that name its
+    pins; and prepare(options, board), called before the machine is built."""
 
     def install(self, cnc: Cnc) -> None:
-        """The machine is there: put around it what is to be otherwise."""
+        """Change the machine, once it is built."""
 
 class Voice(Protocol):
-    """What may be said from below: talk/report.py in the words of its dialect."""
+    """Output that lower parts may use: talk/report.py, in the words of its dialect."""
 
     @property
     def send(self) -> Callable[[bytes | bytearray | memoryview], None]:
-        """Write bytes as they are."""
+        """Write bytes unchanged."""
 
     def message(self, text: str) -> None:
-        """Something a person should know."""
+        """Send a message to the user."""
 
     def alarm(self, code: int) -> None:
-        """The machine had to stop."""
+        """Report an alarm."""
 
     def status(self) -> memoryview:
-        """The answer to ?, to be sent before there is another."""
+        """Return the answer to ?. Send it before the next call."""
 
     def probe(self, probe: array[float]) -> None:
-        """Where the probe touched last, mm, and whether it did."""
+        """Report the position of the last contact, mm, and whether there was one."""
 
 class Link(Protocol):
-    """The sender: USB, UART, a pseudo-terminal, a test."""
+    """The connection to the sender: USB, UART, a pseudo-terminal, a test."""
 
     def read_into(self, buf: bytearray) -> int:
-        """Move what has arrived into buf; return how many bytes. Never waits long."""
+        """Move received bytes into buf; return how many. Never waits long."""
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send; waits where the line is slower than we are."""
+        """Send; waits if the line is slower."""
 
     def discard(self) -> None:
-        """Drop what has arrived and has not been read."""
+        """Drop bytes that were received and not yet read."""
 
 class BoardLink(Link, Protocol):
-    """A Link of a real board: what power_up and the supervisor want besides."""
+    """A Link of a real board, with what power_up and the supervisor need in addition."""
 
     shared: array[int]  # with the supervisor, see ports/supervisor.py
-    check_supervisor: Callable[[], None]  # the supervisor's, called in the main loop, and raises
-    is_slow: bool  # Ctrl-X is not heard before the main loop reads
+    check_supervisor: Callable[[], None]  # the supervisor's, called in the main loop; may raise
+    is_slow: bool  # Ctrl-X takes effect only when the main loop reads
 
     @property
     def poll_reset(self) -> Callable[[], int] | None:
-        """Called by the supervisor, in its interrupt: whether a Ctrl-X has come. None where
-        there is nothing to see but by reading."""
+        """Called by the supervisor, in its interrupt: whether a Ctrl-X was received. None if only
+        reading can show it."""
 
     def attach(self, at_rest: Callable[[], bool], on_open: Callable[[], None]) -> None:
-        """Say when the REPL may be asked for, and who greets a sender that opens the port anew."""
+        """Set two functions: whether the REPL may be entered, and the welcome of a sender that
+        opens the port again."""
 
     def close(self) -> None:
-        """Leave all to MicroPython's prompt."""
+        """Hand the link over to MicroPython's prompt."""
 
 class Access(Protocol):
-    """Which callers may do more than read: ports/net/access.py."""
+    """Decides which clients may do more than read: ports/net/access.py."""
 
-    secret: str  # who says it may
+    secret: str  # a client that sends it may
 
     def random_bytes(self, count: int) -> bytes:
-        """So many bytes that nobody can guess."""
+        """Return that many unpredictable bytes."""
 
 class Connection(Protocol):
-    """One who has called over the network: MicroPython's socket, which never waits."""
+    """A client's connection over the network: MicroPython's socket, which never waits."""
 
     def readinto(self, buf: bytearray, /) -> int | None:
-        """Move what has come into buf; None where nothing has, 0 where he has hung up."""
+        """Move received bytes into buf; None if there are none, 0 if the client has closed."""
 
     def write(self, data: bytes | bytearray | memoryview, /) -> int | None:
-        """Send as much as there is room for; None where there is none."""
+        """Send as much as there is space for; None if there is none."""
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
 
 class Incoming(Protocol):
-    """Who calls over the network: ports/net/tcp.py."""
+    """Accepts clients over the network: ports/net/tcp.py."""
 
     def next(self) -> tuple[Connection, str] | None:
-        """The next one, and his address; None where nobody calls."""
+        """Return the next client and its address; None if there is none."""
 
     def close(self) -> None:
-        """Hear nobody any more."""
+        """Stop listening."""
 
 class Control(Protocol):
-    """Who is in control of a machine on the network, as extras/net/net_access.py knows it."""
+    """The controlling client of a machine on the network, for extras/net/net_access.py."""
 
-    ending: bool  # lines of another client are not done yet
-    drop_half: Callable[[], None]  # the line that has begun is not wanted
-    has_half: Callable[[], bool]  # one has begun
+    ending: bool  # lines of the previous client are not finished yet
+    drop_half: Callable[[], None]  # drops a line received in part
+    has_half: Callable[[], bool]  # whether a line was received in part
 
     def done(self) -> None:
-        """They are."""
+        """Note that these lines are finished."""
 
 class NetworkLink(Link, Protocol):
-    """A Link with the cable and a network, as extras/net/net_access.py knows it."""
+    """A Link with the cable and a network, for extras/net/net_access.py."""
 
     access: Access
     control: Control
-    status: Callable[[], str]  # what the radio says
+    status: Callable[[], str]  # state of the radio
 
     def by_cable(self) -> bool:
-        """Who drives sits at the cable."""
+        """Return whether the controlling client is on the cable."""
 
     def write_cable(self, data: bytes) -> None:
-        """What nobody else is to read."""
+        """Write to the cable only."""
 
     def client_count(self) -> int:
-        """How many are connected."""
+        """Return how many clients are connected."""
 
     def expel(self) -> None:
-        """Hang up on all of them."""
+        """Close all their connections."""
 
 class Store(Protocol):
-    """Text lines kept over power-off, by name."""
+    """Text lines that survive power-off, by name."""
 
-    # What load() could not read the newest copy of; whether it has returned an older one.
+    # Names whose newest copy load() could not read; True if it returned an older one.
     damaged: dict[str, bool]
 
     def load(self, name: str) -> list[str] | None:
-        """No lines where there never were any under that name, None where they are lost."""
+        """Return the lines: an empty list if there never were any under that name, None if they
+        are lost."""
 
     def save(self, name: str, lines: Iterable[str]) -> None:
-        """Replace at once or not at all."""
+        """Replace them at once or not at all. Raises OSError."""

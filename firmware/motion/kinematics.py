@@ -1,10 +1,10 @@
 """Kinematics: which motor moves which axes, and in which direction.
 
-In and out: whole steps. The planner counts those of axes up to where a block begins; blocks,
-segments and engines know motors only. What a motor does is a number (layout.MOVES): bit n, its
-steps go up with those of axis n; bit n + REVERSE, they go down. The first motors, one per axis,
-have the settings of that axis; each further one does what one of the first does, or the reverse.
-Where each motor moves the axis of its own number, a board has no need of this module.
+Everything is in whole steps. The planner counts steps of axes up to the start of a block; blocks,
+segments and engines count steps of motors. A number describes a motor (layout.MOVES): with bit n
+its steps increase with those of axis n, with bit n + REVERSE they decrease. The first motors, one
+per axis, have the settings of that axis; each further motor does as one of the first, or the
+reverse. A board does not need this module if each motor moves the axis of its own number.
 """
 
 from array import array
@@ -18,24 +18,24 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# What the first motors do; the others, up to one per axis, move the axis of their own number.
+# The first motors; the others, up to one per axis, move the axis of their own number.
 COREXY = (0x003, 0x201)  # A makes x + y, B makes x - y
 
 
 class Kinematics:
-    """A machine's table. moves: what its first motors do; alone: those (a mask) that stop at a
-    switch of their own, each of the motor's number."""
+    """A machine's table. moves: numbers of its first motors (see above); alone: a mask of motors
+    that stop at a switch of their own, which has the motor's number."""
 
     def __init__(self, axes: int, moves: "Sequence[int]", alone: int = 0) -> None:
         self.moves = list(moves) + [1 << i for i in range(len(moves), axes)]
         self.alone = alone
         self._axes = range(axes)
         self._motors = range(len(self.moves))
-        self._places = array("i", bytes(8 * axes))  # behind the axes' stand zeros
+        self._places = array("i", bytes(8 * axes))  # steps of the axes, then zeros
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """Steps of an axis: the mean of what its motors have made, towards 0. Of several that only
-        move this axis, the first says it."""
+        """Return the steps of an axis: the mean of its motors' steps, rounded towards 0. If
+        several motors move only this axis, it is the first one's."""
         if self.moves[axis] == 1 << axis:
             return motors[axis]
         total = count = 0
@@ -50,13 +50,13 @@ class Kinematics:
         return total // count if total >= 0 else -(-total // count)
 
     def to_axes(self, motors: "array[int]") -> None:
-        """Put the steps of the axes where those of the first motors are. Takes no memory."""
+        """Replace the steps of the first motors by those of the axes. Takes no memory."""
         self._find(motors)
         for i in self._axes:
             motors[i] = self._places[i]
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
-        """Change the steps of an axis' motors so that it stands there, and no other axis moves."""
+        """Change the steps of an axis' motors so that it is there, and no other axis moves."""
         self._find(motors)
         self._places[axis] = steps
         changed = self.motors_of(1 << axis)
@@ -65,7 +65,7 @@ class Kinematics:
                 motors[i] = motor_steps(self._places, 0, len(self._axes), self.moves[i])
 
     def motors_of(self, axes: int) -> int:
-        """The motors (a mask) that move any of these axes (a mask)."""
+        """Return the motors (a mask) that move any of these axes (a mask)."""
         mask = 0
         for i in self._motors:
             if (self.moves[i] | self.moves[i] >> REVERSE) & axes:
@@ -73,11 +73,11 @@ class Kinematics:
         return mask
 
     def stopped_by(self, switches: int) -> int:
-        """The motors (a mask) that stop at these switches (a mask): an axis', where they have none
-        of their own."""
+        """Return the motors (a mask) that stop at these switches (a mask): a motor's own, else an
+        axis'."""
         return self.motors_of(switches & ~self.alone) | switches & self.alone
 
     def _find(self, motors: "array[int]") -> None:
-        """Where the axes are, into places."""
+        """Compute the steps of the axes into places."""
         for i in self._axes:
             self._places[i] = self.axis_steps(motors, i)

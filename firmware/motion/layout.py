@@ -1,8 +1,8 @@
-"""Layout: what stands where in the integers that motion is made of.
+"""Layout: the places in the arrays of integers that motion uses.
 
-Blocks, the planner's rows; the table of what the kernels know of the machine; the flow, which main
-loop and interrupt share; segments, the rows that go to a pulse engine. One vocabulary for planner,
-kernels and engines; `ugrbl build` puts the numbers in place.
+Blocks are the rows of the planner's ring. The table has what the kernels need to know of the
+machine. The flow is shared by main loop and interrupt. Segments are the rows that go to a pulse
+engine. Planner, kernels and engines use these names; `ugrbl build` replaces them by the numbers.
 
 Speeds are squared and linear on one scale per machine, `table[SQR_SCALE]`: 2**30 is the square
 of the highest speed any move can have. Within a block speeds are in units of 2**-18 step of its
@@ -16,47 +16,47 @@ from micropython import const
 # One row of the planner's ring: a block.
 EVENTS = const(0)  # steps of its longest axis
 DIRS = const(1)  # mask of motors that turn backwards
-FLAGS = const(2)  # what the planner was told about it (planner.py)
+FLAGS = const(2)  # flags of the move: below, and planner.py
 LINE = const(3)  # line number N
 POWER = const(4)  # spindle power while it runs; DYNAMIC blocks: at the programmed rate, in 1/64
 LENGTH = const(5)  # real, mm
 RATE = const(6)  # real, mm/s as programmed
-RAPID = const(7)  # real, mm/s: what its axes allow
-ACCEL = const(8)  # real, mm/s2: what its axes allow
+RAPID = const(7)  # real, mm/s: limit of its axes
+ACCEL = const(8)  # real, mm/s2: limit of its axes
 NOMINAL = const(9)  # real, mm/s, overrides included
-ENTRY_SQR = const(10)  # the planner's promise: from here, it can always stop in time
+ENTRY_SQR = const(10)  # the planner's promise: after it, motion can always stop in time
 MAX_ENTRY_SQR = const(11)
 JUNCTION_SQR = const(12)
 FACTOR = const(13)  # real: block speed units per (mm/s)
 RAMP = const(14)  # acceleration in block speed units per segment
 CRUISE = const(15)  # nominal speed in block speed units
-PROGRAMMED = const(16)  # rate as programmed in block speed units
+PROGRAMMED = const(16)  # programmed rate in block speed units
 NOMINAL_SQR = const(17)
-DELTA_SQR = const(18)  # how much speed squared can change over the block
-STEPS = const(19)  # per motor, without sign; behind them, per motor, steps * 2**29 / EVENTS
+DELTA_SQR = const(18)  # largest change of speed squared over the block
+STEPS = const(19)  # per motor, without sign; then, per motor, steps * 2**29 / EVENTS
 
 
-# The table: what the kernels know of the machine.
+# The table of the machine, for the kernels.
 AXES = const(0)
 MOTOR_COUNT = const(1)
 SQR_SCALE = const(2)  # real: scaled speed squared per (mm/s)2
 JUNCTION = const(3)  # real: 2**16 * junction deviation * SQR_SCALE
 SEGMENT_RATE = const(4)  # real: block speed units per (step/s)
 SEGMENT_ACCEL = const(5)  # real: block speed units per segment, per (step/s2)
-SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the most
+SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at most
 POWER_FLOOR = const(7)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
-POWER_MAX = const(8)  # spindle power at the most
+POWER_MAX = const(8)  # highest spindle power
 SLOWEST = const(9)  # real, mm/s: no block is slower
-FEED_OVERRIDE = const(10)  # reals: as parts of 1
+FEED_OVERRIDE = const(10)  # reals: as a fraction, 1 for 100 %
 RAPID_OVERRIDE = const(11)
 ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
-SLICE = const(13)  # how long a row is where the speed changes, in 2**-17 of a full segment
-# Real: by so much, a root of a scaled speed squared, corners are planned slower, per mm/s2; 0, but
-# where an extra wants it.
+SLICE = const(13)  # length of a row where the speed changes, in 2**-17 of a full segment
+# Real: how much slower corners are planned, per mm/s2, as a root of a scaled speed squared; 0
+# unless an extra sets it.
 JUNCTION_DERATE = const(14)
 LIMITS = const(15)  # three reals per axis: mm per step, mm/s, mm/s2
-# Behind the limits, one of each per axis: direction of the last block, of the present one, its
-# distances; and, so many times the axes behind the limits:
+# After the limits, one each per axis: direction of the last block, direction of the present one,
+# its distances. Then, at these multiples of the number of axes after LIMITS:
 RESOLUTION = const(6)  # steps/mm, bits of a float
 TARGET = const(7)  # steps + 2**29
 POSITION = const(8)  # steps + 2**29 where the last block ends
@@ -65,70 +65,70 @@ REVERSE = const(8)
 
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
-ROWS = const(1)  # blocks in the ring; one more behind them is the system's own
-HEAD = const(2)  # the main loop's: where the next block goes
+ROWS = const(1)  # blocks in the ring; the system's own block follows them
+HEAD = const(2)  # the main loop's: where the next block is put
 TAIL = const(3)  # the interrupt's: the block being executed
-HOLD = const(4)  # the main loop's: come to rest, and stay
-SYSTEM = const(5)  # 1: run the system's own block and no other; 2: that is done
-LOADED = const(6)  # the interrupt's from here on
-AT = const(7)  # where in the ring the loaded block begins
+HOLD = const(4)  # the main loop's: stop, and stay stopped
+SYSTEM = const(5)  # 1: execute only the system's own block; 2: it is executed
+LOADED = const(6)  # the interrupt's, from here on: a block is loaded
+AT = const(7)  # index of the loaded block in the ring
 NOW = const(8)  # speed in block speed units, at the end of the segment planned
 CARRY = const(9)  # real, mm/s: speed between blocks
 LEAVE = const(10)  # speed at which to leave the block
-LEAVE_SQR = const(11)  # the same as the planner put it
-WHOLE = const(12)  # steps of the longest axis still to go,
+LEAVE_SQR = const(11)  # the same as the planner set it
+WHOLE = const(12)  # steps of the longest axis still to be made,
 FRACTION = const(13)  # and 2**-18 of one
-PARTIAL = const(14)  # distance come since the last step of the longest axis, in 2**-18 step,
-SPARE = const(15)  # and its time, in ticks: both go into the next row
-ADVANCE = const(16)  # distance of the segment planned that is in no row yet,
-LEFT = const(17)  # and what it still lacks of a full one, in 2**-17
-BRAKE_FROM = const(18)  # braking from this speed to that takes so many whole steps,
+PARTIAL = const(14)  # distance since the last step of the longest axis, in 2**-18 step,
+SPARE = const(15)  # and its time, in ticks: both are added to the next row
+ADVANCE = const(16)  # distance of the segment planned that is not yet in a row,
+LEFT = const(17)  # and its time short of a full segment, in 2**-17
+BRAKE_FROM = const(18)  # braking from this speed to BRAKE_TO takes BRAKE_WAY whole steps,
 BRAKE_TO = const(19)
 BRAKE_WAY = const(20)
-BRAKE_UNIT = const(21)  # or, where this is 18, so much in 2**-18 step
-UNPLANNED = const(22)  # the main loop's: blocks that reverse_pass() has not seen yet
-SLICES = const(23)  # rows that the segment planned has still to be cut into, at the most;
-TIME = const(24)  # they last so long, in 2**-17 of a full one,
-REACHED = const(25)  # and begin at this speed, with which the last row has ended
-PIECE = const(26)  # where its piece stands that is being cut
+BRAKE_UNIT = const(21)  # or, if this is 18, BRAKE_WAY in 2**-18 step
+UNPLANNED = const(22)  # the main loop's: blocks that reverse_pass() has not visited yet
+SLICES = const(23)  # most rows into which the rest of the planned segment is cut;
+TIME = const(24)  # how long they last, in 2**-17 of a full segment;
+REACHED = const(25)  # their first speed, the last one of the row before
+PIECE = const(26)  # index of the piece being cut
 WAY = const(27)  # distance of the piece being planned
-PIECES = const(28)  # per piece of the segment: how long, to which speed
+PIECES = const(28)  # per piece of the segment: its time, its final speed
 MOTORS = const(36)  # per motor: steps still to go; phase, 2**18 is a step
 FLOW_LENGTH = const(36)
 
-# Flags of a block that the kernels look at; planner.py has the others.
+# Flags of a block that the kernels test; planner.py has the others.
 RAPID_MOTION = const(0x01)
-SYSTEM_MOTION = const(0x02)  # homing and parking: from rest, to rest, outside the ring's order
+SYSTEM_MOTION = const(0x02)  # homing and parking: from and to standstill, outside the ring's order
 NO_FEED_OVERRIDE = const(0x04)
 INVERSE_TIME = const(0x08)  # RATE is per block, not per mm
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
-PLACED = const(0x80)  # its TARGET stands in the table
+PLACED = const(0x80)  # its TARGET is already in the table
 
-# A row that goes to the pulse engine: a segment, or a slice of it.
-ROW_TICKS = const(0)  # how long it lasts
+# A row for the pulse engine: a segment, or a slice of it.
+ROW_TICKS = const(0)  # its time
 ROW_DIRS = const(1)  # mask of motors that turn backwards
 ROW_POWER = const(2)  # spindle power, or KEEP_POWER
-# Per motor: steps, tick of the first, tick of the last, the others evenly between.
+# Per motor: steps, tick of the first, tick of the last; the others are evenly spaced.
 ROW_AXES = const(3)
 ROW_STRIDE = const(3)
 KEEP_POWER = const(0x3FFFFFFF)
 
 
 def block_length(motors: int) -> int:
-    """Integers in a row of the planner's ring."""
+    """Return the integers in a row of the planner's ring."""
     return STEPS + 2 * motors
 
 
 def ring(motors: int, blocks: int) -> "array[int]":
-    """The planner's ring, empty: so many blocks, and the system's own behind them."""
+    """Return the planner's ring, empty: its blocks, then the system's own."""
     return array("i", bytes(4 * block_length(motors) * (blocks + 1)))
 
 
 def table_length(axes: int, motors: int) -> int:
-    """Integers in the table of what the kernels know of the machine."""
+    """Return the integers in the table of the machine."""
     return LIMITS + MOVES * axes + motors
 
 
 def row_length(motors: int) -> int:
-    """Integers in a segment row."""
+    """Return the integers in a segment row."""
     return ROW_AXES + ROW_STRIDE * motors

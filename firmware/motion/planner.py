@@ -1,11 +1,10 @@
 """Planner: a ring of blocks, each joined to the next as fast as both allow.
 
-In: absolute targets in mm (single precision), rates in mm/min. Out: rows of
-integers for segments.py. A row holds a *promise*: the speed it may be entered
-with so that everything behind it can still be braked for. The interrupt
-speeds up towards the promises as its acceleration allows, so no second pass
-is needed. Lines come from canon, seek and suspension only; allocates nothing
-per block but the floats of its caller.
+In: absolute targets in mm (single precision), rates in mm/min. Out: rows of integers for
+segments.py. A row holds a *promise*: a speed at which it may be entered, so that the machine can
+still brake for all blocks after it. The interrupt accelerates towards the promises as far as it
+can, so no forward pass is needed. Only canon, homing_probing and suspension add lines. Nothing is
+allocated per block, except the caller's floats.
 """
 
 from array import array
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
     _Plan = Callable[[array[float], int, int, int, int], int]
 
-# Flags of a block, besides those that the kernels look at.
+# Flags of a block that the kernels do not test.
 SPINDLE_CW = const(0x10)
 SPINDLE_CCW = const(0x20)
 COOLANT_SHIFT = const(8)  # flood 0x100, mist 0x200
@@ -37,21 +36,21 @@ ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)
 _NO_DIRECTION = const(0x4000)  # see plan_kernel.limit()
-# Where the speed changes, a segment is cut into so many, of a millisecond and more.
+# Where the speed changes, a segment is cut into at most so many slices, of 1 ms or more.
 _SLICES = const(8)
-# Steps in a full segment, at most: speeds in 2**-18 step per segment have 30 bits. With 10 ms that
-# is 390 to 410 kHz; where an axis is faster, full segments are half as long.
+# Most steps in a full segment, so that speeds in 2**-18 step per segment have 30 bits. With 10 ms
+# that is 390 to 410 kHz; where an axis is faster, full segments are half as long.
 _MOST_STEPS = const(4095)
 _SLOWEST_MM_S = 1 / 60
-_LEAST = 1e-8  # mm/s and mm/s2: of a limit of 0 kernels would make reals below 0
-# No motor is further than that from 0, in steps. Kernels count them from -2**29 to 2**29; less, by
-# what single precision may round.
+_LEAST = 1e-8  # lowest limit, mm/s and mm/s2: kernels would compute negative reals from 0
+# Greatest distance of a motor from 0, in steps. Kernels count from -2**29 to 2**29; the rest is
+# for rounding in single precision.
 _REACH = const(0x1FFFFF00)
-_FINEST = 1e8  # steps/mm: no division by nothing, whatever $100 is
+_FINEST = 1e8  # highest steps/mm, so that nothing is divided by 0, whatever $100 is
 
 
 class Move:
-    """How to go somewhere: one reusable record, filled in by who asks.
+    """How to move: one reusable record, which the caller fills in.
 
     feed: mm/min, or lines per minute with INVERSE_TIME; spindle_rpm: programmed speed.
     """
@@ -60,7 +59,7 @@ class Move:
         self.clear()
 
     def clear(self) -> None:
-        """As new."""
+        """Reset all fields."""
         self.feed = 0.0
         self.flags = 0
         self.spindle_rpm = 0.0
@@ -68,13 +67,13 @@ class Move:
 
 
 class Planner:
-    """The ring. `flow` is what it shares with the interrupt; see layout.py.
+    """The ring. `flow` is shared with the interrupt; see layout.py.
 
-    kinematics: None where each motor moves the axis of its own number. ring: room for it, all
-    0, if that has been made in advance.
+    kinematics: None if each motor moves the axis of its own number. ring: its memory, all 0, if
+    allocated in advance.
     """
 
-    # What an extra has put in the place of plan().
+    # An extra's replacement for plan().
     move_hook: "_Plan | None" = None
 
     def __init__(
@@ -103,10 +102,10 @@ class Planner:
         self.table[layout.MOTOR_COUNT] = motors
         for i in range(motors):
             self.table[layout.LIMITS + layout.MOVES * axes + i] = moves[i]
-        # Spindle speed of each block in rpm, as programmed, and of an arc's chords; the interrupt
-        # has no use for it.
+        # Programmed spindle speed of each block, rpm, then of the system's block and of an arc's
+        # chords. The interrupt does not use it.
         self.speeds = vector(blocks + 2)
-        # Where the last block ends, in steps; part of the table.
+        # End of the last block, in steps; part of the table.
         at = layout.LIMITS + layout.POSITION * axes
         self.position = memoryview(self.table)[at : at + axes]
         self.steps_per_mm = vector(axes)
@@ -118,7 +117,7 @@ class Planner:
     def configure(
         self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
-        """Take over rates, accelerations and resolution. step_hz: what the engine can make."""
+        """Apply rates, accelerations and resolution. step_hz: the engine's highest rate."""
         table = self.table
         fastest_sqr = fastest_hz = 0.0
         for i in range(self.axes):
@@ -148,27 +147,28 @@ class Planner:
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
 
     def reach_mm(self, axis: int) -> float:
-        """How far from 0 an axis may be. A motor of several axes counts the steps of all."""
+        """Return how far from 0 an axis may be. A motor of several axes counts the steps of
+        all."""
         moves = self.kinematics.moves if self.kinematics else (1,)
         most = max([sum([move >> i & 1 for i in range(2 * layout.REVERSE)]) for move in moves])
         return _REACH / most / self.steps_per_mm[axis]
 
     def free(self) -> int:
-        """Blocks that can still be added."""
+        """Return how many blocks can still be added."""
         flow = self.flow
         return (flow[TAIL] - flow[HEAD] - 1) % flow[ROWS]
 
     def full(self) -> bool:
-        """No block can be added. Asked at every turn of who waits, and so not by free()."""
+        """Return whether no block can be added. Without free(), because waits call it often."""
         flow = self.flow
         return (flow[HEAD] + 1 - flow[TAIL]) % flow[ROWS] == 0
 
     def empty(self) -> bool:
-        """No block is waiting or being executed; its last segments may still be under way."""
+        """Return whether no block waits or is executed; its last segments may still be playing."""
         return self.flow[HEAD] == self.flow[TAIL]
 
     def row(self) -> "memoryview | None":
-        """The block being executed, or next to be."""
+        """Return the block being executed, or the next one; None if there is none."""
         if self.empty():
             return None
         size = self.flow[layout.ROW_SIZE]
@@ -176,15 +176,15 @@ class Planner:
         return memoryview(self.ring)[at : at + size]
 
     def line_number(self) -> int:
-        """N of the block being executed; 0 if there is none."""
+        """Return N of the block being executed; 0 if there is none."""
         if self.empty():
             return 0
         return self.ring[self.flow[TAIL] * self.flow[layout.ROW_SIZE] + LINE]
 
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """Add a straight line to target. There must be room. Returns False where it has no steps.
+        """Add a straight line to target. A block must be free. Returns False if it has no steps.
 
-        power: what the spindle makes of the move's spindle speed (spindle.Spindle.power).
+        power: the power for the move's spindle speed (Spindle.block_power).
         """
         flags, flow = move.flags, self.flow
         head = flow[HEAD]
@@ -194,19 +194,19 @@ class Planner:
         self.speeds[flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
-    @micropython.native  # here, and for what stands in its place: a frame of bytecode has no room
+    @micropython.native  # a replacement must be, too: the stack has no space for bytecode's frame
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Put a line into the ring: see plan_kernel.plan()."""
+        """Add a line to the ring: see plan_kernel.plan()."""
         return plan_kernel.plan(target, self.table, self.ring, self.flow, flags, line, power, rate)
 
     def rate(self, feed: float) -> int:
-        """A feed in mm/min as a real in mm/s."""
+        """Convert a feed in mm/min to a real in mm/s."""
         self._feed[0] = feed
         return minifloat.per_second(self._feed, 0)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """Add some chords of an arc, or pass them over where nothing moves. Returns what it has
-        come upon: see arcs.follow()."""
+        """Add some chords of an arc, or skip them if moves is False. Returns the reason to pause:
+        see arcs.follow()."""
         self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm
         return arcs.follow(
             course,
@@ -223,8 +223,11 @@ class Planner:
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"
     ) -> bool:
-        """A move of the system's own from start, in steps: from rest to rest, beside the ring."""
-        # Where the next block leads may be known by now: TARGET, with POSITION behind it.
+        """Add a move of the system's own, outside the ring, from standstill to standstill.
+
+        start: motor positions, in steps. Returns False if the move has no steps.
+        """
+        # The target of the next block may already be set: TARGET, with POSITION after it.
         places = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
         before = array("i", places[: 2 * self.axes])
         self.sync_motors(start)
@@ -233,14 +236,14 @@ class Planner:
         return planned
 
     def catch_up(self) -> None:
-        """Plan what has been added and not been seen to yet: see plan_kernel.append_block()."""
+        """Plan blocks that were added and not yet planned: see plan_kernel.append_block()."""
         if self.flow[UNPLANNED]:
             plan_kernel.reverse_pass(self.ring, self.flow, 0)
         if self._state.hooks.caught_up:
             call_all(self._state.hooks.caught_up)
 
     def override(self) -> None:
-        """Work out every block anew after an override has changed."""
+        """Plan every block again after a changed override."""
         flow = self.flow
         self.table[layout.FEED_OVERRIDE] = minifloat.real(self._state.feed_override / 100)
         self.table[layout.RAPID_OVERRIDE] = minifloat.real(self._state.rapid_override / 100)
@@ -256,7 +259,7 @@ class Planner:
         plan_kernel.reverse_pass(self.ring, flow, 1)
 
     def each_power(self, power: "Callable[[int, float], int]") -> None:
-        """Set the spindle power of every block anew, from its flags and speed."""
+        """Set the spindle power of every block again, from its flags and speed."""
         flow = self.flow
         at = flow[TAIL]
         while at != flow[HEAD]:
@@ -267,7 +270,7 @@ class Planner:
             call(power)
 
     def clear(self) -> None:
-        """Forget all blocks. Only while the engine is stopped."""
+        """Drop all blocks. Only while the engine is stopped."""
         flow = self.flow
         flow[TAIL] = flow[HEAD]
         for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, layout.SLICES, UNPLANNED):
@@ -275,19 +278,19 @@ class Planner:
         if self._state.hooks.cleared:
             call_all(self._state.hooks.cleared)
 
-    # Steps of motors and places in mm
+    # Conversion between steps of motors and mm
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """Steps of an axis from those of the motors."""
+        """Return the steps of an axis, from those of the motors."""
         return self.kinematics.axis_steps(motors, axis) if self.kinematics else motors[axis]
 
     def to_mm(self, motors: "array[int]", mm: "array[float]") -> None:
-        """Where the motors' steps are, in mm."""
+        """Convert the motors' steps to mm per axis, into mm."""
         for i in range(self.axes):
             mm[i] = f32(self.axis_steps(motors, i)) / self.steps_per_mm[i]
 
     def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
-        """Change the motors' steps so that the axis stands there, or as far as it reaches."""
+        """Change the motors' steps so that the axis is at mm, limited to its reach."""
         reach = self.reach_mm(axis)
         mm = max(min(mm, reach), -reach)
         product = f32(mm * self.steps_per_mm[axis])
@@ -298,6 +301,6 @@ class Planner:
             motors[axis] = steps
 
     def sync_motors(self, motors: "array[int]") -> None:
-        """Go on planning from here: machine position in the motors' steps."""
+        """Plan from this machine position, in the motors' steps."""
         for i in range(self.axes):
             self.position[i] = _BIAS + self.axis_steps(motors, i)

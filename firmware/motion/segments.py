@@ -1,8 +1,7 @@
 """Segments: constant-rate pieces of motion, cut from the planner's blocks on demand.
 
-The pulse engine calls next() from its interrupt; everything it does there is
-in segment_kernel.py. The main loop talks to it through a few words of the flow:
-hold, resume, the system's own block.
+The pulse engine calls next() from its interrupt; all work there is in segment_kernel.py. The main
+loop controls it through a few words of the flow: hold, resume, the system's own block.
 """
 
 import micropython
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Segments:
-    """What the engine asks. planner: whose ring and flow these are."""
+    """The source of segments for the engine. planner: the owner of ring and flow."""
 
     def __init__(self, planner: "Planner") -> None:
         self._planner = planner
@@ -34,10 +33,10 @@ class Segments:
 
     @micropython.viper
     def next(self, row: ptr32) -> int:
-        """Fill in the next segment's row, for the engine's interrupt; 0 where nothing is to move.
+        """Fill in the next segment's row, for the engine's interrupt; 0 if no motion is due.
 
-        Nothing but viper from there to here: a frame of bytecode takes a quarter of a kilobyte
-        of the stack, which the interrupt has to share with all that it interrupts.
+        Only viper runs from there to here: a frame of bytecode takes a quarter of a kilobyte of
+        the stack, which the interrupt shares with the code that it interrupts.
         """
         flow = ptr32(self._flow)
         ring = ptr32(self._ring)
@@ -45,16 +44,16 @@ class Segments:
         return int(fill(flow, ring, table, row))
 
     def hold(self, on: bool) -> None:
-        """Slow down and come to rest; or go on."""
+        """Slow down and stop; or resume."""
         self._flow[HOLD] = 1 if on else 0
 
     def progress(self) -> int:
-        """A number that changes as motion is made."""
+        """Return a number that changes as motion is executed."""
         flow = self._flow
         return flow[layout.TAIL] ^ flow[layout.WHOLE] << 6 ^ flow[LOADED] << 5
 
     def begin_system(self) -> None:
-        """Put the block in progress, at rest, aside: the system's own moves come first."""
+        """Save the stopped block in progress, so that the system's own moves can be executed."""
         if self._saved is None:
             self._saved = type(self._flow)("i", self._flow)
         self._flow[LOADED] = 0
@@ -62,7 +61,7 @@ class Segments:
         self._flow[CARRY] = 0
 
     def end_system(self) -> None:
-        """Take the block put aside up again where it stood."""
+        """Restore the saved block in progress."""
         self._flow[layout.SYSTEM] = 0
         if self._saved is not None:
             for i in range(LOADED, len(self._flow)):
@@ -70,13 +69,13 @@ class Segments:
             self._saved = None
 
     def clear(self) -> None:
-        """Forget the block in progress. Only while the engine is stopped."""
+        """Drop the block in progress. Only while the engine is stopped."""
         self._saved = None
 
     @micropython.viper
     def rate(self) -> int:
-        """The speed up to which rows have been made: a real, in mm/s. A kernel, for who asks has
-        used much of the stack."""
+        """Return the speed at the end of the last row: a real, in mm/s. A kernel, because its
+        callers have used much of the stack."""
         flow = ptr32(self._flow)
         if flow[LOADED]:
             ring = ptr32(self._ring)
@@ -84,8 +83,8 @@ class Segments:
         return flow[CARRY]
 
     def beam_rpm(self) -> "float | None":
-        """S of the block of which rows are made, in rpm: of its rate where power follows that.
-        None where there is no block."""
+        """Return S, in rpm, of the block being cut into rows; with DYNAMIC, scaled to its present
+        speed. None if there is no block."""
         flow, ring = self._flow, self._ring
         at = flow[AT] if flow[LOADED] else flow[layout.TAIL] * flow[layout.ROW_SIZE]
         if not flow[LOADED] and flow[layout.TAIL] == flow[layout.HEAD]:
