@@ -35,7 +35,7 @@ NEXT = const(7)  # the next one's tick,
 GAP = const(8)  # ticks from step to step,
 LONGER = const(9)  # how many of the next gaps are one tick longer,
 PLACE = const(10)  # position after all steps put into buffers
-LAST_LONGER = const(11)  # and how many of the row's last gaps
+LAST_LONGER = const(11)  # and how many of the row's last gaps are
 
 # Integers shared by all lanes.
 AXES = const(0)
