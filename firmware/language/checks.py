@@ -39,10 +39,7 @@ def check(
     arc: ptr32,
 ) -> int:
     """Check a block that was read in that modal state. Returns its requests, bits of
-    block_layout.py, or minus Grbl's error number.
-
-    laser: laser mode is on; jog: the line is a $J= line; stored, plane, arc: the block's.
-    """
+    block_layout.py, or minus Grbl's error number. laser: laser mode; jog: a $J= line."""
     words = ints[b.WORDS]
     if ints[b.CLAIM] == b.AXES_UNCLAIMED and words & b.AXIS_WORDS:
         ints[b.CLAIM] = b.AXES_MOTION
@@ -67,8 +64,7 @@ def check(
             return 0 - errors.GCODE_VALUE_WORD_MISSING
     if ints[mode.INCHES]:
         _in_mm(xyz, machine, singles)
-    # G43.1 is Grbl's, in place of 3.5.11.
-    if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:
+    if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
         if words & b.AXIS_WORDS != 1 << machine[b.LENGTH_AXIS]:
             return 0 - errors.GCODE_G43_DYNAMIC_AXIS_ERROR
     found = int(_targets(ints, singles, xyz, position, offsets, machine, stored))
