@@ -13,19 +13,19 @@ from motion.minifloat import BIAS, HIGHEST, LIMIT, SMALLEST, mul, pack, square_r
 
 
 @micropython.viper
-def share(part: int, all: int) -> int:
-    """Return part / all in 2**-17; 2**17, which is 1, where part >= all. Both: 0 to 2**30 - 1.
+def share(part: int, whole: int) -> int:
+    """Return part / whole in 2**-17; 2**17, which is 1, where part >= whole. Both: 0 to 2**30 - 1.
 
-    A long division in two digits of base 256: with all below 2**22, a remainder shifted by 8 fits.
+    A long division in two digits of base 256: whole is below 2**22, so remainders << 8 fit.
     """
-    if part >= all:
+    if part >= whole:
         return 131072
-    while all >= 1 << 22:
-        all >>= 1
+    while whole >= 1 << 22:
+        whole >>= 1
         part >>= 1
     part <<= 9
-    high = part // all
-    return (high << 8) + (((part - high * all) << 8) // all)
+    high = part // whole
+    return (high << 8) + (((part - high * whole) << 8) // whole)
 
 
 @micropython.viper

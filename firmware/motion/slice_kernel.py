@@ -74,10 +74,10 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
             fast = speed
     if flow[TIME] > 131072:
         return 1  # it is so long for the sake of one step
-    slice = table[SLICE]
+    shortest = table[SLICE]
     if dynamic:
-        slice -= slice >> 2
-    count = (flow[TIME] + (slice >> 1)) // slice or 1
+        shortest -= shortest >> 2
+    count = (flow[TIME] + (shortest >> 1)) // shortest or 1
     slight = fast >> (8 if dynamic else 5)
     steps = fast >> 18
     log2 = table[SEGMENT_LOG2]

@@ -118,9 +118,9 @@ def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
         if int(load(flow, ring, motors)) == 0:
             return 0
         line[MADE_LEFT] = int(block_distance(ring, flow[AT]))
-        all = int(pack(line[MADE_LEFT], BIAS))
+        whole = int(pack(line[MADE_LEFT], BIAS))
         rest = int(distance_left(flow))
-        flow[NOW] = int(part_of(line[BEFORE], all, rest, line[PER_TAP]))
+        flow[NOW] = int(part_of(line[BEFORE], whole, rest, line[PER_TAP]))
     flow[REACHED] = flow[NOW]
     flow[PIECE] = PIECES
     flow[ADVANCE] = 0
@@ -156,7 +156,7 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
     left = line[MADE_LEFT]
     way = line[TO_GO]
     part = line[TIME_LEFT]
-    all = int(pack(left or 1, BIAS))
+    whole = int(pack(left or 1, BIAS))
     rest = int(distance_left(flow))
     whole = (flow[WHOLE] << 18) + flow[FRACTION] if flow[WHOLE] < 4095 else HIGHEST
     steps = whole
@@ -171,10 +171,10 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
         part = int(times(part, share_of_way))
         way = left
     elif way < left:
-        steps = int(part_of(way, all, rest, ONE))
+        steps = int(part_of(way, whole, rest, ONE))
         if steps >= whole:
             steps = whole - 1
-    flow[NOW] = int(part_of(end, all, rest, line[PER_TAP]))
+    flow[NOW] = int(part_of(end, whole, rest, line[PER_TAP]))
     flow[WAY] = steps
     flow[LEFT] = part
     line[BEFORE] = end
@@ -220,15 +220,15 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
         line[OPEN] = 0
     slots = line[FILTER_TAPS]
     at = line[OLDEST]
-    sum = before + way - line[TAP_DISTANCES + at]
+    total = before + way - line[TAP_DISTANCES + at]
     line[TAP_DISTANCES + at] = way
     at += 1
     line[OLDEST] = at if at < slots else 0
-    both = before + sum + line[REMAINDER]
+    both = before + total + line[REMAINDER]
     way = both // (2 * slots)
     line[REMAINDER] = both - 2 * slots * way
     line[BEFORE] = before
-    line[SUM] = sum
+    line[SUM] = total
     line[TO_GO] = way
     line[TIME_LEFT] = 131072
     return 1
@@ -270,8 +270,8 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
 def count(line: ptr32, rest: int) -> int:
     """The way that the plan's last piece has come, in 2**-16 mm: rest was to go before."""
     left = line[PLAN_LEFT]
-    all = int(pack(left, BIAS))
-    way = int(part_of(line[WAY], rest, all, _SIXTEEN)) + line[PLAN_FRACTION]
+    whole = int(pack(left, BIAS))
+    way = int(part_of(line[WAY], rest, whole, _SIXTEEN)) + line[PLAN_FRACTION]
     line[PLAN_FRACTION] = way & 15
     way >>= 4
     if way > left:
