@@ -239,10 +239,9 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                /           `. leave  It brakes as soon as the distance left is no longer
       entry __/              `.__    than the braking distance.
 
-    slack = distance left - braking distance (unit 18 or 0). While cruising a piece uses its own
-    length of it; while speeding up twice that, because the braking distance grows as fast. So
-    room, how far a piece may go, is all of the slack or half. With unit 0 braking begins 2**-12 of
-    its distance early, for the error of braking().
+    slack = distance left - braking distance (unit 18 or 0). Cruising uses its own length of it,
+    speeding up twice that, because the braking distance grows as fast: room, how far a piece may
+    go, is all of it or half. With unit 0 braking begins 2**-12 early, for the error of braking().
     """
     at = flow[AT]
     ramp = ring[at + RAMP]

@@ -156,7 +156,7 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
     left = line[MADE_LEFT]
     way = line[TO_GO]
     part = line[TIME_LEFT]
-    whole = int(pack(left or 1, BIAS))
+    in_line = int(pack(left or 1, BIAS))
     rest = int(distance_left(flow))
     whole = (flow[WHOLE] << 18) + flow[FRACTION] if flow[WHOLE] < 4095 else HIGHEST
     steps = whole
@@ -171,10 +171,10 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
         part = int(times(part, share_of_way))
         way = left
     elif way < left:
-        steps = int(part_of(way, whole, rest, ONE))
+        steps = int(part_of(way, in_line, rest, ONE))
         if steps >= whole:
             steps = whole - 1
-    flow[NOW] = int(part_of(end, whole, rest, line[PER_TAP]))
+    flow[NOW] = int(part_of(end, in_line, rest, line[PER_TAP]))
     flow[WAY] = steps
     flow[LEFT] = part
     line[BEFORE] = end
