@@ -184,8 +184,8 @@ _GUESTS = (
     r"lenient|tmc2209|drain|nonlinear|joint|scara|drilling|upload"
 )
 # Modules of extras, and folders, called by words that the core needs itself: Grbl's (kinematics of
-# a CoreXY, laser mode, a cycle, the chords of an arc), the board's, and everyday ones.
-_SHARED = "__init__ api chords cycles keep kinematics laser motors moves net places tools".split()
+# a CoreXY, laser mode, a cycle), the board's, and everyday ones.
+_SHARED = "__init__ api cycles events handlers kinematics laser motors net positions tools".split()
 
 
 def words_of_extras():
