@@ -1,6 +1,6 @@
-"""Where the firmware and its data lie: beside this file when installed, else in the checkout.
+"""Where the firmware and its data are: in this folder if installed, else in the checkout.
 
-How files are written, too: whole, or not at all. And what to say where a file cannot be had.
+Also writes files completely or not at all, and says in words why a file is not accessible.
 """
 
 import errno
@@ -19,10 +19,10 @@ BOARDS = _ROOT / "boards"
 CACHE = None if _INSTALLED else _ROOT / "build" / "cache"  # see compiling/cache.py
 EXAMPLES = _ROOT / "examples"
 CONVERSATIONS = (_HERE if _INSTALLED else _ROOT / "host_tests") / "conversations"
-COMPILED = _HERE / "compiled"  # the firmware, in an installed package only
-STANDINS = _HERE / "sim" / "standins"  # for the modules that only a board has
+COMPILED = _HERE / "compiled"  # the compiled firmware, in an installed package only
+STANDINS = _HERE / "sim" / "standins"  # stand-ins for modules that only a board has
 
-# What is wrong with a file, and what to do: people do not speak errno.
+# Cause and next step by errno.
 _WHY = {
     errno.ENOENT: "there is no such file; is it written right?",
     errno.EISDIR: "it is a folder; name a file",
@@ -39,12 +39,13 @@ _WHY = {
 
 
 def why(error: OSError) -> str:
-    """What has gone wrong with a file, in words."""
+    """Return in words why a file operation failed."""
     return _WHY.get(error.errno or 0) or error.strerror or str(error)
 
 
 def check_writable(file: Path) -> None:
-    """OSError in the words of write() where that could not be. Leaves nothing behind."""
+    """Raise OSError, with the text of write(), if the file cannot be written. Leaves no file
+    behind."""
     try:
         real = Path(os.path.realpath(file))
         if real.exists() and not os.access(real, os.W_OK):
@@ -62,25 +63,25 @@ def check_writable(file: Path) -> None:
 
 
 def write(file: Path, data: bytes) -> None:
-    """Replace a file, or leave what is there; folders on the way are made. OSError says in words
-    why it cannot be written."""
+    """Replace a file completely, or leave the old one. Missing folders are created. OSError says
+    in words why it cannot be written."""
     try:
         if file.exists() and not file.is_file():  # a device, a pipe
             file.write_bytes(data)
         else:
-            _replace(Path(os.path.realpath(file)), data)  # a link stays one
+            _replace(Path(os.path.realpath(file)), data)  # a link stays a link
     except OSError as error:
         raise _unwritable(file, error) from error
 
 
 def _unwritable(file: Path, error: OSError) -> OSError:
-    is_missing = error.errno == errno.ENOENT  # as in /proc
+    is_missing = error.errno == errno.ENOENT  # ENOENT on writing: in /proc, for example
     words = "no file can be made there; name another place" if is_missing else why(error)
     return OSError(f"{file} cannot be written: {words}")
 
 
 def _new(file: Path) -> Path:
-    """Where its new content is until it is whole."""
+    """Return the path for the new content until it is complete."""
     return file.with_name(f".{file.name}.{os.getpid()}.new")
 
 
@@ -102,7 +103,7 @@ def _replace(file: Path, data: bytes) -> None:
 def use_firmware(fast: bool = True) -> None:
     """Make the firmware importable here. Call it before the first import of a firmware module.
 
-    fast leaves out the checks of viper arithmetic; UGRBL_VIPER in the environment overrules it.
+    fast: leave out the checks of viper arithmetic. UGRBL_VIPER in the environment overrules it.
     """
     for folder in (str(FIRMWARE), str(STANDINS)):
         if folder in sys.path:

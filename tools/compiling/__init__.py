@@ -1,8 +1,8 @@
-"""From the firmware's sources to what goes on a board.
+"""From the firmware's sources to the files of a board.
 
-Two passes: constants in place (inline.py), and for Arm kernels by LLVM (kernel_module.py). Neither
-moves a line or changes a name, so that a traceback on the board tells of the sources. Then
-mpy-cross compiles each module; build.py says which of them a board needs.
+There are two passes: inline.py puts constants in place, and kernel_module.py compiles kernels with
+LLVM (Arm only). Neither pass moves a line or changes a name, so tracebacks on the board refer to
+the sources. Then mpy-cross compiles each module. build.py selects the modules that a board needs.
 
 Imports `boardfile`.
 """

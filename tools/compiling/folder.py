@@ -1,4 +1,4 @@
-"""A build as a folder: for mip, for whoever builds MicroPython with it, and for the desktop's."""
+"""A build as a folder: for mip, for a build of MicroPython with it frozen, and for the desktop."""
 
 import json
 from pathlib import Path
@@ -13,8 +13,8 @@ _PACKAGE_LIST = "package.json"
 
 
 def save(made: Build, folder: Path) -> None:
-    """Write the files there, and a list of them for mip; what an older build has compiled there
-    goes."""
+    """Write the files to a folder, with a package list for mip. Compiled files of an older build
+    are removed."""
     for part in folders(made):
         for old in (folder / part).glob("*.mpy"):
             old.unlink()
@@ -25,17 +25,19 @@ def save(made: Build, folder: Path) -> None:
 
 
 def package_list(made: Build) -> str:
-    """What `mpremote mip install` reads: each file's path on the board, and beside this text.
+    """Return the text for `mpremote mip install`: the path of each file, on the board and in this
+    folder.
 
-    Left half way, the board is to start with MicroPython's prompt: main.py is the last."""
+    main.py comes last, so that a board with half an installation starts with MicroPython's prompt.
+    """
     order = sorted(made.files, key=lambda path: (path == START, path))
     rows = ",\n".join(f"    {json.dumps([path, path])}" for path in order)
     return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'
 
 
 def save_to_freeze(made: Build, folder: Path) -> None:
-    """Write nothing but these files there: not anew what is there as it should be, for MicroPython
-    is built anew where something is newer."""
+    """Write only these files to a folder. Files that are unchanged are not written again, because
+    MicroPython is rebuilt if a file is newer."""
     for old in folder.rglob("*.mpy"):
         if old.relative_to(folder).as_posix() not in made.files:
             old.unlink()
@@ -46,18 +48,18 @@ def save_to_freeze(made: Build, folder: Path) -> None:
 
 
 def folders(made: Build) -> list[str]:
-    """Where files of the firmware are, on this board or another; its root is an empty text."""
+    """Return the folders that may have firmware files, on any board; "" is the root."""
     return sorted({path.rpartition("/")[0] for path in (*made.files, *sources(), KERNELS)})
 
 
 def fill_stock() -> None:
-    """Compile the firmware for every processor, and write it where the package has it."""
+    """Compile the firmware for every processor, and write it into the package."""
     archs = {chip.mpy_arch for chip in CHIPS.values()}
     prebuilt.save(texts(), {arch: firmware(arch).modules for arch in archs})
 
 
 def place(folder: Path) -> None:
-    """Write the sources there as a desktop's MicroPython runs them: constants in place."""
+    """Write the sources for MicroPython on a desktop: with constants in place."""
     for name, text in inline(texts(), keep=True).items():
         file = folder / f"{name.replace('.', '/')}.py"
         paths.write(file, text.encode())

@@ -1,7 +1,7 @@
-"""What only one of two chips has is left out of the firmware for the other.
+"""Leave code that only one of two chips needs out of the firmware for the other.
 
-`RP2350 = const(1)` in pio/hub_layout.py says that the chip may be one. For a processor that is in
-an RP2040, and in no RP2350, it is 0: compilers drop what stands behind it.
+`RP2350 = const(1)` in pio/hub_layout.py says that the chip may be an RP2350. For a processor that
+is in an RP2040 and in no RP2350 it becomes 0, and the compilers drop the code that depends on it.
 """
 
 import re
@@ -15,8 +15,8 @@ _MAY_BE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
 
 
 def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
-    """The modules, by name, for chips that run what is compiled for that. ValueError where
-    nothing says that the chip may be another."""
+    """Return the modules, by name, for the chips with this processor. ValueError if the line with
+    the constant is missing."""
     made = dict(sources)
     if _CHIP not in processors(arch):
         made[_MODULE], count = _MAY_BE.subn(f"{_CHIP} = const(0)", made[_MODULE])

@@ -1,9 +1,10 @@
-"""Firmware that is to be frozen into MicroPython, which runs it where it lies: in flash.
+"""Firmware to be frozen into MicroPython, which runs it directly from flash.
 
-All of it is, for every board of a chip: the board file lies in the file system, where an update
-leaves it, with settings and the user's own Python, and says what is imported. Bytecode stays in
-flash. An Arm's native code is brought into memory, function by function, as its module is imported
-(firmware/base/frozen.py): each has its length in front, and its definition a decorator.
+All of it is frozen, for every board of a chip. The board file stays in the file system, where an
+update of the firmware leaves it, with the settings and the user's own Python; it decides which
+modules are imported. Bytecode stays in flash. On Arm, the native code of each function is copied
+into memory when its module is imported (firmware/base/frozen.py). For this, each function's length
+precedes its code, and its definition has a decorator.
 """
 
 import ast
@@ -19,13 +20,13 @@ from ..boardfile.files import load_for_build
 from . import build, compilers, mpy
 from .build import Build, BuildError, Progress
 
-# The module with that decorator, and what the board and the tools read of it.
+# The module with that decorator. It also has the text that the board and the tools read.
 HELPER = "base.frozen"
 _DECORATOR = "in_memory"
 _NATIVE = ("micropython.viper", "micropython.native")
 
-# Files come first where there is a main.py, the last that a deployment writes. Without it, as one
-# that was cut short leaves them, no file takes the place of what is frozen.
+# If there is a main.py, files come before frozen modules. A deployment writes main.py last, so
+# that after an interrupted one no file replaces a frozen module.
 _START = """
 import os, sys
 if "main.py" in os.listdir():
@@ -39,11 +40,11 @@ else:
 _MARK = "ugrbl frozen: "
 _NOTHING = "nothing"
 _ABOUT = re.compile(_MARK + r"([0-9a-f]{8})")
-# Processors whose native code is brought into memory. An ESP32 runs it where it lies.
+# Processors whose native code is copied into memory. An ESP32 runs it in flash.
 _ARM = "arm"
-_JUMP_OVER = 0xE000  # the next half word
+_JUMP_OVER = 0xE000  # branch over the next half word, which has the length
 
-# What makes a function of its own within another, or a generator of it.
+# Creates another function within a function, or makes it a generator.
 _INSIDE = (
     *(ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp),
     *(ast.FunctionDef, ast.AsyncFunctionDef, ast.Yield, ast.YieldFrom, ast.Await),
@@ -51,11 +52,11 @@ _INSIDE = (
 
 
 class NotFrozen(ValueError):
-    """A module that cannot be."""
+    """This module cannot be frozen."""
 
 
 def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build:
-    """For the chip of the board of that file. BoardFileError before anything is compiled."""
+    """Build for the chip of a board file. Raises BoardFileError before it compiles."""
     board: Any = load_for_build(file)
     arch = board.MPY_ARCH
     if not compilers.are_there(arch):
@@ -77,13 +78,14 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
 
 
 def _file(module: str) -> str:
-    """What MicroPython looks for in what is frozen: `motion/planner.py`."""
+    """Return the name of a module among the frozen files: `motion/planner.py`."""
     return build.path_of(module).replace(".mpy", ".py")
 
 
 def decorated(text: str) -> str:
-    """A module whose native functions come into memory. NotFrozen where one has functions within
-    that would not, for those are native, too; or is a generator."""
+    """Return a module whose native functions are copied into memory. NotFrozen if a native
+    function is a generator or has functions within, because those are native too and would not be
+    copied."""
     lines = text.splitlines(keepends=True)
     tree = ast.parse(text)
     if not (functions := [*_native(tree)]):
@@ -92,20 +94,20 @@ def decorated(text: str) -> str:
         inside = {node for node in ast.walk(function) if isinstance(node, _INSIDE)}
         if inside - {*functions}:
             raise NotFrozen(f"{function.name} is native code with a function or a yield within")
-        # Right above the last one, for it wants the function itself; others move up to an empty
-        # line, so that no line after that moves.
+        # The decorator must be the lowest one, because it needs the function itself. The others
+        # move up by one, to an empty line, so that no later line moves.
         first, last = (function.decorator_list[at].lineno - 1 for at in (0, -1))
         if lines[first - 1].strip():
             raise NotFrozen(f"there is no empty line above {function.name}")
         others = lines[first:last]
         lines[first - 1 : last] = [*others, f"{' ' * function.col_offset}@{_DECORATOR}\n"]
-    begin = tree.body[int(isinstance(tree.body[0], ast.Expr))].lineno - 1  # behind documentation
+    begin = tree.body[int(isinstance(tree.body[0], ast.Expr))].lineno - 1  # after the docstring
     lines[begin] = f"from {HELPER} import {_DECORATOR}; {lines[begin]}"
     return "".join(lines)
 
 
 def with_lengths(compiled: bytes) -> bytes:
-    """Such a module, compiled, with each function's length in front of its code."""
+    """Return a compiled module with each native function's length in front of its code."""
 
     def rewrite(code: bytes) -> bytes:
         return struct.pack("<2H", _JUMP_OVER, len(code)) + code
@@ -114,31 +116,32 @@ def with_lengths(compiled: bytes) -> bytes:
 
 
 def _start(text: str) -> str:
-    """What MicroPython runs in place of main.py. text: the firmware's."""
+    """Return what MicroPython runs in place of main.py. text: the firmware's main.py."""
     return _START + textwrap.indent(text, "    ")
 
 
 class Frozen(NamedTuple):
-    """What is frozen: the firmware with this id."""
+    """The firmware that is frozen into a MicroPython; id: of its sources."""
 
     id: str
 
     def lacks(self, made: Build) -> str:
-        """Why a board cannot do without the files of this build; "" where it can."""
+        """Return why a board needs the files of this build; "" if it does not."""
         if self.id != made.id:
             return f"the build {self.id} is frozen into it, and here is {made.id}"
         return ""
 
 
 def beside(made: Build, frozen: Frozen | None) -> Build:
-    """What goes into the file system of a MicroPython: the board's own, where all is frozen."""
+    """Return what goes into the file system: only the board's own files if the rest is frozen."""
     if frozen is None or frozen.lacks(made):
         return made
     return replace(made, files={path: made.files[path] for path in made.own})
 
 
 def read(text: str) -> "Frozen | None":
-    """What the helper's ABOUT tells. text: that, or what has it within; None where it has not."""
+    """Return the firmware that the helper's ABOUT names. text: ABOUT, or a text that contains it.
+    None if it is not there."""
     found = _ABOUT.search(text)
     return Frozen(found[1]) if found else None
 

@@ -1,10 +1,10 @@
-"""The first of two passes: constants of other modules in place, and imports in vain gone.
+"""The first of two passes: replace constants of other modules by numbers, drop unused imports.
 
-MicroPython's compiler puts a module's own constants in place, for names that begin with an
-underscore. A public constant costs 30 bytes of the board's memory and, wherever another module
-uses it, two look-ups of 2 us; a viper function cannot take a number from there at all. So this
-writes the numbers where the names were, and leaves out what nobody imports for anything else then.
-No line moves, and CPython does the same without it.
+MicroPython's compiler replaces only a module's own constants whose names begin with an underscore.
+A public constant costs 30 bytes of the board's memory and, wherever another module uses it, two
+look-ups of 2 us. A viper function cannot use a number of another module at all. This pass
+therefore writes the numbers in place of the names, and leaves out imports that are then unused. No
+line moves, and CPython behaves the same without this pass.
 """
 
 import ast
@@ -17,26 +17,28 @@ _Import = ast.Import | ast.ImportFrom
 
 
 class _Module(NamedTuple):
-    """A module's tree, and what is wanted of it again and again."""
+    """A module's tree, and results that are needed repeatedly."""
 
     tree: ast.Module
     imports: list[_Import]
-    stored: list[str]  # every name that is given a value, as often as it is
+    stored: list[str]  # each name that is assigned, once per assignment
 
 
 class _Edit(NamedTuple):
-    """Text to put in place of a node's."""
+    """New text for a node."""
 
     node: ast.expr | ast.stmt
     text: str
 
 
 def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
-    """The modules, by name, with each other's public constants in place. keep: they stay where
-    they are defined, too, for programs that are not among these modules."""
+    """Replace public constants of all modules by numbers. Returns the modules by name.
+
+    keep: the definitions stay, for programs that are not among these modules.
+    """
     modules = {name: _read(text) for name, text in sources.items()}
     known: dict[str, Constants] = {name: {} for name in modules}
-    while True:  # a constant may be made of another module's
+    while True:  # a constant may depend on another module's
         found = {name: _public(module, known) for name, module in modules.items()}
         if found == known:
             break
@@ -48,7 +50,7 @@ def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
 
 
 def pruned(sources: Mapping[str, str]) -> dict[str, str]:
-    """The modules, by name, without imports of ours, and of const, that none of them uses."""
+    """Return the modules, by name, without unused imports of const and of these modules."""
     trees = {name: ast.parse(text) for name, text in sources.items()}
     asked = {key for tree in trees.values() for key in _asked(tree)}
     found = {}
@@ -64,7 +66,7 @@ def pruned(sources: Mapping[str, str]) -> dict[str, str]:
 
 
 def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """Module, or an empty text for any, and what it is asked for."""
+    """Yield module and name for each use of another module; module "" stands for any."""
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             yield from ((node.module, alias.name) for alias in node.names)
@@ -73,7 +75,7 @@ def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
 
 
 def _used(tree: ast.Module) -> Iterator[str]:
-    """Names that the code asks for; const() where the compiler does not see to it."""
+    """Yield the names that the code uses; not the const() calls that the compiler resolves."""
     found = (statement for statement in tree.body if isinstance(statement, ast.Assign))
     calls = (each.value for each in found if isinstance(each.value, ast.Call))
     consts = {call.func for call in calls if ast.unparse(call.func) == "const"}
@@ -83,7 +85,7 @@ def _used(tree: ast.Module) -> Iterator[str]:
 
 
 def _bound(alias: ast.alias) -> str:
-    """The name that an import makes."""
+    """Return the name that an import binds."""
     return (alias.asname or alias.name).partition(".")[0]
 
 
@@ -101,7 +103,7 @@ def _read(text: str) -> _Module:
 
 
 def _public(module: _Module, known: Mapping[str, Constants]) -> Constants:
-    """Constants that a module defines, once and for all, for others too."""
+    """Return the public constants that a module assigns exactly once."""
     own: Constants = {}
     values, modules = _imported(module, known)
     for statement in module.tree.body:
@@ -117,7 +119,8 @@ def _public(module: _Module, known: Mapping[str, Constants]) -> Constants:
 def _imported(
     module: _Module, known: Mapping[str, Constants]
 ) -> tuple[Constants, dict[str, Constants]]:
-    """Constants, and modules with constants, by the names that a module imports them under."""
+    """Return imported constants, and imported modules with their constants, by their local
+    names."""
     names: Constants = {}
     modules: dict[str, Constants] = {}
     for node in module.imports:
@@ -133,7 +136,7 @@ def _imported(
 
 
 def _definition(statement: ast.stmt) -> tuple[str, ast.expr | None]:
-    """Name and value of `NAME = const(value)`."""
+    """Return name and value of `NAME = const(value)`; ("", None) for other statements."""
     match statement:
         case ast.Assign([ast.Name(name)], ast.Call(ast.Name("const"), [value])):
             return name, value
@@ -141,7 +144,7 @@ def _definition(statement: ast.stmt) -> tuple[str, ast.expr | None]:
 
 
 def _evaluate(node: ast.expr, known: Constants, modules: Mapping[str, Constants]) -> int:
-    """An integer out of integers; ValueError or KeyError where it is not."""
+    """Evaluate an expression of integers; ValueError or KeyError if it is not one."""
     node = _WithoutModules(modules).visit(copy.deepcopy(node))
     for name in _names(node, ast.Load):
         known[name.id]
@@ -155,7 +158,7 @@ def _evaluate(node: ast.expr, known: Constants, modules: Mapping[str, Constants]
 
 
 class _WithoutModules(ast.NodeTransformer):
-    """Numbers in place of `module.NAME`; KeyError where that is no constant."""
+    """Replaces `module.NAME` by its number; KeyError if it is not a constant."""
 
     def __init__(self, modules: Mapping[str, Constants]) -> None:
         self._modules = modules
@@ -197,7 +200,7 @@ def _is_gone(name: ast.alias, constants: Constants, stored: set[str]) -> bool:
 
 
 def _import(node: _Import, gone: list[ast.alias]) -> str:
-    """What is left of an import."""
+    """Return what remains of an import."""
     left = ", ".join(ast.unparse(alias) for alias in node.names if alias not in gone)
     if not left:
         return "pass"
@@ -226,7 +229,7 @@ def _literal(value: int) -> str:
 
 
 def _apply(text: str, edits: list[_Edit]) -> str:
-    """Replace from the end on, so that places stay true; keep the number of lines."""
+    """Apply edits from the end to the start, so that positions stay valid; keep the line count."""
     lines = text.splitlines(keepends=True)
     for edit in sorted(edits, key=lambda e: (e.node.lineno, e.node.col_offset), reverse=True):
         node = edit.node

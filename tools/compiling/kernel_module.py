@@ -1,9 +1,9 @@
-"""The second of two passes: kernels, a module's viper functions, as machine code of their own.
+"""The second of two passes: kernels, a module's viper functions, as separate machine code.
 
-Where there is such code for a board's processor (machine_code.py), the functions are taken out of
-their modules, and each module that uses one imports it: what every board of the chip has from
-`kernels.core`, in one piece, and those of each other module from a piece of its own, so that a
-board has none that it does not use. Lines stay where they are.
+If there is machine code for the board's processor (machine_code.py), the functions are removed
+from their modules, and each module that uses one imports it. Kernels of modules that every board
+of the chip has are in one piece, `kernels.core`. Those of each other module are in a piece of
+their own, so that a board has no kernel that it does not use. Lines keep their numbers.
 """
 
 import ast
@@ -26,8 +26,8 @@ def start() -> object:
 
 
 class Apart(NamedTuple):
-    """texts: the modules without kernels, and those that have them, by name. c: the kernels, all
-    of them. pieces: which are in which module, in order."""
+    """texts: the modules without kernels and the modules of kernels, by name. c: all kernels as C
+    text. pieces: the kernels in each module of kernels, in order."""
 
     texts: "dict[str, str]"
     c: str
@@ -35,8 +35,8 @@ class Apart(NamedTuple):
 
 
 def taken_apart(texts: "Mapping[str, str]", core: "Collection[str]") -> Apart:
-    """Kernels, and what is left without them. core: modules that every board has. NotForC where
-    one is in no form for C."""
+    """Separate kernels from the rest. core: modules that every board has. NotForC if a kernel has
+    a form that cannot be translated."""
     modules = {name: Module(name, text) for name, text in texts.items()}
     keys = [(name, function) for name, module in modules.items() for function in module.functions]
     names = _names(keys)
@@ -54,7 +54,7 @@ def taken_apart(texts: "Mapping[str, str]", core: "Collection[str]") -> Apart:
 
 
 def with_code(compiled: bytes, name: str, apart: Apart, arch: str) -> bytes:
-    """A module of kernels, compiled, with their code in it. CompilerError."""
+    """Return a compiled module of kernels with their machine code in it. CompilerError."""
     code = machine_code.linked(apart.c, arch, tuple(apart.pieces[name]))
     assert mpy.table_place(compiled) == 0
     return mpy.rewritten(compiled, lambda _start: code)
@@ -65,7 +65,8 @@ def _home(module: str, core: "Collection[str]") -> str:
 
 
 def _names(keys: "list[Key]") -> "dict[Key, str]":
-    """What each is called where it is made: its own name, if no other has it."""
+    """Return a name for each kernel: the function's own if it is unique, else with its
+    module's."""
     functions = [function for _, function in keys]
     return {
         (module, function): (
@@ -78,7 +79,7 @@ def _names(keys: "list[Key]") -> "dict[Key, str]":
 
 
 def _asked_of(module: Module) -> Iterator[Key]:
-    """What a module asks others for, by their names."""
+    """Yield the attributes of other modules that a module uses."""
     for node in ast.walk(module.tree):
         match node:
             case ast.Attribute(ast.Name(alias), name) if alias in module.aliases:
@@ -86,8 +87,8 @@ def _asked_of(module: Module) -> Iterator[Key]:
 
 
 class _Left:
-    """A module's text without kernels. names: what all are called; homes: where they are made;
-    asked: what is asked of modules by name, anywhere."""
+    """A module's text without kernels. names: of all kernels. homes: the module of kernels each
+    one is in. asked: attributes that any module uses."""
 
     def __init__(
         self,
@@ -113,7 +114,7 @@ class _Left:
         } | {name for of, name in asked if of == module.name}
 
     def text(self) -> str:
-        """What is left."""
+        """Return what remains of the module."""
         for kernel in self._kernels:
             key = (self._module.name, kernel.name)
             wanted = {key: kernel.name} if kernel.name in self._used else {}
@@ -143,7 +144,8 @@ class _Left:
         left: "list[ast.Import] | list[ast.ImportFrom]",
         wanted: "Mapping[Key, str]",
     ) -> None:
-        """Statements that stand alone on their lines: by imports, on the first of these."""
+        """Replace statements that stand alone on their lines by imports on the first of these
+        lines."""
         self.wanted += wanted
         asked: dict[str, list[ast.alias]] = {}
         for key, here in wanted.items():

@@ -1,8 +1,8 @@
-"""Kernels compiled on this computer, where it has a C compiler: kept, and used by the simulator.
+"""Kernels compiled on this computer, if it has a C compiler: stored, and used by the simulator.
 
-The C text (native.py) follows from the sources that are here, and so does the name under which
-its library lies in the user's folder: there is none that is out of date. Where something is in
-the way, the stand-in for `micropython` runs the same functions as Python.
+The C text (native.py) follows from the sources, and so does the file name of its library in the
+user's folder, so a library is never out of date. If the library cannot be made, the stand-in for
+`micropython` runs the same functions as Python.
 """
 
 import ctypes
@@ -25,22 +25,22 @@ from .. import paths
 from . import build, c_text, native
 
 _FLAGS = ("-O2", "-fwrapv", "-fPIC", "-shared", "-w")
-_ON_A_MAC = ("-Wl,-undefined,dynamic_lookup",)  # of Python's own functions
+_ON_A_MAC = ("-Wl,-undefined,dynamic_lookup",)  # these are functions of Python itself
 _TRANSLATOR = ("native.py", "c_text.py", "viper.py", "inline.py")
 _PATIENCE_S = 120
 _MOST_LIBRARIES = 10  # of 80 kB each
 _MOST_KEPT = 1000
 
-# A kernel that no board has.
+# A kernel that is on no board.
 _OURS = f"{native.OURS}.sim.check_kernel"
 
 Kernel = Callable[..., int]
 
 
 def use() -> None:
-    """Have the firmware's kernels compiled, from the next import of a module of it on.
+    """Make later imports of firmware modules use compiled kernels.
 
-    UGRBL_VIPER in the environment wants them as Python.
+    If UGRBL_VIPER is in the environment, they stay Python.
     """
     if "UGRBL_VIPER" in os.environ:
         return
@@ -49,13 +49,13 @@ def use() -> None:
     try:
         library = find()
         found = _bound(library) if library else {}
-    except OSError:  # no place to keep it, or it cannot be loaded from there
+    except OSError:  # the folder is not writable, or the library cannot be loaded from there
         found = {}
     micropython.compiled = lambda module, name: found.get((module, name))
 
 
 def find() -> Path | None:
-    """The library of the kernels that are here; made, if need be. None where that cannot be."""
+    """Return the library of the kernels; make it if necessary. None if that is not possible."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
     if os.name != "posix" or not compiler:
         return None
@@ -64,18 +64,18 @@ def find() -> Path | None:
     if not library.exists() and not failed.exists() and shutil.which(compiler[0]):
         library.parent.mkdir(parents=True, exist_ok=True)
         if why := _make(compiler, library):
-            failed.write_text(why, encoding="utf-8")  # once is enough
+            failed.write_text(why, encoding="utf-8")  # do not try again
         _tidy(library.parent)
     return library if library.exists() else None
 
 
 def _folder() -> Path:
-    """This user's; UGRBL_KERNELS in the environment names another."""
+    """Return this user's folder, or the one that UGRBL_KERNELS in the environment names."""
     return Path(os.environ.get("UGRBL_KERNELS") or Path(typer.get_app_dir("ugrbl")) / "kernels")
 
 
 def _tidy(folder: Path) -> None:
-    """Those of sources that were here long ago go."""
+    """Remove the oldest libraries."""
     files = sorted(folder.glob("*.*"), key=lambda file: file.stat().st_mtime)
     for old in files[:-_MOST_LIBRARIES]:
         old.unlink(missing_ok=True)
@@ -96,7 +96,7 @@ def _ours() -> Path:
 
 
 def _make(compiler: list[str], library: Path) -> str:
-    """Compile them. Returns what is in the way."""
+    """Compile the library. Returns "" or the cause of the failure."""
     with TemporaryDirectory(dir=library.parent) as folder:
         text, made = Path(folder, "kernels.c"), Path(folder, "kernels.so")
         try:
@@ -118,8 +118,8 @@ def _make(compiler: list[str], library: Path) -> str:
 
 @lru_cache(1)
 def _bound(library: Path) -> dict[tuple[str, str], Kernel]:
-    """The kernels, by module and name, as Python calls them."""
-    # It holds Python's lock, and raises what a kernel has noted.
+    """Return the kernels, by module and name, as Python callables."""
+    # PyDLL keeps Python's lock, and raises the exception that a kernel has set.
     handle = ctypes.PyDLL(str(library))
     listed = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(handle, "kernels"))).decode()
     found = {}
@@ -131,34 +131,34 @@ def _bound(library: Path) -> dict[tuple[str, str], Kernel]:
 
 
 class _Memory(ctypes.Structure):
-    """A pointer as the C text has it."""
+    """A pointer in the C text."""
 
     _fields_ = (("at", ctypes.c_void_p), ("length", ctypes.c_int64))
 
 
 class _Pointer:
-    """Where buffers lie, for a pointer to so many bytes. Those of arrays are kept."""
+    """Converts buffers to pointers to items of `size` bytes. Pointers to arrays are kept."""
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self.known: dict[int, int] = {}  # by id: where their _Memory is
+        self.known: dict[int, int] = {}  # address of _Memory by id of the buffer
         self._kept: list[object] = []
         self._before: list[object] = []
 
     def __call__(self, memory: Any) -> Any:
-        """What a kernel is handed for a buffer that is not known."""
+        """Return the argument for a buffer that is not in `known`."""
         from micropython import kept_views
 
         length = memoryview(memory).nbytes
         try:
             start = ctypes.c_char.from_buffer(memory)
-        except TypeError:  # nothing can be written there: a copy does as well
+        except TypeError:  # read-only memory: a copy serves as well
             start = ctypes.c_char.from_buffer(bytearray(memory))
         at = _Memory(ctypes.addressof(start), length // self._size)
-        at.start = start  # what is handed on holds it: a copy has nobody else
+        at.start = start  # keeps the buffer alive; a copy has no other reference
         if not isinstance(memory, memoryview) or kept_views.get(id(memory)) is memory:
             if len(self._kept) >= _MOST_KEPT:
-                # Another argument of this call may be one of them.
+                # Keep the old ones for this call: another argument may be one of them.
                 self._before, self._kept = self._kept, []
                 self.known.clear()
             self._kept.append((memory, start, at))
@@ -171,7 +171,7 @@ _TYPES = {"object": ctypes.py_object, **dict.fromkeys(_POINTERS, ctypes.c_void_p
 
 
 def _kernel(function: Any, types: list[str]) -> Kernel:
-    """What Python calls: buffers become pointers on the way."""
+    """Return the callable for Python. It converts buffers to pointers."""
     function.restype = ctypes.c_int64
     function.argtypes = [_TYPES.get(type, ctypes.c_int64) for type in types]
     names = [f"a{i}" for i in range(len(types))]

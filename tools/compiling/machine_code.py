@@ -1,13 +1,14 @@
-"""Kernels as machine code: viper functions, compiled by way of C, in pieces.
+"""Kernels as machine code: viper functions compiled by way of C, in pieces.
 
 MicroPython's own compiler keeps each local in memory and looks up each function that is called.
-LLVM, which comes as the package `ziglang`, makes code of the same functions that is half as long
-and takes half the time. They see memory as before: as often, and in the same order, for every
-pointer is volatile; integers wrap at 32 bits.
+LLVM, from the package `ziglang`, compiles the same functions to code that is half as long and
+takes half the time. Memory accesses are the same in number and order, because every pointer is
+volatile. Integers wrap at 32 bits.
 
-A piece is the code of one viper function, `start`, and may lie anywhere. It takes MicroPython's
-table of functions from its own object, makes an object of each kernel that others than kernels
-call, and returns a tuple of them. These objects are part of the piece: who holds `start` holds it.
+A piece is the code of one viper function, `start`, and may lie at any address. It takes
+MicroPython's function table from its own object, makes a function object of each kernel that is
+called from outside, and returns a tuple of them. These objects are part of the piece: a reference
+to `start` keeps them alive.
 """
 
 import ast
@@ -24,7 +25,7 @@ from .c_text import BITS, Function, c_name
 from .cache import cached
 from .viper import Key, Module
 
-# The processors for which there is such code, by the name that MicroPython has for theirs.
+# The processors with such code, by MicroPython's name for the architecture.
 PROCESSORS = {"armv6m": "cortex_m0plus", "armv7emsp": "cortex_m33"}
 
 _TARGET = "thumb-freestanding-eabi"
@@ -32,7 +33,7 @@ _FLAGS = (
     "-Os",
     "-std=gnu11",
     "-ffreestanding",
-    "-fno-builtin",  # nothing becomes a call of memset()
+    "-fno-builtin",  # no loop becomes a call of memset()
     "-fno-strict-aliasing",
     "-fwrapv",
     "-fpic",
@@ -63,8 +64,8 @@ SECTIONS {{
 }}
 """
 
-# Places in MicroPython's table of functions, py/nativeglue.h; the last one is for code that is
-# linked from elsewhere, whose version is part of that of the file format.
+# Positions in MicroPython's function table, py/nativeglue.h. The last one is meant for dynamically
+# linked native modules; it is fixed for a version of the .mpy format.
 _HEAD = """\
 #include <stdint.h>
 typedef void *object;
@@ -136,11 +137,11 @@ struct function export_{name} = {{0, {signature}, (uintptr_t)use_{name}}};
 
 
 class CompilerError(Exception):
-    """What the compiler says."""
+    """The compiler's message."""
 
 
 def in_c(modules: Mapping[str, Module], keys: "Sequence[Key]") -> str:
-    """The C text of these functions."""
+    """Return the C text of these functions."""
     functions = [_Function(modules, key) for key in keys]
     declared = [f"static {f.head()};\n" for f in functions]
     return "".join(
@@ -149,14 +150,14 @@ def in_c(modules: Mapping[str, Module], keys: "Sequence[Key]") -> str:
 
 
 def is_there() -> bool:
-    """Whether the compiler is installed."""
+    """Return whether the compiler is installed."""
     return importlib.util.find_spec("ziglang") is not None
 
 
 @lru_cache(4)
 @cached
 def compiled(text: str, arch: str) -> bytes:
-    """An object file. CompilerError."""
+    """Compile C text to an object file. CompilerError."""
     with TemporaryDirectory() as folder:
         source, made = Path(folder, "kernels.c"), Path(folder, "kernels.o")
         source.write_text(text, encoding="utf-8")
@@ -168,7 +169,7 @@ def compiled(text: str, arch: str) -> bytes:
 @lru_cache(100)
 @cached
 def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
-    """The piece of code: objects of these functions, and all that they call. CompilerError."""
+    """Link a piece: the objects of these functions, and all functions they call. CompilerError."""
     kept = [f"KEEP(*(.exports.{c_name(*key)}))" for key in exports]
     with TemporaryDirectory() as folder:
         made, script, whole, code = (
@@ -189,7 +190,7 @@ def _zig(*arguments: str) -> None:
 
 
 class _Function(Function):
-    """A function as a board has it."""
+    """A function for a board."""
 
     integer = "int32_t"
     object = "object"
@@ -200,7 +201,7 @@ class _Function(Function):
         super().__init__(modules[key[0]], modules[key[0]].functions[key[1]])
 
     def outer(self) -> str:
-        """The one that MicroPython calls, and its object."""
+        """Return the function that MicroPython calls, and its object."""
         taken = {"object": "given[{}]", **dict.fromkeys(BITS, "memory(given[{}])")}
         types = self.parameters.values()
         given = [taken.get(type, "number(given[{}])").format(i) for i, type in enumerate(types)]
@@ -228,7 +229,7 @@ class _Function(Function):
         return key[0] in self._modules and key[1] in self._modules[key[0]].functions
 
     def handed(self, key: Key, arguments: "list[ast.expr]") -> "list[str]":
-        """An address may be handed for a pointer."""
+        """Return the arguments; an integer is accepted as an address for a pointer."""
         parameters = self._modules[key[0]].functions[key[1]].args.args
         types = [viper.annotation(parameter.annotation) for parameter in parameters]
         return [
@@ -254,7 +255,7 @@ class _Function(Function):
         return f"python->call({self.expression(node.func)}, {len(given)}, {array})"
 
     def _take_apart(self, node: ast.stmt, names: "list[ast.expr]", value: ast.expr) -> str:
-        """MicroPython hands out the last one first."""
+        """Return the unpacking of a tuple. MicroPython delivers the last element first."""
         targets = [self.expression(name) for name in reversed(names)]
         parts = " ".join(f"{target} = parts[{i}];" for i, target in enumerate(targets))
         taken = f"python->take_apart({self.expression(value)}, {len(targets)}, parts);"

@@ -1,49 +1,51 @@
-"""Compiled modules, in MicroPython's format 6: their functions of native code, to be rewritten."""
+"""Compiled modules in MicroPython's format 6: rewrite the native code of their functions."""
 
 from collections.abc import Callable, Iterator
 
-# Is told a native function's code.
+# Gets the code of a native function, returns the new code.
 Rewrite = Callable[[bytes], bytes]
 
-_HEAD = 4  # mark, version, flags, bits of a small integer
-# What a function is, in the last bits of its length.
+_HEAD = 4  # magic byte, version, flags, bits of a small integer
+# The kind of a function, in the lowest bits of its length.
 _KINDS = 3
 _BYTECODE = 0
-_NATIVE = 1  # with a prelude behind the code, which tells of arguments
+_NATIVE = 1  # a prelude after the code describes the arguments
 _VIPER = 2
 _HAS_CHILDREN = 4
 _KIND_BITS = 3
-_VIPER_SECTIONS = 0x70  # flags of code that is linked from elsewhere: it has data, too
+_VIPER_SECTIONS = 0x70  # flags of code that is linked from elsewhere: it has data sections too
 _GENERATOR = 0x40  # in a prelude's second byte, if it has one
 _TABLE = 0  # kinds of constants
 _TUPLE = 10
 _STR, _BYTES = 5, 6
-_WITHOUT_TEXT = 4  # kinds of constants up to this one: None, True …
+_WITHOUT_TEXT = 4  # kinds of constants up to this one, such as None and True, have no text
 
 
 def rewritten(compiled: bytes, rewrite: Rewrite) -> bytes:
-    """The module with what rewrite() makes of each function's code."""
+    """Return the module with the code of each function replaced by rewrite(code)."""
     reader = _Reader(compiled)
     reader.pass_tables()
     return compiled[: reader.at] + b"".join(reader.module(rewrite))
 
 
 def names(compiled: bytes) -> "list[str]":
-    """The names that code has numbers for; "" for MicroPython's own."""
+    """Return the names in the module's table, by number; "" for a name in MicroPython's own
+    table."""
     reader = _Reader(compiled)
     reader.pass_tables()
     return reader.names
 
 
 def table_place(compiled: bytes) -> int:
-    """Among the module's constants, where MicroPython's table of functions is; -1: nowhere."""
+    """Return the index of MicroPython's function table among the module's constants; -1 if
+    absent."""
     reader = _Reader(compiled)
     reader.pass_tables()
     return reader.table
 
 
 def number(value: int) -> bytes:
-    """A number of seven bits a byte, the highest first."""
+    """Encode a number with seven bits per byte, highest first."""
     made = [value & 127]
     while value := value >> 7:
         made.append(value & 127 | 128)
@@ -58,7 +60,7 @@ class _Reader:
         self.table = -1
 
     def pass_tables(self) -> None:
-        """Names, and constants."""
+        """Read over the tables of names and constants."""
         names, constants = self._number(), self._number()
         for _ in range(names):
             length = self._number()
@@ -70,7 +72,7 @@ class _Reader:
             self._pass_constant()
 
     def module(self, rewrite: Rewrite) -> Iterator[bytes]:
-        """The module as a function, and those within it."""
+        """Yield the module's function, rewritten, and the functions within it."""
         return self._function(rewrite)
 
     def _function(self, rewrite: Rewrite) -> Iterator[bytes]:
@@ -118,7 +120,7 @@ class _Reader:
 
 
 def _native(code: bytes, prelude: int, rewrite: Rewrite) -> "tuple[bytes, bytes]":
-    """Code and prelude, and where this begins."""
+    """Return code with its prelude, and the encoded position where the prelude begins."""
     if not (code[prelude] & 128 and code[prelude + 1] & _GENERATOR):
         made = rewrite(code[:prelude])
         code, prelude = made + code[prelude:], len(made)

@@ -1,9 +1,9 @@
-"""Kernels in C: the firmware's viper functions once more, for a desktop that has a C compiler.
+"""Kernels in C for a desktop with a C compiler: the firmware's viper functions translated.
 
-Integers have 64 bits, which hold what the board's 32 do. As in the stand-in for `micropython`, an
-index outside a buffer and a value that does not fit raise: PyErr_SetString() notes it, and ctypes
-raises when the function has returned. Objects are borrowed for as long as a call takes. Only what
-needs no chip is translated.
+Integers have 64 bits, enough for all values of the board's 32 bits. As in the stand-in for
+`micropython`, an index outside a buffer and a value that does not fit raise an exception:
+PyErr_SetString() sets it, and ctypes raises it after the function has returned. Objects are
+borrowed for the duration of a call. Only modules without hardware are translated.
 """
 
 import ast
@@ -14,7 +14,7 @@ from .inline import inline
 from .viper import Key, Module
 
 OURS = __package__.partition(".")[0]
-# Layers that know no hardware.
+# Layers that do not depend on hardware.
 _LAYERS = ("base", "motion", "control", "language", "talk", "extras", OURS)
 _C_TYPES = {8: "uint8_t", 16: "uint16_t", 32: "int32_t"}
 
@@ -93,9 +93,9 @@ static inline void set{bits}(ptr{bits} p, int64_t i, int64_t value) {{
 
 
 def in_c(sources: Mapping[str, str]) -> str:
-    """The C text of the kernels among these modules. NotForC where it knows a form not.
+    """Return the C text of the kernels in these modules. NotForC if a form is not supported.
 
-    Its text `kernels` lists them: module, name and the parameters' types, a line each.
+    The string `kernels` in the C text lists them, a line each: module, name and parameter types.
     """
     texts = inline(sources, keep=True)
     modules = [Module(name, text) for name, text in texts.items() if _is_plain(name)]
@@ -115,18 +115,18 @@ def _is_plain(module: str) -> bool:
 
 
 class _Function(Function):
-    """A function as a desktop has it."""
+    """A function for a desktop."""
 
     integer = "int64_t"
     object = "void *"
     zero_pointer = "{0}"
 
     def listed(self) -> str:
-        """It and its types, for whoever calls it."""
+        """Return module, name and parameter types, for the caller."""
         return " ".join([self._module.name, self._function.name, *self.parameters.values()])
 
     def outer(self) -> str:
-        """The one that ctypes calls, which takes pointers to pointers."""
+        """Return the function that ctypes calls. It takes pointers to pointer structures."""
         listed, handed = [], []
         for name, type in self.parameters.items():
             star = "*" if type in BITS else ""
@@ -178,7 +178,7 @@ class _Function(Function):
         return f"{{ {taken} {' '.join(parts)} }}"
 
     def _called(self, node: ast.Call) -> str:
-        """An object is called, with objects and numbers."""
+        """Return the call of an object with objects and numbers."""
         kinds = "".join("O" if self.is_object(each) else "L" for each in node.args)
         given = [self.expression(node.func), f'"({kinds})"']
         for kind, value in zip(kinds, map(self.expression, node.args), strict=True):

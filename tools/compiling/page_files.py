@@ -1,7 +1,8 @@
-"""The page: its parts joined into one file, and that as a board serves it.
+"""The page: its parts joined into one file, and its files on a board.
 
-index.html names its parts, which are files beside it, in comments. DATA is no file: what board
-files are made of, out of our tables. See firmware/ports/net/page.py for what a board serves.
+index.html names its parts, which are files in its folder, in comments. DATA is not a file: it has
+the data for making board files, from our tables. firmware/ports/net/page.py defines the file
+names on a board.
 """
 
 import gzip
@@ -15,8 +16,8 @@ from .. import paths
 _FOLDER = paths.TOOLS / "web" / "page"
 _PART = re.compile(r"<!-- part: ([\w.]+) -->\n")
 DATA = "board_data"
-# What a page from a board has no use for: browsers open a USB port only for a file from disk, or
-# for an address that is this computer's or has TLS.
+# Parts that a page from a board cannot use, because browsers open a USB port only for a file from
+# disk, or for an address that is this computer's or has TLS.
 _USB_ONLY = (
     *(DATA, "prompt.js", "uf2_drive.js", "board_file.js", "board_wizard.js"),
     "board_wizard.html",
@@ -25,7 +26,7 @@ _USB_ONLY = (
 
 @cache
 def page(from_board: bool = False) -> str:
-    """The whole page; from_board: without what needs Web Serial. OSError where a part is gone."""
+    """Return the page; from_board: without parts for Web Serial. OSError if a part is missing."""
 
     def joined(text: str) -> str:
         return _PART.sub(part, text)
@@ -38,12 +39,12 @@ def page(from_board: bool = False) -> str:
 
 
 def _wrapped(name: str) -> str:
-    """A part as it stands in the page."""
+    """Return a part as it is in the page."""
     if name == DATA:
         from ..boardfile import page_data
 
         text = json.dumps(page_data.data(), separators=(",", ":"), ensure_ascii=False)
-        # "</script>" in a comment of a board file would end it.
+        # Else "</script>" in a comment of a board file would end the element.
         text = text.replace("</", "<\\/")
         return f'<script type="application/json" id="{DATA}">{text}</script>\n'
     text = (_FOLDER / name).read_text(encoding="utf-8")
@@ -51,7 +52,8 @@ def _wrapped(name: str) -> str:
 
 
 def names() -> tuple[str, str]:
-    """What a board calls the first page, which fetches the other; and that, compressed."""
+    """Return the file names on a board: of the first page, which fetches the other one, and of the
+    compressed main page."""
     paths.use_firmware()
     from ports.net import page as served
 
@@ -59,7 +61,7 @@ def names() -> tuple[str, str]:
 
 
 def made() -> dict[str, bytes]:
-    """What lies on a board of it, by path."""
+    """Return the page's files on a board, by path."""
     first, whole = names()
     return {
         first: (_FOLDER / "first.html").read_bytes(),
@@ -68,6 +70,6 @@ def made() -> dict[str, bytes]:
 
 
 def save(folder: Path) -> None:
-    """Write it there."""
+    """Write the page's files to a folder."""
     for name, content in made().items():
         (folder / name).write_bytes(content)

@@ -1,9 +1,11 @@
-"""The firmware that comes compiled in the package, for those who have no compiler.
+"""The compiled firmware in the package, for users without a compiler.
 
-A folder for each processor has every module in a file, called by its name; beside them is the
-digest of what was compiled. setup.py makes it with the package (folder.fill_stock()).
+Each processor has a folder with a file per module, named after the module. The file `sources` has
+the digest of the sources that were compiled. setup.py makes all this with the package
+(folder.fill_stock()).
 
-Sources are compared, not what is compiled of them: each version of Python writes that its own way.
+The sources as written are compared, not those after the first pass, because each version of Python
+writes these differently.
 """
 
 import hashlib
@@ -15,11 +17,12 @@ _DIGEST = "sources"
 
 
 class NotThere(Exception):
-    """It has not been compiled. The text says what; "" where there is no stock at all."""
+    """No compiled firmware for these sources. The text is the cause; "" if there is none at
+    all."""
 
 
 def find(sources: Mapping[str, str], arch: str) -> dict[str, bytes]:
-    """The modules of these sources for a processor, compiled, by name. NotThere."""
+    """Return the compiled modules of these sources for a processor, by name. NotThere."""
     digest = paths.COMPILED / _DIGEST
     if not digest.is_file():
         raise NotThere
@@ -32,8 +35,8 @@ def find(sources: Mapping[str, str], arch: str) -> dict[str, bytes]:
 
 
 def save(sources: Mapping[str, str], compiled: Mapping[str, Mapping[str, bytes]]) -> None:
-    """Write what has been compiled of these sources, by processor and name, where the package
-    has it."""
+    """Write compiled modules, by processor and name, into the package, with the digest of their
+    sources."""
     for arch, modules in compiled.items():
         for name, content in modules.items():
             paths.write(paths.COMPILED / arch / name, content)

@@ -1,4 +1,4 @@
-"""Viper functions of a module as syntax trees: which there are, and what names in them mean."""
+"""Viper functions of a module as syntax trees: a list of them, and what their names refer to."""
 
 import ast
 import copy
@@ -7,14 +7,14 @@ from collections.abc import Iterable, Iterator, Mapping
 POINTERS = {"ptr8", "ptr16", "ptr32"}
 CASTS = {"int", "uint", "bool", *POINTERS}
 
-# A function by its module.
+# Module and name of a function.
 Key = tuple[str, str]
 
-_SMALL_INT_LIMIT = 1 << 30  # literals from there on are objects, unless written int(…)
+_SMALL_INT_LIMIT = 1 << 30  # a literal from here on is an object, unless it is written int(…)
 
 
 def vipers(tree: ast.Module, methods: bool) -> Iterator[ast.FunctionDef]:
-    """A module's viper functions; with methods of its classes, or without."""
+    """Yield a module's viper functions; with or without methods of its classes."""
     for node in tree.body:
         inside = node.body if methods and isinstance(node, ast.ClassDef) else [node]
         for function in inside:
@@ -23,31 +23,31 @@ def vipers(tree: ast.Module, methods: bool) -> Iterator[ast.FunctionDef]:
 
 
 def is_viper(function: ast.FunctionDef) -> bool:
-    """Whether it is compiled to the processor's own code."""
+    """Return whether the function is compiled by viper."""
     return any(ast.unparse(each) == "micropython.viper" for each in function.decorator_list)
 
 
 def local_names(function: ast.FunctionDef) -> set[str]:
-    """Parameters and all else that is stored to."""
+    """Return the names of parameters and of all other locals."""
     nodes = list(ast.walk(function))
     stored = {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
     return stored | {node.arg for node in nodes if isinstance(node, ast.arg)}
 
 
 def annotation(node: ast.expr | None) -> str:
-    """A viper type as written."""
+    """Return an annotation as text; "object" if there is none."""
     return ast.unparse(node) if node else "object"
 
 
 def body(function: ast.FunctionDef) -> list[ast.stmt]:
-    """Its statements, without what documents them."""
+    """Return the function's statements without its docstring."""
     first = function.body[0]
     documented = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
     return function.body[1 if documented else 0 :]
 
 
 class Module:
-    """A module, and what its names mean."""
+    """A module, and what its names refer to."""
 
     def __init__(self, name: str, text: str) -> None:
         self.name = name
@@ -69,7 +69,8 @@ class Module:
                     self.aliases[n.asname or n.name] = f"{node.module}.{n.name}"
 
     def means(self, name: str) -> Key | None:
-        """The function that a global name may stand for."""
+        """Return the function that a global name refers to, or may refer to if it is imported;
+        else None."""
         return (self.name, name) if name in self.functions else self.imported.get(name)
 
 
@@ -77,7 +78,7 @@ class Module:
 
 
 def constants(tree: ast.Module) -> dict[str, int]:
-    """What a module defines as `NAME = const(…)`, once and for all."""
+    """Return the constants that a module assigns exactly once, as `NAME = const(…)`."""
     values: dict[str, int] = {}
     for statement in tree.body:
         match statement:
@@ -96,7 +97,7 @@ def constants(tree: ast.Module) -> dict[str, int]:
 
 
 def literal(value: int) -> ast.expr:
-    """A number, as viper wants it written."""
+    """Return a number in the form that viper accepts."""
     node: ast.expr = ast.Constant(abs(value))
     if value < 0:
         node = ast.UnaryOp(ast.USub(), node)
@@ -119,7 +120,8 @@ class _Renamed(ast.NodeTransformer):
 
 
 def renamed(statements: Iterable[ast.stmt], names: Mapping[str, ast.expr]) -> list[ast.stmt]:
-    """A copy with other names, or numbers, for some names."""
+    """Return a copy of statements in which some names are replaced by other names or by
+    numbers."""
     change = _Renamed(names)
     return [change.visit(copy.deepcopy(statement)) for statement in statements]
 
@@ -128,7 +130,7 @@ def renamed(statements: Iterable[ast.stmt], names: Mapping[str, ast.expr]) -> li
 
 
 def types(function: ast.FunctionDef) -> dict[str, str]:
-    """The viper type of each local: that of what is stored to it first."""
+    """Return the viper type of each local; the first assignment decides."""
     found = {a.arg: annotation(a.annotation) for a in function.args.args}
     _Stores(found).generic_visit(function)
     return found
@@ -156,7 +158,7 @@ class _Stores(ast.NodeVisitor):
 
 
 def type_of(node: ast.expr, known: Mapping[str, str]) -> str:
-    """The viper type of a value; "object" too where it cannot be told."""
+    """Return the viper type of a value; "object" also if it cannot be determined."""
     match node:
         case ast.Constant(bool()) | ast.Compare() | ast.UnaryOp(ast.Not()):
             return "bool"

@@ -1,5 +1,5 @@
-"""What is done with a machine at a serial port: any Grbl, or a board of ours.
+"""Operations on a machine at a serial port: any Grbl, or a board of ours.
 
-Imports `grbl`, `boardfile` for engines and chips, `compiling` for what belongs on a board, and
-`run` for what a program will do.
+Imports `grbl`, `boardfile` for engines and chips, `compiling` for the files of a board, and `run`
+to simulate a program.
 """

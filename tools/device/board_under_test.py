@@ -1,4 +1,4 @@
-"""The board under test: what answers on a port, its inputs, a small move."""
+"""The board under test: which firmware answers on a port, its inputs, a small move."""
 
 import re
 import time
@@ -38,7 +38,7 @@ _REPL = re.compile(r"^\|([^|']*)\|([^|']*)\|([^|']*)\|(\d+)\|(True|False)\|", re
 
 
 class Board(NamedTuple):
-    """A MicroPython that shows its prompt."""
+    """A MicroPython at its prompt."""
 
     platform: str
     name: str
@@ -48,7 +48,8 @@ class Board(NamedTuple):
 
 
 def stranger(port: str, baud: int = BAUD) -> list[Finding]:
-    """Who is there, where no Grbl answers. It may be stopped (Ctrl-C), for it runs no Grbl."""
+    """Find out what is on a port where no Grbl answers. A program may be stopped (Ctrl-C), because
+    it is not a Grbl."""
     try:
         with serial.Serial(port, baud, timeout=_REPL_S) as wire:
             wire.write(b"\r\x03\x03\r")
@@ -78,7 +79,7 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
 
 
 def _idle_board(found: re.Match[str] | None) -> list[Finding]:
-    """MicroPython, and nothing running on it."""
+    """Report a MicroPython without a running program."""
     findings = []
     todo = "put the firmware on it (README, quick start)"
     if found:
@@ -93,7 +94,8 @@ def _idle_board(found: re.Match[str] | None) -> list[Finding]:
 
 
 def fault(connection: Connection) -> str:
-    """The message of our firmware in a fault, in which it hears `?`, `$` and a reset; else ""."""
+    """Return the message of our firmware in the fault state, in which it accepts only `?`, `$` and
+    a reset; else ""."""
     told: list[str] = []
 
     def over(line: str) -> bool:
@@ -106,13 +108,13 @@ def fault(connection: Connection) -> str:
 
 
 def pins(connection: Connection) -> str:
-    """The letters of active inputs, as last reported."""
+    """Return the letters of active inputs, as last reported."""
     found = _PINS.search(connection.status)
     return found[1] if found else ""
 
 
 def report(connection: Connection) -> None:
-    """Get a fresh status report."""
+    """Wait for a new status report."""
     if not connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S):
         raise SendError("the machine has stopped to answer")
 
@@ -120,7 +122,8 @@ def report(connection: Connection) -> None:
 def watch_pins(
     connection: Connection, seconds: float, tell: Callable[[str, bool], None]
 ) -> dict[str, int]:
-    """Tell of every input as it goes on and off. Returns how often each went on."""
+    """Call tell() for every input that becomes active or inactive. Returns how often each became
+    active."""
     seen: dict[str, int] = {}
     report(connection)
     before = set(pins(connection))
@@ -138,7 +141,8 @@ def watch_pins(
 
 
 def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding:
-    """A millimetre there and back; the firmware's own count is the judge."""
+    """Move an axis by 1 mm forth and back, and compare with the position that the firmware
+    reports."""
     what = f"move {letter}"
     report(connection)
     if connection.state() != "Idle":
@@ -171,13 +175,13 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
 
 
 def _wait_until_idle(connection: Connection) -> str:
-    """What went wrong, if something did."""
+    """Return the cause of a failure, or "" at the end of the move."""
     alarm = ""
     connection.status = ""
 
     def over(line: str) -> bool:
         nonlocal alarm
-        if line.startswith("ALARM:"):  # after some, Grbl answers nothing but a reset
+        if line.startswith("ALARM:"):  # after some alarms, Grbl accepts only a reset
             alarm = f"{line}: {meaning(line)}"
         return alarm != "" or (line.startswith("<") and connection.state() == "Idle")
 

@@ -1,4 +1,4 @@
-"""What may be wrong with a machine, in words: judged from what it says of itself."""
+"""Find what may be wrong with a machine from its own reports, and say it in words."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -10,17 +10,17 @@ from ..paths import use_firmware
 
 OK, NOTE, BAD = "ok", "note", "bad"
 
-# Highest step rates of one axis where who makes the pulses is not known.
+# Highest step rates of one axis if the pulse engine is not known.
 _GRBL_ON_AVR_HZ = 30_000
 _UGRBL_HZ = 100_000
-# Who makes them, and the rate that the board states.
+# The name of the pulse engine, and the rate that the board states.
 _IDENTITY = re.compile(r"Grbl(?:HAL)?(?: ([a-z]\w*))?(?: (\d+)Hz)?\b")
-# What Grbl 1.1h has from the factory, and hardly any machine wants.
+# Factory values of Grbl 1.1h, which hardly any machine can use.
 _STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
 _LONG_RAMP_S = 2.0
 
 NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
-# What the firmware says of the user's own Python.
+# Messages of the firmware about the user's own Python.
 _TRACE = "[MSG:Trace: "
 _LEFT_OUT = "[MSG:Custom left out: "
 _OF_HANDLER = re.compile(r"\[MSG:Last fault: (M\d+|G[\d.]+|on\.\w+(?:\([^)]*\))?|every \d+): ")
@@ -29,7 +29,7 @@ _FROZEN = re.compile(r"\[MSG:Build: \w+, frozen\]")
 _STACK = re.compile(r"\[MSG:Stack: (\d+) of (\d+) bytes used\]")
 _STACK_SPARE = 1024
 _DRAINS = re.compile(r"\[MSG:Drains: (\d+)\]")
-# What the firmware calls itself besides where it has to read USB the plain way.
+# In the firmware's name if it reads USB in the slow way.
 _SLOW_RESET = "slow-reset"
 
 PINS = {
@@ -47,7 +47,7 @@ PINS = {
 
 @dataclass
 class Finding:
-    """One thing looked at. todo: what to do about it, where there is something to do."""
+    """The result of one check. todo: the next step, if there is one."""
 
     what: str
     verdict: str
@@ -55,12 +55,12 @@ class Finding:
     todo: str = ""
 
     def as_json(self) -> dict[str, str]:
-        """As `ugrbl doctor --json` writes it."""
+        """Return the finding for `ugrbl doctor --json`."""
         return asdict(self)
 
 
 def firmware(found: Firmware, ours: str) -> Finding:
-    """Who answers. ours: the build that this package would put on a board."""
+    """Judge which firmware answers. ours: the build that this package would deploy."""
     what = "firmware"
     if not found.version:
         return Finding(what, BAD, "it does not tell its version", "update the firmware")
@@ -77,7 +77,7 @@ def firmware(found: Firmware, ours: str) -> Finding:
 
 
 def link(found: Firmware) -> list[Finding]:
-    """Whether Ctrl-X acts while the firmware is busy."""
+    """Judge whether Ctrl-X takes effect while the firmware is busy."""
     if not is_ours(found) or _SLOW_RESET not in found.name.split():
         return []
     text = "this MicroPython keeps what comes over USB in a place we do not know: Ctrl-X is heard "
@@ -86,7 +86,7 @@ def link(found: Firmware) -> list[Finding]:
 
 
 def frozen(replies: Iterable[str]) -> list[Finding]:
-    """Where the firmware is, by `$I+`, if it is no file."""
+    """Report, from `$I+`, a firmware that is frozen."""
     if not any(_FROZEN.fullmatch(reply) for reply in replies):
         return []
     text = (
@@ -96,7 +96,7 @@ def frozen(replies: Iterable[str]) -> list[Finding]:
 
 
 def stack(replies: Iterable[str]) -> list[Finding]:
-    """What the answer to `$I+` says of the C stack; nothing where it says nothing."""
+    """Judge the use of the C stack that `$I+` reports; nothing if it is not reported."""
     told = [match for match in map(_STACK.fullmatch, replies) if match]
     if not told:
         return []
@@ -110,7 +110,7 @@ def stack(replies: Iterable[str]) -> list[Finding]:
 
 
 def drains(replies: Iterable[str]) -> list[Finding]:
-    """What `$I+` says of programs held up; nothing where the board does not count."""
+    """Judge the underruns that `$I+` reports; nothing if the board does not count them."""
     told = [int(match[1]) for match in map(_DRAINS.fullmatch, replies) if match]
     if not told:
         return []
@@ -120,7 +120,7 @@ def drains(replies: Iterable[str]) -> list[Finding]:
 
 
 def held_up(times: int, when: str) -> str:
-    """So many drains, in words."""
+    """Return the number of underruns in words."""
     return f"motion stopped {'once' if times == 1 else f'{times} times'} for want of lines {when}"
 
 
@@ -132,26 +132,26 @@ WHY_DRAINED = (
 
 
 def is_fault(text: str) -> bool:
-    """Whether it tells where in the firmware something has failed."""
+    """Return whether a text has the position in the firmware of an exception."""
     return _PLACE.search(text) is not None
 
 
 def fault(told: str) -> Finding:
-    """A fault of the firmware, as a board tells it."""
+    """Return the finding for a fault that the firmware reports."""
     todo = "report it, with these lines and what the machine was doing; a reset (Ctrl-X), and it "
     todo += "listens again: its place is what the motors made, but look before it moves"
     return Finding("fault", BAD, _errors(told), todo)
 
 
 def faults(replies: Iterable[str]) -> list[Finding]:
-    """What the answer to `$I+` says of the last fault since power-up."""
+    """Return the last fault since power-up that `$I+` reports."""
     told = [reply for reply in replies if reply.startswith("[MSG:Last fault: ")]
     return [fault(reply) for reply in told if not _OF_HANDLER.match(reply)]
 
 
 def custom(replies: Sequence[str]) -> list[Finding]:
-    """What the answer to `$I+` says of the user's own Python: that it was left out, and the
-    traceback of the handler that has failed last, before power-up perhaps."""
+    """Judge what `$I+` reports of the user's own Python: that it was left out, and the traceback
+    of the last handler that failed, which may be from before power-up."""
     found = []
     for reply in replies:
         if reply.startswith(_LEFT_OUT):
@@ -167,13 +167,14 @@ def custom(replies: Sequence[str]) -> list[Finding]:
 
 
 def _errors(text: str) -> str:
-    """As Python says it: the firmware keeps the word from senders, who would take it for an
+    """Restore Python's word. The firmware shortens it, because senders would take it for an
     answer."""
     return re.sub(r"Err\b", "Error", text)
 
 
 def too_old(engine: str, chip: str, version: str) -> str:
-    """Why the engine cannot run with this MicroPython; "" where it can. chip: as that names it."""
+    """Return why the engine cannot run with this MicroPython; "" if it can. chip: in MicroPython's
+    words."""
     use_firmware()
     from boot import parts
 
@@ -182,12 +183,12 @@ def too_old(engine: str, chip: str, version: str) -> str:
 
 
 def release(version: str) -> tuple[int, ...]:
-    """The first two numbers of a version, `v1.28.0`; fewer where it has not so many."""
+    """Return the first two numbers of a version, `v1.28.0`; fewer if it has fewer."""
     return tuple(int(number) for number in re.findall(r"\d+", version)[:2])
 
 
 def micropython(chip: str, version: str) -> list[Finding]:
-    """Whether a MicroPython that shows its prompt is new enough for our engines."""
+    """Judge whether a MicroPython at its prompt is new enough for our engines."""
     possible = [name for name, engine in engines.engines().items() if engine.runs_on(chip)]
     reasons = [too_old(engine, chip, version) for engine in possible]
     bad = [reason for reason in reasons if reason]
@@ -196,18 +197,18 @@ def micropython(chip: str, version: str) -> list[Finding]:
 
 
 def is_relative(found: Firmware) -> bool:
-    """Whether it is one of the firmwares that came out of Grbl and know more than it."""
+    """Return whether it is a firmware derived from Grbl that has more functions."""
     name = found.name.lower()
     return not is_ours(found) and ("hal" in name or "fluidnc" in name)
 
 
 def is_ours(found: Firmware) -> bool:
-    """ugrbl names itself in $I, where Grbl says nothing."""
+    """Return whether it is ugrbl, which has its name in $I, where Grbl has none."""
     return found.version == "1.1" and found.name.startswith("Grbl")
 
 
 def most_hz(found: Firmware, pulse_us: float) -> float:
-    """The highest step rate to expect of one axis, with pulses of that length."""
+    """Return the highest step rate to expect of one axis, with pulses of that length."""
     identity = _IDENTITY.match(found.name)
     if identity is None or not is_ours(found):
         return _GRBL_ON_AVR_HZ
@@ -219,13 +220,13 @@ def most_hz(found: Firmware, pulse_us: float) -> float:
 
 
 def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:
-    """What in the settings cannot work, or will disappoint."""
+    """Judge which settings cannot work, or will disappoint."""
     findings = [finding for check in _CHECKS for finding in check(values, found)]
     return findings or [Finding("settings", OK, "nothing in the settings contradicts itself")]
 
 
 def pins_at_rest(pins: str, values: Mapping[int, float]) -> list[Finding]:
-    """What it means that inputs are active while nobody touches them."""
+    """Judge inputs that are active although nothing touches them."""
     if not pins:
         return [Finding("inputs", OK, "no input is active")]
     findings = []
@@ -251,7 +252,7 @@ def pins_at_rest(pins: str, values: Mapping[int, float]) -> list[Finding]:
 
 
 def pins_pressed(seen: Mapping[str, int], values: Mapping[int, float], axes: int) -> list[Finding]:
-    """What pressing the switches has shown: letters, and how often each went on."""
+    """Judge the switches that were pressed. seen: how often each letter became active."""
     if not seen:
         todo = "check wiring and the pins of the board file; was anything pressed?"
         return [Finding("switches", NOTE, "no input has changed", todo)]

@@ -1,7 +1,7 @@
-"""A Grbl on a serial port: lines from it, bytes to it, and the state it reports.
+"""A Grbl on a serial port: its lines, bytes to it, and the state it reports.
 
 Every failure of the port is a SendError that says in words what may be wrong. Grbl 1.1 writes
-`<Idle|MPos:…|…>`, Grbl 0.9 `<Idle,MPos:…,…>`; both are understood.
+`<Idle|MPos:…|…>`, Grbl 0.9 `<Idle,MPos:…,…>`; both are read.
 """
 
 import errno
@@ -18,13 +18,13 @@ from ..grbl.gcode_file import STATUS, is_answer
 from ..grbl.wire_bytes import permitted
 
 BAUD = 115200
-WINDOW = 127  # bytes in Grbl's receive buffer, less one
-# Blocks in Grbl's planner, where it does not tell.
+WINDOW = 127  # bytes in Grbl's receive buffer, minus one
+# Blocks in Grbl's planner if it does not report them.
 BLOCKS = 15
 POLL_S = 0.2
 _READ_S = 0.02
 _WRITE_S = 5.0
-# An Arduino that resets when its port is opened says nothing for a second or two.
+# An Arduino that resets when its port is opened is silent for a second or two.
 _START_S = 5.0
 _OPTIONS = re.compile(r"\[OPT:[^,]*,(\d+),(\d+)(?:,.*)?\]")
 _DRAINS = re.compile(r"\|Dr:(\d+)")
@@ -35,20 +35,21 @@ _OFFSET = re.compile(r"\|WCO:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OF_A_NETWORK = ("socket", "rfc2217")
 _HOST_AND_PORT = re.compile(r"://[^/?]+:(\d+)")
 _MOST_PORTS = 0xFFFF
-# Where pseudo-terminals are, on Linux and on macOS.
+# Folders of pseudo-terminals on Linux and on macOS.
 _PSEUDO_TERMINALS = ("/dev/pts/", "/dev/ttys")
 ONLY_RESET = "after ALARM:1 or ALARM:2 it hears nothing but a reset (Ctrl-X)"
-# States in which Grbl reads no lines, and those in which it stands still for good.
+# States in which Grbl reads no lines, and states in which it stays still.
 _DEAF = ("Hold", "Door", "Sleep")
 _AT_REST = ("Idle", "Check", "Alarm", "Sleep")
 
 
 class SendError(Exception):
-    """What is asked for cannot be done, or not to its end; the text says why."""
+    """A request cannot be carried out, or not completely; the text says why."""
 
 
 def open_port(port: str, baud: int, read_s: float) -> Any:
-    """A serial port, or what a URL names, for nobody else. read_s: how long it waits for bytes."""
+    """Open a serial port, or the one that a URL names, exclusively. read_s: time limit for a
+    read."""
     try:
         return serial.serial_for_url(
             port, baud, timeout=read_s, write_timeout=_WRITE_S, exclusive=True
@@ -58,7 +59,7 @@ def open_port(port: str, baud: int, read_s: float) -> Any:
 
 
 class Connection:
-    """Lines from and bytes to a Grbl."""
+    """Reads lines from a Grbl and writes bytes to it."""
 
     def __init__(self, port: str, baud: int = BAUD) -> None:
         self._serial = open_port(port, baud, _READ_S)
@@ -67,19 +68,19 @@ class Connection:
         self.window = WINDOW
         self.blocks = BLOCKS
         self.status = ""
-        # For Grbl 0.9, which reports without bars, bytes from 0x80 on are parts of lines.
+        # For Grbl 0.9, whose reports have no bars, bytes from 0x80 on are parts of lines.
         self.takes_overrides = False
-        self.info: list[str] = []  # what start() was told by $I
-        self.heard = time.monotonic()  # when something came last
+        self.info: list[str] = []  # replies to $I in start()
+        self.heard = time.monotonic()  # time of the last byte received
         self._offset: list[float] | None = None  # WCO
-        self._rested = ""  # the place at which a Grbl 0.9 was held, as last reported
+        self._rested = ""  # the position in the last report of a held Grbl 0.9
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._serial.close()
 
     def write(self, data: bytes) -> None:
-        """Send bytes, as far as they are Grbl's."""
+        """Send those of the bytes that Grbl understands."""
         try:
             self._serial.write(permitted(data))
         except serial.SerialTimeoutException as error:
@@ -89,11 +90,12 @@ class Connection:
             raise SendError(broke(self._port)) from error
 
     def lines(self) -> Iterator[str]:
-        """The lines that have come; waits a moment for the first. The status is that of the last
-        report among those handed out."""
+        """Yield the lines received; waits up to the read limit for the first. The status is that
+        of the last report yielded."""
         try:
             data = self._serial.read(max(1, self._serial.in_waiting))
-        except (OSError, TypeError) as error:  # pyserial's own, where the port is closed meanwhile
+        # pyserial raises TypeError if the port is closed meanwhile
+        except (OSError, TypeError) as error:
             raise SendError(broke(self._port)) from error
         if data:
             self.heard = time.monotonic()
@@ -105,11 +107,11 @@ class Connection:
             yield line
 
     def state(self) -> str:
-        """The machine's state as last reported: `Idle`, `Hold:0` …"""
+        """Return the machine's state as last reported: `Idle`, `Hold:0` …"""
         return state_of(self.status)
 
     def place(self) -> list[float]:
-        """The machine position as last reported, in its own unit; empty where it is not known."""
+        """Return the machine position as last reported, in its own unit; empty if not known."""
         found = _PLACE.search(self.status)
         if not found:
             return []
@@ -120,28 +122,29 @@ class Connection:
         return [at + by for at, by in zip(place, offset, strict=False)]
 
     def work_place(self) -> list[float]:
-        """The work position as last reported, in its own unit."""
+        """Return the work position as last reported, in its own unit."""
         found = _WORK.search(self.status)
         if found:
             return [float(number) for number in found[1].split(",")]
         return [at - by for at, by in zip(self.place(), self._offset or [0.0] * 6, strict=False)]
 
     def blocks_left(self) -> int | None:
-        """How many blocks of the planner are not made yet, where the status report tells."""
+        """Return how many blocks of the planner are not yet executed; None if reports do not have
+        it."""
         found = _BUFFER.search(self.status)
         return self.blocks - int(found[1]) if found else None
 
     def drains(self) -> int:
-        """How often motion has stopped for want of lines, as the last status report tells; 0 where
-        the board does not count."""
+        """Return the number of underruns in the last status report; 0 if the board does not count
+        them."""
         found = _DRAINS.search(self.status)
         return int(found[1]) if found else 0
 
     def at_rest(self) -> bool:
-        """Whether the machine stands still, by its last report.
+        """Return whether the machine stands still, by its last report.
 
-        Grbl 0.9 says `Hold` from the moment on at which it begins to slow down: there, two
-        reports have to name the same place.
+        Grbl 0.9 reports `Hold` as soon as it begins to slow down, so two reports must have the
+        same position.
         """
         state = self.state()
         if state in ("Hold:0", "Door:0", "Door:1") or state in _AT_REST:
@@ -150,7 +153,8 @@ class Connection:
         return state in ("Hold", "Door") and self.status == before
 
     def wait_for(self, done: Callable[[str], bool], seconds: float) -> bool:
-        """Ask for the status until one of the lines that come is what is waited for."""
+        """Poll the status until done(line) is true for a line received. Returns False after
+        `seconds`."""
         until = time.monotonic() + seconds
         asked = 0.0
         while time.monotonic() < until:
@@ -159,17 +163,17 @@ class Connection:
                 asked = time.monotonic()
             heard = [
                 done(line) for line in self.lines()
-            ]  # every line, for done() may collect them
+            ]  # every line, because done() may collect them
             if any(heard):
                 return True
         return False
 
     def answers(self) -> bool:
-        """Whether a Grbl reports its status."""
+        """Return whether a Grbl reports its status."""
         return self.wait_for(lambda line: line.startswith("<"), _START_S)
 
     def start(self) -> None:
-        """Wait until Grbl listens and could work, and ask how much it can take."""
+        """Wait until Grbl is ready for work, and ask for its buffer sizes."""
         if not self.answers():
             raise SendError(f"no Grbl answers on this port; {ONLY_RESET}")
         state = self.state()
@@ -181,7 +185,7 @@ class Connection:
         self.info = self.ask("$I")
 
     def ask(self, line: str) -> list[str]:
-        """Send a line and return what it is answered with, the answer last."""
+        """Send a line and return its replies; the answer is the last one."""
         self.write(line.encode("latin-1") + b"\n")
         replies: list[str] = []
 
@@ -219,17 +223,17 @@ class Connection:
 
 
 def state_of(status: str) -> str:
-    """The state in a report."""
+    """Return the state in a report."""
     return re.split("[|,>]", status[1:])[0]
 
 
 def is_deaf(state: str) -> bool:
-    """Whether Grbl reads no lines in a state, real-time commands only."""
+    """Return whether Grbl reads no lines in a state, only real-time commands."""
     return state.partition(":")[0] in _DEAF
 
 
 def way_out(state: str) -> str:
-    """What to do about a state."""
+    """Return the next step for a state."""
     return {
         "Alarm": "home it ($H) or unlock it ($X)",
         "Hold": "resume (~) or reset (Ctrl-X) it",
@@ -243,7 +247,8 @@ def way_out(state: str) -> str:
 
 
 def is_simulator(port: str) -> bool:
-    """Whether a port is no device, but a pseudo-terminal as the simulator's, or was one."""
+    """Return whether a port is no device, but a pseudo-terminal, as the simulator's, or was
+    one."""
     place = os.path.realpath(port)
     return place.startswith(_PSEUDO_TERMINALS) or (
         os.name == "posix" and "://" not in port and not place.startswith("/dev/")
@@ -251,7 +256,7 @@ def is_simulator(port: str) -> bool:
 
 
 def broke(port: str) -> str:
-    """What to look at where a connection has broken."""
+    """Return a message for a connection that broke, with what to check."""
     look = "is the cable still plugged in, and does no other program use the port?"
     if port.partition("://")[0] in _OF_A_NETWORK:
         look = "is the machine still on, and in this network?"
@@ -261,7 +266,7 @@ def broke(port: str) -> str:
 
 
 def _why_not(port: str, baud: int, error: Exception) -> str:
-    """Why a port cannot be opened, and what may help."""
+    """Return why a port cannot be opened, and the next step."""
     kind, is_url, _ = port.partition("://")
     number = _errno(error)
     if kind in _OF_A_NETWORK and is_url:
@@ -277,7 +282,7 @@ def _why_not(port: str, baud: int, error: Exception) -> str:
             "no such port; is the cable one that carries data? `ugrbl ports` lists what is there"
         )
     if number in (errno.EBUSY, errno.EAGAIN) or "Access is denied" in str(error):
-        return "another program has it; close that"  # which Windows calls a denied access
+        return "another program has it; close that"  # Windows reports this as a denied access
     if number == errno.EACCES:
         return "permission denied; add yourself to its group (`ls -l` shows which) and log in anew"
     if number in (errno.EISDIR, errno.ENOTTY) or "configure port" in str(error):
@@ -298,7 +303,7 @@ def _why_no_connection(kind: str, port: str, number: int) -> str:
 
 
 def _errno(error: BaseException | None) -> int:
-    """The system's number: pyserial has it, or has made its text from an error that has it."""
+    """Return the system's error number. pyserial has it, or the error that it was raised from."""
     while error:
         if isinstance(error, OSError) and error.errno:
             return error.errno

@@ -1,9 +1,9 @@
-"""The user's own Python on a board: put there, read and taken away.
+"""The user's own Python on a board: write, read and remove it.
 
-A new file is written beside the old one and takes its place by a renaming, which a board's file
-system does or does not do. A new folder is written as NAME.part, is NAME.whole once it is that,
-and takes the place of NAME by two renamings on the board; where the power goes between them, the
-next start does the second one (firmware/ports/storage/user_files.py).
+A new file is written under another name and renamed over the old one; a board's file system does
+this completely or not at all. A new folder is written as NAME.part and renamed NAME.whole when
+complete. Two renamings on the board then put it in the place of NAME; if the power fails between
+them, the next start does the second one (firmware/ports/storage/user_files.py).
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -12,48 +12,49 @@ from typing import Any, Protocol
 from ..boardfile.options import BY_NAME
 from .deploy import DeployError, Running
 
-# Under which the firmware keeps the last traceback, and the endings of what it keeps.
+# Names of the files with the last traceback.
 _TRACES = ("custom.txt", "custom.new", "custom.old")
 
 
 class CustomFiles(Protocol):
-    """A board with MicroPython, at its prompt. Files raise OSError, all may raise DeployError."""
+    """A board with MicroPython, at its prompt. Methods for files raise OSError; all may raise
+    DeployError."""
 
     told: list[str]
 
     def enter(self) -> None:
-        """Get the prompt; a machine in motion is not disturbed."""
+        """Enter the prompt; a machine in motion is not disturbed."""
 
     def options(self) -> dict[str, Any]:
-        """CUSTOM, OUTPUTS and INPUTS of its board file."""
+        """Return CUSTOM, OUTPUTS and INPUTS of its board file."""
 
     def names(self, folder: str) -> list[str]:
-        """All that is in a folder; "" is the root."""
+        """Return all names in a folder; "" is the root."""
 
     def read(self, path: str) -> bytes:
-        """A file."""
+        """Return the content of a file."""
 
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
-        """Make or replace a file."""
+        """Create or replace a file."""
 
     def rename(self, pairs: "Iterable[tuple[str, str]]") -> None:
-        """One behind the other; a file gives way to another that gets its name."""
+        """Rename files one after another; an existing file of the new name is replaced."""
 
     def remove(self, path: str) -> None:
-        """A file less; its folder, too, when it was the last."""
+        """Remove a file, and its folder if that is then empty."""
 
     def make_folder(self, path: str) -> None:
-        """It may be there already."""
+        """Create a folder; it may exist."""
 
     def restart(self) -> Running:
-        """Leave the prompt, start the firmware; messages of its $I are `told` then."""
+        """Leave the prompt and start the firmware; `told` then has the messages of its $I."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 def name_of(options: Mapping[str, Any]) -> str:
-    """What the board reads. DeployError where it is to read none."""
+    """Return the name of the module that the board loads. DeployError if it loads none."""
     name: str = options["CUSTOM"]
     if problem := BY_NAME["CUSTOM"].problem(name):
         raise DeployError(
@@ -68,8 +69,8 @@ def name_of(options: Mapping[str, Any]) -> str:
 
 
 def pull(shelf: CustomFiles, name: str) -> dict[str, bytes]:
-    """What it reads, by path: NAME.py, or else what is in the folder NAME; nothing where neither
-    is there."""
+    """Return the user's files by path: NAME.py, else those of the folder NAME; nothing if neither
+    exists."""
     there = shelf.names("")
     _finish(shelf, name, there)
     if f"{name}.py" in there:
@@ -81,7 +82,7 @@ def pull(shelf: CustomFiles, name: str) -> dict[str, bytes]:
 def push(
     shelf: CustomFiles, name: str, files: Mapping[str, bytes], written: "Callable[[int], None]"
 ) -> None:
-    """Put them in the place of what is there: NAME.py, or files of the folder NAME."""
+    """Replace the user's files: by NAME.py, or by files of the folder NAME."""
     there = shelf.names("")
     _check_folder(shelf, name)
     _finish(shelf, name, there)
@@ -105,12 +106,12 @@ def push(
 
 
 def remove(shelf: CustomFiles, name: str) -> bool:
-    """Take it away. Returns whether there was any."""
+    """Remove the user's files. Returns whether there were any."""
     there = shelf.names("")
     _check_folder(shelf, name)
     _finish(shelf, name, there)
     _clear(shelf, name, there)
-    _remove_folder(shelf, name)  # before the file, in whose shadow it may be
+    _remove_folder(shelf, name)  # before the file, which it may hide
     if f"{name}.py" in there:
         shelf.remove(f"{name}.py")
     _forget_trace(shelf, there)
@@ -118,7 +119,7 @@ def remove(shelf: CustomFiles, name: str) -> bool:
 
 
 def _check_folder(shelf: CustomFiles, name: str) -> None:
-    """DeployError where something of the user's would be lost with the old folder."""
+    """Raise DeployError if the old folder has files of the user's that would be lost."""
     others = [file for file in shelf.names(name) if not file.endswith(".py")]
     if others:
         raise DeployError(
@@ -128,14 +129,15 @@ def _check_folder(shelf: CustomFiles, name: str) -> None:
 
 
 def _finish(shelf: CustomFiles, name: str, there: list[str]) -> None:
-    """As the firmware's next start would: a push was cut between its two renamings."""
+    """Complete a push that was interrupted between its two renamings, as the firmware's next start
+    would."""
     if f"{name}.whole" in there and name not in there:
         shelf.rename([(f"{name}.whole", name)])
         there[:] = shelf.names("")
 
 
 def _clear(shelf: CustomFiles, name: str, there: list[str]) -> None:
-    """What a push that was cut has left."""
+    """Remove what an interrupted push has left."""
     if f"{name}.py.new" in there:
         shelf.remove(f"{name}.py.new")
     for ending in ("part", "whole", "gone"):
@@ -148,7 +150,7 @@ def _remove_folder(shelf: CustomFiles, folder: str) -> None:
 
 
 def _forget_trace(shelf: CustomFiles, there: list[str]) -> None:
-    """The traceback is of the file before."""
+    """Remove the traceback, because it belongs to the old file."""
     for file in _TRACES:
         if file in there:
             shelf.remove(file)

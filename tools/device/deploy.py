@@ -1,7 +1,7 @@
-"""Puts the firmware on a board: what has to be copied, what has to go, in which order.
+"""Put the firmware on a board: which files to copy, which to remove, in which order.
 
-Who talks to the board is in deploy_device.py. The list of what a deployment has put there stays on
-the board (LIST), so that the next one knows its own files from the user's.
+deploy_device.py communicates with the board. The list of deployed files stays on the board (LIST),
+so that the next deployment can tell its own files from the user's.
 """
 
 import errno
@@ -18,11 +18,11 @@ from ..compiling.folder import folders
 from ..compiling.freeze import Frozen
 from . import checkup
 
-# Checksums and paths, as sha256sum writes them.
+# Checksums and paths, in the format of sha256sum.
 LIST = "deployed.sha256"
 _KINDS = (".py", ".mpy")
 
-# sys.implementation._mpy: what the numbers above its low 10 bits mean.
+# Meaning of the number above the low 10 bits of sys.implementation._mpy.
 ARCHS = (
     "no machine code at all",
     *("x86", "x64", "armv6", "armv6m", "armv7m", "armv7em", "armv7emsp", "armv7emdp"),
@@ -32,7 +32,7 @@ _NOT_OURS = {"rv32imc": "RP2350 in its RISC-V mode, or an ESP32-C3"}
 
 
 class DeployError(Exception):
-    """It cannot be done. todo: what helps."""
+    """The deployment is not possible. todo: the next step."""
 
     def __init__(self, why: str, todo: str) -> None:
         super().__init__(why)
@@ -40,8 +40,8 @@ class DeployError(Exception):
 
 
 class About(NamedTuple):
-    """What a MicroPython says of itself. mpy: its sys.implementation._mpy, 0 without; frozen: what
-    it has of our firmware."""
+    """What a MicroPython reports of itself. mpy: its sys.implementation._mpy, 0 if missing;
+    frozen: our firmware frozen into it."""
 
     mpy: int
     version: str
@@ -50,7 +50,7 @@ class About(NamedTuple):
 
 
 class Running(NamedTuple):
-    """What the firmware has said after its start. free_bytes: None where it does not tell."""
+    """What the firmware reports after its start. free_bytes: None if it does not report it."""
 
     banner: str
     build: str
@@ -58,47 +58,49 @@ class Running(NamedTuple):
 
 
 class Device(Protocol):
-    """A board with MicroPython. Every method may raise DeployError; files raise OSError."""
+    """A board with MicroPython. Every method may raise DeployError; those for files raise
+    OSError."""
 
     def enter(self) -> None:
-        """Get the prompt; a machine in motion is not disturbed."""
+        """Enter the prompt; a machine in motion is not disturbed."""
 
     def about(self) -> About:
-        """What is on it."""
+        """Return what is on the board."""
 
     def files(self, folders: Iterable[str]) -> dict[str, str]:
-        """Checksums of the Python files, the page and LIST in these folders; "" is the root."""
+        """Return checksums of the Python files, the page and LIST in these folders; "" is the
+        root."""
 
     def read(self, path: str) -> bytes:
-        """A file."""
+        """Return the content of a file."""
 
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
-        """Make or replace a file. progress: is told of every piece, how many bytes it has."""
+        """Create or replace a file. progress: called with the number of bytes of every piece."""
 
     def remove(self, path: str) -> None:
-        """A file less; its folder, too, when it was the last."""
+        """Remove a file, and its folder if that is then empty."""
 
     def make_folder(self, path: str) -> None:
-        """It may be there already."""
+        """Create a folder; it may exist."""
 
     def restart(self) -> Running:
-        """Leave the prompt, start main.py and hear what it says."""
+        """Leave the prompt, start main.py and return what it reports."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 class View(Protocol):
-    """Who shows what happens."""
+    """Shows the progress."""
 
     def begin(self, count: int, total: int) -> None:
-        """So many files with so many bytes will be written."""
+        """`count` files with `total` bytes will be written."""
 
     def file(self, path: str) -> None:
-        """This is the next."""
+        """The next file."""
 
     def written(self, count: int) -> None:
-        """So many bytes more."""
+        """`count` more bytes are written."""
 
 
 class Plan(NamedTuple):
@@ -111,8 +113,8 @@ class Plan(NamedTuple):
 
 @dataclass
 class Result:
-    """What was done. seconds: without compiling; frozen: the build that is frozen in, if one is;
-    runs_frozen: it is what runs."""
+    """What was done. seconds: without compiling. frozen: the id of the frozen build, if there is
+    one. runs_frozen: the frozen build is the one that runs."""
 
     micropython: str = ""
     frozen: str = ""
@@ -127,20 +129,20 @@ class Result:
     free_bytes: int | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """For other programs."""
+        """Return the result for other programs."""
         return asdict(self)
 
 
 def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Plan:
-    """What to do. there: checksums of files on the board; before: of what was deployed last.
+    """Return what to do. there: checksums of files on the board; before: of the last deployment.
 
-    What goes: our modules in another form (a words.py would win over words.mpy) or without use
-    for this board, and what was deployed and has not been changed since. Nothing else.
+    Removed are our modules in another form (a words.py would take precedence over words.mpy) or
+    without use for this board, and deployed files that have not been changed since. Nothing else.
     """
     same = [path for path, content in made.files.items() if there.get(path) == digest(content)]
     copy = [path for path in made.files if path not in same]
     sources = build.sources()
-    # Earlier builds had one module of each folder.
+    # Earlier builds had a module for each folder.
     packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in sources}
     names = {name.removesuffix(".py") for name in (*sources, *packages)}
     ours = {name + kind for name in names for kind in _KINDS}
@@ -154,7 +156,7 @@ def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Pl
 
 
 def check_fit(about: About, made: Build) -> None:
-    """DeployError if the board cannot run these files, or is another than its file says."""
+    """Raise DeployError if the board cannot run these files, or differs from its board file."""
     if not about.mpy:
         todo = "put an official MicroPython on the board: micropython.org/download"
         raise DeployError("this MicroPython takes no compiled files", todo)
@@ -182,13 +184,14 @@ def check_fit(about: About, made: Build) -> None:
 
 
 def _processor(arch: str) -> str:
-    """What is compiled for, with its chips: `armv6m (RP2040)`."""
+    """Return a processor with its chips: `armv6m (RP2040)`."""
     known = " or ".join(chips.processors(arch)) or _NOT_OURS.get(arch, "another processor")
     return f"{arch} ({known})"
 
 
 def check_yours(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> None:
-    """DeployError where a board.py changed on the board, or another's main.py, would be lost."""
+    """Raise DeployError if a board.py changed on the board, or a main.py of the user's, would be
+    lost."""
     for name in (BOARD, START):
         if there.get(name) not in (None, before.get(name), digest(made.files[name])):
             raise DeployError(
@@ -199,10 +202,10 @@ def check_yours(made: Build, there: Mapping[str, str], before: Mapping[str, str]
 
 
 def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Result:
-    """Bring the board up to date and start it. Nothing is changed before all checks have passed.
+    """Update the board and start it. Nothing is changed before all checks have passed.
 
-    Without main.py, which goes first and comes last, a board starts with MicroPython's prompt, or
-    with what is frozen into it: one that was left half way runs no half of a firmware.
+    main.py is removed first and written last. Without it, a board starts with MicroPython's
+    prompt, or with its frozen firmware; an interrupted deployment never runs half a firmware.
     """
     since = time.monotonic()
     device.enter()
@@ -257,7 +260,7 @@ def _write(device: Device, path: str, content: bytes, view: View | None) -> None
 
 
 def _no_room(error: OSError) -> DeployError:
-    """What a board's file system has refused, in words."""
+    """Convert an error of the board's file system to words."""
     if error.errno == errno.ENOSPC:
         return DeployError(
             f"the board's flash is full, at {error.args[-1]}",
@@ -271,18 +274,18 @@ def _no_room(error: OSError) -> DeployError:
 
 
 def checksums(made: Build) -> dict[str, str]:
-    """Of all its files."""
+    """Return the checksums of all its files."""
     return {path: digest(content) for path, content in made.files.items()}
 
 
 def listing(made: Build) -> bytes:
-    """What LIST holds behind it."""
+    """Return the content of LIST after the deployment."""
     rows = (f"{checksum}  {path}\n" for path, checksum in sorted(checksums(made).items()))
     return "".join(rows).encode()
 
 
 def _read_list(device: Device, there: Mapping[str, str]) -> dict[str, str]:
-    """What was deployed last; nothing on a board that is new."""
+    """Return the checksums of the last deployment; none on a new board."""
     if LIST not in there:
         return {}
     rows = (

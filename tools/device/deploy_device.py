@@ -1,4 +1,4 @@
-"""A board with MicroPython on a serial port, by way of mpremote."""
+"""A board with MicroPython on a serial port, accessed through mpremote."""
 
 import contextlib
 import functools
@@ -18,7 +18,7 @@ from ..compiling import freeze, page_files
 from .connection import Connection, SendError, broke, is_simulator, way_out
 from .deploy import LIST, About, DeployError, Running
 
-# An emulated board is slow: UGRBL_PATIENCE=5 waits five times as long for everything.
+# An emulated board is slow: UGRBL_PATIENCE=5 makes all time limits five times as long.
 PATIENCE = float(os.environ.get("UGRBL_PATIENCE", "1"))
 _STATUS_S = 2.0 * PATIENCE
 _PROMPT_S = 5.0 * PATIENCE
@@ -26,14 +26,14 @@ _START_S = 15.0 * PATIENCE
 _ANSWER_S = 5.0 * PATIENCE
 _RAW_S = 10.0 * PATIENCE
 _NAP_S = 0.01
-_PIECE = 1024  # bytes that the board takes at a time: it reads them as text, up to 4 kB
+_PIECE = 1024  # bytes per write; the board reads them as text, up to 4 kB
 _AT_REST = ("Idle", "Alarm")
 
 _ESCAPE = b"\x03\x03\x03"
 _END = b"\x04"
 _PROMPT = re.compile(rb">>> $")
 _STATE = re.compile(rb"<([A-Za-z]+)[^>]*>|\[MSG:|>>> ")
-# The welcome; or a prompt, or a message, in its place.
+# The welcome, or instead of it a prompt or a message.
 _STARTED = re.compile(rb"\r\n(Grbl(?:HAL)? \d[^\r\n]*)\r\n|>>> $|\[MSG:[^\]]*\]\r\n")
 _BUILD = re.compile(rb"\[VER:([^\]]*)\]|\[(\d[^\]]*)\]")  # of Grbl 1.1, of 0.9
 _ANSWERED = re.compile(rb"\]\r\nok\r\n")
@@ -50,7 +50,7 @@ _ABOUT = """(
     os.uname()[4],
     frozen,
 )"""
-# The firmware that is frozen in, whatever files there are.
+# The firmware that is frozen in, whatever files the board has.
 _FROZEN = """
 path, sys.path[:] = sys.path[:], [".frozen"]
 try:
@@ -97,12 +97,13 @@ for folder in {folders!r}:
 
 
 class MpremoteDevice:
-    """A Device. DeployError if the port cannot be opened."""
+    """A Device. Raises DeployError if the port cannot be opened."""
 
     def __init__(self, port: str) -> None:
         try:
-            Connection(port).close()  # for its words: mpremote does not say why
-            # At a pseudo-terminal mpremote waits for a byte without a look at its own limits.
+            # for its error text, because mpremote does not give the cause
+            Connection(port).close()
+            # On a pseudo-terminal mpremote waits for a byte without checking its own limits.
             self._transport: Any = SerialTransport(port, timeout=_RAW_S)
         except (SendError, TransportError) as error:
             why, _, todo = str(error).partition("; ")
@@ -110,17 +111,17 @@ class MpremoteDevice:
         self._transport.exec_raw = functools.partial(self._transport.exec_raw, timeout=_RAW_S)
         self._port = port
         self._heard = b""
-        self.told: list[str] = []  # messages of $I, behind a restart
+        self.told: list[str] = []  # messages of $I after a restart
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         with contextlib.suppress(OSError):
             self._transport.close()
 
-    # In
+    # Entering
 
     def enter(self) -> None:
-        """Get MicroPython's raw prompt, with memory that is free but for the prompt itself."""
+        """Enter MicroPython's raw prompt, after a soft reset that frees the memory."""
         with self._mended():
             found = self._hear(_STATE, _STATUS_S, b"?")
             state = found[1].decode() if found and found[1] else ""
@@ -157,7 +158,7 @@ class MpremoteDevice:
         )
 
     def about(self) -> About:
-        """Version and processor."""
+        """Return version and processor."""
         self._run("import os, sys" + _FROZEN)
         mpy, version, machine, frozen = self._evaluate(_ABOUT)
         return About(mpy, version, machine, freeze.read(frozen))
@@ -165,7 +166,7 @@ class MpremoteDevice:
     # Files
 
     def files(self, folders: Iterable[str]) -> dict[str, str]:
-        """Checksums by path, worked out on the board."""
+        """Return checksums by path, computed on the board."""
         script = _FILES.format(
             folders=tuple(folders), names=(LIST, *page_files.names(), hal_texts.name())
         )
@@ -173,12 +174,12 @@ class MpremoteDevice:
         return {path: checksum for checksum, path in rows}
 
     def read(self, path: str) -> bytes:
-        """A file."""
+        """Return the content of a file."""
         with self._mended():
             return bytes(self._transport.fs_readfile(f"/{path}"))
 
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
-        """Make or replace a file. Raises OSError with MicroPython's number."""
+        """Create or replace a file. Raises OSError with MicroPython's error number."""
         told = 0
 
         def tell(count: int, total: int) -> None:
@@ -190,7 +191,7 @@ class MpremoteDevice:
             self._transport.fs_writefile(f"/{path}", content, _PIECE, tell)
 
     def remove(self, path: str) -> None:
-        """A file, and folders that are empty then."""
+        """Remove a file, and folders that are then empty."""
         with self._mended():
             self._transport.fs_rmfile(f"/{path}")
             with contextlib.suppress(OSError, TransportError):
@@ -198,33 +199,35 @@ class MpremoteDevice:
                     self._transport.fs_rmdir(f"/{path}")
 
     def make_folder(self, path: str) -> None:
-        """A folder, which may be there."""
+        """Create a folder; it may exist."""
         with self._mended(), contextlib.suppress(FileExistsError):
             self._transport.fs_mkdir(f"/{path}")
 
     def names(self, folder: str) -> list[str]:
-        """All that is in a folder; nothing where there is none."""
+        """Return all names in a folder; none if it does not exist."""
         self._run("import os")
         found: list[str] = self._evaluate(_NAMES.format(folder=folder))
         return found
 
     def rename(self, pairs: "Iterable[tuple[str, str]]") -> None:
-        """One behind the other, by the board itself: a cable pulled out does not part them."""
+        """Rename files one after another, in one script on the board, so that a pulled cable
+        cannot interrupt in between."""
         steps = "".join(f"os.rename({f'/{old}'!r}, {f'/{new}'!r})\n" for old, new in pairs)
         self._run(f"import os\n{steps}")
 
     def options(self) -> dict[str, Any]:
-        """What its board file says of custom.py."""
+        """Return the options of its board file that concern custom.py and outputs."""
         self._run(_TRY_BOARD)
         found: dict[str, Any] | None = self._evaluate(_OPTIONS)
         if found is None:
             raise DeployError("there is no board.py on it", "put the firmware there: ugrbl deploy")
         return found
 
-    # Out
+    # Leaving
 
     def restart(self) -> Running:
-        """Start twice, for between the two one can ask how much memory the machine leaves."""
+        """Start the firmware twice. Between the starts the free memory of the running machine is
+        measured."""
         with self._mended():
             self._leave_raw()
             banner = self._start()
@@ -251,7 +254,8 @@ class MpremoteDevice:
         return (found[1] or found[2]).decode("latin-1") if found else ""
 
     def _free_bytes(self) -> int | None:
-        """What the machine leaves free; main.py keeps it while one looks at it."""
+        """Return the memory that the machine leaves free, in bytes. main.py keeps the machine
+        while the prompt is open."""
         if not self._hear(_PROMPT, _PROMPT_S, _ESCAPE):
             return None
         self._enter_raw(soft_reset=False)
@@ -262,19 +266,19 @@ class MpremoteDevice:
         return free if free >= 0 else None
 
     def _enter_raw(self, soft_reset: bool) -> None:
-        with contextlib.redirect_stdout(io.StringIO()):  # mpremote tells of failures there, too
+        with contextlib.redirect_stdout(io.StringIO()):  # mpremote also reports failures there
             self._transport.enter_raw_repl(soft_reset, _RAW_S)
 
     def _leave_raw(self) -> None:
         self._transport.exit_raw_repl()
         self._hear(_PROMPT, _PROMPT_S, b"")
 
-    # Below
+    # The serial line
 
     def _hear(
         self, pattern: "re.Pattern[bytes]", seconds: float, ask: bytes
     ) -> "re.Match[bytes] | None":
-        """Send, then listen until the pattern is heard or the time is over."""
+        """Send bytes, then read until the pattern matches or the time is over."""
         self._heard = b""
         until = time.monotonic() + seconds
         try:
@@ -288,7 +292,7 @@ class MpremoteDevice:
             raise serial.SerialException(str(error)) from error
 
     def _arrived(self) -> bytes:
-        """What has come; where nothing has, after a nap."""
+        """Return received bytes; b"" after a short wait if there are none."""
         port = self._transport.serial
         waiting = port.in_waiting
         if not waiting:
@@ -306,7 +310,7 @@ class MpremoteDevice:
 
     @contextlib.contextmanager
     def _mended(self) -> Iterator[None]:
-        """What goes wrong on the line, in words."""
+        """Convert errors on the line to a DeployError."""
         try:
             yield
         except serial.SerialException as error:

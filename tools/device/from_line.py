@@ -1,7 +1,7 @@
-"""Going on in the middle of a program: the lines that lead up to it, and what they do in words.
+"""Start a program at a line in its middle: the lines that prepare for it, with descriptions.
 
-The simulator has run the lines before, so modes, feed, speed, tool and place are those that they
-leave. The way there is at a safe height: up first, then across, the tool on, then down at feed.
+The simulator has run the lines before, so modes, feed, speed, tool and position are known. The
+approach is safe: first up to a safe height, then across, tool on, then down at feed rate.
 """
 
 import re
@@ -29,22 +29,22 @@ _TOOL = re.compile(rb"T\d|M0*6(?!\d)")
 
 
 class CannotEnter(Exception):
-    """A line that nobody can begin with; the text says why."""
+    """A program cannot be started at this line; the text says why."""
 
 
 @dataclass
 class Approach:
-    """How to get there."""
+    """The way to a line."""
 
     lines: list[Line]
-    words: list[str]  # what they do
+    words: list[str]  # descriptions of what the lines do
     cautions: list[str]
 
 
 def approach(
     lines: Sequence[bytes], number: int, forecast: Forecast, here: MachineSnapshot
 ) -> Approach:
-    """The way to a line of a program, from where the machine is."""
+    """Return the way from the machine's position to a line of a program."""
     if forecast.stopped:
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
     there = read(forecast.at_line)
@@ -64,8 +64,9 @@ def approach(
 
 
 def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -> None:
-    """An arc goes on from line to line, but cannot be begun without its end; and a laser in M3
-    burns at rest as soon as G1 is said."""
+    """Raise CannotEnter if the line continues an arc of a line before, or a laser's cut in M3. An
+    arc cannot begin without its end, and in M3 a laser burns at standstill as soon as G1 is
+    active."""
     refused = ("G1", "G2", "G3") if laser and "M3" in modes else ("G2", "G3")
     motion = next((word for word in modes if word in refused), "")
     if motion and not _MOTION.search(_code(line)):
@@ -74,7 +75,8 @@ def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -
 
 
 def _check_cycle(lines: Sequence[bytes], number: int) -> None:
-    """Nor can a drilling cycle: depth, height and way back are those of its first line."""
+    """Raise CannotEnter within a drilling cycle, because its depth, height and retract are in its
+    first line."""
     begun = 0
     for at, line in enumerate(lines[: number - 1], 1):
         code = _code(line)
@@ -88,7 +90,8 @@ def _check_cycle(lines: Sequence[bytes], number: int) -> None:
 
 
 def _check_settings(before: Sequence[bytes], here: MachineSnapshot) -> None:
-    """Settings are stored: the machine has to have what the lines before have set."""
+    """Raise CannotEnter if the machine's settings differ from those that the lines before have
+    stored."""
     for at, line in enumerate(before, 1):
         match = _SETTING.fullmatch(_code(line))
         if not match or (now := here.settings.get(int(match[1]))) is None:
@@ -98,7 +101,8 @@ def _check_settings(before: Sequence[bytes], here: MachineSnapshot) -> None:
 
 
 def _check_places(after: Sequence[bytes], here: MachineSnapshot, there: MachineSnapshot) -> None:
-    """G28.1 and G30.1 store where the tool is: without going there nobody can."""
+    """Raise CannotEnter if the program goes to a position that G28.1 or G30.1 stored in the lines
+    before, because these store where the tool is."""
     for line in after:
         for word in _GOES_TO.findall(_code(line)):
             name = f"G{word.decode()}"
@@ -108,7 +112,8 @@ def _check_places(after: Sequence[bytes], here: MachineSnapshot, there: MachineS
 
 
 class _Way:
-    """Lines with what they do. here, there: the machine now, and as the program wants it."""
+    """The lines with descriptions. here: the machine's state now; there: the state that the
+    program needs."""
 
     def __init__(
         self, here: MachineSnapshot, there: MachineSnapshot, place: Sequence[float], safe_mm: float
@@ -120,7 +125,7 @@ class _Way:
         self._modes = there.modes
 
     def steps(self) -> list[tuple[str, str]]:
-        """All of them, in order."""
+        """Return all lines with their descriptions, in order."""
         laser = self._here.laser()
         across = (f"G53 G0 {axis_words(self._place[:2])}", f"across to {self._words(self._place)}")
         return [
@@ -133,12 +138,12 @@ class _Way:
             *([] if not laser else self._tool()),
             (f"F{self._feed()}", f"feed {self._feed()} mm/min"),
             (self._modal(), f"modes {self._modal()}"),
-            # On a line of its own: with G1 on it Grbl requires an F.
+            # On a line of its own, because with G1 Grbl would require an F.
             ("G93", "G93, a time in each line") if "G93" in self._modes else ("", ""),
         ]
 
     def _words(self, place: Sequence[float]) -> str:
-        """A place in the work coordinates of the program."""
+        """Return X and Y of a position as words, in the work coordinates of the program."""
         offset = self._there.work_offset()
         work = [at - by for at, by in zip(place, offset, strict=False)]
         return axis_words(work[:2])
@@ -159,20 +164,20 @@ class _Way:
         return f"G53 G1 Z{self._place[2]:.3f} F{self._feed()}", said
 
     def _feed(self) -> str:
-        """In mm/min."""
+        """Return the feed in mm/min."""
         return number_word(self._there.feed_mm_min() or _SLOW_MM_MIN)
 
     def _speed(self) -> str:
         return f"S{number_word(self._there.word('S'))}"
 
     def _tool(self) -> list[tuple[str, str]]:
-        """Spindle and coolant as they were."""
+        """Return lines for spindle or laser, and coolant, as the program has them."""
         steps = []
         spin = next((word for word in self._modes if word in ("M3", "M4")), "")
         if spin:
             on = f"{spin} {self._speed()}"
             if self._here.laser():
-                steps.append((f"G0 {on}", f"laser on: {on}"))  # dark, until it moves
+                steps.append((f"G0 {on}", f"laser on: {on}"))  # no power until it moves
             else:
                 steps.append((on, f"spindle on: {on}, and {_SPIN_UP_S} s for it to speed up"))
                 steps.append((f"G4 P{_SPIN_UP_S}", ""))
@@ -180,7 +185,8 @@ class _Way:
         return steps
 
     def _offsets(self) -> list[tuple[str, str]]:
-        """All that the lines before leave otherwise than they are here."""
+        """Return lines for all offsets that the lines before leave different from the
+        machine's."""
         steps = []
         for number, name in enumerate(SYSTEMS, 1):
             stored = self._there.offsets.get(name, [])
@@ -198,14 +204,16 @@ class _Way:
 
     def _modal(self) -> str:
         wanted: tuple[str, ...] = ("G17", "G18", "G19", "G20", "G21", "G90", "G91", "G94")
-        if not (self._here.laser() and "M3" in self._modes):  # else the line says how it moves
+        # else the line itself names its motion
+        if not (self._here.laser() and "M3" in self._modes):
             wanted = ("G0", "G1", "G80", *wanted)
         words = [word for word in self._modes if word in (*wanted, *SYSTEMS)]
         return " ".join([*words, self._speed()])
 
 
 def _later(lines: Sequence[bytes], number: int) -> list[str]:
-    """What has been stored by lines that are yet to come, where they have been done before."""
+    """Return a warning if a line still to come stores offsets and may have been executed
+    before."""
     for at, line in enumerate(lines[number - 1 :], number):
         if _STORES.search(_code(line)):
             text = f"line {at} stores offsets: where it has been done already"
@@ -214,7 +222,7 @@ def _later(lines: Sequence[bytes], number: int) -> list[str]:
 
 
 def _cautions(before: Sequence[bytes]) -> list[str]:
-    """What only the user can know."""
+    """Return warnings about what only the user can check."""
     found = []
     for pattern, text in (
         (_RELATIVE, "moves relatively (G91): the places above hold where the program began here"),

@@ -1,4 +1,4 @@
-"""Jobs on a board: sent there, listed, shown, started and deleted, over the sender's line."""
+"""Jobs on a board: sent, listed, shown, started and deleted, over the serial line."""
 
 import base64
 import re
@@ -11,15 +11,15 @@ from ..grbl.gcode_file import is_answer
 from ..grbl.messages import meaning
 from .connection import Connection, SendError, way_out
 
-# Bytes of a piece, and of a line when it is packed, as firmware/extras/jobs/job_upload.py takes
-# them.
+# Bytes of a piece, and of a packed line, as firmware/extras/jobs/job_upload.py expects them.
 _PIECE = 2048
 _LINE = 256
 _WINDOW_LOG2 = 10
-_SILENCE_S = 12.0  # longer than a board takes to find flash for a piece
-_LOOKED_THROUGH_PER_S = 50_000  # bytes of the file, once it is there: read again, and copied
-_BEGUN_S = 600.0  # for a look through a long program, and a way through it in check mode
-_FIRST_S = 0.5  # in which its first lines are refused, if they are
+_SILENCE_S = 12.0  # longer than a board takes to find free flash for a piece
+# bytes per second; the board reads the complete file again, and copies it
+_LOOKED_THROUGH_PER_S = 50_000
+_BEGUN_S = 600.0  # for a scan of a long program, and its run in check mode
+_FIRST_S = 0.5  # the first lines are refused within this time, if at all
 _REFUSED = re.compile(r"refused with (\d+)")
 _NAME = re.compile(r"[A-Z0-9_-][A-Z0-9._-]{0,31}")
 _FILE = re.compile(r"\[FILE:/(.*)\|SIZE:(\d+)\]")
@@ -31,14 +31,14 @@ NO_JOBS = (
 
 
 class File(NamedTuple):
-    """A job."""
+    """A job on a board; size in bytes."""
 
     name: str
     size: int
 
 
 def name_of(text: str) -> str:
-    """What a file is called on a board. ValueError where it cannot be."""
+    """Return the name of a file on a board. ValueError if the text cannot be a name."""
     name = text.upper()
     if not _NAME.fullmatch(name):
         words = "letters, digits, . _ -, 32 at most, and no dot at the beginning"
@@ -47,8 +47,8 @@ def name_of(text: str) -> str:
 
 
 def push(connection: Connection, name: str, data: bytes, progress: Callable[[int], None]) -> None:
-    """Put a file there; progress is told how many bytes are. SendError where it is not taken: what
-    was there by that name is as it was."""
+    """Send a file to the board; progress gets the number of bytes stored. SendError if the board
+    refuses it; an older file of that name then stays unchanged."""
     if not data:
         raise SendError("an empty file is no job")
     connection.write(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n".encode())
@@ -69,37 +69,39 @@ def _lines(piece: bytes) -> Iterator[bytes]:
 
 
 def files(connection: Connection) -> tuple[list[File], str]:
-    """All there are, and how much room is left, in words."""
+    """Return all jobs, and the free space in words."""
     said = _ask(connection, "$F")
     found = [File(match[1], int(match[2])) for line in said if (match := _FILE.fullmatch(line))]
     return found, next((match[1] for line in said if (match := _MESSAGE.fullmatch(line))), "")
 
 
 def check_there(connection: Connection, name: str) -> None:
-    """SendError where the machine keeps no jobs, or none of that name; an empty one is any."""
+    """Raise SendError if the machine has no jobs, or none of that name. An empty name stands for
+    any."""
     found, _ = files(connection)
     if name and name not in (one.name.upper() for one in found):
         raise SendError(f"There is no job {name}: `ugrbl job list` shows what there is")
 
 
 def show(connection: Connection, name: str) -> str:
-    """The text of a job."""
+    """Return the text of a job."""
     return "\r\n".join(_ask(connection, f"$F<={name}")[:-1])
 
 
 def delete(connection: Connection, name: str) -> None:
-    """Take it away."""
+    """Delete a job."""
     _ask(connection, f"$FD={name}")
 
 
 def button(connection: Connection, name: str) -> None:
-    """Give it to the start button; no name takes that away."""
+    """Assign a job to the start button; an empty name removes the assignment."""
     _ask(connection, f"$FB={name}")
 
 
 def start(connection: Connection, name: str, line: str = "") -> str:
-    """Run it, from a line on, or with "@" from where it was noted last. Returns what the machine
-    says of it, once it has begun and has not ended at once. SendError where a line was refused."""
+    """Start a job, from a line on, or with "@" from its last noted position. Returns the machine's
+    messages about it, after the first lines have been accepted. SendError if a line was refused.
+    """
     _ask(connection, f"$F={name}{line}")
     said: list[str] = []
     until = time.monotonic() + _BEGUN_S
@@ -122,20 +124,22 @@ def _with_meaning(refused: re.Match[str]) -> str:
 
 
 def _ask(connection: Connection, line: str) -> list[str]:
-    """The answer, without status reports, which would come in the middle of a file."""
+    """Send a line and return its replies, without status reports, which would appear within a
+    file."""
     connection.write(line.encode() + b"\n")
     return _Heard(connection).until("ok")
 
 
 class _Heard:
-    """What the machine says."""
+    """The lines received from the machine."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._lines: list[str] = []
 
     def until(self, wanted: str, silence_s: float = _SILENCE_S) -> list[str]:
-        """All up to that line; SendError with what it says where it refuses, or nothing comes."""
+        """Return all lines up to the wanted one. SendError with the machine's message if it
+        refuses, or if it is silent for too long."""
         since = time.monotonic()
         seen: list[str] = []
         while time.monotonic() - since < silence_s:

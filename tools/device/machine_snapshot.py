@@ -1,7 +1,7 @@
-"""What a machine says of itself, and the lines that put a simulated one in its place.
+"""State that a machine reports, and lines that put a simulated machine into the same state.
 
-So a program is rehearsed with the settings, offsets, modes and place of the machine that it is
-for: soft limits and times are those that will be.
+A program is thus simulated with the settings, offsets, modes and position of the real machine, so
+that soft limits and times agree.
 """
 
 import re
@@ -12,9 +12,10 @@ from ..grbl.settings_file import AXES
 from .connection import Connection
 
 _MM_PER_INCH = 25.4
-# Where reports have WPos only, WCO comes in every tenth.
+# If reports have only WPos, every tenth has WCO.
 _PLACE_S = 3.0
-# What decides where a program may go, and how long it takes. Not homing's and inputs' own.
+# Settings that limit where a program may go, or determine its time. Those of homing and inputs are
+# left out.
 _SETTINGS = (11, 12, 30, 31, 32, *range(100, 106), *range(110, 116), *range(120, 126))
 _TRAVEL = range(130, 136)
 _HOMING, _SOFT_LIMITS, _INCHES = 22, 20, 13
@@ -27,7 +28,7 @@ SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
 
 @dataclass
 class MachineSnapshot:
-    """A machine at rest. Lengths are in mm, places are machine positions."""
+    """An idle machine. Lengths are in mm; positions are machine positions."""
 
     settings: dict[int, str] = field(default_factory=dict)
     offsets: dict[str, list[float]] = field(default_factory=dict)  # G54 … G59, G28, G30, G92, TLO
@@ -35,19 +36,19 @@ class MachineSnapshot:
     place: list[float] = field(default_factory=list)
 
     def unit_mm(self) -> float:
-        """Millimetres in a unit of the machine's reports ($13)."""
+        """Return the millimetres per unit of the machine's reports ($13)."""
         return _MM_PER_INCH if float(self.settings.get(_INCHES, "0")) else 1.0
 
     def laser(self) -> bool:
-        """Whether the tool is a laser ($32)."""
+        """Return whether the tool is a laser ($32)."""
         return float(self.settings.get(32, "0")) != 0
 
     def axes(self) -> int:
-        """How many axes the machine has."""
+        """Return the number of axes."""
         return sum(100 + axis in self.settings for axis in range(len(AXES)))
 
     def work_offset(self) -> list[float]:
-        """What the machine position has more than the work position."""
+        """Return the work offset: machine position minus work position."""
         total = [0.0] * self._count()
         for name in (self.system(), "G92"):
             total = [a + b for a, b in zip(total, self._offset(name), strict=True)]
@@ -55,11 +56,12 @@ class MachineSnapshot:
         return total
 
     def tool_length(self) -> float:
-        """The tool length offset (G43.1)."""
+        """Return the tool length offset (G43.1)."""
         return self.offsets.get("TLO", [0.0])[0]
 
     def commands(self) -> list[str]:
-        """Lines for a simulator fresh from the factory; one that it refuses can be left out."""
+        """Return the lines for a simulator with factory settings. A line that it refuses can be
+        skipped."""
         wanted = (*_SETTINGS, *_TRAVEL, _HOMING)
         lines = [f"${n}={self.settings[n]}" for n in wanted if n in self.settings]
         for name, number in (("G28", "G28.1"), ("G30", "G30.1")):
@@ -76,7 +78,7 @@ class MachineSnapshot:
         return lines
 
     def _modal(self) -> list[str]:
-        """Work coordinates and modes."""
+        """Return lines that set work coordinates and modes."""
         lines = [self.system()]
         if self.tool_length():
             lines.append(f"G43.1 Z{self.tool_length():.3f}")
@@ -89,16 +91,17 @@ class MachineSnapshot:
         return [*lines, " ".join(words)] if words else lines
 
     def feed_mm_min(self) -> float:
-        """The feed rate; 0 where there is none, or where each line has its own (G93)."""
+        """Return the feed rate in mm/min; 0 if there is none, or if each line has its own
+        (G93)."""
         feed = 0.0 if "G93" in self.modes else self.word("F")
         return round(feed * self.unit_mm(), 1)
 
     def word(self, letter: str) -> float:
-        """The number of a word of $G."""
+        """Return the number of a word of $G."""
         return next((float(word[1:]) for word in self.modes if word[0] == letter), 0.0)
 
     def system(self) -> str:
-        """The work coordinate system that is active."""
+        """Return the active work coordinate system."""
         return next((word for word in self.modes if word in SYSTEMS), SYSTEMS[0])
 
     def _offset(self, name: str) -> list[float]:
@@ -109,7 +112,7 @@ class MachineSnapshot:
 
 
 def read_machine(connection: Connection) -> MachineSnapshot:
-    """Ask a machine that is idle. What it does not tell is left as a simulator has it."""
+    """Read the state of an idle machine. Values it does not report stay as in a simulator."""
     replies = [reply for line in ("$$", "$#", "$G") for reply in connection.ask(line)]
     connection.wait_for(lambda line: bool(connection.place()), _PLACE_S)
     stage = read(replies)
@@ -118,7 +121,7 @@ def read_machine(connection: Connection) -> MachineSnapshot:
 
 
 def read(replies: Iterable[str]) -> MachineSnapshot:
-    """What replies to $$, $# and $G tell."""
+    """Parse replies to $$, $# and $G."""
     stage = MachineSnapshot()
     for reply in replies:
         if match := _SETTING.match(reply):
@@ -133,10 +136,10 @@ def read(replies: Iterable[str]) -> MachineSnapshot:
 
 
 def number_word(number: float) -> str:
-    """As a line has it: without an exponent, which Grbl does not read."""
+    """Return a number without exponent, because Grbl does not read exponents."""
     return f"{number:.4f}".rstrip("0").rstrip(".")
 
 
 def axis_words(place: Sequence[float]) -> str:
-    """`X1.000 Y2.000 Z3.000`."""
+    """Return the words of a position: `X1.000 Y2.000 Z3.000`."""
     return " ".join(f"{letter}{mm:.3f}" for letter, mm in zip(AXES, place, strict=False))

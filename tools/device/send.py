@@ -1,7 +1,7 @@
-"""Streams a program to any Grbl on a serial port, by character counting or line by line.
+"""Stream a program to any Grbl on a serial port, by character counting or line by line.
 
-Whatever ends it early, the machine is held before anything else is done: Grbl would go on with
-what it has been sent.
+Whatever ends it early, the machine is first put on hold, because Grbl would continue with the
+lines it has received.
 """
 
 import os
@@ -35,69 +35,69 @@ from .connection import POLL_S, Connection, SendError, is_deaf, way_out
 _HOLD_S = 15.0
 _RESET_S = 3.0
 _SILENCE_S = 10.0
-REFUSED = " was refused"  # the end of why, where it is stopped for that
+REFUSED = " was refused"  # end of `stopped` if a refused line was the cause
 _ENDED = ("Idle", "Check", "Sleep")
 _PAUSE = re.compile(rb"M0+(?![\d.])", re.IGNORECASE)
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Line(NamedTuple):
-    """One line on its way. number: in the program, from 1; 0 where it leads up to it."""
+    """A line to send. number: in the program, from 1; 0 for a line that prepares for it."""
 
     number: int
-    data: bytes  # as it is sent, without its end
-    text: str  # as people read it
+    data: bytes  # as sent, without line end
+    text: str  # for display
 
 
 class Choice(Enum):
-    """What to do with a machine that is held."""
+    """What to do with a held machine."""
 
     RESUME = "r"
-    KEEP_GOING = "k"  # and ask no more
+    KEEP_GOING = "k"  # and do not ask again
     ABORT = "a"
 
 
 @dataclass
 class Report:
-    """How it went. Lines count from 1."""
+    """The result. Lines count from 1."""
 
-    answered: int = 0  # lines of those that were to be sent
-    line: int = 0  # the last one that was answered, by its number in the program
+    answered: int = 0  # lines answered, including preparing ones
+    line: int = 0  # number in the program of the last line answered
     errors: list[tuple[int, str]] = field(default_factory=list)
-    stopped: str = ""  # why it did not come to its end, if it did not
-    signal: int = 0  # that ended it
-    lost: bool = False  # the machine cannot be reached any more
-    drains: int = 0  # motion stopped so often for want of lines, where the board counts that
-    # Of the machine, at last; the place and the blocks not made are those before a reset.
+    stopped: str = ""  # why it ended early; "" if it did not
+    signal: int = 0  # the signal that ended it
+    lost: bool = False  # the connection to the machine is lost
+    drains: int = 0  # underruns during this program, if the board counts them
+    # The machine's last state; position and blocks left are those before a reset.
     state: str = ""
     place: list[float] = field(default_factory=list)
-    place_line: int = 0  # the last one that was answered when it was there
+    place_line: int = 0  # the last line answered before that position was reported
     blocks_left: int | None = None
 
     def ok(self) -> bool:
-        """All is done, and nothing was refused."""
+        """Return whether everything was sent and no line was refused."""
         return not self.errors and not self.stopped
 
 
 class View(Protocol):
-    """Who shows the progress and asks the user."""
+    """Shows the progress and asks the user."""
 
     def progress(self, answered: int, status: str) -> None:
-        """So many lines are done, and this is the last status report."""
+        """`answered` lines are done; `status` is the last status report."""
 
     def message(self, words: str) -> None:
-        """Something worth reading."""
+        """Show a message."""
 
     def ask(self, why: str) -> Choice:
-        """The machine is held: what next?"""
+        """The machine is held: ask what to do next."""
 
     def keys(self) -> bytes:
-        """Real-time commands that the user has asked for by keys."""
+        """Return real-time commands that the user has entered by keys."""
 
 
 class Ready(Sequence[Line]):
-    """Lines of a file from one on, made ready when they are asked for: nothing in their comments
-    acts on the way. lead: lines that lead up to them."""
+    """Lines of a file from one on, prepared when they are read: comments are made safe to send.
+    lead: lines that are sent before them."""
 
     def __init__(self, lines: Sequence[bytes], first: int = 1, lead: Sequence[Line] = ()) -> None:
         self._lines = lines
@@ -123,27 +123,27 @@ class Ready(Sequence[Line]):
 
 
 class _Mute:
-    """A View for nobody."""
+    """A View without a user."""
 
     def progress(self, answered: int, status: str) -> None:
-        """Nobody sees it."""
+        """Ignore it."""
 
     def message(self, words: str) -> None:
-        """Nobody reads it."""
+        """Ignore it."""
 
     def ask(self, why: str) -> Choice:
-        """Nobody answers."""
+        """Abort, because nobody can answer."""
         return Choice.ABORT
 
     def keys(self) -> bytes:
-        """Nobody presses any."""
+        """Return no keys."""
         return b""
 
 
 class Stream:
-    """One program on its way through a connection.
+    """Sends one program through a connection.
 
-    by_line: one line at a time. keep_going: lines that are refused do not stop it.
+    by_line: one line at a time. keep_going: continue after refused lines.
     """
 
     def __init__(
@@ -161,19 +161,20 @@ class Stream:
         self._by_line = by_line
         self._keep_going = keep_going
         self._sent = 0
-        self._unanswered: deque[int] = deque()  # their lengths
+        self._unanswered: deque[int] = deque()  # lengths of the lines sent and not yet answered
         self._polled = 0.0
         self._drains_before: int | None = None
-        self._rests = 0  # status reports in a row, behind the last answer, that say it is at rest
+        self._rests = 0  # status reports in a row, since the last answer, with a state of rest
         self._why_hold = ""
         self._asking = False
-        self._told = ""  # the state that the user has been told of
+        self._told = ""  # the state that the user was last notified of
         self._held_by_key = False
 
     def interrupt(self, number: int = signal.SIGINT) -> None:
         """Hold the machine at once. May be called from a signal handler.
 
-        Ctrl-C asks what next; any other signal ends the program, for nobody may be there.
+        Ctrl-C asks what to do next. Any other signal ends the program, because there may be no
+        user.
         """
         self._connection.write(FEED_HOLD)
         self._why_hold = "Ctrl-C"
@@ -184,7 +185,7 @@ class Stream:
             raise KeyboardInterrupt
 
     def run(self) -> Report:
-        """Send everything and wait until the machine is at rest."""
+        """Send everything and wait until the machine is idle."""
         try:
             self._stream()
         except SendError as error:
@@ -197,11 +198,11 @@ class Stream:
 
     def _stream(self) -> None:
         self._connection.status = ""
-        self._connection.heard = time.monotonic()  # there may have been questions before
+        self._connection.heard = time.monotonic()  # questions to the user may have taken long
         try:
             while not self.report.stopped and not self._finished():
                 self._turn()
-        except OSError as error:  # a full disk, a pipe that nobody reads any more
+        except OSError as error:  # a full disk, or a closed pipe
             self._connection.write(FEED_HOLD)
             self._view = _Mute()
             self._why_hold = f"what happens cannot be shown ({paths.why(error)})"
@@ -225,8 +226,8 @@ class Stream:
             self._connection.write(keys)
 
     def _finished(self) -> bool:
-        """All is answered, and two status reports behind that say so, too: the first may have come
-        before the last motion began."""
+        """Return whether all lines are answered and two later status reports say the machine is
+        idle. The first of them may be from before the last motion began."""
         return self._all_answered() and self._rests >= 2
 
     def _all_answered(self) -> bool:
@@ -235,7 +236,8 @@ class Stream:
     def _fill(self) -> None:
         while self._sent < len(self._lines):
             line = self._lines[self._sent].data + b"\n"
-            # Lines that lead up to a program are sent one by one: none after a refused one.
+            # Lines that prepare for a program are sent one by one, so that none follows a refused
+            # one.
             leads = self._sent > 0 and self._lines[self._sent - 1].number == 0
             if self._unanswered and (leads or not self._fits(len(line))):
                 return
@@ -299,7 +301,7 @@ class Stream:
             self.report.blocks_left = self._connection.blocks_left()
 
     def _tell_state(self, state: str) -> None:
-        """Say why nothing moves, once."""
+        """Notify the user once why nothing moves."""
         if state == "Sleep" and not self._all_answered():
             self.report.stopped = f"the machine has gone to sleep: {way_out(state)}"
         if not is_deaf(state) or self._why_hold:
@@ -310,7 +312,7 @@ class Stream:
             self._view.message(self._pause() or f"the machine is in {state}: {way_out(state)}")
 
     def _pause(self) -> str:
-        """What the program wants, where it has paused the machine by M0."""
+        """Return a message if the program has paused the machine by M0; else ""."""
         if not self._unanswered or self._held_by_key:
             return ""
         line = self._lines[self.report.answered]
@@ -321,9 +323,8 @@ class Stream:
         return f"line {line.number}: M0 pauses{wish} (~ or the start button goes on)"
 
     def _hold(self) -> None:
-        """Come to rest before anything else: Grbl ignores a cycle start and loses steps at a reset
-        as long as the machine moves.
-        """
+        """Wait until the machine stands still before anything else, because during motion Grbl
+        ignores a cycle start and a reset loses steps. Then ask what to do next."""
         self._connection.wait_for(self._is_at_rest, _HOLD_S)
         if self.report.stopped:
             return
@@ -331,7 +332,7 @@ class Stream:
         if choice is Choice.ABORT:
             self._give_up()
             return
-        for line in self._connection.lines():  # reports of this hold
+        for line in self._connection.lines():  # reports during this hold
             self._handle(line)
         self._keep_going |= choice is Choice.KEEP_GOING
         self._why_hold = ""
@@ -345,10 +346,10 @@ class Stream:
             return Choice.ABORT
         finally:
             self._asking = False
-            self._connection.heard = time.monotonic()  # nobody has listened meanwhile
+            self._connection.heard = time.monotonic()  # nothing was read meanwhile
 
     def _give_up(self) -> None:
-        """Reset: the tool goes off, and what is in Grbl's buffers is forgotten."""
+        """Reset: the tool is switched off, and Grbl's buffers are cleared."""
         self.report.stopped = self._why_hold
         self._connection.write(RESET)
         self._connection.status = ""
@@ -365,7 +366,7 @@ class Stream:
 
 @contextmanager
 def stopping_signals(stream: Stream) -> Iterator[None]:
-    """Within this, Ctrl-C, a closed terminal and SIGTERM hold the machine first of all."""
+    """Within this context, Ctrl-C, a closed terminal and SIGTERM first hold the machine."""
 
     terminals = [number for number in range(3) if os.isatty(number)]
 
@@ -377,7 +378,7 @@ def stopping_signals(stream: Stream) -> Iterator[None]:
     before = {}
     for name in _SIGNALS:
         number = getattr(signal, name, None)  # Windows has no SIGHUP
-        if number and signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+        if number and signal.getsignal(number) is not signal.SIG_IGN:  # nohup makes it ignored
             before[number] = signal.signal(number, stop)
     try:
         yield
@@ -387,7 +388,8 @@ def stopping_signals(stream: Stream) -> Iterator[None]:
 
 
 def _leave(terminals: Sequence[int]) -> None:
-    """A terminal has been closed: to write to it would fail, and there is a machine to stop."""
+    """Redirect to /dev/null: the terminal is closed, and writing to it would fail while a machine
+    must be stopped."""
     nothing = os.open(os.devnull, os.O_RDWR)
     for number in terminals:
         os.dup2(nothing, number)

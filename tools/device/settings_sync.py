@@ -1,4 +1,4 @@
-"""Settings to and from a Grbl on a port."""
+"""Read settings from a Grbl on a port, and write them."""
 
 from collections.abc import Callable, Sequence
 
@@ -14,7 +14,7 @@ _SOFT_LIMITS = 20
 
 
 class Refused(Exception):
-    """What the machine would not take: (change, its reply) each."""
+    """Settings that the machine refused, each as (change, reply)."""
 
     def __init__(self, refusals: Sequence[tuple[Change, str]]) -> None:
         lines = ((f"${change.number}={change.after}", reply) for change, reply in refusals)
@@ -23,7 +23,7 @@ class Refused(Exception):
 
 
 def connect(port: str, baud: int = BAUD) -> Connection:
-    """A Grbl that listens, in whatever state it is."""
+    """Connect to a Grbl that answers, in any state. SendError if none does."""
     connection = Connection(port, baud)
     if not connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S):
         connection.close()
@@ -32,7 +32,7 @@ def connect(port: str, baud: int = BAUD) -> Connection:
 
 
 def pull(connection: Connection) -> Settings:
-    """Read everything. SendError where the machine is in no state to tell."""
+    """Read all settings. SendError if the machine's state does not allow it."""
     state = connection.state()
     if state and state not in QUIET:
         raise SendError(f"the machine is in {state} and does not tell: {way_out(state)} first")
@@ -46,10 +46,11 @@ def pull(connection: Connection) -> Settings:
 def push(
     connection: Connection, todo: Sequence[Change], progress: Callable[[Change], None]
 ) -> None:
-    """Write, and see that it has been taken. Refused tells of what has not; the rest has been.
+    """Write settings and read them back. Refused lists those that were refused; all others are
+    stored.
 
-    A value may be refused as long as another is what it was ($20 wants $22, a rate may be too
-    high for a resolution), so what is refused is tried again after the others.
+    A value may be refused as long as another one is not changed ($20 needs $22, a rate may be too
+    high for a resolution), so refused values are tried again after the others.
     """
     left = sorted(todo, key=lambda change: (change.number == _SOFT_LIMITS, change.number))
     while left:
@@ -70,7 +71,7 @@ def push(
 
 
 def factory(connection: Connection) -> None:
-    """Everything back to what the firmware was built with ($RST=$); it starts anew then."""
+    """Restore the factory settings ($RST=$); the firmware then restarts."""
     connection.write(b"$RST=$\n")
     if not connection.wait_for(is_welcome, _ANSWER_S):
         raise SendError("the machine did not restore its settings: is it at rest?")

@@ -1,7 +1,7 @@
-"""The Wi-Fi of a board, set up over its cable by `$NET` (firmware/extras/net/net_access.py).
+"""Set up the Wi-Fi of a board over its cable by `$NET` (firmware/extras/net/net_access.py).
 
-Names and passwords go as hexadecimal digits, since a line of Grbl's has neither small letters nor
-spaces. Nothing that the board says has either.
+Names and passwords are sent as hexadecimal digits, because a line of Grbl's has neither lower-case
+letters nor spaces. The board's replies have neither, too.
 """
 
 import re
@@ -13,7 +13,7 @@ from .connection import Connection, SendError
 _HOST = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,30}")
 _LONGEST_NAME = 32
 _SHORTEST_PASSWORD, _LONGEST_PASSWORD = 8, 63
-_PIECE = 32  # bytes of a password in one line
+_PIECE = 32  # bytes of a password per line
 _PREFIX = "[MSG:"
 _STATUS = "[MSG:Network: "
 _KEY = "[MSG:Network key: "
@@ -21,7 +21,7 @@ _KEY = "[MSG:Network key: "
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is to be otherwise; None: as it is."""
+    """The changes to make; None leaves a value unchanged."""
 
     name: str | None = None
     password: str | None = None
@@ -31,7 +31,7 @@ class Wanted:
 
 
 def orders(wanted: Wanted) -> Iterator[str]:
-    """The lines that say so. ValueError where that cannot be."""
+    """Yield the lines that make these changes. ValueError if a value is not possible."""
     if wanted.name is not None:
         yield "$NET/SSID=" + _hex("the network's name", wanted.name, 1, _LONGEST_NAME)
     if wanted.password is not None:
@@ -58,23 +58,23 @@ def _hex(what: str, text: str, fewest: int, most: int) -> str:
 
 
 def set_up(connection: Connection, lines: list[str]) -> None:
-    """Have the board keep it. SendError, with the board's own words, where it does not."""
+    """Send the lines. SendError, with the board's own words, if it refuses one."""
     for line in lines:
         _ask(connection, line)
 
 
 def status(connection: Connection) -> str:
-    """What the board says of its network."""
+    """Return the board's description of its network."""
     return _told(_ask(connection, "$NET"), _STATUS)
 
 
 def key(connection: Connection, new: bool) -> str:
-    """The key that lets a sender do more than read. new: another one, from now on."""
+    """Return the key that allows a sender to do more than read. new: create another key."""
     return _told(_ask(connection, "$NET/KEY=NEW" if new else "$NET/KEY"), _KEY)
 
 
 def switch_off(connection: Connection) -> None:
-    """Have the board forget the network's name and password."""
+    """Make the board forget the network's name and password."""
     _ask(connection, "$NET/OFF")
 
 

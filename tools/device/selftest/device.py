@@ -1,4 +1,4 @@
-"""A real board for the self-test: `ugrbl deploy`'s, and lines as they come."""
+"""A real board for the self-test: the device of `ugrbl deploy`, and its lines as they arrive."""
 
 import contextlib
 import time
@@ -16,20 +16,20 @@ _BACK_S = 20.0 * PATIENCE
 
 
 class PromptBoard(MpremoteDevice):
-    """A Board of session.py."""
+    """A Board as in session.py."""
 
     def __init__(self, port: str) -> None:
         self._where = port
         super().__init__(port)
 
     def wiring(self) -> Wiring | None:
-        """What its board file says; None without the firmware."""
+        """Return the wiring in its board file; None without the firmware."""
         self._run(WIRING)
         found = self._evaluate("wiring()")
         return Wiring(*found) if found else None
 
     def run(self, script: str, heard: Callable[[str], None], seconds: float) -> str:
-        """Run this at the prompt, tell of each line; returns what it has failed with, or ""."""
+        """Run a script at the prompt and pass on each line. Returns its traceback, or ""."""
         lines = _Lines(heard)
         with self._mended():
             self._transport.exec_raw_no_follow(script)
@@ -37,13 +37,14 @@ class PromptBoard(MpremoteDevice):
             return bytes(wrong).decode("utf-8", "replace")
 
     def until_restart(self, script: str, heard: Callable[[str], None], seconds: float) -> bool:
-        """The same with what never ends; whether the firmware has started anew by itself."""
+        """Run a script that never ends, and pass on each line. Returns whether the firmware has
+        restarted by itself."""
         lines = _Lines(heard)
         with self._mended():
             self._transport.exec_raw_no_follow(script)
         until = time.monotonic() + seconds * PATIENCE
         hung = False
-        with contextlib.suppress(OSError):  # USB goes away with the chip
+        with contextlib.suppress(OSError):  # USB disappears with the reset
             while time.monotonic() < until:
                 piece = self._arrived()
                 lines.bytes(piece)
@@ -66,7 +67,7 @@ class PromptBoard(MpremoteDevice):
         return False
 
     def start(self) -> None:
-        """From the prompt back to the firmware."""
+        """Leave the prompt and start the firmware."""
         with self._mended():
             self._leave_raw()
             self._transport.serial.write(b"\x04")
@@ -83,7 +84,7 @@ class PromptBoard(MpremoteDevice):
 
 
 class _Lines:
-    """Bytes in, whole lines out. last: the line before the one that is being heard."""
+    """Converts bytes to whole lines. last: the last complete line."""
 
     def __init__(self, heard: Callable[[str], None]) -> None:
         self._heard = heard
@@ -91,7 +92,7 @@ class _Lines:
         self.last = b""
 
     def bytes(self, piece: bytes) -> None:
-        """What has come."""
+        """Process received bytes."""
         *whole, self._begun = (self._begun + piece).split(b"\n")
         for line in whole:
             self.last = line.strip()

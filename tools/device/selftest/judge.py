@@ -1,7 +1,6 @@
-"""What the board has measured, judged: one row per check.
+"""Judge what the board has measured: one row per check.
 
-A fact is a name and figures (on_board/watch.py, say()); facts of one kind that follow each other
-are judged together.
+A fact is a name and figures (on_board/say.py). Consecutive facts of one kind are judged together.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,9 +9,9 @@ from itertools import pairwise
 from . import judge_esp as esp
 from .row import NOT_SHOWN, Fact, Row
 
-TICK_US = 0.08  # of the engine, and of what samples its pins
+TICK_US = 0.08  # one tick of the engine and of the sampler, in us
 _TICK_HZ = 12_500_000
-# Two samples may see an edge a tick apart.
+# Two samples may see the same edge one tick apart.
 _EXACT_TICKS = 1
 _OF_A_PIO = 4
 _LIMIT_US = 300.0
@@ -20,25 +19,25 @@ _HANG_MS = 500
 _PWM_PERCENT = 2.0
 _STACK_BYTES = 8192
 _STACK_SPARE = 2048
-# No flash erases as fast as that: 4 kB take 45 ms and more.
+# No flash erases faster: 4 kB take at least 45 ms.
 _FLASH_US = 5000
 
 
-# Edges: the first level, then the ticks in which the level changes.
+# Edges: the first level, then the ticks at which the level changes.
 
 
 def highs(edges: Sequence[int]) -> list[int]:
-    """Lengths of whole pulses, in ticks."""
+    """Return the lengths of complete pulses, in ticks."""
     return [b - a for a, b, is_high in _spans(edges) if is_high]
 
 
 def rises(edges: Sequence[int]) -> list[int]:
-    """Ticks in which the level rises."""
+    """Return the ticks at which the level rises."""
     return list(edges[1 + edges[0] :: 2])
 
 
 def falls(edges: Sequence[int]) -> list[int]:
-    """Ticks in which it falls."""
+    """Return the ticks at which the level falls."""
     return list(edges[2 - edges[0] :: 2])
 
 
@@ -88,7 +87,8 @@ def _steps(facts: list[Fact]) -> Iterator[Row]:
         good &= one["rested"] and set(one["position"]) == {due} == set(one["counted"])
     axes = {axis for one in facts for axis in one["motors"]}
     good &= axes == set(range(len(facts[0]["position"])))
-    total //= sum(not one["back"] for one in facts)  # as often as others were watched
+    # each direction was run once per round of watched axes
+    total //= sum(not one["back"] for one in facts)
     text = f"{total} on each of {len(axes)} axes, there and back, all counted"
     if not good:
         last = facts[-1]
@@ -127,7 +127,7 @@ def _skew(facts: list[Fact], due: int, where: str) -> Row:
     if not apart:
         return Row(f"skew between axes{where}", False, "no steps to compare")
     text = f"{_us(max(apart)):g} us at the most; {len(apart)} pairs of steps"
-    # The fifth motor's PIO begins up to a tick behind the first's.
+    # The fifth motor's PIO starts up to a tick after the first's.
     has_two = len(facts[0]["steps"]) > _OF_A_PIO
     good = max(apart) <= _EXACT_TICKS + has_two
     return Row(f"skew between axes{where}", good, text, {"us": _us(max(apart))})
@@ -197,7 +197,7 @@ def _limit(what: str, one: Fact) -> Row:
 
 
 def duty_percent(edges: Sequence[int]) -> float:
-    """Of whole periods; of what is level all the time, 0 or 100."""
+    """Return the duty cycle over whole periods; 0 or 100 for a constant level."""
     begins = rises(edges)
     if len(begins) < 2:
         return 100.0 * edges[0]
@@ -290,10 +290,10 @@ RULES: dict[str, Callable[[list[Fact]], Iterator[Row]]] = {
 
 
 def judge(facts: list[Fact]) -> Iterator[Row]:
-    """Of one kind, with that kind under "what"."""
+    """Yield the rows for facts of one kind; their "what" names the kind."""
     yield from RULES[facts[0]["what"]](facts)
 
 
 def belongs(fact: Fact, before: Fact) -> bool:
-    """Whether the two are judged together."""
+    """Return whether the two facts are judged together."""
     return all(fact.get(key) == before.get(key) for key in ("what", "hz"))

@@ -1,18 +1,19 @@
-"""What an ESP32 has measured, where that differs: see judge.py."""
+"""Judge what an ESP32 has measured, where it differs from an RP2: see judge.py."""
 
 from collections.abc import Iterator
 
 from .row import NOT_SHOWN, Fact, Row
 
-# What stop() leaves of a train is known from the clock, which may be a step off (esp_chip/rmt.py).
+# What stop() leaves of a train is computed from the clock, which may be one step off
+# (esp_chip/rmt.py).
 _CLOCK_STEPS = 1
-# The engine's own turn may wait for so long, with soft interrupts behind it, and then hands over.
+# So long the engine's own soft interrupt may wait, with others after it, before it hands over.
 _LIMIT_US = 3000
 _PWM_PERCENT = 4.0
 
 
 def stops(facts: list[Fact]) -> Iterator[Row]:
-    """RMT's position after a stop."""
+    """Judge RMT's position after a stop."""
     one = facts[0]
     good = one["worst"] <= _CLOCK_STEPS and one["late"] == 0 and one["moved"] > 0
     text = f"{one['count']}, half of them in a soft interrupt, {one['moved']} of them in motion; "
@@ -25,7 +26,7 @@ def stops(facts: list[Fact]) -> Iterator[Row]:
 
 
 def limits(facts: list[Fact]) -> Iterator[Row]:
-    """Inputs that nothing is wired to, pulled by the chip itself."""
+    """Judge limit inputs that are not wired, pulled by the chip itself."""
     one = facts[0]
     what = "limit: to the last edge"
     if not one["inputs"]:
@@ -54,7 +55,7 @@ def _limit(what: str, one: Fact) -> Row:
 
 
 def pwm(facts: list[Fact]) -> Iterator[Row]:
-    """Looks at a pad, as fast as Python can, and its rising edges counted."""
+    """Judge the spindle's PWM: levels read as fast as Python can, and rising edges counted."""
     for one in facts:
         due = 100 * one["power"] / one["full"]
         found = one["high"] / 10

@@ -1,4 +1,4 @@
-"""The programs that the board is given: files of on_board/, and what they are told."""
+"""The programs for the board: files of on_board/ with their parameters."""
 
 import ast
 from dataclasses import asdict, dataclass
@@ -16,7 +16,7 @@ ESP_HANG = (*_ALL, "pcnt", "drivers", "eyes_esp", "hang")
 
 @dataclass(frozen=True)
 class Chip:
-    """Addresses that differ. io_bank: registers of the pins; timer: of microseconds."""
+    """Addresses by chip. io_bank: the pins' registers. timer: the register of microseconds."""
 
     io_bank: int
     timer: int
@@ -24,8 +24,8 @@ class Chip:
 
 @dataclass(frozen=True)
 class Esp:
-    """Addresses that differ. gpio: registers of the pins; out_sel: from there, what they show;
-    units: pulse counters."""
+    """Addresses by chip. gpio: the pins' registers. out_sel: offset of the output selection.
+    units: number of pulse counters."""
 
     gpio: int
     out_sel: int
@@ -41,7 +41,7 @@ ESP32_S3 = Esp(0x60004000, 0x554, 4)
 
 @dataclass(frozen=True)
 class Amounts:
-    """How much is tried. samples: memory words; edges: of a pin that are told, at the most."""
+    """How much is tried. samples: words of memory. edges: the most that are reported per pin."""
 
     run_ms: int = 1000
     seen: tuple[int, int] = (1000, 700)
@@ -58,26 +58,26 @@ class Amounts:
 QUICK = Amounts(20, (20, 10), 8192, 64, 2, 24, 24, 3, 8, 1)
 
 
-# On an ESP32, whose engine is slower: a stop takes 60 ms there.
+# For an ESP32, whose engine is slower: a stop takes 60 ms.
 ESP_FULL = Amounts(stops=300, starts=300)
 ESP_QUICK = Amounts(run_ms=200, seen=(20, 10), stops=20, starts=20, limits=3)
 
 
 def amounts(chip: AnyChip, quick: bool) -> Amounts:
-    """As much as there is time for."""
+    """Return the amounts for a full or a quick test."""
     if isinstance(chip, Esp):
         return ESP_QUICK if quick else ESP_FULL
     return QUICK if quick else Amounts()
 
 
 def checks(chip: AnyChip, amounts: Amounts, pwm: bool, seed: int) -> str:
-    """All checks but the last. pwm: the spindle's output may be used."""
+    """Return the program of all checks except the hang. pwm: the spindle's output may be used."""
     parts = ESP_CHECKS if isinstance(chip, Esp) else CHECKS
     return _text(parts, {**asdict(chip), **asdict(amounts), "pwm": pwm, "seed": seed})
 
 
 def hang(chip: AnyChip, pwm: bool) -> str:
-    """The firmware, moving, and then the hang."""
+    """Return the program that runs the firmware, moves, and then hangs."""
     program = ["$X\n", *(["M3S500\n"] if pwm else []), "G91G1X50F500\n"]
     parts = ESP_HANG if isinstance(chip, Esp) else HANG
     return _text(parts, {**asdict(chip), "edges": 1, "pwm": pwm, "program": program})
@@ -88,7 +88,7 @@ def _text(parts: tuple[str, ...], told: dict[str, Any]) -> str:
 
 
 def _part(name: str) -> str:
-    """A file without what only people, and checkers on the computer, read."""
+    """Return a file without docstrings, comments and the imports that only checkers need."""
     tree = ast.parse((_HERE / f"{name}.py").read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):

@@ -1,4 +1,4 @@
-"""What the board says, and what the computer makes of it."""
+"""A row of the self-test's result."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -9,7 +9,7 @@ NOT_SHOWN = "not shown here: "
 
 @dataclass
 class Row:
-    """A check. passed: None where it could not be looked at; text: figures, in words."""
+    """The result of one check. passed: None if it could not be checked. text: figures in words."""
 
     what: str
     passed: bool | None
@@ -17,5 +17,5 @@ class Row:
     figures: Fact = field(default_factory=dict)
 
     def as_json(self) -> Fact:
-        """As `ugrbl selftest --json` writes it."""
+        """Return the row for `ugrbl selftest --json`."""
         return asdict(self)

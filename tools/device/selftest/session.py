@@ -1,4 +1,4 @@
-"""A self-test from beginning to end, over whatever speaks to the board."""
+"""A self-test from beginning to end, over any connection to a board."""
 
 import json
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from .row import Fact, Row
 
 _OLDEST = (1, 26)
 _MARK = "= "
-# What the slowest parts may take, with some to spare.
+# Time limits, longer than the slowest parts take.
 _CHECKS_S = 300.0
 _HANG_S = 20.0
 
-# Of an RP2: one machine of PIO 0 and PIO 1 is the clock's, and one at the least counts.
+# On an RP2, the clock takes a machine of PIO 0 and PIO 1, and at least one must count.
 _MOST_MOTORS = 6
 
-# What the board file says that decides what may be done.
+# The options of the board file that decide which checks are allowed.
 WIRING = """
 def wiring():
     try:
@@ -37,39 +37,40 @@ def wiring():
 
 
 class Wiring(NamedTuple):
-    """Of the board file on the board."""
+    """What the board file on the board says about pins."""
 
     engine: str
     enable: Any
     spindle_pwm: int | None
     has_pcnt: bool = False  # pulse counters
-    motors: int = 0  # and a laser's beam, which has what a motor has
+    motors: int = 0  # including a laser's beam, which takes a machine as a motor does
 
 
 class Board(Protocol):
-    """A board with MicroPython; every method may raise DeployError."""
+    """A board with MicroPython. Every method may raise DeployError."""
 
     def enter(self) -> None:
-        """Get the prompt, with all memory free; a machine in motion is not disturbed."""
+        """Enter the prompt with all memory free. A machine in motion is not disturbed."""
 
     def about(self) -> About:
-        """What is on it."""
+        """Return the chip, the MicroPython and the frozen firmware."""
 
     def wiring(self) -> Wiring | None:
-        """What its board file says; None without the firmware."""
+        """Return the wiring in its board file; None without the firmware."""
 
     def run(self, script: str, heard: Callable[[str], None], seconds: float) -> str:
-        """Run this at the prompt, tell of each line; returns what it has failed with, or ""."""
+        """Run a script at the prompt and pass on each line. Returns its traceback, or ""."""
 
     def until_restart(self, script: str, heard: Callable[[str], None], seconds: float) -> bool:
-        """The same with what never ends; whether the firmware has started anew by itself."""
+        """Run a script that never ends, and pass on each line. Returns whether the firmware has
+        restarted by itself."""
 
     def start(self) -> None:
-        """From the prompt back to the firmware."""
+        """Leave the prompt and start the firmware."""
 
 
 class Hearer:
-    """Lines of the board in, rows out, as soon as all facts of a kind are there."""
+    """Converts lines from the board to rows, as soon as all facts of a kind are complete."""
 
     def __init__(self, tell: Callable[[Row], None]) -> None:
         self._tell = tell
@@ -77,7 +78,7 @@ class Hearer:
         self.ended = False
 
     def line(self, text: str) -> None:
-        """One line that the board has said."""
+        """Process one line from the board."""
         if not text.startswith(_MARK):
             return
         what, brace, rest = text[len(_MARK) :].partition(" {")
@@ -90,14 +91,14 @@ class Hearer:
             self._facts.append(fact)
 
     def close(self) -> None:
-        """Nothing more of this kind comes."""
+        """Judge the collected facts; no more of this kind follow."""
         facts, self._facts = self._facts, []
         for row in judge(facts) if facts else ():
             self._tell(row)
 
 
 def look(board: Board) -> tuple[AnyChip, Wiring]:
-    """Who is there; DeployError in words where it cannot be tested."""
+    """Return chip and wiring of the board; DeployError if it cannot be tested."""
     board.enter()
     about = board.about()
     try:
@@ -170,7 +171,7 @@ def check(
     seed: int,
     tell: Callable[[Row], None],
 ) -> None:
-    """All checks at a board that look() has found fit; the firmware runs again at the end."""
+    """Run all checks at a board that look() has accepted. The firmware runs again at the end."""
     hearer = Hearer(tell)
     wrong = board.run(program.checks(chip, amounts, pwm, seed), hearer.line, _CHECKS_S)
     hearer.close()

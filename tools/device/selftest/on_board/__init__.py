@@ -1,7 +1,6 @@
-"""What runs on the board, sent to its prompt and kept nowhere: see program.py.
+"""Programs that run on the board, sent to its prompt and stored nowhere: see program.py.
 
-MicroPython sees these files as one program, in the order of program.PARTS. They measure and say
-what they have found, a line of JSON per fact; what it is worth is judged by the computer
-(judge.py). Of the compiled firmware they use modules, classes, functions and methods, for other
-names are short ones there.
+MicroPython receives these files as one program, in the order given in program.py. They measure and
+print facts, a line of JSON each; the computer judges them (judge.py). From the compiled firmware
+they use only modules, classes, functions and methods, because other names are shortened there.
 """

@@ -1,4 +1,4 @@
-"""What the computer tells the board: program.py puts the real one in place of this."""
+"""Parameters from the computer: program.py puts the real CONFIG in place of this one."""
 
 from typing import Any
 

@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""The pulse engine of an RP2 board, and counters beside it."""
+"""The pulse engine of an RP2 board, with step counters."""
 
 import board
 
@@ -7,7 +7,7 @@ from .config import CONFIG
 from .rows import AXES, Mover, settle
 from .watch import FIRST, LAST, TICK_HZ, Counter, Sampler
 
-sampler = Sampler(CONFIG["samples"])  # ahead of what divides memory
+sampler = Sampler(CONFIG["samples"])  # before other allocations fragment the memory
 
 from pio.engine import PioEngine  # noqa: E402
 
@@ -15,7 +15,7 @@ WATCHED = min(AXES, LAST - FIRST + 1)
 
 
 class Drive(Mover):
-    """Moves, and counts the steps of some axes."""
+    """Moves the motors, and counts the steps of some axes."""
 
     def __init__(self):
         hold_us = getattr(board, "DIR_HOLD_US", 2)
@@ -25,8 +25,9 @@ class Drive(Mover):
         super().__init__(engine, TICK_HZ, WATCHED, 65536, (60, 2500), (60, 1000), 40_000)
 
     def count(self, axes):
-        """Watch so many axes from here on, the engine being at rest: the next ones in turn."""
-        settle()  # what has been told leaves holes
+        """Count the steps of so many axes from now on, in rotation: each call takes the next ones.
+        The engine must be idle."""
+        settle()  # output has left holes in memory
         for one in self._counters:
             one.close()
         self.motors = [(self._next + i) % AXES for i in range(axes)]
@@ -38,6 +39,6 @@ class Drive(Mover):
         self.name_here()
 
     def counted(self):
-        """What the watchers have seen."""
+        """Return the steps counted so far, forward minus backward, per watched axis."""
         both = [one.steps() for one in self._counters]
         return [forward - backward for forward, backward in both]

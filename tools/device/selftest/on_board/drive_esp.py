@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""The pulse engine of an ESP32 board whose steps have pins, and counters beside it."""
+"""The pulse engine of an ESP32 board whose steps have pins, with step counters."""
 
 import time
 
@@ -9,26 +9,30 @@ from boot.parts import make
 from .pcnt import Counter
 from .rows import AXES, Mover
 
-# Rows as the firmware makes them: 4 ms; moves of any kind up to what the board file allows.
+# Segments as the firmware makes them: 4 ms. Random motion is at most as fast as the board file
+# allows.
 TICK_HZ = 1_000_000
 LONG = 4096
 SLOWEST_US = 4000
 PULSE_US = 10
-COUNTS_SEEN_US = 25_000  # longer than a train that goes on behind a stop, to nobody
+# longer than a train of pulses that continues after a stop without being counted
+COUNTS_SEEN_US = 25_000
 
 
 def highest_hz(engine):
-    """As the firmware has it."""
+    """Return the highest step rate, as the firmware computes it."""
     most = engine.max_step_hz(PULSE_US)
     return min(most, getattr(board, "MAX_STEP_RATE_HZ", 0) or most)
 
 
 class NoLink:
-    """Nobody sends; the parts want one all the same, to be called in each of its turns."""
+    """A link without bytes. The parts need a link, which they call in each turn of the main
+    loop."""
 
 
 class Drive(Mover):
-    """Moves, and counts the steps of all axes. port: of the firmware, working with its engine."""
+    """Moves the motors, and counts the steps of all axes. port: the firmware's, with its
+    engine."""
 
     def __init__(self):
         engine, self.port, _ = make(board, NoLink())
@@ -39,18 +43,19 @@ class Drive(Mover):
         self._counters = [Counter(i, board.STEP[i], board.DIR[i]) for i in range(AXES)]
 
     def count(self, axes):
-        """Watch from here on, the engine being at rest: all axes, whatever is asked for."""
+        """Count the steps of all axes from now on, whatever `axes` says. The engine must be
+        idle."""
         self.name_here()
         for one in self._counters:
             one.reset()
 
     def counted(self):
-        """What the watchers have seen."""
+        """Return the steps counted so far, forward minus backward, per axis."""
         return [one.steps() for one in self._counters]
 
 
 def wait_us(us):
-    """In Python, so that soft interrupts come in between."""
+    """Wait in Python, so that soft interrupts are served."""
     begun = time.ticks_us()
     while time.ticks_diff(time.ticks_us(), begun) < us:
         pass

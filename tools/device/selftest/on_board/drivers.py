@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""Motor drivers are off, before anything else is done; inputs that are not wired say nothing."""
+"""Switch motor drivers off before any check, and ignore inputs that are not wired."""
 
 import board
 from machine import Pin
@@ -7,7 +7,8 @@ from ports.storage.flash_store import FlashStore
 
 
 def drivers_off():
-    """ENABLE inactive, as the stored settings want it ($4); from here on nobody touches it."""
+    """Make ENABLE inactive, according to $4 in the stored settings. Nothing changes it
+    afterwards."""
     kept = FlashStore().load("settings") or []
     inverted = getattr(board, "DEFAULTS", {}).get(4, 0)
     for line in kept:
@@ -23,7 +24,8 @@ def drivers_off():
 
 
 def hear_nothing():
-    """What would be active with nothing wired, or keep a machine from moving, is not."""
+    """Disable inputs that would be active when not wired, and settings that could prevent
+    motion."""
     board.ESTOP = None
     board.CONTROL_INVERT = 0
     board.LIMIT_DEBOUNCE_MS = 0

@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""What the hang is watched with on an RP2 board."""
+"""What watches the hang on an RP2 board."""
 
 import board
 from machine import mem32
@@ -14,23 +14,24 @@ counters = [
 
 
 def watch():
-    """They have been there from the beginning."""
+    """Do nothing: the counters exist from the beginning."""
 
 
 def count_all():
-    """Steps of each axis so far, there and back."""
+    """Return the steps of each axis so far, forward plus backward."""
     return [forward + backward for forward, backward in [one.steps() for one in counters]]
 
 
 def used_stack():
-    """Bytes of the C stack at most."""
+    """Return the deepest use of the C stack so far, in bytes."""
     from pio import stack
 
     return stack.used()
 
 
 def mem_level(pin):
-    """Whether the pad is on, whoever drives it: bit 17 of its status."""
+    """Return a function that reads whether the pin is on, whatever drives it: bit 17 of its
+    STATUS."""
     address = CONFIG["io_bank"] + 8 * pin
     off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
 

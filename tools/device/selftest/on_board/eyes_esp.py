@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""What the hang is watched with on an ESP32."""
+"""What watches the hang on an ESP32."""
 
 import board
 
@@ -10,25 +10,26 @@ counters = []
 
 
 def watch():
-    """From now on: the engine and the port have made their pins."""
+    """Create the counters. Must follow the engine and the port, because these set up the pins."""
     axes = range(len(board.STEP))
     counters.extend([Counter(i, board.STEP[i], board.DIR[i]) for i in axes])
 
 
 def count_all():
-    """Steps of each axis so far."""
+    """Return the steps of each axis so far, without sign."""
     return [abs(one.steps()) for one in counters]
 
 
 def used_stack():
-    """Its C stack is another matter, and larger."""
+    """Return None: the C stack is not measured on an ESP32, where it is larger."""
     return None
 
 
 def mem_level(pin):
-    """Whether the pad has been on since the last look, whoever drives it."""
+    """Return a function that reads whether the pin was on since its last call, whatever drives
+    it."""
     unit = min(len(counters), CONFIG["units"] - 1)
-    del counters[unit:]  # where each axis has one, the last axis goes without
+    del counters[unit:]  # if each axis has a counter, the last axis loses its one
     edges = Edges(unit, pin)
     off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
 

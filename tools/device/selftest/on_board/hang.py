@@ -1,8 +1,9 @@
 # mypy: ignore-errors
 # ruff: noqa: I001
-"""The whole firmware, which moves and then hangs on purpose. The watchdog ends it."""
+"""The whole firmware, which moves and then hangs on purpose until the watchdog resets the
+board."""
 
-from boot import power_up  # first, as in main.py: it sees to where memory is free
+from boot import power_up  # first, as in main.py: it prepares the memory
 
 import time
 
@@ -15,8 +16,8 @@ from .drivers import FlashStore, drivers_off, hear_nothing
 from .eyes import count_all, mem_level, used_stack, watch
 from .say import say
 
-BETWEEN_MS = 150  # lines given
-TOLD_MS = 200  # how often the state is told while it hangs
+BETWEEN_MS = 150  # between lines
+TOLD_MS = 200  # between reports during the hang
 
 usual_run = realtime.Realtime.run
 usual_making = lines.LineReader.__init__
@@ -26,13 +27,13 @@ given = [0]
 
 
 def make_reader(self, *rest, **named):
-    """The machine's own reader."""
+    """Create the reader of the machine, and keep a reference to it."""
     usual_making(self, *rest, **named)
     readers.append(self)
 
 
 def run(self):
-    """The loop has nothing to read: what a sender would send, then nothing for ever."""
+    """Replace the main loop's read: feed the lines of a sender one by one, then hang."""
     usual_run(self)
     if not readers or time.ticks_diff(time.ticks_ms(), given[0]) < BETWEEN_MS:
         return
@@ -45,7 +46,7 @@ def run(self):
 
 
 def hang():
-    """Look at the pins, and at nothing else."""
+    """Watch the pins for ever, without feeding the watchdog."""
     pwm = getattr(board, "SPINDLE_PWM", None)
     pin = None if pwm is None else mem_level(pwm)
     begun = told = time.ticks_ms()
@@ -76,7 +77,7 @@ def hang():
 
 drivers_off()
 hear_nothing()
-FlashStore.load = lambda *_: []  # factory settings, and nothing is kept
+FlashStore.load = lambda *_: []  # factory settings; nothing is stored
 FlashStore.save = lambda *_: None
 realtime.Realtime.run = run
 lines.LineReader.__init__ = make_reader

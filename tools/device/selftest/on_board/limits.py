@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""Limit inputs whose interrupts are forced, and what the motors and the spindle do then."""
+"""Limit inputs: force their interrupts, and record what motors and spindle do then."""
 
 import gc
 import time
@@ -15,18 +15,19 @@ from .rows import AXES, settle, some
 from .say import say
 from .watch import CLEAR, FIRST, LAST, PIO1, SET, TICK_HZ
 
-PINS = CONFIG["io_bank"]  # registers of the pins: status and control, in turn
-INVERT = 1 << 28  # IRQOVER in control: an edge, whatever the level is
-TO_PROCESSOR = 26  # bit of status: what becomes of it
-BEFORE = 400  # ticks sampled ahead of the edge
+PINS = CONFIG["io_bank"]  # the pins' registers: STATUS and CTRL of each pin alternate
+INVERT = 1 << 28  # IRQOVER in CTRL: inverts the interrupt input, so that any level gives an edge
+TO_PROCESSOR = 26  # bit of STATUS: the interrupt, after override
+BEFORE = 400  # ticks sampled before the edge
 
-# What shoot() is told.
+# Places in the argument of shoot().
 DMA, WRITE, COUNT, ENABLE, REMAINS_AT, REMAINS, CONTROL, BITS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 @micropython.viper
 def shoot(told: ptr32) -> int:
-    """Begin to sample, and a little later turn a pin's interrupt round; REMAINS says when."""
+    """Start sampling, and BEFORE ticks later invert a pin's interrupt. Stores in REMAINS how many
+    samples the DMA had left then."""
     dma = ptr32(told[0])
     dma[1] = told[1]
     dma[7] = told[2]
@@ -40,12 +41,13 @@ def shoot(told: ptr32) -> int:
 
 @micropython.viper
 def address_of(memory: ptr32) -> int:
-    """Where an array lies."""
+    """Return the address of an array."""
     return int(memory)
 
 
 class Shot:
-    """An edge at a limit input, at any moment, in an interrupt, with all pins sampled."""
+    """Forces an edge at a limit input at a random moment, from an interrupt, while all pins are
+    sampled."""
 
     def __init__(self):
         self._told = told = array("i", [0] * 8)
@@ -68,7 +70,8 @@ class Shot:
         return interrupt
 
     def fire(self, pin, collect):
-        """Once; returns the tick in which it was forced, or None where the chip shows nothing."""
+        """Force one edge. Returns its tick, or None if the chip does not show the forced
+        interrupt."""
         status = PINS + 8 * pin
         before = mem32[status] >> TO_PROCESSOR
         sampler.ready()
@@ -92,7 +95,7 @@ class Shot:
 
 
 def last_edge(at):
-    """Ticks from there to the last edge of any axis; -1 where none came."""
+    """Return the ticks from `at` to the last edge of any axis; -1 if there was none."""
     last = -1
     for pin in board.STEP:
         edges = sampler.edges(pin, at)
@@ -102,7 +105,7 @@ def last_edge(at):
 
 
 def hear(drive, port):
-    """Limits switch off and stop; returns how often they have been heard."""
+    """Make limits switch off and stop. Returns a list with the number of limit events."""
     heard = [0]
     kill, stop = port.kill, drive.engine.stop
 
@@ -123,7 +126,7 @@ def hear(drive, port):
 
 
 def limits_stop(drive, port, heard, shot):
-    """Each limit input in turn, in the quiet and during a collection."""
+    """Check each limit input in turn, first undisturbed, then during garbage collections."""
     pins = [pin for pin in getattr(board, "LIMIT", ()) if pin is not None]
     watched = min(WATCHED, LAST - FIRST)  # the last machine samples
     for collect in (False, True):
@@ -158,7 +161,7 @@ def limits_stop(drive, port, heard, shot):
 
 
 def measure_pwm(pin):
-    """Level and edges at the pad, in a window of some periods."""
+    """Return level and edges at the pin, in a window of some periods."""
     time.sleep_ms(CONFIG["pwm_settles_ms"])
     sampler.look()
     edges = sampler.edges(pin)
@@ -167,7 +170,8 @@ def measure_pwm(pin):
 
 
 def check_pwm(port, shot):
-    """0, half, full; what a limit leaves of it, and what it is told afterwards."""
+    """Record the PWM at zero, half and full power, after a limit, and when commanded after a
+    kill."""
     pin = getattr(board, "SPINDLE_PWM", None)
     if pin is None or not CONFIG["pwm"]:
         say("pwm", asked=CONFIG["pwm"], wired=pin is not None)
@@ -191,7 +195,7 @@ def check_pwm(port, shot):
 
 
 def check_limits(drive, port):
-    """All of this file, in turn."""
+    """Run all checks of this file in turn."""
     drive.pulse(3)
     settle()
     heard = hear(drive, port)

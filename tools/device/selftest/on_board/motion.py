@@ -1,5 +1,6 @@
 # mypy: ignore-errors
-"""Steps counted, pulses measured, stops at random instants, starts from rest."""
+"""Checks on an RP2: steps counted, pulses measured, stops at random instants, starts from
+standstill."""
 
 import time
 
@@ -15,7 +16,8 @@ from .watch import FIRST, Counter
 
 
 def see_pads():
-    """Whether the watchers see what is done to pins: a known number of steps, and levels."""
+    """Return whether the watchers see the pins. A known number of steps and levels is made by
+    software."""
     step, direction = Pin(board.STEP[0], Pin.OUT, value=0), Pin(board.DIR[0], Pin.OUT, value=0)
     counter = Counter(FIRST, board.STEP[0], board.DIR[0])
     made = CONFIG["seen"]
@@ -39,7 +41,7 @@ def see_pads():
 
 
 def sample_pulses(drive, hz, us):
-    """Windows of a run at that rate with pulses of that length."""
+    """Sample windows of a run at `hz` with pulses of `us` microseconds."""
     drive.pulse(us)
     drive.count(0)
     for _ in range(CONFIG["windows"]):
@@ -58,7 +60,8 @@ def sample_pulses(drive, hz, us):
 
 
 def sample_turns(drive):
-    """Windows of axes that reverse after every few steps, sooner than the engine lets them."""
+    """Sample windows of axes that reverse sooner than the engine's direction hold and setup times
+    allow."""
     drive.pulse(3)
     drive.count(0)
     for _ in range(CONFIG["windows"]):
@@ -77,7 +80,7 @@ def sample_turns(drive):
 
 
 def stop_at_random(drive):
-    """Every other stop comes in an interrupt, as a limit's does."""
+    """Stop at random instants, every other time in a hard interrupt, as for a limit."""
     drive.pulse(3)
     drive.count(WATCHED)
     wrong, worst, late = 0, [], 0
@@ -116,7 +119,7 @@ def stop_at_random(drive):
 
 
 def check_motion(drive):
-    """All of this file, in turn."""
+    """Run all checks of this file in turn."""
     most = drive.engine.max_step_hz(3)
     for hz, us, name in ((1000, 10, "1 kHz"), (50_000, 10, "50 kHz"), (most, 3, "the highest")):
         drive.pulse(us)

@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""Steps counted, stops at random instants, limits pulled, PWM looked at: on an ESP32."""
+"""Checks on an ESP32: steps counted, stops at random instants, limits pulled, PWM observed."""
 
 import time
 
@@ -14,11 +14,11 @@ from .runs import any_motion, count_steps, start_from_rest
 from .say import say
 
 STOPPER = 3  # a timer: 0 is the engine's, 1 and 2 are the port's
-LOOKED_MS = 100  # at a PWM
+LOOKED_MS = 100  # time of observation of a PWM
 
 
 def see_steps(drive):
-    """Whether the counters see what is done to pins: a known number of steps, by hand."""
+    """Return whether the counters see the pins. A known number of steps is made by software."""
     step, direction = Pin(board.STEP[0]), Pin(board.DIR[0])
     made, seen = CONFIG["seen"], []
     for level, count in ((0, made[0]), (1, made[1])):
@@ -41,12 +41,12 @@ def see_steps(drive):
 
 
 def apart(drive):
-    """By how many steps position and count differ, at the most."""
+    """Return by how many steps position and count differ at most."""
     return max(abs(a - b) for a, b in zip(drive.position(), drive.counted()))
 
 
 def stop_and_look(drive):
-    """Stop; by how much the position is wrong, and whether steps have come afterwards."""
+    """Stop. Returns the position's deviation in steps, and whether steps followed the stop."""
     drive.stop()
     counted, off = drive.counted(), apart(drive)
     wait_us(COUNTS_SEEN_US)
@@ -54,7 +54,7 @@ def stop_and_look(drive):
 
 
 def stop_at_random(drive):
-    """Every other stop comes in an interrupt, a soft one, as a limit's does."""
+    """Stop at random instants, every other time in a soft interrupt, as for a limit."""
     offs, late, moved = [0, 0], 0, 0
     worst = []
     timer = Timer(STOPPER)
@@ -88,14 +88,15 @@ def stop_at_random(drive):
 
 
 def pull(pin, down):
-    """An input that is not wired follows the chip's own resistor; whether it does."""
+    """Pull an input with the chip's own resistor. Returns whether it follows, that is, is not
+    wired."""
     Pin(pin, Pin.IN, Pin.PULL_DOWN if down else Pin.PULL_UP)
     wait_us(20)
     return Pin(pin).value() == (not down)
 
 
 def hear(drive, port, heard):
-    """Limits switch off and stop; heard gets when that has been done."""
+    """Make limits switch off and stop. `heard` gets the time in us of each."""
     kill, stop = port.kill, drive.engine.stop
 
     class Listener:
@@ -114,7 +115,8 @@ def hear(drive, port, heard):
 
 
 def limits_stop(drive, port):
-    """Each limit input that has a resistor of the chip's, pulled low by the chip's other one."""
+    """Check each limit input with the chip's pull-up, by pulling it low with the chip's
+    pull-down."""
     fixed = getattr(board, "NO_PULL_UP", ())
     pins = [pin for pin in getattr(board, "LIMIT", ()) if pin is not None and pin not in fixed]
     heard, took_us, missed, late, worst, shown = [], [], 0, 0, 0, bool(pins)
@@ -152,7 +154,8 @@ def limits_stop(drive, port):
 
 
 def look_at(pin, edges):
-    """Thousandths of the time for which a pad is on, and its rising edges in some ms."""
+    """Return the share of time for which a pin is on, in thousandths, and its rising edges in
+    LOOKED_MS."""
     off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
     time.sleep_ms(CONFIG["pwm_settles_ms"])
     edges.take()
@@ -164,7 +167,8 @@ def look_at(pin, edges):
 
 
 def check_pwm(port):
-    """0, half, full; and what it is told behind a kill. The pad is read as often as Python can."""
+    """Check the PWM at zero, half and full power, and when commanded after a kill. The pin is read
+    as often as Python can."""
     pin = getattr(board, "SPINDLE_PWM", None)
     if pin is None or not CONFIG["pwm"]:
         say("pwm", asked=CONFIG["pwm"], wired=pin is not None)
@@ -181,7 +185,7 @@ def check_pwm(port):
 
 
 def check_motion(drive):
-    """What needs an engine only, in turn."""
+    """Run the checks that need only the engine, in turn."""
     drive.pulse(PULSE_US)
     most = drive.most_hz
     for hz, name in ((most // 10, ""), (most // 2, ""), (most, "the highest")):

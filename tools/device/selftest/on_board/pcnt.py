@@ -1,9 +1,9 @@
 # mypy: ignore-errors
-"""Pulse counters of an ESP32, which see the pads of pins that others drive: no wire is needed.
+"""Pulse counters of an ESP32. They read pins that others drive; no wire is needed.
 
-MicroPython makes an input of each pin that a counter is given, and takes the pin away from whoever
-drives it (pcnt_set_pin() of ESP-IDF). So what the GPIO matrix had there is put back, and the
-output is switched on again. A counter has 16 bits: nothing here makes as many steps at a time.
+MicroPython makes an input of each pin that a counter gets, and disconnects it from its output
+(pcnt_set_pin() of ESP-IDF). So the pin's output selection in the GPIO matrix is restored, and the
+output is enabled again. A counter has 16 bits; no check makes as many steps at a time.
 """
 
 from esp32 import PCNT
@@ -11,23 +11,24 @@ from machine import Pin, mem32
 
 from .config import CONFIG
 
-MOST = 32_000  # steps from 0, either way
-ENABLE, ENABLE_HIGH = 0x24, 0x30  # registers that switch outputs on: pins 0 to 31, and above
-LEVELS, LEVELS_HIGH = 0x3C, 0x40  # what the pads show
+MOST = 32_000  # a counter's range, in steps from 0, both ways
+ENABLE, ENABLE_HIGH = 0x24, 0x30  # registers that enable outputs: of pins 0 to 31, and above
+LEVELS, LEVELS_HIGH = 0x3C, 0x40  # registers with the levels at the pins
 
 
 def signal_at(pin):
-    """The register that says what a pin shows."""
+    """Return the address of the register that selects a pin's output signal."""
     return CONFIG["gpio"] + CONFIG["out_sel"] + 4 * pin
 
 
 def bit_at(pin, low, high):
-    """Of a register with a bit per pin: its address, and the bit."""
+    """Return address and bit number of a pin in a register with a bit per pin."""
     return CONFIG["gpio"] + (low if pin < 32 else high), pin & 31
 
 
 def given_back(pins, take):
-    """What take() returns, and these pins are as they were."""
+    """Call take(), then make these pins outputs with their former signals again. Returns its
+    result."""
     shown = [mem32[signal_at(pin)] for pin in pins]
     taken = take()
     for pin, word in zip(pins, shown):
@@ -38,13 +39,13 @@ def given_back(pins, take):
 
 
 def pad_level(pin):
-    """What the pad shows, whoever drives it."""
+    """Return the level at the pin, whatever drives it."""
     address, bit = bit_at(pin, LEVELS, LEVELS_HIGH)
     return mem32[address] >> bit & 1
 
 
 class Counter:
-    """Steps of one axis: forward ones less backward ones, since reset()."""
+    """Counts the steps of one axis: forward minus backward, since reset()."""
 
     def __init__(self, unit, step, direction):
         def take():
@@ -66,24 +67,24 @@ class Counter:
         self.reset()
 
     def steps(self):
-        """So far."""
+        """Return the count."""
         return self._unit.value()
 
     def reset(self):
-        """From 0."""
+        """Set the count to 0."""
         self._unit.value(0)
 
     def close(self):
-        """See no more. Its pins are nobody's then."""
+        """Release the counter. Its pins are then without a function."""
         self._unit.deinit()
 
 
 class Edges:
-    """Rising edges of one pin, whatever others do."""
+    """Counts the rising edges of one pin, whatever drives it."""
 
     def __init__(self, unit, pin):
         def take():
-            # The steps' counter that this unit has been has its mode from another pin.
+            # This unit may have counted steps before; it has the mode of another pin from that.
             return PCNT(
                 unit, pin=Pin(pin), rising=PCNT.INCREMENT, falling=PCNT.IGNORE, min=-MOST, max=MOST
             )
@@ -93,5 +94,5 @@ class Edges:
         self.take()
 
     def take(self):
-        """So far, and from 0 again."""
+        """Return the count and set it to 0."""
         return self._unit.value(0)

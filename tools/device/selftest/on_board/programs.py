@@ -1,11 +1,11 @@
 # mypy: ignore-errors
 # ruff: noqa: F821
-"""Programs of the watching machines of PIO 1: assembly only. They read pads and drive none."""
+"""Programs of the watching machines of PIO 1: assembly only. They read pins and drive none."""
 
 from rp2 import PIO, asm_pio
 
-# Steps of one axis. in_base: STEP, jmp_pin: DIR, which says where a step goes as it rises.
-# X counts down for each step forward, Y for each backward, both from 2**32 - 1.
+# Steps of one axis. in_base: STEP; jmp_pin: DIR, which gives the direction when STEP rises. X
+# counts down for each step forward, Y for each backward, both from 2**32 - 1.
 
 
 @asm_pio()
@@ -16,13 +16,13 @@ def count_program():
     wait(1, pin, 0)
     jmp(pin, "back")
     jmp(x_dec, "next")
-    jmp("next")  #          where X was 0
+    jmp("next")  # if X was 0
     label("back")
     jmp(y_dec, "next")
     wrap()
 
 
-# All pins, each tick.
+# All pins, in each tick.
 
 
 @asm_pio(autopush=True, push_thresh=32, fifo_join=PIO.JOIN_RX)

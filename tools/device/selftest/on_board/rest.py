@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""The board itself: who it is, what writing to flash costs, and all checks in turn."""
+"""The board's identity, the cost of writing to flash, and all checks of an RP2 in turn."""
 
 import gc
 import os
@@ -20,14 +20,15 @@ from .limits import check_limits
 from .motion import check_motion, see_pads
 from .say import say
 
-NAME = "selftest"  # of the file that is written and removed
+NAME = "selftest"  # name of the file that is written and removed
 BEAT_MS = 1
-TIMER = CONFIG["timer"]  # its register of microseconds
+TIMER = CONFIG["timer"]  # address of its register of microseconds
 
 
 @micropython.viper
 def beat(kept: ptr32) -> int:
-    """The longest time from one call to the next, in us."""
+    """Update the longest time between two calls, in us. kept: address of the timer, time of the
+    last call, longest time so far."""
     now = ptr32(kept[0])[0]
     gap = (now - kept[1]) & 0x3FFFFFFF
     kept[1] = now
@@ -37,7 +38,7 @@ def beat(kept: ptr32) -> int:
 
 
 def make_beat(kept):
-    """For an interrupt."""
+    """Return a closure for an interrupt."""
     act = beat
 
     def interrupt(_timer):
@@ -47,7 +48,7 @@ def make_beat(kept):
 
 
 def check_save():
-    """Keep lines as settings are kept; how long no interrupt was served."""
+    """Save lines as settings are saved, and measure how long no interrupt was served."""
     store = FlashStore()
     lines = ["$%d=%d" % (number, number * 7) for number in range(40)]
     kept = array("i", [TIMER, time.ticks_us() & 0x3FFFFFFF, 0])
@@ -78,7 +79,7 @@ def check_save():
 
 
 def check_all():
-    """In turn; drivers are off all the time, and outputs at the end."""
+    """Run all checks in turn. Drivers stay off, and outputs are off at the end."""
     wired = drivers_off()
     hear_nothing()
     random.seed(CONFIG["seed"])

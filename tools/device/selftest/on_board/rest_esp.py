@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""An ESP32 board: who it is, and all checks in turn."""
+"""An ESP32 board: its identity, and all checks in turn."""
 
 import random
 import sys
@@ -15,11 +15,11 @@ from .say import say
 
 
 def check_all():
-    """In turn; drivers are off all the time, and outputs at the end."""
+    """Run all checks in turn. Drivers stay off, and outputs are off at the end."""
     wired = drivers_off()
     hear_nothing()
     random.seed(CONFIG["seed"])
-    drive = Drive()  # at the firmware's clock from here on
+    drive = Drive()  # sets the firmware's CPU clock
     say(
         "board",
         name=getattr(sys.implementation, "_machine", sys.platform),

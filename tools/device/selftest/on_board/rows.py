@@ -1,5 +1,6 @@
 # mypy: ignore-errors
-"""Rows of our own for the deployed engine, whichever it is, and what it makes of them."""
+"""Segments for the deployed engine, whichever it is, without planner, and what the engine makes of
+them."""
 
 import gc
 import random
@@ -11,15 +12,16 @@ import micropython
 
 AXES = len(board.STEP)
 
-# What is served: rows still to come, directions, what changes of them after each, length of a
-# row, and the row itself.
+# Places in `plan`: segments still to come, directions, direction bits that flip after each
+# segment, length of a row, and the row itself.
 LEFT, DIRS, FLIP, LENGTH, ROW = 0, 1, 2, 3, 4
 KEEP_POWER = 0x3FFFFFFF
 
 
 @micropython.viper
 def serve(plan: ptr32, row: ptr32) -> int:
-    """The next segment; 0 where none is left. The engine's interrupt asks for it."""
+    """Write the next segment into `row`; returns 0 if none is left. Called by the engine's
+    interrupt."""
     if plan[0] <= 0:
         return 0
     plan[0] -= 1
@@ -33,7 +35,7 @@ def serve(plan: ptr32, row: ptr32) -> int:
 
 
 def make_serve(plan):
-    """What the engine calls: a closure, for an interrupt looks nothing up."""
+    """Return a closure for the engine, because an interrupt must not look up names."""
     act = serve
 
     def following(row):
@@ -43,20 +45,21 @@ def make_serve(plan):
 
 
 def nothing(*_):
-    """Nobody is told."""
+    """Do nothing: a callback without a listener."""
 
 
 class Mover:
-    """An engine. Steps are named as its position names them: backward ones are negative.
+    """An engine with segments of our own. Step counts are signed like its position: backward is
+    negative.
 
-    long: ticks of a long segment. gaps, rest_gaps: from step to step in moves of any kind, and
-    from rest. row: ticks of a segment in the former.
+    long: ticks of a long segment. gaps, rest_gaps: range of ticks between steps, in random motion
+    and for starts from standstill. row: ticks of a segment in random motion.
     """
 
     def __init__(self, engine, tick_hz, watched, long, gaps, rest_gaps, row):
         self.engine, self._tick_hz, self.watched, self._long = engine, tick_hz, watched, long
         self.motors = list(range(watched))
-        self.rounds = -(-AXES // watched)  # in which each motor is watched once
+        self.rounds = -(-AXES // watched)  # after so many rounds each motor has been watched once
         self.gaps, self.rest_gaps, self.row = gaps, rest_gaps, row
         self._plan = array("i", [0] * (ROW + 3 + 3 * AXES))
         self._plan[LENGTH] = 3 + 3 * AXES
@@ -65,15 +68,16 @@ class Mover:
         self.pulse(10)
 
     def pulse(self, us):
-        """Length of a step's pulse."""
+        """Set the length of a step pulse, in us."""
         self.engine.configure(us, 0, 0)
 
     def name_here(self):
-        """This place is 0."""
+        """Set the position to 0."""
         self.engine.set_position(array("i", [0] * AXES))
 
     def plan(self, gap, counts, rows, dirs=0, flip=0, ticks=0):
-        """So many segments with these steps per axis, those with most of them gap ticks apart."""
+        """Plan `rows` segments with these steps per axis. The steps of the axis with the most are
+        gap ticks apart."""
         plan = self._plan
         plan[LEFT] = 0
         plan[DIRS], plan[FLIP] = dirs, flip
@@ -88,7 +92,8 @@ class Mover:
         plan[LEFT] = rows
 
     def even(self, hz, steps, dirs=0):
-        """All axes together, at that rate, so many steps each; how many they will be."""
+        """Plan the same number of steps for all axes, at that rate. Returns how many they will
+        be."""
         gap = self._tick_hz // hz
         each = max(min(self._long // gap, steps), 1)
         rows = max(steps // each, 1)
@@ -96,12 +101,13 @@ class Mover:
         return rows * each
 
     def start(self):
-        """Go."""
+        """Start motion."""
         self.engine.arm()
         self.engine.start()
 
     def rest(self, limit_ms=10_000):
-        """Wait for the end of all motion; False where it does not come."""
+        """Wait for the end of all motion. Returns False, and stops, if it does not come within
+        limit_ms."""
         begun = time.ticks_ms()
         while self._plan[LEFT] or not self.engine.idle():
             if time.ticks_diff(time.ticks_ms(), begun) > limit_ms:
@@ -110,25 +116,25 @@ class Mover:
         return True
 
     def stop(self):
-        """At once, and nothing is left to do."""
+        """Stop at once and drop the remaining segments."""
         self.engine.stop()
         self._plan[LEFT] = 0
 
     def of_watched(self, steps):
-        """Those of the motors that are watched."""
+        """Return the values of the watched motors."""
         return [steps[motor] for motor in self.motors]
 
     def position(self):
-        """What the engine says it has made."""
+        """Return the steps made, according to the engine."""
         self.engine.position(self._steps)
         return list(self._steps)
 
 
 def some(low, high):
-    """A random number, both ends included."""
+    """Return a random integer from low to high, both included."""
     return random.randint(low, high)
 
 
 def settle():
-    """Memory in order: a collection comes when it is asked for."""
+    """Collect garbage now, so that no collection falls into the next measurement."""
     gc.collect()

@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""Runs that every engine makes: steps counted, starts from rest."""
+"""Checks for every engine: count steps, start from standstill."""
 
 import time
 
@@ -9,7 +9,8 @@ from .say import say
 
 
 def count_steps(drive, hz, name):
-    """All axes there, and back; watched all the way, so many of them at a time as can be."""
+    """Move all axes forth and back, and count. Repeated until each motor has been watched, because
+    not all may be watched at once."""
     for k in range(2 * drive.rounds):
         way = (1 << AXES) - 1 if k & 1 else 0
         if not way:
@@ -34,7 +35,7 @@ def count_steps(drive, hz, name):
 
 
 def any_motion(drive, rows):
-    """Segments at any rate, in any directions."""
+    """Plan segments at a random rate in random directions."""
     gap = some(drive.gaps[0], drive.gaps[1])
     most = max(min(4000, drive.row // gap), 1)
     counts = [some(0, most) for _ in range(AXES)]
@@ -44,13 +45,14 @@ def any_motion(drive, rows):
 
 
 def watch_others(drive, k):
-    """Every few times, at rest, where not all can be watched at once."""
+    """If not all motors can be watched at once, watch the next ones at every fourth call. The
+    engine must be idle."""
     if drive.rounds > 1 and k % 4 == 0:
         drive.count(drive.watched)
 
 
 def start_from_rest(drive):
-    """Short ways, each to its end, with all that is asked for made."""
+    """Make short moves, each to its end, and check that every step was made."""
     drive.count(drive.watched)
     wrong, first, stuck = 0, [], 0
     for k in range(CONFIG["starts"]):

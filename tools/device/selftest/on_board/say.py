@@ -1,12 +1,12 @@
 # mypy: ignore-errors
-"""How facts are told."""
+"""Report facts to the computer."""
 
 import json
 import sys
 
 
 def say(what, **facts):
-    """A fact, for the computer to judge. Its text is nowhere in memory as a whole."""
+    """Print a fact as JSON, piece by piece, so that its whole text is never in memory."""
     sys.stdout.write("= " + what + " ")
     json.dump(facts, sys.stdout)
     print()

@@ -1,9 +1,10 @@
 # mypy: ignore-errors
-"""Watching machines of PIO 1, which see the pads of pins that others drive: no wire is needed.
+"""Watching state machines of PIO 1. They read pins that others drive; no wire is needed.
 
-Machines 4 to 6 are theirs, as far as neither motors behind the fourth nor a beam have them; 7 is
-the pulse engine's clock. They count steps, and the last one by turns samples all pins into memory
-by DMA: a logic analyser. A tick is the engine's, so what is measured in ticks is exact.
+They use machines 4 to 6, unless a motor after the fourth or a laser's beam needs one; 7 is the
+pulse engine's clock. They count steps. The last one alternates between counting and sampling all
+pins into memory by DMA, as a logic analyser. A tick is the engine's tick, so times in ticks are
+exact.
 """
 
 from array import array
@@ -19,17 +20,17 @@ from .programs import count_program, sample_program
 TICK_HZ = 12_500_000
 ALL = 0xFFFFFFFF
 LANES = len(board.STEP) + (getattr(board, "TOOL", "spindle") == "laser")
-FIRST, LAST = max(LANES, 4), 6  # machines
+FIRST, LAST = max(LANES, 4), 6  # numbers of state machines
 PIO1 = 0x50300000
 # Instructions that are forced into a machine: mov(x, invert(null)), mov(isr, x), push(noblock) …
 FILL_X, FILL_Y = 0xA02B, 0xA04B
 TAKE_X, TAKE_Y, PUSH = 0xA0C1, 0xA0C2, 0x8000
-SET = 0x2000  # the same register, where ones set bits
+SET = 0x2000  # alias of a register: ones set bits; with CLEAR they clear bits
 CLEAR = 0x3000
 
 
 class Counter:
-    """Steps of one axis, from now on."""
+    """Counts the steps of one axis, from its creation on."""
 
     def __init__(self, number, step, direction):
         self._machine = rp2.StateMachine(
@@ -45,16 +46,16 @@ class Counter:
         return ALL - self._machine.get()
 
     def steps(self):
-        """Forward ones and backward ones."""
+        """Return the forward steps and the backward steps."""
         return self._read(TAKE_X), self._read(TAKE_Y)
 
     def close(self):
-        """See no more."""
+        """Stop counting."""
         self._machine.active(0)
 
 
 class Sampler:
-    """Levels of all pins, tick by tick, as many ticks as length."""
+    """Samples the levels of all pins, `length` times, once per tick."""
 
     def __init__(self, length):
         self.length = length
@@ -66,7 +67,7 @@ class Sampler:
         self.hz = TICK_HZ
 
     def ready(self):
-        """Forget what has been sampled, and let begin whoever likes."""
+        """Discard the old samples and prepare sampling; go() or an interrupt starts it."""
         self.machine = rp2.StateMachine(LAST, sample_program, freq=self.hz)
         self.dma.active(0)
         self.dma.config(
@@ -78,47 +79,48 @@ class Sampler:
         )
 
     def go(self):
-        """Begin now."""
+        """Start sampling."""
         self.dma.active(1)
         self.machine.active(1)
 
     def wait(self):
-        """Until all memory is full."""
+        """Wait until all samples are taken."""
         while self.dma.active():
             pass
         self.machine.active(0)
-        while self.machine.rx_fifo():  # another program of this machine would find them
+        while self.machine.rx_fifo():  # else another program of this machine would read them
             self.machine.get()
 
     def look(self):
-        """Sample, and wait until that is done."""
+        """Sample, and wait until it is complete."""
         self.ready()
         self.go()
         self.wait()
 
     def edges(self, pin, begin=0):
-        """First level, then the ticks in which it changes, the last ones; the others' count."""
+        """Return the first level, then the ticks at which the level changes; only the last ones,
+        if there are more than `found` holds."""
         count = find_edges(self.words, begin, self.length, pin, found, len(found))
         if count > len(found):
-            begin = found[count % len(found)] - 1  # the oldest that is kept
+            begin = found[count % len(found)] - 1  # the oldest one still stored
         kept = [found[k % len(found)] for k in range(max(count - len(found), 0), count)]
         kept.insert(0, self.level(pin, begin))
         return kept
 
     def level(self, pin, at):
-        """Of that pin in that tick."""
+        """Return the level of a pin at a tick."""
         return find_level(self.words, at, pin)
 
 
 @micropython.viper
 def find_level(words: ptr32, at: int, pin: int) -> int:
-    """Of a pin in that tick."""
+    """Return the level of a pin at a tick."""
     return (words[at] >> pin) & 1
 
 
 @micropython.viper
 def find_edges(words: ptr32, begin: int, end: int, pin: int, found: ptr32, room: int) -> int:
-    """Ticks in which a pin's level changes, in a ring. Returns how many there are."""
+    """Store the ticks at which a pin's level changes into a ring. Returns how many there are."""
     count = 0
     place = 0
     before = (words[begin] >> pin) & 1
