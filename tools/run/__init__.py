@@ -1,4 +1,4 @@
-"""Programs and senders at the simulated machine: from the name of a board to what its motors did.
+"""Programs and senders at the simulated machine: from the name of a board to its motors' motion.
 
-Imports `grbl`, `boardfile`, `compiling` and `sim`. Other than `sim` it is for CPython only.
+Imports `grbl`, `boardfile`, `compiling` and `sim`. Unlike `sim`, it is for CPython only.
 """

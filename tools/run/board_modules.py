@@ -1,4 +1,4 @@
-"""Modules that boards have, and how much of them there is here: for the user's own Python."""
+"""Modules of boards, and how completely they exist on the desktop: for the user's own Python."""
 
 import time
 import traceback
@@ -6,7 +6,7 @@ from types import ModuleType
 
 from .. import paths
 
-# What MicroPython 1.28 has on both kinds of chips (built in and frozen), and on one of them.
+# Modules of MicroPython 1.28, built in and frozen, on both kinds of chip and on only one of them.
 ON_BOARDS = frozenset(
     "_asyncio _onewire _thread aioble array asyncio binascii bluetooth builtins cmath collections "
     "cryptolib deflate dht ds18x20 errno framebuf gc hashlib heapq io json machine marshal math "
@@ -20,19 +20,21 @@ ON_ONE_CHIP = {
         "_espnow aioespnow apa106 btree esp esp32 espnow logging senml umqtt upysh".split()
     ),
 }
-# Of these CPython has all that boards have, with complete(): what is missing there is misspelt.
+# In these, CPython with complete() has everything boards have, so a missing name is a typing
+# mistake.
 _WHOLE = frozenset(
     "array binascii cmath collections errno hashlib heapq io json math random re struct "
     "time".split()
 )
 _PARTLY = ON_BOARDS.union(*ON_ONE_CHIP.values()) - _WHOLE
-# Those of which something is modelled: what they refuse may be there on a board.
+# These are partly modelled, so a name that they do not have may exist on a board.
 _STANDINS = ("machine", "peripherals", "rp2", "esp32")
 _TICKS = 1 << 30
 
 
 def is_lacking(fault: "BaseException | None") -> bool:
-    """Something has failed for want of what boards have, and the simulator does not."""
+    """Return whether a fault is caused by something that boards have and the simulator does
+    not."""
     if isinstance(fault, ImportError):
         return (fault.name or "").partition(".")[0] in _PARTLY
     if isinstance(fault, AttributeError) and fault.obj is not None:
@@ -45,7 +47,7 @@ def is_lacking(fault: "BaseException | None") -> bool:
 
 
 def complete() -> None:
-    """Give `time` what MicroPython has of it. Ticks are those of the clock on the wall."""
+    """Add MicroPython's functions to `time`. Ticks are those of the wall clock."""
     added = {
         "ticks_ms": lambda: time.monotonic_ns() // 1_000_000 % _TICKS,
         "ticks_us": lambda: time.monotonic_ns() // 1_000 % _TICKS,

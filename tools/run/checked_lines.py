@@ -1,4 +1,4 @@
-"""Check mode, quickly: the firmware's own kernels judge many lines that only move in one call."""
+"""Fast check mode: the firmware's own kernels check many move-only lines in one call."""
 
 from array import array
 from collections.abc import Sequence
@@ -13,11 +13,10 @@ _BYTES = 1 << 16
 
 
 class CheckedLines:
-    """Lines of a program that a machine in check mode judges without having been sent them.
+    """Lines of a program that a machine in check mode checks without receiving them.
 
-    What the firmware's loop does with lines that only move is done here: it reads, checks and
-    answers them by two kernels, and has nothing else to do while nothing can move. Any other
-    line is to be sent.
+    This does what the firmware's loop does with move-only lines: two kernels read, check and
+    answer them, and nothing else can happen because nothing moves. All other lines must be sent.
     """
 
     def __init__(self, rig: "Rig") -> None:
@@ -32,7 +31,7 @@ class CheckedLines:
         self._in_check_mode, self._any = CHECK, ANY
         self._check_lines = check_lines
         self._places = lines
-        # One buffer for all of them: the kernels remember where it lies.
+        # One buffer for all lines, because the kernels keep its address.
         self._heard = bytearray(_BYTES)
         self._at = array("i", at)
         self._at[lines._SIZE] = _BYTES
@@ -43,7 +42,7 @@ class CheckedLines:
         )
 
     def load(self, lines: Sequence[bytes]) -> bool:
-        """Take lines as the next ones. Returns whether they can be judged here."""
+        """Load the next lines. Returns whether they can be checked here."""
         data = b"\n".join(lines) + b"\n"
         if not self._is_checking() or len(data) >= _BYTES or has_realtime(data):
             return False
@@ -53,19 +52,19 @@ class CheckedLines:
         return True
 
     def check(self) -> int:
-        """Check lines up to one that does more than move. Returns how many; the next call
-        continues after that one."""
+        """Check lines up to one that is not move-only. Returns how many; the next call continues
+        after that line."""
         at, places = self._at, self._places
-        if not self._is_checking():  # the lines from here on are all to be sent
+        if not self._is_checking():  # all further lines must be sent
             self._begin_at(at[places.HEAD])
             return 0
         count = int(self._check_lines(*self._memory))
-        # A line may be too long for the firmware, which may have left its end.
+        # The firmware may have stopped within a line that is too long for it.
         self._begin_at(self._heard.find(b"\n", at[places.TAIL] - 1) + 1)
         return count
 
     def _is_checking(self) -> bool:
-        # Behind a $C it is so until the reset that this asks for has come to its end.
+        # After a $C, check mode stays active until the reset that it requests is complete.
         is_over = self._state.pending[self._any] or self._drive.in_idle_delay
         return self._state.run == self._in_check_mode and not is_over
 

@@ -1,8 +1,8 @@
-"""The user's own Python, judged before it is on a board: what it asks for, and what is wrong.
+"""Check the user's own Python before it is on a board: its requirements and its faults.
 
-What can be read off it is: names of pins, imports, what MicroPython's compiler does not take.
-Then it is imported as the board would, and each handler's word and parameters are looked at. What
-only shows when a handler runs, custom_try.py finds.
+Static checks come first: names of pins, imports, syntax that MicroPython's compiler refuses. Then
+the code is imported as a board would, and each handler's word and parameters are checked. Faults
+that show only when a handler runs are found by custom_try.py.
 """
 
 import ast
@@ -23,7 +23,7 @@ from .own_python import LackError, Module, OwnPython, OwnPythonError
 from .program import ProgramLink
 
 API = "ugrbl"
-# What an event hands its handlers, besides m.
+# Values that an event passes to its handlers, after m.
 _VALUES: dict[str, tuple[object, ...]] = {
     "state_change": ("Idle", "Run"),
     "alarm": (5,),
@@ -35,33 +35,34 @@ _VALUES: dict[str, tuple[object, ...]] = {
     "input": (True,),
 }
 _WHEN = {True: "", False: ", during motion", None: ", before motion"}
-_LETTERS = "ABCDEFHIJKLOPQRSTUVWXYZ"  # G and M are words of their own, N is the line's number
+_LETTERS = "ABCDEFHIJKLOPQRSTUVWXYZ"  # G and M are separate words, N is the line number
 
 
 @dataclass
 class Verdict:
-    """What a check has found. handlers: what there is, by title; tried: each, and what came of it;
-    notes: what could not be looked at; untried: why none of it could be tried here."""
+    """The result of a check. handlers: all handlers, by title. tried: each one with its result.
+    notes: what could not be checked. untried: why no handler could be tried here."""
 
     handlers: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     untried: list[str] = field(default_factory=list)
-    tried: list[tuple[str, str, bool]] = field(default_factory=list)  # title, words, well
+    # title, result in words, success
+    tried: list[tuple[str, str, bool]] = field(default_factory=list)
 
     @property
     def is_good(self) -> bool:
-        """Nothing is wrong with it, and it could be tried."""
+        """Return whether nothing is wrong and the handlers could be tried."""
         return not self.problems and not self.untried and all(well for _, _, well in self.tried)
 
     def as_json(self) -> dict[str, Any]:
-        """For other programs."""
+        """Return the result for other programs."""
         tried = [{"handler": what, "said": said, "ok": well} for what, said, well in self.tried]
         return {**vars(self), "tried": tried, "ok": self.is_good}
 
 
 def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
-    """What can be said without running any of it."""
+    """Check everything that needs no execution."""
     for module in own.modules.values():
         verdict.problems += _syntax(module, verdict)
         verdict.problems += _imports(own, module, board)
@@ -71,7 +72,7 @@ def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
 
 
 def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[str]) -> list[str]:
-    """Names of pins that the board file does not have."""
+    """Return a message for each name of a pin that the board file does not define."""
     found = []
     for asked, option, names in (
         (own.outputs(), "OUTPUTS", outputs),
@@ -88,7 +89,7 @@ def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[st
 
 
 def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
-    """What Python takes, and MicroPython does not."""
+    """Yield syntax that CPython accepts and MicroPython refuses."""
     try:
         refused = compilers.refusal(module.source)
     except CompilerError as error:
@@ -100,7 +101,7 @@ def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
 
 
 def _why(module: Module, line: int) -> str:
-    """What it does not know, where that is easy to see."""
+    """Return the unsupported construct, if it is easy to recognise; else ""."""
     for node in ast.walk(module.tree):
         if isinstance(node, ast.stmt) and node.lineno == line and type(node).__name__ == "Match":
             return ": it has no match"
@@ -110,7 +111,7 @@ def _why(module: Module, line: int) -> str:
 
 
 def _imports(own: OwnPython, module: Module, board: Any) -> Iterator[str]:
-    """Modules that a board has not."""
+    """Yield imports of modules that a board does not have."""
     engine = getattr(board, "ENGINE", "")
     chip = ON_ONE_CHIP["esp" if engine in ("rmt", "i2s") else "pio"]
     if is_simulated(board):
@@ -124,7 +125,7 @@ def _imports(own: OwnPython, module: Module, board: Any) -> Iterator[str]:
 
 
 def _prints(module: Module) -> Iterator[str]:
-    """What would go among the answers to the sender."""
+    """Yield calls of print(), because their output would mix with the answers to the sender."""
     for node in ast.walk(module.tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             to_file = any(keyword.arg == "file" for keyword in node.keywords)
@@ -136,7 +137,7 @@ def _prints(module: Module) -> Iterator[str]:
 
 
 def _imported(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """Line and name of what is imported; "" for what lies beside."""
+    """Yield line and name of each import; the name is "" for a relative import."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
@@ -144,11 +145,12 @@ def _imported(tree: ast.Module) -> Iterator[tuple[int, str]]:
             yield node.lineno, "" if node.level else node.module or ""
 
 
-# What it has noted down
+# Registered handlers
 
 
 def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Sequence[Any]":
-    """Have the simulator import it; returns the notes where nothing is wrong with them."""
+    """Import the user's Python in the simulator. Returns its handlers, or () if something is
+    wrong."""
     rig = machine.build(board, lambda rig: ProgramLink(rig, lambda link: iter(())), around=around)
     rig.custom_module.examine = lambda cnc, notes: _examine(own, cnc, notes, verdict)
     try:
@@ -171,14 +173,14 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
 
 
 def called(note: Any) -> str:
-    """As the firmware calls it: `M100`, `on.tool_change`, `every 50`."""
+    """Return the firmware's name of a handler: `M100`, `on.tool_change`, `every 50`."""
     from extras.custom.user_modules import title
 
     return str(title(note[0], note[1]))
 
 
 def title(note: Any) -> str:
-    """With more of it: `M100 P [Q]`, `on.tool_change`, `every 50 ms`."""
+    """Return the name with parameters: `M100 P [Q]`, `on.tool_change`, `every 50 ms`."""
     kind, _, letters, sync, _ = note
     if kind in "MG":
         words = [c if c.isupper() else f"[{c.upper()}]" for c in letters]
@@ -231,7 +233,7 @@ def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
 
 
 def _parameters(kind: str, letters: Any, function: "Callable[..., Any]") -> Iterator[str]:
-    """The parameters of the function against what it will be called with."""
+    """Compare the function's parameters with the values it will be called with."""
     if inspect.isgeneratorfunction(function):
         yield f"{function.__name__} has a yield: none of it would run. Whoever waits just waits"
         return
@@ -271,7 +273,8 @@ def _letters(letters: str, there: Any, name: str) -> Iterator[str]:
 
 
 def check(own: OwnPython, board: str, around: Around) -> "tuple[Verdict, Sequence[Any]]":
-    """All that can be said before a handler runs, and the notes of what could run."""
+    """Run all checks that run no handler. Returns the result and the handlers that can be
+    tried."""
     verdict = Verdict()
     read_off(own, load_board(board), verdict)
     notes = () if verdict.problems else take_up(own, board, around, verdict)

@@ -1,8 +1,8 @@
 """The user's own Python as a module of one simulated machine: imported, and watched as it runs.
 
-What the firmware has for it (extras/custom/) does the work; here is what a board has no room for:
-where its files are, which handlers have run, what they wait for, and how each has failed.
-To be imported when the firmware can be.
+The firmware's extras/custom/ does the work. This module adds what a board has no space for: the
+paths of its files, which handlers have run, what they wait for, and how each has failed. Import it
+only when the firmware is importable.
 """
 
 import sys
@@ -24,39 +24,43 @@ from . import board_modules
 from .own_python import LackError, OwnPython, OwnPythonError
 
 _TOLD = "Custom: "
-_MODULE = "_module"  # under which a board has it
+_MODULE = "_module"  # the board's attribute for the module
 
 
 class CustomModule:
-    """What is known of it. examine: sees what has been noted down, before it is taken up."""
+    """The state of the user's module. examine: called with the registered handlers, before they
+    are accepted."""
 
     def __init__(self, own: OwnPython) -> None:
         self.own = own
         self.files = {str(module.file): module for module in own.modules.values()}
         self.notes: list[Any] = []
         self.examine: "Callable[[Any, list[Any]], None] | None" = None
-        self.running: list[str] = []  # handlers, the innermost last
-        self.ran: list[str] = []  # handlers that came to their end, or failed
+        self.running: list[str] = []  # handlers, innermost last
+        self.ran: list[str] = []  # handlers that have ended or failed
         self.faults: list[str] = []
-        self.lacks: list[str] = []  # those faults that are for want of what boards have
+        # faults caused by something that boards have and the simulator does not
+        self.lacks: list[str] = []
         self.interrupted = ""  # the handler that Ctrl-C has ended
         self.inputs: Any = None
-        # Told of a wait that nobody ends.
+        # Called for a wait that nothing can end.
         self.on_endless_wait: "Callable[[str], None] | None" = None
-        self.on_person_wait: "Callable[[str], None] | None" = None  # of a wait for a person
-        self.on_switched: "Callable[[str, bool], None] | None" = None  # told of an output
+        # called for a wait for a person
+        self.on_person_wait: "Callable[[str], None] | None" = None
+        # called when an output is switched
+        self.on_switched: "Callable[[str, bool], None] | None" = None
 
     def handler_names(self) -> str:
-        """Its handlers, as $I has them behind `Custom: `."""
+        """Return its handlers, as $I lists them after `Custom: `."""
         names = [user_modules.title(note[0], note[1]) for note in self.notes]
         return sanitize(_TOLD + ", ".join(names))[len(_TOLD) :]
 
     def describe(self, fault: BaseException) -> str:
-        """What has happened, with the last line of the user's own before it."""
+        """Return a fault in words, with the last line of the user's own code before it."""
         return f"{self.place(fault)}{type(fault).__name__}: {fault}".removesuffix(": ")
 
     def place(self, fault: BaseException) -> str:
-        """That line, or nothing."""
+        """Return that line, or ""."""
         place = ""
         for frame in traceback.extract_tb(fault.__traceback__):
             if frame.filename in self.files:
@@ -64,7 +68,7 @@ class CustomModule:
         return place
 
     def note_wait(self, name: str, closed: bool, seconds: "float | None", is_so: bool) -> None:
-        """A handler waits for an input."""
+        """Note that a handler waits for an input, and report a wait that may never end."""
         may_come = self.inputs.await_(name, closed)
         if is_so or seconds is not None:
             return
@@ -80,14 +84,15 @@ class CustomModule:
 
 
 class _Importer:
-    """What import finds a module's files by: a finder and a loader. Nothing is kept of them."""
+    """Finds and loads a module's files for import. No compiled files are stored."""
 
     module: "CustomModule | None" = None
 
     def find_spec(
         self, name: str, path: "Sequence[str] | None" = None, target: "ModuleType | None" = None
     ) -> "ModuleSpec | None":
-        """The user's files come before any other's of these names."""
+        """Return the spec of a user's file; these take precedence over other modules of the same
+        name."""
         if self.module is None:
             return None
         modules = self.module.own.modules
@@ -98,10 +103,10 @@ class _Importer:
         return None
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """As usual."""
+        """Use the default module."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Compiled anew: what Python keeps in __pycache__ is not made."""
+        """Compile and run the file, without a __pycache__."""
         assert self.module
         found = self.module.own.modules.get(module.__name__)
         if found:
@@ -111,24 +116,24 @@ class _Importer:
 
 
 class WatchedApi(MachineApi):
-    """Tells its module what handlers wait for."""
+    """Reports to its module what handlers wait for."""
 
     module: CustomModule
 
     def out(self, name: str, on: Any) -> None:
-        """As on the board."""
+        """Switch an output as on the board, and report it."""
         super().out(name, on)
         if self.module.on_switched:
             self.module.on_switched(name, bool(on))
 
     def pwm(self, name: str, share: float, hz: float = 1000) -> None:
-        """As on the board."""
+        """Set a PWM output as on the board, and report it."""
         super().pwm(name, share, hz)
         if self.module.on_switched:
             self.module.on_switched(name, share > 0)
 
     def wait_for(self, name: str, closed: bool = True, seconds: "float | None" = None) -> bool:
-        """As on the board."""
+        """Wait for an input as on the board, and report it."""
         self.module.note_wait(name, closed, seconds, self.pin(name) == closed)
         try:
             return super().wait_for(name, closed, seconds)
@@ -137,7 +142,7 @@ class WatchedApi(MachineApi):
 
 
 class WatchedRunner(Runner):
-    """Tells its module which handlers run, and how they fail."""
+    """Reports to its module which handlers run, and how they fail."""
 
     module: CustomModule
 
@@ -149,7 +154,7 @@ class WatchedRunner(Runner):
         values: "tuple[Any, ...]" = (),
         given: "dict[str, Any] | None" = None,
     ) -> Any:
-        """Noted."""
+        """Run a handler, and record it."""
         module = self.module
         module.running.append(what)
         try:
@@ -175,8 +180,8 @@ class WatchedRunner(Runner):
 
 
 class WatchedCustom(Custom):
-    """Has its module see what is taken up. What cannot be is an OwnPythonError: nobody wants to
-    simulate a machine without it."""
+    """Passes the handlers to its module for examination before it accepts them. Instead of leaving
+    faulty code out it raises OwnPythonError, because a simulation without it would be useless."""
 
     def __init__(self, cnc: Any, runner: Runner, happenings: Any) -> None:
         module = _importer.module
@@ -186,14 +191,14 @@ class WatchedCustom(Custom):
         super().__init__(cnc, runner, happenings)
 
     def register(self, notes: list[Any]) -> None:
-        """Examined first."""
+        """Examine the handlers, then register them."""
         self._module.notes = notes
         if self._module.examine:
             self._module.examine(self._cnc, notes)
         super().register(notes)
 
     def leave_out(self, fault: BaseException) -> None:
-        """With what can be said of it."""
+        """Raise OwnPythonError, with the place of the fault if it is known."""
         handlers.take_notes()
         if isinstance(fault, OwnPythonError):
             raise fault
@@ -211,8 +216,7 @@ _usual_customs = select_extras.custom_modules
 
 
 def _customs(board: ModuleType) -> "tuple[str, ...]":
-    """In the place of select_extras.custom_modules: what is read is on this computer, and
-    watched."""
+    """Replace select_extras.custom_modules: the files are on this computer, and are watched."""
     module: "CustomModule | None" = board.__dict__.get(_MODULE)
     _importer.module = module
     names = ("Custom", "MachineApi", "Runner")
@@ -225,7 +229,8 @@ def _customs(board: ModuleType) -> "tuple[str, ...]":
 
 
 def _prepare() -> None:
-    """Once: have the firmware ask here what there is to read, and find the board's modules."""
+    """Redirect the firmware's search for custom modules to this module, once, and add the board's
+    modules."""
     board_modules.complete()
     if _importer not in sys.meta_path:
         sys.meta_path.insert(0, _importer)
@@ -233,7 +238,8 @@ def _prepare() -> None:
 
 
 def load_custom(board: ModuleType, own: OwnPython) -> CustomModule:
-    """Have a machine of that board read it. The board is changed: let it be a copy."""
+    """Make a machine of that board load the user's Python. The board is changed, so pass a
+    copy."""
     _prepare()
     module = CustomModule(own)
     vars(board)[_MODULE] = module

@@ -1,8 +1,8 @@
-"""A dry run of each handler in the simulator: with a line or an event that brings it about.
+"""Try each handler in the simulator, with a line or an event that triggers it.
 
-Words get 1 for each letter, once those that must be there, once all. An input that a handler
-waits for changes after a moment, and so does the probe. Nothing else is like the real machine: a
-handler that asks more of it may fail here, and says where.
+Words get the value 1 for each letter, once for the required letters and once for all. An input
+that a handler waits for changes after a moment, and so does the probe. Nothing else is like the
+real machine: a handler that depends on more may fail here, and the message says where.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,15 +18,16 @@ from .program import ProgramLink, Step
 if TYPE_CHECKING:
     from ..sim.rig import Rig
 
-_WAIT_MS = 200  # an input is waited for
+_WAIT_MS = 200  # an input changes after being waited for so long
 _MOVE = b"G21 G91 G1 X1 F600"
 _PROBE = b"G21 G91 G38.2 Z-5 F200"
 _HOMING = (b"$22=1", b"$H")
-_BROKEN_OFF = (*(_MOVE,) * 20, b"\x18")  # more than are planned: it moves when the reset comes
+# more moves than the planner holds, so the machine moves at the reset
+_BROKEN_OFF = (*(_MOVE,) * 20, b"\x18")
 _SHORT = b"G4 P0.2"
 _UNLOCKED = (*_BROKEN_OFF, b"$X", _SHORT)
 _IN_ALARM = ": in Alarm, behind a reset in motion; look at m.state before m.g"
-# What brings an event about.
+# Lines that trigger an event.
 LINES: dict[str, tuple[bytes, ...]] = {
     "startup": (_SHORT,),
     "after_homing": _HOMING,
@@ -40,22 +41,22 @@ LINES: dict[str, tuple[bytes, ...]] = {
     "coolant": (b"M8", b"M9"),
     "program_paused": (b"M0",),
     "program_done": (b"M30",),
-    "alarm": (_PROBE, _SHORT),  # with a probe that is closed before: ALARM:4
+    "alarm": (_PROBE, _SHORT),  # with the probe closed before the motion: ALARM:4
     "report": (b"?", _SHORT, b"?", _SHORT),
 }
 
 
 class TryLink(ProgramLink):
-    """Goes on behind an alarm, which may be what is asked for."""
+    """A link that continues after an alarm, because a test may want one."""
 
     def stop(self, why: str) -> None:
-        """Alarms do not."""
+        """Stop, except for an alarm."""
         if not why.startswith("ALARM:"):
             super().stop(why)
 
 
 def try_all(notes: Sequence[Any], board: str, around: Around, verdict: Verdict) -> None:
-    """Each on a machine of its own."""
+    """Try each handler on a machine of its own, and add the results to the verdict."""
     patient = replace(around, others_ms=_WAIT_MS)
     for note in notes:
         said, well = _try(note, board, patient)
@@ -63,7 +64,7 @@ def try_all(notes: Sequence[Any], board: str, around: Around, verdict: Verdict) 
 
 
 def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
-    """What came of it in words, and whether that is well."""
+    """Return the result in words, and whether it is a success."""
     kind, key, letters, _, _ = note
     what = called(note)
     runs = _words(what, letters) if kind in "MG" else _events(kind, key)
@@ -89,7 +90,7 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
 
 
 def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:
-    """Programs: with the letters that must be there, and with all."""
+    """Return programs for a word: with the required letters, and with all."""
     must = "".join(f" {c}1" for c in letters if c.isupper())
     every = "".join(f" {c.upper()}1" for c in letters)
     lines = [f"{word}{given}".encode() for given in dict.fromkeys((must, every))]
@@ -97,7 +98,8 @@ def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:
 
 
 def _events(kind: str, key: Any) -> list[tuple[bytes, ...]]:
-    """Programs: what comes behind a reset comes behind one that is an alarm, too."""
+    """Return programs for an event. One for a reset also runs after a reset that causes an
+    alarm."""
     if kind == "every":
         return [(f"G4 P{3 * key / 1000:.3f}".encode(), _SHORT)]
     lines = LINES.get(kind, (_SHORT,))
@@ -130,7 +132,7 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
 
 
 def _run(rig: "Rig", what: str) -> str:
-    """Run it, not for longer than one waits. Returns why it was ended, if it was."""
+    """Run the machine, within the time limit. Returns why it was ended, or ""."""
     if watch.is_late(lambda: machine.run(rig)):
         return (
             f"{rig.custom_module.interrupted or what}: no end of it within {watch.LONGEST_S:g} s"

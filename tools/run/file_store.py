@@ -1,8 +1,8 @@
-"""A Store in one text file, of the form that `ugrbl settings pull` writes: `$n=v` lines.
+"""A Store in one text file, in the format of `ugrbl settings pull`: `$n=v` lines.
 
-What a machine keeps besides stands in comments, `;[startup] G21`, so that the file stays one for
-`ugrbl settings push`. Comments and values that others wrote are kept as they are. A file that is
-not understood, or that somebody else has changed meanwhile, is never written over.
+Other stored values are in comments, `;[startup] G21`, so that `ugrbl settings push` can read the
+file. Comments and values by others are kept as they are. A file that cannot be read, or that
+another program has changed meanwhile, is never overwritten.
 """
 
 import os
@@ -14,16 +14,16 @@ from .. import paths
 from ..grbl.settings_file import SETTING, Firmware, Settings, SettingsError, same
 
 _OTHER = re.compile(r";\[(\w+)\] ?(.*)")
-# The firmware's names of its settings; which it uses hangs on its tool.
+# All names of the firmware for its settings begin so; the rest depends on the tool.
 _SETTINGS = "settings"
-_BEYOND = 3.5e38  # single precision, as the firmware's
+_BEYOND = 3.5e38  # more than single precision holds, which the firmware uses
 
 
 class FileStore:
-    """Keeps what a machine keeps between runs.
+    """Stores the persistent values of a machine between runs.
 
-    factory: what holds where the file says nothing. firmware: whose settings they are. Raises
-    SettingsError for a file that is not understood, OSError for one that cannot be read.
+    factory: values if the file does not have them. firmware: whose settings they are. Raises
+    SettingsError for a file that cannot be parsed, OSError for one that cannot be read.
     """
 
     def __init__(
@@ -32,9 +32,9 @@ class FileStore:
         factory: Mapping[str, Sequence[str]] | None = None,
         firmware: Firmware | None = None,
     ) -> None:
-        self._path = Path(os.path.realpath(path))  # a link stays one
+        self._path = Path(os.path.realpath(path))  # a link stays a link
         self._firmware = firmware or Firmware()
-        self.damaged: dict[str, bool] = {}  # a damaged file is refused
+        self.damaged: dict[str, bool] = {}  # always empty, because a damaged file is refused
         self._text = self._there()
         self._kept = {name: list(lines) for name, lines in (factory or {}).items()}
         if self._text is None:
@@ -43,12 +43,12 @@ class FileStore:
             self._kept.update(_read(_decoded(self._text), self._firmware))
 
     def load(self, name: str) -> list[str] | None:
-        """What was last saved under name."""
+        """Return the lines last saved under a name; None if there are none."""
         lines = self._kept.get(_SETTINGS if name.startswith(_SETTINGS) else name)
         return None if lines is None else list(lines)
 
     def save(self, name: str, lines: Iterable[str]) -> None:
-        """Replace the file by a new one, or leave it as it was. OSError where that has to be."""
+        """Replace the file completely, or leave it unchanged. OSError if it cannot be replaced."""
         kept = {**self._kept, _SETTINGS if name.startswith(_SETTINGS) else name: list(lines)}
         if self._there() != self._text:
             raise OSError(f"{self._path} has been changed by somebody else: it is left alone")
@@ -74,7 +74,7 @@ def _decoded(data: bytes) -> str:
 
 
 def _read(text: str, firmware: Firmware) -> dict[str, list[str]]:
-    """What is kept in a file, by name."""
+    """Return the stored lines in a file, by name."""
     settings = Settings.read("\n".join(line for line in text.splitlines() if not _other(line)))
     theirs = settings.firmware.version
     if theirs and firmware.version and theirs != firmware.version:
@@ -92,12 +92,12 @@ def _read(text: str, firmware: Firmware) -> dict[str, list[str]]:
 
 
 def _other(line: str) -> re.Match[str] | None:
-    """What is kept besides settings."""
+    """Return the match of a line with a stored value that is not a setting."""
     return _OTHER.fullmatch(line)
 
 
 def _written(before: str, kept: Mapping[str, Sequence[str]], firmware: Firmware) -> Iterator[str]:
-    """The lines of the new file: those of the old one, with new values where they differ."""
+    """Yield the lines of the new file: those of the old one, with new values where they differ."""
     values = Settings.read("\n".join(kept.get(_SETTINGS, ()))).values
     if before:
         yield from _renewed(before, values)
@@ -110,7 +110,7 @@ def _written(before: str, kept: Mapping[str, Sequence[str]], firmware: Firmware)
 
 
 def _renewed(before: str, values: dict[int, str]) -> Iterator[str]:
-    """The old lines with their new values, which are taken out of values."""
+    """Yield the old lines with their new values, and remove these from `values`."""
     for line in before.splitlines():
         if _other(line):
             continue
@@ -124,7 +124,8 @@ def _renewed(before: str, values: dict[int, str]) -> Iterator[str]:
 
 
 def _check_folder(path: Path) -> None:
-    """OSError where no file can come to be: told before a machine has run in vain."""
+    """Raise OSError if the file cannot be created, before a machine runs without being able to
+    save."""
     if not path.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {path.parent}")
     paths.check_writable(path)

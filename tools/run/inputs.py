@@ -1,4 +1,4 @@
-"""Inputs of a simulated machine: who pushes them, and by which name.
+"""Inputs of a simulated machine: their names, and rules that close and open them.
 
 `--input NAME=WHEN`: on, or off; Z-30: closed while the machine is at Z-30 or beyond; 2s: it
 changes when a handler, or a probing motion, has waited for it for so long.
@@ -25,8 +25,8 @@ _WHEN = "on, off, a place (Z-30) or a time (2s)"
 
 @dataclass(frozen=True)
 class Rule:
-    """When an input closes. axis: -1 where it hangs on no place; wait_ms: None where it waits for
-    nobody."""
+    """When an input closes. axis: -1 if it does not depend on a position. wait_ms: None if it does
+    not depend on waiting."""
 
     name: str
     closed: bool = False
@@ -37,7 +37,7 @@ class Rule:
 
 
 def rule(text: str) -> Rule:
-    """A rule of the command line. ValueError where it is none."""
+    """Parse a rule of the command line. ValueError if it is not one."""
     name, equals, when = (part.strip() for part in text.partition("="))
     if not name or not equals:
         raise ValueError(f"--input {text}: say NAME=WHEN, WHEN being {_WHEN}")
@@ -57,22 +57,24 @@ def rule(text: str) -> Rule:
 
 
 def names(rig: "Rig") -> dict[str, str]:
-    """What a person may push, by the name to say; and what the simulator calls it."""
+    """Return the names of the inputs that can be pushed, and the simulator's names of them."""
     from ..sim import port
 
     found = {name: f"pin_{pin}" for name, pin in getattr(rig.board, "INPUTS", {}).items()}
-    limits = filter(None, rig.port.limit_names)  # "" is a motor without one
+    limits = filter(None, rig.port.limit_names)  # "" is a motor without a limit input
     for name in (PROBE, *limits, *port.CONTROLS):
         found.setdefault(name, name)
     if getattr(rig.board, "SAFETY_DOOR", False):
-        found.setdefault(DOOR, found.pop("hold"))  # whose place it takes, as on an Uno
+        # the door replaces the hold button, as on an Uno
+        found.setdefault(DOOR, found.pop("hold"))
     if rig.port.estop:
         found.setdefault(port.ESTOP, port.ESTOP)
     return found
 
 
 class Inputs:
-    """The inputs of one rig, pushed by rules and by hand. ValueError for a name there is not."""
+    """The inputs of one rig, pushed by rules and by hand. ValueError for a name that does not
+    exist."""
 
     def __init__(self, rig: "Rig", rules: Iterable[Rule] = (), others_ms: "int | None" = None):
         self._rig = rig
@@ -83,7 +85,8 @@ class Inputs:
         self._ruled: set[str] = set(self._waits)
         self._awaited: "tuple[str, bool, int] | None" = None  # name, closed, since when
         self._probing_since: "int | None" = None
-        for each in sorted(rules, key=lambda one: one.axis):  # places last: they want a machine
+        # positions last, because they need a machine
+        for each in sorted(rules, key=lambda one: one.axis):
             self._add(each)
 
     def _add(self, each: Rule) -> None:
@@ -112,26 +115,26 @@ class Inputs:
     # By hand
 
     def is_closed(self, name: str) -> bool:
-        """As it is now."""
+        """Return whether the input is closed now."""
         return self._rig.port.is_closed(self.names[name])
 
     def push(self, name: str, closed: bool) -> None:
-        """Close it, or open it."""
+        """Close or open an input."""
         self._rig.port.push({self.names[name]: closed})
 
     # By waiting
 
     def await_(self, name: str, closed: bool) -> bool:
-        """Somebody waits for that. Returns whether it may ever come."""
+        """Note that a handler waits for an input. Returns whether the input may ever change."""
         self._awaited = name, closed, self._rig.port.ticks_ms()
         return name in self._ruled or name not in self.names
 
     def is_satisfied(self) -> None:
-        """Nobody waits any more."""
+        """Note that the wait has ended."""
         self._awaited = None
 
     def advance(self) -> None:
-        """Time has passed: push what has been waited for long enough."""
+        """Push inputs that have been waited for long enough. Called as time passes."""
         port = self._rig.port
         if self._awaited:
             name, closed, since = self._awaited

@@ -1,7 +1,7 @@
-"""The jobs of a machine that is only looked at: in memory, none at first, and gone with it.
+"""Jobs of a machine in memory: none at first, and lost with the machine.
 
-A board's file names a folder (JOBS), which for the simulator would be one of this computer: a
-program that deletes a job, or takes one, would do so to the user's own files.
+A board's file names a folder (JOBS), which in the simulator would be a folder of this computer. A
+program that deletes or stores a job would then change the user's own files.
 """
 
 import binascii
@@ -12,17 +12,17 @@ from typing import IO, Any
 
 from ports.storage import job_files
 
-_FILES = "_job_files"  # under which a board has them
+_FILES = "_job_files"  # the board's attribute for its jobs
 _ROOM_KB = 1024
 _folder_of_board = job_files.of_board
 
 
 def _nothing() -> None:
-    """Where nobody else has to have a turn."""
+    """Do nothing."""
 
 
 class MemoryFiles:
-    """As ports.storage.job_files.JobFiles has them."""
+    """Jobs in memory, with the interface of ports.storage.job_files.JobFiles."""
 
     def __init__(self) -> None:
         self._kept: dict[str, bytes] = {}
@@ -30,39 +30,39 @@ class MemoryFiles:
         self.on_progress: Callable[[], object] = _nothing
 
     def connect(self, store: Any, link: Any) -> None:
-        """No flash is written."""
+        """Do nothing: no flash is written."""
 
     def mount(self) -> None:
-        """They are there."""
+        """Do nothing: there is no card to mount."""
 
     def lose(self) -> bool:
-        """They cannot be taken out."""
+        """Return False: there is no card that can be removed."""
         return False
 
     def files(self) -> list[tuple[str, int]]:
-        """Names and sizes, in order."""
+        """Return names and sizes, sorted."""
         return [(name, len(data)) for name, data in sorted(self._kept.items())]
 
     def size(self, name: str) -> int:
-        """Bytes; -1 where there is none of that name."""
+        """Return the size in bytes; -1 if there is no such job."""
         return len(self._kept[name]) if name in self._kept else -1
 
     def open(self, name: str) -> IO[bytes]:
-        """To be read. OSError where there is none."""
+        """Open a job for reading. OSError if there is no such job."""
         if name not in self._kept:
             raise OSError(f"there is no job {name}")
         return BytesIO(self._kept[name])
 
     def free_kb(self) -> int:
-        """As on a board with much of it."""
+        """Return the free space, as on a board with much of it."""
         return _ROOM_KB
 
     def delete(self, name: str) -> None:
-        """Take one away."""
+        """Delete a job."""
         del self._kept[name]
 
     def begin(self, name: str) -> IO[bytes]:
-        """Where to write what is to be called so."""
+        """Return a file for a new job's content."""
         return BytesIO()
 
     def append(self, file: IO[bytes], piece: bytes | bytearray) -> None:
@@ -70,7 +70,7 @@ class MemoryFiles:
         file.write(piece)
 
     def finish(self, name: str, file: IO[bytes], checksum: int) -> bool:
-        """Have it take its place; False where it is not what was sent."""
+        """Store the new job. Returns False if the checksum does not match."""
         file.seek(0)
         data = file.read()
         if binascii.crc32(data) != checksum:
@@ -79,15 +79,16 @@ class MemoryFiles:
         return True
 
     def drop(self, name: str, file: IO[bytes]) -> None:
-        """What has come is not wanted."""
+        """Discard the new content."""
 
 
 def _of_board(board: ModuleType) -> Any:
-    """In the place of job_files.of_board."""
+    """Replace job_files.of_board."""
     return vars(board).get(_FILES) or _folder_of_board(board)
 
 
 def keep_in_memory(board: Any) -> None:
-    """Have a machine of that board keep its jobs so. The board is changed: let it be a copy."""
+    """Make a machine of that board store its jobs in memory. The board is changed, so pass a
+    copy."""
     vars(board)[_FILES] = MemoryFiles()
     job_files.of_board = _of_board

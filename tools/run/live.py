@@ -1,9 +1,8 @@
-"""The simulator's link to the world outside: the clock is the wall's, or runs ahead of it.
+"""The simulator's link to a real sender: its clock follows wall time, or runs ahead of it.
 
-A wire is a pty or a pair of pipes, see tools/run/pty_link.py: read(limit) gives
-what is there at once, write(data) loses what nobody takes, wait(seconds)
-returns when bytes have come or the time is over, `closed` says that no more
-will ever come.
+A wire is a pty or a pair of pipes, see tools/run/pty_link.py: read(limit) returns what is
+available at once, write(data) loses what is not accepted, wait(seconds) returns when bytes have
+arrived or the time is over, and `closed` means that no more bytes will arrive.
 """
 
 from collections.abc import Callable
@@ -15,45 +14,46 @@ from .machine import UntimedLink
 if TYPE_CHECKING:
     from ..sim.rig import Rig
 
-# Reads that may find nothing before the firmware is taken to wait for the machine. It looks at
-# the line more than once between two blocks, and none of these looks takes time.
+# Reads without data before the firmware is assumed to wait for the machine. It reads the line more
+# than once between two blocks, and these reads take no time.
 _LOOKS = 3
 _PIECE = 64
-_RESET = 0x18  # it greets by itself
-_PIECES = 16  # hold all that a board would have taken
-# How long, by the wall's clock, the machine waits for a sender that could keep it busy.
+_RESET = 0x18  # the reset itself causes a welcome
+_PIECES = 16  # enough to hold all that a board would have received
+# How long the machine waits, in wall time, for a sender that could keep it busy.
 _PATIENCE_S = 0.01
 _AT_REST_S = 0.02
 _MOVING_S = 0.001
-# Motion goes no further between two looks of the firmware at its inputs, however long the computer
-# was busy with something else: homing finds its switches where a board does.
+# Between two turns of the firmware's loop motion never advances further, however long the computer
+# was busy: homing finds its switches where a board does.
 _UNSEEN_S = 0.002
 
 
 def _nothing() -> None:
-    """Where nobody has to be told."""
+    """Do nothing."""
 
 
 class Wire(Protocol):
-    """Where the sender is."""
+    """The connection to the sender."""
 
     closed: bool
-    on_open: Callable[[], None]  # called in read(), where a sender has come
+    on_open: Callable[[], None]  # called in read() when a sender has connected
 
     def read(self, limit: int) -> bytes:
-        """What has come, perhaps nothing."""
+        """Return received bytes; b"" if there are none."""
 
     def write(self, data: bytes) -> None:
-        """Send, or lose what cannot be sent."""
+        """Send bytes; those that cannot be sent are lost."""
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something comes, so long at the most."""
+        """Wait until bytes arrive, at most for that time."""
 
 
 class LiveLink(UntimedLink):
-    """A Link on a wire. fast: virtual time leaps ahead wherever the machine works or waits.
+    """A Link on a wire. fast: virtual time jumps ahead while the machine works or waits.
 
-    With nothing to do the clock follows the wall's, so that a machine at rest rests in real time.
+    When there is nothing to do, the clock follows wall time, so an idle machine rests in real
+    time.
     """
 
     def __init__(self, rig: "Rig", wire: Wire, fast: bool) -> None:
@@ -61,20 +61,20 @@ class LiveLink(UntimedLink):
         self._wire = wire
         self._fast = fast
         self.turn: Callable[[], None] = _nothing  # called whenever the firmware reads
-        self.stopping = False  # set, from a signal handler too, to end the simulation
-        self._greeted = False  # with the first banner; nothing is heard before
-        self._has_opened = False  # a sender, that has not been greeted yet
+        self.stopping = False  # set, also by a signal handler, to end the simulation
+        self._greeted = False  # the first banner is out; nothing is read before
+        self._has_opened = False  # a sender has connected and has not been greeted
         wire.on_open = self._open
         self._looks = 0
-        self._open_lines = 0  # received, and not yet answered
-        self._heard = monotonic()  # when the sender or we have last said something
+        self._open_lines = 0  # received lines that have not been answered
+        self._heard = monotonic()  # time of the last byte in either direction
         self._wall = self._heard
-        self._late = False  # motion is behind the wall's clock
+        self._late = False  # motion lags behind wall time
 
-    # The Link seam
+    # The Link interface
 
     def read_into(self, buf: bytearray) -> int:
-        """What has come; time passes where nothing has."""
+        """Return received bytes; if there are none, time passes."""
         if self.stopping:
             self._rig.power_off()
         self.turn()
@@ -85,7 +85,8 @@ class LiveLink(UntimedLink):
         data = self._wire.read(len(buf)) if self._greeted else b""
         if self._has_opened and _RESET not in data:
             self._has_opened = False
-            open_lines = self._open_lines  # of the sender before: no reset has dropped them
+            # of the sender before, because no reset has dropped them
+            open_lines = self._open_lines
             self._rig.controller.welcome()
             self._open_lines = open_lines
         if not data:
@@ -99,12 +100,12 @@ class LiveLink(UntimedLink):
         return len(data)
 
     def discard(self) -> None:
-        """Drop what has come; a sender may go on sending."""
+        """Drop what was received; a sender may continue to send."""
         for _ in range(_PIECES):
             self._wire.read(_PIECE)
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send to whoever is there."""
+        """Send to the connected sender."""
         out = bytes(data)
         answers = out.count(b"ok\r\n") + out.count(b"error:")
         self._open_lines = max(self._open_lines - answers, 0)
@@ -120,7 +121,8 @@ class LiveLink(UntimedLink):
     # Time
 
     def busy(self) -> bool:
-        """The machine is at work, or will be without a further word from its sender."""
+        """Return whether the machine works, or will continue without further bytes from its
+        sender."""
         from base import state
 
         if self._rig.moving():
@@ -147,7 +149,7 @@ class LiveLink(UntimedLink):
             self._leap()
 
     def _leap(self) -> None:
-        """Motion goes on, once the firmware has had its looks and the sender its chance."""
+        """Let motion continue, after the firmware's reads and a chance for the sender."""
         self._looks += 1
         if self._looks <= _LOOKS:
             return
@@ -164,7 +166,7 @@ class LiveLink(UntimedLink):
             passed = min(now - self._wall, _UNSEEN_S)
             self._wall += passed
             self._late = self._wall < now
-        else:  # what a motion has not caught up with is not made good
+        else:  # motion that lags behind does not catch up
             passed = 0.0 if self._late else now - self._wall
             self._wall = now
             self._late = False

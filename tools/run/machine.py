@@ -1,4 +1,4 @@
-"""A simulated machine for the commands: its board by name, its place to keep settings."""
+"""A simulated machine for the commands: its board by name, its storage for settings."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 DEFAULT_BOARD = "sim"
 DEFAULT_AXES = 3
-# Options that decide what a program may say and where it may go, by their letters in $I.
+# Options that decide which words a program may use and where it may move, by their letters in $I.
 _OPTIONS = {"M": "MIST", "R": "OVERRIDE_CONTROL", "C": "COREXY", "Z": "FORCE_SET_ORIGIN"}
 
 
 @dataclass(frozen=True)
 class Around:
-    """What is around a machine. custom: the user's own Python; rules: who pushes its inputs;
-    others_ms: inputs without a rule change when they have been waited for so long; lenient: it
-    takes words of other controllers, whatever its board file says."""
+    """The surroundings of a machine. custom: the user's own Python. rules: for its inputs.
+    others_ms: inputs without a rule change after being waited for so long. lenient: accept words
+    of other controllers, whatever the board file says."""
 
     custom: "OwnPython | None" = None
     rules: "tuple[Rule, ...]" = ()
@@ -46,7 +46,8 @@ NOTHING = Around()
 
 
 def around(board: str, custom: Path | None, rules: "Iterable[Rule]" = ()) -> Around:
-    """The user's own Python, if any, by the name that it has on that board. OwnPythonError."""
+    """Return the surroundings with the user's own Python, if any, under the name it has on that
+    board. OwnPythonError."""
     if custom is None:
         return Around(rules=tuple(rules))
     name = getattr(load_board(board), "CUSTOM", "") or NAME
@@ -54,22 +55,22 @@ def around(board: str, custom: Path | None, rules: "Iterable[Rule]" = ()) -> Aro
 
 
 class UntimedLink:
-    """What the rig wants of a Link without a script, whose bytes take no time on a wire."""
+    """The interface that a rig needs of a Link without a script, whose bytes take no time."""
 
     def discard(self) -> None:
-        """Nothing has arrived before it is read."""
+        """Do nothing: bytes arrive only when they are read."""
 
     def next_event(self) -> None:
-        """Nothing is on its way."""
+        """Return None: no byte is in transit."""
 
     def advance(self) -> None:
-        """Nothing arrives by time alone."""
+        """Do nothing: time delivers no bytes."""
 
     def power_off(self) -> None:
-        """Nothing is lost."""
+        """Do nothing: no byte is in transit."""
 
     def now_at(self) -> int:
-        """No program is known, and so no line of it."""
+        """Return 0: there is no program, so no line of it."""
         return 0
 
 
@@ -85,12 +86,12 @@ def build(
     around: Around = NOTHING,
     keeps_jobs: bool = False,
 ) -> "Rig":
-    """A rig with that board, with the settings of a new machine that has once been started.
+    """Build a rig with that board, and the settings that a new machine has after its first start.
 
-    link: makes the Link; settings: the file that keeps them, if any; blank: with an erased
-    memory instead; coarse: see Rig; letters, axes: of a machine that it is to be like; keeps_jobs:
-    jobs are files in the folder that the board names, where otherwise nothing is left of them.
-    ValueError for a file that cannot be one.
+    link: makes the Link. settings: the file that stores them, if any. blank: start with erased
+    memory instead. coarse: see Rig. letters, axes: of a real machine to imitate. keeps_jobs: store
+    jobs in the folder that the board names; otherwise they are lost. ValueError for a settings
+    file that cannot be used.
     """
     paths.use_firmware()
     kernels.use()
@@ -98,7 +99,7 @@ def build(
     from ..sim.rig import MemoryStore, Rig
 
     module = _like(load_board(board), letters, axes)
-    if getattr(module, "CUSTOM", ""):  # whatever lies where this is run is not meant
+    if getattr(module, "CUSTOM", ""):  # do not import a custom.py that happens to be on the path
         module = _copy(module, module.__name__, CUSTOM="")
     if getattr(module, "JOBS", "") and not keeps_jobs:
         from .job_memory import keep_in_memory
@@ -121,14 +122,14 @@ def build(
 
 
 def _serve(texts: bytes) -> None:
-    """Have a machine that speaks as grblHAL find its texts, which a deployment puts on a board."""
+    """Give a machine with the grblHAL dialect its texts, which a deployment stores on a board."""
     from extras.dialects import dialect_hal
 
     dialect_hal.texts = lambda: BytesIO(texts)
 
 
 def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
-    """A rig with what is to be around it."""
+    """Make a rig with these surroundings."""
     if around.custom is None:
         rig = make(board)
         rig.inputs = Inputs(rig, around.rules, around.others_ms)
@@ -144,7 +145,8 @@ def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
 
 
 def assumed_pins(board: Any, custom: OwnPython) -> dict[str, dict[str, int]]:
-    """OUTPUTS and INPUTS as a machine of the simulator may have them: those asked for."""
+    """Return OUTPUTS and INPUTS for a simulated board that defines none: those that the user's
+    Python uses."""
     if not is_simulated(board) or hasattr(board, "OUTPUTS") or hasattr(board, "INPUTS"):
         return {}
     outputs = sorted({name for _, _, name in custom.outputs()})
@@ -156,7 +158,7 @@ def assumed_pins(board: Any, custom: OwnPython) -> dict[str, dict[str, int]]:
 
 
 def _like(board: Any, letters: str, axes: int) -> Any:
-    """A board with options of another machine, by their letters in $I, and as many axes."""
+    """Return a board with options of another machine, by their letters in $I, and as many axes."""
     options = {name: True for letter, name in _OPTIONS.items() if letter in letters}
     if not options and axes == DEFAULT_AXES:
         return board
@@ -165,7 +167,7 @@ def _like(board: Any, letters: str, axes: int) -> Any:
 
 
 def _copy(board: Any, name: str, **options: Any) -> Any:
-    """The board under another name, with other options."""
+    """Return a copy of a board with another name and other options."""
     made = ModuleType(name)
     vars(made).update({name: value for name, value in vars(board).items() if name[:2] != "__"})
     vars(made).update(options)
@@ -173,16 +175,18 @@ def _copy(board: Any, name: str, **options: Any) -> Any:
 
 
 def _check_values(board: Any, lines: Iterable[str]) -> None:
-    """SettingsError where the machine would not take a setting, in whatever order they come.
+    """Raise SettingsError if the machine would refuse a setting, in whatever order they are set.
 
-    What it reads from its own memory it takes unseen. Settings that it does not have are kept.
+    The machine does not check what it reads from its own memory. Settings that it does not have
+    are kept.
     """
     _take(_controller(board)[0].settings, lines)
 
 
 def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
-    """What the machine of that board keeps where its settings are those of a file: under which
-    name, and the lines. SettingsError for a file that is none, or holds what it would not take."""
+    """Return what the machine of that board stores if its settings are those of a file: name and
+    lines. SettingsError for a file that is no settings file, or has values that the machine
+    refuses."""
     paths.use_firmware()
     found = read_settings(file).values
     controller, store = _controller(_copy(load_board(board), board, CUSTOM=""))
@@ -197,7 +201,7 @@ def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
 
 
 def _controller(board: Any) -> "tuple[Controller, MemoryStore]":
-    """A machine with a new memory, which has not been started."""
+    """Return a machine with new memory that has not been started, and its store."""
     from boot import wiring
 
     from ..sim.rig import Rig
@@ -209,16 +213,16 @@ def _controller(board: Any) -> "tuple[Controller, MemoryStore]":
 
 
 def taken(board: str, lines: Iterable[str]) -> list[str]:
-    """Of settings, lines such as `$110=6000`, those that the machine of that board has and takes,
-    in an order in which it does."""
+    """Return the settings, lines such as `$110=6000`, that the machine of that board accepts, in
+    an order in which it accepts them."""
     paths.use_firmware()
     controller, _ = _controller(_copy(load_board(board), board, CUSTOM=""))
     return _set(controller.settings, lines)[0]
 
 
 def _take(settings: "Settings", lines: Iterable[str]) -> list[str]:
-    """Set them, in whatever order they can be. SettingsError where some cannot. Returns those that
-    the machine has."""
+    """Set the lines, in any order that works. SettingsError if some are refused. Returns those
+    that the machine has."""
     taken, refused = _set(settings, lines)
     if refused:
         raise SettingsError(
@@ -228,8 +232,8 @@ def _take(settings: "Settings", lines: Iterable[str]) -> list[str]:
 
 
 def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tuple[str, str]]]:
-    """Set them. Returns those that were taken, in their order, and those refused, with the
-    answer; what the machine does not have is among neither."""
+    """Set the lines. Returns those accepted, in their order, and those refused with the answer.
+    Settings that the machine does not have are in neither list."""
     from base import errors
     from base.errors import GrblError
 
@@ -252,7 +256,7 @@ def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tu
 
 
 def firmware(board: Any) -> Firmware:
-    """What $I says with that board."""
+    """Return what $I reports with that board."""
     from boot.options import Options
     from talk import report
 
@@ -263,5 +267,5 @@ def firmware(board: Any) -> Firmware:
 
 
 def run(rig: "Rig") -> None:
-    """Power it up and let it run until its link switches it off."""
+    """Power the machine up and run it until its link switches it off."""
     rig.run(iter([lambda: False]))

@@ -1,8 +1,8 @@
-"""The user's own Python, custom.py or a folder of such files, as it lies on this computer.
+"""The user's own Python, custom.py or a folder of such files, on this computer.
 
-It is read once, and compiled to see that it can be. On the board it has another name, that of the
-board's option CUSTOM, and so it has in the simulator, where it is imported by this name and from
-here: nothing is written beside it, and a file called math.py is in nobody's way.
+It is read once, and compiled to check its syntax. On the board its name is that of the board's
+option CUSTOM. The simulator imports it under the same name from these sources: no file is written
+next to it, and a file called math.py hides no other module.
 """
 
 import ast
@@ -14,23 +14,23 @@ from pathlib import Path
 from .. import paths
 from ..grbl.gcode_file import NotText, check_utf8
 
-NAME = "custom"  # on the board, where its file says nothing
-# What asks for a pin by its name, and a tuple of such names.
+NAME = "custom"  # name on the board, unless its file has another
+# Methods that take the name of a pin, and the name of a tuple of such names.
 OUTPUT_CALLS, OUTPUT_NAMES = ("out", "pwm", "servo"), "OUTPUTS"
 INPUT_CALLS, INPUT_NAMES = ("pin", "wait_for", "input"), "INPUTS"
 
 
 class OwnPythonError(ValueError):
-    """It cannot be read or compiled, or fails when it is imported: file, line and reason."""
+    """It cannot be read or compiled, or fails when imported; the text has file, line and cause."""
 
 
 class LackError(OwnPythonError):
-    """It asks for something that boards have, and the simulator does not."""
+    """It needs something that boards have, and the simulator does not."""
 
 
 @dataclass(frozen=True)
 class Module:
-    """One file. path: relative to the folder, or the file's own name."""
+    """One file."""
 
     file: Path
     source: bytes
@@ -39,7 +39,7 @@ class Module:
 
 @dataclass(frozen=True)
 class OwnPython:
-    """A file, or a folder of them. modules: by what they are imported as."""
+    """A file, or a folder of them. modules: by the name for import."""
 
     path: Path
     name: str
@@ -47,18 +47,18 @@ class OwnPython:
 
     @property
     def is_folder(self) -> bool:
-        """Several files, which may import one another."""
+        """Return whether it has several files, which may import each other."""
         return self.name not in self.modules
 
     @property
     def files(self) -> "dict[str, bytes]":
-        """What belongs on the board, by path."""
+        """Return the files for the board, by path."""
         return {
             f"{name.replace('.', '/')}.py": module.source for name, module in self.modules.items()
         }
 
     def has_attribute(self, name: str) -> bool:
-        """Whether an attribute of that name is read or written anywhere: `m.keep`."""
+        """Return whether an attribute of that name is read or written anywhere: `m.keep`."""
         return any(
             isinstance(node, ast.Attribute) and node.attr == name
             for module in self.modules.values()
@@ -66,17 +66,17 @@ class OwnPython:
         )
 
     def outputs(self) -> "Iterator[tuple[Module, int, str]]":
-        """Names of outputs, where they stand."""
+        """Yield names of outputs with their module and line."""
         yield from self._strings_given_to(*OUTPUT_CALLS)
         yield from self._strings_in(OUTPUT_NAMES)
 
     def inputs(self) -> "Iterator[tuple[Module, int, str]]":
-        """Names of inputs, where they stand."""
+        """Yield names of inputs with their module and line."""
         yield from self._strings_given_to(*INPUT_CALLS)
         yield from self._strings_in(INPUT_NAMES)
 
     def _strings_in(self, name: str) -> "Iterator[tuple[Module, int, str]]":
-        """Texts of a tuple of that name: `OUTPUTS = ("air", "lamp")`."""
+        """Yield the strings in a tuple of that name: `OUTPUTS = ("air", "lamp")`."""
         for module in self.modules.values():
             for node in module.tree.body:
                 if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
@@ -86,7 +86,8 @@ class OwnPython:
                                 yield module, each.lineno, each.value
 
     def _strings_given_to(self, *methods: str) -> "Iterator[tuple[Module, int, str]]":
-        """Texts that stand as first argument of calls of these: `m.out("vacuum", 1)`."""
+        """Yield the strings that are first argument in calls of these methods: `m.out("vacuum",
+        1)`."""
         for module in self.modules.values():
             for node in ast.walk(module.tree):
                 if (
@@ -101,7 +102,7 @@ class OwnPython:
 
 
 def read(path: Path, name: str = NAME) -> OwnPython:
-    """The file or folder, compiled. OwnPythonError in one sentence where that cannot be."""
+    """Read and compile the file or folder. OwnPythonError, with one sentence, if that fails."""
     if path.is_dir():
         files = sorted(file for file in path.glob("*.py") if file.name[0] != ".")
         if not files:
@@ -129,7 +130,7 @@ def _compiled(file: Path, source: bytes) -> ast.Module:
     try:
         check_utf8(source, file)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "\d" is for its author's editor to tell of
+            warnings.simplefilter("ignore")  # "\d" is for the author's editor to report
             compile(source, str(file), "exec", dont_inherit=True)
             return ast.parse(source, str(file))
     except SyntaxError as error:

@@ -1,7 +1,7 @@
-"""Whether a board takes a program's lines as fast as its motors make them.
+"""Check whether a board can process a program's lines as fast as its motors execute them.
 
-The simulator's sender is never late, so what it makes is the motion as planned: how long each line
-takes there is held against how long a board has to do with it (boardfile/rates.py).
+The simulator's sender is never late, so its motion is the motion as planned. The time of each line
+in this motion is compared with the time that a board needs to process it (boardfile/rates.py).
 """
 
 import re
@@ -24,7 +24,7 @@ _LETTERS = _AXES | frozenset(b"GFSNT")
 _STRAIGHT, _ARCS = (b"0", b"1"), (b"2", b"3")
 _NO_WORDS, _PLAIN, _POWER, _IN_PYTHON = "no_words_ms", "plain", "power", "in_python_ms"
 _CHORDS = "chords"
-# Words of which one of each group is in force, and changes nothing where it is said again.
+# Modal words, by group. A word that is already active changes nothing when repeated.
 _GROUPS = [
     frozenset(group.split())
     for group in (
@@ -32,40 +32,43 @@ _GROUPS = [
         *(b"G90 G91", b"G93 G94", b"M3 M4 M5", b"M7 M8 M9"),
     )
 ]
-_MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91 G93 G94".split())  # a plain move may say anew
+# a move-only line may repeat them
+_MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91 G93 G94".split())
 _AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
-# What is worth a word, and how many lines in time may stand between two that are late.
+# Shortest wait that is reported, and how many lines in time may be between two late ones of the
+# same stretch.
 _LEAST_S = 0.05
 _APART = 100
 
 
 @dataclass
 class Stretch:
-    """Lines, from 1, that come too fast. lost_s: how long the motors wait for them."""
+    """Lines, from 1, that come too fast for the board. lost_s: how long the motors wait for
+    them."""
 
     first: int
     last: int
-    needed: float  # lines/s
+    needed: float  # lines per second, as `taken`
     taken: float
     lost_s: float
-    kind: str  # of the lines that take most: a field of Rates
-    feed: int  # percent of the feed rate that would do
+    kind: str  # the kind of line that takes most of the time: a field of Rates
+    feed: int  # percent of the feed rate at which the board would be fast enough
 
     def as_json(self) -> dict[str, Any]:
-        """As `ugrbl run --json` writes it."""
+        """Return the stretch for `ugrbl run --json`."""
         return asdict(self)
 
 
 class Paced(Recorder):
-    """A Recorder that also knows how long each line moves, and in how many blocks."""
+    """A Recorder that also records the motion time and the number of blocks of each line."""
 
     def __init__(self, rig: "Rig") -> None:
         super().__init__(rig)
-        self.ticks = array("q", [0])  # by line
+        self.ticks = array("q", [0])  # motion time by line, in ticks of the engine
         self.blocks = array("i", [0])
-        self.from_rest: set[int] = set()  # lines before which motion had come to its end
-        self._line_of_block: dict[int, int] = {}  # by its row in the ring
-        self._line_of_row: dict[int, int] = {}  # of the engine's
+        self.from_rest: set[int] = set()  # lines before which motion had ended
+        self._line_of_block: dict[int, int] = {}  # by row in the planner's ring
+        self._line_of_row: dict[int, int] = {}  # by id of the engine's row
         self._end = -1
 
     def _attach(self) -> None:
@@ -84,7 +87,7 @@ class Paced(Recorder):
         self.blocks[line] += 1
 
     def _follow_segment(self, row: "array[int]") -> int:
-        """Stand in for Segments.next."""
+        """Replace Segments.next, and note the line that a segment belongs to."""
         made = int(self._make_segment(row))
         if made:
             flow, layout = self._planner.flow, self._layout
@@ -101,11 +104,11 @@ class Paced(Recorder):
         self._end = start + row[self._layout.ROW_TICKS]
 
     def intake(self) -> Intake:
-        """What the board of this machine takes in."""
+        """Return the intake of this machine's board."""
         return intake(self._rig.board)
 
     def starves(self, lines: Sequence[bytes]) -> list[Stretch]:
-        """Where the board of this machine would be too slow for the program, the worst first."""
+        """Return the stretches for which this machine's board would be too slow, worst first."""
         if len(self.blocks) == 1:
             return []  # nothing has moved
         taken = self.intake()
@@ -119,7 +122,8 @@ class Paced(Recorder):
     def _late(
         self, lines: Sequence[bytes], kinds: Sequence[str], taken: Intake
     ) -> dict[int, float]:
-        """Seconds by line that motion would wait for it, with a ring of as many blocks."""
+        """Return the time in s that motion would wait for each late line, with a ring of as many
+        blocks as the board's."""
         hz = self._rig.engine.tick_hz
         made: deque[float] = deque(maxlen=self._planner.flow[self._layout.ROWS] - 1)
         chord_s = 1 / taken.rates.chords
@@ -131,7 +135,7 @@ class Paced(Recorder):
             for block in range(blocks):
                 now += chord_s if block else 0.0
                 if len(made) == made.maxlen:
-                    now = max(now, made[0])  # when there is room
+                    now = max(now, made[0])  # until the ring has space
                 if block == 0 and number in self.from_rest:
                     now = end = max(now, end)
                 elif now > end:
@@ -169,13 +173,14 @@ class Paced(Recorder):
 
 
 def _cost_s(line: bytes, kind: str, taken: Intake) -> float:
-    """What a board has to do with a line; the link is busy with it meanwhile."""
+    """Return the time in s that a board needs for a line. The link transfers it in the same
+    time."""
     link_s = (len(line) + 1) / taken.bytes_s if taken.bytes_s else 0.0
     return max(link_s, taken.rates.line_s(kind))
 
 
 def _parts(late: dict[int, float]) -> Iterator[tuple[int, int]]:
-    """First and last line of each stretch in which lines are late."""
+    """Yield first and last line of each stretch with late lines."""
     first = last = 0
     for number in late:
         if first and number > last + _APART:
@@ -188,7 +193,8 @@ def _parts(late: dict[int, float]) -> Iterator[tuple[int, int]]:
 
 
 def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
-    """What the firmware does with each line: kernels do nearly all (language/line.py)."""
+    """Yield for each line how the firmware processes it: kernels process most lines
+    (language/line.py)."""
     motion = b""
     in_force = set(_AT_FIRST)
     for line in lines:
@@ -210,7 +216,7 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
 def _take_new(
     words: "list[tuple[bytes, bytes]]", in_force: set[bytes]
 ) -> "list[tuple[bytes, bytes]]":
-    """Words that are not in force. They are behind this."""
+    """Return the words that are not yet active, and make them active."""
     new = []
     for letter, value in words:
         word = letter + (value.lstrip(b"0") or b"0")

@@ -1,4 +1,4 @@
-"""A program through the firmware in virtual time, as fast as the computer can."""
+"""Run a program through the firmware in virtual time, as fast as the computer can."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -17,43 +17,44 @@ if TYPE_CHECKING:
 
 _Watcher = TypeVar("_Watcher", bound=Recorder)
 
-# Bytes sent and not yet answered: what senders allow themselves.
+# Bytes sent and not yet answered: the limit that senders keep.
 _WINDOW = 127
-# A line longer than that is handed over in pieces, so that the firmware can make room.
+# A longer line is passed in pieces, so that the firmware can make space.
 _PIECE = 64
-# Reads that may find nothing before the firmware is taken to wait for the machine.
+# Reads without data before the firmware is assumed to wait for the machine.
 _LOOKS = 3
-# A held machine is told again to go on after so long.
+# A held machine gets another cycle start after this time.
 _RESUME_MS = 500
 _PROGRESS_LINES = 100
 _BATCH_LINES = 1000
-# Nothing moved and nothing was answered for so long: it never will be.
+# Without motion and answers for so long, the program has stalled.
 _STALLED_MS = 6 * 3600 * 1000
-# And a handler of the user's own that waits for so long without a word waits in vain.
+# Time limit for a handler of the user's own that waits without output.
 _WAITING_MS = 10 * 60 * 1000
 
 
 @dataclass
 class Result:
-    """What came of a program. Lines count from 1."""
+    """The result of a program. Lines count from 1."""
 
-    lines: int = 0  # answered
+    lines: int = 0  # number of lines answered
     errors: list[tuple[int, str]] = field(default_factory=list)
     other_output: list[tuple[int, str]] = field(default_factory=list)
     final_state: str = ""
     pauses: list[int] = field(default_factory=list)
     resets: list[int] = field(default_factory=list)  # lines with a Ctrl-X
-    stopped: str = ""  # why it could not finish, if it could not
-    switched: list[tuple[int, str, bool]] = field(default_factory=list)  # outputs of custom.py
-    faults: list[str] = field(default_factory=list)  # how handlers of custom.py have failed
+    stopped: str = ""  # why it did not finish; "" if it did
+    # line, name and level of outputs of custom.py
+    switched: list[tuple[int, str, bool]] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)  # failures of handlers of custom.py
     wide_arcs: list[tuple[int, str]] = field(
         default_factory=list
-    )  # lines with what is odd in them
-    own: str = ""  # the handlers of custom.py, as $I names them
+    )  # line and description of unusual arcs
+    own: str = ""  # handlers of custom.py, as $I names them
     totals: Totals = field(default_factory=Totals)
 
     def as_json(self) -> dict[str, Any]:
-        """As `ugrbl run --json` writes it."""
+        """Return the result for `ugrbl run --json`."""
         return {
             "lines": self.lines,
             "errors": self.errors,
@@ -69,34 +70,35 @@ class Result:
         }
 
 
-# What the sender does next: a line of the program (from 1; 0 is none of it), or wait for rest.
+# The sender's next action: send a line (number from 1; 0 is not in the program), or wait until the
+# machine is idle (None).
 Step = tuple[int, bytes] | None
 
 
 class ProgramLink(machine.UntimedLink):
-    """A Link whose sender has a whole program at hand, on a wire without delay.
+    """A Link whose sender has a whole program available, over a wire without delay.
 
-    It keeps the firmware's receive buffer full, answers a hold with a cycle start, and
-    switches the machine off when its script ends.
+    It keeps the firmware's receive buffer full, answers a hold with a cycle start, and switches
+    the machine off when its script ends.
     """
 
     def __init__(self, rig: "Rig", script: Callable[["ProgramLink"], Iterator[Step]]) -> None:
         self.rig = rig
         self.result = Result()
-        self.replies: list[str] = []  # to lines that are none of the program
+        self.replies: list[str] = []  # to lines that are not in the program
         self._greeted = False
         self._script = script(self)
         self._step: Step = None
         self._sent = 0  # lines of the program
         self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
         self._unanswered_bytes = 0
-        self._alone = False  # what was sent last is to be answered before anything else is sent
-        self._full = False  # the next line does not fit, until another is answered
-        self._last = 0  # line answered last
+        self._alone = False  # the last line must be answered before another is sent
+        self._full = False  # the next line does not fit until another is answered
+        self._last = 0  # the last line answered
         self._out = bytearray()
         self._in = ""
         self._looks = 0
-        self.news: int = rig.now  # tick at which something last happened
+        self.news: int = rig.now  # tick of the last event
         self._resume_at = 0
 
     def program(
@@ -105,10 +107,10 @@ class ProgramLink(machine.UntimedLink):
         progress: Callable[[int], None] | None = None,
         plain: bool = False,
     ) -> Iterator[Step]:
-        """Steps of a script that send the lines of a program, or of its next part.
+        """Yield the steps that send a program, or its next part.
 
-        plain: lines that only move go straight to the firmware's kernels, which check mode uses
-        for many at once.
+        plain: move-only lines go directly to the firmware's kernels, which check mode uses for
+        many lines at once.
         """
         checked = CheckedLines(self.rig) if plain else None
         for begin in range(0, len(lines), _BATCH_LINES):
@@ -127,16 +129,16 @@ class ProgramLink(machine.UntimedLink):
                     progress(self._sent)
 
     def _count(self, checked: int) -> int:
-        """So many lines have been accepted without having been sent."""
+        """Count lines that were accepted without having been sent."""
         self._sent += checked
         self.result.lines += checked
         self._last = self._sent
         return checked
 
-    # The Link seam
+    # The Link interface
 
     def read_into(self, buf: bytearray) -> int:
-        """The next lines; time passes where the firmware has no use for any."""
+        """Return the next bytes of the program; time passes if the firmware cannot use any."""
         if self._greeted and not self._out and not self._full:
             self._fetch()
         if not self._out:
@@ -151,19 +153,19 @@ class ProgramLink(machine.UntimedLink):
         return count
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """What the firmware says."""
+        """Receive the firmware's output."""
         self._looks = 0
         self._in += bytes(data).decode("latin-1")
         *lines, self._in = self._in.split("\r\n")
         for line in lines:
             self._receive(line)
 
-    # What comes back
+    # Replies
 
     def _receive(self, line: str) -> None:
         self.news = self.rig.now
         if self.result.stopped:
-            return  # lines already handed over are refused in alarm; that is no news
+            return  # lines already passed are refused in alarm; this is no news
         if is_answer(line):
             if self._unanswered:
                 self._answer(line)
@@ -195,7 +197,8 @@ class ProgramLink(machine.UntimedLink):
             self.stop(line)
 
     def now_at(self) -> int:
-        """The line of the program that is being interpreted; 0 for none of it."""
+        """Return the line of the program that is being interpreted; 0 if it is none of the
+        program."""
         from language.block_layout import LINES_LEFT
 
         done = self.rig.controller.interpreter.machine[LINES_LEFT] & 1  # and not yet answered
@@ -204,10 +207,10 @@ class ProgramLink(machine.UntimedLink):
         return self._unanswered[-1][0] if self._unanswered else self._last
 
     def note_output(self, name: str, on: bool) -> None:
-        """A handler has switched an output that the board names."""
+        """Note that a handler has switched an output."""
         self.result.switched.append((self.now_at(), name, on))
 
-    # What goes out
+    # Output
 
     def _fetch(self) -> None:
         """Put as many lines into _out as the firmware can take."""
@@ -240,13 +243,13 @@ class ProgramLink(machine.UntimedLink):
             self.result.resets.append(number)
 
     def stop(self, why: str) -> None:
-        """Send nothing more."""
+        """Send no more lines."""
         self._full = False
         if not self.result.stopped:
             self.result.stopped = why
 
     def at_rest(self) -> bool:
-        """Everything is answered and nothing moves, nor is it about to."""
+        """Return whether everything is answered and nothing moves or is about to move."""
         from base import state
 
         rig = self.rig
@@ -257,7 +260,7 @@ class ProgramLink(machine.UntimedLink):
     # Time
 
     def _waits_for_room(self) -> bool:
-        """Nothing can happen before the motors have made a block."""
+        """Return whether nothing can happen before the motors have finished a block."""
         from base import state
         from motion.layout import HEAD, ROWS, TAIL
 
@@ -291,7 +294,7 @@ class ProgramLink(machine.UntimedLink):
             rig.inputs.advance()
 
     def _watch_handler(self, what: str) -> None:
-        """Nothing moves while it runs."""
+        """Stop if a handler waits too long without motion."""
         if self.rig.now - self.news > _WAITING_MS * self.rig.ticks_per_ms:
             minutes = _WAITING_MS // 60_000
             long = f"{minutes} minute{'s' * (minutes > 1)}"
@@ -313,9 +316,9 @@ def run_program(
     progress: Callable[[int], None] | None = None,
     around: machine.Around = machine.NOTHING,
 ) -> tuple[Result, Paced]:
-    """Run a program on a machine fresh from the factory. settings: lines such as `$110=6000`.
+    """Run a program on a machine with factory settings. settings: lines such as `$110=6000`.
 
-    progress is told, now and then, how many lines have been sent.
+    progress: called at times with the number of lines sent.
     """
     commands = (*settings, *(["$C"] if check else []))
     return watch_program(lines, Paced, board, commands, progress, around=around)
@@ -330,7 +333,7 @@ def watch_program(
     coarse: int = 1,
     around: machine.Around = machine.NOTHING,
 ) -> tuple[Result, _Watcher]:
-    """Run a program, after commands that have to be accepted, with somebody made to watch.
+    """Run a program, after commands that must be accepted, with a Recorder made by `watcher`.
 
     coarse: see Rig.
     """
@@ -363,7 +366,7 @@ def watch_program(
 
 
 def _prepare(link: ProgramLink, commands: Sequence[str]) -> Generator[Step, None, bool]:
-    """Unlock the machine and send it commands. Returns whether it took them all."""
+    """Unlock the machine and send it commands. Returns whether it accepted them all."""
     from base import state
 
     if link.rig.controller.state.run == state.ALARM:

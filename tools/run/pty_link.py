@@ -12,7 +12,7 @@ from pathlib import Path
 from .. import paths
 from .wire import Wire
 
-# How our links spell a terminal, and nobody else's: so one that was left behind is known as ours.
+# Prefix of a terminal's path in our links only, so that a leftover link can be recognised as ours.
 _OURS = "/dev/./"
 
 
@@ -29,9 +29,10 @@ class Pty(Wire):
         self._link: Path | None = None
 
     def link(self, place: Path) -> None:
-        """Put a symlink to it there. OSError where it cannot be, or anything is that is not ours.
+        """Create a symlink to the terminal. OSError if that is not possible, or if the path exists
+        and is not a leftover of ours.
 
-        A link of a simulator that was killed is replaced.
+        The link of a simulator that was killed is replaced.
         """
         if not place.parent.is_dir():
             raise OSError(f"{place} cannot be made: there is no folder {place.parent}")
@@ -49,13 +50,14 @@ class Pty(Wire):
         self._link = place
 
     def close(self) -> None:
-        """Take the terminal and its link away."""
+        """Close the terminal and remove its link."""
         os.close(self._master)
         if self._link and self._link.is_symlink() and os.readlink(self._link) == self._target():
             self._link.unlink()
 
     def _is_left_behind(self, place: Path) -> bool:
-        """A link of a simulator whose terminal has gone, or is this one."""
+        """Return whether a path is our link to a terminal that no longer exists, or to this
+        one."""
         if not place.is_symlink():
             return False
         target = os.readlink(place)
@@ -70,7 +72,7 @@ class Pty(Wire):
             return os.read(self._master, limit)
         except BlockingIOError:
             return b""
-        except OSError:  # EIO: nobody has it open
+        except OSError:  # EIO: no sender has it open
             return None
 
     def _put(self, data: bytes) -> int:
@@ -83,7 +85,7 @@ class Pty(Wire):
         select.select([self._master], [], [], seconds)
 
     def _left(self) -> None:
-        """What the last sender did not read is not for the next one."""
+        """Discard what the last sender did not read, so that the next one does not get it."""
         super()._left()
         slave = os.open(self.name, os.O_RDWR | os.O_NOCTTY)
         termios.tcflush(slave, termios.TCIOFLUSH)
@@ -91,13 +93,13 @@ class Pty(Wire):
 
 
 class Stdio:
-    """Standard input and output. Input that ends closes the wire."""
+    """Standard input and output. The end of input closes the wire."""
 
     closed = False
-    on_open: Callable[[], None]  # never called: there is one sender
+    on_open: Callable[[], None]  # never called, because there is only one sender
 
     def read(self, limit: int) -> bytes:
-        """What has come."""
+        """Return received bytes; b"" if there are none."""
         if self.closed or not select.select([0], [], [], 0)[0]:
             return b""
         data = os.read(0, limit)
@@ -105,16 +107,16 @@ class Stdio:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send."""
+        """Send bytes."""
         sys.stdout.buffer.write(data)
         sys.stdout.buffer.flush()
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something comes."""
+        """Wait until bytes arrive, or the time is over."""
         if self.closed:
             time.sleep(seconds)
         else:
             select.select([0], [], [], seconds)
 
     def close(self) -> None:
-        """Nothing to take away."""
+        """Do nothing: the streams belong to the process."""

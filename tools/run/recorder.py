@@ -1,4 +1,4 @@
-"""Counts what a simulated machine was told to do and what its motors did."""
+"""Record what a simulated machine was commanded to do and what its motors did."""
 
 import json
 from array import array
@@ -18,7 +18,7 @@ _Value = TypeVar("_Value")
 
 @dataclass
 class Totals:
-    """What a machine has done, ready for JSON."""
+    """Totals of a machine's motion, ready for JSON."""
 
     time_s: float = 0.0
     distance_mm: float = 0.0
@@ -26,8 +26,9 @@ class Totals:
     steps_made: dict[str, int] = field(default_factory=dict)
     bounds_mm: dict[str, tuple[float, float]] = field(default_factory=dict)
     final_position_mm: dict[str, float] = field(default_factory=dict)
-    steps_probed: dict[str, int] = field(default_factory=dict)  # left out, for the probe touched
-    rotary: str = ""  # axes of which mm are degrees; the distance is that of the others
+    # planned but not made, because the probe touched
+    steps_probed: dict[str, int] = field(default_factory=dict)
+    rotary: str = ""  # axes whose mm are degrees; the distance is that of the others
 
     @classmethod
     def load(cls, path: Path) -> "Totals":
@@ -36,9 +37,9 @@ class Totals:
 
 
 class Recorder:
-    """Watches a rig. Make it before the rig runs.
+    """Observes a rig. Create it before the rig runs.
 
-    Steps count in either direction. Places are machine positions. Time counts from the first
+    Steps count in both directions. Positions are machine positions. Time counts from the first
     step to the last, or from start_clock() to stop_clock().
     """
 
@@ -54,13 +55,13 @@ class Recorder:
         self._axes = range(motor_names.axes_of(rig.board))
         self._rotary: str = getattr(rig.board, "ROTARY", "")
         self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
-        self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: an axis each
-        # Kinematics whose motors stand beside their axes: backlash.py and skew.py of extras.
+        self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: one motor per axis
+        # Kinematics whose motors deviate from their axes: backlash.py and skew.py of extras.
         self._beside: Any = None
         self._nonlinear: Any = None  # or of the user's own: extras/kinematics/nonlinear.py
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
-        self._probed = [0 for _ in self._motors]  # planned, and not made behind a probe's contact
+        self._probed = [0 for _ in self._motors]  # planned, but not made after a probe's contact
         self._before_probe: list[int] | None = None  # planned and not made, for other reasons
         self._is_probing = False
         self._distance_mm = 0.0
@@ -70,9 +71,9 @@ class Recorder:
         self._high = [0.0 for _ in self._axes]
         self._begun: int | None = None
         self._ended = 0
-        self.is_plain = False  # nobody stands in the way of lines that only move
-        self.wide_arcs: list[tuple[int, str]] = []  # lines, and what is to be said of their arcs
-        self.marks: list[Sequence[float]] = []  # where a punch has made a hole, in mm
+        self.is_plain = False  # nothing intercepts move-only lines
+        self.wide_arcs: list[tuple[int, str]] = []  # line number and warning of unusual arcs
+        self.marks: list[Sequence[float]] = []  # positions of a punch's holes, in mm
         if hasattr(rig.port, "on_hole"):
             rig.port.on_hole = self._mark
         rig.on_built = self._attach
@@ -82,15 +83,15 @@ class Recorder:
         self._power_off = replace_method(rig.engine, "power_off", self._switch_off)
 
     def start_clock(self) -> None:
-        """The work begins now."""
+        """Start the clock at the beginning of the program."""
         self._begun = self._ended = self._rig.now
 
     def stop_clock(self, tick: int) -> None:
-        """The work has taken until then, or until the last step if that came later."""
+        """Stop the clock at that tick, or at the last step if that came later."""
         self._ended = max(self._ended, tick)
 
     def totals(self) -> Totals:
-        """Everything up to now."""
+        """Return the totals up to now."""
         bounds = list(zip(self._low, self._high, strict=True))
         ticks = 0 if self._begun is None else self._ended - self._begun
         return Totals(
@@ -105,7 +106,7 @@ class Recorder:
         )
 
     def _attach(self) -> None:
-        """Called by the rig once the controller is built: follow what is planned."""
+        """Observe the planner. Called by the rig when the controller is built."""
         from language.block_layout import SPECIAL
 
         controller = self._rig.controller
@@ -120,23 +121,23 @@ class Recorder:
         self.is_plain = is_usual and not controller.protocol._echoes
         self._plan = planner.move_hook or planner.plan
         planner.move_hook = self._plan_line
-        if self._nonlinear:  # which has no use for it
+        if self._nonlinear:  # it does not use move_hook
             self._line = replace_method(planner, "line", self._cut)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
         if hasattr(self._planner, "take_up"):
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.state.hooks, "probe", self._watch_probe)
         self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
-        interpreter.watch(SPECIAL)  # or kernels would do some arcs by themselves
+        interpreter.watch(SPECIAL)  # else kernels would plan some arcs by themselves
 
     def _look_at_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
-        """Stand in for Canon.arc."""
+        """Replace Canon.arc."""
         if text := wide_arcs.warning(start, target, arc):
             self.wide_arcs.append((self._rig.link.now_at(), text))
         self._plan_arc(start, target, arc, move)
 
     def _watch_probe(self, *asked: Any) -> bool:
-        """Stand in for Seek.probe, which comes to rest before it plans its motion."""
+        """Replace Seek.probe, which waits for standstill before it plans its motion."""
         self._is_probing, self._before_probe = True, None
         done: bool = self._probe(*asked)
         self._is_probing = False
@@ -152,7 +153,7 @@ class Recorder:
         return dict(zip(self._names, values, strict=False))
 
     def _plan_line(self, target: Any, flags: int, *asked: int) -> int:
-        """Stand in for Planner.move_hook: what is added to the ring is what will be stepped."""
+        """Replace Planner.move_hook: all steps added to the ring will be made."""
         row = self._row(flags)
         planned: int = self._plan(target, flags, *asked)
         if planned:
@@ -160,7 +161,7 @@ class Recorder:
         return planned
 
     def _cut(self, target: Any, move: Any, power: int) -> bool:
-        """Stand in for NonlinearPlanner.line."""
+        """Replace NonlinearPlanner.line."""
         row = self._row(move.flags)
         planned: bool = self._line(target, move, power)
         if planned:
@@ -168,35 +169,35 @@ class Recorder:
         return planned
 
     def _row(self, flags: int) -> int:
-        """Of the ring, where the next line will be."""
+        """Return the row of the ring for the next line."""
         layout, flow = self._layout, self._planner.flow
         return int(flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD])
 
     def _turn(self, *asked: Any) -> bool:
-        """Stand in for BacklashPlanner.take_up."""
+        """Replace BacklashPlanner.take_up."""
         done: bool = self._take_up(*asked)
         distance = self._distance_mm
         if done:
             self._note(self._planner.flow[self._layout.ROWS])
-        self._distance_mm = distance  # the tool has gone nowhere
+        self._distance_mm = distance  # the tool does not move
         return done
 
     def _follow_arc(self, *asked: Any) -> int:
-        """Stand in for Planner.chords."""
+        """Replace Planner.chords."""
         row = self._planner.flow[self._layout.HEAD]
         found: int = self._chords(*asked)
         self._note_from(row)
         return found
 
     def _note_from(self, row: int) -> None:
-        """The rows of the ring from that one on have been planned."""
+        """Note the rows of the ring from that one on, which have been planned."""
         layout, flow = self._layout, self._planner.flow
         while row != flow[layout.HEAD]:
             self._note(row)
             row = (row + 1) % flow[layout.ROWS]
 
     def _note(self, row: int) -> None:
-        """A row of the ring has been planned."""
+        """Note a row of the ring that has been planned."""
         from motion import minifloat
 
         layout = self._layout
@@ -221,19 +222,20 @@ class Recorder:
         self._distance_mm += hypot(*[way[axis] for axis in self._linear])
 
     def _lean(self, way: list[float]) -> None:
-        """Of motors that are not at right angles, the way of the tool."""
+        """Correct the tool's displacement for axes that are not at right angles."""
         skew: Any = self._settings
         _, y, z = way[:3]
         way[0] += (skew.skew_xy * y + skew.skew_xz * z) / 1000
         way[1] += skew.skew_yz * z / 1000
 
     def _segment(self, start: int, row: "array[int]") -> None:
-        """Called by the engine for every segment played, with the steps really made."""
+        """Record a segment. Called by the engine for each one played, with the steps really
+        made."""
         layout = self._layout
         if self._begun is None:
             self._begun = start
         self._ended = start + row[layout.ROW_TICKS]
-        dirs = row[layout.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware means them
+        dirs = row[layout.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware counts
         made, place = self._made, self._place
         for i, count in enumerate(row[layout.ROW_AXES :: layout.ROW_STRIDE]):
             made[i] += count
@@ -243,21 +245,21 @@ class Recorder:
         self._moved(start, row, at)
 
     def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
-        """A segment has ended there, in mm: for those who want to know more."""
+        """Receive the end of a segment, in mm; for subclasses."""
 
     def _mark(self) -> None:
-        """The punch is down."""
+        """Note a hole: the punch is down."""
         self.marks.append(self._at())
 
     def _rename(self, steps: "array[int]") -> None:
-        """Stand in for StepEngine.set_position: the same place has another number from now on."""
+        """Replace StepEngine.set_position: the same position gets new numbers."""
         self._set_position(steps)
         if self._is_on:
             self._place = list(steps)
             self._extend(self._at())
 
     def _switch_off(self) -> None:
-        """Stand in for SimEngine.power_off: a count that begins at 0 again is no way to 0."""
+        """Replace SimEngine.power_off: a count that restarts at 0 is no motion."""
         self._is_on = False
         self._power_off()
         self._is_on = True
@@ -271,14 +273,14 @@ class Recorder:
                 high[i] = mm
 
     def _at(self) -> list[float]:
-        """Where the axes are, in mm, wherever their motors stand beside that."""
+        """Return the position of the axes in mm, without the deviation of their motors."""
         if not self._beside:
             return self._to_mm(self._place)
         steps = array("i", self._place)
         return [self._beside.axis_steps(steps, i) * mm for i, mm in enumerate(self._mm_per_step)]
 
     def _to_mm(self, motors: Sequence[float]) -> list[float]:
-        """Axes in mm from steps of motors."""
+        """Convert steps of motors to mm of axes."""
         if self._nonlinear:
             place = array("f", bytes(4 * len(self._axes)))
             self._nonlinear.place_of(motors, place)
@@ -289,18 +291,18 @@ class Recorder:
         return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=False)]
 
     def _axis_steps(self, motors: Sequence[float], axis: int) -> float:
-        """As motion/kinematics.py has it, and not in whole steps."""
+        """Return the steps of an axis, as in motion/kinematics.py, but as a float."""
         from motion.layout import REVERSE
 
         if self._moves[axis] == 1 << axis:
-            return motors[axis]  # a second motor makes no way of its own
+            return motors[axis]  # a second motor of an axis adds no displacement
         ways = [(moves >> axis & 1) - (moves >> axis + REVERSE & 1) for moves in self._moves]
         made = sum(way * steps for way, steps in zip(ways, motors, strict=True))
         return made / sum(map(abs, ways))
 
 
 def replace_method(owner: object, name: str, stand_in: object) -> Any:
-    """Put something else in the place of one object's method; returns the method."""
+    """Replace a method of one object; returns the method."""
     method = getattr(owner, name)
     setattr(owner, name, stand_in)
     return method

@@ -1,9 +1,9 @@
-"""A program's rehearsal in the simulator, on a stage like the machine it is for.
+"""Rehearse a program in the simulator, with a machine in the same state as the real one.
 
-check() is quick: check mode, to find what will be refused. Rehearsal makes every step, in a
-process of its own while the program is being sent already, and knows then how long it takes and
-where the machine is when. Run as a program, this is that process: a pickled Job on stdin, a
-pickled Forecast on stdout.
+check() is quick: it uses check mode, to find lines that will be refused. Rehearsal executes every
+step, in a process of its own while the program is already being sent; its result gives the total
+time and the machine's position at each time. Run as a program, this module is that process: it
+reads a pickled Job from stdin and writes a pickled Forecast to stdout.
 """
 
 import os
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 _ON_PATH_MM = 0.005
 _OFF_PATH_MM = 1.0
-_XYZ = 3  # numbers of a place
+_XYZ = 3  # numbers of a position
 
 
 @dataclass
 class Forecast:
-    """What a program will do. Lines count from 1, places are machine positions in mm.
+    """What a program will do. Lines count from 1; positions are machine positions in mm.
 
-    A long one has millions of lines and blocks: what is known of each is in arrays.
+    A long program has millions of lines and blocks, so their data are in arrays.
     """
 
     answered_s: "array[float]" = field(default_factory=lambda: array("d"))  # by line
@@ -45,15 +45,16 @@ class Forecast:
     block_ends: "array[float]" = field(default_factory=lambda: array("f"))  # three numbers each
     start: list[float] = field(default_factory=list)
     total_s: float = 0.0
-    stopped: str = ""  # why it knows no more
-    at_line: list[str] = field(default_factory=list)  # $G and $# before the line asked for
-    at_place: list[float] = field(default_factory=list)  # where it rests there
-    refused: list[int] = field(default_factory=list)  # lines
-    own: str = ""  # the handlers of custom.py, as $I names them
-    outputs_on: list[str] = field(default_factory=list)  # by custom.py, before the line asked for
+    stopped: str = ""  # why the forecast ends early; "" if it does not
+    # replies to $G and $# before the line `ask_at`
+    at_line: list[str] = field(default_factory=list)
+    at_place: list[float] = field(default_factory=list)  # machine position there
+    refused: list[int] = field(default_factory=list)  # line numbers
+    own: str = ""  # handlers of custom.py, as $I names them
+    outputs_on: list[str] = field(default_factory=list)  # by custom.py, before the line `ask_at`
 
     def seconds_left(self, line: int) -> float | None:
-        """How long it takes from the moment on at which a line is answered."""
+        """Return the time from the answer to a line until the end; None if it is not known."""
         if self.stopped or line > len(self.answered_s):
             return None
         return self.total_s - (self.answered_s[line - 1] if line else 0.0)
@@ -61,11 +62,11 @@ class Forecast:
     def line_at(
         self, answered: int, place: Sequence[float], planned: int, left: int | None
     ) -> int | None:
-        """The line that was being made when the machine stopped; None where that is not clear.
+        """Return the line that was executed when the machine stopped; None if that is not clear.
 
-        answered: the last line answered; planned: blocks that fit into the planner; left: blocks
-        that were in it, where the machine tells. Where the path crosses itself there, the
-        earlier line is taken: to make some of it again is better than to leave some of it out.
+        answered: the last line answered. planned: capacity of the planner in blocks. left: blocks
+        in the planner, if the machine reports them. Where the path crosses itself, the earlier
+        line is returned, because it is better to repeat a part than to leave one out.
         """
         end = bisect_right(self.block_line, answered)
         if left is not None and bisect_right(self.block_line, answered + 1) <= end + 1:
@@ -82,16 +83,16 @@ class Forecast:
         return self.block_line[best]
 
     def highest_mm(self, line: int) -> float:
-        """The highest Z up to there: high enough to get everywhere."""
+        """Return the highest Z before a line: safe for moves to every position so far."""
         heights = self.block_ends[2 : _XYZ * self.blocks_before(line) : _XYZ]
         return max(self.start[2], max(heights, default=self.start[2]))
 
     def blocks_before(self, line: int) -> int:
-        """How many blocks the lines before that one make."""
+        """Return the number of blocks of the lines before that one."""
         return bisect_left(self.block_line, line)
 
     def block_end(self, block: int) -> Sequence[float]:
-        """Where a block ends."""
+        """Return the end of a block."""
         return self.block_ends[_XYZ * block : _XYZ * (block + 1)]
 
     def _begin(self, block: int) -> Sequence[float]:
@@ -99,7 +100,7 @@ class Forecast:
 
 
 def _distance(place: Sequence[float], begin: Sequence[float], end: Sequence[float]) -> float:
-    """From a place to the nearest point of a straight line."""
+    """Return the distance from a point to a line segment."""
     length_sqr = dist(begin, end) ** 2
     along = 0.0
     if length_sqr:
@@ -111,10 +112,10 @@ def _distance(place: Sequence[float], begin: Sequence[float], end: Sequence[floa
 
 @dataclass
 class Job:
-    """What is to be rehearsed. ask_at: line before which modes and offsets are asked for.
+    """A program to rehearse. ask_at: the line before which modes and offsets are read.
 
-    letters, axes: of the machine that it is for, as $I and $$ tell, where no board is named.
-    custom: the user's own Python, a path; inputs: who pushes its inputs, as --input says it.
+    letters, axes: of the real machine, from $I and $$, if no board is named. custom: path of the
+    user's own Python. inputs: rules for its inputs, as for --input.
     """
 
     lines: Sequence[bytes]
@@ -128,13 +129,13 @@ class Job:
     inputs: list[str] = field(default_factory=list)
 
     def around(self) -> machine.Around:
-        """What is around the machine. ValueError where that cannot be."""
+        """Return the surroundings of the machine. ValueError if they are not possible."""
         rules = [inputs.rule(text) for text in self.inputs]
         return machine.around(self.board, Path(self.custom) if self.custom else None, rules)
 
 
 class _Watcher(Recorder):
-    """A Recorder that also notes where each block ends, and which line wants it."""
+    """A Recorder that also records the end of each block and its line."""
 
     def __init__(self, rig: "Rig") -> None:
         super().__init__(rig)
@@ -142,7 +143,7 @@ class _Watcher(Recorder):
         self._watching = False
 
     def begin(self) -> None:
-        """The program is about to be sent."""
+        """Start recording: the program follows."""
         self.start_clock()
         self._watching = True
         self.forecast.start = self._planned_place()
@@ -154,17 +155,18 @@ class _Watcher(Recorder):
             self.forecast.block_ends.extend(self._planned_place())
 
     def ask_place(self) -> None:
-        """Note where it rests: not where the last block ends, if that was a probe's."""
+        """Note the position at standstill. It is not the end of the last block if that block was a
+        probing motion."""
         self.forecast.at_place = self._planned_place()
 
     def _planned_place(self) -> list[float]:
-        """Where the last block ends."""
+        """Return the end of the last block."""
         from motion import planner
         from motion.steps import motor_steps
 
         made = self._rig.controller.planner
         steps = [position - planner._BIAS for position in made.position]
-        if hasattr(self._beside, "skew"):  # it plans places of motors
+        if hasattr(self._beside, "skew"):  # its planner has positions of motors, not of axes
             places = array("i", steps + [0 for _ in steps])
             motors = [motor_steps(places, 0, made.axes, moves) for moves in self._moves]
             steps = [self._beside.axis_steps(motors, i) for i in range(made.axes)]
@@ -173,11 +175,11 @@ class _Watcher(Recorder):
 
 
 class _Link(ProgramLink):
-    """A ProgramLink that knows when each line was answered."""
+    """A ProgramLink that records when each line was answered."""
 
     def __init__(self, rig: "Rig", script: Callable[[ProgramLink], Iterator[Step]]) -> None:
         super().__init__(rig, script)
-        self.answered = array("q")  # ticks
+        self.answered = array("q")  # in ticks
 
     def _answer(self, line: str) -> None:
         super()._answer(line)
@@ -186,9 +188,9 @@ class _Link(ProgramLink):
 
 
 def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Result, Forecast]:
-    """Run a job. A command for the stage that the simulator refuses is left out.
+    """Run a job. Commands for the initial state that the simulator refuses are skipped.
 
-    OwnPythonError where the user's own Python cannot be taken up.
+    OwnPythonError if the user's own Python cannot be loaded.
     """
 
     def script(link: ProgramLink) -> Iterator[Step]:
@@ -260,9 +262,9 @@ def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
 
 
 def check(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Result, int]:
-    """What will be refused, and the line at which it stopped, if it did.
+    """Return the refused lines, and the line at which the check stopped; 0 if it did not.
 
-    Lines beginning with $ are for a machine that is not in check mode, and left out.
+    Lines that begin with $ are left out, because check mode does not allow them.
     """
     lines = Changed(job.lines, _without_dollar)
     result, _ = rehearse(replace(job, lines=lines, ask_at=0, check=True), progress)
@@ -277,25 +279,26 @@ class Rehearsal:
     """A job in a process of its own."""
 
     def __init__(self, job: Job) -> None:
-        self.forecast: Forecast | None = None  # once it is known
+        self.forecast: Forecast | None = None  # None until it is known
         command = [sys.executable, "-m", f"{__package__}.rehearsal"]
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the sender
+            start_new_session=True,  # so that Ctrl-C reaches only the sender
         )
         self._thread = threading.Thread(target=self._talk, args=(job,), daemon=True)
         self._thread.start()
 
     def wait(self, seconds: float | None = None) -> Forecast | None:
-        """The forecast, as soon as it is there; None where the simulator has failed."""
+        """Return the forecast when it is available; None if the simulator has failed, or after
+        `seconds`."""
         self._thread.join(seconds)
         return self.forecast
 
     def close(self) -> None:
-        """It is not needed any more."""
+        """End the process; the forecast is no longer needed."""
         self._process.kill()
         self._thread.join()
 
@@ -306,14 +309,14 @@ class Rehearsal:
                 with process.stdin as there:
                     pickle.dump(vars(job), there)
                 forecast = pickle.load(process.stdout)
-        except (OSError, EOFError, pickle.UnpicklingError):  # it has failed, or is not needed
+        except (OSError, EOFError, pickle.UnpicklingError):  # the process has failed or was killed
             return
         if process.returncode == 0:
             self.forecast = Forecast(**forecast)
 
 
 def main() -> None:
-    """Rehearse what stdin says, when the computer has nothing better to do."""
+    """Rehearse the job from stdin, at low priority."""
     if hasattr(os, "nice"):
         os.nice(10)
     parent = os.getppid()
@@ -323,7 +326,7 @@ def main() -> None:
             raise KeyboardInterrupt("who has asked for it is gone")
 
     out = sys.stdout.buffer
-    sys.stdout = sys.stderr  # for what a handler prints
+    sys.stdout = sys.stderr  # for output of handlers
     try:
         _, forecast = rehearse(Job(**pickle.load(sys.stdin.buffer)), needed)
     except OwnPythonError as error:

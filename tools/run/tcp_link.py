@@ -18,7 +18,8 @@ LOOPBACK = "127.0.0.1"
 
 
 def address(text: str) -> tuple[str, int]:
-    """`[HOST:]PORT`; without a host, this computer only. ValueError where it is none."""
+    """Parse `[HOST:]PORT`; without a host it is this computer only. ValueError if it is not
+    valid."""
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
         raise ValueError(f"{text} is no place to listen at; write it as 2323 or {LOOPBACK}:2323")
@@ -26,8 +27,8 @@ def address(text: str) -> tuple[str, int]:
 
 
 def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
-    """Listens there, and never waits. backlog: so many callers wait to be seen to. OSError where
-    that cannot be."""
+    """Return a listening socket that never blocks. backlog: number of clients that may wait.
+    OSError if listening is not possible."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         made = socket.create_server((host, port), family=family, backlog=backlog)
@@ -38,7 +39,7 @@ def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
 
 
 def why_not(error: OSError) -> str:
-    """Why nothing can listen at a place, and what to say in its stead."""
+    """Return why listening is not possible, and what to use instead."""
     if error.errno == errno.EADDRINUSE:
         return "another program does; say another port"
     if error.errno == errno.EACCES:
@@ -47,7 +48,7 @@ def why_not(error: OSError) -> str:
 
 
 class Tcp(Wire):
-    """Listens; one sender at a time: another one waits until it has hung up."""
+    """Accepts one sender at a time; another one waits until the first has disconnected."""
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__()
@@ -56,7 +57,7 @@ class Tcp(Wire):
         self.name = f"{host}:{self._listener.getsockname()[1]}"
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._hang_up()
         self._listener.close()
 
@@ -111,7 +112,7 @@ class Tcp(Wire):
 class Rfc2217(Tcp):
     """The same for senders that open a serial port over the network (RFC 2217).
 
-    What they set, such as the speed, is taken and means nothing. What Grbl says is ASCII and
+    Their settings, such as the speed, are accepted and have no effect. Grbl's output is ASCII and
     needs no escape.
     """
 
@@ -129,12 +130,12 @@ class Rfc2217(Tcp):
         return b"".join(self._port.filter(data)) if data and self._port else data
 
     def _negotiate(self, data: bytes) -> None:
-        with suppress(OSError):  # a sender that does not read, or has gone
+        with suppress(OSError):  # the sender does not read, or has disconnected
             self._put(data)
 
 
 class HostConnection:
-    """A socket as MicroPython has it, which never waits."""
+    """A non-blocking socket with MicroPython's interface."""
 
     def __init__(self, made: socket.socket) -> None:
         made.setblocking(False)
@@ -142,27 +143,27 @@ class HostConnection:
         self._socket = made
 
     def readinto(self, buf: bytearray) -> int | None:
-        """What has come; None where nothing has, 0 at the end."""
+        """Return the number of bytes received; None if there are none, 0 at the end."""
         try:
             return self._socket.recv_into(buf)
         except BlockingIOError:
             return None
 
     def write(self, data: bytes | bytearray | memoryview) -> int | None:
-        """As much as there is room for."""
+        """Send as much as the socket takes; returns the number of bytes, or None."""
         try:
             return self._socket.send(data)
         except BlockingIOError:
             return None
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._socket.close()
 
 
 class HostCalls:
-    """Who calls over a simulated board's network, at a port of this computer; 0: any that is free.
-    What sockets do has the wall's time; the machine knows only its own."""
+    """Accepts clients of a simulated board's network at a port of this computer; 0: any free port.
+    Sockets work in wall time; the machine has only virtual time."""
 
     def __init__(self, host: str = LOOPBACK, port: int = 0) -> None:
         self._listener = listener(host, port)
@@ -170,12 +171,12 @@ class HostCalls:
         self.port: int = self._listener.getsockname()[1]
 
     def next(self) -> tuple[HostConnection, str] | None:
-        """Who has called, and from where."""
+        """Return the next client and its address; None if there is none."""
         with suppress(BlockingIOError, ConnectionError):
             made, address = self._listener.accept()
             return HostConnection(made), str(address[0])
         return None
 
     def close(self) -> None:
-        """Hear nobody any more."""
+        """Stop listening."""
         self._listener.close()

@@ -1,4 +1,4 @@
-"""A watch by the clock on the wall, for what may never come to an end: the user's own Python."""
+"""A time limit in wall time for code that may never end: the user's own Python."""
 
 import _thread
 import signal
@@ -10,9 +10,10 @@ LONGEST_S = 20.0
 
 
 def is_late(run: Callable[[], None]) -> bool:
-    """Run it, as by Ctrl-C interrupted where it takes longer than LONGEST_S; whether it was.
+    """Run a function; interrupt it, as Ctrl-C does, after LONGEST_S. Returns whether it was
+    interrupted.
 
-    A KeyboardInterrupt of somebody who wants no more of it passes. In the main thread only.
+    A KeyboardInterrupt by the user is passed on. For the main thread only.
     """
     late = threading.Event()
     usual = signal.getsignal(signal.SIGINT)
@@ -25,7 +26,8 @@ def is_late(run: Callable[[], None]) -> bool:
         if late.is_set() or usual is not signal.SIG_IGN:
             raise KeyboardInterrupt
 
-    # Otherwise nothing would interrupt what a shell has begun in the background.
+    # Python installs no handler in a process that a shell started in the background, so an
+    # interrupt would have no effect.
     signal.signal(signal.SIGINT, on_interrupt)
     watch = threading.Timer(LONGEST_S, interrupt)
     watch.daemon = True
@@ -36,7 +38,7 @@ def is_late(run: Callable[[], None]) -> bool:
         if not late.is_set():
             raise
     except Exception:
-        if not late.is_set():  # otherwise it is what the interruption has become
+        if not late.is_set():  # else it is a consequence of the interruption
             raise
     finally:
         watch.cancel()

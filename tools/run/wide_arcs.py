@@ -1,18 +1,18 @@
-"""Arcs that leave the part: hardly what their program means, but what it says."""
+"""Arcs that leave the part: probably a mistake in the program, although it is valid."""
 
 from collections.abc import Sequence
 from math import atan2, hypot, pi
 from typing import Any
 
-# An arc may reach so far beyond its two ends, and one that goes all the way round between ends
-# that are not the same is to have them so far apart, as a part of its radius.
+# An arc that reaches further beyond its two ends is reported. So is an arc that goes round almost
+# completely although its ends differ, if they are closer than this part of its radius.
 _REACH_MM = 1000.0
 _NEAR = 0.01
-_SAME_MM = 0.00005  # as motion/arc_geometry.py has it
+_SAME_MM = 0.00005  # as in motion/arc_geometry.py
 
 
 def warning(start: Sequence[float], target: Sequence[float], arc: Any) -> str:
-    """What is to be said of an arc, if anything. Places in mm; arc: a motion.arc_geometry.Arc."""
+    """Return a warning about an arc, or "". Positions in mm; arc: a motion.arc_geometry.Arc."""
     from motion.arc_geometry import CENTRE_0, CENTRE_1, CLOCKWISE
 
     one, other, is_clockwise = arc.plane[0], arc.plane[1], arc.plane[CLOCKWISE]
@@ -34,8 +34,11 @@ def warning(start: Sequence[float], target: Sequence[float], arc: Any) -> str:
 
 
 def _reach(centre: Sequence[float], way: Sequence[float], first: float, turn: float) -> float:
-    """How far the arc goes beyond the box of its ends. Seen from its start; first, turn: where it
-    is, from its centre, and how far it goes on counterclockwise, in radians."""
+    """Return how far in mm the arc reaches beyond the box of its two ends.
+
+    centre, way: centre and end, relative to the start. first, turn: the start's angle as seen from
+    the centre, and the angle of the arc, counterclockwise, in radians.
+    """
     radius = hypot(*centre)
     reach = 0.0
     for quarter in range(4):

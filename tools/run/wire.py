@@ -1,22 +1,21 @@
-"""What wires to one sender at a time have in common: who is there, who listens, the welcome."""
+"""The common part of wires to one sender at a time: connection, lost bytes, welcome."""
 
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-# A sender that has not taken a byte for so long does not listen: what follows is lost on it.
+# A sender that has not accepted a byte for so long is not listening; further bytes are lost.
 _DEAF_S = 0.5
-# What is kept for the first sender to come: the banner.
+# So many bytes, which have the banner, are kept for the first sender.
 _KEPT = 1024
-# An Arduino is silent for longer after it has been opened, and a sender that says nothing of
-# itself may count on it: the Universal G-Code Sender begins twice where it is greeted before it
-# has noted that it has begun.
+# An Arduino is silent for longer after its port is opened, and a silent sender may rely on it:
+# Universal G-Code Sender starts twice if it is greeted before it has noted its own start.
 _WELCOME_S = 0.3
 
 
 class Wire(ABC):
-    """A wire that outlives its senders. on_open: called when one has come that is to be greeted;
-    the first hears what was said before."""
+    """A wire that outlives its senders. on_open: called when a sender has connected and must be
+    greeted. The first one gets what was sent before."""
 
     closed = False
     on_open: Callable[[], None] = staticmethod(lambda: None)
@@ -25,31 +24,31 @@ class Wire(ABC):
         self._connected = False
         self._since = 0.0
         self._welcomed = False
-        self._early: bytes | None = b""  # kept for the first; None once it has been told
+        self._early: bytes | None = b""  # kept for the first sender; None after it was sent
         self._deaf = False
 
     @abstractmethod
     def _take(self, limit: int) -> bytes | None:
-        """What has come; None where nobody is there."""
+        """Return received bytes; None if no sender is connected."""
 
     @abstractmethod
     def _put(self, data: bytes) -> int:
-        """Send; returns how many bytes have gone. BlockingIOError where none can."""
+        """Send bytes; returns how many were accepted. BlockingIOError if none can be."""
 
     @abstractmethod
     def _wait_to_put(self, seconds: float) -> None:
-        """Until some can, so long at the most."""
+        """Wait until bytes can be sent, at most for that time."""
 
     @abstractmethod
     def _wait_to_take(self, seconds: float) -> None:
-        """Until something has come, so long at the most."""
+        """Wait until bytes have arrived, at most for that time."""
 
     def _left(self) -> None:
-        """The sender has gone."""
+        """Note that the sender has disconnected."""
         self._connected = self._welcomed = self._deaf = False
 
     def read(self, limit: int) -> bytes:
-        """What has come from the sender."""
+        """Return the bytes received from the sender."""
         data = self._take(limit)
         if data is None:
             if self._connected:
@@ -71,14 +70,14 @@ class Wire(ABC):
             self._send(early)
 
     def write(self, data: bytes) -> None:
-        """Send; without a sender, or to one that does not read, the bytes are lost."""
+        """Send bytes. Without a sender, or to one that does not read, they are lost."""
         if self._early is not None:
             self._early = (self._early + data)[-_KEPT:]
         elif self._connected:
             self._send(data)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until bytes come; with nobody there, for the time given."""
+        """Wait until bytes arrive; without a sender, for the time given."""
         if self._connected:
             self._wait_to_take(seconds)
         else:

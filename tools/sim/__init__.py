@@ -1,11 +1,11 @@
-"""The simulator: one more board, in virtual time. standins/ has what only boards have.
+"""The simulator: one more board, in virtual time. standins/ has the modules that only boards have.
 
-Its modules run under CPython and under the desktop MicroPython alike, so they keep to what both
-understand. The stand-ins are `machine`, `rp2` and others, for CPython: their folder is put on the
-path, and is no package.
+Its modules run under CPython and under the desktop MicroPython, so they use only what both
+support. The stand-ins are `machine`, `rp2` and others, for CPython: their folder is put on the
+path, and is not a package.
 
-Imports nothing of the other rooms; the firmware is the one thing that it runs. For others, in
-tests of theirs: `from ugrbl.sim import Machine` (docs/extending.md).
+Imports no other folder of tools; it runs only the firmware. For tests of other projects: `from
+ugrbl.sim import Machine` (docs/extending.md).
 """
 
 import sys
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 if sys.implementation.name == "cpython":  # MicroPython would ask it for modules, too
 
     def __getattr__(name: str) -> object:
-        """Machine, where somebody asks for it."""
+        """Return Machine on first use."""
         if name != "Machine":
             raise AttributeError(name)
         from . import machine

@@ -1,5 +1,5 @@
 # mypy: disable-error-code="arg-type, call-overload, has-type, misc"
-"""Many lines checked in one call, by the firmware's own kernels: for the simulator only."""
+"""Check many lines in one call, by the firmware's own kernels: for the simulator only."""
 
 import micropython
 from language.line import execute
@@ -10,8 +10,8 @@ from talk.lines import LINE, clean
 def check_lines(
     heard: ptr8, at: ptr32, line: object, kinds: ptr8, modal: ptr32, machine: ptr32, memory: object
 ) -> int:
-    """Do what the firmware's loop does with lines that only move (talk/stream_loop.py), in check
-    mode, up to one that does more. Returns how many were done."""
+    """Do in check mode what the firmware's loop does with move-only lines (talk/stream_loop.py),
+    up to a line that is not move-only. Returns how many were done."""
     done = 0
     text = ptr8(line)
     found = int(clean(heard, at, text, kinds))

@@ -1,7 +1,7 @@
-"""Pulse engine of the simulator: exact step times, nothing approximated.
+"""Pulse engine of the simulator, with exact step times.
 
-Segments are pulled through the same seam as on a board and played back in
-virtual time. Switches that close at a place are found to the very step.
+Segments are pulled through the same interface as on a board and played in virtual time. Switches
+that close at a position act at the exact step.
 """
 
 from array import array
@@ -18,27 +18,28 @@ _NEVER = 1 << 60
 
 
 def leading(gaps: int, gap: int, longer: int) -> int:
-    """slice_kernel.leading(), as Python, which is asked for each step."""
+    """Return slice_kernel.leading(), in Python because it is called for each step."""
     return longer >> 1 if gaps > gap >> 1 else longer
 
 
 def step_tick(row: "array[int]", base: int, k: int) -> int:
-    """Tick, from the start of the segment, of step k (from 0) of the axis at row[base].
+    """Return the tick, from the start of the segment, of step k (from 0) of the axis at row[base].
 
-    The gaps between a segment's steps differ by one tick at the most, in the order that
-    slice_kernel.leading() says: what every engine does.
+    The gaps between a segment's steps differ by one tick at most. Their order is that of
+    slice_kernel.leading(), as in every engine.
     """
     gaps = row[base] - 1
     if gaps < 1:
         return row[base + 1]
     gap, longer = divmod(row[base + 2] - row[base + 1], gaps)
     front = leading(gaps, gap, longer)
-    last = max(k - gaps + longer - front, 0)  # longer gaps at the end that are over
+    last = max(k - gaps + longer - front, 0)  # longer gaps at the end, before step k
     return row[base + 1] + k * gap + min(k, front) + last
 
 
 def steps_until(row: "array[int]", base: int, tick: int) -> int:
-    """How many steps of the axis at row[base] have been made `tick` ticks into the segment."""
+    """Return the number of steps of the axis at row[base] in the first `tick` ticks of the
+    segment."""
     count = row[base]
     if count == 0 or tick < row[base + 1]:
         return 0
@@ -56,9 +57,9 @@ def steps_until(row: "array[int]", base: int, tick: int) -> int:
 
 
 class Switch:
-    """An input closed exactly while the steps of a motor are >= (or <=) a number.
+    """An input that is closed exactly while the steps of a motor are >= (or <=) a number.
 
-    One that bounces opens again after its first step, and so on for so many times.
+    A bouncing one opens again after its first step, and so on, `bounces` times.
     """
 
     def __init__(self, pin: str, axis: int, above: bool, steps: int, bounces: int = 0) -> None:
@@ -69,12 +70,12 @@ class Switch:
         self.bounces = bounces
 
     def closed(self, steps: int) -> bool:
-        """Whether it is closed with the motor at `steps`."""
+        """Return whether it is closed with the motor at `steps`."""
         beyond = steps - self.steps if self.above else self.steps - steps
         return beyond >= 0 and (beyond % 2 == 0 or beyond >= 2 * self.bounces)
 
     def crossing(self, start: int, end: int) -> int:
-        """Number of steps from start, on the way to end, after which it changes; 0 if never."""
+        """Return after how many steps, on the way from start to end, it changes; 0 if never."""
         way = 1 if end > start else -1
         here = self.closed(start)
         if self.bounces == 0 and here == self.closed(end):
@@ -95,9 +96,9 @@ class SimEngine:
     """A StepEngine in virtual time. The rig calls advance(); nothing else moves the clock.
 
     prepare: called by start(), before motion; may let time pass.
-    depth: segments held by the "hardware", the running one included.
-    trace: called with (start tick, row) for every segment as it ends or is cut short,
-    the row then holding only the steps really made.
+    depth: segments held by the "hardware", including the running one.
+    trace: called with (start tick, row) for every segment as it ends or is cut short;
+        the row then has only the steps really made.
     """
 
     # A full segment of 2**17 ticks lasts 10 ms, as Grbl's.
@@ -126,7 +127,7 @@ class SimEngine:
         self.pulse_us = 10
         self.dir_invert = 0
 
-    # The StepEngine seam
+    # The StepEngine interface
 
     def max_step_hz(self, pulse_us: int) -> int:
         return 1_000_000 // (pulse_us + 1)
@@ -162,7 +163,7 @@ class SimEngine:
                 self.starts += 1
                 self._begin()
             if self._stopped:
-                self.stop()  # meanwhile
+                self.stop()  # stopped meanwhile
 
     def stop(self) -> None:
         self._stopped = True
@@ -178,7 +179,7 @@ class SimEngine:
         self._locked |= motors
 
     def fault(self) -> str:
-        return ""  # its time is the machine's
+        return ""  # the machine's virtual time is never late
 
     def idle(self) -> bool:
         return not self._running
@@ -193,13 +194,14 @@ class SimEngine:
             self._offset[i] = steps[i] - self._asked(i, self._physical[i])
 
     def _asked(self, axis: int, steps: int) -> int:
-        """Steps of a motor as the firmware counts them: $3 turns the pin round, not the count."""
+        """Return a motor's steps as the firmware counts: $3 inverts the pin, not the count."""
         return -steps if self.dir_invert >> axis & 1 else steps
 
-    # The simulator's side
+    # Interface for the simulator
 
     def physical(self, steps: "array[int]") -> None:
-        """Steps the pins have made since power was first applied, whatever the firmware says."""
+        """Store the steps that the pins have made since power was first applied, whatever the
+        firmware's position is."""
         for i in range(self._axes):
             steps[i] = self._physical[i]
         if self._running:
@@ -209,12 +211,12 @@ class SimEngine:
                 steps[i] += made
 
     def power_off(self) -> None:
-        """Motion ends; the motors stay, and the count they are known by is 0 again."""
+        """End motion. The motors stay where they are, and the count restarts at 0."""
         self.stop()
         self.set_position(array("i", [0] * self._axes))
 
     def next_event(self) -> int:
-        """The tick up to which nothing changes by itself."""
+        """Return the tick up to which nothing changes by itself."""
         if not self._running:
             return _NEVER
         row = self._queue[self._head]
@@ -226,7 +228,7 @@ class SimEngine:
         return self._start + first
 
     def advance(self, to: int) -> None:
-        """Let time pass until `to`, playing segments and telling of pins that change."""
+        """Let time pass until `to`, play segments and report pins that change."""
         while True:
             event = self.next_event()
             if event > to:
@@ -262,7 +264,7 @@ class SimEngine:
             row = self._queue[(self._head + self._held) % size]
             if not self._next_segment(row):
                 break
-            row[ROW_DIRS] ^= self.dir_invert  # as the pins have it
+            row[ROW_DIRS] ^= self.dir_invert  # as at the pins
             self._held += 1
 
     def _begin(self) -> None:
@@ -280,10 +282,10 @@ class SimEngine:
             self._running = False
             self._on_rest()
         if self._stopped:
-            self.stop()  # meanwhile
+            self.stop()  # stopped meanwhile
 
     def _finish(self, ticks: int) -> None:
-        """Account for the steps made in the running segment, which ends after `ticks`."""
+        """Count the steps made in the running segment, which ends after `ticks`."""
         row = self._queue[self._head]
         if ticks == row[ROW_TICKS] and not self._locked:
             self._add_whole(row, ticks)
@@ -294,7 +296,7 @@ class SimEngine:
             self.trace(self._start, row)
 
     def _add_whole(self, row: "array[int]", ticks: int) -> None:
-        """A segment has been made to its end."""
+        """Count the steps of a complete segment."""
         dirs, physical = row[ROW_DIRS], self._physical
         for i in range(self._axes):
             base = ROW_AXES + ROW_STRIDE * i
@@ -305,7 +307,7 @@ class SimEngine:
                 physical[i] += -made if dirs >> i & 1 else made
 
     def _cut(self, row: "array[int]", ticks: int) -> None:
-        """A segment ends early, or without the steps of a motor: it has only those made."""
+        """Reduce a segment that ends early, or without the steps of a motor, to the steps made."""
         for i in range(self._axes):
             base = ROW_AXES + ROW_STRIDE * i
             made = self._made(row, i, ticks)
@@ -314,7 +316,8 @@ class SimEngine:
             row[base] = abs(made)
 
     def _split(self) -> None:
-        """Cut the running segment in two at this moment: a lock acts on what is left of it."""
+        """Cut the running segment in two at this moment, because a lock acts only on the rest of
+        it."""
         row = self._queue[self._head]
         done = self.now - self._start
         rest = array("i", row)

@@ -1,7 +1,7 @@
-"""Segments as Grbl makes them: the slices of each put together again, its steps even.
+"""Segments as Grbl makes them: the slices of each joined, with evenly spaced steps.
 
-Recordings of real Grbl are compared with these: they tell no more of a ramp than the mean speed of
-10 ms, and Grbl hears of a hold no more often. Runs under both Pythons.
+Recordings of real Grbl are compared with these: of a ramp they show only the mean speed in 10 ms,
+and Grbl reacts to a hold no more often. Runs under CPython and MicroPython.
 """
 
 from array import array
@@ -29,21 +29,21 @@ _HALF_STEP = 1 << 17
 
 
 class FullSegments:
-    """Stands between a controller's segments and its engine."""
+    """Joins slices between a controller's segments and its engine."""
 
     def __init__(self, controller: "Controller") -> None:
         self._flow = controller.planner.flow
         self._hooks = controller.state.hooks
         self._next = self._hooks.next_segment
         self._motors = controller.planner.motors
-        self._spares: "dict[int, int]" = {}  # SPARE, as one row would leave it, by block
+        self._spares: "dict[int, int]" = {}  # SPARE, as a single row would leave it, by block
 
     def attach(self) -> None:
-        """Be what the engine asks; before power_up()."""
+        """Install itself between them. Call it before power_up()."""
         self._hooks.next_segment = self.next
 
     def next(self, row: "array[int]") -> int:
-        """As Segments.next()."""
+        """Replace Segments.next()."""
         flow = self._flow
         fresh = not flow[LOADED]
         phases = [_HALF_STEP] * self._motors if fresh else self._phases()
@@ -63,7 +63,7 @@ class FullSegments:
         return [self._flow[MOTORS + 2 * i + 1] for i in range(self._motors)]
 
     def _add(self, row: "array[int]") -> None:
-        """The next slice."""
+        """Add the next slice."""
         slice = array("i", row)
         self._next(slice)
         row[ROW_TICKS] += slice[ROW_TICKS]
@@ -72,7 +72,7 @@ class FullSegments:
             row[at] += slice[at]
 
     def _close(self, row: "array[int]", fresh: bool) -> None:
-        """End it with a step: what is left over of the time follows from its mean speed."""
+        """End the segment with a step. The rest of the time follows from its mean speed."""
         flow = self._flow
         ticks = row[ROW_TICKS] + (0 if fresh else self._spares.get(flow[AT], 0))
         steps = max(row[at] for at in range(ROW_AXES, len(row), ROW_STRIDE))
@@ -83,7 +83,7 @@ class FullSegments:
         row[ROW_TICKS] = max(ticks - spare, 1)
 
     def _space(self, row: "array[int]", before: "list[int]") -> None:
-        """The first and the last step of each motor, by how far it has come."""
+        """Place the first and the last step of each motor, from the distance it has moved."""
         after = self._phases()
         ticks = row[ROW_TICKS]
         for i in range(self._motors):

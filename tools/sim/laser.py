@@ -1,4 +1,4 @@
-"""A pulse engine whose beam changes power at the step where it belongs, as a board's does."""
+"""A pulse engine whose beam changes power at the exact step, as a board's does."""
 
 from array import array
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class SimBeamEngine(SimEngine):
-    """SimEngine that plays a segment in pieces: each begins where the power changes."""
+    """SimEngine that plays a segment in pieces; each begins where the power changes."""
 
     def __init__(self, axes: int, depth: int = 3, segment_log2: int = 17) -> None:
         super().__init__(axes, depth, segment_log2)
@@ -23,20 +23,20 @@ class SimBeamEngine(SimEngine):
         self.levels = array("i", [0] * (bm.LEVELS_MASK + 1))
         self._whole = array("i", [0] * row_length(axes + 1))
         self._pieces: "list[array[int]]" = []
-        self._taken = 0  # levels
+        self._taken = 0  # number of levels taken from the ring
         self._level = 0
-        self.burning: "Callable[[], int]" = int  # the power at rest
+        self.burning: "Callable[[], int]" = int  # the power when idle
 
-    # The seam of a beam
+    # The interface of a beam
 
     def scale(self, power_max: int) -> None:
-        """A level is the power itself."""
+        """Set the scale: a level is the power itself."""
         self.beam[bm.FULL] = bm.full(power_max, power_max)
 
     def put_out(self) -> None:
-        """Nothing is on its way that power() would not tell of."""
+        """Do nothing: no level is queued that power() would not report."""
 
-    # The StepEngine seam
+    # The StepEngine interface
 
     def arm(self) -> None:
         super().arm()
@@ -52,7 +52,7 @@ class SimBeamEngine(SimEngine):
         super().stop()
         self._pieces.clear()
 
-    # The simulator's side
+    # Interface for the simulator
 
     def _refill(self) -> None:
         size = len(self._queue)
@@ -65,9 +65,9 @@ class SimBeamEngine(SimEngine):
             self._held += 1
 
     def _take_apart(self) -> None:
-        """The segment, in pieces."""
+        """Cut the segment into pieces."""
         row, base = self._whole, ROW_AXES + ROW_STRIDE * self._axes
-        row[ROW_DIRS] ^= self.dir_invert  # as the pins have it
+        row[ROW_DIRS] ^= self.dir_invert  # as at the pins
         begin = 0
         for k in range(row[base]):
             tick = min(step_tick(row, base, k), row[ROW_TICKS])
@@ -78,7 +78,7 @@ class SimBeamEngine(SimEngine):
         self._piece(begin, row[ROW_TICKS])
 
     def _piece(self, begin: int, end: int) -> None:
-        """From behind one tick up to the other, steps there included."""
+        """Append the piece after one tick up to the other, including steps at the latter."""
         if begin == end:
             return
         row = self._whole

@@ -1,4 +1,5 @@
-"""Serial line of the simulator: bytes take their time on the wire, both ways, in virtual time."""
+"""Serial line of the simulator: bytes take time on the wire, in both directions, in virtual
+time."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -7,13 +8,14 @@ if TYPE_CHECKING:
 # An Arduino Uno at "115200": the sender is exact, the AVR's divider gives 117647 baud.
 RX_BAUD = 115200
 TX_BAUD = 117647
-# Bytes the answering side may queue before write() waits.
+# Bytes that the device may queue before write() waits.
 _TX_QUEUE = 104
 _OK = b"ok\r\n"
 
 
 class SimLink:
-    """A Link with two virtual wires. `received` is what the sender has got, whole bytes only."""
+    """A Link with two virtual wires. `received` has the complete bytes that have reached the
+    sender."""
 
     def __init__(self, rig: "Clock", rx_baud: int = RX_BAUD, tx_baud: int = TX_BAUD) -> None:
         self.received = bytearray()
@@ -24,14 +26,15 @@ class SimLink:
         self._tx_ticks = rig.engine.tick_hz * 10 // tx_baud
         self._turn = 0
         self._rx = bytearray()
-        self._rx_due = 0  # when the first byte of _rx has arrived
+        self._rx_due = 0  # when the first byte of _rx arrives
         self._tx = bytearray()
         self._tx_due = 0  # when the first byte of _tx has been sent
 
-    # The Link seam
+    # The Link interface
 
     def read_into(self, buf: bytearray) -> int:
-        """What has arrived; where nothing has, time passes until the next event."""
+        """Return the number of bytes received. If there are none, time passes until the next
+        event."""
         turn = self._turn + self._rig.loop_ticks
         if turn > self._rig.now and self._rig.moving():
             self._rig.pass_time(turn)
@@ -46,14 +49,14 @@ class SimLink:
         return count
 
     def discard(self) -> None:
-        """Drop what has arrived by now."""
+        """Drop the bytes that have arrived."""
         count = self._arrived(len(self._rx))
         self._rx = self._rx[count:]
         self._rx_due += count * self._rx_ticks
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         rig = self._rig
-        # Lines that have been done one behind the other are answered at once.
+        # Lines that were processed one after another are answered at once.
         rig.pass_time(rig.now + rig.answer_ticks * max(1, bytes(data).count(_OK)))
         if not self._tx:
             self._tx_due = rig.now + self._tx_ticks
@@ -61,10 +64,10 @@ class SimLink:
         if len(self._tx) > _TX_QUEUE:
             rig.pass_time(self._tx_due + (len(self._tx) - _TX_QUEUE - 1) * self._tx_ticks)
 
-    # The simulator's side
+    # Interface for the simulator
 
     def send(self, data: "bytes | bytearray | memoryview") -> int:
-        """The sender begins to transmit; returns the tick at which the last byte has arrived."""
+        """Start transmitting; returns the tick at which the last byte arrives."""
         now = self._rig.now
         if not self._rx:
             self._rx_due = max(now, self.wire_free) + self._rx_ticks
@@ -74,11 +77,11 @@ class SimLink:
         return max(now, self.wire_free)
 
     def next_event(self) -> "int | None":
-        """When the next byte arrives at the device, or None."""
+        """Return when the next byte arrives at the device, or None."""
         return self._rx_due if self._rx else None
 
     def answered(self) -> int:
-        """When everything written so far has reached the sender."""
+        """Return when everything written so far has reached the sender."""
         return self._tx_due + (len(self._tx) - 1) * self._tx_ticks if self._tx else self._rig.now
 
     def advance(self) -> None:
@@ -92,7 +95,7 @@ class SimLink:
             self._tx_due += count * self._tx_ticks
 
     def power_off(self) -> None:
-        """What was on its way is lost."""
+        """Lose the bytes in transit."""
         self._rx = bytearray()
         self._tx = bytearray()
 

@@ -1,7 +1,7 @@
-"""A simulated machine for tests of senders and programs: lines in, answers, steps and pins out.
+"""A simulated machine for tests of senders and programs: lines in; answers, steps and pins out.
 
-CPython only: the firmware runs its own endless loop, in a thread that waits wherever nothing is
-asked of it. So virtual time stands still between two calls, and every run is like the last one.
+CPython only: the firmware runs its own endless loop, in a thread that waits when nothing is
+requested. So virtual time stands still between two calls, and every run has the same result.
 """
 
 import importlib.util
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     Job = Callable[[], Generator[Any, None, list[str]]]
 
 _BOOT_MS = 20_000
-_WIRE_MS = 20  # what has been said is on its way
+_WIRE_MS = 20  # time for the last reply to arrive
 _LIMIT_MS = 60_000
 _SETTING = re.compile(r"\$(\d+)=(\S*)")
 _OUTPUTS = "enable_pin spindle_on spindle_pwm spindle_dir flood mist own_outputs".split()
 
 
 class Machine:
-    """A machine that has been switched on, and has said what is in `welcome`.
+    """A machine that has been switched on; `welcome` has the lines of its welcome.
 
-    board: a name of boards/, the path of a file like those, or a module; settings: by $-number,
-    besides the factory's. ValueError for a board that there is not. Times are in ms of the
-    machine's own; where something takes longer than its limit, TimeoutError.
+    board: a name in boards/, the path of a board file, or a module. settings: by $-number, in
+    addition to the factory settings. ValueError for a board that does not exist. Times are in ms
+    of virtual time; if something takes longer than its limit, TimeoutError is raised.
     """
 
     def __init__(
@@ -69,19 +69,21 @@ class Machine:
         self.close()
 
     def close(self) -> None:
-        """Switch it off."""
+        """Switch the machine off."""
         if self._thread.is_alive():
             self._jobs.put(None)
             self._thread.join()
 
-    # What a sender does
+    # Functions of a sender
 
     def ask(self, line: str, limit_ms: float = _LIMIT_MS) -> "list[str]":
-        """Send a line; the lines that come until it is answered, the answer last."""
+        """Send a line. Returns the lines received until it is answered; the answer is the last
+        one."""
         return self.program([line], limit_ms)
 
     def program(self, lines: "Iterable[str]", limit_ms: float = _LIMIT_MS) -> "list[str]":
-        """Send lines as fast as there is room for them, until all are answered; what has come."""
+        """Send lines as fast as the buffer allows, until all are answered. Returns the lines
+        received."""
 
         def job() -> "Generator[Any, None, list[str]]":
             yield from self._sender.stream([line.rstrip("\n") + "\n" for line in lines])
@@ -90,18 +92,19 @@ class Machine:
         return self._do(job, limit_ms)
 
     def send(self, text: "str | bytes") -> None:
-        """Send that and wait for nothing: a real-time command, or lines without their answers."""
+        """Send text without waiting: a real-time command, or lines whose answers are read
+        later."""
         data = text.encode("latin-1") if isinstance(text, str) else text
         self._act(lambda: self.rig.link.send(data))
 
     def status(self) -> str:
-        """The answer to `?`."""
+        """Return the answer to `?`."""
         self.send("?")
         lines = self._do(lambda: self._until(lambda: bool(self._reports())))
         return next(line for line in reversed(lines) if line.startswith("<"))
 
     def settings(self) -> "dict[int, str]":
-        """What `$$` shows."""
+        """Return the settings that `$$` shows."""
         found = [_SETTING.fullmatch(line) for line in self.ask("$$")]
         return {int(row[1]): row[2] for row in found if row}
 
@@ -109,11 +112,11 @@ class Machine:
 
     @property
     def now_ms(self) -> float:
-        """How long it has been on."""
+        """Return the time since power-up."""
         return self.rig.now / self.rig.ticks_per_ms
 
     def run(self, ms: float) -> "list[str]":
-        """Let so much time pass; the lines that have come."""
+        """Let so much time pass. Returns the lines received."""
 
         def job() -> "Generator[Any, None, list[str]]":
             yield self.rig.ms(ms)
@@ -122,8 +125,8 @@ class Machine:
         return self._do(job)
 
     def rest(self, limit_ms: float = 10 * _LIMIT_MS) -> "list[str]":
-        """Let time pass until motion has ended, in a hold or an alarm too; the lines that have
-        come."""
+        """Let time pass until motion has ended, also in a hold or an alarm. Returns the lines
+        received."""
 
         def job() -> "Generator[Any, None, list[str]]":
             yield from self._sender.until(self._sender.at_rest)
@@ -132,25 +135,25 @@ class Machine:
 
         return self._do(job, limit_ms)
 
-    # What is around it
+    # Inputs and outputs
 
     def steps(self) -> "list[int]":
-        """The steps that each motor has made since the start, as the pins count them."""
+        """Return the steps that each motor has made since the start, counted at the pins."""
         self.rig.engine.physical(self.rig.scratch)
         return list(self.rig.scratch)
 
     def outputs(self) -> "dict[str, int]":
-        """Levels of the outputs; enable_pin 0: motors have power; spindle_pwm of PWM_MAX;
-        own_outputs: a mask of an extra's pins."""
+        """Return the levels of the outputs. enable_pin 0: motors have power. spindle_pwm: of
+        PWM_MAX. own_outputs: a mask of an extra's pins."""
         return {name: int(getattr(self.rig.port, name)) for name in _OUTPUTS}
 
     def push(self, **pins: bool) -> None:
-        """Close inputs, or open them: limit_x, probe, reset, hold, start."""
+        """Close or open inputs: limit_x, probe, reset, hold, start."""
         self._act(lambda: self.rig.port.push(pins))
 
     def switch(self, pin: str, motor: int, steps: int, above: bool = True) -> None:
-        """From now on an input is closed while a motor (from 0) is at so many steps or above, or
-        at so many or below."""
+        """From now on, close an input while a motor (from 0) is at so many steps or above, or at
+        so many or below."""
         from .engine import Switch
 
         self.rig.engine.switches.append(Switch(pin, motor, above, steps))
@@ -160,7 +163,7 @@ class Machine:
     def _live(self) -> None:
         try:
             self.rig.run(self._script())
-        except BaseException as error:  # whoever asks next is told
+        except BaseException as error:  # raised in the next call
             self._done.put(error)
 
     def _script(self) -> "Generator[Any, None, None]":
@@ -186,7 +189,7 @@ class Machine:
         return done
 
     def _act(self, action: "Callable[[], None]") -> None:
-        """Run that in the firmware's thread; no time passes."""
+        """Run an action in the firmware's thread; no time passes."""
 
         def job() -> "Generator[Any, None, list[str]]":
             action()
@@ -207,9 +210,9 @@ class Machine:
 
 
 def _load(board: "str | Path") -> "ModuleType":
-    """A board file, by its name or its path. ValueError where there is none."""
+    """Load a board file by its name or its path. ValueError if it does not exist."""
     if str(paths.BOARDS.parent) not in sys.path:
-        sys.path.append(str(paths.BOARDS.parent))  # board files take things from one another
+        sys.path.append(str(paths.BOARDS.parent))  # board files import each other
     file = Path(board) if str(board).endswith(".py") else paths.BOARDS / f"{board}.py"
     found = importlib.util.spec_from_file_location(file.stem, file)
     if not file.is_file() or found is None or found.loader is None:

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 class RigLink(NetLink):
-    """A NetLink that a rig can have: what the rig, and who is around it, wants besides is the
-    cable's."""
+    """A NetLink for a rig. Everything else that the rig and its users need belongs to the
+    cable."""
 
-    # Addresses whose clients need no key: none, but where a test says so.
+    # Addresses whose clients need no key; none by default.
     trusts: "tuple[str, ...]" = ()
-    # What is set from outside.
+    # Attributes of the cable that are set from outside.
     _OF_CABLE = ("received", "stopping", "turn")
 
     def __init__(self, rig: "Rig", cable: "Any", calls: "Incoming | None", *more: "Any") -> None:
@@ -52,4 +52,4 @@ class RigLink(NetLink):
 
 
 class RigPageLink(RigLink, PageLink):
-    """The same of a board that serves the page; the last that it wants is the board's name."""
+    """The same for a board that serves the page; its last argument is the board's name."""

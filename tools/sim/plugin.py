@@ -1,4 +1,4 @@
-"""pytest: the fixture `grbl`, a simulated machine of its own for each test."""
+"""pytest plugin: the fixture `grbl`, a separate simulated machine for each test."""
 
 from collections.abc import Iterator
 
@@ -9,6 +9,6 @@ from .machine import Machine
 
 @pytest.fixture
 def grbl() -> Iterator[Machine]:
-    """A machine with three axes and the settings of a factory, switched on and at rest."""
+    """A machine with three axes and factory settings, switched on and idle."""
     with Machine() as machine:
         yield machine

@@ -1,4 +1,4 @@
-"""Pins of the simulated machine: outputs to look at, inputs to push, switches that close."""
+"""Pins of the simulated machine: outputs to read, inputs to push, switches that close."""
 
 from base.controls import EMERGENCY_STOP, LIMITS_AT, PROBE_AT
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 # Names of the inputs in recordings, in the bit order of Port.controls().
 CONTROLS = ("reset", "hold", "start")
 ESTOP = "estop"
-# On an Uno with a safety door, the door takes the place of the hold button.
+# On an Uno with a safety door, the door replaces the hold button.
 CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 
 
 def limit_names(board: "ModuleType") -> "tuple[str, ...]":
-    """Limit inputs as recordings call them, in the bit order of Port.limits(): limit_x; "" where a
-    second motor has none."""
+    """Return the limit inputs' names in recordings, in the bit order of Port.limits(): limit_x; ""
+    if a second motor has none."""
     names = ["limit_" + name.lower() for name in motor_names.names(motor_names.letters(board))]
     wired = getattr(board, "LIMIT", ())
     for motor in range(motor_names.axes_of(board), len(names)):
@@ -32,7 +32,7 @@ def limit_names(board: "ModuleType") -> "tuple[str, ...]":
 
 
 def shared_inputs(board: "ModuleType") -> "list[int]":
-    """Masks of limit inputs that are one and the same pin."""
+    """Return masks of limit inputs that share one pin."""
     wired = getattr(board, "LIMIT", ())
     bits = {pin: [i for i, one in enumerate(wired) if one == pin] for pin in wired}
     return [sum(1 << i for i in same) for pin, same in bits.items() if pin is not None]
@@ -58,7 +58,7 @@ class SimPort:
         self.limit_names = limit_names(board)
         self._shared = shared_inputs(board)
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
-        # The direction's pin says that the spindle is on.
+        # The direction pin then signals that the spindle is on.
         self._enables: bool = getattr(board, "SPINDLE_ENABLE_PIN", False)
         self.enable_pin = 1
         self.spindle_on = False
@@ -85,10 +85,11 @@ class SimPort:
         self.estop: "Callable[[], bool] | None" = None
         if getattr(board, "ESTOP", None) is not None:
             self.estop = self._stop_is_open
-            self._pushed[ESTOP] = True  # a contact that opens when pressed, or when cut
+            # a contact that opens when pressed, or when its wire breaks
+            self._pushed[ESTOP] = True
             self._closed.add(ESTOP)
 
-    # The Port seam
+    # The Port interface
 
     def attach(self, listener: "InputListener") -> None:
         self._listener = listener
@@ -184,30 +185,30 @@ class SimPort:
     def elapsed_ms(self, since: int) -> int:
         return self.ticks_ms() - since
 
-    # The simulator's side
+    # Interface for the simulator
 
     def power_off(self) -> None:
-        """The chip is dead: outputs float, nobody listens."""
+        """Switch the chip off: outputs float, and no listener remains."""
         self._listener = self._on_contact = None
         self.enable_pin = 1
         self.spindle_on = False
         self.spindle_pwm = self.spindle_dir = self.flood = self.mist = 0
 
     def push(self, pins: "dict[str, bool]") -> None:
-        """Close (True) or open inputs, by name, by hand and all at once."""
+        """Close (True) or open inputs by name, all at once."""
         self._pushed.update(pins)
         self.update()
 
     def is_closed(self, pin: str) -> bool:
-        """As the firmware would see it now."""
+        """Return whether the firmware would see the input closed now."""
         return pin in self._closed
 
     def awaits_probe(self) -> "bool | None":
-        """The level at which the probe stops motion; None where nobody is probing."""
+        """Return the level at which the probe stops motion; None if no probing is active."""
         return self._contact_level if self._on_contact else None
 
     def update(self) -> None:
-        """Look at every switch again and raise the interrupts of what has changed."""
+        """Read every switch again and raise the interrupts of those that have changed."""
         engine = self._rig.engine
         steps = self._rig.scratch
         engine.physical(steps)

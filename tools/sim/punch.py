@@ -1,8 +1,7 @@
-"""A simulated punch that takes its time, and a pulse engine that watches over it.
+"""A simulated punch that needs time, and a pulse engine that checks its law.
 
-The law: no step is made unless the punch is all the way up, from the first
-step of a segment to its last; and it goes down only where nothing moves.
-Whoever breaks it gets a BrokenLaw.
+The law: no step is made unless the punch is completely up, from the first step of a segment to its
+last; and it goes down only at standstill. A violation raises BrokenLaw.
 """
 
 from array import array
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
     from .seams import Clock
 
-# Places of the punch, and the bits of its sensors.
+# Positions of the punch, and the bits of its sensors.
 UP, DOWN = 0.0, 1.0
 SENSOR_DOWN, SENSOR_UP = 1, 2
 
@@ -29,12 +28,11 @@ class BrokenLaw(Exception):
 
 
 class PunchPort(SimPort):
-    """SimPort with a punch. It stays where it is while neither actuator is on, or both are.
+    """SimPort with a punch, which keeps its position while neither actuator is on, or both are.
 
-    wiring: mask of what is wired the other way round, as $30 to $33 count it from bit 0.
-    dead: mask of sensors that never see it. lowest: it goes no further down than that.
-    stuck: it does not move at all. holes: where it was down, in steps of the motors;
-    on_hole: called then.
+    wiring: mask of inverted wiring, counted as $30 to $33 from bit 0. dead: mask of sensors that
+    never see it. lowest: it goes no further down than that. stuck: it does not move at all. holes:
+    where it was down, in steps of the motors. on_hole: called when it is down.
     """
 
     def __init__(self, rig: "Clock", board: "ModuleType") -> None:
@@ -47,11 +45,11 @@ class PunchPort(SimPort):
         self.on_hole: "Callable[[], None] | None" = None
         self._stroke_ticks = rig.ms(board.PUNCH_STROKE_MS) - rig.now
         self._place = UP
-        self._since = rig.now  # when it was there
+        self._since = rig.now  # time of that position
         self._speed = 0  # 1: down, -1: up
         self._up_from = rig.now
         self._up_until: "int | None" = None
-        self._has_rest = False  # what is rest has been said
+        self._has_rest = False  # the outputs at rest are known
         engine = rig.engine
         if isinstance(engine, PunchEngine):
             engine.watch = self.check
@@ -92,10 +90,10 @@ class PunchPort(SimPort):
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
         self._on_change = on_change
 
-    # The simulator's side
+    # Interface for the simulator
 
     def place(self) -> float:
-        """Where it is now, UP to DOWN."""
+        """Return its position now, UP to DOWN."""
         was, since = self._place, self._since
         self._since = self._rig.now
         way = 0.0 if self.stuck else self._speed * (self._since - since) / self._stroke_ticks
@@ -120,7 +118,7 @@ class PunchPort(SimPort):
             self.on_hole()
 
     def fall(self) -> None:
-        """It leaves its place by itself: half way down, at once."""
+        """Let it drop half way by itself, at once."""
         if self.place() == UP:
             self._up_until = self._rig.now
         self._place = (UP + DOWN) / 2
@@ -128,7 +126,7 @@ class PunchPort(SimPort):
             self._on_change()
 
     def check(self, first: int, last: int) -> None:
-        """Steps have been made from one tick to the other."""
+        """Check steps that were made from one tick to the other."""
         self.place()
         if first < self._up_from or (self._up_until is not None and last > self._up_until):
             raise BrokenLaw("the machine moves while the punch is down")
@@ -141,7 +139,7 @@ class PunchPort(SimPort):
 
 
 class PunchEngine(SimEngine):
-    """SimEngine that has every step it made checked. watch: PunchPort.check."""
+    """SimEngine that checks every step made. watch: PunchPort.check."""
 
     watch: "Callable[[int, int], None] | None" = None
 

@@ -1,8 +1,8 @@
-"""Replays recordings of real Grbl on the rig, in virtual time, and tells what was observed.
+"""Replay recordings of real Grbl on the rig, in virtual time, and record what is observed.
 
-A transcript case gives, per step, the lines received, the steps moved and the
-outputs changed; a motion record gives replies, step counts, times and samples.
-Nothing is judged here: see tools/replay/conformance.py. Runs under both Pythons.
+For each step, a transcript case gives the lines received, the steps moved and the outputs changed;
+a motion record gives replies, step counts, times and samples. Nothing is judged here: see
+tools/replay/conformance.py. Runs under CPython and MicroPython.
 """
 
 import sys
@@ -29,7 +29,7 @@ _PEAK_INTERVALS = 16
 
 
 def describe(error: Exception) -> str:
-    """The traceback of an exception as text."""
+    """Return the traceback of an exception as text."""
     if hasattr(sys, "print_exception"):
         import io
 
@@ -41,12 +41,12 @@ def describe(error: Exception) -> str:
     return "".join(traceback.format_exception(type(error), error, error.__traceback__))
 
 
-# By what the board says: two may have the same name.
+# By the board's options, because two boards may have the same name.
 _factory: "dict[str, dict[str, list[str]]]" = {}
 
 
 def factory_store(board: "ModuleType") -> MemoryStore:
-    """A store as the firmware leaves it after its very first start on this board."""
+    """Return a store as the firmware leaves it after its very first start on this board."""
     options = [name for name in dir(board) if name.isupper()]
     says = repr([(name, board.__dict__[name]) for name in options])
     if says not in _factory:
@@ -108,7 +108,8 @@ class _Case:
             self.result["error"] = describe(error)
 
     def segment(self, _start: int, row: "array[int]") -> None:
-        """Called by the engine for every segment: motors without power lose its steps."""
+        """Note steps that are lost because motors have no power. Called by the engine for every
+        segment."""
         off = 1 ^ self.rig.controller.settings.enable_invert
         if self.rig.port.enable_pin == off:
             made = [row[ROW_AXES + ROW_STRIDE * i] for i in range(len(self.place))]
@@ -122,7 +123,7 @@ class _Case:
         return observed
 
     def end(self, observed: "Json | None") -> None:
-        """Turn what was noted at the beginning into what has changed since."""
+        """Replace the initial values in `observed` by what has changed since."""
         if observed is None:
             return
         observed["lines"] = self.sender.take()
@@ -130,7 +131,7 @@ class _Case:
         before = list(self.place)
         self.rig.engine.physical(self.place)
         observed["moved"] = [self.place[i] - before[i] for i in range(len(before))]
-        # How far the way really come is from a whole step of the longest axis.
+        # The exact position's distance from a whole step of the longest axis.
         beyond = self.rig.controller.planner.flow[PARTIAL] / 262144
         observed["off_step"] = min(beyond, 1 - beyond)
         observed["unpowered"] = self.unpowered
@@ -164,11 +165,11 @@ class _Case:
 def _attach(rig: Rig, row: "Any") -> None:
     pin, axis, relation, steps = row
     rig.engine.switches.append(Switch(pin, _AXES.index(axis), relation == "ge", steps))
-    rig.port.push({pin: False})  # by hand no more
+    rig.port.push({pin: False})  # it is no longer pushed by hand
 
 
 class _Trace:
-    """Follows the segments: counts, times, peak rates and samples, from the first step on."""
+    """Follows the segments from the first step on: counts, times, peak rates and samples."""
 
     def __init__(self, axes: int, tick_hz: int, dt_ms: float) -> None:
         self.first: "int | None" = None
@@ -184,7 +185,7 @@ class _Trace:
         ] * axes  # ticks of _PEAK_INTERVALS consecutive intervals
 
     def segment(self, start: int, row: "array[int]") -> None:
-        """Called by the engine for every segment that has been played."""
+        """Follow a segment. Called by the engine for every segment that has been played."""
         axes = range(len(self.net))
         if self.first is None:
             begun = [
@@ -206,7 +207,7 @@ class _Trace:
                 self._rates(i, start, row, base, count)
 
     def sample_until(self, tick: int, start: int = 0, row: "array[int] | None" = None) -> None:
-        """Take the samples due before tick."""
+        """Take the samples due before a tick."""
         if self.first is None:
             return
         due = self.first + len(self.samples) * self._dt
@@ -220,7 +221,7 @@ class _Trace:
             due += self._dt
 
     def peaks(self) -> "dict[str, float]":
-        """Highest step rate of each axis, by letter."""
+        """Return the highest step rate of each axis in Hz, by letter."""
         return {
             _AXES[i]: _PEAK_INTERVALS * self._hz / ticks
             for i, ticks in enumerate(self._shortest)

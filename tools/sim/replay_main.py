@@ -1,6 +1,6 @@
-"""Replays recorded cases in a process of its own, under either Python.
+"""Replay recorded cases in a process of its own, under CPython or MicroPython.
 
-Reads one case per line, as JSON {"board": NAME, "case": {...}}, and prints what was observed as a
+Reads one case per line, as JSON {"board": NAME, "case": {...}}, and prints the observation as a
 line of JSON, until its input ends.
 """
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 def set_path() -> None:
-    """Find firmware, boards and simulator; under CPython the stand-ins as well. UGRBL_FIRMWARE:
-    what MicroPython runs in place of the sources (compiling/folder.place())."""
+    """Make firmware, boards and simulator importable; under CPython the stand-ins too.
+    UGRBL_FIRMWARE: what MicroPython runs instead of the sources (compiling/folder.place())."""
     here = sys.argv[0].rsplit("/", 1)[0] if "/" in sys.argv[0] else "."
     tools = here + "/.."
     try:
@@ -24,7 +24,7 @@ def set_path() -> None:
         root = tools  # installed
     except OSError:
         root = tools + "/.."
-    # In place of this folder, whose modules would hide the firmware's.
+    # Replaces this folder, whose modules would hide the firmware's.
     sys.path[0:1] = [os.getenv("UGRBL_FIRMWARE") or root + "/firmware"]
     if sys.implementation.name == "cpython":
         sys.path.insert(0, here + "/standins")
@@ -33,17 +33,17 @@ def set_path() -> None:
 
 
 def load_board(name: str) -> "ModuleType":
-    """The module of a board by its name."""
+    """Return the module of a board by its name."""
     board: "ModuleType" = getattr(__import__("boards." + name), name)
     return board
 
 
 def main() -> None:
-    """Replay what standard input asks for."""
+    """Replay the cases on standard input."""
     set_path()
     replay = __import__("sim.replay").replay.replay
     if hasattr(gc, "freeze"):
-        gc.freeze()  # CPython need not look through all modules again for each case
+        gc.freeze()  # so that CPython's collector does not scan all modules for each case
     for line in sys.stdin:
         asked = json.loads(line)
         print(json.dumps(replay(asked["case"], load_board(asked["board"]))))

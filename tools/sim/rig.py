@@ -1,9 +1,9 @@
-"""The rig: firmware, engine, pins and wire in one virtual clock, driven by a script.
+"""The rig: firmware, engine, pins and wire on one virtual clock, driven by a script.
 
-The firmware runs its own endless loop. When it asks the link for bytes and
-there are none, the rig lets time pass to the next event and lets the script
-look. A script is a generator: it acts on the rig and yields either a tick to
-be woken at or a function to be called after every event until it returns True.
+The firmware runs its own endless loop. When it asks the link for bytes and there are none, the rig
+lets time pass to the next event and resumes the script. A script is a generator: it acts on the
+rig and yields either a tick at which it is resumed, or a function that is called after every event
+until it returns True.
 """
 
 from array import array
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     Wake = int | Callable[[], bool]
     Script = Iterator[Wake]
 
-# Segments under way where a board has hardware that says it.
+# Segments in the engine at a time, as on a board where hardware plays them.
 _SEGMENT_QUEUE = 5
-_POLL_MS = 1  # while nothing else is due, the firmware's loop turns this often in motion
+_POLL_MS = 1  # in motion, the firmware's loop runs this often while nothing else is due
 
 
 class PowerOff(KeyboardInterrupt):
-    """Unwinds the firmware when the script ends or cycles the power. As Ctrl-C on a board it is
-    nothing that the user's own Python has done."""
+    """Unwinds the firmware when the script ends or cycles the power. A KeyboardInterrupt, as for
+    Ctrl-C on a board, so that it does not count as a fault of the user's own Python."""
 
 
 class MemoryStore:
@@ -54,10 +54,11 @@ class MemoryStore:
 
 
 class _AtRest:
-    """A Store in front of the rig's, and files of jobs beside it: they are written at rest only.
+    """A Store in front of the rig's, and of job files: it checks that nothing is written during
+    motion.
 
-    On a board flash stops the processor, and pulses with it; here a write in motion is an error,
-    in whatever is run on a rig.
+    On a board, a write to flash stops the processor, and the pulses with it. On a rig, a write
+    during motion raises an exception.
     """
 
     def __init__(self, store: "Store", idle: "Callable[[], bool]") -> None:
@@ -73,17 +74,18 @@ class _AtRest:
         self._store.save(name, lines)
 
     def before(self) -> None:
-        """Called before anything is written, as a board's store has it."""
+        """Check that nothing moves. Called before anything is written, as by a board's store."""
         if not self._idle():
             raise RuntimeError("something is stored while the motors turn")
 
 
 class _Board:
-    """A board's own words, as its module has them."""
+    """A board's options."""
 
 
 def _without_custom(board: "Any") -> "Any":
-    """A copy of it that reads no Python of the user's, whatever lies where this is run."""
+    """Return a copy of a board that reads no Python of the user's, whatever is in the current
+    folder."""
     made = _Board()
     for name, value in dict(board.__dict__, CUSTOM="").items():
         if name[:2] != "__":
@@ -94,12 +96,12 @@ def _without_custom(board: "Any") -> "Any":
 class Rig:
     """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link.
 
-    full: segments are not cut into slices, as Grbl's are not. coarse: nor are they, and full ones
-    are so many times as long as Grbl's 10 ms. Steps are the same, and take as long all together;
-    what is between the ends of a segment is less exact, and there are fewer.
+    full: segments are not cut into slices, as in Grbl. coarse: also not cut, and full segments are
+    so many times as long as Grbl's 10 ms. The steps are the same, and take the same time in total;
+    there are fewer segments, and the times within a segment are less exact.
     """
 
-    idle_poll_ms = _POLL_MS  # and at rest, where nobody pushes inputs
+    idle_poll_ms = _POLL_MS  # and when idle, if nothing pushes inputs
 
     def __init__(
         self,
@@ -130,10 +132,10 @@ class Rig:
         self.engine.pins_changed = self.port.update
         if isinstance(self.engine, SimBeamEngine):
             self.engine.burning = lambda: self.port.spindle_pwm
-        self.inputs: "Any" = None  # who pushes them, and the user's own Python: see tools/run/
+        self.inputs: "Any" = None  # pushed by rules, and the user's own Python: see tools/run/
         self.custom_module: "Any" = None
         self.link: "Any" = link(self)
-        self.controller: "Controller"  # once run() has built it
+        self.controller: "Controller"  # set by run()
         self.on_built: "Callable[[], None] | None" = (
             None  # called whenever a new controller has been built
         )
@@ -143,11 +145,11 @@ class Rig:
 
     @property
     def now(self) -> int:
-        """Virtual time in ticks of the engine."""
+        """Return the virtual time in ticks of the engine."""
         return self.engine.now
 
     def ms(self, milliseconds: float) -> int:
-        """The tick so many milliseconds from now."""
+        """Return the tick that is so many milliseconds from now."""
         return self.now + int(milliseconds * self.ticks_per_ms)
 
     def run(self, script: "Script") -> None:
@@ -177,7 +179,8 @@ class Rig:
                 return
 
     def _give_reports_time(self) -> None:
-        """A status report takes its time to make: what is asked meanwhile is answered by it."""
+        """Make status reports take time. Requests during this time are answered by the same
+        report."""
 
         def field() -> str:
             self.pass_time(self.now + self.answer_ticks)
@@ -187,19 +190,20 @@ class Rig:
             self.controller.state.hooks.fields += (field,)
 
     def cycle_power(self) -> None:
-        """Called by the script: the firmware starts anew, memory kept, once the script yields."""
+        """Restart the firmware, with its memory kept, when the script yields. Called by the
+        script."""
         self._cycle = True
 
     def power_off(self) -> None:
-        """Called by a link: the machine is not needed any more."""
+        """End the machine. Called by a link."""
         raise PowerOff()
 
     def moving(self) -> bool:
-        """The motors are turning."""
+        """Return whether the motors turn."""
         return not self.engine.idle()
 
     def wait(self) -> None:
-        """The firmware has nothing to read: let time pass to the next event."""
+        """Let time pass to the next event. Called when the firmware has nothing to read."""
         looked_at = self.inputs or not self.engine.idle()
         self.pass_time(self.ms(_POLL_MS if looked_at else self.idle_poll_ms), True)
 
@@ -210,7 +214,8 @@ class Rig:
         engine.advance(max(to, self.now))
 
     def pass_time(self, to: int, or_arrival: bool = False) -> None:
-        """Let time pass until `to`, or a byte arrives, waking the script where it asked for it."""
+        """Let time pass until `to`, or until a byte arrives, and resume the script when it asked
+        for it."""
         engine, link = self.engine, self.link
         while True:
             step = to
@@ -222,7 +227,7 @@ class Rig:
                 step = wake
             event = engine.next_event()
             if event > step >= engine.now:
-                engine.now = step  # nothing happens there until then: what most turns are
+                engine.now = step  # the common case: nothing happens in the engine until then
             else:
                 engine.advance(max(min(event, step), engine.now))
             link.advance()

@@ -1,4 +1,4 @@
-"""A sender at the rig: says what a recording says, and waits as the recorder did."""
+"""A sender at the rig: sends what a recording says, and waits as the recorder did."""
 
 from base import state
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 # Silence, in ms, that ends a step.
 _SETTLE = {"ok": 20, "idle": 20, "stream": 20, "report": 5, "banner": 60}
 WINDOW = 127  # unanswered bytes while streaming
-_REACT_MS = 2  # after the last byte the firmware has this long before its state counts
+_REACT_MS = 2  # time for the firmware after the last byte, before its state counts
 
 
 class TooLong(Exception):
@@ -21,17 +21,17 @@ class TooLong(Exception):
 
 
 def to_bytes(text: str) -> bytes:
-    """One character = one byte."""
+    """Convert text to bytes, a byte per character."""
     return bytes([ord(c) for c in text])
 
 
 def to_text(data: "bytes | bytearray") -> str:
-    """One byte = one character."""
+    """Convert bytes to text, a character per byte."""
     return "".join([chr(b) for b in data])
 
 
 def is_answer(line: str) -> bool:
-    """Whether the line answers a line that was sent."""
+    """Return whether the line is an answer."""
     return line == "ok" or line.startswith("error:")
 
 
@@ -45,7 +45,7 @@ class Sender:
         self.deadline = 0
 
     def take(self) -> "list[str]":
-        """The lines received since the last call."""
+        """Return the lines received since the last call."""
         self.poll()
         lines = self.lines
         self.lines = []
@@ -53,11 +53,11 @@ class Sender:
         return lines
 
     def partial(self) -> str:
-        """What has arrived of an unfinished line."""
+        """Return the received part of an unfinished line."""
         return to_text(self.rig.link.received)
 
     def poll(self) -> None:
-        """Split what has arrived into lines."""
+        """Split received bytes into lines."""
         link = self.rig.link
         if link.received:
             text = to_text(link.received)
@@ -69,11 +69,11 @@ class Sender:
                     self.answers += is_answer(line)
 
     def allow(self, milliseconds: float) -> None:
-        """Set the limit of all waits to come."""
+        """Set the time limit of all following waits."""
         self.deadline = self.rig.ms(milliseconds)
 
     def until(self, condition: "Callable[[], bool]") -> "Script":
-        """Wait until condition() holds."""
+        """Wait until condition() is true."""
 
         def over() -> bool:
             self.poll()
@@ -116,7 +116,7 @@ class Sender:
         yield from self.until(lambda: self.answers >= wanted)
 
     def at_rest(self) -> bool:
-        """Motion has ended, as the recorder saw by looking into the chip."""
+        """Return whether motion has ended, as the recorder determined it by reading the chip."""
         rig = self.rig
         controller = rig.controller
         if controller is None or rig.moving():
@@ -129,7 +129,7 @@ class Sender:
         return machine.run in (state.IDLE, state.CHECK) and controller.planner.empty()
 
     def wait(self, how: str, text: str, settle: "int | None" = None) -> "Script":
-        """Transmit text and wait as a step object says."""
+        """Send text and wait as a step object says."""
         rig = self.rig
         if how == "stream":
             yield from self.stream([line + "\n" for line in text.split("\n")[:-1]])

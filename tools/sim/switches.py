@@ -1,5 +1,5 @@
-"""Switches of a simulated machine: at both ends of each axis' travel, so that it can be homed, and
-wherever somebody wants one."""
+"""Switches of a simulated machine: at both ends of each axis' travel, for homing, and at any other
+position."""
 
 from . import motor_names
 from .engine import Switch
@@ -8,12 +8,12 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .rig import Rig
 
-# The ends are so much further apart than the travel that soft limits end before them.
+# The distance between the switches exceeds the travel by this much, so that soft limits act first.
 _SPARE_MM = 1.0
 
 
 class EndSwitch(Switch):
-    """The switch at one end, wherever the settings of the moment put that.
+    """The switch at one end. Its position follows from the current settings.
 
     The machine begins in the middle of its travel.
     """
@@ -32,19 +32,19 @@ class EndSwitch(Switch):
 
     @steps.setter
     def steps(self, steps: int) -> None:
-        """Settings say where it is."""
+        """Ignore it: the position follows from the settings."""
 
 
 class PlaceSwitch(Switch):
-    """Closed from a place on: above it, or below. mm: from where the machine begins. The limit
-    switch of a second motor goes with that."""
+    """A switch that is closed above a position, or below it. mm: relative to where the machine
+    begins. The limit switch of a second motor follows that motor."""
 
     def __init__(self, rig: "Rig", pin: str, axis: int, above: bool, mm: float) -> None:
         names, letters = rig.port.limit_names, motor_names.letters(rig.board)
         own = names.index(pin) if pin in names else axis
         super().__init__(pin, own if letters[own] == letters[axis] else axis, above, 0)
         self._rig = rig
-        self._number = axis  # whose settings say how far a step goes
+        self._number = axis  # the axis whose settings give the length of a step
         self._mm = mm
 
     @property
@@ -53,11 +53,11 @@ class PlaceSwitch(Switch):
 
     @steps.setter
     def steps(self, steps: int) -> None:
-        """Settings say where it is."""
+        """Ignore it: the position follows from the settings."""
 
 
 def fit(rig: "Rig") -> None:
-    """Give a machine its switches. ValueError where its motors do not move an axis each."""
+    """Give a machine its switches. ValueError if its motors do not move one axis each."""
     together = motor_names.shared(rig.board)
     if together:
         raise ValueError("no switches here: motors move %s together" % " and ".join(together))

@@ -1,7 +1,7 @@
-"""TMC2209 motor drivers on a wire, as the firmware meets them: datagrams in, datagrams out.
+"""TMC2209 motor drivers on a wire, as the firmware sees them: datagrams in, datagrams out.
 
-Written from the data sheet, apart from the firmware's side of it. Motors go on as they are: what a
-driver does with its current, nobody sees here.
+Written from the data sheet, independently of the firmware's code. The motors are not affected: the
+simulator has no motor current.
 """
 
 import machine
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 GCONF, GSTAT, IFCNT, NODECONF, IOIN = 0x00, 0x01, 0x02, 0x03, 0x06
 IHOLD_IRUN, TCOOLTHRS, SGTHRS, CHOPCONF, DRV_STATUS = 0x10, 0x14, 0x40, 0x6C, 0x6F
-# What they begin with; those that can be read; and those that can be written.
+# Registers: initial values, readable ones, and writable ones.
 _BEGIN = {
     GCONF: 0x101,
     GSTAT: 1,
@@ -26,7 +26,8 @@ _READ_BYTES, _WRITE_BYTES = 4, 8
 
 
 def crc(data: bytes) -> int:
-    """The remainder by x^8 + x^2 + x + 1 of all bits, the lowest of each byte first."""
+    """Return the CRC: the remainder by x^8 + x^2 + x + 1 of all bits, the lowest of each byte
+    first."""
     bits = [byte >> i & 1 for byte in data for i in range(8)] + [0] * 8
     for i in range(len(bits) - 8):
         if bits[i]:
@@ -39,8 +40,8 @@ def crc(data: bytes) -> int:
 
 
 class Driver:
-    """One of them. has_supply: its motors'; stuck: flags of GSTAT that come back when they are
-    cleared."""
+    """One driver. has_supply: the motor supply is on. stuck: flags of GSTAT that return after
+    being cleared."""
 
     def __init__(self, address: int) -> None:
         self.address = address
@@ -49,13 +50,13 @@ class Driver:
         self.switch_on()
 
     def switch_on(self) -> None:
-        """Its supply comes on."""
+        """Switch the supply on."""
         self.has_supply = True
         self.registers = dict(_BEGIN)
         self._writes = 0
 
     def take(self, data: bytes) -> bytes:
-        """A datagram to this address; returns the answer, if there is one."""
+        """Process a datagram to this address; returns the answer, or b""."""
         register = data[2] & 0x7F
         if not self.has_supply or data[0] & 0xF != 5 or crc(data[:-1]) != data[-1]:
             return b""
@@ -68,31 +69,31 @@ class Driver:
         if len(data) == _WRITE_BYTES and register in _WRITABLE:
             self._writes += 1
             value = int.from_bytes(data[3:7], "big")
-            if register == GSTAT:  # ones clear
+            if register == GSTAT:  # writing ones clears
                 value = self.registers[GSTAT] & ~value | self.stuck
             self.registers[register] = value
         return b""
 
 
 class DriverBus:
-    """All of a machine, one per motor. spoil: what a test makes of an answer on its way;
-    is_broken: nothing comes back on the wire, not even what is sent."""
+    """All drivers of a machine, one per motor. spoil: changes an answer, for tests. is_broken:
+    nothing comes back on the wire, not even the echo."""
 
     def __init__(self, addresses: "Sequence[int]", at_rest: "Callable[[], bool]") -> None:
         self.drivers = [Driver(address) for address in addresses]
         self.spoil: "Callable[[bytes], bytes] | None" = None
         self.is_broken = False
         self.datagrams = 0
-        self.in_motion = 0  # of these, while motors turned
+        self.in_motion = 0  # number of datagrams while motors turned
         self._at_rest = at_rest
 
     def attach(self, pins: "Sequence[int]") -> None:
-        """Stand at these pins, TX and RX."""
+        """Connect to these pins, TX and RX."""
         if len(pins) == 2:
             machine.UART.at[pins[0], pins[1]] = self.exchange
 
     def exchange(self, data: bytes) -> bytes:
-        """What comes back: what was sent, and the answer behind it."""
+        """Return what comes back: the echo of the data, followed by the answer."""
         self.datagrams += 1
         if not self._at_rest():
             self.in_motion += 1

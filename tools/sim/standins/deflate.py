@@ -1,4 +1,4 @@
-"""MicroPython's deflate: what there is of it, by zlib."""
+"""MicroPython's deflate, as far as it is needed, by zlib."""
 
 import io
 import zlib
@@ -7,7 +7,7 @@ RAW = 1
 
 
 class DeflateIO:
-    """Reads what a stream has packed."""
+    """Decompresses a stream."""
 
     def __init__(self, stream: io.BytesIO, packing: int, window_log2: int) -> None:
         assert packing == RAW
@@ -18,7 +18,7 @@ class DeflateIO:
             raise OSError(22) from fault
 
     def readinto(self, buf: bytearray) -> int:
-        """Fill it; returns how many bytes there were."""
+        """Fill the buffer; returns the number of bytes."""
         count = min(len(buf), len(self._left))
         buf[:count] = self._left[:count]
         self._left = self._left[count:]

@@ -1,12 +1,12 @@
-"""The board's `esp32` module: RMT, and what is free of the heaps, in virtual time.
+"""The board's `esp32` module: RMT, and the free memory of the heaps, in virtual time.
 
-As ports/esp32/esp32_rmt.c of MicroPython and rmt_tx.c of ESP-IDF 5.5.1 do it: write_pulses() waits
-for the last train inside C code, and only then begins to convert; it takes lists and tuples; what
-is aborted stays counted as under way for ever. On the ESP32 active(False) waits for the end of the
-train, and its pulses go on. A train longer than the channel's memory is filled in by an interrupt;
-where that cannot come, while flash is written to, old symbols are played again. Durations that the
-hardware would cut off, or take for an end, are refused. Runs under both Pythons. What is not
-modelled does not exist.
+Modelled on ports/esp32/esp32_rmt.c of MicroPython and rmt_tx.c of ESP-IDF 5.5.1. write_pulses()
+waits for the last train inside C code, and only then begins to convert; it accepts lists and
+tuples; an aborted train counts as in progress for ever. On the ESP32, active(False) waits for the
+end of the train, whose pulses continue. An interrupt refills a train that is longer than the
+channel's memory; if the interrupt is late, during a write to flash, old symbols are played again.
+Durations that the hardware would truncate, or treat as an end, are refused. Runs under CPython and
+MicroPython. What is not modelled does not exist.
 """
 
 import esp_machine
@@ -19,19 +19,19 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-# What a call takes, in us: to begin with, per duration, and at the most besides (a flash cache
-# has its moods). The hardware starts shortly before the call returns.
+# Duration of a call, in us: fixed, per duration, and at most in addition (flash cache misses). The
+# hardware starts shortly before the call returns.
 CALL_US = 90
 DURATION_US = 0.2
 MOOD_US = 30
 RETURN_US = 8
 
 HEAP_DATA = 4
-psram = 4_134_464  # free at first; 0 without
+psram = 4_134_464  # free at first; 0 without PSRAM
 
 
 def idf_heap_info(capabilities: int) -> "list[tuple[int, int, int, int]]":
-    """Of each heap: size, free, largest free block, least that was ever free. With PSRAM."""
+    """Return size, free, largest free block and minimum free of each heap. With PSRAM."""
     if capabilities != HEAP_DATA:
         raise NotImplementedError("only what our start asks for is modelled")
     inside = [(100_000, 60_000, 40_000, 50_000), (20_000, 3000, 2000, 2500)]
@@ -43,7 +43,7 @@ class RMT:
 
     PULSE_MAX = 32767
     channels: "list[RMT]" = []
-    available = 8  # blocks of memory: ESP32; the S3 has 4 for transmitting
+    available = 8  # blocks of memory on the ESP32; the S3 has 4 for transmitting
     block = 64  # symbols; the S3's have 48
     first_signal = 87  # S3: 81
 
@@ -98,14 +98,14 @@ class RMT:
         clock.work(RETURN_US)
 
     def flash_write(self, us: int) -> None:
-        """The interrupt that fills the memory in does not come for so long, from now on."""
+        """Delay the interrupt that refills the memory for so long, from now on."""
         if clock.us >= self._end:
             return
         start, level, played, _ = self.trains[-1]
         left = list(played)
         played = []
         at = start
-        filled = 2 * self.symbols  # durations
+        filled = 2 * self.symbols  # in durations
         while left and at < clock.us:
             played.append(left.pop(0))
             at += played[-1]

@@ -1,9 +1,9 @@
 """Virtual time of the ESP32's stand-ins, and its `time` module.
 
-What takes time says so. Callbacks of timers and pins are soft, as on the board: they wait for a
-place between two bytecodes, here in advance(), and come one at a time. Eight may wait; what comes
-on top is lost, and nobody is told. A timer that ticks takes a place each time. Runs under both
-Pythons.
+Functions that take time advance the clock. Callbacks of timers and pins are soft, as on the board:
+they wait for a place between two bytecodes, here in advance(), and run one at a time. Eight may
+wait; further ones are lost without a notice. A periodic timer takes a place each time. Runs under
+CPython and MicroPython.
 """
 
 TYPE_CHECKING = False
@@ -17,40 +17,41 @@ _NEVER = 1 << 60
 
 
 class Clock:
-    """Virtual microseconds. What takes time says so; callbacks come in advance() only."""
+    """Virtual microseconds. Functions that take time advance it; callbacks run in advance()
+    only."""
 
     def __init__(self) -> None:
         self.us = 0
         self.timers: "list[Timer]" = []
-        self.call_us = 2  # what asking for the time takes, so that waiting for it ends
-        self.lost = 0  # callbacks that found no place
-        self.busy = False  # C code is at work, and no callback comes
+        self.call_us = 2  # duration of reading the time, so that a loop that waits for it ends
+        self.lost = 0  # number of callbacks that found no place
+        self.busy = False  # C code runs, and no callback can
         self._due = _NEVER
         self._inside = False
         self._waiting: "list[tuple[Any, object]]" = []
 
     def ticks_us(self) -> int:
-        """Stands in for time.ticks_us: wraps at 2**30."""
+        """Stand in for time.ticks_us: wraps at 2**30."""
         self.work(self.call_us)
         return self.us & 0x3FFFFFFF
 
     def ticks_ms(self) -> int:
-        """Stands in for time.ticks_ms."""
+        """Stand in for time.ticks_ms."""
         return self.us // 1000 & 0x3FFFFFFF
 
     def ticks_diff(self, end: int, start: int) -> int:
-        """Stands in for time.ticks_diff."""
+        """Stand in for time.ticks_diff."""
         return ((end - start + 0x20000000) & 0x3FFFFFFF) - 0x20000000
 
     def reset(self) -> None:
-        """As after power-up, but for the time."""
+        """Restore the state after power-up, except the time."""
         self.timers.clear()
         self._waiting.clear()
         self.lost = 0
         self.rearmed()
 
     def call(self, callback: "Any", argument: object) -> None:
-        """An interrupt wants a callback: now, or as soon as one can come."""
+        """Schedule a callback from an interrupt: it runs now, or as soon as possible."""
         if len(self._waiting) < _PLACES:
             self._waiting.append((callback, argument))
         else:
@@ -67,7 +68,7 @@ class Clock:
                 self._inside = False
 
     def work(self, us: int) -> None:
-        """Time passes inside C code: timers tick, but no callback can run."""
+        """Let time pass inside C code: timers tick, but no callback can run."""
         self.us += us
         if self.us >= self._due:
             busy, self.busy = self.busy, True
@@ -75,7 +76,7 @@ class Clock:
             self.busy = busy
 
     def rearmed(self) -> None:
-        """A timer has been started, or stopped."""
+        """Note that a timer was started or stopped."""
         self._due = min([timer.due for timer in self.timers], default=_NEVER)
 
     def _tick(self) -> None:
@@ -87,7 +88,7 @@ class Clock:
             self.call(callback, timer)
 
     def advance(self, to: int) -> None:
-        """Time passes in Python code: timers call back as they fall due, or late."""
+        """Let time pass in Python code: callbacks of timers run when they are due, or late."""
         assert not self._inside, "a callback may not wait for callbacks"
         self._run()
         while self._due <= to:

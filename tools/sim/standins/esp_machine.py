@@ -1,8 +1,9 @@
-"""The ESP32's `machine` module, as far as it differs from others: all callbacks are soft.
+"""The ESP32's `machine` module, where it differs from the RP2's: all callbacks are soft.
 
-As ports/esp32 of MicroPython and ESP-IDF 5 do it: I2S plays a ring of DMA buffers for ever, zeroes
-each behind itself, and hands out the oldest one played, the oldest of all being dropped where
-nobody takes them. In virtual time; runs under both Pythons. What is not modelled raises.
+Modelled on ports/esp32 of MicroPython and ESP-IDF 5: I2S plays a ring of DMA buffers for ever,
+clears each one after it was played, and returns the one played longest ago; if buffers are not
+taken, the oldest is dropped. In virtual time; runs under CPython and MicroPython. What is not
+modelled raises an exception.
 """
 
 import io
@@ -15,11 +16,11 @@ _POLL = 3  # MP_STREAM_POLL
 
 _FIRST_PAD = 0x3FF44530  # GPIO_FUNC0_OUT_SEL_CFG_REG of the ESP32
 _FIRST_PAD_S3 = 0x60004554
-# Offsets of registers with a bit per pin: outputs on, and levels.
+# Offsets of registers with a bit per pin: output enables, and levels.
 _ENABLES = (0x24, 0x30)
 _LEVELS = (0x3C, 0x40)
 _LEDC_SIGNAL = 71
-_hz = [160_000_000]  # as it starts
+_hz = [160_000_000]  # the frequency at power-up
 
 
 def freq(hz: int = 0) -> int:
@@ -31,10 +32,10 @@ def freq(hz: int = 0) -> int:
 
 
 class Pads:
-    """machine.mem32, as far as it is pins: the GPIO matrix (which signal each pin shows), what
-    switches outputs on, and levels.
+    """machine.mem32, limited to pins: the GPIO matrix (which signal each pin shows), output
+    enables, and levels.
 
-    `log` has (us, word) of every change, by pin; OFF in it is an output that is switched off.
+    `log` has (us, word) of every change, by pin; OFF in a word means that the output is disabled.
     """
 
     register = 0x100  # the pin's own level
@@ -46,7 +47,7 @@ class Pads:
         self.log: "dict[int, list[tuple[int, int]]]" = {}
 
     def connect(self, pin: int, signal: int) -> None:
-        """A driver's own way."""
+        """Connect a signal to a pin, as a driver does."""
         self.log.setdefault(pin, []).append((clock.us, signal))
 
     def _pin(self, address: int) -> int:
@@ -56,15 +57,15 @@ class Pads:
         return pin
 
     def word(self, pin: int) -> int:
-        """What a pin shows, with OFF."""
+        """Return a pin's selection word, with OFF."""
         return self.log[pin][-1][1] if pin in self.log else self.register
 
     def take_output(self, pin: int) -> None:
-        """gpio_set_direction() of ESP-IDF, to an input."""
+        """Make a pin an input, as gpio_set_direction() of ESP-IDF does."""
         self.connect(pin, self.register | self.OFF)
 
     def _of_all(self, address: int, registers: "tuple[int, int]") -> int:
-        """The first pin of a register with a bit per pin; -1: it is none of these."""
+        """Return the first pin of a register with a bit per pin; -1 for any other register."""
         offset = address - (self.first & ~0xFFF)
         return 32 * registers.index(offset) if offset in registers else -1
 
@@ -93,7 +94,7 @@ mem32 = Pads()
 
 
 class IRQ:
-    """What Pin.irq() returns."""
+    """The result of Pin.irq()."""
 
     def __init__(self, pin: "Pin") -> None:
         self._pin = pin
@@ -159,7 +160,7 @@ class Pin:
         return 0
 
     def _set(self, level: int) -> None:
-        """An input's level."""
+        """Set an input's level."""
         if level != self.level:
             self.level = level
             wanted = self.IRQ_RISING if level else self.IRQ_FALLING
@@ -173,7 +174,7 @@ class Pin:
         return IRQ(self)
 
     def drive(self, level: int) -> None:
-        """From outside: the world pulls the pin."""
+        """Set the level from outside."""
         self.driven = True
         self._set(level)
 
@@ -208,7 +209,7 @@ class PWM:
 
 
 class Timer:
-    """machine.Timer of the ESP32: soft only."""
+    """machine.Timer of the ESP32: soft callbacks only."""
 
     ONE_SHOT, PERIODIC = 0, 1
 
@@ -235,20 +236,21 @@ class Timer:
         clock.rearmed()
 
     def rearm(self) -> None:
-        """It has fallen due, and ticks on, late as its callback may come."""
+        """Set the next due time. It does not depend on how late the callback runs."""
         self.due += self._period
         if self._mode == self.ONE_SHOT:
             self.deinit()
 
     def deinit(self) -> None:
-        """What waits for a place between bytecodes goes on to wait for it."""
+        """Stop the timer. A callback that is already scheduled still runs."""
         if self in clock.timers:
             clock.timers.remove(self)
             clock.rearmed()
 
 
 class WDT:
-    """The watchdog: one, told anew by whoever makes it; it is never stopped. `fed`: when last."""
+    """The watchdog. There is one; a new object sets its timeout again, and it never stops. `fed`:
+    time of the last feed."""
 
     timeout_ms = 0
     fed = 0
@@ -270,12 +272,12 @@ class WDT:
 
 
 class I2S(io.IOBase):
-    """machine.I2S, transmitting. `played` gets (us, words as bytes) of each DMA buffer begun."""
+    """machine.I2S, transmitting. `played` gets (us, words as bytes) of each DMA buffer started."""
 
     RX, TX = 0, 1
     STEREO, MONO = 0, 1
     open_streams: "dict[int, I2S]" = {}
-    open_us = 400  # what opening takes
+    open_us = 400  # duration of opening
     recording = False  # fill `played`
 
     def __init__(
@@ -311,7 +313,7 @@ class I2S(io.IOBase):
         self._at = 0
         self._began = clock.us
         self._playing = 0
-        self._deaf = False  # flash is written to: no interrupt
+        self._deaf = False  # during a write to flash there are no interrupts
         self._begin()
         I2S.open_streams[id] = self
 
@@ -320,7 +322,7 @@ class I2S(io.IOBase):
             self.played.append((self._began, bytes(self.memory[self._playing])))
 
     def run(self) -> None:
-        """Let DMA do what it has done up to now."""
+        """Let DMA work up to the present time."""
         count = len(self.memory)
         while self._began + self.buffer_us <= clock.us:
             self._began += self.buffer_us
@@ -331,7 +333,7 @@ class I2S(io.IOBase):
                 self._ended(done)
 
     def _ended(self, done: int) -> None:
-        """The interrupt at the end of a buffer."""
+        """Handle the interrupt at the end of a buffer."""
         buffer = self.memory[done]
         buffer[:] = bytes(len(buffer))  # auto_clear
         if len(self._free) == len(self.memory) - 1:
@@ -339,7 +341,8 @@ class I2S(io.IOBase):
         self._free.append(done)
 
     def flash_write(self, us: int) -> None:
-        """All ends of buffers meanwhile are one in the end, that of the last."""
+        """Write to flash: all buffers that end meanwhile cause a single interrupt, for the last
+        one."""
         self.run()
         began = self._began
         self._deaf = True
@@ -350,12 +353,12 @@ class I2S(io.IOBase):
             self._ended((self._playing - 1) % len(self.memory))
 
     def fileno(self) -> int:
-        """CPython's way to poll(): it sees a file that can be written."""
+        """Support poll() of CPython: return a file that is always writable."""
         self._asyncio = True
         return 1
 
     def ioctl(self, request: int, flags: int) -> int:
-        """Stand in for MicroPython's way."""
+        """Support poll() of MicroPython."""
         if request != _POLL:
             return -1
         self._asyncio = True

@@ -1,8 +1,9 @@
-"""esp32.PCNT, which counts what the pads show, in virtual time.
+"""esp32.PCNT, which counts the levels at the pins, in virtual time.
 
-As ports/esp32/esp32_pcnt.c of MicroPython 1.28 and pcnt_legacy.c of ESP-IDF 5 do it: a pin that is
-given to a counter becomes an input with a pull-up, and nobody's output any more. Arguments that
-they refuse are refused; so is what our programs do not use. Runs under both Pythons.
+Modelled on ports/esp32/esp32_pcnt.c of MicroPython 1.28 and pcnt_legacy.c of ESP-IDF 5: a pin that
+is given to a counter becomes an input with a pull-up, and its output is disconnected. Arguments
+that they refuse are refused, and so is what our programs do not use. Runs under CPython and
+MicroPython.
 """
 
 import esp_machine
@@ -12,7 +13,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    Event = tuple[int, int, int]  # us, which, and what to
+    Event = tuple[int, int, int]  # us, source, new value
 
 _WORD, _OWN, _SIGNAL = 0, 1, 2
 
@@ -27,21 +28,21 @@ def _channel(pin: int) -> "Any":
 
 
 class Pad:
-    """What a pin's pad shows, from now on: its own level, or its RMT channel's, or its PWM's."""
+    """The level at a pin, from now on: its own level, its RMT channel's, or its PWM's."""
 
     def __init__(self, pin: int) -> None:
         self.pin = pin
         self.level = 0
-        self._at = [0, 0]  # how much of both logs is known
+        self._at = [0, 0]  # how much of both logs has been read
         self._train = self._edge = 0
         self._what = [esp_machine.Pads.register, 0, 0]
         self.run(clock.us)
 
     def run(self, until: int) -> "list[tuple[int, int]]":
-        """Changes of the level up to then, (us, level)."""
+        """Return changes of the level up to then, (us, level)."""
         found = self._logged(until) + self._trains(until)
         changes = []
-        # MicroPython's sort() does not keep the order of what is equal.
+        # MicroPython's sort() is not stable.
         for _, k in sorted([(found[k][0], k) for k in range(len(found))]):
             us, which, value = found[k]
             self._what[which] = value
@@ -70,7 +71,7 @@ class Pad:
         return found
 
     def _trains(self, until: int) -> "list[Event]":
-        """Edges of the channel's trains; of one that was cut off, up to its end."""
+        """Return edges of the channel's trains; of an aborted train, those up to its end."""
         channel = _channel(self.pin)
         found: "list[Event]" = []
         while channel and self._train < len(channel.trains):
@@ -89,13 +90,13 @@ class Pad:
 
 
 def pwm_level(pwm: "Any", us: int) -> int:
-    """Of a PWM's output, its period beginning at 0."""
+    """Return the level of a PWM's output. Its period begins at 0."""
     period = 1_000_000 // pwm.frequency
     return int(65_535 * (us % period) < pwm.duty * period) ^ int(pwm.invert)
 
 
 def pad_now(pin: int) -> int:
-    """What a pad shows now."""
+    """Return the level at a pin now."""
     pwm = esp_machine.PWM.outputs.get(pin)
     if pwm is None:
         if pin not in PCNT.pads:
@@ -111,9 +112,9 @@ class PCNT:
     IGNORE, INCREMENT, DECREMENT = 0, 1, 2
     NORMAL, REVERSE, HOLD = 0, 1, 2
     units: "dict[int, PCNT]" = {}
-    pads: "dict[int, Pad]" = {}  # that have been read
+    pads: "dict[int, Pad]" = {}  # pins that have been read
     most_units = 8  # S3: 4
-    lose = 0  # for tests: of so many steps one is not seen
+    lose = 0  # for tests: every n-th step is missed
 
     _pad: "Pad | None"
     _mode: "Pad | None"
@@ -206,7 +207,7 @@ class PCNT:
         return found
 
     def _run(self) -> None:
-        """What has come up to now."""
+        """Count the steps up to now."""
         if self._pwm:
             self._run_pwm()
         elif self._pad:
@@ -220,7 +221,7 @@ class PCNT:
         self._since = clock.us
 
     def _turned(self, turns: "list[tuple[int, int]]") -> int:
-        """The mode pin's level ahead of these changes."""
+        """Return the mode pin's level before these changes."""
         if turns:
             return 1 - turns[0][1]
         return self._mode.level if self._mode else 0

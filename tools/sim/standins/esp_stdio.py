@@ -1,7 +1,8 @@
-"""The ESP32's stdin and stdout, and what there is of `sys`, `select` and `os` to reach them by.
+"""The ESP32's stdin and stdout, with the parts of `sys`, `select` and `os` that access them.
 
-MicroPython keeps 260 bytes, less one, of what arrives on a UART. Here more than that are refused
-rather than lost. In virtual time; runs under both Pythons. What is not modelled raises.
+MicroPython buffers at most 259 bytes received on a UART. Here further bytes raise an exception
+instead of being lost. In virtual time; runs under CPython and MicroPython. What is not modelled
+raises an exception.
 """
 
 from esp_clock import clock
@@ -25,7 +26,8 @@ class _Namespace:
 
 
 class Wire:
-    """on_read: called where there is nothing to read; on_write: with each text written."""
+    """The wire. on_read: called when there is nothing to read; on_write: called with each text
+    written."""
 
     def __init__(self) -> None:
         self.on_read: "Callable[[], object]" = lambda: None
@@ -33,16 +35,16 @@ class Wire:
         self._ring = bytearray()
         self._second: "Any" = None  # os.dupterm
 
-    # The sender's side
+    # Interface for the sender
 
     def arrive(self, data: bytes) -> None:
-        """The sender's bytes are there."""
+        """Deliver the sender's bytes."""
         if len(self._ring) + len(data) > _RING:
             raise OSError("MicroPython drops what does not fit into its ring")
         self._ring += data
 
     def left(self) -> bytes:
-        """What nobody has read."""
+        """Return the bytes that have not been read."""
         return bytes(self._ring)
 
     # The modules

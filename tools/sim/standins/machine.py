@@ -1,8 +1,8 @@
-"""The RP2040's `machine` module for CPython: pins, PWM and timers that a test looks at and drives.
+"""The RP2040's `machine` module for CPython: pins, PWM and timers that a test reads and drives.
 
-What is not modelled does not exist; what the board refuses is refused. Nothing happens by
-itself: a test drives inputs and lets timers expire. The ESP32's is esp_machine.py. What only the
-user's own Python has use for is in peripherals.py, and does nothing.
+What is not modelled does not exist; what the board refuses is refused. Nothing happens by itself:
+a test drives inputs and lets timers expire. The ESP32's is esp_machine.py. Parts that only the
+user's own Python uses are in peripherals.py, and do nothing.
 """
 
 import sys
@@ -16,7 +16,7 @@ I2C, SoftI2C = peripherals.I2C, peripherals.SoftI2C
 SPI, SoftSPI = peripherals.SPI, peripherals.SoftSPI
 reset_cause, unique_id = peripherals.reset_cause, peripherals.unique_id
 
-_PINS = 30  # of an RP2040; an RP2350B has
+_PINS = 30  # of an RP2040; an RP2350B has _PINS_2350
 _PINS_2350 = 48
 
 
@@ -30,18 +30,18 @@ def freq(hz: int = 0) -> int:
     return 125_000_000
 
 
-# Registers that pins have for themselves: RP2040's, RP2350's IO_BANK0. Behind them lie aliases
-# where ones flip, set and clear bits.
+# Registers of the pins: IO_BANK0 of the RP2040 and of the RP2350. The aliases that follow flip,
+# set and clear bits.
 _BANKS = (0x40014000, 0x40028000)
 _ALIAS = 0x1000
 _CONTROL, _CONTROL_STEP = 0x40014004, 8
-_OUTOVER = 8  # a shift: 0 as it is, 1 inverted, 2 low, 3 high
+_OUTOVER = 8  # bit position: 0 normal, 1 inverted, 2 low, 3 high
 _FUNCTION_PWM, _FUNCTION_SIO = 4, 5
 _LEVELS = 0xD0000004  # of all pins, in SIO: read only
 
 
 class _Memory:
-    """Registers, as far as somebody has written to them; they begin as 0."""
+    """Registers that have been written; the others are 0."""
 
     def __init__(self) -> None:
         self.words: dict[int, int] = {}
@@ -71,7 +71,7 @@ mem32 = _Memory()
 
 
 class _Irq:
-    """What Pin.irq() returns."""
+    """The result of Pin.irq()."""
 
     def __init__(self, pin: "Pin") -> None:
         self._pin = pin
@@ -85,10 +85,10 @@ class _Irq:
 
 
 class Pin:
-    """A pin of the chip: one object per number. drive() is the world outside, pad() what it sees.
+    """A pin of the chip: one object per number. drive() sets it from outside, pad() is its output.
 
-    Edges of a pin whose trigger is 0 are lost. A handler that raises is not called again. Where
-    there is a list `latched`, pins wait in it for somebody to call interrupt(), as they do while
+    Edges of a pin whose trigger is 0 are lost. A handler that raises is not called again. If there
+    is a list `latched`, pins are added to it until a test calls interrupt(), as they wait while
     another interrupt runs.
     """
 
@@ -124,18 +124,18 @@ class Pin:
         self.handler: "Callable[[Pin], object] | None"
         self.trigger: int
         self.hard: bool
-        self.calls: int  # of its handler
+        self.calls: int  # calls of its handler
         if value is not None:
             self.level: int = value
         if mode != -1:
             self.select(_FUNCTION_SIO)
 
     def select(self, function: int) -> None:
-        """Somebody takes the pin: all its overrides are gone."""
+        """Select the pin's function; this clears all overrides."""
         mem32[_CONTROL + _CONTROL_STEP * self.id] = function
 
     def pad(self) -> int:
-        """What comes out: 0 to 65535, the share of time that it is high."""
+        """Return the output: 0 to 65535, the share of time for which it is high."""
         control = mem32[_CONTROL + _CONTROL_STEP * self.id]
         pwm = control & 31 == _FUNCTION_PWM
         level = PWM.outputs[self.id].shape() if pwm else 65535 * self.level
@@ -176,7 +176,7 @@ class Pin:
         return _Irq(self)
 
     def drive(self, level: int) -> None:
-        """The world outside sets the pin; an interrupt where the level changes."""
+        """Set the pin from outside; a change of level causes an interrupt."""
         before = self.value()
         self.driven = level
         edge = Pin.IRQ_RISING if level else Pin.IRQ_FALLING
@@ -188,7 +188,7 @@ class Pin:
             Pin.latched.append(self)
 
     def interrupt(self) -> None:
-        """Its handler is called."""
+        """Call its handler."""
         self.calls += 1
         try:
             if self.handler:
@@ -208,7 +208,7 @@ _CLOCK_HZ = 125_000_000
 
 
 class PWM:
-    """A pulse width; one per pin. A new one counts from the next pulse on: see wrap()."""
+    """A pulse width; one per pin. A new value takes effect with the next pulse: see wrap()."""
 
     outputs: dict[int, "PWM"] = {}
 
@@ -220,15 +220,15 @@ class PWM:
         pin.select(_FUNCTION_PWM)
 
     def shape(self) -> int:
-        """What it hands to the pad."""
+        """Return its output."""
         return 65535 - self.playing if self.invert else self.playing
 
     def wrap(self) -> None:
-        """A pulse ends."""
+        """End a pulse."""
         self.playing = self.duty
 
     def freq(self, value: int = 0) -> int:
-        """Told is the whole number next to what the chip makes of it, at 125 MHz."""
+        """Return the integer closest to the frequency that the chip makes, at 125 MHz."""
         if value:
             self.frequency = _checked(value)
         counts = round(_CLOCK_HZ / self.frequency)
@@ -249,7 +249,7 @@ class PWM:
 
 
 class Timer:
-    """A timer; expire() lets its time come."""
+    """A timer; expire() makes it due."""
 
     ONE_SHOT, PERIODIC = 0, 1
 

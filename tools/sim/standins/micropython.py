@@ -1,13 +1,14 @@
-"""The board's `micropython` module for CPython, with viper arithmetic that cannot wrap unseen.
+"""The board's `micropython` module for CPython, with viper arithmetic that cannot wrap unnoticed.
 
-Checked (the default): whatever would wrap or go wrong in silence on the board raises: results
+Checked (the default): everything that would wrap or fail silently on the board raises: results
 outside signed 32 bits, division by zero, shift counts outside 0..31, floats, negative indices.
 Literals of 2**30 and more are heap objects there: refused, unless written int(literal).
 
-Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only. Then
-`compiled` may have the function ready made (compiling/kernels.py): it raises in the same places.
+Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only.
+`compiled` may then provide the compiled function (compiling/kernels.py), which raises in the same
+places.
 
-Pointers are memoryviews: ptr32 holds signed words, ptr16 and ptr8 unsigned ones. An index past the
+Pointers are memoryviews: ptr32 has signed words, ptr16 and ptr8 unsigned ones. An index past the
 end, or a value that does not fit, raises in both modes. What is not modelled does not exist.
 """
 
@@ -34,7 +35,7 @@ _Result = TypeVar("_Result")
 _Node = TypeVar("_Node", bound=ast.AST)
 
 VIPER = os.environ.get("UGRBL_VIPER", "checked")
-# In the fast mode, asked for each function by module and name: the same, compiled; or None.
+# In fast mode, returns a function compiled to C, by module and name; or None.
 compiled: "Callable[[str, str], Any] | None" = None
 
 _OURS = Path(__file__).read_text("utf-8")
@@ -57,16 +58,16 @@ def native(function: _Value, /) -> _Value:
 
 
 def alloc_emergency_exception_buf(size: int, /) -> None:
-    """CPython needs none."""
+    """Do nothing: CPython needs no buffer."""
 
 
 def stack_use() -> int:
-    """How much of the C stack is in use: a desktop's has room for whatever a board does."""
+    """Return 0: a desktop's stack is large enough."""
     return 0
 
 
 def _print_exception(fault: BaseException, file: Any = None) -> None:
-    """What MicroPython's sys has besides; there a file of bytes takes what is printed."""
+    """Add MicroPython's sys.print_exception(); there a file of bytes accepts text."""
     text = "".join(traceback.format_exception(fault))
     if isinstance(file, io.BytesIO):
         file.write(text.encode("utf-8", "surrogatepass"))
@@ -79,12 +80,14 @@ if not hasattr(sys, "print_exception"):
 
 
 def kbd_intr(char: int, /) -> None:
-    """Ctrl-C on the desktop is for the desktop."""
+    """Do nothing: Ctrl-C on the desktop is for the desktop."""
 
 
-# The parameters are left open: an array is as good as a pointer. The call itself checks them.
+# The parameters' types are open, because an array is valid for a pointer. The call itself checks
+# them.
 def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
-    """Compile function anew: pointer casts at entry and, unless VIPER is "fast", all checks."""
+    """Recompile a function, with pointer casts at entry and, unless VIPER is "fast", all
+    checks."""
     plain = cast(FunctionType, function)
     if VIPER == "fast" and compiled and (made := compiled(plain.__module__, plain.__qualname__)):
         return cast("Callable[..., _Result]", made)
@@ -92,17 +95,18 @@ def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
 
 
 def _code(plain: FunctionType) -> CodeType:
-    """What makes the function. A checkout keeps it beside what compiling/cache.py does, by all
-    that it follows from: to make it is most of what a process takes to start."""
+    """Return the code that makes the function. A checkout caches it, next to the results of
+    compiling/cache.py, under a hash of all its inputs, because compiling takes most of a process's
+    start time."""
     file = _kept(plain)
     try:
         return cast(CodeType, marshal.loads(file.read_bytes()))
     except (OSError, EOFError, ValueError, TypeError):
         made = _compiled(plain)
     if (_ROOT / "firmware").is_dir():
-        with suppress(OSError):  # there is no place for it
+        with suppress(OSError):  # the folder is not writable
             file.parent.mkdir(parents=True, exist_ok=True)
-            new = file.with_suffix(f".{os.getpid()}")  # others may write the same
+            new = file.with_suffix(f".{os.getpid()}")  # others may write the same file
             new.write_bytes(marshal.dumps(made))
             new.replace(file)
     return made
@@ -131,16 +135,17 @@ def _compiled(plain: FunctionType) -> CodeType:
     return _compile(plain, node)
 
 
-# Views that are kept, by id: as good as what they show.
+# Kept views by id; they are accepted in place of the objects they show.
 kept_views: dict[int, memoryview] = {}
 
 
 class _Pointer:
-    """ptr8, ptr16 or ptr32. Views of arrays are kept: making one costs more than a kernel."""
+    """ptr8, ptr16 or ptr32. Views of arrays are kept, because making one costs more than a
+    kernel."""
 
     def __init__(self, code: str) -> None:
         self._code = code
-        self.views: dict[int, memoryview] = {}  # by id; a view keeps what it shows alive
+        self.views: dict[int, memoryview] = {}  # by id; a view keeps its object alive
 
     def __call__(self, memory: Any, /) -> Any:
         if isinstance(memory, int) and (memory in _REGISTERS or memory == _LEVELS):
@@ -154,20 +159,21 @@ class _Pointer:
                     _forget_views()
                 if is_kept:
                     kept_views[id(memory)] = memory
-                # The view too: one viper function may hand its pointer to another.
+                # Also for the view itself, because a viper function may pass its pointer to
+                # another.
                 self.views[id(memory)] = self.views[id(view)] = kept_views[id(view)] = view
         return view
 
 
 def _forget_views() -> None:
-    """All at once, for a view may be known by the id of another."""
+    """Forget all views at once, because a view may be known by the id of another."""
     kept_views.clear()
     for pointer in _POINTERS.values():
         pointer.views.clear()
 
 
 class _Registers:
-    """A pointer made of an address: to the registers of the stand-in for `machine`."""
+    """A pointer made from an address: to the registers of the stand-in for `machine`."""
 
     def __init__(self, address: int) -> None:
         import machine
@@ -207,7 +213,7 @@ def _index(value: _Value) -> _Value:
 
 
 class _Checks(ast.NodeTransformer):
-    """Wraps results in checks; refuses what the board cannot do, or does with objects."""
+    """Adds checks to results; refuses what the board cannot do, or does only with objects."""
 
     _CHECKED = (ast.Add, ast.Sub, ast.Mult, ast.LShift, ast.FloorDiv, ast.Mod)
     _REFUSED = (
@@ -269,14 +275,15 @@ class _Checks(ast.NodeTransformer):
         return _checked(_WORD, node) if isinstance(node.op, self._CHECKED) else node
 
     def _constant(self, node: ast.expr) -> int:
-        """What a number or a name in capitals is; -1 of all else."""
+        """Return the value of a number or of a name in capitals; -1 for everything else."""
         value = node.value if isinstance(node, ast.Constant) else None
         if isinstance(node, ast.Name) and node.id.isupper():
             value = self._function.__globals__.get(node.id)
         return value if isinstance(value, int) else -1
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
-        """Turn `p[i] += x` into `p[at] = p[at := i] + x`: the right side comes first."""
+        """Turn `p[i] += x` into `p[at] = p[at := i] + x`, because the right side is evaluated
+        first."""
         target = node.target
         old = cast(ast.expr, copy.deepcopy(target))
         cast(ast.Name, old).ctx = ast.Load()
@@ -312,13 +319,15 @@ def _refuse(function: FunctionType, why: str, node: ast.AST) -> NoReturn:
 
 @lru_cache(maxsize=8)
 def _definitions(source: str) -> dict[tuple[str, int], ast.FunctionDef]:
-    """By name and first line. The whole file is parsed, so that all positions are true."""
+    """Return the functions of a file by name and first line. The whole file is parsed, so that all
+    positions are right."""
     found = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
     return {(n.name, min([n.lineno, *(d.lineno for d in n.decorator_list)])): n for n in found}
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef:
-    """Take the source of function out of its file's tree. A second call parses the file again."""
+    """Take the function's definition out of its file's tree. A second call parses the file
+    again."""
     code = function.__code__
     source = "".join(linecache.getlines(code.co_filename, function.__globals__))
     place = code.co_name, code.co_firstlineno
@@ -343,14 +352,16 @@ def _placed(made: _Node, place: ast.AST) -> _Node:
     return made
 
 
-# What holds of a result, an index, a shift count. Where it does not, who is called says so.
+# Conditions for a result, an index and a shift count. If one fails, the function that is called
+# raises.
 _WORD = "viper_now if (viper_now := value) >> 31 in (0, -1) else viper_int(viper_now)"
 _INDEX = "viper_now if (viper_now := value) >= 0 else viper_index(viper_now)"
 _COUNT = "viper_now if 0 <= (viper_now := value) < 32 else viper_count(viper_now)"
 
 
 def _checked(check: str, value: ast.expr) -> ast.expr:
-    """The value, looked at in place: a call for each took half of what the simulator takes."""
+    """Return the value with an inline check. A call for each check took half of the simulator's
+    time."""
     made = ast.parse(check, mode="eval").body
     nodes = [ast.copy_location(node, value) for node in ast.walk(made)]
     (place,) = (node for node in nodes if isinstance(node, ast.NamedExpr))
@@ -363,7 +374,8 @@ def _call(name: str, argument: ast.expr) -> ast.expr:
 
 
 def _compile(function: FunctionType, node: ast.FunctionDef) -> CodeType:
-    """Inside a factory: the helpers become closure cells, out of the module's way."""
+    """Compile inside a factory: the helpers become closure cells, which do not collide with the
+    module's names."""
     node.decorator_list, node.returns = [], None
     for argument in node.args.args:
         argument.annotation = None
@@ -383,9 +395,9 @@ def _made(function: FunctionType, code: CodeType) -> FunctionType:
 
 
 _POINTERS = {"ptr8": _Pointer("B"), "ptr16": _Pointer("H"), "ptr32": _Pointer("i")}
-# A pointer met before costs no call of ours.
+# A pointer met before costs no call of a Python function.
 _POINTER_MET = "viper_{0}(viper_id({1})) or {0}({1})"
-# The statements that stand for annotations.
+# The statements that replace annotations.
 _POINTER_CASTS = {t: "{0} = " + _POINTER_MET.format(t, "{0}") for t in _POINTERS}
 _INT_CHECKS = {"int": "{0} = viper_int({0})", "uint": "{0} = viper_int({0}, 0, 1 << 32)"}
 _HELPERS: dict[str, Any] = {

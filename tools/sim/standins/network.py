@@ -1,7 +1,7 @@
-"""Stand-in for MicroPython's network: a radio, and the networks that are in reach of it.
+"""Stand-in for MicroPython's network: a radio, and the networks within its range.
 
-A call of connect() is answered by the test, which puts a name and a password into `in_reach`; a
-network that is taken out of it is lost.
+A test determines the result of connect(): it puts a name and a password into `in_reach`. A network
+that is removed from it is lost.
 """
 
 _host = ["PicoW"]
@@ -15,7 +15,7 @@ _GOT_IP = 3
 
 
 def hostname(name: "str | None" = None) -> str:
-    """What others call this board by."""
+    """Return or set this board's name in the network."""
     if name is not None:
         if len(name) > _LONGEST_HOST:
             raise ValueError("hostname too long")
@@ -24,7 +24,7 @@ def hostname(name: "str | None" = None) -> str:
 
 
 class WLAN:
-    """One of the radio's two sides."""
+    """One of the radio's two interfaces."""
 
     IF_STA = 0
     IF_AP = 1
@@ -36,29 +36,29 @@ class WLAN:
         self._side = side
         self._active = False
         self._wanted: "tuple[bytes, bytes] | None" = None
-        self.asked: "dict[str, object]" = {}  # what config() was told
-        self.calls = 0  # of connect()
+        self.asked: "dict[str, object]" = {}  # parameters given to config()
+        self.calls = 0  # number of calls of connect()
 
     def config(self, **asked: object) -> None:
-        """Set what the radio has by these names."""
+        """Set parameters of the radio."""
         unknown = asked.keys() - {"ssid", "key", "security", "pm"}
         if unknown:
             raise ValueError("unknown config param")
         self.asked.update(asked)
 
     def active(self, on: bool) -> None:
-        """Switch that side on or off."""
+        """Switch the interface on or off."""
         self._active = on
 
     def connect(self, name: bytes, password: bytes) -> None:
-        """Call for a network; whether it has been found status() tells."""
+        """Connect to a network; status() reports the result."""
         if not self._active:
             raise OSError("not active")
         self.calls += 1
         self._wanted = name, password
 
     def status(self) -> int:
-        """What has become of it."""
+        """Return the state of the connection."""
         if self._wanted is None:
             return _IDLE
         name, password = self._wanted
@@ -67,10 +67,10 @@ class WLAN:
         return _GOT_IP if in_reach[name] == password else _WRONG_PASSWORD
 
     def isconnected(self) -> bool:
-        """There is a network, and an address in it."""
+        """Return whether there is a network, and an address in it."""
         return self._side == self.IF_AP or self.status() == _GOT_IP
 
     def ifconfig(self) -> "tuple[str, str, str, str]":
-        """Address, mask, gateway, name server."""
+        """Return address, mask, gateway, name server."""
         here = "192.168.4.1" if self._side == self.IF_AP else "192.168.1.7"
         return here, "255.255.255.0", "192.168.1.1", "192.168.1.1"

@@ -1,7 +1,6 @@
-"""What else `machine` has on a board, for the user's own Python: nothing is wired to it.
+"""Further parts of a board's `machine`, for the user's own Python. Nothing is connected to them.
 
-Whoever writes is told that it has been written; whoever reads gets nothing, or zeros. The firmware
-uses none of it.
+Writes succeed; reads return nothing, or zeros. The firmware uses none of them.
 """
 
 TYPE_CHECKING = False
@@ -11,7 +10,7 @@ if TYPE_CHECKING:
 
 
 class _Inert:
-    """Takes any parameters, and does nothing."""
+    """Accepts any parameters, and does nothing."""
 
     def __init__(self, *_: "Any", **__: "Any") -> None:
         pass
@@ -24,10 +23,10 @@ class _Inert:
 
 
 class UART(_Inert):
-    """A serial port. Nobody answers, unless the simulated machine has somebody at its pins."""
+    """A serial port. There is no answer, unless the simulated machine has a device at its pins."""
 
     INV_TX, INV_RX, RTS, CTS, IRQ_RXIDLE = 1, 2, 2, 1, 64
-    # Who answers, by the pins TX and RX: called with what is written, returns what comes in.
+    # Devices by their pins TX and RX: called with the written bytes, return the bytes received.
     at: "dict[tuple[Any, Any], Callable[[bytes], bytes]]" = {}
 
     def __init__(self, *_: "Any", **words: "Any") -> None:
@@ -70,7 +69,7 @@ class UART(_Inert):
 
 
 class I2C(_Inert):
-    """A bus whose addresses take all, and read as zeros; a scan finds none."""
+    """A bus whose addresses accept all data, and read as zeros; a scan finds none."""
 
     def scan(self) -> "list[int]":
         return []
@@ -142,7 +141,7 @@ class ADC(_Inert):
 
 
 class RTC(_Inert):
-    """A clock that nobody has set."""
+    """A clock that has not been set."""
 
     def datetime(self, when: "Any" = None, /) -> "Any":
         return None if when else (2021, 1, 1, 4, 0, 0, 0, 0)

@@ -1,7 +1,8 @@
-"""The board's `rp2` module for CPython: the assembler, and state machines that remember.
+"""The board's `rp2` module for CPython: the assembler, and state machines that store their
+configuration.
 
-Our own assembler, for the instructions our programs use; the binary form is that of the
-RP2040's data sheet, 3.4. Nothing here executes a program: host_tests/support/pio_model.py does.
+Our own assembler, for the instructions our programs use; the binary form is that of the RP2040's
+data sheet, 3.4. Nothing here executes a program: host_tests/support/pio_model.py does.
 """
 
 from array import array
@@ -11,7 +12,7 @@ from typing import Any
 
 from machine import Pin, _is_rp2350
 
-_SIZE = 32  # instructions a PIO holds
+_SIZE = 32  # instructions of a PIO
 _DATA, _OFFSETS, _EXECCTRL, _SHIFTCTRL, _OUT, _SET, _SIDE = 0, 1, 4, 5, 6, 7, 8
 
 _PLACES = {"pins": 0, "x": 1, "y": 2, "null": 3, "pindirs": 4, "isr": 6, "osr": 7}
@@ -31,7 +32,7 @@ class _Assembler:
         self._final = final
 
     def names(self) -> dict[str, object]:
-        """What a program sees as its globals."""
+        """Return the globals of a program."""
         methods = (self.label, self.jmp, self.out, self.pull, self.push, self.mov, self.irq)
         names: dict[str, object] = {method.__name__: method for method in methods}
         places = {**_PLACES, **_CONDITIONS, "block": 0x20, "noblock": 0}
@@ -88,7 +89,7 @@ def asm_pio(
     out_shiftdir: int = 0,
     in_shiftdir: int = 0,
 ) -> Callable[[Callable[[], None]], list[Any]]:
-    """Assemble the decorated function; it becomes the program as MicroPython keeps it."""
+    """Assemble the decorated function; it becomes a program in MicroPython's format."""
 
     def assemble(function: Callable[[], None]) -> list[Any]:
         assert isinstance(function, FunctionType)
@@ -110,7 +111,7 @@ def _blocks() -> int:
 
 
 class PIO:
-    """A block of four state machines. Its interrupts are remembered in `handlers`."""
+    """A block of four state machines. Its interrupts are stored in `handlers`."""
 
     IN_LOW, IN_HIGH, OUT_LOW, OUT_HIGH = range(4)
     SHIFT_LEFT, SHIFT_RIGHT = 0, 1
@@ -131,7 +132,7 @@ class PIO:
 
 
 class StateMachine:
-    """A state machine as configured; it does not run."""
+    """A state machine's configuration; it does not run."""
 
     machines: dict[int, "StateMachine"] = {}
     used: dict[int, int] = {}  # instructions per PIO
@@ -165,7 +166,7 @@ class StateMachine:
 
 
 class DMA:
-    """A channel as configured; it moves nothing."""
+    """A channel's configuration; it moves nothing."""
 
     claimed = 0
 
