@@ -1,4 +1,4 @@
-"""The command line `ugrbl`: a module for each command, and what they show and ask.
+"""The command line `ugrbl`: a module for each command, and their output and questions.
 
-Imports all other rooms, and nobody imports it. Only here is anything drawn on a terminal.
+Imports all other folders of tools, and is imported by none. Only this folder writes to a terminal.
 """

@@ -1,4 +1,4 @@
-"""`python -m ugrbl.cli` is `ugrbl`."""
+"""Run `ugrbl` by `python -m ugrbl.cli`."""
 
 from .app import ugrbl
 

@@ -1,4 +1,4 @@
-"""The command line `ugrbl`: what there is to type. The work is done elsewhere."""
+"""The command line `ugrbl`: its commands and options. Other modules do the work."""
 
 import os
 import sys
@@ -36,7 +36,8 @@ from .outputs import check_outputs, failed
 
 
 class _Commands(TyperGroup):
-    """What Ctrl-C ends says so: its bar alone looks as at its end. The exit code is 130 then."""
+    """Shows that Ctrl-C ended a command, because the progress bar alone looks as at the end. The
+    exit code is then 130."""
 
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
         try:
@@ -46,7 +47,7 @@ class _Commands(TyperGroup):
             raise
 
 
-# Without markup help is wrapped to the terminal, and keeps what stands in brackets.
+# Without markup, help is wrapped to the terminal, and text in brackets is kept.
 app = typer.Typer(
     cls=_Commands,
     no_args_is_help=True,
@@ -99,7 +100,7 @@ def main(
 
 
 class Speed(str, Enum):
-    """How fast the simulator's clock runs."""
+    """Speed of the simulator's clock."""
 
     REAL = "real"
     MAX = "max"
@@ -159,7 +160,7 @@ def sim(
 ) -> None:
     """Run the firmware in a simulator that any sender can open.
 
-    On a pseudo-terminal, or on TCP. Type an input's name there to push it: probe, limit_x …
+    It is on a pseudo-terminal, or on TCP. Type an input's name there to push it: probe, limit_x …
     """
     from .simulate import Options, simulate
 
@@ -188,7 +189,7 @@ def sim(
 
 @app.command()
 def demo() -> None:
-    """Stream an example into the simulator; draw what motors did."""
+    """Stream an example into the simulator; draw what the motors did."""
     from ..device.connection import SendError
     from .demo import demo as show
 
@@ -201,7 +202,8 @@ def demo() -> None:
 
 
 def ugrbl() -> None:
-    """Run the command line. A reader of its output that ends early (`| head`) ends it quietly."""
+    """Run the command line. If the reader of its output ends early (`| head`), it ends without a
+    message."""
     try:
         app()
     finally:

@@ -48,12 +48,12 @@ def command(
 ) -> None:
     """Compile the firmware for a board; show each module's bytes.
 
-    With --board what `ugrbl deploy` would put on it; without, all there is.
-    manifest.py asks for --frozen, whenever MicroPython is built with it: that is for
-    every board with this chip.
+    With --board it compiles what `ugrbl deploy` would put on that board; without it, all modules.
+    manifest.py uses --frozen when MicroPython is built with this firmware: that is for every board
+    with this chip.
 
-    The board file is checked first, and nothing is built for a bad one: every
-    problem has a line, and the exit code is 1.
+    The board file is checked first, and nothing is built for a bad one: every problem has a line,
+    and the exit code is 1.
     """
     console = Console(stderr=str(json_file) == "-")
 
@@ -91,7 +91,7 @@ def _make(board: str | None, arch: str, progress: Progress, frozen: bool) -> Bui
 
 
 def failed(why: Exception) -> typer.Exit:
-    """Say why on stderr, a problem on each line; raise what this returns."""
+    """Show a failure on stderr, a problem per line; returns the exception to raise."""
     for line in words(why).splitlines():
         Console(stderr=True).print(f"[red]{escape(line)}", highlight=False, soft_wrap=True)
     return typer.Exit(1)

@@ -1,4 +1,4 @@
-"""Buttons of `ugrbl sim`: a person pushes inputs by typing their names where it runs."""
+"""Buttons of `ugrbl sim`: a user pushes inputs by typing their names in its terminal."""
 
 import signal
 import sys
@@ -15,7 +15,8 @@ _WORDS = {"on": True, "off": False}
 
 
 class Buttons:
-    """Lines of stdin as pushes: `probe` closes it, or opens it again; `probe on`, `probe off`."""
+    """Interprets lines of stdin: `probe` closes the input, or opens it again; `probe on`, `probe
+    off`."""
 
     def __init__(self, inputs: "Inputs", console: Console) -> None:
         self._inputs = inputs
@@ -23,9 +24,9 @@ class Buttons:
         self._lines: deque[str] = deque()
 
     def listen(self) -> None:
-        """From now on, in a thread; the end of stdin ends it and nothing else."""
+        """Read stdin in a thread from now on. The end of stdin ends only the thread."""
         if hasattr(signal, "SIGTTIN"):
-            signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background: nobody types
+            signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background there is no input
         self.say(f"Inputs: {', '.join(self._inputs.names)}. Type a name to push it or release it.")
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -34,15 +35,16 @@ class Buttons:
             for line in sys.stdin:
                 self._lines.append(line)
         except (OSError, ValueError):
-            return  # as with the end of stdin: a terminal that is gone, or another's
+            # treated as the end of stdin: the terminal is closed, or belongs to another process
+            return
 
     def poll(self) -> None:
-        """Do what has been typed."""
+        """Process all lines typed so far."""
         while self._lines:
             self.enter(self._lines.popleft())
 
     def enter(self, line: str) -> None:
-        """One line."""
+        """Process one line."""
         name, _, word = line.strip().partition(" ")
         known = self._inputs.names
         if not name:
@@ -58,5 +60,5 @@ class Buttons:
             self.say(f"{name} is {'closed' if self._inputs.is_closed(name) else 'open'}")
 
     def say(self, text: str) -> None:
-        """To the person."""
+        """Show a text to the user."""
         self._console.print(text, highlight=False, soft_wrap=True, markup=False)

@@ -22,7 +22,8 @@ _READ_S = 0.002
 
 
 def _side_by_side(outcome: Outcome) -> Iterator[tuple[str, str, str]]:
-    """Number, expected and got of every step, for the table of a failing case."""
+    """Yield number, expected and observed result of every step, for the table of a failing
+    case."""
     for number, step in enumerate(outcome.expected):
         mine = outcome.got[number] if number < len(outcome.got) else {"lines": ["(not reached)"]}
         expected = [*step["expect"]]
@@ -105,9 +106,9 @@ def command(
         typer.Option(metavar="NAME", help="Simulator board; else by what it says of itself."),
     ] = None,
 ) -> None:
-    """Replay recordings of real Grbl; count what is answered alike.
+    """Replay recordings of real Grbl; count equal answers.
 
-    docs/conformance.md says what these recordings are.
+    docs/conformance.md describes these recordings.
     """
     if python not in ("cpython", "micropython"):
         raise typer.BadParameter("--python is cpython or micropython")

@@ -18,11 +18,11 @@ def command(
     port: Port = None,
     baud: Baud = BAUD,
 ) -> None:
-    """Talk to a Grbl in a terminal that knows it.
+    """Talk to a Grbl in a terminal made for it.
 
-    It has a line for the state and a history, and gives settings and errors their meaning. Tab
-    changes between lines and keys. Keys jog while they are held, set zero, home, unlock, hold, and
-    change feed, rapids and spindle. Ctrl-X resets the machine.
+    It shows the state, has a history, and explains settings and errors. Tab switches between lines
+    and keys. Keys jog while they are held, set zero, home, unlock, hold, and change feed, rapids
+    and spindle. Ctrl-X resets the machine.
     """
     from .terminal import Terminal
 

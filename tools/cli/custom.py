@@ -33,11 +33,11 @@ def check(
     inputs: Inputs = None,
     json_file: Json = None,
 ) -> None:
-    """Say what is wrong with it; run its handlers in the simulator.
+    """Check it for problems; run its handlers in the simulator.
 
-    Looks at words, letters and parameters, names of pins, imports, and what MicroPython's compiler
-    says. In the dry run letters are 1, and inputs come when they are waited for. The exit code is
-    1 if something is wrong, or if the file wants what the simulator does not have.
+    Checks words, letters and parameters, names of pins, imports, and compiles it with
+    MicroPython's compiler. In the dry run letters are 1, and inputs change when they are waited
+    for. The exit code is 1 if something is wrong, or if it needs what the simulator does not have.
     """
     check_output(json_file, given=locals())
     console = Console(stderr=str(json_file) == "-")
@@ -53,7 +53,7 @@ def check(
 
 
 def judge(console: Console, board: str, surroundings: Around) -> Verdict:
-    """Check it and tell what has been found."""
+    """Check the user's Python and show the result."""
     own = _own(surroundings)
     with console.status(f"looking at {own.path} …"):
         verdict, notes = custom_check.check(own, board, surroundings)
@@ -92,7 +92,7 @@ def _tell(console: Console, own: OwnPython, verdict: Verdict, board: str) -> Non
 
 
 def _assumed(own: OwnPython, board: str) -> list[str]:
-    """Pins that only the simulator has."""
+    """Return a note about pins that only the simulator has."""
     from ..boardfile.files import load_board
 
     pins: dict[str, Any] = machine.assumed_pins(load_board(board), own)

@@ -1,4 +1,4 @@
-"""`ugrbl custom` at a board: push, pull, edit and remove."""
+"""`ugrbl custom` for a board: push, pull, edit and remove."""
 
 import os
 import shlex
@@ -29,7 +29,7 @@ from .deploy import Bar
 from .outputs import agree, failed
 from .ports import Port
 
-__all__ = ["app"]  # with the commands that need no board
+__all__ = ["app"]  # includes the commands that need no board
 
 Anyway = Annotated[bool, typer.Option("--anyway", help="Even if it fails in the dry run only.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
@@ -53,10 +53,10 @@ def push(
     inputs: Inputs = None,
     anyway: Anyway = False,
 ) -> None:
-    """Check it, and put it on the board in the place of the old.
+    """Check it, and put it on the board in place of the old one.
 
-    The board starts anew. The machine has to stand still (Idle or Alarm); it starts as after
-    power-up: home it, or set its zero again. Whatever breaks off half way, the old file is there,
+    The board restarts. The machine must stand still (Idle or Alarm); it starts as after power-up:
+    home it, or set its zero again. If anything interrupts this, the board has either the old file
     or the new one.
     """
     console = Console()
@@ -69,7 +69,7 @@ def push(
 def _judged(
     console: Console, file: Path, board: str, inputs: "list[str] | None", anyway: bool
 ) -> OwnPython:
-    """What has passed the check. Ends the command where it has not."""
+    """Return the user's Python after the check. Ends the command if the check fails."""
     surroundings = around(board, file, inputs)
     verdict = judge(console, board, surroundings)
     if verdict.problems or not (verdict.is_good or anyway):
@@ -98,7 +98,7 @@ def _push(console: Console, port: str, own: OwnPython) -> None:
 
 
 def renamed(own: OwnPython, name: str) -> dict[str, bytes]:
-    """Its files, by the name that this board reads."""
+    """Return its files, under the name that this board reads."""
     if own.is_folder and name != own.name:
         lines = [str(m.file) for m in own.modules.values() if f"{own.name}.".encode() in m.source]
         if lines:
@@ -110,7 +110,7 @@ def renamed(own: OwnPython, name: str) -> dict[str, bytes]:
 
 
 def _tell_start(console: Console, what: str, told: "list[str]") -> None:
-    """What the firmware says of it. Ends the command where it has left it out."""
+    """Show what the firmware reports about it. Ends the command if it was left out."""
     for text in told:
         if text.startswith("Custom: "):
             console.print(
@@ -136,7 +136,7 @@ def pull(
     port: Port = None,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
 ) -> None:
-    """Fetch what is on the board, and start the board anew."""
+    """Fetch the files from the board, and restart the board."""
     with _told():
         if file.exists() and not force:
             raise DeployError(f"{file} is there already", "--force replaces it")
@@ -158,7 +158,7 @@ def _fetch(port: str) -> dict[str, bytes]:
 
 
 def keep(found: Mapping[str, bytes], file: Path) -> Path:
-    """Write it as a file, or as a folder of files, and say where it is."""
+    """Write a file, or a folder of files; returns its path."""
     if len(found) == 1 and "/" not in next(iter(found)):
         if file.is_dir():
             file /= next(iter(found))
@@ -180,7 +180,7 @@ def edit(
 ) -> None:
     """Open it in $EDITOR, and push it if you have changed it.
 
-    Where there is none a first one is there to be changed.
+    If the board has none, you start with an example.
     """
     with _told():
         editor = _editor()
@@ -201,7 +201,7 @@ def edit(
 
 
 def _editor() -> list[str]:
-    """The words of $VISUAL or $EDITOR. DeployError where there are none."""
+    """Return the words of $VISUAL or $EDITOR. DeployError if neither is set."""
     said = os.environ.get("VISUAL") or os.environ.get("EDITOR") or ""
     todo = "say which: export EDITOR=nano"
     try:
@@ -222,7 +222,7 @@ def _edit(
     inputs: "list[str] | None",
     anyway: bool,
 ) -> bool:
-    """Have it edited and pushed; returns whether it was changed."""
+    """Let the user edit a copy, and push it. Returns whether it was changed."""
     before = _digests(copy)
     try:
         subprocess.run([*editor, str(copy)], check=True)
@@ -245,7 +245,7 @@ def _digests(copy: Path) -> dict[str, str]:
 
 @app.command(epilog=_EXAMPLE.format("remove --port /dev/ttyACM0"))
 def remove(port: Port = None, yes: Yes = False) -> None:
-    """Take it off the board, and start the plain machine."""
+    """Remove it from the board, and restart the machine without it."""
     with _told():
         where = ports.choose(port)
         if not yes:
@@ -259,8 +259,8 @@ def remove(port: Port = None, yes: Yes = False) -> None:
 
 @contextmanager
 def _shelf(port: str) -> "Iterator[CustomFiles]":
-    """A board at its prompt."""
-    from ..device.deploy_device import MpremoteDevice  # which needs a moment to be imported
+    """Yield a board at its prompt."""
+    from ..device.deploy_device import MpremoteDevice  # it needs a moment to be imported
 
     shelf: Any = MpremoteDevice(port)
     try:
@@ -272,7 +272,7 @@ def _shelf(port: str) -> "Iterator[CustomFiles]":
 
 @contextmanager
 def _told() -> "Iterator[None]":
-    """What goes wrong, in words, and what helps."""
+    """Convert exceptions to a message with cause and next step."""
     try:
         yield
     except DeployError as error:

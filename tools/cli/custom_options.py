@@ -1,4 +1,4 @@
-"""Options of the commands that simulate: the user's own Python, and who pushes its inputs."""
+"""Options of the commands that simulate: the user's own Python, and rules for its inputs."""
 
 import re
 from pathlib import Path
@@ -34,17 +34,18 @@ Lenient = Annotated[
     ),
 ]
 _ALARM = re.compile(r"ALARM:\d+")
-# A probing motion that nothing has touched.
+# A probing motion without contact.
 _HELP = {"ALARM:5": " Say where the probe touches: --input probe=Z-30"}
 
 
 def around(board: str, custom: Path | None, rules: "list[str] | None") -> machine.Around:
-    """What these options ask for. ValueError where that cannot be."""
+    """Return the surroundings that these options describe. ValueError if they are not possible."""
     return machine.around(board, custom, [inputs.rule(text) for text in rules or ()])
 
 
 def why_stopped(result: Result) -> str:
-    """In words: of the handler that failed, where one did; of an alarm, and what helps."""
+    """Return the cause in words: of the handler that failed, else of the alarm, with the next
+    step."""
     if result.faults:
         return result.faults[-1]
     stopped = result.stopped

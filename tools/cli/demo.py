@@ -1,4 +1,4 @@
-"""`ugrbl demo`: a program, a sender and the simulator, from nothing to a picture."""
+"""`ugrbl demo`: an example program, sent to the simulator and drawn."""
 
 import signal
 import subprocess
@@ -21,7 +21,7 @@ from .screen import Screen, show_errors, summary, totals_rows
 
 _PROGRAM = "badge.nc"
 _PICTURE = Path("build/badge.png")
-# A light router: stock Grbl is as slow as it is careful.
+# A light router: the factory settings of Grbl are very slow.
 _SETTINGS = (
     "$110=6000",  # mm/min
     "$111=6000",
@@ -45,7 +45,7 @@ class Simulator:
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
     def wait_until_there(self) -> None:
-        """Return as soon as the port can be opened."""
+        """Wait until the port can be opened."""
         until = time.monotonic() + _PATIENCE_S
         while not self.port.is_symlink():
             if self._process.poll() is not None or time.monotonic() > until:
@@ -53,21 +53,21 @@ class Simulator:
             time.sleep(0.02)
 
     def finish(self) -> Totals:
-        """Switch it off; it leaves its report and its picture."""
+        """End the simulator; it writes its report and its picture. Returns the totals."""
         self._process.send_signal(signal.SIGTERM)
         if self._process.wait() != 0:
             raise SendError("the simulator failed")
         return Totals.load(self._report)
 
     def kill(self) -> None:
-        """However it went, no process is left."""
+        """End the process in any case."""
         self._process.kill()
         self._process.wait()
 
 
 @contextmanager
 def simulator(picture: Path) -> Iterator[Simulator]:
-    """A running simulator."""
+    """Yield a running simulator."""
     with tempfile.TemporaryDirectory() as folder:
         running = Simulator(Path(folder), picture)
         try:
@@ -78,7 +78,7 @@ def simulator(picture: Path) -> Iterator[Simulator]:
 
 
 def demo(console: Console) -> bool:
-    """Stream the example and show what came of it. Returns whether all was well."""
+    """Stream the example and show the result. Returns whether everything was right."""
     lines = read_lines(paths.EXAMPLES / _PROGRAM)
     with simulator(_PICTURE) as running:
         report, seconds = _stream(running, lines, console)

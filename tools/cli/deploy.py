@@ -53,15 +53,15 @@ class Bar:
         self._progress.stop()
 
     def begin(self, count: int, total: int) -> None:
-        """So many files with so many bytes will be written."""
+        """Show that `count` files with `total` bytes will be written."""
         self._progress.update(self._task, total=max(total, 1))
 
     def file(self, path: str) -> None:
-        """This is the next."""
+        """Show the next file."""
         self._progress.update(self._task, description=escape(path))
 
     def written(self, count: int) -> None:
-        """So many bytes more."""
+        """Show that `count` more bytes are written."""
         self._progress.advance(self._task, count)
 
 
@@ -79,12 +79,12 @@ def command(
 ) -> None:
     """Put the firmware on a board with MicroPython, and start it.
 
-    Checks the board file, compiles what this board needs, copies what has changed,
-    takes away what an older deployment has left, and shows what the firmware says.
+    Checks the board file, compiles what this board needs, copies changed files,
+    removes files of an older deployment, and shows what the firmware reports.
 
-    Settings and files of yours stay; so does a board.py that was changed on the
-    board: deploy refuses then. A machine that moves is not disturbed. The exit
-    code is 1 if it could not be done.
+    Your settings and files stay, also a board.py that was changed on the board:
+    deploy refuses then. A machine in motion is not disturbed. The exit code is 1
+    if the deployment failed.
     """
     check_output(json_file, given=locals())
     console = Console(stderr=str(json_file) == "-")
@@ -109,7 +109,7 @@ def command(
 
 
 def _deploy(console: Console, port: str, made: Build, replace: bool) -> Result:
-    from ..device.deploy_device import MpremoteDevice  # which needs a moment to be imported
+    from ..device.deploy_device import MpremoteDevice  # it needs a moment to be imported
 
     with Bar(console) as bar:
         device = MpremoteDevice(port)
@@ -135,7 +135,7 @@ def _show(console: Console, result: Result, port: str) -> None:
 
 
 def _frozen(result: Result) -> list[tuple[str, str]]:
-    """Which firmware runs, where there are two."""
+    """Return a row that says which firmware runs, if one is frozen."""
     if not result.frozen:
         return []
     runs = "runs" if result.runs_frozen else "does not run: files go before it"
@@ -147,7 +147,7 @@ def _files(count: int) -> str:
 
 
 def _failed(why: Sequence[str], todo: str, json_file: Path | None) -> typer.Exit:
-    """Say why, and what helps, on stderr; raise what this returns."""
+    """Show causes and the next step on stderr; returns the exception to raise."""
     console = Console(stderr=True)
     for problem in why:
         console.print(f"[red]{escape(problem)}", highlight=False, soft_wrap=True)

@@ -30,14 +30,14 @@ _TEST_RATE = 200.0
 
 
 class Doctor:
-    """One visit: everything found is told at once, and kept."""
+    """One examination: every finding is shown at once, and stored."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
         self.findings: list[Finding] = []
 
     def add(self, *findings: Finding) -> None:
-        """Tell of something found."""
+        """Show and store findings."""
         for finding in findings:
             self.findings.append(finding)
             mark = _MARKS[finding.verdict]
@@ -50,7 +50,7 @@ class Doctor:
     def see(
         self, port: str, baud: int, pins_s: float | None, may_move: Callable[[], bool], ask: bool
     ) -> None:
-        """Look at what is on a port."""
+        """Examine what is on a port."""
         with self.console.status(f"listening on {port} …"):
             connection = Connection(port, baud)
             alive = connection.answers()
@@ -118,7 +118,7 @@ class Doctor:
         self.console.print(f"     {name}: {'on' if is_on else 'off'}", highlight=False)
 
     def verdict(self) -> str:
-        """All in one sentence."""
+        """Return a summary in one sentence."""
         bad = sum(finding.verdict == BAD for finding in self.findings)
         notes = sum(finding.verdict == NOTE for finding in self.findings)
         if not bad and not notes:
@@ -128,7 +128,8 @@ class Doctor:
 
 
 def _health(connection: Connection, found: Firmware) -> list[str]:
-    """What ours says besides to `$I+`; who cannot tell refuses it, and others are not asked."""
+    """Return the reply of our firmware to `$I+`; a firmware without it refuses it, and other
+    firmwares are not asked."""
     return connection.ask("$I+") if checkup.is_ours(found) else []
 
 
@@ -144,7 +145,7 @@ def _numbers(settings: Settings) -> dict[int, float]:
 
 
 def _find(doctor: Doctor, port: str | None) -> str:
-    """The port to look at; what else is plugged in is told."""
+    """Return the port to examine, and show all ports with a controller."""
     found = ports.find()
     for one in found:
         doctor.add(Finding("usb", OK, f"{one.port}: {one.what}"))
@@ -169,10 +170,10 @@ def command(
         typer.Option("--json", metavar="FILE", help="Write the findings there; - is stdout."),
     ] = None,
 ) -> None:
-    """Find out what is wrong with a machine, and say what to do.
+    """Find the faults of a machine, and say what to do.
 
-    Looks for the port, the board and the firmware; checks the version, the settings against what
-    the machine can do, the inputs as you press them, and a small move. The exit code is 1 if
+    Looks for the port, the board and the firmware; checks the version, the settings against the
+    machine's limits, the inputs as you press them, and a small move. The exit code is 1 if
     something is wrong.
     """
     ask = sys.stdin.isatty()

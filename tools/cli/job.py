@@ -1,4 +1,4 @@
-"""`ugrbl job`: programs that live on a board, and run without a computer."""
+"""`ugrbl job`: programs that are stored on a board, and run without a computer."""
 
 from pathlib import Path
 from typing import Annotated
@@ -34,7 +34,7 @@ def push(
 ) -> None:
     """Put a program on a board, over the line that senders use.
 
-    One of the same name is replaced when the new one is there whole.
+    A program of the same name is replaced when the new one is complete.
     """
     try:
         called, data = jobs.name_of(name or file.name), with_line_feeds(read_utf8(file))
@@ -50,7 +50,7 @@ def push(
 
 @app.command("list", epilog=_EXAMPLE.format("list"))
 def list_jobs(port: Port = None, baud: Baud = BAUD) -> None:
-    """Show which programs a board has, and how much room is left."""
+    """Show the programs on a board, and the free space."""
     with connected(port, baud) as connection:
         files, room = jobs.files(connection)
     if files:
@@ -70,7 +70,7 @@ def show(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
 
 @app.command(epilog=_EXAMPLE.format("delete PART.NC"))
 def delete(name: Name, port: Port = None, baud: Baud = BAUD, yes: Yes = False) -> None:
-    """Take a program off a board."""
+    """Remove a program from a board."""
     called = _called(name)
     with connected(port, baud) as connection:
         if not yes:
@@ -82,10 +82,10 @@ def delete(name: Name, port: Port = None, baud: Baud = BAUD, yes: Yes = False) -
 
 @app.command(epilog=_EXAMPLE.format("run PART.NC"))
 def run(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
-    """Have a board run a program of its own.
+    """Make a board run one of its programs.
 
-    It goes on without this computer. Status reports of the machine tell how far it is: any sender
-    shows them, holds it and stops it; so does `ugrbl console`.
+    It continues without this computer. The machine's status reports show the progress. Any sender,
+    and `ugrbl console`, can show them, hold the program and stop it.
     """
     with connected(port, baud) as connection:
         _say(jobs.start(connection, _called(name)))
@@ -104,10 +104,10 @@ def resume(
     baud: Baud = BAUD,
     yes: Yes = False,
 ) -> None:
-    """Go on in the middle of a program that is on a board.
+    """Continue in the middle of a program that is on a board.
 
-    Home the machine first. With the tool off it goes up and across to where the line begins; there
-    the spindle starts, and the tool goes down at the feed rate.
+    Home the machine first. With the tool off it moves up and across to where the line begins.
+    There the spindle starts, and the tool moves down at the feed rate.
     """
     if line and not name:
         raise failed("--line wants the name of the program")
@@ -126,9 +126,9 @@ def button(
     port: Port = None,
     baud: Baud = BAUD,
 ) -> None:
-    """Give a program to the board's start button.
+    """Assign a program to the board's start button.
 
-    Pressed, it runs that program where nothing else runs.
+    When pressed, it runs that program if nothing else runs.
     """
     called = _called(name) if name else ""
     with connected(port, baud) as connection:

@@ -1,4 +1,4 @@
-"""Keys of the terminal, one by one as they are pressed, and what they tell a Grbl."""
+"""Keys of the terminal, read one by one, and their real-time commands for Grbl."""
 
 import os
 import re
@@ -30,14 +30,16 @@ HELP = (
     "keys: space holds, ~ or Enter goes on, + - > < 0 feed, 1 2 3 rapids 25 50 100 %, "
     "* / = spindle, Ctrl-C holds and asks"
 )
-# Of a Windows console arrow and function keys come as one of these and the sign of another key.
+# On a Windows console, arrow and function keys arrive as one of these and the character of another
+# key.
 _TWO_READS = ("\0", "\xe0")
-# What arrow and function keys send holds signs of other keys.
+# The sequences of arrow and function keys contain characters of other keys.
 _SEQUENCE = re.compile(r"\x1b(?:[\[O][0-9;]*[A-Za-z~])?")
 
 
 class Keys:
-    """The keyboard, as a context. Not listened to, or no terminal: nothing is ever pressed."""
+    """The keyboard, as a context. Without `listen`, or without a terminal, no key is ever
+    pressed."""
 
     def __init__(self, listen: bool = True) -> None:
         self._listen = listen and sys.stdin.isatty()
@@ -65,7 +67,7 @@ class Keys:
         self._saved = None
 
     def commands(self) -> bytes:
-        """What has been pressed since, as real-time commands."""
+        """Return the keys pressed since the last call, as real-time commands."""
         return commands(self._read())
 
     def _read(self) -> str:
@@ -79,7 +81,8 @@ class Keys:
 
 
 def _read_console(msvcrt: Any) -> str:
-    """The keys pressed in a Windows console since, without those that take two reads."""
+    """Return the keys pressed in a Windows console since the last call, without those of two
+    reads."""
     keys = ""
     while msvcrt.kbhit():
         key = msvcrt.getwch()
@@ -91,5 +94,5 @@ def _read_console(msvcrt: Any) -> str:
 
 
 def commands(keys: str) -> bytes:
-    """The real-time commands of keys; those of arrows and functions do nothing."""
+    """Return the real-time commands of keys; arrow and function keys have none."""
     return b"".join(COMMANDS.get(key, b"") for key in _SEQUENCE.sub("", keys))

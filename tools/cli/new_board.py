@@ -77,7 +77,7 @@ def command(
 ) -> None:
     """Make a board file, and show the wiring.
 
-    It asks for the pins and checks them; what options say is not asked for.
+    It asks for the pins and checks them, except those given by options.
     """
     asking = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")
@@ -106,7 +106,7 @@ def command(
 
 
 def _check_name(name: str) -> None:
-    """BoardError where a module cannot be called so."""
+    """Raise BoardError if a module cannot have that name."""
     if not name.isidentifier():
         raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
     if iskeyword(name):
@@ -114,7 +114,7 @@ def _check_name(name: str) -> None:
 
 
 class _Words(NamedTuple):
-    """What was said by options."""
+    """Values given by options."""
 
     pins: dict[str, str]  # by name of the item
     motors: str | None
@@ -122,7 +122,7 @@ class _Words(NamedTuple):
 
 
 def _wire(console: Console, board: Board, said: _Words, asking: bool) -> None:
-    """Every pin, and behind those of steps what their motors move."""
+    """Set all pins, and after those for steps what their motors move."""
     for item in ITEMS:
         board.pins[item.name] = _one(console, board, item, said.pins.get(item.name), asking)
         if item.name == "STEP":
@@ -131,7 +131,7 @@ def _wire(console: Console, board: Board, said: _Words, asking: bool) -> None:
 
 
 def _given(words: list[str]) -> dict[str, str]:
-    """What was said by options, by name of the item."""
+    """Return the pins given by options, by name of the item."""
     given = {}
     for word in words:
         name, _, pins = word.partition("=")
@@ -155,7 +155,8 @@ def _chip(console: Console, chip: Chip | None, asking: bool) -> Chip:
 
 
 def _one(console: Console, board: Board, item: Item, text: str | None, asking: bool) -> Pins:
-    """The pins of one item, from its option or from the user, who is asked until they fit."""
+    """Return the pins of one item, from its option or from the user, who is asked until they are
+    valid."""
     if text is not None or not asking:
         pins = new_board.read_pins(text or "")
         new_board.check_item(board, item, pins)
@@ -175,7 +176,8 @@ def _one(console: Console, board: Board, item: Item, text: str | None, asking: b
 
 
 def _motors(console: Console, board: Board, text: str | None, asking: bool) -> str:
-    """The axis of each motor; "" where each has its own, as with three there is no question."""
+    """Return the axis of each motor; "" if each has its own. With three motors there is no
+    question."""
     count = len(board.pins["STEP"])
     own = motor_names.AXIS_LETTERS[:count]
     if text is None and (not asking or count <= new_board.FEWEST_AXES):
@@ -188,7 +190,7 @@ def _motors(console: Console, board: Board, text: str | None, asking: bool) -> s
 
 
 def _rotary(console: Console, board: Board, text: str | None, asking: bool) -> str:
-    """Axes that turn; with X, Y and Z only there is no question."""
+    """Return the rotary axes; with X, Y and Z only there is no question."""
     if text is None and (not asking or board.axes <= new_board.FEWEST_AXES):
         return ""
     question = "Axes that turn, A say, or nothing"
@@ -203,7 +205,7 @@ def _letters(
     default: str,
     check: Callable[[Board, str], None],
 ) -> str:
-    """From an option or from the user, who is asked until they fit."""
+    """Return letters from an option or from the user, who is asked until they are valid."""
     while True:
         letters = text
         if letters is None:
@@ -230,7 +232,7 @@ def _defaults(settings: list[str]) -> dict[int, float]:
 
 
 def _write(board: Board, file: Path) -> None:
-    """Write it, and let it be checked as it stands there; a file that fails is taken away."""
+    """Write the file and check it as a board file; a file that fails is removed."""
     before = file.read_bytes() if file.exists() else None
     try:
         paths.write(file, board.text().encode())

@@ -1,4 +1,4 @@
-"""Where commands write: looked at before the work, so that none is done in vain; then written."""
+"""Output files of commands: checked before the work, written after it."""
 
 import json
 import os
@@ -19,20 +19,20 @@ Json = Annotated[
     Path | None,
     typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
 ]
-# What a path or a job can be drawn as.
+# Formats of drawings.
 PICTURES = (".html", ".png", ".svg")
 
 
-_BOARD = "board"  # the parameter of commands that is a name, or a path
+_BOARD = "board"  # the parameter of commands that is a name or a path
 
 
 def check_outputs(
     *files: Path | None, plot: Path | None = None, given: Mapping[str, object] | None = None
 ) -> None:
-    """OSError or ValueError where a file cannot be written. Nothing has been made then.
+    """Raise OSError or ValueError if a file cannot be written. Nothing has been made then.
 
-    plot: one that is a drawing; given: the command's parameters by name, its locals(): what is
-    not among those to write is read, and never written over. `-` is stdout.
+    plot: a file that is a drawing. given: the command's parameters by name, its locals(); files
+    that are read are never overwritten. `-` is stdout.
     """
     if plot and str(plot) != STDIN and plot.suffix.lower() not in PICTURES:
         raise ValueError(f"{plot}: it can be {', '.join(PICTURES)}")
@@ -49,31 +49,32 @@ def check_outputs(
 
 
 def _is_one(value: object, files: list[Path]) -> bool:
-    """The very object: a file that is read may have the same name as one that is written."""
+    """Return whether it is one of these objects. Identity counts, because a file that is read may
+    have the same name as one that is written."""
     return any(value is file for file in files)
 
 
 def _read(given: Mapping[str, object]) -> Iterator[Path]:
-    """Files that a command has been given to read, the Python files of folders too."""
+    """Yield the files that a command reads, including Python files in folders."""
     for name, value in given.items():
         if name == _BOARD and isinstance(value, str):
             try:
                 yield board_file(value)
             except BoardFileError:
-                continue  # which the command says, in its turn
+                continue  # the command itself reports this
         elif isinstance(value, Path):
             yield value
             yield from value.glob("*.py")
 
 
 def _check(file: Path) -> None:
-    if os.path.isdir(file):  # Path's fails where a name is too long
+    if os.path.isdir(file):  # Path.is_dir() fails if a name is too long
         raise IsADirectoryError(f"{file} is a folder: name a file")
     paths.check_writable(file)
 
 
 def check_output(*files: Path | None, given: Mapping[str, object] | None = None) -> None:
-    """End the command before its work where a file could not be written after it."""
+    """End the command before its work if a file could not be written after it."""
     try:
         check_outputs(*files, given=given)
     except (OSError, ValueError) as error:
@@ -81,12 +82,12 @@ def check_output(*files: Path | None, given: Mapping[str, object] | None = None)
 
 
 def save_json(found: object, file: Path) -> None:
-    """Write it; `-` is stdout. What goes wrong with it ends the command with the reason."""
+    """Write JSON to a file; `-` is stdout. A failure ends the command with a message."""
     save_text(json.dumps(found, indent=1) + "\n", file)
 
 
 def save_text(text: str, file: Path) -> None:
-    """Write a file; `-` is stdout. What goes wrong with it ends the command with the reason."""
+    """Write text to a file; `-` is stdout. A failure ends the command with a message."""
     if str(file) == STDIN:
         sys.stdout.write(text)
         return
@@ -97,12 +98,13 @@ def save_text(text: str, file: Path) -> None:
 
 
 def examples(*lines: str) -> str:
-    """Command lines for the end of a help text, which keeps them as they are."""
+    """Return command lines for the end of a help text, which are not re-wrapped."""
     return "\n".join(("\b", "Examples:", *(f"  {line}" for line in lines)))
 
 
 def agree(question: str, otherwise: str) -> None:
-    """Ask whether to go on, on stderr. Anything but yes ends the command; so does nobody there."""
+    """Ask a question on stderr. The command ends unless the answer is yes; also without a
+    terminal."""
     try:
         agreed = typer.confirm(question, err=True)
     except typer.Abort as error:
@@ -112,15 +114,15 @@ def agree(question: str, otherwise: str) -> None:
 
 
 def failed(why: object) -> typer.Exit:
-    """Say why on stderr; raise what this returns."""
+    """Show a failure on stderr; returns the exception to raise."""
     if isinstance(why, BrokenPipeError):
-        raise why  # nobody reads stdout any more: the command ends without a word
+        raise why  # the reader of stdout is gone: end without a message
     Console(stderr=True).print(f"[red]{escape(words(why))}", highlight=False)
     return typer.Exit(1)
 
 
 def words(why: object) -> str:
-    """What went wrong as people say it, without the number of the system's error."""
+    """Return an error in words, without the number of the system's error."""
     if isinstance(why, OSError) and why.strerror:
         said = paths.why(why)
         return f"{why.filename}: {said}" if why.filename else said

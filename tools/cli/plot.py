@@ -56,9 +56,9 @@ def command(
 ) -> None:
     """Draw what a program will do.
 
-    The path is coloured by speed; charts show speed, acceleration and step rates.
-    With --set it is drawn a second time, under those settings, and the time saved is told. The
-    exit code is 1 where the program has errors; what could be done of it is drawn all the same.
+    The path is coloured by speed; charts show speed, acceleration and step rates. With --set it is
+    drawn a second time with those settings, and the time saved is shown. The exit code is 1 if
+    lines are refused; the rest of the program is still drawn.
     """
     console = Console(stderr="-" in (str(json_file), str(out)))
     name = name_of(file)

@@ -1,4 +1,4 @@
-"""Serial ports, and which of them may have a Grbl behind them."""
+"""Serial ports, and which of them may have a Grbl."""
 
 import json
 from collections.abc import Iterator
@@ -13,14 +13,14 @@ from ..device.connection import Connection, SendError
 from ..device.settings_sync import connect
 from .outputs import failed
 
-# Options of all commands that talk to a machine.
+# Options of all commands that communicate with a machine.
 Port = Annotated[
     str | None,
     typer.Option(metavar="PORT", help="Serial port or simulator; not said: the only one."),
 ]
 Baud = Annotated[int, typer.Option(metavar="RATE", min=50, help="Of a real serial port.")]
 
-# USB vendor and product (0: any) of what controllers speak through.
+# USB vendor and product (0: any) of controllers and their serial bridges.
 _KNOWN = (
     (0x2E8A, 0x0005, "Raspberry Pi Pico with MicroPython"),
     (0x2E8A, 0x000A, "Raspberry Pi Pico with a program in C"),
@@ -43,7 +43,7 @@ class Found(NamedTuple):
 
 
 def find() -> list[Found]:
-    """The ports that may have a controller behind them, those known by their USB numbers."""
+    """Return the ports that may have a controller, recognised by their USB numbers."""
     found = []
     for port in list_ports.comports():
         for vendor, product, what in _KNOWN:
@@ -56,7 +56,7 @@ def find() -> list[Found]:
 def command(
     json_out: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
-    """List the serial ports that may have a controller behind them.
+    """List the serial ports that may have a controller.
 
     The exit code is 1 if there is none.
     """
@@ -71,7 +71,7 @@ def command(
 
 
 def choose(port: str | None) -> str:
-    """The port asked for, or the only one there is; SendError where that cannot be said."""
+    """Return the given port, or the only one there is; SendError if there is none or several."""
     if port:
         return port
     found = find()
@@ -87,7 +87,7 @@ def choose(port: str | None) -> str:
 
 @contextmanager
 def connected(port: str | None, baud: int) -> Iterator[Connection]:
-    """A Grbl to talk to; what goes wrong with it ends the command with the reason."""
+    """Yield a connected Grbl; a failure ends the command with a message."""
     try:
         connection = connect(choose(port), baud)
         try:

@@ -67,11 +67,11 @@ def command(
     inputs: Inputs = None,
     lenient: Lenient = False,
 ) -> None:
-    """Run a program in virtual time, and say what is wrong with it.
+    """Run a program in virtual time, and show its problems.
 
-    It says how long it takes, how far it goes, and which lines would come too fast for a board.
-    Where the program pauses (M0, or a hold in its text) it is told to go on. The exit code is 0
-    if it came to its end; with --check, only if there were no errors either.
+    Shows its time and distance, and which lines would come too fast for a board. After a pause
+    (M0, or a hold in its text) it is resumed. The exit code is 0 if the program was completed;
+    with --check, only if no line was refused.
     """
     console = Console(stderr="-" in (str(json_file), str(picture)))
     try:
@@ -104,7 +104,7 @@ def command(
 
 
 def _chosen(console: Console, file: Path | None, more: Sequence[str]) -> list[str]:
-    """The settings of a file, and those of options."""
+    """Return the settings of a file, followed by those of options."""
     kept = from_file(file) if file else []
     show_zeros(console, kept)
     return kept + [as_line(text) for text in more]
@@ -128,7 +128,7 @@ def _tell(
     late: Sequence[Stretch],
     seconds: float,
 ) -> None:
-    """What came of it."""
+    """Show the result."""
     show_errors(console, result.errors, lines)
     show_wide_arcs(console, result.wide_arcs)
     show_messages(console, result.other_output)
@@ -150,7 +150,7 @@ def _tell(
     console.print(summary(rows))
 
 
-# What to do, by the kind of lines (boardfile/rates.py), besides going slower.
+# By the kind of lines (boardfile/rates.py): their name, and what helps besides a lower feed.
 _KINDS = {
     "plain": ("short moves", "longer moves"),
     "power": ("moves with a new S each", "fewer pixels per mm"),
@@ -161,7 +161,7 @@ _KINDS = {
 
 
 def _too_fast(late: Sequence[Stretch], whose: str) -> str:
-    """The worst stretch of lines that come too fast for the board, and what to do."""
+    """Return a text about the worst stretch of lines that come too fast, with the next step."""
     worst = late[0]
     what, instead = _KINDS[worst.kind]
     others = {1: "", 2: ", and at one more place"}.get(
@@ -176,7 +176,7 @@ def _too_fast(late: Sequence[Stretch], whose: str) -> str:
 
 
 def _judge(result: Result, check: bool, acting: bool) -> None:
-    """End with the exit code that is due. acting: bytes of the program act at once."""
+    """End with the right exit code. acting: the program has bytes that act at once."""
     if result.stopped:
         raise failed(f"could not finish: {why_stopped(result)}")
     if result.resets:

@@ -1,4 +1,4 @@
-"""What the commands show: a progress bar with the machine's state, tables, messages."""
+"""Output of the commands: a progress bar with the machine's state, tables, messages."""
 
 import errno
 import os
@@ -38,15 +38,16 @@ _MOST_ERRORS = 20
 
 
 class Output(Console):
-    """stdout, where a reader that has gone is an OSError, as a full disk is: rich would end the
-    command, whatever the machine does."""
+    """stdout. A closed pipe raises OSError, as a full disk does; rich would end the command,
+    whatever the machine does."""
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
 
 
 class _Clock(ProgressColumn):
-    """Goes on until the bar stops: motion ends later than the last line is answered."""
+    """Elapsed time until the bar stops, because motion ends later than the last line is
+    answered."""
 
     def render(self, task: Task) -> Text:
         return Text(str(timedelta(seconds=int(task.elapsed or 0))), style="progress.elapsed")
@@ -55,7 +56,7 @@ class _Clock(ProgressColumn):
 class Screen:
     """A View for send.Stream, and the bar of `ugrbl run`; use it as a context.
 
-    seconds_left: how long it takes once so many lines are done, or None; listen: to keys.
+    seconds_left: returns the time left after so many lines, or None. listen: read keys.
     """
 
     def __init__(
@@ -94,12 +95,12 @@ class Screen:
         self._keys.__exit__(kind, error, trace)
         try:
             self._progress.stop()
-        except OSError as failed:  # a full disk is no reason to forget what has been done
+        except OSError as failed:  # the result must still be shown if the disk is full
             why = f"what has happened cannot be shown: {paths.why(failed)}"
             Console(stderr=True).print(why, highlight=False)
 
     def progress(self, answered: int, status: str = "") -> None:
-        """So many lines are done."""
+        """Show that `answered` lines are done."""
         left = self._seconds_left(answered)
         if found := _OVERRIDES.search(status):
             self._overrides = "" if found[1] == "100,100,100" else f"  {found[1]} %"
@@ -109,15 +110,15 @@ class Screen:
         self._progress.update(self._task, completed=answered, state=escape(state))
 
     def message(self, words: str) -> None:
-        """A line above the bar."""
+        """Show a line above the bar."""
         self._progress.console.print(escape(words), highlight=False)
 
     def keys(self) -> bytes:
-        """Real-time commands that have been asked for by keys."""
+        """Return the real-time commands of pressed keys."""
         return self._keys.commands()
 
     def ask(self, why: str) -> Choice:
-        """Whether to go on. No answer, or nobody to give one, means no."""
+        """Ask how to continue. No answer, or no terminal, means abort."""
         if not sys.stdin.isatty():
             return Choice.ABORT
         self._progress.stop()
@@ -142,7 +143,7 @@ class Screen:
 
 
 def brief(status: str) -> str:
-    """The state and place of a status report: `Run 1.000 2.000 0.000`."""
+    """Return state and position of a status report: `Run 1.000 2.000 0.000`."""
     state = state_of(status)
     place = _PLACE.search(status)
     return f"{state} {place[2].replace(',', ' ')}" if place else state
@@ -151,7 +152,7 @@ def brief(status: str) -> str:
 def show_errors(
     console: Console, errors: Sequence[tuple[int, str]], lines: Sequence[bytes]
 ) -> None:
-    """Each error with its line and its meaning; the first of very many."""
+    """Show each refused line with its meaning, at most _MOST_ERRORS."""
     for number, reply in errors[:_MOST_ERRORS]:
         line = shown(lines[number - 1])
         console.print(
@@ -169,8 +170,10 @@ def show_foreign(
     lines: Sequence[bytes],
     who: str = "such words are taken by",
 ) -> None:
-    """What helps with words of other controllers (docs/lenient.md), where some were refused. who:
-    takes them; empty where all that takes them is in use."""
+    """Show what helps with words of other controllers (docs/lenient.md), if some were refused.
+
+    who: text that names what accepts them; empty if everything that does is in use.
+    """
     refused = {number: lines[number - 1] for number, _ in errors}
     languages = {number: whose for number, line in refused.items() if (whose := language_of(line))}
     if languages:
@@ -194,7 +197,7 @@ def _where(numbers: Sequence[int]) -> str:
 
 
 def show_wide_arcs(console: Console, found: Sequence[tuple[int, str]]) -> None:
-    """Arcs that leave the part; the first of very many."""
+    """Show arcs that leave the part, at most _MOST_ERRORS."""
     for number, text in found[:_MOST_ERRORS]:
         console.print(f"line {number}: {text}. Is it meant so?", highlight=False, soft_wrap=True)
     if len(found) > _MOST_ERRORS:
@@ -202,14 +205,14 @@ def show_wide_arcs(console: Console, found: Sequence[tuple[int, str]]) -> None:
 
 
 def show_messages(console: Console, output: Sequence[tuple[int, str]]) -> None:
-    """What the machine has told its sender besides answers, by line."""
+    """Show the machine's messages to its sender, by line."""
     for number, line in output:
         if line.startswith("[MSG:"):
             console.print(f"line {number}: {line[5:-1]}", highlight=False, markup=False)
 
 
 def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
-    """Tell of bytes that act at once. Returns whether some stand outside of comments."""
+    """Show bytes that act at once. Returns whether some are outside of comments."""
     found = problems(lines)
     bad = [one for one in found if not one.in_comment]
     for one in bad[:_MOST_ERRORS]:
@@ -227,13 +230,13 @@ def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
 
 
 def show_zeros(console: Console, settings: Iterable[str]) -> None:
-    """Tell of settings, lines such as `$100=0`, with which an axis would not move."""
+    """Show settings, lines such as `$100=0`, with which an axis would not move."""
     for text in zeros(settings):
         console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
 
 
 def summary(rows: Iterable[tuple[str, str]]) -> Table:
-    """A table of names and values."""
+    """Return a table of names and values."""
     table = Table(show_header=False)
     for name, value in rows:
         table.add_row(name, escape(value))
@@ -241,7 +244,7 @@ def summary(rows: Iterable[tuple[str, str]]) -> Table:
 
 
 def totals_rows(totals: Totals) -> list[tuple[str, str]]:
-    """What a machine has done, for a summary."""
+    """Return the rows of a machine's totals for a summary."""
     rows = [
         ("machining time", clock(totals.time_s)),
         ("distance", f"{totals.distance_mm:.1f} mm"),
@@ -256,14 +259,14 @@ def totals_rows(totals: Totals) -> list[tuple[str, str]]:
 
 
 def _steps(planned: int, made: int, probed: int) -> str:
-    """What became of them. probed: not made, for the probe has touched."""
+    """Return planned and made steps as text. probed: not made, because the probe touched."""
     if probed and planned == made + probed:
         return f"{planned} commanded, {made} made: stopped by the probe"
     return f"{planned} commanded {'=' if planned == made else '!='} {made} made"
 
 
 def clock(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Return hours, minutes and seconds."""
     minutes, rest = divmod(seconds, 60)
     hours, minutes = divmod(int(minutes), 60)
     return f"{hours}:{minutes:02}:{rest:06.3f}"

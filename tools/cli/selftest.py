@@ -33,20 +33,20 @@ _LASER = (
 
 
 class Report:
-    """Rows, told at once and kept."""
+    """Shows rows at once and stores them."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self.rows: list[Row] = []
 
     def show_row(self, row: Row) -> None:
-        """One check more."""
+        """Show and store the result of a check."""
         self.rows.append(row)
         text = f"{_MARKS[row.passed]} [b]{escape(row.what)}[/b]: {escape(row.text)}"
         self._console.print(text, highlight=False, soft_wrap=True)
 
     def verdict(self) -> str:
-        """All in one sentence."""
+        """Return a summary in one sentence."""
         count = Counter(row.passed for row in self.rows)
         words = [f"{count[True]} passed", f"{count[False]} failed"]
         return ", ".join([*words, *([f"{count[None]} not looked at"] if count[None] else [])])
@@ -68,12 +68,12 @@ def command(
         typer.Option("--json", metavar="FILE", help="Write the rows there; - is stdout."),
     ] = None,
 ) -> None:
-    """Prove the firmware on the board: nothing wired, drivers off.
+    """Test the firmware on the board: nothing wired, drivers off.
 
-    Free machines of the chip's second PIO watch the pins that the first one drives, so no wire
-    is needed: steps counted, pulses measured, stops, starts, limits, PWM, flash, a hang. On an
-    ESP32 its pulse counters count. The settings stay. A machine that moves is not disturbed. The
-    exit code is 1 if something failed.
+    Free machines of the chip's second PIO watch the pins that the first one drives, so no wire is
+    needed: steps counted, pulses measured, stops, starts, limits, PWM, flash, a hang. On an ESP32,
+    its pulse counters count. The settings stay. A machine in motion is not disturbed. The exit
+    code is 1 if something failed.
     """
     check_output(json_file)
     console = Console(stderr=str(json_file) == "-")
@@ -98,7 +98,7 @@ def command(
 
 
 def _open(port: str) -> Board:
-    from ..device.selftest.device import PromptBoard  # which needs a moment to be imported
+    from ..device.selftest.device import PromptBoard  # it needs a moment to be imported
 
     return PromptBoard(port)
 
@@ -109,13 +109,13 @@ def _test(board: Board, report: Report, quick: bool, yes: bool, seed: int) -> No
         pwm = _consent(wiring, yes)
         check(board, chip, program.amounts(chip, quick), pwm, seed, report.show_row)
     except (DeployError, typer.Abort):
-        with suppress(DeployError):  # the first one says more
+        with suppress(DeployError):  # the first exception says more
             board.start()
         raise
 
 
 def _consent(wiring: Wiring, yes: bool) -> bool:
-    """Whether the spindle's output may be used; DeployError where nothing may be done at all."""
+    """Return whether the spindle's output may be used; DeployError if nothing may be tested."""
     ask = sys.stdin.isatty() and not yes
     if wiring.enable is None and not yes and not (ask and typer.confirm(_BARE)):
         raise DeployError(

@@ -74,10 +74,10 @@ def command(
 ) -> None:
     """Stream a program to a Grbl.
 
-    The simulator checks it first; with --custom it knows your own words, too. Where the machine
+    The simulator checks it first; with --custom it also knows your own words. If the machine
     refuses a line, it is held and you are asked; without a terminal the job ends. Ctrl-C, a closed
-    terminal and SIGTERM hold the machine first. Keys: space holds, ~ goes on, + and - change the
-    feed. The exit code is 0 if all was done and nothing was refused.
+    terminal and SIGTERM hold the machine first. Keys: space holds, ~ resumes, + and - change the
+    feed. The exit code is 0 if all lines were sent and none was refused.
     """
     name = gcode_file.name_of(file)
     by_line = mode is Mode.LINE
@@ -91,12 +91,12 @@ def command(
 
 
 def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
-    """How it went. Ends the command where nothing can be sent."""
+    """Send the file; returns the result. Ends the command if nothing can be sent."""
     console = Output()
     try:
-        # Before anything is asked of a machine.
+        # Checked before the machine is contacted.
         around(options.board or DEFAULT_BOARD, options.custom, list(options.inputs))
-        # A file takes nothing of it but an empty line, for which a full disk has no room.
+        # In a file the status would only be an empty line, which fails on a full disk.
         with console.status("reading …") if console.is_terminal else nullcontext():
             lines = _read(file, options, console)
         connection = Connection(choose(port), baud)
@@ -111,7 +111,7 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
 
 
 def _read(file: Path, options: Options, console: Console) -> Sequence[bytes]:
-    """The program; Stopped where it must not be sent."""
+    """Return the program; Stopped if it must not be sent."""
     try:
         lines = gcode_file.read_program(file)
     except OSError as error:

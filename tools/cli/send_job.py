@@ -1,4 +1,5 @@
-"""What `ugrbl send` does: look at the machine, rehearse the program, send it, say how it went."""
+"""The work of `ugrbl send`: examine the machine, rehearse the program, send it, show the
+result."""
 
 import sys
 from collections.abc import Sequence
@@ -25,17 +26,17 @@ from ..run.rehearsal import Forecast, Rehearsal
 from . import keys
 from .screen import Screen, show_errors, show_foreign, show_wide_arcs
 
-# How long it may take to find out which line was being made.
+# Time limit for finding the line that was executed at a stop.
 _PATIENCE_S = 20.0
-# Grbl's answer to a word that it does not have.
+# Grbl's answer to an unknown word.
 _UNKNOWN = "error:20"
-# Alarms after which Grbl hears nothing but a reset.
+# Alarms after which Grbl accepts only a reset.
 _DEAD = ("ALARM:1:", "ALARM:2:")
 
 
 @dataclass
 class Options:
-    """What the command line asks for."""
+    """The options of the command line."""
 
     name: str
     board: str | None = None
@@ -63,13 +64,13 @@ class Job:
         self._connection = connection
         self._console = console
         self._here = MachineSnapshot()
-        self._letters = ""  # of its options
+        self._letters = ""  # of its options in $I
         self._own = CustomCodes()
         self._rehearsal: Rehearsal | None = None
-        self._lead = 0  # lines that lead up to the program
+        self._lead = 0  # number of lines that prepare for the program
 
     def run(self) -> Report:
-        """Check it, send it, say how it went. Stopped, where nothing is sent."""
+        """Check the program, send it, show the result. Stopped if nothing is sent."""
         self._connection.start()
         try:
             report = self._send(self._prepare())
@@ -81,7 +82,7 @@ class Job:
                 self._rehearsal.close()
 
     def _prepare(self) -> Sequence[Line]:
-        """The lines to be sent."""
+        """Return the lines to send."""
         options = self._options
         to_send = Ready(self._lines)
         if not options.check and options.from_line == 1:
@@ -102,7 +103,7 @@ class Job:
         return Ready(self._lines, options.from_line, way)
 
     def _cannot_rehearse(self) -> str:
-        """Why the simulator would not be like the machine, or an empty text."""
+        """Return why the simulator would differ from the machine; "" if it would not."""
         state = self._connection.state()
         if state != "Idle":
             return f"the machine is in {state}"
@@ -159,12 +160,13 @@ class Job:
             raise Stopped(f"{words}; nothing was sent (--no-check sends it)")
 
     def _is_own(self, number: int, reply: str) -> bool:
-        """The simulator refuses a line for a word that the machine has, or may have."""
+        """Return whether the simulator refuses a line only for a word that the machine has, or may
+        have."""
         line = self._lines[number - 1]
         return reply == _UNKNOWN and (self._own.is_cut or bool(self._own.word_in(line)))
 
     def _tell_unknown(self, numbers: Sequence[int]) -> None:
-        """Lines with words of the machine's own, which are no errors."""
+        """Show lines with words of the machine's own, which are not counted as errors."""
         if not numbers:
             return
         word = self._own.word_in(self._lines[numbers[0] - 1])
@@ -174,13 +176,14 @@ class Job:
         self._say(f"not known here: {what}; {self._todo('them' if more else 'it')}")
 
     def _todo(self, what: str = "it") -> str:
-        """What helps where the simulator does not know words of the machine's own."""
+        """Return the next step if the simulator does not know words of the machine's own."""
         if self._options.custom:
             return f"{self._options.custom} does not have {what}"
         return f"--custom FILE rehearses {what}"
 
     def _check_place(self, forecast: Forecast) -> None:
-        """Stopped, where the lines before that to begin with may have moved unseen."""
+        """Raise Stopped if lines before the first one may have moved the machine in an unknown
+        way."""
         for number in range(1, self._options.from_line):
             line = self._lines[number - 1]
             handler = self._own.handler_of(line)
@@ -196,7 +199,8 @@ class Job:
         self._check_file(forecast.own)
 
     def _check_file(self, own: str) -> None:
-        """Stopped, where the machine has another Python than has been rehearsed. own: names."""
+        """Raise Stopped if the machine has other Python than was rehearsed. own: names of its
+        handlers."""
         if self._options.custom and own != self._own.text:
             raise Stopped(
                 f"{self._options.custom} is not what the machine has: "
@@ -204,7 +208,7 @@ class Job:
             )
 
     def _cautions(self, way: Approach) -> list[str]:
-        """What the machine's own Python has to do with the way."""
+        """Return cautions about the approach, including those about the machine's own Python."""
         found = list(way.cautions)
         for line in way.lines:
             if handler := self._own.handler_of(line.data):
@@ -215,7 +219,7 @@ class Job:
         return found
 
     def _approach(self, running: Rehearsal) -> list[Line]:
-        """The way to the line to begin with, if the user agrees."""
+        """Return the lines that approach the first line, if the user agrees."""
         number = self._options.from_line
         with self._console.status(f"simulating up to line {number} …"):
             forecast = running.wait()
@@ -259,7 +263,7 @@ class Job:
         return forecast.seconds_left(max(0, done - self._lead) + self._options.from_line - 1)
 
     def _tell_end(self, report: Report) -> None:
-        """Why it came to no end, what was made, and what the machine does now."""
+        """Show why it ended early, what was executed, and what the machine does now."""
         Console(stderr=True).print(f"[red]stopped: {escape(report.stopped)}", highlight=False)
         if reached := self._reached(report):
             self._say(
@@ -286,7 +290,7 @@ class Job:
             self._say(f"the machine is in {state}{todo}")
 
     def _reached(self, report: Report) -> int | None:
-        """The line that was being made, where the rehearsal can tell."""
+        """Return the line that was executed at the stop, if the rehearsal knows it."""
         forecast: Forecast | None = None
         if self._rehearsal and report.place and report.place_line:
             forecast = self._rehearsal.wait(_PATIENCE_S)
@@ -297,12 +301,13 @@ class Job:
         return forecast.line_at(line, place, self._connection.blocks, report.blocks_left)
 
     def _is_unseen(self, last: int) -> bool:
-        """Up to that line, or the one behind it, the machine may have moved as nobody knows."""
+        """Return whether up to that line, or the next one, the machine may have moved in an
+        unknown way."""
         lines = self._lines[: last + 1]
         return not self._options.custom and any(map(self._own.handler_of, lines))
 
     def _say(self, words: str) -> None:
         try:
             self._console.print(words, highlight=False, markup=False, soft_wrap=True)
-        except OSError:  # a full disk: there may be somebody at the terminal
+        except OSError:  # a full disk: stderr may still be a terminal
             Console(stderr=True).print(words, highlight=False, markup=False, soft_wrap=True)

@@ -1,8 +1,8 @@
-"""A person at a Grbl: lines and keys go in, what the machine says comes out with its meaning.
+"""A user at a Grbl: lines and keys go in, the machine's output comes out with explanations.
 
-No terminal in here; console.py has it. poll() is called often, and does all that takes time. A jog
-by key goes on as long as the key is heard again and again, in pieces so short that the machine
-stops by itself where nobody is there any more.
+This module has no terminal; console.py has it. poll() is called often, and does all the work. A
+jog by key continues while the key repeats, in pieces so short that the machine stops by itself if
+the connection is lost.
 """
 
 import re
@@ -38,7 +38,7 @@ JOGS = {
     "pageup": "Z",
 }
 _LINES = {"h": "$H", "u": "$X", "x": "G10 L20 P0 X0", "y": "G10 L20 P0 Y0", "z": "G10 L20 P0 Z0"}
-# A key that is held is heard 10 to 30 times in a second; fingers are slower.
+# A key that is held repeats 10 to 30 times a second; fingers are slower.
 _REPEAT_S = 0.15
 _PIECE_S = 0.1
 _AHEAD = 3
@@ -49,28 +49,28 @@ _PINS = re.compile(r"\|Pn:([A-Z]+)")
 
 
 class Session:
-    """One machine and one person. show: says a line to the person."""
+    """One machine and one user. show: displays a line."""
 
     def __init__(self, connection: Connection, show: Callable[[str], None]) -> None:
         self._connection = connection
         self._show = show
-        # Lines, and those sent, with whether their ok is worth showing.
+        # Lines to send, and lines sent, each with whether its ok should be shown.
         self._waiting: deque[tuple[bytes, bool]] = deque()
         self._unanswered: deque[tuple[bytes, bool]] = deque()
         self._polled = 0.0
         self._overrides = ""
         self._step = 2
         self._feed = 3
-        self._key = ""  # that jogs
-        self._heard = 0.0  # when it was heard last
-        self._held = False  # heard again: the jog goes on until it is not
+        self._key = ""  # the last key that jogs
+        self._heard = 0.0  # time of its last event
+        self._held = False  # it repeats: the jog continues until it stops repeating
         self._pieced = 0.0
         self._told = ""
 
-    # What the person does
+    # Input of the user
 
     def enter(self, line: str) -> None:
-        """A line to be sent, or one of the signs ! ~ ? by itself, which act at once."""
+        """Send a line. A single ! ~ or ? acts at once."""
         data = line.strip().encode("utf-8")
         if data in (FEED_HOLD, CYCLE_START, STATUS):
             self._connection.write(data)
@@ -84,7 +84,7 @@ class Session:
         self._waiting.append((sanitize(data), True))
 
     def press(self, key: str) -> None:
-        """A key of the machine's: left, right …, or a letter."""
+        """Process a key: left, right …, or a letter."""
         if key in JOGS:
             self._jog(key)
         elif key in "[]":
@@ -97,21 +97,21 @@ class Session:
             self._real_time(COMMANDS[key])
 
     def reset(self) -> None:
-        """Ctrl-X."""
+        """Reset the machine (Ctrl-X)."""
         self._waiting.clear()
         self._unanswered.clear()
         self._held = False
         self._connection.write(RESET)
 
     def leave(self) -> None:
-        """The person goes: a jog ends, anything else goes on."""
+        """End a jog, because the user leaves; everything else continues."""
         if self._held:
             self._stop_jog()
 
-    # What the machine does
+    # Output of the machine
 
     def poll(self) -> None:
-        """Send what there is room for, hear what there is, and go on with a jog or end it."""
+        """Send lines if there is space, read received ones, and continue or end a jog."""
         now = time.monotonic()
         if now - self._polled >= POLL_S:
             self._polled = now
@@ -122,7 +122,7 @@ class Session:
             self._receive(line)
 
     def status(self) -> str:
-        """State, place, speeds, overrides and inputs in one line."""
+        """Return state, position, speeds, overrides and inputs in one line."""
         report = self._connection.status
         place = " ".join(
             f"{letter}{mm:.3f}"
@@ -138,7 +138,7 @@ class Session:
         return "   ".join(part for part in parts if part)
 
     def jog_line(self) -> str:
-        """How far and how fast a key jogs."""
+        """Return distance and speed of a jog by key."""
         return f"step {STEPS_MM[self._step]:g} mm, {FEEDS_MM_MIN[self._feed]} mm/min"
 
     def _send(self) -> None:
@@ -166,7 +166,7 @@ class Session:
             self._show(explained(line, sent.decode("latin-1")))
 
     def _explain_state(self) -> None:
-        """Say what to do about a state in which nothing is read."""
+        """Show the next step for a state in which no lines are read."""
         state = self._connection.state()
         if state != self._told and (is_deaf(state) or state == "Alarm"):
             self._show(f"{state}: {way_out(state)}")
@@ -190,7 +190,7 @@ class Session:
         if again:
             self._held = True
             return
-        if self._held:  # and another key now
+        if self._held:  # and now it is another key
             self._stop_jog()
         self._key = key
         self._piece(key, STEPS_MM[self._step])
@@ -216,7 +216,7 @@ class Session:
 
 
 def explained(line: str, sent: str = "") -> str:
-    """A line of Grbl's with what it means. sent: what it answers."""
+    """Return a line of Grbl's with its meaning. sent: the line that it answers."""
     if line.startswith(("error:", "ALARM:")):
         return f"{line}: {meaning(line, sent)}"
     setting = _SETTING.match(line)

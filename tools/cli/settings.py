@@ -54,7 +54,7 @@ def pull(
     baud: Baud = BAUD,
     force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
 ) -> None:
-    """Write a machine's settings into a file, each with its meaning."""
+    """Write a machine's settings to a file, each with its meaning."""
     to_stdout = str(file) == STDIN
     if not to_stdout:
         check_output(file)
@@ -78,7 +78,8 @@ def diff(
 ) -> None:
     """Show what a push of the file would change.
 
-    The exit code is 1 if that is anything."""
+    The exit code is 1 if it would change anything.
+    """
     wanted = _read(file)
     check_output(json_file, given=locals())
     with _machine(port, baud) as connection:
@@ -101,8 +102,8 @@ def push(
 ) -> None:
     """Write the settings of a file to the machine.
 
-    Settings that the file does not name stay. What would change is shown first. What was there
-    before goes to FILE.before.
+    Settings that the file does not contain stay. The changes are shown first. The old settings are
+    saved in FILE.before.
     """
     _write(file, port, baud, yes, any_version, json_file, complete=False)
 
@@ -122,9 +123,9 @@ def restore(
     any_version: AnyVersion = False,
     json_file: Json = None,
 ) -> None:
-    """Put a machine back to what a file holds, or the factory's.
+    """Restore a machine's settings from a file, or the factory's.
 
-    It has exactly those settings then. After a push that was a mistake: restore FILE.before.
+    Afterwards it has exactly those settings. To undo a push: restore FILE.before.
     """
     if (file is None) != factory:
         raise failed("say one of both: a file that was pulled, or --factory")
@@ -184,7 +185,7 @@ def _write(
 def _push(
     connection: Connection, todo: Sequence[Change], console: Console, kept: Path
 ) -> Sequence[tuple[Change, str]]:
-    """Returns what was refused. kept: what was there before."""
+    """Write the changes; returns those refused. kept: the file with the old settings."""
     done: set[int] = set()
 
     def progress(change: Change) -> None:
@@ -259,7 +260,7 @@ def _save_json(
 
 @contextmanager
 def _machine(port: str | None, baud: int) -> Iterator[Connection]:
-    """A Grbl to talk to; what goes wrong with it ends the command with the reason."""
+    """Yield a connected Grbl; a failure ends the command with a message."""
     try:
         with connected(port, baud) as connection:
             yield connection

@@ -1,4 +1,4 @@
-"""`ugrbl sim`: the firmware behind a pseudo-terminal, on TCP, or on stdin and stdout."""
+"""`ugrbl sim`: the firmware on a pseudo-terminal, on TCP, or on stdin and stdout."""
 
 import signal
 import sys
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from ..sim.rig import Rig
 
 
-_HOST = "ugrbl"  # what the simulated board is called
+_HOST = "ugrbl"  # name of the simulated board
 
 
 @dataclass
 class Options:
-    """What the command line asks for."""
+    """The options of the command line."""
 
     board: str = machine.DEFAULT_BOARD
     link: Path | None = None
@@ -56,7 +56,7 @@ class Options:
 
 
 def simulate(options: Options) -> None:
-    """Run until a signal comes, or until stdin ends and all it asked for is done."""
+    """Run until a signal comes, or until stdin has ended and all its lines are processed."""
     wire = _wire(options)
     network = _network(options)
     try:
@@ -93,7 +93,7 @@ def simulate(options: Options) -> None:
 
 
 def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
-    """What the motors did, with the settings of the end. What was sent has the picture's name."""
+    """Draw what the motors did, with the settings at the end. The title is the picture's name."""
     settings = [f"${number}={value}" for number, value, _ in rig.controller.settings.each()]
     result = Result(totals=trace.totals())
     job = job_of("as run", (), settings, options.board, result, trace)
@@ -102,7 +102,7 @@ def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
 
 
 def _wire(options: Options) -> "Pty | Tcp | Stdio":
-    """What the sender will be on. ValueError where that is said twice."""
+    """Return the wire to the sender. ValueError if options contradict each other."""
     if sum((options.link is not None, options.tcp is not None, options.stdio)) > 1:
         raise ValueError("say one of --port, --tcp and --stdio")
     if options.tcp is not None:
@@ -131,15 +131,15 @@ def _say(text: str) -> None:
 
 
 class Network(NamedTuple):
-    """Where a board's network is listened at. page: by HTTP, and folder: what of, where it serves
-    the page."""
+    """The ports that a simulated network listens on. page: the port for HTTP, and folder: the
+    page's files, if the board serves the page."""
 
     calls: "HostCalls"
     page: "HostCalls | None" = None
     folder: "TemporaryDirectory[str] | None" = None
 
     def close(self) -> None:
-        """Hear nobody any more."""
+        """Stop listening."""
         self.calls.close()
         if self.page and self.folder:
             self.page.close()
@@ -147,7 +147,8 @@ class Network(NamedTuple):
 
 
 def _network(options: Options) -> Network | None:
-    """That of a board that has one. ValueError where it has none."""
+    """Return the network of a board that has one; None without --network. ValueError if the board
+    has none."""
     if options.network is None:
         if options.page is not None:
             raise ValueError("--page is for a board with a network: say --network PORT as well")
@@ -174,7 +175,7 @@ def _listen(place: str) -> "HostCalls":
 
 
 def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
-    """The cable's, or the firmware's own around it."""
+    """Return the cable, or the firmware's own link around it."""
     if network is None:
         return cable
     paths.use_firmware()
@@ -191,7 +192,7 @@ def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
 
 
 def _hear_person(rig: "Rig") -> None:
-    """Whoever sits at the terminal can push inputs; with custom.py a pipe can, too."""
+    """Let a user at the terminal push inputs; with custom.py also through a pipe."""
     if sys.stdin is None or not (sys.stdin.isatty() or rig.custom_module):
         return
     buttons = Buttons(rig.inputs, Console())
@@ -205,7 +206,7 @@ def _hear_person(rig: "Rig") -> None:
 
 
 def _stop_on_signals(link: LiveLink) -> None:
-    """The first signal ends the simulation between two events; a second one, at once."""
+    """Make the first signal end the simulation between two events, and a second one at once."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         if link.stopping:

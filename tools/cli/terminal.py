@@ -1,4 +1,5 @@
-"""The terminal of `ugrbl console`: the state in a line, lines with a history, keys that jog."""
+"""The terminal of `ugrbl console`: a line with the state, input lines with a history, keys that
+jog."""
 
 import asyncio
 import textwrap
@@ -17,7 +18,7 @@ from .session import JOGS, Session
 _HISTORY = ".ugrbl_history"
 _TURN_S = 0.01
 _GAP = "   "
-_HARD = "\0"  # a blank within what stays together
+_HARD = "\0"  # stands for a blank at which no line is broken
 _LINE_HELP = "Tab: keys jog   Ctrl-X: reset   Ctrl-D: leave"
 _KEY_HELP = (
     "Tab: lines   arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z zero   h home   u unlock"
@@ -27,7 +28,7 @@ _OTHER_KEYS = "[],.huxyz" + "".join(key for key in COMMANDS if key.isprintable()
 
 
 class _History(FileHistory):
-    """One that a full disk, or a folder that is somebody else's, does not keep from going on."""
+    """A history that ignores a full disk, or a folder that is not writable."""
 
     def store_string(self, string: str) -> None:
         with suppress(OSError):
@@ -35,7 +36,7 @@ class _History(FileHistory):
 
 
 class Terminal:
-    """Lines with a history, or keys that move the machine; Tab goes from one to the other."""
+    """Reads lines with a history, or keys that move the machine; Tab switches between them."""
 
     def __init__(self, desk: Session) -> None:
         self._machine_session = desk
@@ -48,7 +49,7 @@ class Terminal:
         )
 
     async def run(self) -> None:
-        """Until the person leaves, or the machine cannot be reached."""
+        """Run until the user leaves, or the machine cannot be reached."""
         turning = asyncio.create_task(self._turn())
         asking = asyncio.create_task(self._ask())
         done, _ = await asyncio.wait((turning, asking), return_when=asyncio.FIRST_COMPLETED)
@@ -68,7 +69,7 @@ class Terminal:
             try:
                 with patch_stdout():
                     self._machine_session.enter(await self._session.prompt_async(self._prompt))
-            except KeyboardInterrupt:  # Ctrl-C empties the line
+            except KeyboardInterrupt:  # Ctrl-C clears the line
                 continue
             except EOFError:
                 return
@@ -105,7 +106,7 @@ class Terminal:
 
 
 def wrapped(text: str, columns: int) -> list[str]:
-    """In lines of a terminal so wide; what stands between gaps stays together, where it can."""
+    """Wrap text to a terminal's width. Words that no gap separates stay together, if they fit."""
     joined = text.replace(" ", _HARD).replace(_HARD * len(_GAP), _GAP)
     return [
         line.replace(_HARD, " ") for line in textwrap.wrap(joined, columns, break_on_hyphens=False)
@@ -113,6 +114,6 @@ def wrapped(text: str, columns: int) -> list[str]:
 
 
 def _name(key: str) -> str:
-    """A key as Desk.press() knows it."""
+    """Return a key's name for Session.press()."""
     text = str(getattr(key, "value", key))
     return {"c-m": "\r", "c-j": "\n"}.get(text, text)

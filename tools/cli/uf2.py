@@ -55,13 +55,13 @@ def command(
 ) -> None:
     """Make one file to be dragged onto an RP2040 or RP2350 board.
 
-    In it are MicroPython, the firmware, the board file, and, if asked for,
-    settings and your own Python. The board needs nothing before, and begins
-    anew: settings and files that were kept on it are lost. Later, `ugrbl
-    deploy` brings it up to date and leaves those alone.
+    It contains MicroPython, the firmware, the board file, and, if given, settings
+    and your own Python. The board needs nothing before, and starts from scratch:
+    settings and files stored on it are lost. Later, `ugrbl deploy` updates it
+    without touching those.
 
-    So does a file made with --keep, which wants a MicroPython that has this
-    firmware frozen in (docs/boards.md): nothing else is in it.
+    A file made with --keep does not touch them either. It needs a MicroPython
+    that has this firmware frozen in (docs/boards.md), and contains nothing else.
     """
     console = Console()
     file = out or Path("build") / f"{Path(board).stem}.uf2"
@@ -98,7 +98,7 @@ def _check_nothing_else(wanted: Path | None) -> None:
 def _own(
     console: Console, board: str, settings: Path | None, custom: Path | None
 ) -> dict[str, bytes]:
-    """The user's settings and Python, once they have passed the check."""
+    """Return the user's settings and Python, after the check."""
     kept = contents.settings_files(board, settings) if settings else {}
     if settings:
         show_zeros(console, read_settings(settings).lines())
@@ -133,7 +133,7 @@ def _show(console: Console, file: Path, micropython: MicroPython, files: dict[st
 
 
 def _frozen(micropython: MicroPython, files: dict[str, bytes]) -> list[tuple[str, str]]:
-    """Which firmware runs, where there may be two."""
+    """Return a row that says which firmware runs, if one is frozen."""
     if not (frozen := micropython.frozen):
         return []
     before = "; the files go before it" if START in files else ", which runs"

@@ -1,4 +1,4 @@
-"""`ugrbl wifi`: a board's network, set up over its cable."""
+"""`ugrbl wifi`: set up a board's network over its cable."""
 
 from typing import Annotated
 
@@ -37,9 +37,9 @@ def command(
 ) -> None:
     """Set a board's Wi-Fi up, over its cable.
 
-    Without options it shows how it is, and the key.
+    Without options it shows the current settings and the key.
 
-    What is set up holds from the board's next start on. See docs/network.md.
+    New settings take effect at the board's next start. See docs/network.md.
     """
     if name is None and (open_ or access_point):
         raise failed("--open and --access-point want the network's --name")
@@ -73,7 +73,8 @@ def command(
 
 
 def _password(is_open: bool) -> str:
-    """The network's, which neither the shell's history nor the screen is to have."""
+    """Return the network's password. It must not appear in the shell's history or on the
+    screen."""
     if is_open:
         return ""
     return str(typer.prompt("Password of that network", hide_input=True))

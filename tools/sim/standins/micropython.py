@@ -4,9 +4,8 @@ Checked (the default): everything that would wrap or fail silently on the board 
 outside signed 32 bits, division by zero, shift counts outside 0..31, floats, negative indices.
 Literals of 2**30 and more are heap objects there: refused, unless written int(literal).
 
-Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only.
-`compiled` may then provide the compiled function (compiling/kernels.py), which raises in the same
-places.
+Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only, or a
+function that `compiled` provides (compiling/kernels.py), which raises in the same places.
 
 Pointers are memoryviews: ptr32 has signed words, ptr16 and ptr8 unsigned ones. An index past the
 end, or a value that does not fit, raises in both modes. What is not modelled does not exist.
@@ -83,11 +82,9 @@ def kbd_intr(char: int, /) -> None:
     """Do nothing: Ctrl-C on the desktop is for the desktop."""
 
 
-# The parameters' types are open, because an array is valid for a pointer. The call itself checks
-# them.
+# No parameter types, because an array is valid for a pointer. The call itself checks them.
 def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
-    """Recompile a function, with pointer casts at entry and, unless VIPER is "fast", all
-    checks."""
+    """Compile again with pointer casts at entry and, unless VIPER is "fast", all checks."""
     plain = cast(FunctionType, function)
     if VIPER == "fast" and compiled and (made := compiled(plain.__module__, plain.__qualname__)):
         return cast("Callable[..., _Result]", made)
@@ -95,9 +92,8 @@ def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
 
 
 def _code(plain: FunctionType) -> CodeType:
-    """Return the code that makes the function. A checkout caches it, next to the results of
-    compiling/cache.py, under a hash of all its inputs, because compiling takes most of a process's
-    start time."""
+    """Return the code that makes the function. A checkout caches it, as compiling/cache.py does,
+    because compiling takes most of a process's start time."""
     file = _kept(plain)
     try:
         return cast(CodeType, marshal.loads(file.read_bytes()))
@@ -140,8 +136,7 @@ kept_views: dict[int, memoryview] = {}
 
 
 class _Pointer:
-    """ptr8, ptr16 or ptr32. Views of arrays are kept, because making one costs more than a
-    kernel."""
+    """ptr8, ptr16 or ptr32. Views of arrays are kept: making one costs more than a kernel."""
 
     def __init__(self, code: str) -> None:
         self._code = code
@@ -159,8 +154,7 @@ class _Pointer:
                     _forget_views()
                 if is_kept:
                     kept_views[id(memory)] = memory
-                # Also for the view itself, because a viper function may pass its pointer to
-                # another.
+                # Also for the view, because a viper function may pass its pointer on.
                 self.views[id(memory)] = self.views[id(view)] = kept_views[id(view)] = view
         return view
 
@@ -282,8 +276,7 @@ class _Checks(ast.NodeTransformer):
         return value if isinstance(value, int) else -1
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
-        """Turn `p[i] += x` into `p[at] = p[at := i] + x`, because the right side is evaluated
-        first."""
+        """Turn `p[i] += x` into `p[at] = p[at := i] + x`: the right side is evaluated first."""
         target = node.target
         old = cast(ast.expr, copy.deepcopy(target))
         cast(ast.Name, old).ctx = ast.Load()
@@ -319,15 +312,13 @@ def _refuse(function: FunctionType, why: str, node: ast.AST) -> NoReturn:
 
 @lru_cache(maxsize=8)
 def _definitions(source: str) -> dict[tuple[str, int], ast.FunctionDef]:
-    """Return the functions of a file by name and first line. The whole file is parsed, so that all
-    positions are right."""
+    """Return functions by name and first line. Positions are those of the whole file."""
     found = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
     return {(n.name, min([n.lineno, *(d.lineno for d in n.decorator_list)])): n for n in found}
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef:
-    """Take the function's definition out of its file's tree. A second call parses the file
-    again."""
+    """Take the definition out of its file's tree. A second call parses the file again."""
     code = function.__code__
     source = "".join(linecache.getlines(code.co_filename, function.__globals__))
     place = code.co_name, code.co_firstlineno
@@ -352,16 +343,14 @@ def _placed(made: _Node, place: ast.AST) -> _Node:
     return made
 
 
-# Conditions for a result, an index and a shift count. If one fails, the function that is called
-# raises.
+# Conditions for a result, an index and a shift count. If one fails, the called function raises.
 _WORD = "viper_now if (viper_now := value) >> 31 in (0, -1) else viper_int(viper_now)"
 _INDEX = "viper_now if (viper_now := value) >= 0 else viper_index(viper_now)"
 _COUNT = "viper_now if 0 <= (viper_now := value) < 32 else viper_count(viper_now)"
 
 
 def _checked(check: str, value: ast.expr) -> ast.expr:
-    """Return the value with an inline check. A call for each check took half of the simulator's
-    time."""
+    """Return the value with an inline check: calls took half of the simulator's time."""
     made = ast.parse(check, mode="eval").body
     nodes = [ast.copy_location(node, value) for node in ast.walk(made)]
     (place,) = (node for node in nodes if isinstance(node, ast.NamedExpr))
@@ -374,8 +363,7 @@ def _call(name: str, argument: ast.expr) -> ast.expr:
 
 
 def _compile(function: FunctionType, node: ast.FunctionDef) -> CodeType:
-    """Compile inside a factory: the helpers become closure cells, which do not collide with the
-    module's names."""
+    """Compile inside a factory: the helpers become closure cells, not names of the module."""
     node.decorator_list, node.returns = [], None
     for argument in node.args.args:
         argument.annotation = None
