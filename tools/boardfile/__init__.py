@@ -1,5 +1,5 @@
-"""Board files: where one is, how one is made of answers, what is wrong with one.
+"""Board files: finding, making and checking them.
 
-Imports `grbl`, and of `sim` what motors are called, and the memory that a board's default settings
-are tried in.
+Imports `grbl`, and from `sim` the names of motors, and the memory in which a board's default
+settings are tried.
 """

@@ -1,9 +1,9 @@
-"""Chips: what a board file has to respect of a processor and the module it sits on."""
+"""Chips: what a board file must observe about a processor and its module."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
-# What the firmware imports of MicroPython's own: a file of that name would take its place.
+# Modules of MicroPython that the firmware imports; a file of the same name would replace one.
 BUILT_IN = (
     *("array", "binascii", "deflate", "errno", "esp32", "gc", "hashlib", "io", "json", "machine"),
     *("math", "micropython", "network", "os", "rp2", "select", "socket", "struct", "sys", "time"),
@@ -12,19 +12,19 @@ BUILT_IN = (
 
 
 class Chip(NamedTuple):
-    """A row of CHIPS. processor: as MicroPython names it; engine, link: what a new board gets."""
+    """A row of CHIPS. processor: MicroPython's name. engine, link: defaults of a new board."""
 
     title: str
     processor: str
     mpy_arch: str
     engine: str
     link: str
-    pins: frozenset[int]  # that come out
+    pins: frozenset[int]  # pins that are accessible
     inputs_only: frozenset[int] = frozenset()
-    odd: Mapping[int, str] = {}  # pins that work, with something to know
+    odd: Mapping[int, str] = {}  # pins that work, but with a special function
     most_motors: int = 4
-    radio: bool = True  # there is one, or may be
-    # Beyond this one pins make no steps, and inputs that are looked at all at once are not there.
+    radio: bool = True  # it has a radio, or may have one
+    # Pins above this one cannot make steps, nor be inputs that are all read at once.
     last_quick: int = 63
 
 
@@ -51,16 +51,16 @@ _ESP32_S3_ODD = {
 _PICO_PINS = frozenset(range(23)) | {26, 27, 28}
 _RP2_PINS = frozenset(range(30))
 _RP2350B_PINS = frozenset(range(48))
-# Four machines of PIO 0, and two of PIO 1, which has the clock too, and one for a radio. In an
-# RP2350 all of PIO 1, for clock and radio have their machines in PIO 2.
+# Four machines of PIO 0, and two of PIO 1, which also has the clock and one for a radio. In an
+# RP2350 all of PIO 1, because clock and radio have their machines in PIO 2.
 _RP2_MOTORS = 6
 _RP2350_MOTORS = 8
 _LED = {25: "is the LED"}
 _ESP32_PINS = frozenset(range(40)) - frozenset(range(6, 12)) - {20, 24, 28, 29, 30, 31, 37, 38}
 _ESP32_S3_PINS = frozenset(range(49)) - frozenset(range(22, 33))
 
-# What a board file calls CHIP. One that bears its processor's name is that on a board of its own,
-# and what a board file is measured by that does not say.
+# The values of CHIP in a board file. One with its processor's name is that chip without a module;
+# it is the default for a board file without CHIP.
 CHIPS = {
     "pico": Chip(
         "Raspberry Pi Pico",
@@ -124,17 +124,17 @@ CHIPS = {
     ),
 }
 
-# What MicroPython's compiler calls the processors.
+# MicroPython's names of the architectures.
 ARCHS = tuple(dict.fromkeys(chip.mpy_arch for chip in CHIPS.values()))
 
 
 def processors(arch: str) -> list[str]:
-    """Those that run what is compiled for it, by their names."""
+    """Return the names of the processors that run code compiled for an architecture."""
     return list(dict.fromkeys(chip.processor for chip in CHIPS.values() if chip.mpy_arch == arch))
 
 
 def on_their_own(arch: str) -> list[Chip]:
-    """Chips of that arch that are no particular module."""
+    """Return the chips of an architecture that are not on a module."""
     return [
         chip
         for name, chip in CHIPS.items()

@@ -1,18 +1,18 @@
-"""Engines, links and extras of ours, as a board file calls them: out of the firmware's tables."""
+"""Names of our engines, links and extras in board files, from the firmware's tables."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
 
 from .. import paths
 
-# Who makes the pulses of the simulator's boards: none of the firmware's engines.
+# Engine of the simulator's boards; not one of the firmware's.
 SIMULATOR = "sim"
-# Links with a network, by that of the cable.
+# Links with a network, by the link of their cable.
 WIRELESS = {"usb": "wifi", "uart": "uart_wifi"}
 
 
 class Oldest(NamedTuple):
-    """Which MicroPython an engine wants on a chip, as MicroPython calls that, and what for."""
+    """The oldest MicroPython for an engine on a chip (in MicroPython's words), and the reason."""
 
     chip: str
     version: tuple[int, int]
@@ -20,20 +20,20 @@ class Oldest(NamedTuple):
 
 
 class Engine(NamedTuple):
-    """A row of firmware/boot/parts.py, but for the function that makes it."""
+    """A row of firmware/boot/parts.py, except the function that makes the engine."""
 
-    needed: tuple[str, ...]  # options
-    pins: tuple[str, ...]  # options that are the chip's, of its motors
+    needed: tuple[str, ...]  # options that are required
+    pins: tuple[str, ...]  # options with pins of the chip for motors
     most_hz: int
     oldest: tuple[Oldest, ...]
 
     def runs_on(self, processor: str) -> bool:
-        """Whether it is made for that; an ESP32S3 is an ESP32 too."""
+        """Return whether it is made for a processor; an ESP32S3 is an ESP32 too."""
         return any(row.chip in processor for row in self.oldest)
 
 
 def engines() -> dict[str, Engine]:
-    """Every engine by its name."""
+    """Return every engine by its name."""
     paths.use_firmware()
     from boot import parts
 
@@ -44,7 +44,7 @@ def engines() -> dict[str, Engine]:
 
 
 def links() -> Iterable[str]:
-    """The words that LINK has."""
+    """Return the values of LINK."""
     paths.use_firmware()
     from boot import parts
 
@@ -52,7 +52,7 @@ def links() -> Iterable[str]:
 
 
 def dialects() -> Iterable[str]:
-    """The words that DIALECT has."""
+    """Return the values of DIALECT."""
     paths.use_firmware()
     from boot import select_extras
 
@@ -60,7 +60,7 @@ def dialects() -> Iterable[str]:
 
 
 def tools() -> Iterable[str]:
-    """The words that TOOL has."""
+    """Return the values of TOOL."""
     paths.use_firmware()
     from boot import select_extras
 

@@ -1,4 +1,4 @@
-"""Board files: where one is, and what it says, by its name or its path."""
+"""Board files: their paths and contents, by name or path."""
 
 import importlib.util
 import sys
@@ -13,7 +13,7 @@ from .board_check import imports, is_simulated, own_modules, problems
 
 
 class BoardFileError(ValueError):
-    """What is wrong with a board file, a text for each thing."""
+    """A board file is not valid; `problems` has a text for each cause."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__("\n".join(problems))
@@ -21,14 +21,15 @@ class BoardFileError(ValueError):
 
 
 def boards() -> list[str]:
-    """The names of all boards."""
+    """Return the names of all boards."""
     return sorted(path.stem for path in paths.BOARDS.glob("[!_]*.py"))
 
 
 def board_file(name: str) -> Path:
-    """Where a board file is: a name out of boards/, or a path. BoardFileError if none is there.
+    """Return the path of a board file: a name in boards/, or a path. BoardFileError if there is
+    none.
 
-    A file name alone, as `ugrbl new-board` tells it, is looked for here and then in boards/.
+    A file name alone, as `ugrbl new-board` shows it, is searched here and then in boards/.
     """
     file = Path(name)
     if file.suffix != ".py":
@@ -53,10 +54,9 @@ def _check_name(name: str) -> None:
 
 
 def load_board(name: str) -> Any:
-    """The module of a board out of boards/, or of a file that a real board could have, or the
-    simulator.
+    """Return the module of a board in boards/, or of any board file, also one for the simulator.
 
-    BoardFileError if there is none of that name, or says everything that is wrong with the file.
+    BoardFileError if there is none of that name; for a file, it has all its problems.
     """
     if name.endswith(".py"):
         return _checked(board_file(name), may_be_simulated=True)
@@ -68,19 +68,19 @@ def load_board(name: str) -> Any:
 
 
 def load(file: Path) -> ModuleType:
-    """The board file as a module, whatever it says."""
+    """Return a board file as a module, without checks."""
     spec = importlib.util.spec_from_file_location(f"board_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise BoardFileError(f"{file} is no Python file")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     if own_modules(module) and str(file.parent) not in sys.path:
-        sys.path.append(str(file.parent))  # where these are, as on the board
+        sys.path.append(str(file.parent))  # the folder of these, as on the board
     return module
 
 
 def load_for_build(file: Path) -> ModuleType:
-    """A board that can be built for; BoardFileError says everything that is wrong with it."""
+    """Return the module of a real board; BoardFileError has all problems of the file."""
     return _checked(file, may_be_simulated=False)
 
 

@@ -1,7 +1,7 @@
-"""The file that a board with DIALECT = "hal" reads $ES, $ESH, $EG, $EA and $EE from.
+"""The file from which a board with DIALECT = "hal" answers $ES, $ESH, $EG, $EA and $EE.
 
-A row has a command, the number of what it is about, and the line as grblHAL sends it. It is made
-of the firmware's own tables; what a machine does not have its firmware leaves out.
+A row has a command, a number, and the line as grblHAL sends it. It is made from the firmware's own
+tables; the firmware leaves out what its machine does not have.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from .setting_tables import tables_of
 if TYPE_CHECKING:
     from base.settings import Row
 
-# grblHAL's groups of settings, by their numbers there.
+# Numbers of grblHAL's groups of settings.
 _GROUPS = {
     0: "Root",
     1: "General",
@@ -32,7 +32,7 @@ _GROUPS = {
 }
 _AXIS_GROUP = 42
 _GENERAL = 1
-# Settings that are not in one of an axis, nor general.
+# Settings that are neither in the group of an axis nor general.
 _MEMBERS = {
     3: (5, 20, 21),
     6: (30, 31, 33),
@@ -44,16 +44,16 @@ _MEMBERS = {
 _GROUP_OF = {number: group for group, numbers in _MEMBERS.items() for number in numbers}
 _REPORT_MASK = 10
 _AXIS_MASK = 4
-_AXES = "axes"  # how a mask of them is written
-_REPORTED = "Machine position,Buffer state"  # by its bits
+_AXES = "axes"  # format of a mask of axes
+_REPORTED = "Machine position,Buffer state"  # names of its bits
 _HEADER = "$-Code\tSetting\tUnits\tDatatype\tData format\tSetting Description\tMin\tMax"
-# A board speaks ASCII, and these signs stand between values.
+# A board sends ASCII, and these characters separate values.
 _PLAIN = str.maketrans({"…": "...", "|": "/", "[": "(", "]": ")", "`": None})
 _IN_DEGREES = (("millimeters", "degrees"), ("millimetre", "degree"), ("mm", "deg"))
 
 
 class _Kind(NamedTuple):
-    """What a value is: grblHAL's number and word for it, how it is written, its limits."""
+    """The type of a value: grblHAL's number and word for it, its format, its limits."""
 
     number: int
     word: str
@@ -63,7 +63,7 @@ class _Kind(NamedTuple):
 
 
 class _Setting(NamedTuple):
-    """A number of $$, and what is said of it."""
+    """A setting and its texts."""
 
     number: int
     group: int
@@ -73,14 +73,14 @@ class _Setting(NamedTuple):
     text: str
 
     def row(self) -> str:
-        """For a program."""
+        """Return the row for programs ($ES)."""
         number, _, form, least, most = self.kind
         unit = self.unit if self.kind.word in ("integer", "float") else ""
         head = f"{self.number}|{self.group}|{self.name}|{unit}"
         return f"ES {self.number} [SETTING:{head}|{number}|{form}|{least}|{most}|0|0]"
 
     def table_row(self) -> str:
-        """For a table, with its description."""
+        """Return the row for tables, with the description ($ESH)."""
         number, word, form, least, most = self.kind
         form = _AXES if number == _AXIS_MASK else form
         cells = self.name, self.unit, word, form, self.text, least, most, "0", "0"
@@ -88,7 +88,7 @@ class _Setting(NamedTuple):
 
 
 def name() -> str:
-    """What it is called on the board."""
+    """Return the file's name on the board."""
     paths.use_firmware()
     from extras.dialects import dialect_hal
 
@@ -96,7 +96,7 @@ def name() -> str:
 
 
 def made(board: ModuleType) -> dict[str, bytes]:
-    """It, by its path on that board; nothing where the board speaks otherwise."""
+    """Return the file by its path on that board; nothing for other dialects."""
     if getattr(board, "DIALECT", "") != "hal":
         return {}
     return {name(): "".join(f"{row}\r\n" for row in _rows(board)).encode("ascii")}
@@ -117,7 +117,7 @@ def _rows(board: ModuleType) -> Iterator[str]:
 
 
 def _settings(board: ModuleType) -> list[_Setting]:
-    """Those of the firmware, by number; of two with the same the board's tool has the last."""
+    """Return the board's settings by number; the tool's replace others with the same number."""
     every = tables_of(board)
     found = {
         setting.number: setting

@@ -1,9 +1,9 @@
-"""Board options: all that a board file may say, in one table: type, default, range and meaning.
+"""Board options: all options of a board file in one table: type, default, range and meaning.
 
-The firmware reads them where they are used and has each default there, once more: this table on a
-board would make its start 20 ms longer. host_tests/boardfile/test_options.py holds that the
-firmware reads these and no others, with these defaults. board_check.py judges board files by it,
-and docs/reference.md is made of it.
+The firmware reads them where they are used and has each default there again: this table on a
+board would make its start 20 ms longer. host_tests/boardfile/test_options.py checks that the
+firmware reads these and no others, with these defaults. board_check.py checks board files by it,
+and docs/reference.md is made from it.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,7 +16,7 @@ from .chips import ARCHS, BUILT_IN, CHIPS
 
 
 class Kind(NamedTuple):
-    """What an option is. wants: what is said of a value that is none; {} is the value."""
+    """The type of an option. wants: the message for a value of another type; {} is the value."""
 
     title: str
     fits: Callable[[Any], bool]
@@ -52,14 +52,14 @@ def _are_named_pins(value: Any) -> bool:
 
 
 def _is_module(value: Any) -> bool:
-    """A module of its user's own; "" is none."""
+    """Return whether it is the name of a module of the user's own, or "" for none."""
     if not isinstance(value, str):
         return False
     return not value or (value.isidentifier() and not iskeyword(value) and value not in _taken())
 
 
 def _taken() -> set[str]:
-    """What lies on a board besides, or is imported by that name."""
+    """Return the names of other files on a board, and of modules that it imports."""
     ours = {file.stem for file in paths.FIRMWARE.iterdir()}
     return {"board", "ugrbl", "kernels", *BUILT_IN, *ours}
 
@@ -86,7 +86,7 @@ NEEDED = object()
 
 
 class Option(NamedTuple):
-    """A row. low, high: of a count; words: what a word, or each of several names, is one of."""
+    """A row. low, high: range of a count. words: the values allowed for a word, or each name."""
 
     name: str
     kind: Kind
@@ -97,7 +97,7 @@ class Option(NamedTuple):
     words: Callable[[], Iterable[str]] | None = None
 
     def problem(self, value: Any) -> str:
-        """What is wrong with a value; "" where it can be."""
+        """Return what is wrong with a value, or ""."""
         if not self.kind.fits(value):
             gap = "" if self.kind.wants[0] == ":" else " "
             return f"{self.name} is {value!r}{gap}{self.kind.wants.replace('{}', str(value))}"
@@ -114,7 +114,7 @@ class Option(NamedTuple):
 
     @property
     def type(self) -> str:
-        """Kind, words and range, for the documents."""
+        """Return type, words and range for the documents."""
         if self.kind is WORD and self.words:
             return ", ".join(f'"{word}"' for word in self.words())
         if self.high is not None:
@@ -126,7 +126,7 @@ class Option(NamedTuple):
 INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 
 OPTIONS = (
-    # What there is.
+    # The board.
     Option(
         *("CHIP", WORD, None),
         "The chip or module, for tools; without it the chip that MPY_ARCH is for.",
@@ -264,7 +264,7 @@ OPTIONS = (
         'Names of outputs that are on when low: ("SPINDLE_PWM", "FLOOD"). ENABLE has $4.',
         words=lambda: INVERTIBLE,
     ),
-    # What the machine does.
+    # The machine.
     Option(
         *("DEFAULTS", VALUES, {}),
         "Default settings that differ from Grbl's, as {number: value}.",
@@ -277,7 +277,7 @@ OPTIONS = (
     Option(
         *("RX_BYTES", COUNT, 128),
         "Receive buffer: what a sender that counts characters may have under way.",
-        low=128,  # as Grbl: senders that do not ask count on it
+        low=128,  # as Grbl, because senders that do not ask rely on it
     ),
     Option("SAFETY_DOOR", SWITCH, False, "A safety door is wired to the door input."),
     Option(
@@ -306,12 +306,12 @@ OPTIONS = (
     Option(
         *("LOOP_MS", COUNT, 250),
         "A main loop that is away for longer is stopped: tools off, motors too.",
-        low=100,  # a collection of memory takes 30
+        low=100,  # a garbage collection takes 30
     ),
     Option(
         *("WATCHDOG_MS", COUNT, 5000),
         "A chip that hangs for longer starts anew; 0: it does not.",
-        high=8388,  # the RP2040's watchdog counts no further
+        high=8388,  # the most that the RP2040's watchdog counts
     ),
     # Extras.
     Option(

@@ -1,4 +1,4 @@
-"""Setting tables: the settings that a board has, those of its extras included."""
+"""Tables of the settings that a board has, including those of its extras."""
 
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 
 def tables_of(board: ModuleType) -> "dict[str, Rows]":
-    """Rows by the module of the firmware that has them; what an own extra has is not known."""
+    """Return the rows by the firmware's module that has them; settings of own extras are not
+    known."""
     paths.use_firmware()
     from boot import select_extras
 

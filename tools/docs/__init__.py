@@ -1,4 +1,4 @@
-"""The generated parts of the documents, out of the firmware's own tables: see __main__.py.
+"""The generated parts of the documents, from the firmware's own tables: see __main__.py.
 
-Imports `grbl`, `boardfile` and `replay`, whose tables are shown.
+Imports `grbl`, `boardfile` and `replay` for their tables.
 """

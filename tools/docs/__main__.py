@@ -1,8 +1,7 @@
-"""`python -m ugrbl.docs`: makes the tables in docs/, and the words of the page in the browser, out
-of the firmware's own.
+"""Update the tables in docs/, and the words of the page in the browser: `python -m ugrbl.docs`.
 
-What a table says of a row is the comment beside it in the firmware, or the words in meanings.py,
-without which it is not made. --pictures draws the pictures anew as well.
+The meaning of a row is the comment above it in the firmware, or a text in meanings.py; without one
+the table is not made. --pictures also draws the pictures.
 """
 
 from pathlib import Path
@@ -16,7 +15,7 @@ from . import browser, pages, pictures
 def main(
     draw: Annotated[bool, typer.Option("--pictures", help="Draw the pictures as well.")] = False,
 ) -> None:
-    """Bring the tables in docs/ up to date."""
+    """Update the tables in docs/."""
     for page in pages.PAGES:
         _renew(page, pages.update(page.read_text(encoding="utf-8")))
     _renew(browser.PAGE, browser.update(browser.PAGE.read_text(encoding="utf-8")))

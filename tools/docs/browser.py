@@ -1,4 +1,5 @@
-"""The words of the page in the browser: what the firmware's numbers mean, as JSON in its file."""
+"""The words of the page in the browser: meanings of the firmware's numbers, as JSON in its
+file."""
 
 import json
 from typing import Any
@@ -9,20 +10,20 @@ from ..grbl import messages, settings_file
 PAGE = paths.TOOLS / "web" / "page" / "index.html"
 _BEGIN = '<script type="application/json" id="words">\n'
 _END = "\n</script>"
-# $30 to $33 are others where a punch is in the spindle's place; $33 is a laser's frequency else.
+# With a punch, $30 to $33 differ; with a laser, $33 is its frequency.
 _TOOLS = {"laser": "extras/tools/laser", "punch": "extras/tools/punch"}
 
 
 def update(text: str) -> str:
-    """The page with its words as they are now."""
+    """Return the page with its words up to date."""
     before, _, rest = text.partition(_BEGIN)
     _, end, after = rest.partition(_END)
     return before + _BEGIN + _as_json(words()) + end + after
 
 
 def words() -> dict[str, dict[str, Any]]:
-    """By kind, then by number: text of errors and alarms; of settings name, text, unit, limits,
-    and whether the number is the first of one for each axis."""
+    """Return the words by kind, then by number: text of errors and alarms; of settings name, text,
+    unit, limits, and whether the number is the first of one per axis."""
     rows = {m: list(table) for m, table in settings_file.tables().items()}
     found: dict[str, dict[str, Any]] = {
         "errors": {str(number): text for number, text in messages.errors().items()},
@@ -43,7 +44,7 @@ def _words(module: str, row: Any) -> list[Any]:
 
 
 def _as_json(found: dict[str, dict[str, Any]]) -> str:
-    """A line for each number, so that a change is seen."""
+    """Return JSON with a line for each number, so that a change is visible."""
     parts = []
     for kind, rows in found.items():
         lines = [

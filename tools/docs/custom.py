@@ -1,4 +1,4 @@
-"""Tables for docs/custom.md, out of what the firmware says of it."""
+"""Tables for docs/custom.md, from the firmware's docstrings."""
 
 import ast
 from collections.abc import Iterator
@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from .. import paths
 from .markdown import table
 
-# The machine's API, and its base class. What stands above the line is for custom.py's keeper.
+# The machine API and its base class. Methods above the line are the extra's, not for handlers.
 _API_MODULES = {"machine_api": "# Motion", "pin_api": "# Pins"}
 _KEEPERS = ("halt",)
 
 
 def machine_api_table() -> str:
-    """Every public method of m, with what it says of itself."""
+    """Return every public method of m, with its docstring."""
     rows = [
         (f"`m.{_call(method)}`", " ".join((ast.get_docstring(method) or "").split()))
         for method in machine_api_methods()
@@ -23,7 +23,7 @@ def machine_api_table() -> str:
 
 
 def machine_api_methods() -> Iterator[ast.FunctionDef]:
-    """Those that a handler may call."""
+    """Yield the methods that a handler may call."""
     for module, line in _API_MODULES.items():
         text = (paths.FIRMWARE / "extras" / "custom" / f"{module}.py").read_text(encoding="utf-8")
         first = text[: text.index(line)].count("\n")

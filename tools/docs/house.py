@@ -1,4 +1,4 @@
-"""The house: which folders of the firmware there are, what is in them, and who imports whom."""
+"""The structure: the folders of firmware and tools, their contents and their imports."""
 
 import ast
 from collections.abc import Iterator
@@ -7,14 +7,15 @@ from pathlib import Path
 from .. import paths
 from .markdown import table
 
-# From the ground up; the first line of main.py stands for what MicroPython starts.
+# From the bottom up; main.py, which MicroPython starts, is above them.
 FOLDERS = "base motion control language talk ports pio esp_chip extras boot".split()
-# The rooms of the package on the desktop, each above those that it imports.
+# The folders of the package on the desktop, each above those that it imports.
 ROOMS = "grbl sim boardfile compiling run draw replay device image web docs cli".split()
 
 
 def imports() -> set[tuple[str, str]]:
-    """Which folder imports from which, for types too: (importing, imported)."""
+    """Return which folder imports from which, including imports of types: (importing,
+    imported)."""
     found = set()
     for folder in FOLDERS:
         for path in (paths.FIRMWARE / folder).rglob("*.py"):
@@ -38,7 +39,7 @@ def _folders(tree: ast.Module) -> Iterator[str]:
 
 
 def folders_table() -> str:
-    """Every module with the first line of what it says it is."""
+    """Return every module with the first sentence of its docstring."""
     rows = []
     for folder in FOLDERS:
         for path in sorted((paths.FIRMWARE / folder).rglob("[!_]*.py")):
@@ -48,7 +49,8 @@ def folders_table() -> str:
 
 
 def rooms_table() -> str:
-    """Every folder of the package on the desktop with the first line of what it says it is."""
+    """Return every folder of the package on the desktop with the first sentence of its
+    docstring."""
     files = ((room, paths.TOOLS / room / "__init__.py") for room in ROOMS)
     rows = [(f"`{room}/`", _first_sentence(file)) for room, file in files]
     return table(("Room", "What is in it"), rows)

@@ -1,4 +1,4 @@
-"""Tables of what a machine is: settings, errors, alarms, boards and their options."""
+"""Tables about machines: settings, errors, alarms, boards and their options."""
 
 import ast
 from pathlib import Path
@@ -15,7 +15,7 @@ from .markdown import as_code, table
 
 
 def settings_table() -> str:
-    """Settings with default, unit and meaning."""
+    """Return settings with default, unit and meaning."""
     paths.use_firmware()
     from base import settings
 
@@ -34,12 +34,12 @@ def _replies(kind: str, numbers: dict[int, str]) -> str:
 
 
 def errors_table() -> str:
-    """error:n."""
+    """Return the meanings of error:n."""
     return _replies("error", messages.errors())
 
 
 def alarms_table() -> str:
-    """ALARM:n."""
+    """Return the meanings of ALARM:n."""
     return _replies("ALARM", messages.alarms())
 
 
@@ -47,7 +47,7 @@ def alarms_table() -> str:
 
 
 def options_table() -> str:
-    """All that a board file can say, with type, default and meaning."""
+    """Return all options of a board file, with type, default and meaning."""
     rows = [
         (f"`{row.name}`", row.type, _default(row), as_code(row.meaning)) for row in options.OPTIONS
     ]
@@ -55,7 +55,7 @@ def options_table() -> str:
 
 
 def _default(row: options.Option) -> str:
-    """As a board file would say it."""
+    """Return the default as a board file would have it."""
     if row.default is options.NEEDED:
         return ""
     return f'`"{row.default}"`' if isinstance(row.default, str) else f"`{row.default}`"
@@ -66,7 +66,7 @@ def _board_files() -> list[Path]:
 
 
 def boards_table() -> str:
-    """Board files with the first line of what they say they are."""
+    """Return board files with the first line of their docstrings."""
     rows = []
     for path in _board_files():
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
@@ -77,7 +77,7 @@ def boards_table() -> str:
 
 
 def pins_table() -> str:
-    """A row for each thing that can be wired, a column for each board of real hardware."""
+    """Return a table with a row for each connection, and a column for each real board."""
     from ..boardfile.files import load_board
     from ..boardfile.new_board import CONTROLS, ITEMS
 
@@ -93,7 +93,7 @@ def pins_table() -> str:
 
 
 def _pins(board: Any, name: str, controls: tuple[str, ...]) -> str:
-    """The pins of one thing in a board file; "" where it has none."""
+    """Return the pins of a connection in a board file; "" if there are none."""
     if name in controls:
         wired = getattr(board, "CONTROL", ())
         place = controls.index(name)
@@ -109,7 +109,7 @@ def _pins(board: Any, name: str, controls: tuple[str, ...]) -> str:
 
 
 def differences_table() -> str:
-    """What differs from the recordings of Grbl on purpose."""
+    """Return all intended differences from the recordings of Grbl."""
     rows = [(row.name, "replies", row.reason) for row in differences.DIFFERENCES]
     rows += [(row.name, "one case", row.reason) for row in differences.QUIRKS]
     rows += [(name, "motion", reason) for name, reason in differences.MOTION]

@@ -9,12 +9,12 @@ _DOLLAR = re.compile(r"'?(\$[\w$=#]*)'?")
 
 
 def as_code(text: str) -> str:
-    """The text with what begins with $ as code."""
+    """Return the text with words that begin with $ as code."""
     return _DOLLAR.sub(r"`\1`", text)
 
 
 def table(header: Row, rows: Iterable[Row]) -> str:
-    """A table of Markdown."""
+    """Return a table in Markdown."""
     lines = [header, ("---",) * len(header), *rows]
     return "\n".join(
         f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines

@@ -1,4 +1,4 @@
-"""What words, commands and bytes mean: what the tables say where the firmware has numbers only."""
+"""Meanings of words, commands and bytes, for tables where the firmware has only numbers."""
 
 G_MEANINGS = {
     "G0": "Go to the target as fast as the axes can (rapid).",

@@ -1,7 +1,7 @@
-"""The pages with generated parts, and what makes each part.
+"""The pages with generated parts, and the functions that generate them.
 
-A part stands between the lines `<!-- begin: NAME -->` and `<!-- end: NAME -->`; TABLES says who
-makes it.
+A part is between the lines `<!-- begin: NAME -->` and `<!-- end: NAME -->`; TABLES has the
+function for each name.
 """
 
 import re
@@ -36,5 +36,5 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def update(text: str) -> str:
-    """The text with all its tables as they are now."""
+    """Return the text with all its tables up to date."""
     return _MARKED.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", text)

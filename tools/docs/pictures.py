@@ -1,6 +1,6 @@
-"""The pictures in docs/pictures, kept in fewer dots and colours.
+"""The pictures in docs/pictures, reduced in size and colours.
 
-Those of the tools are drawn by a command each, those of the page are taken by its tests.
+Pictures of the tools are drawn by a command each; those of the page are taken by its tests.
 """
 
 import shutil
@@ -16,19 +16,19 @@ FOLDER = DOCS / "pictures"
 MOST_BYTES = 100_000
 _WIDTH = 1200
 _COLOURS = 64
-_LOOK = (240, 206)  # dots in which two are compared
+_LOOK = (240, 206)  # dots at which two are compared
 _LIKE = 4.0  # of 255
 
 
 class Picture(NamedTuple):
-    """A picture by its name, and the words behind `ugrbl` that draw it, but for --plot FILE."""
+    """A picture by its name, and the arguments of `ugrbl` that draw it, except --plot FILE."""
 
     name: str
     words: str
 
     @property
     def command(self) -> str:
-        """What to type to have it drawn, into build/."""
+        """Return the command that draws it into build/."""
         return f"ugrbl {self.words} --plot build/{self.name}"
 
 
@@ -57,12 +57,12 @@ PICTURES = (
 )
 
 
-# By host_tests/web/test_served_page.py.
+# Made by host_tests/web/test_served_page.py.
 OF_THE_PAGE = ("page.png", "page_phone.png", "page_pins.png")
 
 
 def draw(picture: Picture, file: Path) -> None:
-    """Draw it there, as it is kept. Raises CalledProcessError where the command fails."""
+    """Draw a picture into a file, reduced. Raises CalledProcessError if the command fails."""
     with TemporaryDirectory() as folder:
         drawn = Path(folder) / picture.name
         command = [sys.executable, "-m", "ugrbl.cli", *picture.words.split(), "--plot", str(drawn)]
@@ -71,7 +71,7 @@ def draw(picture: Picture, file: Path) -> None:
 
 
 def shrink(drawn: Path, file: Path, greys: bool = False) -> None:
-    """Keep a picture there, in fewer dots and colours. greys: it has many of them."""
+    """Save a picture with fewer dots and colours. greys: it has many of them."""
     from PIL import Image
 
     method = Image.Quantize.MEDIANCUT if greys else Image.Quantize.MAXCOVERAGE
@@ -85,8 +85,8 @@ def shrink(drawn: Path, file: Path, greys: bool = False) -> None:
 
 
 def same(file: Path, other: Path) -> bool:
-    """Whether two pictures show the same: fonts may differ from one computer to the next, and
-    numbers from one run to the next; lines and colours may not."""
+    """Return whether two pictures show the same. Fonts may differ between computers, and numbers
+    between runs, but not lines and colours."""
     from PIL import Image, ImageChops, ImageStat
 
     pair = []
@@ -97,13 +97,13 @@ def same(file: Path, other: Path) -> bool:
 
 
 def renew(fresh: Path, kept: Path) -> None:
-    """Keep a fresh picture in the place of one that shows something else, or of none."""
+    """Replace a stored picture if the new one differs, or if there is none."""
     if not kept.exists() or not same(fresh, kept):
         shutil.copyfile(fresh, kept)
 
 
 def keep(picture: Picture) -> Path:
-    """Draw it where the documents look for it."""
+    """Draw a picture into the folder of the documents."""
     file = FOLDER / picture.name
     draw(picture, file)
     return file

@@ -1,4 +1,4 @@
-"""Tables of what can be sent: G and M words, $ commands, real-time bytes."""
+"""Tables of the input: G and M words, $ commands, real-time bytes."""
 
 import re
 from array import array
@@ -24,7 +24,8 @@ def _group_names() -> dict[int, str]:
 
 
 def _taken(word: str, modal: "array[int]") -> "Block | None":
-    """What the interpreter makes of a word in that modal state; None where it refuses it."""
+    """Return the block that the interpreter makes of a word in that modal state; None if it
+    refuses it."""
     from language.block import Block, read
 
     block = Block(3, has_mist=True, has_override_control=True)
@@ -46,7 +47,7 @@ def _known(words: "Iterable[str]") -> list[str]:
 
 
 def _group(word: str) -> str:
-    """The modal group that the interpreter puts a word in."""
+    """Return the modal group of a word, according to the interpreter."""
     from language.block_layout import COMMANDS
 
     block = _taken(word, _at_reset())
@@ -55,19 +56,20 @@ def _group(word: str) -> str:
 
 
 def g_words() -> list[str]:
-    """Every G word that the interpreter knows, in order."""
+    """Return every G word that the interpreter knows, in order."""
     tenths = ("", *(f".{tenth}" for tenth in range(1, 10)))
     words = [f"G{number}{tenth}" for number in range(100) for tenth in tenths]
-    return [word for word in _known(words) if not word.startswith("G49.")]  # as Grbl: a G49
+    # read as G49, as in Grbl
+    return [word for word in _known(words) if not word.startswith("G49.")]
 
 
 def m_words() -> list[str]:
-    """Every M word that the interpreter knows, options of the board included."""
+    """Return every M word that the interpreter knows, including options of the board."""
     return _known(f"M{number}" for number in range(256))
 
 
 def _at_start(word: str) -> bool:
-    """A mode that a reset puts in force."""
+    """Return whether a word is a mode that is active after a reset."""
     from control.modes import MODAL_LENGTH, MODAL_ROOM, PROGRAM_FLOW
 
     other = array("i", [99] * MODAL_LENGTH + [0] * (MODAL_ROOM - MODAL_LENGTH))
@@ -86,22 +88,22 @@ def _words_table(words: list[str], said: dict[str, str]) -> str:
 
 
 def g_table() -> str:
-    """G words with their groups; KeyError where one has no meaning."""
+    """Return G words with their groups; KeyError if one has no meaning."""
     return _words_table(g_words(), meanings.G_MEANINGS)
 
 
 def m_table() -> str:
-    """M words with their groups; KeyError where one has no meaning."""
+    """Return M words with their groups; KeyError if one has no meaning."""
     return _words_table(m_words(), meanings.M_MEANINGS)
 
 
 def commands() -> list[str]:
-    """The commands that begin with $, as the firmware's table of them says."""
+    """Return the commands that begin with $, from the firmware's table."""
     return _COMMAND.findall(source("talk/commands"))
 
 
 def commands_table() -> str:
-    """$ commands; KeyError where one has no meaning."""
+    """Return $ commands; KeyError if one has no meaning."""
     rows = [("`$`", "Show this list, in short."), ("`$n=value`", "Change setting n.")]
     rows.append(("`$J=words`", "Jog: a motion that a hold or jog cancel ends for good."))
     rows += [(f"`{command}`", meanings.COMMANDS[command]) for command in commands()]
@@ -113,7 +115,7 @@ def _byte(number: int) -> str:
 
 
 def realtime_table() -> str:
-    """Real-time bytes; KeyError where one has no meaning."""
+    """Return real-time bytes; KeyError if one has no meaning."""
     paths.use_firmware()
     from base import state
     from control import overrides, realtime

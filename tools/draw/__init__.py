@@ -1,4 +1,4 @@
-"""What a job does, as a page or a picture, and how two of them differ.
+"""The motion of a job as a page or a picture, and the difference between two jobs.
 
-Imports `grbl`, `boardfile`, `run`, whose programs it watches, and of `sim` a type.
+Imports `grbl`, `boardfile`, `run`, whose programs it traces, and a type from `sim`.
 """

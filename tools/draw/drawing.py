@@ -1,4 +1,5 @@
-"""What pages and pictures draw of a job: its path in few enough points, its figures in words."""
+"""The data that pages and pictures draw of a job: its path with few enough points, its figures in
+words."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,17 +13,17 @@ from .simplify import fitted
 if TYPE_CHECKING:
     from .job import Job
 
-# What is drawn is nowhere further from the path than this, unless it says another.
+# Default of the largest distance between the drawing and the path.
 TOLERANCE_MM = 0.01
-# Speeds are told apart in so many steps.
+# Number of speeds that a drawing distinguishes.
 SHADES = 12
-# In pages and pictures alike.
+# The same in pages and pictures.
 SCALE = "turbo"
 RAPID = "#9aa0a6"
 TRAVEL = "#b0b0b0"
 POWER = "#b5179e"
 AXES = ("#d62728", "#2ca02c", "#1f77b4", "#ff7f0e", "#9467bd", "#8c564b")
-# The least share of the width that height gets in the view in space.
+# The smallest ratio of height to width in the 3D view.
 FLATTEST = 0.2
 
 Numbers = NDArray[Any]
@@ -41,12 +42,12 @@ class Drawing:
     power: Numbers
 
     def strokes(self, rapid: bool) -> Numbers:
-        """The strokes of one kind: pairs of points."""
+        """Return the strokes of one kind: pairs of points."""
         ends = np.flatnonzero(self._of(rapid))
         return np.asarray(np.stack([self.points[ends - 1], self.points[ends]], axis=1))
 
     def stroke_speeds(self, rapid: bool) -> Numbers:
-        """Their speeds."""
+        """Return the speeds of these strokes."""
         return np.asarray(self.speed[self._of(rapid)])
 
     def _of(self, rapid: bool) -> Numbers:
@@ -56,12 +57,12 @@ class Drawing:
 
 
 def draw(job: "Job", most: int, tolerance_mm: float = TOLERANCE_MM) -> Drawing:
-    """A job in so many points at the most, and in those that part rapids from cuts."""
+    """Return a job with at most so many points, plus those between rapids and cuts."""
     motion = job.motion
     points, rapid = motion.points, motion.rapids
     time_s = np.frombuffer(motion.time_s)
     speed = np.frombuffer(motion.speed_mm_s, np.float32)
-    # Half a shade more or less of speed counts as much as the tolerance.
+    # A speed error of half a shade counts as much as the tolerance.
     shade = 2 * SHADES * tolerance_mm / (float(speed.max(initial=0)) or 1.0)
     parting = np.flatnonzero(rapid[1:] != rapid[:-1])
     rows, tolerance_mm = fitted(
@@ -79,7 +80,8 @@ def _lengths(points: Numbers) -> Numbers:
 
 
 def fastest(drawings: Sequence[Drawing]) -> float:
-    """Where the scale of colours ends, in mm/min: the fastest cut, or rapid where nothing cuts."""
+    """Return the end of the colour scale, in mm/min: the fastest cut, or the fastest rapid if
+    nothing cuts."""
     for rapid in (False, True):
         most = max(float(one.stroke_speeds(rapid).max(initial=0)) for one in drawings)
         if most:
@@ -88,7 +90,7 @@ def fastest(drawings: Sequence[Drawing]) -> float:
 
 
 def box(drawing: Drawing) -> tuple[Numbers, Numbers]:
-    """Lowest corner and size; no side is 0."""
+    """Return lowest corner and size; no side is 0."""
     if not len(drawing.points):
         return np.zeros(3), np.ones(3)
     low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
@@ -98,14 +100,15 @@ def box(drawing: Drawing) -> tuple[Numbers, Numbers]:
 
 
 def travel(job: "Job", drawing: Drawing) -> tuple[Numbers, Numbers] | None:
-    """A frame of $130 and $131 around the job, lowest corner and size, if it nearly fills it."""
+    """Return a frame of $130 and $131 around the job, lowest corner and size, if the job is nearly
+    as large."""
     low, size = (side[:2] for side in box(drawing))
     frame = np.array(job.limits["travel"][:2])
     return (low + (size - frame) / 2, frame) if (size * 3 > frame).any() else None
 
 
 def figures(job: "Job") -> list[tuple[str, str]]:
-    """The job in words, for the top of a drawing: what, how much."""
+    """Return the job's figures in words, for the top of a drawing: name, value."""
     from .job import short
 
     motion, totals = job.motion, job.result.totals
@@ -138,7 +141,7 @@ def figures(job: "Job") -> list[tuple[str, str]]:
 
 
 def envelope(time_s: Numbers, values: Numbers, most: int) -> tuple[Numbers, Numbers]:
-    """The same curve in no more than so many points: the least and the highest of each stretch."""
+    """Return the curve with at most so many points: the lowest and the highest of each section."""
     count = len(time_s)
     if count <= most:
         return np.asarray(time_s), np.asarray(values)

@@ -1,4 +1,4 @@
-"""Jobs as a picture: a column each, with the path from above and in space, and curves in time."""
+"""Jobs as a picture: a column each, with the path from above and in 3D, and curves over time."""
 
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -14,28 +14,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# A curve, or a path in a drawing made of lines, has no more points than that.
+# The most points of a curve, and of a path in a drawing made of lines.
 _POINTS = 4000
 _STROKES = 40_000
 _STROKES_SVG = 10_000
-# A picture is so many dots wide: what is finer than one cannot be seen.
+# The width of a picture in dots; finer details are not visible.
 _DOTS = 2000
-# In inches: of a job alone, of one beside others; of the path, the view in space, the curves.
+# In inches: width of a single job, width of one of several; heights of path, 3D view, curves.
 _WIDE = 15.0
 _WIDTH = 9.0
-_LETTERS = 80  # above it
+_LETTERS = 80  # characters per line above a path
 _HEIGHTS = (6.5, 5.0, 1.6, 1.6, 1.6, 1.6)
-# Of the view in space: its size, for it knows nothing of its ticks' numbers; how far away these
-# are, so that those that meet in a corner stay apart; how many the longest side has at most.
+# Of the 3D view: its size, because matplotlib ignores the numbers at its ticks; the distance of
+# these numbers, so that they do not overlap in a corner; the most ticks of the longest side.
 _ZOOM = 0.85
 _PAD = 6
 _TICKS = 5
-# How a hole looks that a punch has made.
+# The mark of a punched hole.
 _RING: dict[str, Any] = {"mfc": "white", "mec": "black", "ms": 5, "mew": 1.2}
 
 
 def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "Figure":
-    """The figure."""
+    """Draw the jobs as a figure."""
     from matplotlib.figure import Figure
 
     figure = Figure(dpi=100, layout="constrained")
@@ -55,7 +55,8 @@ def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "
 
 
 def _places(figure: "Figure", count: int) -> list[list[Any]]:
-    """Where the path, the view in space and the curves of each job go: columns, where several."""
+    """Return the places of path, 3D view and curves of each job: in columns if there are
+    several."""
     if count == 1:
         figure.set_size_inches(_WIDE, sum(_HEIGHTS) - _HEIGHTS[1])
         grid = figure.add_gridspec(len(_HEIGHTS) - 1, 2, height_ratios=_HEIGHTS[:1] + _HEIGHTS[2:])
@@ -77,7 +78,7 @@ def _heading(job: Job, drawn: Drawing) -> str:
 
 
 def _filled(rows: Sequence[str]) -> list[str]:
-    """Several in a line, as many as there is room for above a path."""
+    """Join texts to lines, as many as fit above a path."""
     lines = [rows[0]]
     for row in rows[1:]:
         if len(lines[-1]) + len(row) < _LETTERS:
@@ -109,7 +110,7 @@ def _from_above(axes: "Axes", job: Job, drawn: Drawing, look: dict[str, Any]) ->
 
 
 def _travel(axes: "Axes", job: Job, drawn: Drawing) -> None:
-    """A frame as large as the travel of $130 and $131, where the job is nearly as large."""
+    """Draw a frame of the travel of $130 and $131, if the job is nearly as large."""
     from matplotlib.patches import Rectangle
 
     place = drawing.travel(job, drawn)
@@ -142,25 +143,26 @@ def _in_space(axes: Any, drawn: Drawing, look: dict[str, Any]) -> None:
         axis = getattr(axes, f"{letter}axis")
         axis.set_major_formatter(f"{letter.upper()}{{x:g}}")
         ticks = max(2, round(_TICKS * side / longest))
-        # Z's lowest would lie on Y's last.
+        # Z's lowest tick would overlap Y's last.
         axis.set_major_locator(MaxNLocator(ticks, prune="lower" if letter == "z" else None))
 
 
 def _roomy(drawn: Drawing) -> tuple[Numbers, Numbers]:
-    """The box of a drawing, with room around a path that is narrow in X or Y, for their scale is
-    the same: lowest corner and size."""
+    """Return lowest corner and size of a drawing. A narrow side of X or Y is widened, because both
+    have the same scale."""
     low, size = drawing.box(drawn)
     room = np.maximum(drawing.FLATTEST * max(size) - size, 0) / 2 * (1, 1, 0)
     return low - room, size + 2 * room
 
 
 def _lines(strokes: Numbers) -> list[Any]:
-    """For matplotlib, which wants some, as many as there are."""
+    """Return the strokes for matplotlib, which needs at least one."""
     return list(strokes) or [np.zeros((2, 3))]
 
 
 def _curves(figure: "Figure", places: Sequence[Sequence[Any]], jobs: Sequence[Job]) -> None:
-    """Speed, acceleration, step rate and power; a row has one scale, and time too."""
+    """Draw speed, acceleration, step rate and power; each row has one scale, and all have one time
+    axis."""
     rows: list[list[Axes]] = [[], [], [], []]
     first: Axes | None = None
     for column, job in zip(places, jobs, strict=True):
@@ -186,7 +188,7 @@ def _curves(figure: "Figure", places: Sequence[Sequence[Any]], jobs: Sequence[Jo
 
 
 def _by_axis(axes: "Axes", job: Job, columns: Iterable[Numbers], limits: str) -> None:
-    """A curve per axis, with what its setting allows as a dotted line where it comes near."""
+    """Draw a curve per axis, and the limit of its setting as a dotted line if it is near."""
     time_s = np.frombuffer(job.motion.time_s)
     highest = 0.0
     for letter, colour, values in zip(LETTERS, drawing.AXES, columns, strict=False):

@@ -1,4 +1,4 @@
-"""A job: a program as it runs under some settings, ready to be drawn; two of them, compared."""
+"""A job: a program as it runs with some settings, ready to be drawn; comparison of two jobs."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from ..run import machine
 from ..run.program import Result, run_program
 from .motion_trace import LETTERS, Motion, MotionTrace, trace_program
 
-# There are no switches on paper: with these, a job would begin locked, or end in an alarm.
+# A simulated machine without switches would start locked, or end in an alarm, with these.
 _WITHOUT = frozenset({20, 21, 22})
 
 
 @dataclass
 class Job:
-    """A program as it runs under some settings. name says which."""
+    """A program as it runs with some settings. name says which."""
 
     name: str
     result: Result
@@ -26,15 +26,15 @@ class Job:
     # Per axis: max_rate in steps/s, acceleration in mm/s2, travel in mm.
     limits: dict[str, list[float]]
     program: Sequence[bytes] = ()
-    marks: Sequence[Sequence[float]] = ()  # where a punch has made a hole, in mm
+    marks: Sequence[Sequence[float]] = ()  # positions of a punch's holes, in mm
 
     @property
     def seconds(self) -> float:
-        """How long it takes."""
+        """Return its duration."""
         return self.result.totals.time_s
 
     def as_json(self) -> dict[str, Any]:
-        """As `ugrbl plot --json` writes it."""
+        """Return the job for `ugrbl plot --json`."""
         motion = self.motion
         return {
             "name": self.name,
@@ -52,12 +52,13 @@ class Job:
 
 
 def by_letter(values: Iterable[float]) -> dict[str, float]:
-    """Values by the letter of their axis."""
+    """Return values by the letter of their axis."""
     return dict(zip(LETTERS, values, strict=False))
 
 
 def from_file(file: Path) -> list[str]:
-    """The settings in a file of `ugrbl settings pull`, as lines for a machine on paper."""
+    """Return the settings in a file of `ugrbl settings pull`, as lines for a machine without
+    switches."""
     try:
         settings = read_settings(file)
     except SettingsError as error:
@@ -66,13 +67,13 @@ def from_file(file: Path) -> list[str]:
 
 
 def on_paper(values: Mapping[int, str]) -> list[str]:
-    """Settings by number, as lines for a machine that has no switches."""
+    """Return settings by number as lines for a machine without switches."""
     kept = sorted(values.items())
     return [f"${number}={value}" for number, value in kept if number not in _WITHOUT]
 
 
 def check_settings(settings: Sequence[str], board: str, around: machine.Around) -> None:
-    """ValueError where one is refused."""
+    """Raise ValueError if a setting is refused."""
     result, _ = run_program((), board=board, settings=settings, around=around)
     _check_accepted(result)
 
@@ -90,7 +91,7 @@ def run_job(
     progress: Callable[[int], None] | None = None,
     around: machine.Around = machine.NOTHING,
 ) -> Job:
-    """Run it. ValueError where a setting is refused."""
+    """Run a program. ValueError if a setting is refused."""
     result, trace = trace_program(
         lines, board=board, settings=settings, progress=progress, around=around
     )
@@ -106,13 +107,13 @@ def job_of(
     result: Result,
     trace: MotionTrace,
 ) -> Job:
-    """What has been traced, ready to be drawn."""
+    """Return a traced program as a job."""
     limits = _limits(board, settings, len(trace.motion.axes()))
     return Job(name, result, trace.motion, limits, lines, trace.marks)
 
 
 def _limits(board: str, settings: Sequence[str], axes: int) -> dict[str, list[float]]:
-    """What the settings allow each axis."""
+    """Return the limits that the settings set for each axis."""
     values = _defaults(board)
     for line in settings:
         number, _, value = line.lstrip("$").partition("=")
@@ -137,7 +138,7 @@ def _defaults(board: str) -> dict[int, float]:
 
 
 def describe(settings: Sequence[str]) -> str:
-    """Settings in words: `Acceleration X 500 mm/sec^2, …`."""
+    """Return settings in words: `Acceleration X 500 mm/sec^2, …`."""
     words = []
     for line in settings:
         number, _, value = line.lstrip("$").partition("=")
@@ -147,7 +148,7 @@ def describe(settings: Sequence[str]) -> str:
 
 
 def verdict(before: Job, after: Job) -> str:
-    """The difference in words."""
+    """Return the difference in words."""
     digits = 1 if before.seconds < 60 else 0  # so that the times shown add up
     saved = round(before.seconds, digits) - round(after.seconds, digits)
     times = f"{short(after.seconds)} instead of {short(before.seconds)}"
@@ -159,7 +160,7 @@ def verdict(before: Job, after: Job) -> str:
 
 
 def short(seconds: float) -> str:
-    """A length of time as people say it."""
+    """Return a duration as text."""
     if seconds < 1:
         return f"{seconds:.2f} s"
     if seconds < 60:

@@ -1,6 +1,7 @@
-"""What a machine does from segment to segment: place, speed, acceleration, step rate, power.
+"""The machine's motion by segment: position, speed, acceleration, step rate, power.
 
-And for which line of the program. A long job has millions of segments, so all is in arrays.
+Also the line of the program for each segment. A long job has millions of segments, so all data is
+in arrays.
 """
 
 from array import array
@@ -20,14 +21,14 @@ if TYPE_CHECKING:
     from ..sim.rig import Rig
 
 LETTERS = "XYZABC"
-# Between two segments so far apart the machine has stood still.
+# A longer time between two segments means that the machine has stood still.
 _REST_S = 1e-6
 
-# Segments end with a step, but their speeds are those of whole milliseconds: acceleration is a
-# mean over so long.
+# Segments end with a step, but their speeds are those of whole milliseconds, so acceleration is a
+# mean over this time.
 MEAN_S = 0.03
 
-# Of a program of so many lines, segments of 40 ms in place of Grbl's 10 are enough.
+# For a program with so many lines, segments of 40 ms instead of Grbl's 10 are enough.
 _MANY_LINES = 50_000
 _COARSE = 4
 
@@ -40,10 +41,10 @@ def _column(kind: str) -> "array[float]":
 
 @dataclass
 class Motion:
-    """Columns of equal length, a row per segment; at rest, a row at each end of it.
+    """Columns of equal length, a row per segment; a standstill has a row at each end.
 
-    speed is that at the end of the segment, along the path; power the tool's, from 0 to 1.
-    Per axis, and made when asked for: acceleration and step rate, without sign, as the settings
+    speed is that at the end of the segment, along the path; power is the tool's, from 0 to 1.
+    Acceleration and step rate are per axis and computed on demand, without sign, as the settings
     limit them.
     """
 
@@ -52,47 +53,47 @@ class Motion:
     speed_mm_s: "array[float]" = field(default_factory=lambda: _column("f"))
     power: "array[float]" = field(default_factory=lambda: _column("f"))
     block: "array[int]" = field(default_factory=lambda: array("i"))
-    # A row per block of the planner; block 0 is rest.
+    # A row per block of the planner; block 0 is standstill.
     line: "array[int]" = field(default_factory=lambda: array("i"))
     rapid: "array[int]" = field(default_factory=lambda: array("b"))
-    steps_per_mm: "list[array[float]]" = field(default_factory=list)  # of path, by motor
+    steps_per_mm: "list[array[float]]" = field(default_factory=list)  # per mm of path, by motor
     share: "list[array[float]]" = field(default_factory=list)  # of a mm of path, by axis
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def forget(self) -> None:
-        """No segment has been, but for the blocks that they may be of."""
+        """Remove all segments, but keep the blocks."""
         for column in (self.time_s, self.speed_mm_s, self.power, *self.place):
             del column[:]
         del self.block[:]
 
     @property
     def seconds(self) -> Column:
-        """How long each segment took."""
+        """Return how long each segment took."""
         return np.diff(np.frombuffer(self.time_s), prepend=self.time_s[:1])
 
     @property
     def lines(self) -> NDArray[np.int32]:
-        """The line of the program that each segment is for; 0 at rest."""
+        """Return the line of the program for each segment; 0 at standstill."""
         return np.asarray(_view(self.line)[_view(self.block)], np.int32)
 
     @property
     def rapids(self) -> NDArray[np.bool_]:
-        """Which segments belong to rapids."""
+        """Return which segments belong to rapids."""
         return np.asarray(_view(self.rapid)[_view(self.block)], bool)
 
     @property
     def points(self) -> NDArray[np.float32]:
-        """X, Y and Z in mm."""
+        """Return X, Y and Z in mm."""
         return np.column_stack([_view(column) for column in self.place])
 
     def axes(self) -> range:
-        """The numbers of all axes."""
+        """Return the numbers of all axes."""
         return range(len(self.share))
 
     def acceleration(self, axis: int) -> Column:
-        """In mm/s2, along the path, as a mean over MEAN_S."""
+        """Return the acceleration in mm/s2, along the path, as a mean over MEAN_S."""
         time_s = np.frombuffer(self.time_s)
         change = np.abs(np.diff(_view(self.speed_mm_s), prepend=np.float32(0)))
         changed = np.cumsum(change * _view(self.share[axis])[_view(self.block)], dtype=float)
@@ -102,21 +103,21 @@ class Motion:
         return np.asarray((until - since) / MEAN_S)
 
     def step_hz(self, motor: int) -> Column:
-        """Steps a second."""
+        """Return the steps per second."""
         per_mm = _view(self.steps_per_mm[motor])[_view(self.block)]
         return np.asarray(per_mm * _view(self.speed_mm_s))
 
 
 def _view(column: "array[float] | array[int]") -> "NDArray[np.float32]":
-    """The array as numpy sees it, not copied."""
+    """Return the array as a numpy array, not copied."""
     return np.frombuffer(column, column.typecode)
 
 
 class MotionTrace(Paced):
-    """A Recorder that also knows how fast the firmware meant each segment to be.
+    """A Recorder that also records the firmware's planned speed of each segment.
 
-    Speeds come from the segments' maker and not from the steps: at 250 steps/mm, the steps of
-    10 ms tell an acceleration to no better than 40 mm/s2.
+    Speeds come from the segment generator and not from the steps: at 250 steps/mm, the steps of 10
+    ms determine an acceleration only to 40 mm/s2.
     """
 
     def __init__(self, rig: "Rig") -> None:
@@ -125,13 +126,13 @@ class MotionTrace(Paced):
         per_axis = [_column("f") for _ in self._axes]
         self.motion = Motion(steps_per_mm=per_motor, share=per_axis)
         self._begun_at = 0
-        self._blocks: dict[int, int] = {}  # of the trace, by the row of the planner's ring
+        self._blocks: dict[int, int] = {}  # block of the trace, by the row of the planner's ring
         self._plans: dict[int, tuple[float, int]] = {}  # speed and block, by the segment's row
         self._port = rig.port
         self._add_block(0, False, [0.0 for _ in self._motors])
 
     def start_clock(self) -> None:
-        """The work begins now; what was before is forgotten."""
+        """Start the clock at the beginning of the program; earlier segments are removed."""
         super().start_clock()
         self.motion.forget()
         self._begun_at = self._rig.now
@@ -168,7 +169,7 @@ class MotionTrace(Paced):
             share.append(abs(mm))
 
     def _noted(self, row: "array[int]") -> int:
-        """Stand in for Segments.next: note the speed of what it makes, and of which block."""
+        """Replace Segments.next: note the speed of the segment, and its block."""
         made = int(self._next(row))
         if made:
             at = self._planner.flow[self._layout.AT]
@@ -208,9 +209,10 @@ def trace_program(
     progress: Callable[[int], None] | None = None,
     around: machine.Around = machine.NOTHING,
 ) -> tuple[Result, MotionTrace]:
-    """Run a program as run.run_program does, and follow every segment.
+    """Run a program as run.run_program does, and trace every segment.
 
-    In a long one segments are longer where lines are: its steps, path and time are the same.
+    For a long one, segments are longer where the lines are long; steps, path and time are the
+    same.
     """
     commands = (*settings, *(["$C"] if check else []))
     coarse = _COARSE if len(lines) > _MANY_LINES else 1

@@ -1,7 +1,8 @@
-"""Jobs as one page for a browser: it can be turned, zoomed and read off, and needs no network.
+"""Jobs as one page for a browser: it can be rotated and zoomed, shows values, and needs no
+network.
 
-The page carries plotly.js and its figures, packed; the browser unpacks them, which those since
-2023 can. All is drawn by WebGL, so that nothing has to be left out of a long job.
+The page contains plotly.js and its figures, compressed; browsers since 2023 can decompress them.
+Everything is drawn by WebGL, so that a long job can be drawn completely.
 """
 
 import base64
@@ -20,7 +21,8 @@ from .job import Job, short
 from .motion_trace import LETTERS, MEAN_S
 from .script import PAGE, SCRIPT
 
-# What a browser turns without getting stuck. Beyond it the tolerance widens, and the page says so.
+# The most points that a browser rotates without delay. Above it the tolerance grows, and the page
+# says so.
 _MOST = 600_000
 _POINTS = 4000
 _KINDS = {"f4": np.float32, "f8": np.float64, "i4": np.int32, "u1": np.uint8}
@@ -33,7 +35,7 @@ _CHARTS = (
 
 
 def page(jobs: Sequence[Job], title: str, words: str) -> str:
-    """The text of the page."""
+    """Return the text of the page."""
     drawings = [drawing.draw(job, _MOST // len(jobs)) for job in jobs]
     figures = {
         "fastest": drawing.fastest(drawings),
@@ -59,7 +61,7 @@ def _packed(text: str) -> str:
 
 
 def _library() -> str:
-    """plotly.js, packed, as text."""
+    """Return plotly.js, compressed, as text."""
     try:
         from plotly.offline import get_plotlyjs  # type: ignore[import-untyped,unused-ignore]
     except ImportError as error:
@@ -68,7 +70,7 @@ def _library() -> str:
 
 
 def _column(values: Numbers, kind: str) -> tuple[str, str]:
-    """Numbers as the script reads them: their kind, and their bytes."""
+    """Return numbers for the script: their type, and their bytes."""
     return kind, base64.b64encode(np.ascontiguousarray(values, _KINDS[kind]).tobytes()).decode()
 
 
@@ -97,7 +99,7 @@ def _job(job: Job, drawn: Drawing) -> dict[str, Any]:
 
 
 def _shape(drawn: Drawing) -> dict[str, float]:
-    """The sides of the view in space; the height is shown, however flat."""
+    """Return the sides of the 3D view; the height is visible, however small."""
     _, size = drawing.box(drawn)
     longest = float(max(size))
     sides = [size[0], size[1], max(size[2], drawing.FLATTEST * longest)]
@@ -105,7 +107,7 @@ def _shape(drawn: Drawing) -> dict[str, float]:
 
 
 def _frame(job: Job, drawn: Drawing) -> dict[str, float] | None:
-    """As large as the travel, around the job, where that is nearly as large."""
+    """Return a frame of the travel around the job, if the job is nearly as large."""
     place = drawing.travel(job, drawn)
     if place is None:
         return None
@@ -119,7 +121,7 @@ def _frame(job: Job, drawn: Drawing) -> dict[str, float] | None:
 
 
 def _curves(job: Job) -> "Sequence[list[dict[str, Any]]]":
-    """What is drawn over time, for each chart."""
+    """Return the curves over time, for each chart."""
     motion = job.motion
     speed = 60 * np.frombuffer(motion.speed_mm_s, np.float32)
     power = 100 * np.frombuffer(motion.power, np.float32)
@@ -143,7 +145,7 @@ def _curve(job: Job, values: Numbers, name: str, colour: str) -> dict[str, Any]:
 
 
 def _colour(step: int) -> str:
-    """The colour of one step of the scale, as the picture's."""
+    """Return the colour of one step of the scale, the same as in pictures."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 

@@ -1,4 +1,4 @@
-"""Jobs drawn into a file, as its name asks for: a page or a picture."""
+"""Draw jobs into a file, as a page or a picture, according to its name."""
 
 import io
 import sys
@@ -14,7 +14,7 @@ _HEAD = PAGE.index("<title>")
 
 
 def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
-    """Draw the jobs beside each other; the file's suffix says how. `-` is a page on stdout.
+    """Draw the jobs side by side; the file's suffix selects the format. `-` is a page on stdout.
 
     OSError says in words why it cannot be written.
     """
@@ -33,7 +33,7 @@ def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
 
 
 def has_drawn(file: Path) -> bool:
-    """Whether what is there is a page of ours."""
+    """Return whether an existing file is a page of ours."""
     with file.open("rb") as page:
         return page.read(_HEAD) == PAGE[:_HEAD].encode()
 

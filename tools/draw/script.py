@@ -1,7 +1,7 @@
 """The text of the page that tools/draw/page.py fills: HTML, and the script that draws.
 
-Columns come packed; one index runs through the path, the charts and the program, so that a moment
-in one is shown in all.
+Columns are compressed. One index is common to path, charts and program, so that a moment in one is
+shown in all.
 """
 
 PAGE = """<!DOCTYPE html>

@@ -1,7 +1,7 @@
-"""Polylines in fewer points, never further from the given one than a tolerance (Douglas-Peucker).
+"""Polylines with fewer points, within a tolerance of the given ones (Douglas-Peucker).
 
-Many stretches are cut at once, again and again, so that the work is numpy's: a path of two million
-points takes seconds, and next to no memory.
+Many sections are split at once, repeatedly, so that numpy does the work: a path of two million
+points takes seconds, and very little memory.
 """
 
 from collections.abc import Sequence
@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-# One point in so many stays in any case: cutting a long spiral at its farthest point, again and
-# again, would take for ever.
+# One point in so many always stays, because repeatedly splitting a long spiral at its farthest
+# point would take too long.
 _STRETCH = 256
 _AT_ONCE = 256 * _STRETCH  # points whose distances are in memory at once
 
@@ -19,10 +19,10 @@ Rows = NDArray[np.int64]
 
 
 def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) -> Rows:
-    """The rows of a polyline that are enough. keep: rows that stay whatever they are.
+    """Return the rows of a polyline that are sufficient. keep: rows that always stay.
 
-    Every point lies within the tolerance of the straight line between the kept ones around it,
-    in all columns together.
+    Every point is within the tolerance of the straight line between the kept ones around it, in
+    all columns together.
     """
     count = len(points)
     is_kept = np.zeros(count, bool)
@@ -35,7 +35,7 @@ def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) 
 
 
 def _cut(points: Points, is_kept: NDArray[np.bool_], tolerance: float) -> None:
-    """Keep what has to be, between points that are kept already."""
+    """Mark the points to keep, between points that are kept already."""
     ends = np.flatnonzero(is_kept)
     first, last = ends[:-1], ends[1:]
     while len(first := first[wide := last - first > 1]):
@@ -50,9 +50,9 @@ def _cut(points: Points, is_kept: NDArray[np.bool_], tolerance: float) -> None:
 def fitted(
     points: Points, tolerance: float, keep: Sequence[int] | Rows, most: int
 ) -> tuple[Rows, float]:
-    """As simplify(), with a tolerance doubled until there are so many rows at the most.
+    """Simplify as simplify(), with a tolerance doubled until at most `most` rows remain.
 
-    Rows that stay whatever they are do not count. Returns the tolerance too.
+    Rows that always stay are not counted. Returns the tolerance too.
     """
     rows = simplify(points, tolerance, keep)
     while len(rows) > most + len(keep):
@@ -62,7 +62,7 @@ def fitted(
 
 
 def _farthest(points: Points, first: Rows, last: Rows) -> tuple[Rows, NDArray[np.float64]]:
-    """Of each stretch the point farthest from its chord: its row, and how far."""
+    """Return for each section the point farthest from its chord: its row, and its distance."""
     sizes = last - first - 1  # points between the ends
     begins = np.cumsum(sizes) - sizes
     stretch = np.repeat(np.arange(len(first)), sizes)
@@ -75,7 +75,7 @@ def _farthest(points: Points, first: Rows, last: Rows) -> tuple[Rows, NDArray[np
 
 
 def _distance_sqr(points: Points, rows: Rows, first: Rows, last: Rows) -> NDArray[np.float64]:
-    """Squared distance of each row from the straight line between two others."""
+    """Return the squared distance of each row from the line segment between two others."""
     begin = points[first].astype(float)
     way, off = points[last] - begin, points[rows] - begin
     length_sqr = np.einsum("ij,ij->i", way, way)

@@ -1,4 +1,4 @@
-"""What a Grbl says and reads, as text: programs, settings, and its numbers in words.
+"""Grbl's input and output as text: programs, settings, and its numbers in words.
 
-Imports nothing of the other rooms; the words come out of the firmware's own tables.
+Imports no other folder of tools; the words come from the firmware's own tables.
 """

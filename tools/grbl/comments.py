@@ -1,20 +1,20 @@
-"""The comments of the firmware: what its tables' rows are for, as files and documents say it."""
+"""Comments of the firmware: the meaning of its tables' rows, for files and documents."""
 
 import ast
 
 from .. import paths
 
-# What tables of settings are annotated with.
+# The annotation of tables of settings.
 _KIND = "Rows"
 
 
 def source(module: str) -> str:
-    """The text of a module: `talk/commands`."""
+    """Return the text of a module: `talk/commands`."""
     return (paths.FIRMWARE / f"{module}.py").read_text(encoding="utf-8")
 
 
 def above(module: str, line: int, what: str) -> str:
-    """The comment that ends above a line; where an empty one parts it, what follows."""
+    """Return the comment that ends above a line; only its part after an empty comment line."""
     words: list[str] = []
     for text in reversed(source(module).splitlines()[: line - 1]):
         comment = text.strip()
@@ -27,8 +27,8 @@ def above(module: str, line: int, what: str) -> str:
 
 
 def setting_comments(module: str = "base/settings") -> dict[int, str]:
-    """What is said above each row of a module's tables of settings; ValueError if one has no
-    comment."""
+    """Return the comment above each row of a module's tables of settings. ValueError if one is
+    missing."""
     found: dict[int, str] = {}
     for node in ast.parse(source(module)).body:
         if isinstance(node, ast.AnnAssign) and _KIND in ast.unparse(node.annotation):

@@ -1,6 +1,6 @@
-"""Words of a machine's own Python (custom.py), as $I names them, and lines that bring them about.
+"""Words of a machine's own Python (custom.py), as $I lists them, and lines that run its handlers.
 
-A simulator without that Python does not know them, nor where its handlers take the tool.
+A simulator without that Python does not know these words, nor where the handlers move the tool.
 """
 
 import re
@@ -9,10 +9,10 @@ from collections.abc import Iterable
 from .gcode_file import without_comments
 
 _TOLD = re.compile(r"\[(?:MSG:)?Custom: (.*)\]")  # without MSG: in the dialect 0.9
-# The firmware cuts what it tells; of what is cut off nothing is known.
+# The firmware cuts its list; names after that length are not known.
 _LONGEST = 120 - len("Custom: ")
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-# Events whose handlers may move, and what brings them about.
+# Events whose handlers may move, and the words that trigger them.
 _EVENTS = {
     "on.tool_select": r"T",
     "on.tool_change": r"M6",
@@ -27,7 +27,7 @@ _EVENTS = {
 
 
 class CustomCodes:
-    """What a machine says of its own Python. text: as $I has it, names with commas between."""
+    """The list of a machine's own handlers. text: as in $I, names separated by commas."""
 
     def __init__(self, text: str = "") -> None:
         self.text = text
@@ -36,12 +36,13 @@ class CustomCodes:
 
     @classmethod
     def read(cls, lines: Iterable[str]) -> "CustomCodes":
-        """Out of the answer to $I; nothing where none is told of."""
+        """Find the list in the replies to $I; empty if there is none."""
         found = (match[1] for line in lines if (match := _TOLD.fullmatch(line)))
         return cls(next(found, ""))
 
     def word_in(self, line: bytes) -> str:
-        """The first of its words on a line, M6 where it changes tools; "" where none is."""
+        """Return the first of the machine's words on a line, M6 if it changes tools; "" if there
+        is none."""
         found = _words(line)
         for name in self._names:
             word = "M6" if name == "on.tool_change" else name
@@ -50,7 +51,8 @@ class CustomCodes:
         return ""
 
     def handler_of(self, line: bytes) -> str:
-        """What a line has run that may move: a word, or an event; "" where nothing is known."""
+        """Return the handler that a line runs and that may move: a word or an event; "" if none is
+        known."""
         if word := self.word_in(line):
             return word
         found = [*_words(line), *(word[0] for word in _words(line)), _code(line)]
@@ -66,5 +68,5 @@ def _code(line: bytes) -> str:
 
 
 def _words(line: bytes) -> list[str]:
-    """As the firmware names them: `M06` is M6."""
+    """Return the words in the firmware's form: `M06` is M6."""
     return [f"{letter}{float(number):g}" for letter, number in _WORD.findall(_code(line))]

@@ -1,4 +1,4 @@
-"""Program files as senders see them: lines of bytes, cut at CRLF, LF or CR."""
+"""Program files as senders see them: lines of bytes, split at CRLF, LF or CR."""
 
 import re
 import sys
@@ -10,7 +10,7 @@ from typing import NamedTuple
 from ..paths import why
 from .lines import Changed, Lines
 
-# Bytes that Grbl takes off before it looks at lines. Those from 0x80 on are all its own.
+# Bytes that Grbl removes from the input before it reads lines. It also removes all from 0x80 on.
 STATUS = b"?"
 CYCLE_START = b"~"
 FEED_HOLD = b"!"
@@ -19,10 +19,11 @@ JOG_CANCEL = b"\x85"
 STDIN = "-"
 
 _REALTIME = re.compile(rb"[?~!\x18\x80-\xff]")
-# What no editor writes. Paper tapes of old machines begin and end with some (DC1 to DC4).
+# Bytes that no editor writes. Paper tapes of old machines begin and end with others (DC1 to DC4).
 _NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x10\x15-\x17\x19\x1b-\x1f]")
 _SHOWN = 120
-# As Grbl reads them: a comment in parentheses may be left open, and ; ends a line outside of them.
+# As Grbl reads them: a comment in parentheses may be left open, and ; begins a comment outside of
+# them.
 _COMMENT = re.compile(rb"\([^)]*\)?|;.*", re.DOTALL)
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _DASHES = "\u2212\u2013\u2014\u2010\u2011\uff0d"  # of word processors and web pages
@@ -30,7 +31,7 @@ _ENDS = b"%"  # of a paper tape
 _FOREIGN = re.compile(
     rb"^(?:N\d+)?O\d+$|T\d|M0*6(?!\d)|G(?:43|49|61\.1|64|73|8[0-359]|9[89])(?![\d.])|G0*4S"
 )
-# Of languages that no option takes, without spaces.
+# Languages that no option supports; spaces are removed before matching.
 _LANGUAGES = {
     "a Heidenhain control": re.compile(
         rb"^\d*(?:BEGINPGM|ENDPGM|BLKFORM|TOOL(?:CALL|DEF)|CYCLDEF|CALLLBL|LBL|CC?[XYZ][+-]|L[A-Z])"
@@ -39,14 +40,14 @@ _LANGUAGES = {
         rb"^(?:N\d+)?(?:M(?:8[234]|10[4-9]|117|140|190|20[1-5]|22[01])(?!\d)|G29(?!\d)|G0*[01]\D.*E-?\.?\d)"
     ),
 }
-_MARK = b"\xef\xbb\xbf"  # how some editors begin a file in UTF-8
+_MARK = b"\xef\xbb\xbf"  # the mark with which some editors begin a file in UTF-8
 _NAMES = {
     b"?": "the question mark asks for a status report",
     b"~": "~ is a cycle start",
     b"!": "! is a feed hold",
     b"\x18": "Ctrl-X is a reset",
 }
-# What comments hold instead of what would act.
+# Replacements, in comments, of characters that would act or are not ASCII.
 _HARMLESS = str.maketrans({"?": ".", "!": ".", "~": "-", "ß": "ss", "Ø": "O", "ø": "o", "µ": "u"})
 
 
@@ -59,16 +60,16 @@ class Problem(NamedTuple):
 
 
 class NotText(ValueError):
-    """A file that is no program: empty, or not made of text."""
+    """A file that is not a program: empty, or not text."""
 
 
 def name_of(path: Path) -> str:
-    """What people call a program."""
+    """Return the name of a program for messages."""
     return "stdin" if str(path) == STDIN else path.name
 
 
 def read_bytes(path: Path) -> bytes:
-    """What is in a file, `-` is stdin. OSError says in words why it cannot be read."""
+    """Return the content of a file; `-` is stdin. OSError says in words why it cannot be read."""
     try:
         return sys.stdin.buffer.read() if str(path) == STDIN else path.read_bytes()
     except OSError as error:
@@ -76,8 +77,8 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_utf8(path: Path) -> bytes:
-    """As read_bytes(); what is in UTF-16, by its first two bytes, is in UTF-8 then. ValueError
-    where it is broken."""
+    """Return the content of a file as read_bytes(), but converted to UTF-8 if its first two bytes
+    mark UTF-16. ValueError if the encoding is broken."""
     data = read_bytes(path)
     if data[:2] not in _UTF_16:
         return data.removeprefix(_MARK)
@@ -88,12 +89,12 @@ def read_utf8(path: Path) -> bytes:
 
 
 def read_lines(path: Path) -> Lines:
-    """The lines of a program file, `-` is stdin; line n of the file is element n - 1."""
+    """Return the lines of a program file, `-` is stdin; line n of the file is element n - 1."""
     return Lines(read_utf8(path))
 
 
 def check_text(lines: Sequence[bytes], name: str) -> None:
-    """NotText where no program can be in it."""
+    """Raise NotText if the lines cannot be a program."""
     if not any(line.strip() for line in lines):
         raise NotText(f"{name} is empty: there is nothing to do")
     for number, line in enumerate(lines, 1):
@@ -102,18 +103,18 @@ def check_text(lines: Sequence[bytes], name: str) -> None:
 
 
 def check_utf8(data: bytes, name: object) -> None:
-    """NotText where something else than text in UTF-8 is in it."""
+    """Raise NotText if the data is not text in UTF-8."""
     if not (is_text(data) and is_utf8(data)):
         raise NotText(f"{name} cannot be read: it is no text in UTF-8; save it as that")
 
 
 def is_foreign(line: bytes) -> bool:
-    """Whether words of other controllers are in it that LENIENT takes."""
+    """Return whether it has words of other controllers that LENIENT accepts."""
     return bool(_FOREIGN.search(_bare(line)))
 
 
 def language_of(line: bytes) -> str:
-    """Whose language it is, where it is none of a Grbl's kind; else an empty text."""
+    """Return the name of a language that is not G-code for a Grbl; else ""."""
     bare = _bare(line)
     return next((whose for whose, words in _LANGUAGES.items() if words.search(bare)), "")
 
@@ -123,53 +124,53 @@ def _bare(line: bytes) -> bytes:
 
 
 def read_program(path: Path) -> Sequence[bytes]:
-    """As read_lines(), but for what marks the ends of a file; ValueError where there is nothing to
-    run, or what is there is no text."""
+    """Return the lines as read_lines(), without marks of the file's ends. ValueError if there is
+    nothing to run, or the file is not text."""
     lines = read_lines(path)
     check_text(lines, name_of(path))
     return Changed(lines, without_end)
 
 
 def without_end(line: bytes) -> bytes:
-    """The line, empty where it only marks an end of the file."""
+    """Return the line, or b"" if it only marks an end of the file."""
     return b"" if _ENDS in line and line.strip() == _ENDS else line
 
 
 def has_realtime(line: bytes) -> bool:
-    """Whether a line holds bytes that act at once, before the lines in front of it are done."""
+    """Return whether a line has bytes that act at once, before preceding lines are done."""
     return _REALTIME.search(line) is not None
 
 
 def without_comments(line: bytes) -> bytes:
-    """What a Grbl acts upon."""
+    """Return the part of a line that a Grbl executes."""
     return _COMMENT.sub(b"", line)
 
 
 def comment(line: bytes) -> str:
-    """What a line says to people."""
+    """Return the comments of a line."""
     found = b" ".join(_COMMENT.findall(line))
     return text(found).translate({ord(sign): " " for sign in "();"}).strip()
 
 
 def sanitize(line: bytes) -> bytes:
-    """The line, with comments in which nothing acts: letters in ASCII, and no ! ~ ? or Ctrl-X."""
+    """Return the line with harmless comments: letters in ASCII, and no ! ~ ? or Ctrl-X."""
     if not has_realtime(line):
         return line
     return _COMMENT.sub(lambda match: _plain(match[0]), line)
 
 
 def text(line: bytes) -> str:
-    """A line as it is shown: in UTF-8 as programs of today are, or in Latin-1."""
+    """Return a line for display: decoded from UTF-8, as most programs are, or from Latin-1."""
     return line.decode("utf-8" if is_utf8(line) else "latin-1").strip()
 
 
 def is_text(data: bytes) -> bool:
-    """Whether nothing is in it that no editor writes."""
+    """Return whether it has only bytes that editors write."""
     return _NO_TEXT.search(data) is None
 
 
 def is_utf8(data: bytes) -> bool:
-    """Whether it can be."""
+    """Return whether it can be decoded as UTF-8."""
     try:
         data.decode("utf-8")
     except UnicodeDecodeError:
@@ -178,13 +179,13 @@ def is_utf8(data: bytes) -> bool:
 
 
 def shown(line: bytes) -> str:
-    """As text(), cut where a line is long."""
+    """Return text(), shortened if the line is long."""
     whole = text(line)
     return whole if len(whole) <= _SHOWN else f"{whole[:_SHOWN]} …"
 
 
 def problems(lines: Iterable[bytes]) -> list[Problem]:
-    """Where a program holds bytes that a Grbl would act upon at once."""
+    """Return the lines with bytes that a Grbl would execute at once."""
     found = []
     for number, line in enumerate(lines, 1):
         if not (act := _REALTIME.search(line)):
@@ -211,10 +212,10 @@ def _plain(part: bytes) -> bytes:
 
 
 def is_answer(line: str) -> bool:
-    """Whether a line from Grbl answers a line sent to it."""
+    """Return whether a line from Grbl is the answer to a line."""
     return line == "ok" or line.startswith("error:")
 
 
 def is_welcome(line: str) -> bool:
-    """Whether a line says that a Grbl, or a grblHAL, has started."""
+    """Return whether a line is the welcome of a Grbl or a grblHAL."""
     return line.startswith("Grbl")

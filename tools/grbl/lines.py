@@ -1,5 +1,5 @@
-"""The lines of a program, cut out of its bytes when they are asked for: a list of all of them
-takes four times as much memory as the file."""
+"""The lines of a program, cut from its bytes on demand, because a list of all lines takes four
+times as much memory as the file."""
 
 import re
 from array import array
@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import overload
 
-# A doubled CR before the LF, as broken conversions leave it, ends one line and not two.
+# A doubled CR before the LF, from a broken conversion, ends one line and not two.
 LINE_END = re.compile(rb"\n|\r(?:\r*\n)?")
 _LONE_CR = re.compile(rb"\r(?!\n)")
 _PIECE = 1000  # lines cut at once
 
 
 def split_lines(data: bytes) -> list[bytes]:
-    """The lines of a program without their ends, all at once."""
+    """Return the lines of a program without their ends, all at once."""
     lines = LINE_END.split(data)
     if not lines[-1]:
         lines.pop()
@@ -22,12 +22,13 @@ def split_lines(data: bytes) -> list[bytes]:
 
 
 def with_line_feeds(data: bytes) -> bytes:
-    """A program in which every line has a LF at its end, as boards read files of their own."""
+    """Return a program in which every line ends with LF, as boards read their own files."""
     return LINE_END.sub(b"\n", data) if _LONE_CR.search(data) else data
 
 
 class Lines(Sequence[bytes]):
-    """What split_lines() returns, in a few bytes per line besides the data."""
+    """A sequence equal to split_lines(), which takes only a few bytes per line besides the
+    data."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -63,7 +64,7 @@ class Lines(Sequence[bytes]):
 
 
 class Changed(Sequence[bytes]):
-    """Lines, each as a function makes it when it is asked for."""
+    """Lines that a function changes on demand."""
 
     def __init__(self, lines: Sequence[bytes], change: Callable[[bytes], bytes]) -> None:
         self._lines = lines

@@ -1,4 +1,4 @@
-"""What Grbl's numbers mean, in words: `error:20`, `ALARM:1`.
+"""Meanings of Grbl's numbers, in words: `error:20`, `ALARM:1`.
 
 The words are the comments in firmware/base/errors.py, and in extras that have alarms.
 """
@@ -11,11 +11,11 @@ from .gcode_file import without_comments
 
 _ROW = re.compile(r"((?:^#.*\n)+)^(ALARM_)?[A-Z_]\w* = const\((\d+)\)", re.MULTILINE)
 _REPLY = re.compile(r"(error|ALARM):(\d+)")
-# Grbl reads a number up to its comma, and reports what follows in one of these ways.
+# Grbl reads a number up to its comma, and reports the rest in one of these ways.
 _OF_A_COMMA = ("error:1", "error:2", "error:3")
 _COMMA = re.compile(rb",\d")
 _SETTING = re.compile(r"\s*(\$\d+)\s*=")
-# To a line that is no command only a handler of the user's Python answers with it.
+# In answer to a line that is not a command, it comes only from a handler of the user's Python.
 _OF_A_COMMAND = "error:3"
 _REFUSED = " was refused with "
 _OF_A_HANDLER = "the machine's own Python (custom.py) refuses it; its message before says why"
@@ -40,28 +40,29 @@ def _words(comment: str) -> str:
 
 
 def errors() -> dict[int, str]:
-    """Every error number with its meaning."""
+    """Return every error number with its meaning."""
     return {number: words for (kind, number), words in _table().items() if kind == "error"}
 
 
 def alarms() -> dict[int, str]:
-    """Every alarm number with its meaning."""
+    """Return every alarm number with its meaning."""
     return {number: words for (kind, number), words in _table().items() if kind == "ALARM"}
 
 
 def refusal(line: str, reply: str) -> str:
-    """That a line was refused; see refused()."""
+    """Return a text that a line was refused; see refused()."""
     return f"{line}{_REFUSED}{reply}"
 
 
 def refused(words: str) -> str:
-    """The meaning of what refusal() has said; an empty text where it has not."""
+    """Return the meaning of the reply in a text of refusal(); "" for another text."""
     line, found, reply = words.partition(_REFUSED)
     return meaning(reply, line) if found else ""
 
 
 def meaning(reply: str, line: str = "") -> str:
-    """The meaning of a reply such as `error:20` or `ALARM:1`. line: what it answers, if known."""
+    """Return the meaning of a reply such as `error:20` or `ALARM:1`. line: the line it answers, if
+    known."""
     if reply in _OF_A_COMMA and _COMMA.search(without_comments(line.encode())):
         return "A number is written with a decimal point, not a comma."
     if reply == _OF_A_COMMAND and (setting := _SETTING.match(line)):
@@ -69,7 +70,7 @@ def meaning(reply: str, line: str = "") -> str:
     if reply == _OF_A_COMMAND and line.strip()[:1] not in ("", "$"):
         return _OF_A_HANDLER
     if ": " in reply:
-        return reply.partition(": ")[2]  # Grbl 0.9 says it itself
+        return reply.partition(": ")[2]  # Grbl 0.9 sends the meaning itself
     match = _REPLY.fullmatch(reply)
     key = (match[1], int(match[2])) if match else ("", 0)
     return _table().get(key, "not a number of Grbl 1.1")

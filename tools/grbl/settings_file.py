@@ -1,7 +1,7 @@
 """Settings of a Grbl as a file: `$n=v` lines, each with its meaning and unit as a comment.
 
-The file is a program that any sender can stream to a Grbl: comments begin with `;` and hold
-nothing that acts in real time. Its first lines tell which firmware it came from.
+The file is a program that any sender can stream to a Grbl: comments begin with `;` and contain
+nothing that acts in real time. Its first lines name the firmware it came from.
 """
 
 import re
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 AXES = "XYZABC"
 SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
-# What 0 is, which Grbl takes, by the number without that of the axis.
+# Meaning of 0, which Grbl accepts, by the number without the axis.
 _ZEROS = {
     "10": "no steps for a millimetre of",
     "11": "a highest rate of 0 for",
@@ -29,26 +29,26 @@ _ZEROS = {
 }
 _ZERO = re.compile(r"\$(1[012])([0-5])=(?:0+\.?0*|\.0+)")
 
-# A setting with what may stand behind it: number and value.
+# A setting, also with a comment: number and value.
 SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
 # Ignored lines of consoles and senders' files: comments, answers, requests, empty startup lines.
 _IGNORED = re.compile(r"(?:[;(\[#>].*|ok|%|\$\$|\$N\d=)?", re.IGNORECASE)
 _VERSION = re.compile(r"\[(?:VER:)?(\d+\.\d+)(\w*)\.(\d+):([^\]]*)\]")
 _OPTIONS = re.compile(r"\[OPT:([^\]]*)\]")
-# Bytes that act even in a comment; what is said of settings goes without them.
+# Bytes that act even in a comment are replaced in texts about settings.
 _NO_COMMENT = str.maketrans({"?": ".", "!": ".", "~": "-", "`": None})
-_MARK = "\ufeff"  # how some editors begin a file in UTF-8
+_MARK = "\ufeff"  # the mark with which some editors begin a file in UTF-8
 # Grbl computes in single precision.
 _SAME = 1e-6
 _SHOWN = 0.0006
 
 
 class SettingsError(Exception):
-    """A file that cannot be used, or not for this machine; the text says why and what to do."""
+    """A file that cannot be used, or not for this machine; the text has cause and next step."""
 
 
 class Meaning(NamedTuple):
-    """What a setting is about. name is short, text says the rest; limits: what it may be."""
+    """The meaning of a setting. name is short, text has the rest; limits: allowed values."""
 
     name: str
     text: str
@@ -58,7 +58,7 @@ class Meaning(NamedTuple):
 
 @dataclass
 class Firmware:
-    """Who answers: what $I tells."""
+    """The identity of a firmware, from $I."""
 
     version: str = ""  # 1.1
     letter: str = ""  # h
@@ -78,7 +78,7 @@ class Firmware:
         return found
 
     def lines(self) -> list[str]:
-        """As $I tells it."""
+        """Return the lines as $I has them."""
         return [
             f"[VER:{self.version}{self.letter}.{self.build}:{self.name}]",
             f"[OPT:{self.options}]",
@@ -90,14 +90,14 @@ class Firmware:
 
 @dataclass
 class Settings:
-    """The settings of one machine, by number, as it prints them."""
+    """The settings of one machine by number, with values as it prints them."""
 
     firmware: Firmware = field(default_factory=Firmware)
     values: dict[int, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, text: str) -> "Settings":
-        """Read a file, or the answers to $I and $$. SettingsError names a line that is wrong."""
+        """Read a file, or the answers to $I and $$. SettingsError names an invalid line."""
         text = text.removeprefix(_MARK)
         settings = cls(Firmware.read(text.splitlines()))
         for number, line in enumerate(text.splitlines(), 1):
@@ -109,11 +109,11 @@ class Settings:
         return settings
 
     def lines(self) -> list[str]:
-        """`$110=500.000` each, by number."""
+        """Return lines such as `$110=500.000`, sorted by number."""
         return [f"${number}={value}" for number, value in sorted(self.values.items())]
 
     def text(self, origin: str = "") -> str:
-        """The file."""
+        """Return the text of the file."""
         lines = [f"; Settings of a Grbl{', ' + origin if origin else ''}"]
         lines += [f"; {line}" for line in self.firmware.lines()]
         width = max((len(f"${n}={v}") for n, v in self.values.items()), default=0)
@@ -123,8 +123,8 @@ class Settings:
 
 
 def read_settings(file: Path) -> Settings:
-    """The settings in a file, `-` is stdin, in UTF-8, UTF-16 or Latin-1. SettingsError says what
-    is wrong with it."""
+    """Return the settings in a file, `-` is stdin, in UTF-8, UTF-16 or Latin-1. SettingsError has
+    the cause."""
     name = name_of(file)
     try:
         data = read_utf8(file)
@@ -141,14 +141,14 @@ def read_settings(file: Path) -> Settings:
 
 
 class Change(NamedTuple):
-    """A setting that is to become another."""
+    """A change of a setting."""
 
     number: int
     before: str
     after: str
 
     def as_json(self) -> dict[str, object]:
-        """With what it means."""
+        """Return the change with the setting's meaning."""
         said = meaning(self.number)
         return {**self._asdict(), "name": said.name, "unit": said.unit}
 
@@ -167,7 +167,8 @@ def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
 
 @cache
 def tables() -> dict[str, "Rows"]:
-    """The firmware's tables of settings by module, those of extras that no other has."""
+    """Return the firmware's tables of settings by module, including those of extras whose numbers
+    no other module has."""
     paths.use_firmware()
     from base import settings
     from extras.kinematics import skew
@@ -185,7 +186,8 @@ def tables() -> dict[str, "Rows"]:
 
 
 def of_tool(name: str) -> "Rows":
-    """The rows of a "punch" or "laser" in the spindle's place, whose numbers others have, too."""
+    """Return the rows of a "punch" or "laser" that replaces the spindle; other modules use the
+    same numbers."""
     paths.use_firmware()
     from extras.tools import laser, punch
 
@@ -193,13 +195,13 @@ def of_tool(name: str) -> "Rows":
 
 
 def row_meaning(module: str, row: "Row") -> Meaning:
-    """What a row of a module's table is about, of all its axes where it has a value of each."""
+    """Return the meaning of a row of a module's table; for all axes if it has a value per axis."""
     number, _, kind, _, unit = row
     comment = setting_comments(module)[number].translate(_NO_COMMENT)
     name, _, text = comment.partition(". ")
     if is_per_axis(row):
         name, _, more = name.partition(", one value per axis")
-        more = more.strip(",. ").capitalize()  # from the homing switch
+        more = more.strip(",. ").capitalize()  # such as: from the homing switch
         text = " ".join(part for part in (more and f"{more}.", text) if part)
     return Meaning(
         name.rstrip("."), text, unit, "any number" if number in SIGNED else _limits(kind)
@@ -207,7 +209,7 @@ def row_meaning(module: str, row: "Row") -> Meaning:
 
 
 def is_per_axis(row: "Row") -> bool:
-    """Whether it has a number for each axis."""
+    """Return whether it has a number for each axis."""
     from base import settings
 
     return row[2] == settings.AXIS
@@ -221,7 +223,8 @@ def _limits(kind: int) -> str:
 
 @cache
 def _table() -> dict[int, Meaning]:
-    """Every setting of the firmware, axis by axis, with those of extras that no other has."""
+    """Return the meaning of every setting of the firmware, per axis, including extras whose
+    numbers no other module has."""
     table = {}
     for module, rows in tables().items():
         for row in rows:
@@ -235,12 +238,12 @@ def _table() -> dict[int, Meaning]:
 
 
 def meaning(number: int) -> Meaning:
-    """What a setting is about; nothing where Grbl 1.1 has none of that number."""
+    """Return the meaning of a setting; empty if there is none of that number."""
     return _table().get(number, Meaning("", "", ""))
 
 
 def as_line(text: str) -> str:
-    """`120=500` or `$120=500` as a line."""
+    """Return `120=500` or `$120=500` as a line."""
     number, _, value = text.strip().lstrip("$").partition("=")
     if not number.isdigit() or not value:
         raise ValueError(f"{text} is no setting; write it as 120=500")
@@ -251,7 +254,8 @@ def as_line(text: str) -> str:
 
 
 def zeros(lines: Iterable[str]) -> list[str]:
-    """Settings of 0, `$100=0`, with which an axis does not move as it should, in words."""
+    """Return in words which settings are 0, `$100=0`, so that an axis does not move as it
+    should."""
     found = filter(None, map(_ZERO.fullmatch, lines))
     return [
         f"{line[0]} is {_ZEROS[line[1]]} {AXES[int(line[2])]}: it will not move as it should"
@@ -267,7 +271,7 @@ def _comment(number: int) -> str:
 
 
 def same(one: str, other: str) -> bool:
-    """Whether a Grbl would show both alike."""
+    """Return whether a Grbl would print both values alike."""
     try:
         a, b = float(one), float(other)
     except ValueError:
@@ -276,7 +280,7 @@ def same(one: str, other: str) -> bool:
 
 
 def changes(machine: Mapping[int, str], wanted: Mapping[int, str]) -> list[Change]:
-    """What would change on a machine."""
+    """Return the changes that the wanted settings make on a machine."""
     return [
         Change(number, machine[number], value)
         for number, value in sorted(wanted.items())
@@ -285,14 +289,15 @@ def changes(machine: Mapping[int, str], wanted: Mapping[int, str]) -> list[Chang
 
 
 def check_known(numbers: Iterable[int], known: Iterable[int]) -> None:
-    """SettingsError where there are numbers that are not known."""
+    """Raise SettingsError if there are unknown numbers."""
     if unknown := sorted({*numbers} - {*known}):
         names = ", ".join(f"${number}" for number in unknown)
         raise SettingsError(f"the machine has no {names}; take that out of the file")
 
 
 def check_fit(file: Settings, machine: Settings, any_version: bool, complete: bool) -> None:
-    """SettingsError where a file is not for this machine. complete: it has to say everything."""
+    """Raise SettingsError if a file is not for this machine. complete: it must have all
+    settings."""
     theirs, ours = file.firmware, machine.firmware
     if not any_version:
         if not theirs.version:

@@ -1,7 +1,8 @@
-"""Binary info: what a program for RP2040 or RP2350 says of itself, for tools that look into it.
+"""Binary info: what a program for RP2040 or RP2350 says about itself, for tools that read its
+file.
 
-Near its beginning stand two marks, and between them where a list of pointers lies, each to a type,
-a tag, and what belongs to it (pico-sdk, src/common/pico_binary_info).
+Near its beginning are two marks, and between them the position of a list of pointers. Each points
+to a type, a tag, and data (pico-sdk, src/common/pico_binary_info).
 """
 
 import struct
@@ -10,16 +11,16 @@ from typing import NamedTuple
 
 from .uf2 import Flash, Uf2Error
 
-_XIP = 0x10000000  # where flash is seen
+_XIP = 0x10000000  # address of flash
 _MARKS = (0x7188EBF2, 0xE71AA390)
-_SEARCHED = 4096  # bytes; 256 behind the boot stage on RP2040, 1 KiB on RP2350
+_SEARCHED = 4096  # bytes; the marks follow 256 bytes of boot stage on RP2040, 1 KiB on RP2350
 _MOST = 1000  # entries
 _ID_AND_STRING, _BLOCK_DEVICE = 6, 7
 _NAME, _VERSION = 0x02031C86, 0x11A9BC3A
 
 
 class About(NamedTuple):
-    """What a MicroPython says. start, size: of its file system, an address and bytes."""
+    """What a MicroPython says about itself. start, size: of its file system, address and bytes."""
 
     name: str
     version: str
@@ -28,7 +29,7 @@ class About(NamedTuple):
 
 
 def about(flash: Flash) -> About:
-    """Uf2Error where it is no MicroPython with a file system in flash."""
+    """Return the info; Uf2Error if it is not a MicroPython with a file system in flash."""
     texts: dict[int, str] = {}
     devices: list[tuple[int, int]] = []
     for entry in _entries(flash):

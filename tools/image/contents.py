@@ -1,4 +1,4 @@
-"""What one file for a board holds: MicroPython, and the file system as a deployment leaves it."""
+"""The content of one file for a board: MicroPython, and the file system as after a deployment."""
 
 import tempfile
 from collections.abc import Mapping
@@ -18,8 +18,9 @@ from .binary_info import About
 from .uf2 import Flash, Uf2Error
 
 
+
 class MicroPython(NamedTuple):
-    """One that comes as a file."""
+    """A MicroPython in a file."""
 
     file: Path
     flash: Flash
@@ -27,18 +28,18 @@ class MicroPython(NamedTuple):
 
     @property
     def chip(self) -> str:
-        """What it is for."""
+        """Return the chip it is for."""
         return uf2.CHIPS[self.flash.family]
 
     @property
     def frozen(self) -> "Frozen | None":
-        """Our firmware, if it is frozen into it."""
+        """Return our firmware, if it is frozen into it."""
         program = self.flash.read(self.flash.start, self.flash.end - self.flash.start)
         return freeze.read(program.decode("latin-1"))
 
 
 def read(file: Path) -> MicroPython:
-    """What is in a file. Uf2Error, with its name, where that is none; OSError."""
+    """Read a file. Uf2Error, with its name, if it is not a MicroPython; OSError."""
     try:
         flash = uf2.read(file.read_bytes())
         return MicroPython(file, flash, binary_info.about(flash))
@@ -47,7 +48,7 @@ def read(file: Path) -> MicroPython:
 
 
 def check_fit(micropython: MicroPython, arch: str, engine: str) -> None:
-    """Uf2Error where a board with those, as its file names them, cannot run with it."""
+    """Raise Uf2Error if a board with this architecture and engine cannot run with it."""
     if why := _misfit(micropython, arch, engine):
         raise Uf2Error(f"{micropython.file}: {why}")
 
@@ -64,8 +65,8 @@ def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
 
 
 def frozen_only(micropython: MicroPython, made: Build) -> bytes:
-    """MicroPython as it is, as a UF2 file, with the firmware of this build frozen in. Uf2Error
-    where that is not so."""
+    """Return MicroPython unchanged, as a UF2 file. Uf2Error if the firmware of this build is not
+    frozen into it."""
     if why := _lacking(micropython.frozen, made):
         raise Uf2Error(f"{micropython.file}: {why}")
     return uf2.write(micropython.flash)
@@ -85,14 +86,13 @@ def _lacking(frozen: "Frozen | None", made: Build) -> str:
 def files(
     made: Build, own: Mapping[str, bytes], frozen: "Frozen | None" = None
 ) -> dict[str, bytes]:
-    """The file system, by path. own: the user's; frozen: what its MicroPython has of the
-    firmware."""
+    """Return the files by path. own: the user's. frozen: the firmware in its MicroPython."""
     left = freeze.beside(made, frozen)
     return {**left.files, LIST: listing(left), **own}
 
 
 def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:
-    """MicroPython with that file system, as a UF2 file. Uf2Error where it does not fit."""
+    """Return MicroPython with that file system, as a UF2 file. Uf2Error if it does not fit."""
     _, flash, about = micropython
     whole = Flash(flash.family, dict(flash.pages), flash.others)
     for place, sector in file_system.make(files, about.size).items():
@@ -101,8 +101,8 @@ def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:
 
 
 def settings_files(board: str, settings: Path) -> dict[str, bytes]:
-    """Settings as the board's own store writes them. SettingsError where the machine would not
-    take them."""
+    """Return settings as the board's own store writes them. SettingsError if the machine would
+    refuse them."""
     name, lines = kept_settings(board, settings)
     use_firmware()
     from ports.storage.flash_store import FlashStore

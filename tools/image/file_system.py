@@ -10,29 +10,30 @@ from .uf2 import SECTOR, Uf2Error
 
 _PROG_SIZE = 256
 _PASSING = ".passing"
-_DISK_VERSION = 0x00020000  # which every MicroPython reads
+_DISK_VERSION = 0x00020000  # every MicroPython reads this version
 
 
 class _Chip(UserContext):
-    """Flash that remembers which blocks somebody has looked at."""
+    """Flash that records which blocks were read."""
 
     def __init__(self, size: int) -> None:
         super().__init__(size)
         self.seen: set[int] = set()
 
     def read(self, cfg: Any, block: int, off: int, size: int) -> bytearray:
-        """Called by littlefs."""
+        """Read a block. Called by littlefs."""
         self.seen.add(block)
         found: bytearray = super().read(cfg, block, off, size)
         return found
 
 
 def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
-    """A file system of so many bytes with these files, by path: its sectors, by their place in it.
-    Uf2Error where they do not fit.
+    """Return a file system of so many bytes with these files, by path: its sectors, by their
+    offset. Uf2Error if they do not fit.
 
-    Those that nobody ever looks at are not among them. Blank ones are: of the two blocks of each
-    folder littlefs takes the newer, and that would be what an older file system has left.
+    Sectors that are never read are left out. Blank ones that are read are included: of the two
+    blocks of each folder littlefs uses the newer, and that might otherwise be a leftover of an
+    older file system.
     """
     chip = _Chip(size)
     disk = _littlefs(chip)
@@ -57,8 +58,8 @@ def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
 
 
 def _write_root_anew(disk: LittleFS, chip: _Chip) -> None:
-    """A folder is a log, and read to its end for each name that is looked for. This one has what
-    has become of every folder and file in it, until littlefs has filled its block."""
+    """Rewrite the root folder until littlefs compacts it. A folder is a log that is read to its
+    end for each name; the compacted one has only the final state of its entries."""
     before = _revisions(chip)
     while _revisions(chip) == before:
         with disk.open(_PASSING, "wb"):
@@ -67,7 +68,7 @@ def _write_root_anew(disk: LittleFS, chip: _Chip) -> None:
 
 
 def _revisions(chip: _Chip) -> bytes:
-    """Of the two blocks that the root has in turns."""
+    """Return the revisions of the root's two blocks, which alternate."""
     return bytes(chip.buffer[:4] + chip.buffer[SECTOR : SECTOR + 4])
 
 

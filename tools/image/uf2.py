@@ -1,8 +1,8 @@
-"""UF2: flash as a file, which a chip's boot ROM takes as if it were a USB stick.
+"""UF2: flash as a file, which a chip's boot ROM accepts as a USB mass storage device.
 
-A block of 512 bytes holds a page of 256 and its address. The RP2040's ROM erases a sector of 4 KiB
-at the first of each 16 blocks, as they are numbered, and nowhere else (erratum RP2040-E14): so
-blocks are numbered through, and each sector that is touched is there whole.
+A block of 512 bytes has a page of 256 and its address. The RP2040's ROM erases a sector of 4 KiB
+at the first of each 16 blocks, by their numbers, and nowhere else (erratum RP2040-E14). Therefore
+blocks are numbered consecutively, and each sector that is touched is complete.
 """
 
 import struct
@@ -23,14 +23,14 @@ CHIPS = {RP2040: "RP2040", RP2350: "RP2350"}
 
 
 class Uf2Error(ValueError):
-    """A file that is none, or is for another chip."""
+    """The file is not UF2, or is for another chip."""
 
 
 @dataclass
 class Flash:
     """Pages of 256 bytes by their address. family: of the chip, one of CHIPS.
 
-    others: blocks for somebody else, as they are: a file for RP2350 begins with one that works
+    others: blocks of other families, unchanged: a file for RP2350 begins with one that works
     around an erratum of its ROM.
     """
 
@@ -40,16 +40,16 @@ class Flash:
 
     @property
     def start(self) -> int:
-        """The address of the first page."""
+        """Return the address of the first page."""
         return min(self.pages, default=0)
 
     @property
     def end(self) -> int:
-        """The address behind the last page."""
+        """Return the address after the last page."""
         return max(self.pages, default=-PAGE) + PAGE
 
     def read(self, address: int, size: int) -> bytes:
-        """Bytes that may be in several pages; 0xFF where there is none."""
+        """Return bytes, possibly from several pages; 0xFF where there is no page."""
         first = address - address % PAGE
         pages = range(first, address + size, PAGE)
         found = b"".join(self.pages.get(page, b"\xff" * PAGE) for page in pages)
@@ -62,7 +62,7 @@ class Flash:
 
 
 def read(data: bytes) -> Flash:
-    """What a file holds. Uf2Error where it is no UF2 file, or for none of CHIPS."""
+    """Return the content of a file. Uf2Error if it is not a UF2 file, or for none of CHIPS."""
     if not data or len(data) % _BLOCK:
         raise Uf2Error("it is no UF2 file: those are made of blocks of 512 bytes")
     found: dict[int, Flash] = {}
@@ -92,7 +92,7 @@ def read(data: bytes) -> Flash:
 
 
 def write(flash: Flash) -> bytes:
-    """The file."""
+    """Return the file."""
     addresses = [address for sector in _sectors(flash.pages) for address in sector]
     blocks = list(flash.others)
     for number, address in enumerate(addresses):
@@ -105,6 +105,6 @@ def write(flash: Flash) -> bytes:
 
 
 def _sectors(pages: Mapping[int, bytes]) -> Iterator[range]:
-    """The addresses of the pages of each sector that has one."""
+    """Yield the page addresses of each sector that has a page."""
     for sector in sorted({address - address % SECTOR for address in pages}):
         yield range(sector, sector + SECTOR, PAGE)

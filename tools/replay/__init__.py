@@ -1,5 +1,5 @@
-"""Recordings of real Grbl beside what our firmware answers: replayed, compared, judged.
+"""Recordings of real Grbl: replayed on our firmware, compared, judged.
 
-Imports `boardfile` and `compiling`. The replaying is done by sim/replay_main.py, in processes of
-its own.
+Imports `boardfile` and `compiling`. The replaying is done by sim/replay_main.py, in separate
+processes.
 """

@@ -1,7 +1,7 @@
-"""Judges replays of recordings by the rules of their FORMAT.md.
+"""Judge replays of recordings by the rules of their FORMAT.md.
 
-judge_case() for conversations, compare_motion.judge_motion() for motion records: both return
-what is wrong, in words, and add the names of the differences they overlooked.
+judge_case() is for conversations, compare_motion.judge_motion() for motion records. Both return
+what is wrong, in words, and add the names of the differences they ignored.
 """
 
 import re
@@ -20,7 +20,7 @@ from .known_differences import explain_case
 
 Json = dict[str, Any]
 
-# Where only the shape counts: any numbers, but the same overrides, and speed of a spindle.
+# If only the shape counts: any numbers, but equal overrides, and equal speed of a spindle.
 _OVERRIDES = re.compile(r"Ov:[\d,]+")
 _SPEED = re.compile(r"(?<=FS:)[\d.]+,(\d+)")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
@@ -31,8 +31,8 @@ _SHAPED = re.compile(r"<.*>|\[PRB:.*\]")
 
 
 class _Line(NamedTuple):
-    """A line expected, whether only its shape counts, what had been sent, and whether it is a
-    laser's: whose speed is that of the moment."""
+    """An expected line, whether only its shape counts, what had been sent, and whether it is from
+    a laser, whose reported speed changes from moment to moment."""
 
     text: str
     shape: bool
@@ -59,14 +59,15 @@ def _shape(line: _Line, said: str) -> tuple[str, list[str]]:
 
 
 def same_lines(expected: list[_Line], got: list[str], used: list[str]) -> bool:
-    """Whether these lines came, but for differences, whose names are added to used."""
+    """Return whether these lines were received, apart from known differences, whose names are
+    added to `used`."""
     return len(expected) == len(got) and all(
         _same_line(line, mine, used) for line, mine in zip(expected, got, strict=True)
     )
 
 
 def expected_lines(step: Json, lasers: bool = False) -> list[_Line]:
-    """What a step has to be answered by."""
+    """Return the lines that must answer a step."""
     shape = step.get("compare") == "shape"
     return [_Line(line, shape, step.get("send", ""), lasers) for line in step["expect"]]
 
@@ -90,7 +91,8 @@ def _judge_lines(
 def _same_but_later(
     steps: list[Json], got: list[Json], lasers: bool, lenient: bool, used: list[str]
 ) -> bool:
-    """What was still on the wire when a fixed time was over belongs to either step."""
+    """Return whether the lines differ only in their step. A line that was on the wire at the end
+    of a fixed time belongs to either step."""
     if len(steps) != len(got) or any(step.get("compare") == "info" for step in steps):
         return False
     theirs = [(line, n) for n, step in enumerate(steps) for line in expected_lines(step, lasers)]
@@ -104,7 +106,8 @@ def _same_but_later(
 
 
 def _with_late_alarms(steps: list[Json], got: list[Json], used: list[str]) -> list[Json]:
-    """The replay, where an alarm at the end of a step begins the next one, as it was recorded."""
+    """Return the replay with an alarm at the end of a step moved to the next one, as it was
+    recorded."""
     late = [dict(mine) for mine in got]
     for (step, then), (mine, next_one) in zip(pairwise(steps), pairwise(late), strict=False):
         early = mine["lines"][len(step["expect"]) :]
@@ -136,7 +139,8 @@ def _judge_moves(steps: list[Json], got: list[Json], places: Places, used: list[
 
 
 def _same_outputs(step: Json, got: Json, used: list[str]) -> bool:
-    """Outputs change as recorded; of the motors' enable pin see compare_motors.py."""
+    """Return whether outputs change as recorded; the motors' enable pin is judged in
+    compare_motors.py."""
     expected, mine = [
         {name: level for name, level in out.items() if name != "enable_pin"}
         for out in (step.get("out", {}), got["out"])
@@ -154,13 +158,13 @@ def _total(moves: list[list[int]]) -> list[int]:
 
 
 def _rest_varies(steps: list[Json]) -> bool:
-    """Whether the recording itself says that the place where motion ends depends on timing."""
+    """Return whether, according to the recording itself, the final position depends on timing."""
     reports = [step for step in steps if any(line.startswith("<") for line in step["expect"])]
     return not reports or "compare" in reports[-1]
 
 
 def judge_case(case: Json, observed: Json, used: list[str], lenient: bool = False) -> list[str]:
-    """What is wrong with the replay of a transcript case; nothing if it conforms."""
+    """Return what is wrong with the replay of a transcript case; empty if it conforms."""
     for quirk in QUIRKS if "quirk" in case.get("tags", ()) else ():
         first = quirk.begins(case["steps"])
         if first is not None:
@@ -186,7 +190,7 @@ def judge_case(case: Json, observed: Json, used: list[str], lenient: bool = Fals
 
 
 def trouble(observed: Json) -> list[str]:
-    """Why a replay is not one at all."""
+    """Return why a replay is incomplete."""
     wrong = []
     if "error" in observed:
         wrong.append(str(observed["error"]).strip())

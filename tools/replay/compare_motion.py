@@ -1,4 +1,4 @@
-"""Judges replays of motion records by the rules of their FORMAT.md: see compare.py."""
+"""Judge replays of motion records by the rules of their FORMAT.md: see compare.py."""
 
 import math
 import re
@@ -16,14 +16,14 @@ _TIME_SHARE, _TIME_S = 0.01, 0.020
 _RATE_SHARE = 0.02
 _SLACK_MS = 15.0
 _SLACK_STEPS = 2.0
-_SWITCH_MS = 1.0  # Grbl looks at a switch of homing no more often
+_SWITCH_MS = 1.0  # Grbl reads a homing switch at most so often
 _REST_MS = 50.0
 _HALF_STEP_DOUBT = 0.001
 _LOOK_AHEAD = 40  # samples
 
 
 def judge_motion(record: Json, observed: Json, used: list[str]) -> list[str]:
-    """What is wrong with the replay of a motion record; nothing if it conforms."""
+    """Return what is wrong with the replay of a motion record; empty if it conforms."""
     wrong = trouble(observed)
     replies = expected_lines({"expect": record["replies"]})
     if any(line != "ok" for line in observed["settings"]):
@@ -68,7 +68,8 @@ def _judge_times(record: Json, observed: Json, used: list[str]) -> list[str]:
 
 
 def _stopped_at_end(record: Json, observed: Json) -> bool:
-    """The last hold came to rest in the last step: one of the two goes on to make it."""
+    """Return whether the last hold stopped within the last step, so that only one of the two makes
+    it after the resume."""
     resumes = [ms for ms, sent in record.get("events_ms_after_first_step", ()) if sent == "~"]
     ends = record["duration_s"] * 1000, observed["duration_s"] * 1000
     return any(
@@ -82,7 +83,7 @@ def _stopped_at_end(record: Json, observed: Json) -> bool:
 
 
 def _half_step_axes(record: Json) -> set[str]:
-    """Axes with a target within 1/1000 of half a step: rounding may go either way."""
+    """Return axes with a target within 1/1000 of half a step: rounding may go either way."""
     per_mm = dict.fromkeys("XYZABC", 250.0)
     for line in record["settings"]:
         if found := _SETTING_STEPS.match(line):
@@ -117,14 +118,14 @@ def _judge_samples(record: Json, observed: Json, steps: float) -> list[str]:
 
 
 def _judge_path(record: Json, observed: Json) -> list[str]:
-    """Where the machine is at another time, it is on the same way."""
+    """Check that the positions are on the recorded path, at whatever times."""
     samples, at = record["samples"], 0
     track = list(zip(*(samples[axis] for axis in "xyz"), strict=True))
     ways = list(pairwise(track)) or [(track[0], track[0])]
     for k, place in enumerate(observed["samples"]):
         near = range(at, min(at + _LOOK_AHEAD, len(ways)))
         at = min(near, key=lambda way: (_distance(place, *ways[way]), -way))
-        # Between two samples the way may have a corner.
+        # Between two samples the path may have a corner.
         slack = _SLACK_STEPS + math.dist(*ways[at]) / 2
         if _distance(place, *ways[at]) > slack:
             return [f"at {k * samples['dt_ms']} ms off the path: {place}"]
@@ -134,7 +135,7 @@ def _judge_path(record: Json, observed: Json) -> list[str]:
 
 
 def _distance(place: Sequence[float], begin: Sequence[int], end: Sequence[int]) -> float:
-    """Of a place from a straight line."""
+    """Return the distance of a position from a line segment."""
     way = [b - a for a, b in zip(begin, end, strict=True)]
     length = sum(x * x for x in way)
     along = sum(x * (p - a) for x, p, a in zip(way, place, begin, strict=True)) / (length or 1)
@@ -143,7 +144,7 @@ def _distance(place: Sequence[float], begin: Sequence[int], end: Sequence[int]) 
 
 
 def _envelope(track: list[int], k: int, dt_ms: float) -> tuple[float, float]:
-    """Lowest and highest place recorded within the slack in time around sample k."""
+    """Return the lowest and highest position recorded within the slack in time around sample k."""
     reach = _SLACK_MS / dt_ms
     near = [_between(track, k - reach), _between(track, k + reach)]
     first, last = max(0, int(k - reach + 1)), min(len(track) - 1, int(k + reach))
@@ -159,7 +160,8 @@ def _between(track: list[int], k: float) -> float:
 
 
 def _stop_slack(record: Json, track: list[int], k: int) -> float:
-    """Once stopped in motion, the place of rest is where the same lateness left it."""
+    """Return the extra slack after a stop during motion: the final position depends on the same
+    delay."""
     dt = float(record["samples"]["dt_ms"])
     for ms, sent in record.get("events_ms_after_first_step", ()):
         if sent in ("!", "\x85") and k * dt >= ms:
@@ -169,7 +171,7 @@ def _stop_slack(record: Json, track: list[int], k: int) -> float:
 
 
 def _judge_rests(record: Json, observed: Json) -> list[str]:
-    """Before a resume the machine has come to rest, and it starts from that very place."""
+    """Check that the machine stands still before a resume, and continues from that position."""
     dt = record["samples"]["dt_ms"]
     for ms, sent in record.get("events_ms_after_first_step", ()):
         if sent == "~":

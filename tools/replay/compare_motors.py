@@ -1,6 +1,6 @@
-"""Judges the motors' enable pin in a replayed conversation: see compare.py.
+"""Judge the motors' enable pin in a replayed conversation: see compare.py.
 
-Levels count, at the end of each step. Imports nothing of compare.py.
+The level at the end of each step counts. Imports nothing from compare.py.
 """
 
 import re
@@ -13,11 +13,11 @@ Json = dict[str, Any]
 
 _SETTING = re.compile(r"^\$(?:1=(\d+)|RST=[$*])", re.IGNORECASE | re.MULTILINE)
 _DEFAULT_MS, _FOR_EVER = 25, 255
-_ON, _OFF = 0, 1  # levels; with $4=1 the other way round
+_ON, _OFF = 0, 1  # levels; inverted with $4=1
 
 
 def judge_motors(case: Json, observed: Json, used: list[str]) -> list[str]:
-    """What is wrong with the enable pin; adds the names of the differences it overlooked."""
+    """Return what is wrong with the enable pin; adds the names of the differences it ignored."""
     steps, got = case["steps"], observed.get("steps", [])
     start = [_OFF, *_levels([step["out"] for step in observed.get("setup", [])], _OFF)][-1]
     ours = _levels([step["out"] for step in got], start)
@@ -45,7 +45,7 @@ def judge_motors(case: Json, observed: Json, used: list[str]) -> list[str]:
 
 
 def _levels(changes: list[Json], level: int) -> list[int]:
-    """The level after each of these changes."""
+    """Return the level after each of these changes."""
     levels = []
     for change in changes:
         level = change.get("enable_pin", level)
@@ -54,7 +54,7 @@ def _levels(changes: list[Json], level: int) -> list[int]:
 
 
 def _delays(case: Json) -> list[int]:
-    """$1 as each step ends."""
+    """Return $1 at the end of each step."""
     delay, delays = _DEFAULT_MS, []
     for item in [*case["setup"], *case["steps"]]:
         sent = item[0] if isinstance(item, list) else item["send"]
@@ -65,7 +65,7 @@ def _delays(case: Json) -> list[int]:
 
 
 def _stopped_by_switch(steps: list[Json]) -> bool:
-    """A limit switch has stopped the machine, and no reset has followed."""
+    """Return whether a limit switch has stopped the machine without a reset since."""
     said = [line for step in steps for line in step["expect"]]
     banner = max([n for n, line in enumerate(said) if line.startswith("Grbl")], default=-1)
     return "ALARM:1" in said[banner + 1 :]

@@ -1,7 +1,8 @@
-"""Judges places after a stop: how far from Grbl's a replayed conversation may be, and until when.
+"""Judge positions after a stop: how far from Grbl's a replayed conversation may be, and until
+when.
 
-A stop at another instant leaves the axes that were moving a little way from where Grbl's rested.
-That way is carried along by relative moves, gone with the first absolute one, and nowhere else.
+A stop at another moment leaves the axes that were moving a little away from where Grbl's stopped.
+Relative moves keep this distance, the first absolute move ends it, and it is allowed nowhere else.
 """
 
 import re
@@ -14,9 +15,9 @@ Json = dict[str, Any]
 _STOP = re.compile("[!\x84\x85]|G38")
 _HOLD = re.compile("[!\x84]")
 _ON_STEP = 0.05  # of a step
-_RAPID_MM_MIN = 500.0  # of the recordings, where they do not say otherwise
+_RAPID_MM_MIN = 500.0  # of the recordings, unless they set another value
 _STOP_MS = 10.0
-_RESET_MS = 20.0  # it stops at once: where motion began later, it ends there
+_RESET_MS = 20.0  # a reset stops at once: a motion that began later ends earlier on its way
 _DIGIT_MM = 0.001
 _PER_MM = 250.0
 _FEED = re.compile(r"F\s*(\d+\.?\d*)|\$1[12]\d=(\d+)|\$2[45]=(\d+)", re.IGNORECASE)
@@ -26,11 +27,11 @@ _PLACES = re.compile(r"(?<=:)(-?\d+\.\d+(?:,-?\d+\.\d+)+)")
 
 
 class Places:
-    """Compare the places of a case and its replay, by step of the case.
+    """Compares the positions of a case and its replay, by step of the case.
 
-    offset: steps from Grbl's place to ours where the axis stopped; slack: how far it may be off in
-    a snapshot of motion, in steps; wrong: moves that differ without a reason; names: the reasons;
-    lasers: $32=1 was sent.
+    offset: steps from Grbl's position to ours where the axis stopped. slack: allowed deviation
+    during motion, in steps. wrong: moves that differ without a reason. names: the reasons. lasers:
+    $32=1 was sent.
     """
 
     def __init__(self, setup: list[Any], steps: list[Json], got: list[Json]) -> None:
@@ -41,9 +42,7 @@ class Places:
         self._fastest = _RAPID_MM_MIN
         self.offset: list[list[int]] = []
         self.slack: list[list[float]] = []
-        self._doubt: list[
-            list[bool]
-        ] = []  # a step: what is moving is counted in no step of a case
+        self._doubt: list[list[bool]] = []  # a step; the part in motion is in no step of a case
         self.wrong: set[int] = set()
         self.names: dict[int, str] = {}
         self.lasers = False
@@ -52,7 +51,7 @@ class Places:
         self._walk()
 
     def _hear(self, sent: str) -> None:
-        """What is sent may say how fast axes go, and how long a step is."""
+        """Update speeds and step lengths from the sent lines."""
         said = [float(next(filter(None, found))) for found in _FEED.findall(sent)]
         self._fastest = max([self._fastest, *said])
         self.lasers = self.lasers or "$32=1" in sent
@@ -64,7 +63,7 @@ class Places:
 
     def _walk(self) -> None:
         off, doubt = [0] * self.axes, [False] * self.axes
-        apart = list(off)  # since motion has last rested
+        apart = list(off)  # since motion last stopped
         first, busy = 0, [False] * self.axes
         restarts = _restarts(self._steps)
         for n, (step, mine) in enumerate(zip(self._steps, self._got, strict=False)):
@@ -95,8 +94,8 @@ class Places:
             self._doubt.append(doubt)
 
     def _reason(self, first: int, n: int, apart: int, off: int, way: float) -> str | None:
-        """Why an axis may have moved so many steps more than it was recorded to, and "" where it
-        needs none. None: it may not."""
+        """Return why an axis may have moved so many steps more than recorded; "" if no reason is
+        needed, None if it may not."""
         if apart in (0, -off):
             return ""
         if abs(apart) <= 1 and self._ends_on_step(first, n):
@@ -104,8 +103,8 @@ class Places:
         return STOPPED[0] if min(abs(apart), abs(apart + off)) <= way else None
 
     def _stop_ms(self, first: int, last: int) -> float:
-        """In how many ms a hold, a jog cancel, a probe or an alarm has ended a motion in these
-        steps; 0 where nothing has."""
+        """Return the time in ms within which a hold, a jog cancel, a probe or an alarm ended a
+        motion in these steps; 0 if nothing did."""
         before = [{}, *self._steps][first]
         for step in self._steps[first : last + 1]:
             moving = step.get("moving") or before.get("moving")
@@ -117,7 +116,7 @@ class Places:
         return 0.0
 
     def _ends_on_step(self, first: int, last: int) -> bool:
-        """A stop in these steps was exactly on a whole step."""
+        """Return whether a stop in these steps was exactly on a whole step."""
         stops = False
         for step, mine in zip(self._steps[first : last + 1], self._got[first:], strict=False):
             stops = stops or bool(_STOP.search(step["send"]) or step.get("pins"))
@@ -126,18 +125,19 @@ class Places:
         return False
 
     def are_explained(self, used: list[str]) -> bool:
-        """Whether all that the axes rest beside Grbl's place in the end has its reasons."""
+        """Return whether all distances of the axes from Grbl's final position have reasons."""
         used += sorted(set(self.names.values()))
         return not self.wrong
 
     def same_reports(self, n: int, used: list[str]) -> bool:
-        """Whether the lines of a step are the recorded ones but for places that are off."""
+        """Return whether the lines of a step are the recorded ones except for positions that are
+        off."""
         expected, lines = self._steps[n]["expect"], self._got[n]["lines"]
         if len(expected) != len(lines):
             return False
         names: set[str | None] = set()
         for pair in zip(expected, lines, strict=True):
-            # A hold that rests a step before the end of a block has that block still, or has not.
+            # A hold that stops a step before the end of a block may still have that block, or not.
             holds = pair[0].startswith("<Hold")
             sides = [_SLOW_REST.sub("#", line) if holds else line for line in pair]
             theirs, ours = [_PLACES.split(line) for line in sides]
@@ -155,7 +155,8 @@ class Places:
         return None not in names
 
     def _reason_of(self, n: int, axis: int, mm: float, runs: bool) -> str | None:
-        """Why a report may name a place that is so far from Grbl's. None: it may not."""
+        """Return why a report may have a position at that distance from Grbl's; None if it may
+        not."""
         if axis >= self.axes:
             return None
         off, steps = self.offset[n][axis], mm * self._per_mm[axis]
@@ -169,7 +170,8 @@ class Places:
 
 
 def _restarts(steps: list[Json]) -> set[int]:
-    """Where a probe that has touched, by hand, while it was held, is to go on."""
+    """Return the steps in which motion resumes after a probe was touched, by hand, during a
+    hold."""
     found, held, touched = set(), False, False
     for n, step in enumerate(steps):
         held = held or bool(_HOLD.search(step["send"]))
@@ -186,5 +188,5 @@ def _alarms(step: Json) -> bool:
 
 
 def padded(values: list[int], length: int) -> list[int]:
-    """As many as there are axes."""
+    """Return the values, filled up with zeros."""
     return values + [0] * (length - len(values))

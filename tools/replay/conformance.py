@@ -1,8 +1,8 @@
-"""Compares the firmware with recordings of real Grbl.
+"""Compare the firmware with recordings of real Grbl.
 
-Replays every case of a folder on the simulator, in processes of their own
-under CPython or MicroPython, or over a real serial port, and judges by the
-rules of the folder's FORMAT.md. tools/sim/replay.py does the replaying.
+Replays every case of a folder on the simulator, in separate processes under CPython or
+MicroPython, or over a real serial port, and judges by the rules of the folder's FORMAT.md.
+tools/sim/replay.py does the replaying.
 """
 
 import json
@@ -28,7 +28,7 @@ from .compare_motion import judge_motion
 from .recordings import Recording
 
 _REPLAY = Path(__file__).resolve().parent.parent / "sim" / "replay_main.py"
-_CASE_SECONDS = 90.0  # longer than this without a result: the process hangs
+_CASE_SECONDS = 90.0  # a process without a result for so long hangs
 _HEAP = "heapsize=64M"
 
 # Cases with one of these tags are not required.
@@ -66,13 +66,13 @@ class Results:
         return [outcome for outcome in self.outcomes if not outcome.skipped]
 
     def categories(self) -> dict[str, tuple[int, int]]:
-        """Passed and required cases of each category."""
+        """Return the passed and required cases of each category."""
         total = Counter(outcome.category for outcome in self.required())
         failed = Counter(outcome.category for outcome in self.failures())
         return {name: (total[name] - failed[name], total[name]) for name in sorted(total)}
 
     def time_ratios(self) -> list[float]:
-        """How long each motion took, measured by Grbl's time; in order."""
+        """Return the duration of each motion relative to Grbl's, sorted."""
         times = [outcome.times_s for outcome in self.outcomes if outcome.times_s]
         return sorted(ours / grbls for grbls, ours in times if grbls)
 
@@ -104,7 +104,7 @@ class Results:
 
 
 def find_micropython() -> str | None:
-    """The desktop MicroPython: beside this Python, or on the path."""
+    """Return the path of the desktop MicroPython: in this Python's folder, or on the path."""
     beside = Path(sys.executable).parent / "micropython"
     return str(beside) if beside.exists() else shutil.which("micropython")
 
@@ -120,7 +120,7 @@ def _command(python: str, program: Path) -> list[str]:
 
 @contextmanager
 def _environment(python: str, program: Path) -> Iterator[dict[str, str]]:
-    """In which our own program finds a firmware that this Python can run."""
+    """Yield the environment in which our program finds a firmware that this Python can run."""
     if python == "cpython" or program != _REPLAY:
         yield dict(os.environ)
         return
@@ -130,7 +130,7 @@ def _environment(python: str, program: Path) -> Iterator[dict[str, str]]:
 
 
 class _Replayer:
-    """A process that replays one case after another, started anew where it dies or hangs."""
+    """A process that replays one case after another. It is restarted if it dies or hangs."""
 
     def __init__(self, command: list[str], environment: dict[str, str]) -> None:
         self._command = command
@@ -140,10 +140,10 @@ class _Replayer:
         self._errors: "deque[str]" = deque(maxlen=20)
 
     def replay(self, board: str, case: Json) -> Json:
-        """What was observed."""
+        """Replay a case; returns what was observed."""
         process = self._process or self._start()
         assert process.stdin
-        with suppress(BrokenPipeError):  # it has died: its output ends, too
+        with suppress(BrokenPipeError):  # the process has died: its output ends, too
             process.stdin.write(json.dumps({"board": board, "case": case}) + "\n")
             process.stdin.flush()
         try:
@@ -151,7 +151,7 @@ class _Replayer:
                 try:
                     return cast(Json, json.loads(line))
                 except ValueError:
-                    self._errors.append(line)  # something printed
+                    self._errors.append(line)  # other output
             trouble = ""
         except queue.Empty:
             trouble = f"no result within {_CASE_SECONDS:.0f} s"
@@ -159,7 +159,7 @@ class _Replayer:
         return {"error": trouble or "".join(self._errors) or "died"}
 
     def end(self) -> None:
-        """End the process; all that it has printed has been read then."""
+        """End the process, after all its output has been read."""
         if self._process:
             self._process.kill()
             self._process.wait()
@@ -188,7 +188,7 @@ class _Replayer:
 
 @contextmanager
 def replayer(python: str) -> Iterator[_Replayer]:
-    """A process that replays cases under this Python."""
+    """Yield a process that replays cases under this Python."""
     with _environment(python, _REPLAY) as environment:
         made = _Replayer(_command(python, _REPLAY), environment)
         try:
@@ -209,7 +209,7 @@ def _skip(case: Json) -> str:
 
 
 def judge(category: str, case: Json, observed: Json, lenient: bool = False) -> Outcome:
-    """The outcome of one case or record, with what is needed to show the difference."""
+    """Return the outcome of one case or record, with the data that shows the difference."""
     outcome = Outcome(category, case["name"])
     if "program" in case:
         if "samples" in observed:
@@ -238,8 +238,8 @@ def run_folder(
     choose: "Callable[[list[tuple[Recording, Json]]], list[tuple[Recording, Json]]]" = _all,
     processes: int = os.cpu_count() or 1,
 ) -> Results:
-    """Replay the cases of a folder on the simulator. program: of the replays; choose: returns
-    those cases that are to be replayed."""
+    """Replay the cases of a folder on the simulator. program: the replaying program. choose:
+    returns the cases to replay."""
     results = Results(python)
     command = _command(python, program)
     every = [(job, case) for job in recordings.load(folder, only, board) for case in job.cases]
@@ -272,7 +272,7 @@ def run_folder(
 
 
 def run_port(folder: Path, port: Any, only: str | None = None) -> Results:
-    """Replay on a real device what needs nothing but its serial port, which is open."""
+    """Replay on a real device the cases that need only its serial port, which is open."""
     from .serial_replay import SerialReplay, needs_a_bench
 
     results = Results("port")

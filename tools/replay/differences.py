@@ -1,7 +1,7 @@
-"""Where our replies differ from real Grbl's on purpose: the whole list.
+"""The complete list of intended differences between our replies and real Grbl's.
 
-A row rewrites our line to Grbl's if, and only if, the difference is the one it
-names. Whatever is not in this table has to be equal.
+A row rewrites our line to Grbl's if, and only if, it is the difference that the row names.
+Everything that is not in this table must be equal.
 """
 
 import re
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 
 class Difference(NamedTuple):
-    """One difference: rewrite(ours, grbls, sent) gives the line Grbl would have sent."""
+    """A difference: rewrite(ours, grbls, sent) returns the line that Grbl would have sent."""
 
     name: str
     reason: str
@@ -53,8 +53,8 @@ def _homing(ours: str, grbls: str, sent: str) -> str:
 
 
 class Quirk(NamedTuple):
-    """What Grbl does that nobody wants, in cases tagged `quirk`: only what stands before is
-    compared. begins: with which of a case's steps, if any."""
+    """A fault of Grbl that we do not copy, in cases tagged `quirk`: only the steps before it are
+    compared. begins: returns the first step of the fault, if any."""
 
     name: str
     reason: str
@@ -94,7 +94,7 @@ QUIRKS = (
     ),
 )
 
-# Differences in motion; compare.py knows how to see them.
+# Differences in motion; compare.py recognises them.
 IDLE_DELAY = (
     "idle delay",
     "Motors are released $1 after motion without stopping the processor for that time; "

@@ -1,9 +1,9 @@
-"""Known differences: where a recording is not to be copied, fewer things have to be equal.
+"""Known differences: cases in which a recording is not copied, so fewer things must be equal.
 
-Only a case that does not conform is looked up here. Of a conversation all before the line that
-asks for it is as recorded; behind it every answer, the count of status reports, outputs, and
-places at rest. Of a motion record replies, the place at the end, pulses and the path; and it
-takes no more or less time than the row allows.
+Only a case that does not conform is looked up here. In a conversation, everything before the line
+with the difference is as recorded; after it every answer, the number of status reports, outputs,
+and positions at standstill. In a motion record, replies, final position, pulses and path are as
+recorded; and the time is within the limits of the row.
 """
 
 import math
@@ -26,14 +26,14 @@ _STEP = re.compile(r"step (\d+): ")
 _REPEATED = re.compile("([\x90-\x9d]).*\\1")
 
 _SLOWEST_HZ = 30.5
-_STEPS_PER_MM = 250.0  # of the recordings, where they do not say otherwise
-_BLOCKS = 15  # Grbl's planner holds
-_STARVED_MS = 12.0  # a block of the AVR's, with its line on the wire
+_STEPS_PER_MM = 250.0  # of the recordings, unless they set another value
+_BLOCKS = 15  # capacity of Grbl's planner
+_STARVED_MS = 12.0  # time of the AVR for a block, with its line on the wire
 
 
 class CaseDifference(NamedTuple):
-    """One row. begins: the first of these steps that it is for, if any; counted: the lines of a
-    step that have to be equal; stands: the machine does not make the moves that Grbl makes."""
+    """A row. begins: returns the first step that it applies to, if any. counted: the lines of a
+    step that must be equal. stands: the machine does not make the moves that Grbl makes."""
 
     name: str
     reason: str
@@ -43,8 +43,8 @@ class CaseDifference(NamedTuple):
 
 
 class MotionDifference(NamedTuple):
-    """One row for motion records. longest: so many times Grbl's duration it may take, 0 where the
-    row is not for a record; shortest: and no fewer."""
+    """A row for motion records. longest: returns the longest duration relative to Grbl's; 0 if the
+    row does not apply. shortest: the shortest relative duration."""
 
     name: str
     reason: str
@@ -53,7 +53,8 @@ class MotionDifference(NamedTuple):
 
 
 def _blocks(lines: list[str]) -> Iterator[tuple[int, float, float]]:
-    """(number, ms, steps/s) of each line that moves, as far as this needs to know G-code."""
+    """Yield (number, ms, steps/s) of each line that moves. Only the G-code of these cases is
+    parsed."""
     place = {"X": 0.0, "Y": 0.0, "Z": 0.0}
     per_mm = dict.fromkeys(place, _STEPS_PER_MM)
     feed, relative, inverse = 0.0, False, False
@@ -99,7 +100,7 @@ def _burst(record: Json) -> float:
 
 
 def _pause_step(steps: list[Json]) -> int | None:
-    """Where a reset or the door comes in homing, and Grbl says ALARM:8."""
+    """Return the step in which a reset or the door interrupts homing, and Grbl reports ALARM:8."""
     homes = False
     for n, step in enumerate(steps):
         homes = homes or step["send"].startswith("$H")
@@ -109,7 +110,7 @@ def _pause_step(steps: list[Json]) -> int | None:
 
 
 def _pause_alarm(step: Json) -> str:
-    """What we say to that; "" where there is neither."""
+    """Return our alarm for such a step; "" for others."""
     if "\x18" in step["send"]:
         return "ALARM:6"
     return "ALARM:7" if "\x84" in step["send"] or step.get("pins") else ""
@@ -138,7 +139,7 @@ def _without_end(_step: Json, lines: list[str]) -> list[str]:
 
 
 def _read_step(steps: list[Json]) -> int | None:
-    """Where Grbl refuses in motion what is only read."""
+    """Return the step in which Grbl refuses, in motion, a command that only reads."""
     asked = False
     for n, step in enumerate(steps):
         asked = asked or bool(_READS.search(step["send"]))
@@ -148,7 +149,8 @@ def _read_step(steps: list[Json]) -> int | None:
 
 
 def _without_listings(_step: Json, lines: list[str]) -> list[str]:
-    """Each with its ok is as good as a refusal."""
+    """Replace each listing with its ok, and each refusal, by the same word, because both are
+    right."""
     left: list[str] = []
     for line in lines:
         is_end = line == "ok" and left and _LISTED.match(left[-1])
@@ -218,8 +220,11 @@ MOTIONS = (
 def explain_case(
     case: Json, observed: Json, wrong: list[str], astray: set[int], used: list[str]
 ) -> bool:
-    """Whether all that is wrong with a case has a reason in the table; adds its name to used.
-    astray: the steps whose moves have no reason to be others."""
+    """Return whether everything wrong with a case is explained by the table; adds the name to
+    `used`.
+
+    astray: the steps whose moves differ without a reason.
+    """
     steps, got = case["steps"], observed.get("steps", [])
     numbers = [_STEP.match(said) for said in wrong]
     if len(steps) != len(got):
@@ -242,7 +247,7 @@ def explain_case(
 def _answers(
     row: CaseDifference, steps: list[Json], said: list[list[str]]
 ) -> tuple[list[str], int]:
-    """What has to be equal of all that is said: lines, and how many reports there are."""
+    """Return what must be equal of all output: lines, and the number of reports."""
     lines = [
         line for step, part in zip(steps, said, strict=True) for line in row.counted(step, part)
     ]
@@ -251,8 +256,8 @@ def _answers(
 
 
 def _ends_alike(row: CaseDifference, steps: list[Json], got: list[Json], moves: bool) -> bool:
-    """Whether outputs end as recorded, and axes that have made other moves, at rest, where they
-    do; under way none is further."""
+    """Return whether outputs end as recorded, and so do axes whose moves differ, if they stand
+    still. If they still move, none is further than recorded."""
     outs: list[dict[str, int]] = [{}, {}]
     for step, mine in zip(steps, got, strict=True):
         for levels, change in zip(outs, (step.get("out", {}), mine["out"]), strict=True):
@@ -272,8 +277,8 @@ def _ends_alike(row: CaseDifference, steps: list[Json], got: list[Json], moves: 
 
 
 def explain_motion(record: Json, observed: Json, used: list[str]) -> bool:
-    """Whether times and rates of this record need not be Grbl's, and are not too far from them;
-    adds the name to used."""
+    """Return whether the table explains times and rates that differ from Grbl's, and they are
+    within its limits; adds the name to `used`."""
     share = observed["duration_s"] / record["duration_s"]
     for row in MOTIONS:
         if row.shortest <= share <= row.longest(record):

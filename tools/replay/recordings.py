@@ -1,4 +1,4 @@
-"""Recordings of real Grbl in a folder, and which machine of the simulator each is replayed on."""
+"""Recordings of real Grbl in a folder, and the simulated machine for each."""
 
 import json
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 from ..boardfile.files import load_board
 from .compare import Json
 
-# Files recorded from a Grbl built with options, and the simulator board that has the same ones.
+# Files recorded from a Grbl with build options, and the simulator board with the same options.
 _BOARDS = {
     "corexy": "sim_corexy",
     "force_set_origin_and_single_axis_homing": "sim_single_axis_homing",
@@ -22,9 +22,9 @@ _BOARDS = {
     "safety_door_input": "sim_door",
     "spindle_enable_pin_and_two_switches": "sim_two_switches",
 }
-# What answers as each Grbl does, where a file says nothing of options.
+# The boards that answer as each Grbl does, for files without options.
 _SPEAKERS = {"0.9i": "sim_09i", "0.9j": "sim_09j", "1.1": "sim"}
-# The welcome, and what $I says.
+# The welcome, and the version in $I.
 _VERSION = re.compile(r"Grbl (\d\.\d\w?) \[|\[(?:VER:)?(\d\.\d\w?)\.\d{8}:")
 
 
@@ -38,10 +38,10 @@ class Recording:
 
 
 def load(folder: Path, only: str | None, board: str | None) -> list[Recording]:
-    """Every file of the folder with its cases; motion records are one category.
+    """Return every file of the folder with its cases; motion records form one category.
 
-    only: one category; board: in place of the one that the recordings ask for. ValueError where
-    a file is no recording, or of a Grbl that no board speaks as.
+    only: one category. board: replaces the board that the recordings need. ValueError if a file is
+    not a recording, or is of a Grbl whose dialect no board has.
     """
     files = [(path.stem, path) for path in sorted(folder.glob("*.json"))]
     files += [("motion", path) for path in sorted(folder.glob("motion/*.json"))]
@@ -71,7 +71,7 @@ def _has_cases(cases: list[Json]) -> bool:
 
 
 def _dialects(cases: Iterable[Json]) -> set[str]:
-    """Which Grbls have answered, by their own words: 0.9i, 0.9j, 1.1."""
+    """Return the versions of Grbl in the recorded replies: 0.9i, 0.9j, 1.1."""
     found: set[str] = set()
     for case in cases:
         for step in case.get("steps", ()):
@@ -82,9 +82,9 @@ def _dialects(cases: Iterable[Json]) -> set[str]:
 
 
 def _board(path: Path, cases: list[Json], whole: set[str]) -> str:
-    """The machine that a file was recorded from, or from one like it.
+    """Return the board whose dialect and options a file was recorded with.
 
-    A file in which no Grbl says who it is comes from the same as the rest of its folder.
+    A file in which no Grbl reports its version has the same version as the rest of its folder.
     """
     dialects = _dialects(cases) or (whole if len(whole) == 1 else {"1.1"})
     if len(dialects) > 1:

@@ -1,7 +1,7 @@
-"""Replays conversations on a real device over a serial port, in real time.
+"""Replay conversations on a real device over a serial port, in real time.
 
-The device is put back to machine position 0 and factory settings before each
-case: it moves, and it forgets its settings.
+The device returns to machine position 0 and factory settings before each case: it moves, and its
+settings are lost.
 """
 
 import time
@@ -12,7 +12,7 @@ from .compare import Json
 
 
 def needs_a_bench(case: Json) -> str:
-    """Why a case cannot be replayed on a serial port alone, or an empty text."""
+    """Return why a case cannot be replayed on a serial port alone, or ""."""
     if "program" in case or case["init"] != "defaults":
         return "needs the simulator"
     steps = [*case["steps"], *(item for item in case["setup"] if isinstance(item, dict))]
@@ -33,19 +33,20 @@ class SerialReplay:
         self._lines: list[str] = []
 
     def replay(self, case: Json) -> Json:
-        """The lines of each step, as the simulator's replay gives them."""
+        """Return the lines of each step, in the format of the simulator's replay."""
         self._make_default()
         observed: Json = {"setup": [], "steps": []}
         for line, _ in case["setup"]:
             observed["setup"].append({"lines": self._step(line + "\n", "ok", 0)})
         for step in case["steps"]:
             lines = self._step(step["send"], step["wait"], step["t_ms"], step.get("settle_ms"))
-            moved = step.get("moved") or [0, 0, 0]  # as recorded: a port shows no motors
+            # as recorded, because a port does not show motors
+            moved = step.get("moved") or [0, 0, 0]
             observed["steps"].append({"lines": lines, "partial": self._text, "moved": moved})
         return observed
 
     def _make_default(self) -> None:
-        """Machine position 0 and factory settings, then a fresh start."""
+        """Move to machine position 0, restore factory settings, then reset."""
         self._step("\x18", "banner", 0)
         self._step("$X\n", "ok", 0)
         self._step("G21G90G53G0X0Y0Z0\n", "ok", 0)
