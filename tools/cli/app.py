@@ -92,7 +92,7 @@ def main(
             "--version",
             callback=_tell_version,
             is_eager=True,
-            help="Say which this is, and which Grbl it is like.",
+            help="Show the version, and the version of Grbl it follows.",
         ),
     ] = False,
 ) -> None:
@@ -109,18 +109,18 @@ class Speed(str, Enum):
 Board = Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")]
 
 Blank = Annotated[
-    bool, typer.Option("--blank", help="With an erased memory, as before the first start.")
+    bool, typer.Option("--blank", help="Start with erased memory, as before the first start.")
 ]
 Switches = Annotated[
     bool, typer.Option("--switches", help="Limit switches at both ends of $130-$132, for $H.")
 ]
 Network = Annotated[
     str | None,
-    typer.Option(metavar="[HOST:]PORT", help="Callers besides, as docs/network.md has them."),
+    typer.Option(metavar="[HOST:]PORT", help="Also listen as a board's network: docs/network.md."),
 ]
 Page = Annotated[
     str | None,
-    typer.Option(metavar="[HOST:]PORT", help="With --network: the page, as the board serves it."),
+    typer.Option(metavar="[HOST:]PORT", help="With --network: serve the page, as a board does."),
 ]
 
 
@@ -128,22 +128,27 @@ Page = Annotated[
 def sim(
     board: Board = DEFAULT_BOARD,
     port: Annotated[
-        Path | None, typer.Option(metavar="LINK", help="Link to the pseudo-terminal, made there.")
+        Path | None,
+        typer.Option(metavar="LINK", help="Create a link to the pseudo-terminal there."),
     ] = None,
     tcp: Annotated[
         str | None,
-        typer.Option(metavar="[HOST:]PORT", help="On TCP instead; no HOST: this computer only."),
+        typer.Option(
+            metavar="[HOST:]PORT", help="Use TCP instead; without HOST: this computer only."
+        ),
     ] = None,
     rfc2217: Annotated[
         bool, typer.Option("--rfc2217", help="With --tcp: as a serial port, for rfc2217:// URLs.")
     ] = False,
-    stdio: Annotated[bool, typer.Option("--stdio", help="On stdin and stdout instead.")] = False,
+    stdio: Annotated[bool, typer.Option("--stdio", help="Use stdin and stdout instead.")] = False,
     speed: Annotated[
         Speed, typer.Option(help="max: motion takes no longer than computing it.")
     ] = Speed.REAL,
     settings: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Keeps them between runs, as `ugrbl settings pull`."),
+        typer.Option(
+            metavar="FILE", help="Store settings between runs, as `ugrbl settings pull`."
+        ),
     ] = None,
     blank: Blank = False,
     switches: Switches = False,

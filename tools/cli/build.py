@@ -29,7 +29,7 @@ def command(
         typer.Option(metavar="NAME", help="A file of boards/, or a path."),
     ] = None,
     arch: Annotated[
-        str, typer.Option(metavar="ARCH", help="Processor, where no board says it.")
+        str, typer.Option(metavar="ARCH", help="Processor, if no board is given.")
     ] = _ARCH,
     out: Annotated[
         Path | None,
@@ -39,7 +39,7 @@ def command(
     ] = None,
     frozen: Annotated[
         bool,
-        typer.Option("--frozen", help="All of it, as manifest.py freezes it: build/frozen/."),
+        typer.Option("--frozen", help="All modules, as manifest.py freezes them: build/frozen/."),
     ] = False,
     json_file: Annotated[
         Path | None,

@@ -88,7 +88,7 @@ def show(results: Results, console: Console, most: int = 20) -> None:
 def command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="DIR", help="Folder of recordings; else conversations of our own."),
+        typer.Argument(metavar="DIR", help="Folder of recordings. [default: our own]"),
     ] = CONVERSATIONS,
     python: Annotated[str, typer.Option(help="cpython or micropython")] = "cpython",
     port: Annotated[
@@ -103,7 +103,7 @@ def command(
     ] = None,
     board: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Simulator board; else by what it says of itself."),
+        typer.Option(metavar="NAME", help="Simulator board. [default: as each file requires]"),
     ] = None,
 ) -> None:
     """Replay recordings of real Grbl; count equal answers.

@@ -31,7 +31,7 @@ from .ports import Port
 
 __all__ = ["app"]  # includes the commands that need no board
 
-Anyway = Annotated[bool, typer.Option("--anyway", help="Even if it fails in the dry run only.")]
+Anyway = Annotated[bool, typer.Option("--anyway", help="Push it even if only the dry run fails.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
 _NEW = '''"""My own words for the machine: see docs/custom.md of ugrbl."""
@@ -134,7 +134,9 @@ def _tell_start(console: Console, what: str, told: "list[str]") -> None:
 def pull(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A .py file, or a folder.")],
     port: Port = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing file or folder.")
+    ] = False,
 ) -> None:
     """Fetch the files from the board, and restart the board."""
     with _told():

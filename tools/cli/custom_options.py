@@ -23,14 +23,14 @@ Inputs = Annotated[
     typer.Option(
         "--input",
         metavar="NAME=WHEN",
-        help="Who pushes an input: on, off, at a place (probe=Z-30), or when it has been waited "
-        "for so long (2s).",
+        help="When an input closes: on, off, at a position (probe=Z-30), or after waiting for it "
+        "so long (2s).",
     ),
 ]
 Lenient = Annotated[
     bool,
     typer.Option(
-        "--lenient", help="Take words of other controllers, as a board with LENIENT does."
+        "--lenient", help="Accept words of other controllers, as a board with LENIENT does."
     ),
 ]
 _ALARM = re.compile(r"ALARM:\d+")

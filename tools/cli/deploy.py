@@ -73,7 +73,7 @@ def command(
         str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
     ] = None,
     replace: Annotated[
-        bool, typer.Option("--replace", help="Even if its board.py or main.py is yours.")
+        bool, typer.Option("--replace", help="Replace a board.py or main.py of yours, too.")
     ] = False,
     json_file: Json = None,
 ) -> None:

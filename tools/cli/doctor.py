@@ -158,7 +158,7 @@ def command(
     pins: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", min=0, help="Watch the inputs so long; 0: not. [default: ask]"
+            metavar="SECONDS", min=0, help="Watch the inputs for so long; 0: never. [default: ask]"
         ),
     ] = None,
     move: Annotated[

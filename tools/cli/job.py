@@ -15,7 +15,7 @@ from ..grbl.lines import split_lines, with_line_feeds
 from .outputs import agree, failed
 from .ports import Baud, Port, connected
 
-app = typer.Typer(no_args_is_help=True, help="Programs that live on a board: docs/jobs.md.")
+app = typer.Typer(no_args_is_help=True, help="Programs that are stored on a board: docs/jobs.md.")
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="As `ugrbl job list` shows it.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
@@ -29,7 +29,7 @@ def push(
     baud: Baud = BAUD,
     name: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Its name there; not said: the same."),
+        typer.Option(metavar="NAME", help="Its name there. [default: the same]"),
     ] = None,
 ) -> None:
     """Put a program on a board, over the line that senders use.
@@ -94,11 +94,11 @@ def run(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
 @app.command(epilog=_EXAMPLE.format("resume PART.NC --line 1200"))
 def resume(
     name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="Not said: the one that has not ended.")
+        str, typer.Argument(metavar="[NAME]", help="[default: the one that has not ended]")
     ] = "",
     line: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Not said: where it was held or stopped last."),
+        typer.Option(metavar="N", min=1, help="[default: where it was last held or stopped]"),
     ] = None,
     port: Port = None,
     baud: Baud = BAUD,
@@ -122,7 +122,7 @@ def resume(
 
 @app.command(epilog=_EXAMPLE.format("button PART.NC"))
 def button(
-    name: Annotated[str, typer.Argument(metavar="[NAME]", help="Not said: none.")] = "",
+    name: Annotated[str, typer.Argument(metavar="[NAME]", help="[default: none]")] = "",
     port: Port = None,
     baud: Baud = BAUD,
 ) -> None:

@@ -34,8 +34,8 @@ Motors = Annotated[
 Rotary = Annotated[
     str | None, typer.Option(metavar="LETTERS", help="Axes that turn, in degrees: A, or AC.")
 ]
-Network = Annotated[bool, typer.Option("--network", help="Its radio is used: docs/network.md.")]
-Page = Annotated[bool, typer.Option("--page", help="The network has the page, too.")]
+Network = Annotated[bool, typer.Option("--network", help="Use its radio: docs/network.md.")]
+Page = Annotated[bool, typer.Option("--page", help="Serve the page in the network, too.")]
 
 
 def _read_chip(name: str) -> Chip:
@@ -45,12 +45,12 @@ def _read_chip(name: str) -> Chip:
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file: my_router.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the file: my_router.")],
     chip: Annotated[
         Chip | None,
-        typer.Option(parser=_read_chip, metavar=f"[{_CHIPS}]", help="What is on the board."),
+        typer.Option(parser=_read_chip, metavar=f"[{_CHIPS}]", help="The chip or module."),
     ] = None,
-    title: Annotated[str, typer.Option(help="What the machine is, in a line.")] = "",
+    title: Annotated[str, typer.Option(help="A description of the machine, in a line.")] = "",
     pin: Annotated[
         list[str] | None, typer.Option(metavar="WHAT=PINS", help=f"WHAT: {_NAMES}.")
     ] = None,
@@ -59,15 +59,17 @@ def command(
     network: Network = False,
     page: Page = False,
     setting: Annotated[
-        list[str] | None, typer.Option("--set", metavar="N=V", help="A default: 100=800.")
+        list[str] | None, typer.Option("--set", metavar="N=V", help="A default setting: 100=800.")
     ] = None,
     ask: Annotated[
         bool | None,
-        typer.Option("--ask/--no-ask", help="For what is not said. [default: on a terminal]"),
+        typer.Option("--ask/--no-ask", help="Ask for missing values. [default: on a terminal]"),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="Or a folder for it. [default: here]"),
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="File, or a folder for it. [default: here]"
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
     json_file: Annotated[

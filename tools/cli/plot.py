@@ -38,11 +38,11 @@ def command(
     ] = None,
     settings: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The machine's, of `ugrbl settings pull`."),
+        typer.Option(metavar="FILE", help="The machine's settings, from `ugrbl settings pull`."),
     ] = None,
     what_if: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="N=V", help="What if: draw it so beside how it is."),
+        typer.Option("--set", metavar="N=V", help="Also draw it with this setting, to compare."),
     ] = None,
     json_file: Annotated[
         Path | None,

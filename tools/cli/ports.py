@@ -16,9 +16,11 @@ from .outputs import failed
 # Options of all commands that communicate with a machine.
 Port = Annotated[
     str | None,
-    typer.Option(metavar="PORT", help="Serial port or simulator; not said: the only one."),
+    typer.Option(metavar="PORT", help="Serial port or simulator. [default: the only one]"),
 ]
-Baud = Annotated[int, typer.Option(metavar="RATE", min=50, help="Of a real serial port.")]
+Baud = Annotated[
+    int, typer.Option(metavar="RATE", min=50, help="Baud rate of a real serial port.")
+]
 
 # USB vendor and product (0: any) of controllers and their serial bridges.
 _KNOWN = (

@@ -47,13 +47,13 @@ def command(
     ],
     settings: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The machine's, of `ugrbl settings pull`."),
+        typer.Option(metavar="FILE", help="The machine's settings, from `ugrbl settings pull`."),
     ] = None,
     setting: Annotated[
         list[str] | None, typer.Option("--set", metavar="N=V", help="A setting: 110=6000.")
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="In check mode, nothing moves; errors make it exit 1.")
+        bool, typer.Option("--check", help="Use check mode: nothing moves; exit code 1 on errors.")
     ] = False,
     picture: Annotated[
         Path | None,

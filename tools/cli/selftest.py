@@ -56,12 +56,14 @@ def command(
     port: Annotated[
         str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer of all: some seconds.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer repetitions: some seconds.")
+    ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", "-y", help="Do not ask: no laser and no motor is wired.")
     ] = False,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Of the random instants. [default: any]")
+        int | None, typer.Option(metavar="N", help="Seed of the random instants. [default: any]")
     ] = None,
     json_file: Annotated[
         Path | None,

@@ -53,7 +53,7 @@ def command(
         ),
     ] = True,
     keep_going: Annotated[
-        bool, typer.Option("--keep-going", help="Lines that are refused do not stop it.")
+        bool, typer.Option("--keep-going", help="Continue after refused lines.")
     ] = False,
     from_line: Annotated[
         int,
@@ -62,11 +62,11 @@ def command(
             "--from",
             metavar="N",
             min=1,
-            help="Begin there, with the modes and the place of the lines before.",
+            help="Begin at line N, with the modes and the position after the lines before.",
         ),
     ] = 1,
     board: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Board that the simulator is, for --check.")
+        str | None, typer.Option(metavar="NAME", help="The simulator's board, for --check.")
     ] = None,
     custom: CustomFile = None,
     inputs: Inputs = None,

@@ -42,7 +42,8 @@ File = Annotated[
 ]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 AnyVersion = Annotated[
-    bool, typer.Option("--any-version", help="Even if it is for another Grbl, or does not say.")
+    bool,
+    typer.Option("--any-version", help="Accept a file for another Grbl, or without a version."),
 ]
 _EXAMPLE = "\n\nExample:  ugrbl settings {} --port /dev/ttyACM0"
 
@@ -112,12 +113,14 @@ def push(
 def restore(
     file: Annotated[
         Path | None,
-        typer.Argument(metavar="FILE", readable=False, help="As pulled, complete; - is stdin."),
+        typer.Argument(
+            metavar="FILE", readable=False, help="A complete file, as pulled; - is stdin."
+        ),
     ] = None,
     port: Port = None,
     baud: Baud = BAUD,
     factory: Annotated[
-        bool, typer.Option("--factory", help="What the firmware was built with ($RST=$).")
+        bool, typer.Option("--factory", help="The settings the firmware was built with ($RST=$).")
     ] = False,
     yes: Yes = False,
     any_version: AnyVersion = False,

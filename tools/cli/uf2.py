@@ -46,7 +46,7 @@ def command(
     custom: CustomFile = None,
     keep: Annotated[
         bool,
-        typer.Option("--keep", help="No file system: what a board has kept stays. See below."),
+        typer.Option("--keep", help="No file system: a board's files stay. See below."),
     ] = False,
     out: Annotated[
         Path | None,

@@ -20,7 +20,7 @@ def command(
         str | None,
         typer.Option(metavar="NAME", help="The network to join; its password is asked for."),
     ] = None,
-    open_: Annotated[bool, typer.Option("--open", help="It has no password.")] = False,
+    open_: Annotated[bool, typer.Option("--open", help="The network has no password.")] = False,
     access_point: Annotated[
         bool, typer.Option("--access-point", help="The board makes that network itself.")
     ] = False,
@@ -28,10 +28,10 @@ def command(
         str | None, typer.Option(metavar="NAME", help="The board is found as NAME.local.")
     ] = None,
     tcp: Annotated[
-        int | None, typer.Option(metavar="PORT", min=1, max=65535, help="In place of 23.")
+        int | None, typer.Option(metavar="PORT", min=1, max=65535, help="TCP port, 23 by default.")
     ] = None,
     new_key: Annotated[
-        bool, typer.Option("--new-key", help="The old one is no good then.")
+        bool, typer.Option("--new-key", help="Create a new key; the old one becomes invalid.")
     ] = False,
     off: Annotated[bool, typer.Option("--off", help="Forget the network.")] = False,
 ) -> None:
