@@ -1,8 +1,8 @@
-"""Modules as they are drawn: what is at each pin of their two sides, from the USB plug down.
+"""Drawings of modules: the pins on both sides, from the USB plug down.
 
 From the makers' pin drawings: Raspberry Pi Pico data sheet, figure 2; ESP32-DevKitC V4;
-ESP32-S3-DevKitC-1. A number is a GPIO, anything else is printed as it is. Chips that are on boards
-of their own are drawn with their pins in order.
+ESP32-S3-DevKitC-1. A number is a GPIO, anything else is printed as it is. A chip without a module
+is drawn with its pins in order.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from .chips import CHIPS
 
 
 class Module(NamedTuple):
-    """What a drawing wants: a title, and words for each side."""
+    """The data of a drawing: a title, and words for each side."""
 
     title: str
     left: str
@@ -43,7 +43,7 @@ _MODULES = {
 
 
 def module(chip: str) -> Module:
-    """The drawing of a chip of CHIPS, by its name."""
+    """Return the drawing of a chip of CHIPS, by its name."""
     if chip in _MODULES:
         return _MODULES[chip]
     pins = [str(pin) for pin in sorted(CHIPS[chip].pins)]

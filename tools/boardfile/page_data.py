@@ -1,6 +1,6 @@
-"""What the page in the browser makes board files with: our tables, as JSON.
+"""The data with which the page in the browser makes board files: our tables, as JSON.
 
-The rules themselves are in tools/web/page/board_file.js a second time, and
+The rules themselves are repeated in tools/web/page/board_file.js;
 host_tests/web/test_board_wizard.py compares both over random boards.
 """
 
@@ -14,8 +14,8 @@ from .files import boards, load
 from .modules import module
 from .options import BY_NAME, INVERTIBLE, NAMES, WORD, Option
 
-# What a form asks for: rules about others need modules that a page cannot look into, or pins of
-# an engine. Such lines of a board out of boards/ are kept as they are.
+# The options in the forms. Others have rules that need modules which a page cannot read, or pins
+# of an engine; their lines in a board file of boards/ are kept as they are.
 FORMS = {
     "Motors": (
         *("COREXY", "BACKLASH", "SKEW", "JERK", "DIR_SETUP_US", "DIR_HOLD_US"),
@@ -30,12 +30,12 @@ FORMS = {
     "Language": ("DIALECT", "LENIENT", "LINE_NUMBERS", "ECHO", "COUNT_DRAINS"),
     "Memory and safety": ("PLANNER_BLOCKS", "RX_BYTES", "LOOP_MS", "WATCHDOG_MS"),
 }
-# A punch has pins of its own: docs/punch.md.
+# A punch needs its own pins: docs/punch.md.
 _LEFT_OUT = {"TOOL": ("punch",)}
 
 
 def data() -> dict[str, Any]:
-    """All of it, of JSON's types only."""
+    """Return all data, with types of JSON only."""
     return {
         "chips": {name: _chip(name) for name in CHIPS},
         "items": [list(item) for item in new_board.ITEMS],
@@ -84,7 +84,7 @@ def _option(option: Option) -> dict[str, Any]:
 
 
 def _apart() -> dict[str, tuple[str, ...]]:
-    """Options that are not for the same machine, as the extras have it, in their order."""
+    """Return options that exclude each other, from the extras, in their order."""
     paths.use_firmware()
     from extras.kinematics import skew
     from extras.motors import backlash
@@ -93,7 +93,7 @@ def _apart() -> dict[str, tuple[str, ...]]:
 
 
 def _board(name: str) -> dict[str, Any]:
-    """A board file: its text, what it says, and the chip it is for."""
+    """Return a board file: its text, its values, and its chip."""
     file = paths.BOARDS / f"{name}.py"
     made = load(file)
     values = {word: value for word, value in vars(made).items() if word.isupper()}

@@ -18,7 +18,6 @@ from .binary_info import About
 from .uf2 import Flash, Uf2Error
 
 
-
 class MicroPython(NamedTuple):
     """A MicroPython in a file."""
 

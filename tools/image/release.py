@@ -1,8 +1,8 @@
-"""What a release has besides images and wheel: `make release-files VERSION=v0.1.0`.
+"""The files of a release, except images and wheel: `make release-files VERSION=v0.1.0`.
 
-Made of the checkout: the page, the firmware of every board as a zip (with the package.json that
-`mpremote mip install` reads), notes out of CHANGELOG.md, and checksums of all that is in the
-folder, images and wheel included. `make release-dry` makes it without a tag.
+They are made from the checkout: the page, the firmware of every board as a zip (with the
+package.json for `mpremote mip install`), notes from CHANGELOG.md, and checksums of all files in
+the folder, including images and wheel. `make release-dry` makes them without a tag.
 """
 
 import hashlib
@@ -20,16 +20,16 @@ from ..compiling import build, folder, page_files
 
 CHECKSUMS = "SHA256SUMS"
 UNRELEASED = "Unreleased"
-# A zip says when its files were made; the same files are the same zip.
+# A zip has the times of its files; a fixed time makes equal files an equal zip.
 _MADE = (2020, 1, 1, 0, 0, 0)
 
 
 class ReleaseError(Exception):
-    """It cannot be released so; the text says why and what to do."""
+    """The release is not possible; the text has cause and next step."""
 
 
 def check_version(tag: str) -> None:
-    """ReleaseError where a tag is not the package's own version; "" is a dry run."""
+    """Raise ReleaseError if a tag is not the package's own version; "" is a dry run."""
     if tag and tag != f"v{__version__}":
         raise ReleaseError(
             f"the tag is {tag} and tools/__init__.py says {__version__}: make them one"
@@ -37,7 +37,7 @@ def check_version(tag: str) -> None:
 
 
 def notes(changelog: str, tag: str) -> str:
-    """The changelog's section of that version; in a dry run what is not released yet."""
+    """Return the changelog's section of that version; in a dry run, the unreleased one."""
     wanted = tag.removeprefix("v") or UNRELEASED
     found = re.search(
         rf"^## \[{re.escape(wanted)}\][^\n]*\n(.*?)(?=^## \[|\Z)",
@@ -50,7 +50,7 @@ def notes(changelog: str, tag: str) -> str:
 
 
 def board_zip(name: str) -> bytes:
-    """The firmware of a board, compiled, in a folder of its name."""
+    """Return the compiled firmware of a board as a zip, in a folder of its name."""
     made = build.for_board(board_file(name))
     data = io.BytesIO()
     with TemporaryDirectory() as place, zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
@@ -63,13 +63,13 @@ def board_zip(name: str) -> bytes:
 
 
 def checksums(files: Iterable[Path]) -> str:
-    """As sha256sum writes them."""
+    """Return checksums in the format of sha256sum."""
     rows = (f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in files)
     return "".join(rows)
 
 
 def make(tag: str, place: Path, names: Iterable[str]) -> None:
-    """Write it all there. ReleaseError before anything is written."""
+    """Write all files of the release. Raises ReleaseError before anything is written."""
     check_version(tag)
     text = notes((paths.BOARDS.parent / "CHANGELOG.md").read_text(encoding="utf-8"), tag)
     paths.write(place / "ugrbl.html", page_files.page().encode())
@@ -81,7 +81,7 @@ def make(tag: str, place: Path, names: Iterable[str]) -> None:
 
 
 def main() -> None:
-    """`python -m ugrbl.image.release FOLDER [TAG]`."""
+    """Run `python -m ugrbl.image.release FOLDER [TAG]`."""
     place, *tags = sys.argv[1:]
     try:
         make("".join(tags), Path(place), [name for name in boards() if not name.startswith("sim")])
