@@ -1,9 +1,7 @@
 """Board options: all options of a board file in one table: type, default, range and meaning.
 
-The firmware reads them where they are used and has each default there again: this table on a
-board would make its start 20 ms longer. host_tests/boardfile/test_options.py checks that the
-firmware reads these and no others, with these defaults. board_check.py checks board files by it,
-and docs/reference.md is made from it.
+The firmware has each default again where it reads the option (test_options.py compares), because
+this table would make a board's start 20 ms longer. docs/reference.md is made from it.
 """
 
 from collections.abc import Callable, Iterable
@@ -126,7 +124,6 @@ class Option(NamedTuple):
 INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 
 OPTIONS = (
-    # The board.
     Option(
         *("CHIP", WORD, None),
         "The chip or module, for tools; without it the chip that MPY_ARCH is for.",
@@ -380,7 +377,6 @@ OPTIONS = (
         "So many ms a stroke of the punch takes at the most, one way.",
         low=1,
     ),
-    # The simulator.
     Option(
         *("SEGMENT_QUEUE", COUNT, 5),
         "Simulator: segments that its pulses have ready.",

@@ -128,14 +128,11 @@ Page = Annotated[
 def sim(
     board: Board = DEFAULT_BOARD,
     port: Annotated[
-        Path | None,
-        typer.Option(metavar="LINK", help="Create a link to the pseudo-terminal there."),
+        Path | None, typer.Option(metavar="LINK", help="Link to the pseudo-terminal, made there.")
     ] = None,
     tcp: Annotated[
         str | None,
-        typer.Option(
-            metavar="[HOST:]PORT", help="Use TCP instead; without HOST: this computer only."
-        ),
+        typer.Option(metavar="[HOST:]PORT", help="Use TCP instead; no HOST: this computer only."),
     ] = None,
     rfc2217: Annotated[
         bool, typer.Option("--rfc2217", help="With --tcp: as a serial port, for rfc2217:// URLs.")
@@ -146,9 +143,7 @@ def sim(
     ] = Speed.REAL,
     settings: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Store settings between runs, as `ugrbl settings pull`."
-        ),
+        typer.Option(metavar="FILE", help="Keeps settings, as `ugrbl settings pull` writes them."),
     ] = None,
     blank: Blank = False,
     switches: Switches = False,

@@ -67,9 +67,7 @@ def command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", metavar="FILE", help="File, or a folder for it. [default: here]"
-        ),
+        typer.Option("--out", "-o", metavar="FILE", help="Or a folder for it. [default: here]"),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
     json_file: Annotated[
@@ -79,7 +77,7 @@ def command(
 ) -> None:
     """Make a board file, and show the wiring.
 
-    It asks for the pins and checks them, except those given by options.
+    It asks for the pins that options do not give, and checks all of them.
     """
     asking = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")
