@@ -23,9 +23,9 @@ def test_the_table_is_that_of_the_docs() -> None:
 
 
 def test_a_word_of_the_users_goes_to_its_handler() -> None:
-    """By own_words.py, when motion has ended."""
+    """By custom_codes.py, when motion has ended."""
     found = printed("M100")
-    order = ["own_words.py: execute", "canon.py: synchronise", "runner.py: run"]
+    order = ["custom_codes.py: execute", "canon.py: synchronise", "runner.py: run"]
     places = [next(i for i, row in enumerate(found) if row.endswith(name)) for name in order]
     assert places == sorted(places)
 
