@@ -1,11 +1,16 @@
 # mypy: disable-error-code=arg-type
-"""Pulses: from a segment row to the words of programs.stepper, in integers and ticks.
+"""Pulses: segment rows become words for programs.stepper, integers only.
 
-Knows the programs' timing, no hardware. A lane is what is remembered per axis, a few integers;
-its words go into a ring. The axes' words always fill the same time, to the tick: what a lane's
-words lack to the end of a segment is carried on as part of its next delay.
+A word asks a state machine for equally spaced steps; its format and timing are in programs.py.
+Times are in ticks of 80 ns. A lane is the state of one axis, a few integers; its words go into a
+ring. The words of all lanes fill the same time to the tick: what a lane's words lack to the end of
+a segment is its CARRY, and becomes part of its next delay.
 
-Called in the engine's interrupt.
+    row     up to LONGEST (2**18 ticks); longer ones, up to some 2**27, are cut() first
+    delay   2**19 - 1 at most: a row, CARRY and a late start fit
+    steps   4095 at most per row and motor
+
+Viper; all of it runs in the engine's interrupt. No hardware is accessed here.
 """
 
 import micropython
@@ -20,46 +25,47 @@ if TYPE_CHECKING:
 
 # Lanes: integers per axis.
 LANE = const(8)
-CARRY = const(0)  # ticks from where the lane's words end to where the next segment begins
+CARRY = const(0)  # ticks from the end of the lane's words to the next segment; may be negative
 DIR = const(1)  # level of the direction output
-HEAD = const(2)  # where in the ring the next word goes
-SENT = const(3)  # up to where words have been handed to the hardware
-PLACE = const(4)  # position at the end of all segments made
-END = const(5)  # position at the end of all words sent
-FROZEN = const(6)  # position of a locked axis
-MACHINE = const(7)  # where the registers of its machine are
+HEAD = const(2)  # index in the ring of the next word
+SENT = const(3)  # index after the last word handed to the hardware
+PLACE = const(4)  # position in steps: at the end of all segments made,
+END = const(5)  # at the end of all words sent,
+FROZEN = const(6)  # and where a locked axis has stopped
+MACHINE = const(7)  # address of its state machine's registers
 
-# Words a lane's ring holds. A segment takes six at the most: wait before a reversal, first
-# step, long gaps, short gaps, long gaps, rest.
+# Words in a lane's ring. A segment has six at most: wait before a reversal, first step, long
+# gaps, short gaps, long gaps, rest.
 RING_LOG2 = const(5)
 RING_MASK = const(31)
 
-# The longest row that convert() takes, and the length of the pieces of longer ones, in ticks.
+# The longest row that convert() accepts, and the pieces of longer ones, in ticks: 21 and 10.5 ms.
 LONGEST = const(0x40000)
 _PIECE = const(0x20000)
 
-# Timing: what convert() is told, in ticks.
+# The timing array of convert(), in ticks.
 AXES = const(0)
-PULSE = const(1)  # length of a pulse
+PULSE = const(1)  # length of a pulse, up to 2**15 - 1
 TURN_WAIT = const(2)  # delay of the word that waits before DIR changes,
 TURN_DELAY = const(3)  # and least delay of the word after it
-KEEP = const(4)  # a lane with nothing to do waits until so long before the end of its segment
+KEEP = const(4)  # an idle lane waits until so long before the end of the segment
 TIMING_LENGTH = const(5)
 
-# A word for programs.stepper, and what it costs.
+# A word: bits 31 to 13 are the delay, 12 to 1 the steps, 0 the direction.
 _STEPS_SHIFT = const(1)
 _STEPS_MASK = const(0xFFF)
 _DELAY_SHIFT = const(13)
 _HALF_DELAY = const(0x40000)
 _ALL_DELAY = const(0x80000)
-_FETCH = const(6)  # ready to first edge, or to ready where there is none, besides the delay
-_AFTER = const(3)  # end of a pulse to ready
-_BETWEEN = const(9)  # end of a pulse to the next edge of the same word, besides the delay
-_TURN_HELD = const(10)  # end of a pulse to the change of DIR, besides the waiting word's delay
-_TURN_SET = const(5)  # change of DIR to the next edge, besides the delay
-_SPARE = const(3)  # for gaps that rounding makes shorter than the mean
+# Ticks that programs.stepper takes, where a word's delay is added unless it says otherwise:
+_FETCH = const(6)  # from ready to the first edge; without steps, to ready again
+_AFTER = const(3)  # from the end of a pulse to ready; no delay is added
+_BETWEEN = const(9)  # from the end of a pulse to the next edge of the same word
+_TURN_HELD = const(10)  # from the end of a pulse to the change of DIR; with the waiting word
+_TURN_SET = const(5)  # from the change of DIR to the next edge
+_SPARE = const(3)  # reserve for gaps that rounding makes shorter than the mean
 
-# Where programs.stepper stands.
+# Program addresses of programs.stepper, as there.
 _NEXT = const(0)
 _STEP = const(3)
 _RISEN = const(7)
@@ -67,22 +73,23 @@ _MADE = const(11)
 
 
 def shortest_gap(pulse: int) -> int:
-    """Ticks from step to step at the highest rate, with pulses of so many ticks."""
+    """Return the ticks from step to step at the highest rate; pulse: its length in ticks."""
     return pulse + _BETWEEN + _SPARE
 
 
 def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
-    """Take over the pulse's length, and how long DIR is to stay before and after it changes."""
+    """Set the timing. All in ticks: the length of a pulse; how long DIR must keep its level after
+    a pulse (hold), and before the next one (setup)."""
     timing[PULSE] = pulse
     timing[TURN_WAIT] = max(hold - _TURN_HELD, 0)
     timing[TURN_DELAY] = max(setup - _TURN_SET, 0)
-    # As long as a reversal takes, so that none has to be waited for after a pause.
+    # As long as a reversal takes, so that a reversal after a pause does not delay other axes.
     timing[KEEP] = 2 * _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
 
 
 @micropython.viper
 def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
-    """Add a word of so many steps, if any, to a lane's ring. Returns where the next one goes."""
+    """Add a word with that many steps to a lane's ring, unless 0. Returns the next index."""
     if steps == 0:
         return head
     words[ring + head] = word | (steps << _STEPS_SHIFT)
@@ -93,7 +100,16 @@ def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
 def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     """Add a segment's words to the lanes' rings. Returns by how many ticks all axes begin late.
 
-    They wait where one would reverse or step too soon after its last step."""
+    All wait if one would step or reverse too soon after its last step. A lane's words are
+
+        first step    delay = CARRY + late + its tick - _FETCH
+        n gaps        span = last tick - first tick: gaps of span // n, and span % n of them one
+                      longer, ordered by leading(); delay = gap - PULSE - _BETWEEN, at least 0
+        rest          no steps, until KEEP before the end of the segment, if that is longer
+
+    CARRY loses what each word takes and gains the row's ticks, so no rounding adds up. A delay has
+    19 bits: from 2**18 on the word is negative here, so 2**19 is subtracted, with the same bits.
+    """
     late = 0
     for i in range(timing[AXES]):
         base = ROW_AXES + ROW_STRIDE * i
@@ -119,7 +135,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
                 level = 1 - level
             carry += row[base + 1] - _FETCH
             if carry >= _HALF_DELAY:
-                carry -= _ALL_DELAY  # the same bits in a word, which is signed here
+                carry -= _ALL_DELAY
             words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)
             head = (head + 1) & RING_MASK
             carry = 0 - row[base + 1] - timing[PULSE] - _AFTER
@@ -153,9 +169,11 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
 
 @micropython.viper
 def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
-    """Fill a row with a piece of a long one, from tick `begin`. Returns its end, 0 at the last.
+    """Fill a row with the piece of a long one that begins at tick `begin`. Returns the tick of its
+    end, or 0 for the last piece.
 
-    For rows that last longer than a word can wait: their steps are few.
+    For rows longer than LONGEST, because a delay does not fit. Pieces have 2**17 ticks, the last
+    one less than 2**18. A long row has few steps, so a loop over them is fast enough.
     """
     ticks = whole[ROW_TICKS]
     end = begin + _PIECE
@@ -186,9 +204,11 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
 
 @micropython.viper
 def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) -> int:
-    """Steps, backward ones negative, that a machine stopped in the middle has not made.
+    """Return the steps that a stopped machine has not made; backward ones are negative.
 
-    waiting: words sent that it has not fetched; at, x: where it stands and its X register.
+    sent: SENT of its lane. waiting: words sent that it has not fetched. at: its address from the
+    program's start; x: its X register, the steps left of its word, which from _RISEN to _MADE
+    still counts a step that is made.
     """
     ring = axis << RING_LOG2
     total = 0
@@ -205,7 +225,11 @@ def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) ->
 
 @micropython.viper
 def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
-    """Positions `tick` ticks into a segment that begins at the positions start."""
+    """Compute the axes' positions into steps, `tick` ticks after the segment's begin at start.
+
+    The steps made are counted from the first one, or back from the last one where the longer gaps
+    at the end begin: the gaps are in the order of leading(), as in convert().
+    """
     for i in range(axes):
         base = ROW_AXES + ROW_STRIDE * i
         made = row[base]
@@ -217,7 +241,7 @@ def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
             longer = span - gap * (made - 1)
             front = int(leading(made - 1, gap, longer))
             rest = tick - row[base + 1]
-            behind = span - rest  # before the last step
+            behind = span - rest  # ticks before the last step
             if rest < front * (gap + 1):
                 made = rest // (gap + 1) + 1
             elif behind <= (longer - front) * (gap + 1):

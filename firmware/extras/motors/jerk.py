@@ -1,10 +1,10 @@
 # mypy: disable-error-code=arg-type
-"""A limit of jerk, per axis, while the machine runs: $800, $801, $802, in mm/s3.
+"""Limit jerk per axis while the machine runs: $800, $801, $802, in mm/s3.
 
-Acceleration comes and goes over a time, for speed along the path is averaged over it:
-jerk_kernel.py says how, jerk_plan.py what it means for corners. The numbers of the
-settings are grblHAL's, where the limit has to be compiled in. 0 is no limit, and as if this module
-was not there. Homing and parking go from rest to rest without it. A board asks with JERK = True.
+The speed along the path is averaged over a time, so acceleration changes gradually:
+jerk_kernel.py averages, jerk_plan.py adapts the planned speeds. The numbers of the settings are
+grblHAL's, where the limit has to be compiled in. With 0, no limit, motion is the same as without
+this module. Homing and parking are not limited. A board file enables it with JERK = True.
 """
 
 from array import array
@@ -35,12 +35,12 @@ _SETTINGS: "Rows" = (
     (800, "jerk", AXIS, 0.0, "mm/sec^3"),
 )
 _MOST_SLOTS = const(64)
-_PIECES = const(2)  # of the plan, that are made with each row
-_PER_MM = const(65536)  # units of a way in the line
+_PIECES = const(2)  # pieces planned ahead with each row
+_PER_MM = const(65536)  # distance units of the line per mm
 
 
 class Jerk:
-    """Stands between planner and engine. next() takes the place of Segments.next()."""
+    """The stage between planner and engine. next() replaces Segments.next()."""
 
     def __init__(self, planner: "Planner", state: "State") -> None:
         self._planner = planner
@@ -59,7 +59,10 @@ class Jerk:
 
     @micropython.viper
     def next(self, row: object) -> int:
-        """As segments.Segments.next(), of a segment that is planned here."""
+        """Make the next row as Segments.next() does, from a segment of averaged speed.
+
+        While rows of the last segment are left, plan a little ahead instead.
+        """
         flow = ptr32(self._flow)
         line = ptr32(self._line)
         ring = ptr32(self._ring)
@@ -71,33 +74,34 @@ class Jerk:
                 return 0
         return int(self._usual_next(row))
 
-    # What the planner does, and blocks as they are to be made
+    # Hooks of the planner
 
     @micropython.native
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """As Planner.plan()."""
+        """Plan a block as Planner.plan() does. Release it, unless it is the system's own."""
         planned = self._usual_plan(target, flags, line, power, rate)
         if not flags & layout.SYSTEM_MOTION:
             self.release_blocks(0)
         return planned
 
     def release_blocks(self, everything: int) -> None:
-        """Have the plan see what has been added."""
+        """Release the new blocks to the plan; everything: even if they are only a few."""
         jerk_plan.release_blocks(self._table, self._ring, self._flow, self._line, everything)
 
     def may_start(self) -> bool:
-        """Motion begins, with all that there is."""
+        """Release all blocks before motion starts. Returns True: it may start."""
         self.release_blocks(1)
         return True
 
     def _replan(self) -> bool:
-        """An override has changed: plan anew, where there is a limit."""
+        """Plan all blocks again after an override has changed. Returns False without a limit: the
+        planner does it then."""
         if self._line[FILTER_TAPS]:
             jerk_plan.reschedule(self._table, self._ring, self._flow, self._line[layout.TAIL])
         return self._line[FILTER_TAPS] != 0
 
     def _clear(self) -> None:
-        """Nothing is planned: the line is empty."""
+        """Empty the line, after the planner was cleared."""
         line, flow = self._line, self._flow
         slots = line[FILTER_TAPS], line[jl.PER_TAP]
         for i in range(len(line)):
@@ -108,16 +112,21 @@ class Jerk:
         line[layout.TAIL] = line[layout.HEAD] = line[jl.RELEASED] = flow[layout.HEAD]
 
     def limit(self, accelerations: "list[float]", jerks: "list[float]", slot_s: float) -> None:
-        """Limit jerk, in mm/s3, where it is not 0. accelerations: the axes', in mm/s2. slot_s: how
-        long a full segment is. At rest, behind Planner.configure(); empties the line."""
+        """Set the limits of jerk per axis, in mm/s3; 0: no limit. Empties the line.
+
+        accelerations: per axis, mm/s2. slot_s: length of a full segment, s. Call it while idle,
+        after Planner.configure(). The averaging time is 2 * acceleration / jerk, of the axis that
+        needs longest. At the highest speed it covers at most 2**29 units (8192 mm), because the
+        kernel adds two such sums. An axis that needs more time gets less acceleration.
+        """
         table, line = self._table, self._line
         limits = [(i, jerks[i]) for i in range(len(jerks)) if jerks[i] > 0]
         root_mm_s = minifloat.value(table[layout.ROOT_SCALE])
-        top = root_mm_s * 32768 * slot_s * _PER_MM  # way in a slot at the highest speed there is
+        top = root_mm_s * 32768 * slot_s * _PER_MM  # distance at the highest speed
         most = max(min(_MOST_SLOTS, int((1 << 29) / top)), 1)
         slots = 0
         for i, jerk in limits:
-            # Acceleration may change from all of it one way to all of it the other.
+            # The acceleration may change from + all of it to - all of it.
             wanted = 2 * accelerations[i] / jerk / slot_s
             slots = max(slots, min(int(wanted + 0.999), most))
             if wanted > most:
@@ -126,13 +135,15 @@ class Jerk:
         table[layout.JUNCTION_DERATE] = 0
         if slots:
             line[jl.PER_TAP] = minifloat.real(1 / slots)
-            mean = slots / 4 + 1 / (12 * slots)  # slots of which the middle is away, on an average
+            # Mean time to a corner in the middle of the averaging time: a quarter of that, and
+            # 1 / 12 n because the corner is anywhere in its slot.
+            mean = slots / 4 + 1 / (12 * slots)
             table[layout.JUNCTION_DERATE] = minifloat.real(mean * slot_s / root_mm_s)
         self._planner.clear()
 
 
 def install(cnc: "Cnc") -> None:
-    """Have it limited as the settings say."""
+    """Limit jerk as the settings say."""
     machine = cnc.machine
     settings: "Any" = machine.settings
     jerk = Jerk(machine.planner, machine.state)

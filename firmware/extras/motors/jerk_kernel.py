@@ -1,18 +1,25 @@
 # mypy: disable-error-code=arg-type
-r"""The kernel of limited jerk: integers only, from the plan's way in time to one without jolts.
+r"""The jerk limit's kernel: it averages the planned speed over a time, integers only.
 
-    plan  ____/    \____     Speed along the path is averaged over SLOTS full segments, the slots.
-                             So where the plan's acceleration is reached at once, what is made
-    made  ___.-    -.___     comes to it in that time. The path is the same, and no average is
-                             faster than what it is made of, or sped up harder.
+    planned   ____/    \____     The average is over FILTER_TAPS slots; a slot lasts as long as a
+                                 full segment. The plan reaches its acceleration at once, the
+    executed  ___.-    -.___     average within that time. The path is the same. No average is
+                                 above its highest value: speed and acceleration keep their limits.
 
-The plan is that of segment_kernel.py, on a flow of its own, which runs ahead. What it comes to in
-a slot is noted in the line, as a way along the path; what leaves the line is laid out along the
-same blocks once more, for slice_kernel.py. Ways are whole numbers, and remainders are kept: what
-goes in comes out.
+The plan is made by segment_kernel.py on a flow of its own, the line, and runs ahead. Its distance
+in a slot becomes a tap of the line. The average of the taps is laid out along the same blocks once
+more, for slice_kernel.py. Units in the line:
 
-Viper, as segment_kernel.py is; all of it runs in the engine's interrupt. What stands where is told
-in jerk_layout.py and motion/layout.py.
+    distance  2**-16 mm along the path; 0 to 2**30 - 1, which is 16384 mm, the longest block
+    speed     the sum of the taps, so FILTER_TAPS times the distance per slot; 0 to 2**29, because
+              Jerk.limit() chooses FILTER_TAPS so: two of them still fit 31 bits
+    time      2**-17 slot, 0 to 2**17
+
+Distances are whole numbers and remainders are carried on, so no distance is lost or added. In the
+flow, units are those of segment_kernel.py: 2**-18 step, and 2**-18 step per slot.
+
+Viper, as segment_kernel.py is; all of it runs in the engine's interrupt. jerk_layout.py and
+motion/layout.py have the places.
 """
 
 import micropython
@@ -74,16 +81,21 @@ from extras.motors.jerk_layout import (
     TO_GO,
 )
 
-_LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
-_LONGEST = const(32)  # or has taken so many slots
-_SPLINTER = const(64)  # the plan is not asked for less than that of a slot, in 2**-17
+_LEAST = const(0x50000)  # a segment covers at least 1.25 steps, if the block has them,
+_LONGEST = const(32)  # or lasts so many slots
+_SPLINTER = const(64)  # time: less is not worth a piece of the plan, the slot ends there
 _PER_MM = const(0x214000)  # the real 2**16
 _SIXTEEN = const(0x1B4000)  # the real 16
 
 
 @micropython.viper
 def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Plan the next segment of what is made. Returns 0 where nothing is to move."""
+    """Plan the next segment of the executed motion, and its number of rows, as
+    segment_kernel.plan() does. Returns 0 where nothing is to move.
+
+    The rest of a slot and further slots are added until the segment covers _LEAST or lasts
+    _LONGEST slots, so its time is below 2**23. It ends where the block does.
+    """
     span = 0
     begun = 0
     going = 1
@@ -102,8 +114,8 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
         going = int(add_piece(flow, part))
     if begun == 0:
         return 0
-    # A part of a slot and a whole one are cut as a segment of today is; what is longer is so for
-    # the sake of one step.
+    # slices() makes one row of a time above 2**17, because it is so long for the sake of one step.
+    # The rest of a slot and a whole one are not: they are cut as a full segment.
     flow[TIME] = 131072 if span > 131072 and span < 262144 else span
     flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
     flow[TIME] = span
@@ -113,7 +125,7 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 
 @micropython.viper
 def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
-    """Begin a segment, with the next block where none is loaded. Returns 0 where there is none."""
+    """Begin a segment; load the next block if none is loaded. Returns 0 where there is none."""
     if flow[LOADED] == 0:
         if int(load(flow, ring, motors)) == 0:
             return 0
@@ -129,13 +141,13 @@ def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
 
 @micropython.viper
 def block_distance(ring: ptr32, at: int) -> int:
-    """The length of a block in 2**-16 mm, 1 at least."""
+    """Return a block's length in 2**-16 mm: 1 to 2**30 - 1 (16384 mm and more)."""
     return int(product(ring[at + LENGTH], _PER_MM, ONE)) or 1
 
 
 @micropython.viper
 def distance_left(flow: ptr32) -> int:
-    """What a block has still to go: a real, in 2**-18 step."""
+    """Return the distance left of the loaded block: a real, in 2**-18 step."""
     if flow[WHOLE] < 4095:
         return int(pack((flow[WHOLE] << 18) + flow[FRACTION], BIAS))
     return int(pack(flow[WHOLE], BIAS + 18))
@@ -143,15 +155,22 @@ def distance_left(flow: ptr32) -> int:
 
 @micropython.viper
 def part_of(part: int, whole: int, other: int, scale: int) -> int:
-    """As much of another whole as a part is of one; times a scale. Wholes and scale are reals."""
+    """Return part / whole * other * scale, 0 to 2**30 - 1: from mm to steps, or back.
+
+    part: 0 to 2**30 - 1. whole, other, scale: reals; whole is not 0.
+    """
     return int(product(int(ratio(part, whole)), other, scale))
 
 
 @micropython.viper
 def place_slot(flow: ptr32, line: ptr32) -> int:
-    """Lay out what the slot has to go: all of it, or up to the end of the block.
+    """Lay out the distance of the slot that is left, or the part up to the end of the block.
 
-    Leaves the speed at its end in NOW, its way in WAY. Returns its time, in 2**-17 slot.
+    Leaves the speed at its end in NOW, its distance in WAY. Returns its time, in 2**-17 slot. With
+    the speeds v at the beginning, w at the end of the block and u at the end of the slot, a part f
+    of the distance (MADE_LEFT / TO_GO) takes this part of the time:
+
+        f (v + u) / (v + w)     because distance = mean speed * time
     """
     left = line[MADE_LEFT]
     way = line[TO_GO]
@@ -186,7 +205,11 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
 
 @micropython.viper
 def speed_between(start: int, end: int, part: int) -> int:
-    """The speed where that part, in 2**-17, of the way from one speed to another is behind."""
+    """Return the speed after a part (2**-17) of the distance in which start becomes end.
+
+    v**2 = start**2 + (end**2 - start**2) * part, at constant acceleration. Speeds: 0 to 2**29;
+    both lose bits until they have 15, so that their squares fit 30.
+    """
     if start == end:
         return start
     shift = 0
@@ -203,8 +226,15 @@ def speed_between(start: int, end: int, part: int) -> int:
 
 @micropython.viper
 def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Have the plan go on to the end of a slot, and take the next out of the line. Returns 0 at
-    rest."""
+    """Plan a slot to its end, put it into the line as a tap, and take the average out.
+
+    SUM += the new tap - the oldest one. The distance of the slot is that at the mean speed,
+
+        (SUM before + SUM after + REMAINDER) / (2 * FILTER_TAPS)
+
+    where both sums are at most 2**29 and REMAINDER is below 128. While RESTS lasts, the plan
+    stands and the new tap is 0. Returns 0 where nothing is planned and the line is empty.
+    """
     before = line[SUM]
     way = 0
     if before == 0 and line[OPEN] == 0:
@@ -236,9 +266,9 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 
 @micropython.viper
 def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> int:
-    """Have the plan go on in the slot that comes next, by so many pieces at the most.
+    """Plan the next slot, by at most so many pieces.
 
-    So a slot of many short blocks is planned bit by bit, while the one before it is made.
+    So a slot of many short blocks is planned bit by bit, while the one before it is executed.
     """
     line[HEAD] = line[RELEASED]
     line[HOLD] = flow[HOLD]
@@ -249,7 +279,7 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
         if line[OPEN] == 0:
             line[OPEN] = 1
             line[SLOT_DISTANCE] = 0
-            line[LEFT] = 131072  # no more: segment_kernel.change_speed() knows of no longer time
+            line[LEFT] = 131072  # a rest of the last slot is dropped: times are at most 2**17
         if is_new:
             line[PLAN_LEFT] = int(block_distance(ring, line[AT]))
             line[PLAN_FRACTION] = 0
@@ -268,7 +298,10 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
 
 @micropython.viper
 def count(line: ptr32, rest: int) -> int:
-    """The way that the plan's last piece has come, in 2**-16 mm: rest was to go before."""
+    """Return the distance of the plan's last piece in 2**-16 mm; PLAN_FRACTION is carried on.
+
+    rest: distance_left() before it. Computed in 2**-20 mm, so a piece has less than 1024 mm.
+    """
     left = line[PLAN_LEFT]
     whole = int(pack(left, BIAS))
     way = int(part_of(line[WAY], rest, whole, _SIXTEEN)) + line[PLAN_FRACTION]
@@ -282,11 +315,15 @@ def count(line: ptr32, rest: int) -> int:
 
 @micropython.viper
 def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
-    """The plan has come to the end of a block. Where the next is entered from rest, it rests.
+    """End the plan's block. If the next one is entered from standstill, let the plan stand.
 
-    The average comes to rest if the plan rests for as long as that is over, T. With acceleration
-    a before and behind, and a rest r, it comes down to a (T - r)2 / 4T: where the corner and the
-    rates allow v, r is T (1 - root of v / (a T / 4)). gentle: T / 4, as table[GENTLE].
+    The average over T also stops if the plan stands for T. With the acceleration a before and
+    after, and a stop of the time r, it slows down to a (T - r)**2 / 4T. The corner and both rates
+    allow v (0 after the last block), so RESTS is, in whole slots, rounded up,
+
+        r = T (1 - sqrt(v / (a T / 4)))
+
+    gentle: T / 4, as table[JUNCTION_DERATE], so a T / 4 and v are roots of scaled speeds squared.
     """
     before = line[AT]
     line[CARRY] = int(ratio(line[NOW], ring[before + FACTOR]))
@@ -309,5 +346,6 @@ def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
     line[LEFT] = 0
     least = int(product(ring[before + ACCEL], gentle, ONE))
     part = int(square_root(int(share(int(square_root(sqr)), least)) << 12)) if sqr else 0
-    line[RESTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)  # part: in 2**-14.5
+    # part: sqrt(v / (a T / 4)) in 2**-14.5, up to 23170; 181 is 2**7.5; FILTER_TAPS: up to 64.
+    line[RESTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)
     return 0

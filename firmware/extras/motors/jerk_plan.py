@@ -1,16 +1,21 @@
 # mypy: disable-error-code=arg-type
-"""Where jerk is limited: how fast blocks are entered, and how hard they are sped up.
+"""The jerk limit's planner: entry speeds and accelerations of blocks whose speed is averaged.
 
-What is made is the plan averaged over a time (jerk_kernel.py). Where the plan brakes to a corner
-and speeds up behind it, the average is faster there than the plan: so corners are planned slower,
-and so are places where the rate changes. And the average mixes accelerations of several blocks: so
-one holds from stop to stop.
+The executed speed is the planned one, averaged over a time T (jerk_kernel.py). Where the plan
+brakes to a corner and accelerates after it, the average is faster there than the plan, by
 
-Short lines would stop at each corner for that. Where they go no faster than their corners allow
-(calm) the average is no faster either; and a corner of the grid of steps is none (link).
+    acceleration * T / 4        ACCEL * table[JUNCTION_DERATE], a root of a scaled speed squared
 
-Viper, as plan_kernel.py is; called by the main loop only, behind whatever plans blocks. Until then
-the plan does not see them.
+So corners, and places where the rate changes, are planned slower by that: lower(). The average
+also mixes the accelerations of several blocks, so one acceleration holds from stop to stop.
+
+Short lines would stop at each corner for that. Two rules avoid it: a short line goes no faster
+than its corners allow, so the average is no faster either (calm); a corner that only the grid of
+steps makes does not count (link).
+
+Viper, as plan_kernel.py is, with its units and ranges: speeds squared are scaled, 0 to 2**30 - 1,
+so their roots are below 2**15. Main loop only, called after a block is planned; the plan reads a
+block only once it is released.
 """
 
 import micropython
@@ -47,20 +52,22 @@ from extras.motors.jerk_layout import (
     RELEASED,
 )
 
-_PER_MM = const(0x214000)  # the reals 2**16,
-_FOUR_OF_16 = const(0x224000)  # and 2**18
-_LONG = const(0x204000)  # the real 16384, mm: a block of that is longer than its way can be told
+_PER_MM = const(0x214000)  # the real 2**16,
+_FOUR_OF_16 = const(0x224000)  # and 4 * 2**16
+_LONG = const(0x204000)  # the real 16384, mm: from here on a length does not fit jerk_kernel.py
 _CALM = const(0x1000)  # flags of a block: it is no faster than the corners at its ends;
-_LINKED = const(0x2000)  # and it is short, and the corner at its beginning is one of the grid
-_FINE = const(100)  # a block of so many steps has no corners of the grid
-_ROUNDING = const(64)  # of a mantissa: an acceleration so little above a block's is taken for it
+_LINKED = const(0x2000)  # it is short, and its first corner is one of the grid, or none
+_FINE = const(100)  # a block of more steps has no corners of the grid
+_ROUNDING = const(64)  # of a mantissa, up to 1/256: an acceleration so little higher is the same
 
 
 @micropython.viper
 def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everything: int) -> int:
-    """Have the plan see the blocks that have been added, as they are to be made: several at once
-    where it has many before it, as plan_kernel.append_block() does, unless everything is to be
-    done. Returns their number."""
+    """Release new blocks to the plan, with their accelerations and entry speeds.
+
+    Where many blocks are waiting, new ones are collected until there are AT_ONCE, as in
+    plan_kernel.append_block(), unless everything is set. Returns how many were released.
+    """
     if line[FILTER_TAPS] == 0:
         return 0
     new = 0
@@ -84,7 +91,7 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
             row = 0
         new += 1
     if new:
-        flow[UNPLANNED] = new + 1  # soften() raises the entry of the block before, too
+        flow[UNPLANNED] = new + 1  # soften() changes the block before, too
         reverse_pass(ring, flow, 0)
         line[RELEASED] = row
     return new
@@ -92,7 +99,7 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
 
 @micropython.viper
 def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
-    """Work out every block anew, after an override has changed. present: where the plan is."""
+    """Compute all blocks again after an override changed. present: row of the plan's block."""
     row = flow[TAIL]
     while row != flow[HEAD]:
         at = row * flow[ROW_SIZE]
@@ -108,8 +115,11 @@ def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
 
 @micropython.viper
 def soften(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int:
-    """As plan_kernel.limit_entry(), where jerk is limited; and of the block before, both of whose
-    corners are known now. present: where the plan is, -1 where it has not begun."""
+    """Set a block's MAX_ENTRY_SQR, as plan_kernel.limit_entry() does without a limit of jerk; and
+    that of the block before, because both its corners are known now.
+
+    present: row of the block that the plan has begun, or -1.
+    """
     rows = flow[ROWS]
     size = flow[ROW_SIZE]
     before = row - 1 if row else rows - 1
@@ -124,10 +134,10 @@ def soften(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> in
 
 @micropython.viper
 def enter(table: ptr32, ring: ptr32, at: int, before: int) -> int:
-    """How fast a block may be entered, by its corner, its rate and that of the block before.
+    """Set a block's MAX_ENTRY_SQR from its corner, its rate and the rate of the block before.
 
-    Slower than these are by what the average is faster than the plan, unless both blocks are
-    calm, or their corner is one of the grid.
+    Corner and rate are lowered by what the average is faster than the plan. Exceptions: a straight
+    line or equal rates; two calm blocks, whose squared rates are within 1/8; a corner of the grid.
     """
     junction = ring[at + JUNCTION_SQR]
     entry = ring[at + NOMINAL_SQR]
@@ -148,9 +158,12 @@ def enter(table: ptr32, ring: ptr32, at: int, before: int) -> int:
 
 @micropython.viper
 def link(table: ptr32, ring: ptr32, line: ptr32, at: int, before: int) -> int:
-    """A block is new: see whether its corner is one of the grid. Within a chain of such blocks the
-    average is no faster than the plan is somewhere there; at its ends it may be, where a long
-    block goes straight on: the chain's last corner is there, too."""
+    """Mark a new block as _LINKED if its corner is one of the grid.
+
+    Within a chain of such blocks, the average is no faster than the plan is somewhere in it. At
+    the end it may be, where a long block goes straight on, so that block gets the chain's last
+    corner (CHAIN) as its own.
+    """
     junction = ring[at + JUNCTION_SQR]
     chained = ring[before + FLAGS] & _LINKED
     linked = 0
@@ -169,10 +182,12 @@ def link(table: ptr32, ring: ptr32, line: ptr32, at: int, before: int) -> int:
 
 @micropython.viper
 def is_grid(table: ptr32, ring: ptr32, at: int, before: int) -> int:
-    """Whether a corner between two short blocks is less than a step away from a straight line.
+    """Return 1 where a corner between two short blocks is within a step of a straight line.
 
-    A turn by an angle t within n steps is so below n t / 2 = 1. Junction deviation d allows
-    v2 = 8 a d / t2 there, and 2.4 a d where t is a right angle: so where v2 >= 2 a d n2.
+    A corner by the angle t, n steps from the next one (the shorter block's, at most _FINE), is
+    n t / 2 steps away from it, so it is where t < 2 / n. Junction deviation d allows, with the
+    acceleration a, v**2 = 8 a d / t**2 for a small t, and 2.4 a d for a right angle, which one
+    step may make. So the condition is v**2 >= 2 a d n**2.
     """
     steps = ring[at + EVENTS]
     if steps > ring[before + EVENTS]:
@@ -180,7 +195,7 @@ def is_grid(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     junction = ring[at + JUNCTION_SQR]
     if steps > _FINE:
         return 0
-    # table[JUNCTION] is 2**16 d
+    # table[JUNCTION] is d * 2**16, scaled as v**2 is.
     twice = int(pack(2 * steps * steps, BIAS - 16))
     if junction < int(product(ring[at + ACCEL], table[JUNCTION], twice)):
         return 0
@@ -189,9 +204,10 @@ def is_grid(table: ptr32, ring: ptr32, at: int, before: int) -> int:
 
 @micropython.viper
 def is_short(table: ptr32, ring: ptr32, at: int, sqr: int) -> int:
-    """Whether a block takes less than the time of the average at that speed, squared.
+    """Return 1 where a block is shorter than the distance v T at the speed squared sqr (scaled).
 
-    GENTLE is a quarter of that time, and speeds by the root of a scaled square have ROOT_SCALE.
+    T, the averaging time in s, is 4 * JUNCTION_DERATE * ROOT_SCALE; v in mm/s is the root of sqr
+    times ROOT_SCALE. Lengths are compared in 2**-16 mm, HIGHEST for 16384 mm and more.
     """
     root = int(pack(int(square_root(sqr)), BIAS))
     scale = table[ROOT_SCALE]
@@ -201,8 +217,12 @@ def is_short(table: ptr32, ring: ptr32, at: int, sqr: int) -> int:
 
 @micropython.viper
 def calm(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> int:
-    """Have a short block, whose corners would be stops, go no faster than these, and than the
-    calm block before it. So the average has nothing to be faster from, and nobody stops."""
+    """Limit the rate of a short block whose corners would be stops to what its corners allow.
+
+    Nor is it faster than a calm block before it. Then the average is no faster than the corners
+    allow, and the plan need not stop. at, after, before: indices in the ring of the block, the
+    next and the previous one.
+    """
     sqr = ring[after + JUNCTION_SQR]
     entry = ring[at + JUNCTION_SQR]
     if entry and entry < sqr:
@@ -224,10 +244,11 @@ def calm(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> int:
 
 @micropython.viper
 def begin(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int:
-    """A block is new: its acceleration is that of the block before, unless the machine stops
-    between them, as it does where this one allows less: its corner is 0 then.
+    """Set a new block's acceleration: that of the block before, unless the machine stops between.
 
-    present: where the plan is. Returns 1 where the acceleration is another than the block's own.
+    It stops, so JUNCTION_SQR becomes 0, where the plan is already at this block (present: its
+    row); where this block allows less; where it allows more and the corner would be a stop anyway;
+    and before and after a block of 16384 mm or more. Returns 1 where ACCEL has changed.
     """
     size = flow[ROW_SIZE]
     at = row * size
@@ -250,16 +271,21 @@ def begin(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int
 
 @micropython.viper
 def lower(table: ptr32, accel: int, sqr: int) -> int:
-    """A speed squared, lower by what the average over a corner is higher than the plan."""
+    """Return a speed squared, lowered by what the average is faster than the plan at a corner.
+
+    sqr: scaled, 0 to 2**30 - 1. accel: real, mm/s2. The root loses 1 more, because product()
+    rounds down.
+    """
     root = int(square_root(sqr)) - int(product(accel, table[JUNCTION_DERATE], ONE)) - 1
     return root * root if root > 0 else 0
 
 
 @micropython.viper
 def level(table: ptr32, accel: int) -> int:
-    """The highest acceleration within a block's that is an axis', or half of it, or a quarter...
+    """Return the highest acceleration up to accel that is an axis's, or 1/2, 1/4, ... of one.
 
-    So directions that differ little have the same, and blocks need not stop between them.
+    So similar directions have the same acceleration, and blocks need not stop between them. Reals,
+    mm/s2; one less in the exponent (LIMIT) is a half.
     """
     found = 0
     if accel <= LIMIT:
