@@ -133,7 +133,7 @@ def started(folder: Path) -> str:
     for name in ("base/frozen", "boot/power_up"):
         file = folder / ".frozen" / f"{name}.py"
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text("build = live = lambda *a: None\nprint('frozen')\n")
+        file.write_text("build = run_machine = lambda *a: None\nprint('frozen')\n")
     (folder / "start.py").write_text(freeze._start((build.paths.FIRMWARE / "main.py").read_text()))
     run = "import sys; sys.path[:0] = ['', '.frozen']; exec(open('start.py').read())"
     done = subprocess.run(

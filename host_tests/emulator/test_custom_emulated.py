@@ -13,7 +13,7 @@ from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico custom")
 
-_PATIENCE = {"UGRBL_PATIENCE": "10", "COLUMNS": "200"}
+_PATIENCE = {"UGRBL_PATIENCE": "30", "COLUMNS": "200"}
 _EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
 _FILE = """\
 from ugrbl import mcode

@@ -1,13 +1,14 @@
 """Kinematics of the user's own, slack that is taken up, and skew, on an emulated Pico."""
 
 import math
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
 import emulated
 import pytest
-from emulated import BOARD_FILE, DIR, STEP, Board, Odometer, steps
+from emulated import BOARD_FILE, DIR, STEP, Board, Odometer, for_this_chip, steps
 from rig_bench import Machine
 from test_pico_talk import MAIN, free
 from ugrbl.boardfile.files import load
@@ -34,7 +35,9 @@ def live(uf2: Path, file: Path, *settings: str) -> Board:
 
 @pytest.fixture(scope="module")
 def scara(uf2: Path) -> Board:
-    return live(uf2, _EXAMPLES / "my_scara.py", f"$12={_TOLERANCE}", "$1=255")
+    file = for_this_chip(_EXAMPLES / "my_scara.py")
+    shutil.copy(_EXAMPLES / "scara.py", file.parent)
+    return live(uf2, file, f"$12={_TOLERANCE}", "$1=255")
 
 
 def arms() -> Any:

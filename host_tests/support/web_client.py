@@ -202,7 +202,7 @@ async def served(
     page.write_text(HTML)
     log: list[str] = []
     access = Access(host)
-    server = Server(source, access, "sim", log.append, page, longest_s)
+    server = Server(source, access, "sim", log.append, page.read_text, longest_s)
     try:
         site = Site(server, access, await server.start(host, 0), log)
         try:

@@ -36,10 +36,12 @@ class Server:
         access: Access,
         board: str,
         log: Callable[[str], None],
+        page: Callable[[], str] = page_files.page,
         longest_s: float = LONGEST_S,
     ) -> None:
         self._access = access
         self._log = log
+        self._page = page
         self._loop = asyncio.get_running_loop()
         self._link = BoardLink(source, self._heard, self._changed, self._log_from_thread)
         self._hub = Hub(self._link, log)
@@ -103,7 +105,7 @@ class Server:
 
     async def _get_page(self, request: web.Request) -> web.StreamResponse:
         try:
-            text = page_files.page()
+            text = self._page()
         except FileNotFoundError as error:
             return _sentence(404, f"the page is missing, {error.filename}: install ugrbl anew")
         # Nobody else's page may hold ours in a frame and have its buttons clicked unseen.

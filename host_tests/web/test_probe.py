@@ -1,0 +1,214 @@
+"""Probing in the page, and a height map, at a machine with a leaning table."""
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import body_machine
+import pytest
+from bridge import Machine
+from browser import Person, settings_file
+
+pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
+
+_PER_MM = [80.0, 80.0, 400.0]
+# The work's top: 4 mm below the middle of the travel, and leaning.
+_HEIGHT, _ALONG_X, _ALONG_Y = -4.0, 0.02, -0.03
+_SURFACE = {"surface": [_HEIGHT, _ALONG_X, _ALONG_Y]}
+_STEP_MM = 1 / 80
+_CUTS = "G1 Z-0.5 F600\nG1 X12\nG3 X12 Y9 I0 J4\nG1 X2\nG4 P0.1\nG1 Y1 M5\n"
+_JOB = f"G21 G90\nM3 S1000\nG0 Z5\nG0 X2 Y1\n{_CUTS}G0 Z5\nM2\n"
+
+
+@pytest.fixture
+def prober_at(person_at: Callable[..., Person], tmp_path: Path) -> Iterator[Callable[..., Person]]:
+    """Makes somebody at a machine with such things on its table, in the middle of its travel."""
+    machines: "list[Machine]" = []
+
+    def make(things: "dict[str, list[float]]") -> Person:
+        person = person_at()
+        person.machine.close()
+        settings = {100 + axis: f"{steps:g}" for axis, steps in enumerate(_PER_MM)}
+        body = {
+            "settings": str(settings_file(tmp_path, settings)),
+            "steps_per_mm": _PER_MM,
+            "travel_mm": [100.0, 100.0, 60.0],
+            "swapped": "",
+            "ruler": str(tmp_path / "ruler.json"),
+            **things,
+        }
+        command = [sys.executable, body_machine.__file__, json.dumps(body)]
+        machines.append(Machine(Path(), command=command))
+        machines[-1].waits_for(b"Grbl ")
+        person.machine = person.bridge.machine = machines[-1]
+        person.open_from_disk()
+        person.connect()
+        return person
+
+    yield make
+    for machine in machines:
+        machine.close()
+
+
+@pytest.fixture
+def prober(prober_at: Callable[..., Person]) -> Person:
+    """4 mm over the work."""
+    return prober_at(_SURFACE)
+
+
+def choose(person: Person, kind: str) -> None:
+    person.click("#tabs [data-tab=offsets]")
+    person.click(f"#probe-kinds button:text-is('{kind}')")
+
+
+def test_a_plate_sets_z_and_the_modes_of_before_are_kept(prober):
+    choose(prober, "Plate")
+    prober.page.fill("#probe-plate", "1.5")
+    prober.page.fill("#probe-feed", "400")
+    prober.reads("#probe-lines", "G10 L20 P0 Z1.5")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "Done")
+    prober.waits("grbl.modes.includes('G90')")
+    prober.waits("!grbl.offsets.get('G54').endsWith(',0.000')")
+    offset = prober.page.evaluate("Number(grbl.offsets.get('G54').split(',')[2])")
+    assert offset == pytest.approx(_HEIGHT - 1.5, abs=2 / 400)
+    shown = [re.escape(line) for line in prober.text("#probe-lines").split("\n")]
+    found = "\n".join(shown).replace(re.escape("(where it touched)"), r"-\d(\.\d+)?")
+    assert re.search(found, "\n".join(prober.machine.lines()))
+
+
+def work_zero(person: Person) -> "list[float]":
+    """In machine coordinates, once it is known to the page."""
+    person.click("#read-offsets")
+    person.waits("!grbl.linesUnderWay")
+    text: str = person.page.evaluate("grbl.offsets.get('G54')")
+    return [float(mm) for mm in text.split(",")]
+
+
+@pytest.mark.parametrize(("side", "axis", "place"), [("left", 0, 8), ("front", 1, 6)])
+def test_an_edge_counts_with_tool_and_plate(prober_at, side, axis, place):
+    prober = prober_at({"block": [8, -20] if axis == 0 else [-20, 6]})
+    choose(prober, "Edge")
+    prober.page.select_option("#probe-side", side)
+    for name, value in (("tool", "4"), ("plate", "1"), ("feed", "600")):
+        prober.page.fill(f"#probe-{name}", value)
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "Done")
+    assert work_zero(prober)[axis] == pytest.approx(place + 3, abs=2 * _STEP_MM)
+
+
+def test_a_corner_is_found_from_two_sides(prober_at):
+    prober = prober_at({"block": [5, -4]})
+    choose(prober, "Corner")
+    for name, value in (("tool", "2"), ("plate", "0"), ("far", "12"), ("feed", "900")):
+        prober.page.fill(f"#probe-{name}", value)
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "Done")
+    x, y, _ = work_zero(prober)
+    # The probe has no width here, and the tool is said to have 1 mm each way.
+    assert (x, y) == pytest.approx((5 + 1, -4 + 1), abs=2 * _STEP_MM)
+
+
+def test_the_middle_of_a_hole_is_found_and_gone_to(prober_at):
+    prober = prober_at({"hole": [3, -2, 8]})
+    choose(prober, "Hole")
+    prober.page.fill("#probe-feed", "900")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "Done")
+    assert work_zero(prober)[:2] == pytest.approx([3, -2], abs=2 * _STEP_MM)
+    prober.rests_at(0, 0, 0)
+
+
+def test_where_nothing_is_touched_it_says_what_to_do(prober):
+    choose(prober, "Plate")
+    prober.page.fill("#probe-far", "2")
+    prober.page.fill("#probe-feed", "400")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "ALARM:5")
+    prober.reads("#probe-says", "Check that the probe is below the tool")
+    assert not any(line.startswith("G10") for line in prober.machine.lines())
+
+
+def test_a_probe_that_touches_already_moves_nothing(prober):
+    prober.types("G0 Z-5")
+    prober.waits("grbl.pins.includes('P')")
+    choose(prober, "Plate")
+    prober.reads("#probe-state", "touches")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "The probe touches already")
+    assert not any("G38" in line for line in prober.machine.lines())
+
+
+def test_a_later_tool_gets_the_difference_to_the_first(prober):
+    choose(prober, "Tool length")
+    prober.page.fill("#probe-feed", "400")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "Done")
+    reference = prober.page.evaluate("probeSet.reference")
+    assert reference == pytest.approx(_HEIGHT, abs=2 / 400)
+    prober.page.evaluate("probeSet.reference = probeSet.reference - 2.5")  # it was a shorter one
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "Done")
+    prober.waits("Math.abs(Number(grbl.offsets.get('TLO')) - 2.5) < 0.01")
+
+
+def surface(x: float, y: float) -> float:
+    return _HEIGHT + _ALONG_X * x + _ALONG_Y * y
+
+
+def test_a_height_map_is_probed_drawn_kept_and_followed_by_the_program(prober, tmp_path):
+    prober.loads(_JOB)
+    choose(prober, "Height map")
+    prober.page.fill("#probe-columns", "3")
+    prober.page.fill("#probe-rows", "3")
+    prober.page.fill("#probe-feed", "600")
+    prober.page.fill("#probe-up", "1")
+    prober.reads("#probe-lines", "3 times 3 points: X 2 … 16, Y 1 … 9")
+    prober.click("#probe-run")
+    prober.reads("#probe-says", "9 points")
+    made = prober.page.evaluate("heightMap")
+    assert made["x"] == [2, 9, 16] and made["y"] == [1, 5, 9]
+    for y, row in zip(made["y"], made["z"], strict=True):
+        for x, z in zip(made["x"], row, strict=True):
+            assert z == pytest.approx(surface(x, y), abs=0.02)
+    assert prober.page.is_visible("#height-plot")
+
+    prober.click("#height-use")
+    prober.reads("#job-name", "job_level.nc")
+    text = prober.page.evaluate("program.text")
+    cuts = [
+        tuple(map(float, found))
+        for found in re.findall(r"^G1 X(\S+) Y(\S+) Z(\S+) F600$", text, re.MULTILINE)
+    ]
+    assert len(cuts) > 20
+    for x, y, z in cuts:
+        assert z == pytest.approx(-0.5 + surface(x, y), abs=0.03)
+    assert text.index("M3 S1000") < text.index("G1 ") < text.index("G4 P0.1") < text.index("M2")
+    with prober.page.expect_download() as saved:
+        prober.click("#tabs [data-tab=offsets]")
+        prober.click("#height-save")
+    assert json.loads(Path(saved.value.path()).read_text()) == made
+    prober.page.reload()
+    assert prober.page.evaluate("heightMap") == made
+
+
+@pytest.mark.parametrize(
+    ("program", "why"),
+    [
+        ("G21 G90\nG0 X0 Y0 Z1\nG38.2 Z-5 F50\nG1 X5\n", "line 3 has G38.2"),
+        ("G21 G90\nG0 X0 Y0 Z1\nG81 X5 Z-1 R1 F50\nG1 X6\n", "line 3 has G81"),
+        ("G21 G90\nG0 X0 Y0 Z1\nG91\nG1 X5 F50\n", "relative"),
+    ],
+)
+def test_what_cannot_follow_a_map_is_said(person, program, why):
+    person.loads(program)
+    found = person.page.evaluate(
+        """() => {
+          try {
+            return withHeights(program, { x: [0, 9], y: [0, 9], z: [[0, 1], [0, 1]] });
+          } catch (error) { return error.message; }
+        }"""
+    )
+    assert why in found
