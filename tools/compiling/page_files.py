@@ -20,7 +20,7 @@ DATA = "board_data"
 # disk, or for an address that is this computer's or has TLS.
 _USB_ONLY = (
     *(DATA, "prompt.js", "uf2_drive.js", "board_file.js", "board_wizard.js"),
-    "board_wizard.html",
+    *("board_wizard.html", "board_send.js"),
 )
 
 
