@@ -1,8 +1,8 @@
-"""What a browser needs of the world, for tests of the page: the page, and a wire to a simulator.
+"""Serve the page, and a wire to a simulator, to a browser under test.
 
-A small HTTP server on this computer. `/` is the page; `/serial` a websocket that carries the bytes
-of a serial port, for a stand-in of navigator.serial; `/ws` the one of `ugrbl web`, as far as one
-browser needs it; `/api/look` answers what a test has put there.
+A small HTTP server on this computer. `/` is the page. `/serial` is a websocket that carries the
+bytes of a serial port, for a stand-in of navigator.serial. `/ws` is the websocket of `ugrbl web`,
+as far as one browser needs it. `/api/look` answers with `Bridge.look`, which a test sets.
 """
 
 import base64
@@ -24,7 +24,7 @@ from typing import IO, Any
 from as_users import as_users
 from ugrbl.compiling import page_files
 
-# As somebody saves it, `ugrbl web --save`.
+# Saved as `ugrbl web --save` saves it.
 _FOLDER = TemporaryDirectory(prefix="ugrbl-page-")
 PAGE = Path(_FOLDER.name) / "ugrbl.html"
 PAGE.write_text(page_files.page(), encoding="utf-8")
@@ -36,10 +36,10 @@ _REPORT = re.compile(rb"<(\w+)[^|>]*\|MPos:([^|>]*)[^>]*?\|FS:(\d+)[^>]*>")
 
 
 class Machine:
-    """`ugrbl sim --stdio` of its own; all that went in and came out is kept."""
+    """Run one `ugrbl sim --stdio` and record all bytes sent and received."""
 
     def __init__(self, settings: Path, *options: str, command: "list[str] | None" = None) -> None:
-        """command: of another simulator, in place of all that."""
+        """Start the simulator. command: starts another simulator instead."""
         usual = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--settings", str(settings)]
         self.process = subprocess.Popen(
             command or [*usual, *options],
@@ -49,7 +49,7 @@ class Machine:
         )
         self.sent = bytearray()
         self.said = bytearray()
-        self.hears = True  # else what is sent gets nowhere
+        self.hears = True  # False: bytes sent are recorded, but do not reach the simulator
         self._sinks: list[Socket] = []
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -61,7 +61,7 @@ class Machine:
             self.process.stdin.flush()
 
     def say(self, data: bytes) -> None:
-        """To all who listen, as if it came from the machine."""
+        """Send data to all attached sockets, as if the machine had sent it."""
         for sink in list(self._sinks):
             with suppress(OSError):
                 sink.send(_BINARY, data)
@@ -73,24 +73,24 @@ class Machine:
         self._sinks.remove(sink)
 
     def unplug(self) -> None:
-        """Whoever listens is cut off."""
+        """Close the connection of every attached socket."""
         for sink in list(self._sinks):
             sink.close()
 
     def lines(self) -> list[str]:
-        """What was sent, by line, without what acts at once."""
+        """Return the lines sent, without realtime bytes."""
         acts = bytes([0x18, *b"?!~", *range(0x80, 0x100)])
         return self.sent.translate(None, acts).decode("ascii").split("\n")[:-1]
 
     def reports(self, since: int = 0) -> list[tuple[str, list[float], float]]:
-        """State, machine position in mm, and feed of each report; since: from that byte on."""
+        """Return state, machine position in mm, and feed of each report; since: the first byte."""
         return [
             (state.decode(), [float(mm) for mm in place.split(b",")], float(feed))
             for state, place, feed in _REPORT.findall(self.said, since)
         ]
 
     def report(self, state: str = "") -> tuple[str, list[float], float]:
-        """The next one, asked for past the page; the first of that state, if one is said."""
+        """Request reports directly, not through the page; return the first with that state."""
         until = time.monotonic() + _PATIENCE_S
         while time.monotonic() < until:
             before = len(self.said)
@@ -102,14 +102,14 @@ class Machine:
         raise AssertionError(f"never {state}")
 
     def waits_for(self, words: bytes) -> None:
-        """Until it has said that."""
+        """Wait until the machine has sent words."""
         until = time.monotonic() + _COMPILED_S
         while words not in self.said:
             assert time.monotonic() < until, f"never {words!r}"
             time.sleep(0.05)
 
     def is_new(self) -> bool:
-        """Nobody has used it yet."""
+        """Return whether the machine runs and nothing has been sent to it."""
         return not self.sent and self.process.poll() is None
 
     def close(self) -> None:
@@ -124,7 +124,7 @@ class Machine:
 
 
 class Socket:
-    """A websocket, on the server's side."""
+    """The server's side of a websocket."""
 
     def __init__(self, reader: IO[bytes], writer: Any) -> None:
         self._reader = reader
@@ -141,7 +141,7 @@ class Socket:
         self.send(_TEXT, json.dumps(news).encode())
 
     def receive(self) -> tuple[int, bytes]:
-        """Kind and content of the next message; _CLOSE at the end."""
+        """Return kind and content of the next message; _CLOSE at the end of the stream."""
         head = self._reader.read(2)
         if len(head) < 2:
             return _CLOSE, b""
@@ -158,7 +158,7 @@ class Socket:
 
 
 class Bridge(ThreadingHTTPServer):
-    """The server. drives: whether a browser that connects to /ws drives at once."""
+    """Serve one machine. drives: whether a browser that connects to /ws controls it at once."""
 
     daemon_threads = True
 
@@ -167,13 +167,13 @@ class Bridge(ThreadingHTTPServer):
         self.machine = machine
         self.drives = True
         self.look: dict[str, object] | None = None
-        self.looked: dict[str, Any] = {}  # what /api/look was asked last
+        self.looked: dict[str, Any] = {}  # the last request to /api/look
         self.asked_for: list[str] = []  # paths, with their queries
         self.address = f"127.0.0.1:{self.server_address[1]}"
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
     def handle_error(self, *_: object) -> None:
-        """A browser that has gone is no failure."""
+        """Ignore connections that browsers have closed."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -181,7 +181,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: Bridge
 
     def log_message(self, *_: object) -> None:
-        """Nobody reads it."""
+        """Suppress the log."""
 
     def do_GET(self) -> None:
         self.server.asked_for.append(self.path)
@@ -222,7 +222,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._carry(Socket(self.rfile, self.connection), serves)
 
     def _carry(self, socket: Socket, serves: bool) -> None:
-        """Bytes both ways until one side has gone. serves: as `ugrbl web` does."""
+        """Carry bytes both ways until one side closes. serves: behave as /ws of `ugrbl web`."""
         machine, drives = self.server.machine, self.server.drives or not serves
         if serves:
             socket.tell(_news(drives, 1))

@@ -1,4 +1,4 @@
-"""The page in a real browser, for tests: what a person does at it, and what they read."""
+"""Drive the page in a real browser: what a person does, and what the person reads."""
 
 import os
 import re
@@ -15,7 +15,7 @@ SETTINGS = {
     **dict.fromkeys((110, 111, 112), "3000.000"),
     **dict.fromkeys((120, 121, 122), "500.000"),
 }
-# A machine with switches, and a program that takes its time.
+# Settings of a machine with switches, and a program that runs for some seconds.
 HOMING = {22: "1", 25: "2000.000", 24: "500.000", 130: "30.000", 131: "30.000", 132: "30.000"}
 FAR = "G21 G90\nG1 X40 F600\nG1 Y20\nG1 X0\nG1 Y0\n"
 _STAND_IN = Path(__file__).with_name("serial_stand_in.js")
@@ -23,7 +23,7 @@ _LONG_MS = 30_000
 
 
 def chromium() -> str:
-    """Where Chromium is; skips where there is none."""
+    """Return the path of Chromium; skip the test where it is not installed."""
     named = os.environ.get("UGRBL_CHROMIUM")
     found = named or shutil.which("chromium") or shutil.which("chromium-browser")
     if not found:
@@ -33,7 +33,7 @@ def chromium() -> str:
 
 @contextmanager
 def browser() -> Iterator[Any]:
-    """A browser without a window."""
+    """Open a headless browser."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as started:
         opened = started.chromium.launch(
@@ -44,7 +44,7 @@ def browser() -> Iterator[Any]:
 
 
 class Visitor:
-    """Somebody with the page before them."""
+    """A person at the page."""
 
     def __init__(self, page: Any, folder: Path) -> None:
         self.page = page
@@ -52,18 +52,18 @@ class Visitor:
         self.faults: list[str] = []
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
-    # What they do
+    # Actions
 
     def click(self, selector: str) -> None:
         self.page.click(selector, timeout=_LONG_MS)
 
     def press(self, selector: str) -> None:
-        """Put a finger down and leave it there."""
+        """Press the mouse button on the element and hold it."""
         self.page.hover(selector)
         self.page.mouse.down()
 
     def types(self, line: str) -> None:
-        """A line, in the console."""
+        """Send a line in the console."""
         self.click("#tabs [data-tab=console]")
         self.page.fill("#line", line)
         self.page.press("#line", "Enter")
@@ -75,17 +75,20 @@ class Visitor:
         self.reads("#job-name", name)
 
     def crash(self) -> None:
-        """The tab is gone, in the middle of whatever it did."""
-        with self.page.expect_event("crash"), suppress(Exception):  # the crash is one for goto()
+        """Crash the tab."""
+        with self.page.expect_event("crash"), suppress(Exception):  # goto() fails
             self.page.goto("chrome://crash", timeout=_LONG_MS)
 
     def hang(self) -> None:
-        """The tab does nothing any more for a while."""
+        """Block the tab's script for a while."""
         busy = "const end = Date.now() + 2000; while (Date.now() < end);"
         self.page.evaluate(f"void setTimeout(() => {{ {busy} }})")
 
     def homes(self) -> None:
-        """To the end. Its state is no help: Grbl says Home once, when it is nearly over."""
+        """Home and wait for the end.
+
+        The state cannot be used, because Grbl reports Home only once, near the end.
+        """
         self.click("#home")
         self.waits("!grbl.linesUnderWay && grbl.state === 'Idle'")
         self.waits("String(grbl.machine) === '-1,-1,-1'")
@@ -93,17 +96,17 @@ class Visitor:
     def pauses(self, seconds: float) -> None:
         self.page.wait_for_timeout(1000 * seconds)
 
-    # What they see
+    # What the page shows
 
     def waits(self, condition: str) -> None:
         self.page.wait_for_function(f"() => {condition}", timeout=_LONG_MS)
 
     def knows_all(self) -> None:
-        """Waits until the machine has answered what the page asks at first."""
+        """Wait until the machine has answered the page's first requests."""
         self.waits("grbl.settled && grbl.modes.length && grbl.offsets.size && !grbl.linesUnderWay")
 
     def reads(self, selector: str, text: str) -> None:
-        """Waits until it says so."""
+        """Wait until the element contains the words."""
         self.page.wait_for_function(
             "([where, text]) => document.querySelector(where)?.textContent.includes(text)",
             arg=[selector, text],
@@ -117,15 +120,15 @@ class Visitor:
         return str(self.page.text_content(selector))
 
     def place(self) -> list[float]:
-        """As shown large."""
+        """Return the position in the large display."""
         return [float(text) for text in self.page.locator("#axes .value").all_text_contents()]
 
     def rests_at(self, *place: float) -> None:
-        """Waits for the machine to be there, at rest."""
+        """Wait until the machine is idle at that position."""
         self.waits(f"grbl.state === 'Idle' && String(grbl.work.map(Number)) === '{_js(place)}'")
 
     def shown_place(self) -> list[float]:
-        """Where it stands, when it has come to rest."""
+        """Return the position displayed once the machine is idle."""
         self.sees("Idle")
         self.pauses(0.5)
         return self.place()
@@ -135,7 +138,7 @@ class Visitor:
 
 
 class Person(Visitor):
-    """With a simulated machine behind it, on a wire that a test can see and cut."""
+    """A visitor with a simulated machine, on a wire that a test can read and cut."""
 
     def __init__(self, page: Any, machine: Machine, bridge: Bridge, folder: Path) -> None:
         super().__init__(page, folder)
@@ -148,7 +151,7 @@ class Person(Visitor):
         self.page.goto(PAGE.as_uri())
 
     def connect(self, state: str = "Idle") -> None:
-        """By USB; until all is known that is shown."""
+        """Connect by USB and wait until all displayed values are known."""
         self.page.click("#connect")
         self.sees(state)
         self.knows_all()
@@ -162,7 +165,7 @@ def _js(place: tuple[float, ...]) -> str:
 
 
 def settings_file(folder: Path, changes: dict[int, str]) -> Path:
-    """Settings of a quick machine, and what is different."""
+    """Write the settings of a fast machine, changed by those given."""
     path = folder / "machine.settings"
     values = {**SETTINGS, **changes}
     path.write_text("".join(f"${number}={value}\n" for number, value in values.items()))
@@ -170,5 +173,5 @@ def settings_file(folder: Path, changes: dict[int, str]) -> Path:
 
 
 def sent_at_once(machine: Machine) -> bytes:
-    """The bytes that act at once, without the questions for the status."""
+    """Return the realtime bytes sent, without status requests."""
     return bytes(re.sub(rb"[^\x18!~\x80-\xff]", b"", machine.sent))

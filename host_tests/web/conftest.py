@@ -1,4 +1,4 @@
-"""A browser for all tests of the page, and for each of them a page and a machine of its own."""
+"""Provide one browser for all tests of the page, and a page and a machine for each test."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,14 +11,17 @@ from browser import HOMING, Person, browser, settings_file
 
 @pytest.fixture(scope="module")
 def opened() -> Iterator[Any]:
-    """Not longer: while it is there, asyncio has a loop that others must not find."""
+    """Open the browser for one module.
+
+    While it is open, asyncio has a loop that other tests must not find.
+    """
     with browser() as made:
         yield made
 
 
 @pytest.fixture(scope="module")
 def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Machine]]:
-    """Makes machines of their own; the usual one starts while the test before waits for its."""
+    """Return a maker of machines. The default machine for the next test is started in advance."""
 
     def start(settings: dict[int, str], *options: str) -> Machine:
         return Machine(settings_file(tmp_path_factory.mktemp("machine"), settings), *options)
@@ -30,7 +33,7 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[...,
         return usual.pop(0)
 
     usual = [start({})]
-    usual[0].waits_for(b"Grbl ")  # the first one has its kernels compiled, for all that follow
+    usual[0].waits_for(b"Grbl ")  # the first machine compiles the kernels for all later ones
 
     yield make
     for machine in usual:
@@ -41,7 +44,7 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[...,
 def person_at(
     opened: Any, machines: Callable[..., Machine], tmp_path: Path
 ) -> Iterator[Callable[..., Person]]:
-    """Makes a person: settings, options of the simulator, what kind of screen they have."""
+    """Return a maker of persons from settings, simulator options and screen options."""
     ends: list[Callable[[], object]] = []
     people: list[Person] = []
 
@@ -50,7 +53,8 @@ def person_at(
     ) -> Person:
         machine = machines(settings or {}, *options)
         bridge = Bridge(machine)
-        # Opened from disk the page may connect to nothing, the stand-in of the port too.
+        # A page opened from disk may connect to nothing, so the stand-in of the port may not
+        # either.
         usual = {"viewport": {"width": 1280, "height": 900}, "bypass_csp": True}
         context = opened.new_context(**{**usual, **(on or {})})
         ends.extend((context.close, bridge.shutdown, machine.close))
@@ -65,7 +69,7 @@ def person_at(
 
 @pytest.fixture
 def person(person_at: Callable[..., Person]) -> Person:
-    """Connected by USB to a machine that is ready."""
+    """A person connected by USB to a machine that is ready."""
     made = person_at()
     made.open_from_disk()
     made.connect()
@@ -74,7 +78,7 @@ def person(person_at: Callable[..., Person]) -> Person:
 
 @pytest.fixture
 def homer(person_at: Callable[..., Person]) -> Person:
-    """At a machine that has switches, and is locked until it is homed."""
+    """A person at a machine that has switches and is locked until it is homed."""
     made = person_at(HOMING, "--switches")
     made.open_from_disk()
     made.connect("Alarm")

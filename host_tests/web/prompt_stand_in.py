@@ -1,9 +1,10 @@
-"""A board with MicroPython's prompt, and files, on the wire of bridge.py: for tests of setting up.
+"""Stand in for a board with MicroPython's prompt and files, on the wire of bridge.py.
 
-Python is run by the desktop's MicroPython in a folder that stands for the board's flash. The
-firmware's start is its own: it imports board.py and looks at the options, and says what is wrong
-in its words; the machine that runs then is the simulator. What the prompt itself says is
-MicroPython's shared/runtime/pyexec.c; host_tests/emulator/test_page_emulated.py has the real one.
+For tests of the setup. The desktop's MicroPython runs the Python code in a folder that stands for
+the board's flash. The start is the firmware's own code: it imports board.py, checks the options
+and reports faults in its own words. The machine that runs afterwards is the simulator. The
+prompt's output follows MicroPython's shared/runtime/pyexec.c.
+host_tests/emulator/test_page_emulated.py tests the real prompt.
 """
 
 import subprocess
@@ -17,7 +18,7 @@ from micropython_runner import MICROPYTHON, placed_firmware
 PICO = "Raspberry Pi Pico with RP2040"
 _BANNER = b"\r\nMicroPython v1.28.0 on 2026-01-01; " + PICO.encode() + b"\r\n>>> "
 _RAW = b"raw REPL; CTRL-B to exit\r\n>"
-# Runs a script after the other in one interpreter, and prints \x04, its traceback, \x04.
+# Runs scripts one after the other in one interpreter; prints \x04, the traceback, \x04 after each.
 _DRIVER = """
 import io, sys
 machine, frozen = sys.argv[1], sys.argv[2] == "frozen"
@@ -40,7 +41,7 @@ while True:
         fault = said.getvalue()
     print("\\x04" + fault.replace("\\n", "\\r\\n") + "\\x04", end="")
 """
-# Prints nothing where the firmware starts, else its message.
+# Prints nothing if the firmware starts, else its message.
 _START = """
 import sys
 sys.path.insert(0, "./")
@@ -55,18 +56,18 @@ except Exception as fault:
 
 
 class PromptBoard:
-    """In the place of a Machine. has: what is on it, "frozen", "files" or "nothing" of ours."""
+    """Replace a Machine. has: how ugrbl is installed, "frozen", "files" or "nothing"."""
 
     def __init__(
         self, folder: Path, make_machine: Callable[[], Machine], has: str = "frozen"
     ) -> None:
         self.folder = folder
         self.machine: "Machine | None" = None
-        self.damage = b""  # what is lost on the way in
+        self.damage = b""  # bytes lost on the way to the board
         self.sent = bytearray()
         self._make_machine = make_machine
         self._has = has
-        self._firmware = placed_firmware()  # made once, in its own time
+        self._firmware = placed_firmware()  # no later start waits for it
         self._mode = "friendly"
         self._line = bytearray()
         self._message = b""
@@ -76,7 +77,7 @@ class PromptBoard:
         if has == "files":
             (folder / "main.py").write_text("# ugrbl")
 
-    # What bridge.py asks for
+    # The interface that bridge.py uses
 
     def attach(self, sink: Socket) -> None:
         self._sinks.append(sink)
@@ -102,7 +103,7 @@ class PromptBoard:
         self._end_python()
 
     def power_up(self) -> None:
-        """As if it was plugged in."""
+        """Start as after plugging in."""
         self._start()
 
     # The prompt
@@ -162,7 +163,7 @@ class PromptBoard:
             self._say(b"OK" + self.run(code) + b">")
 
     def run(self, code: str) -> bytes:
-        """What a script prints, \\x04, its traceback, \\x04."""
+        """Return a script's output, \\\\x04, its traceback, \\\\x04."""
         if self._python is None:
             self._python = self._interpreter(_DRIVER, PICO, self._has)
         put: Any = self._python.stdin
@@ -202,7 +203,7 @@ class PromptBoard:
         if said:
             self._message = b"[MSG:" + said + b"]\r\n"
             self._say(self._message)
-            # Where no link is known yet, main.py ends; else it says so for ever.
+            # main.py ends if no link is known yet; otherwise it repeats the message for ever.
             has_link = b"'board'" not in said and b"Syntax" not in said
             self._mode = "stuck" if has_link else "friendly"
             if not has_link:
@@ -212,7 +213,7 @@ class PromptBoard:
         if self.machine:
             self.machine.close()
         self.machine = self._make_machine()
-        self._say(bytes(self.machine.said))  # it may have started already
+        self._say(bytes(self.machine.said))  # output received before the sockets were attached
         for sink in self._sinks:
             self.machine.attach(sink)
 

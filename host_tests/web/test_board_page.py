@@ -1,5 +1,4 @@
-"""The page from the board itself, in a real browser: `ugrbl sim --page` has the firmware that
-serves it."""
+"""Test the page served by the board itself in a real browser: `ugrbl sim --page`."""
 
 import re
 import subprocess
@@ -16,11 +15,11 @@ from browser import SETTINGS, Visitor, settings_file
 
 pytestmark = [pytest.mark.xdist_group("board's page"), pytest.mark.thorough]
 
-_PATIENCE_S = 200.0  # the first machine has its kernels compiled
+_PATIENCE_S = 200.0  # the first machine compiles the kernels
 
 
 class Board:
-    """A simulated board with its network, a terminal on stdin and stdout as its cable."""
+    """Run a simulated board with its network; stdin and stdout stand for its USB cable."""
 
     def __init__(self, settings: Path) -> None:
         command = [sys.executable, "-m", "ugrbl.cli", "sim", "--board", "sim_page", "--stdio"]
@@ -42,7 +41,7 @@ class Board:
             self.said += data
 
     def finds(self, pattern: bytes) -> str:
-        """Waits until that is said at the cable."""
+        """Wait until the pattern is received over USB; return its group."""
         until = time.monotonic() + _PATIENCE_S
         while not (found := re.search(pattern, self.said)):
             assert time.monotonic() < until, self.said
@@ -50,7 +49,7 @@ class Board:
         return found[1].decode()
 
     def say(self, text: bytes) -> None:
-        """At the cable."""
+        """Send text over USB."""
         assert self.process.stdin
         self.process.stdin.write(text)
         self.process.stdin.flush()
@@ -62,7 +61,7 @@ class Board:
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Board]:
-    """Where the test before has left it."""
+    """The board of all tests here; each test finds the state that the one before left."""
     made = Board(settings_file(tmp_path_factory.mktemp("board"), SETTINGS))
     yield made
     made.close()
@@ -86,7 +85,7 @@ def visit(opened: Any, board: Board, tmp_path: Path) -> Iterator[Callable[..., V
     assert not [fault for visitor in visitors for fault in visitor.faults], "the script failed"
 
 
-def test_the_page_comes_from_the_board_reads_at_once_and_drives_with_the_key(
+def test_page_served_by_board_reads_at_once_and_controls_with_key(
     board: Board, visit: Callable[..., Visitor]
 ) -> None:
     person = visit()
@@ -110,16 +109,14 @@ def test_the_page_comes_from_the_board_reads_at_once_and_drives_with_the_key(
 
 
 def unlocked(board: Board, person: Visitor) -> Visitor:
-    """It has said the key."""
+    """Enter the key and wait for the machine's answers."""
     person.page.fill("#notice-key input", board.key)
     person.page.keyboard.press("Enter")
     person.knows_all()
     return person
 
 
-def test_a_key_that_is_typed_in_the_console_is_not_to_be_read_there(
-    board: Board, visit: Callable[..., Visitor]
-) -> None:
+def test_key_typed_in_console_is_not_shown(board: Board, visit: Callable[..., Visitor]) -> None:
     person = unlocked(board, visit())
     person.types(f"$NET/KEY={board.key}")
     person.reads("#log", "> $NET/KEY=…")
@@ -128,7 +125,7 @@ def test_a_key_that_is_typed_in_the_console_is_not_to_be_read_there(
     assert person.page.input_value("#line") == ""
 
 
-def test_a_job_is_run_held_and_ended_from_it(board: Board, visit: Callable[..., Visitor]) -> None:
+def test_job_is_run_held_and_ended_from_page(board: Board, visit: Callable[..., Visitor]) -> None:
     person = unlocked(board, visit())
     person.types("G92 X0 Y0")
     person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(14)))
@@ -143,7 +140,7 @@ def test_a_job_is_run_held_and_ended_from_it(board: Board, visit: Callable[..., 
     person.rests_at(10, 1, 0)
 
 
-def test_of_two_pages_one_watches_and_takes_over_when_the_other_has_been_silent(
+def test_second_page_watches_and_takes_over_after_first_was_silent(
     board: Board, visit: Callable[..., Visitor]
 ) -> None:
     one = unlocked(board, visit())
@@ -156,14 +153,14 @@ def test_of_two_pages_one_watches_and_takes_over_when_the_other_has_been_silent(
     one.types("G4 P0.1")
     two.click("#take")
     two.reads("#notice-trouble", "nobody has sent a line for 5 seconds")
-    two.waits("grbl.state === 'Idle'")  # it is told how the machine stands all the same
+    two.waits("grbl.state === 'Idle'")  # it reads the machine's state all the same
     two.pauses(5.5)
     two.click("#take")
     two.waits("grbl.drives && grbl.settled")
     one.reads("#notice-watch", "Somebody else drives this machine")
 
 
-def test_a_page_that_is_loaded_anew_while_the_machine_works_changes_nothing(
+def test_page_reloaded_while_machine_moves_changes_nothing(
     board: Board, visit: Callable[..., Visitor]
 ) -> None:
     person = unlocked(board, visit())
@@ -181,7 +178,7 @@ def test_a_page_that_is_loaded_anew_while_the_machine_works_changes_nothing(
     person.types("G90")
 
 
-def test_a_board_that_goes_is_said(board: Board, visit: Callable[..., Visitor]) -> None:
+def test_lost_board_is_reported(board: Board, visit: Callable[..., Visitor]) -> None:
     person = unlocked(board, visit())
     board.close()
     person.reads("#notice-lost", "The machine ends the lines it has been given")

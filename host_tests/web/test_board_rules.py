@@ -1,4 +1,4 @@
-"""The page's rules for board files are those of Python: random boards, judged by both."""
+"""Test that the page's rules for board files are those of Python, with random boards."""
 
 import random
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ def page() -> Iterator[Any]:
 
 
 def _pins(chip: str, rng: random.Random, count: int, fresh: list[int]) -> list[Any]:
-    """Mostly pins that are free; now and then one that cannot be, or is in use."""
+    """Return mostly free pins; sometimes one that is not allowed or is in use."""
     odd = [rng.choice((0, 23, 25, 29, 34, 40, 50)), rng.choice(sorted(CHIPS[chip].pins))]
     return [
         rng.choice(odd) if rng.random() < 0.01 or not fresh else fresh.pop() for _ in range(count)
@@ -60,7 +60,7 @@ def _option(name: str, rng: random.Random) -> Any:
 
 
 def draft(rng: random.Random) -> dict[str, Any]:
-    """A board as the page keeps it: good ones, and ones with a fault or two."""
+    """Return a board as the page stores it: correct, or with one or two faults."""
     chip = rng.choice(list(CHIPS))
     fresh = sorted(CHIPS[chip].pins)
     rng.shuffle(fresh)
@@ -96,7 +96,7 @@ def draft(rng: random.Random) -> dict[str, Any]:
     }
 
 
-def test_both_find_the_same_in_a_thousand_boards(
+def test_page_and_python_find_same_problems_in_1000_boards(
     page: Any, tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:
     rng = random.Random(pytestconfig.getoption("seed"))
@@ -117,9 +117,7 @@ def test_both_find_the_same_in_a_thousand_boards(
     assert _COUNT / 10 < good < _COUNT * 9 / 10, "a test of both needs good ones and bad ones"
 
 
-def test_a_plain_board_is_written_as_new_board_writes_it(
-    page: Any, pytestconfig: pytest.Config
-) -> None:
+def test_simple_board_is_written_as_by_new_board(page: Any, pytestconfig: pytest.Config) -> None:
     rng = random.Random(pytestconfig.getoption("seed"))
     compared = 0
     while compared < 30:
@@ -133,7 +131,7 @@ def test_a_plain_board_is_written_as_new_board_writes_it(
         compared += 1
 
 
-def test_every_board_can_be_changed_and_stays_what_it_was(page: Any, tmp_path: Path) -> None:
+def test_every_board_stays_same_when_edited(page: Any, tmp_path: Path) -> None:
     changeable = 0
     for name in (name for name in boards() if not name.startswith("sim")):
         text, problems = page.evaluate(
@@ -162,7 +160,7 @@ def _says(board: Any) -> dict[str, Any]:
     return {name: value for name, value in found.items() if defaults.get(name) != value}
 
 
-def test_a_drawing_has_every_pin_of_its_chip_once() -> None:
+def test_drawing_has_every_pin_of_chip_once() -> None:
     for name, chip in CHIPS.items():
         drawn = module(name)
         words = f"{drawn.left} {drawn.right} {drawn.on_board}".split()
@@ -170,8 +168,8 @@ def test_a_drawing_has_every_pin_of_its_chip_once() -> None:
         assert sorted(pins) == sorted(chip.pins), name
 
 
-def test_every_option_is_in_a_form_a_pin_or_left_out_for_a_reason() -> None:
-    """A new option is one to decide about: FORMS has it, or this list has."""
+def test_every_option_is_in_form_or_pin_or_excluded() -> None:
+    """A new option needs a decision: add it to FORMS or to this list."""
     pins = {item.name for item in ITEMS} | {
         "REPL_PIN",
         "OUTPUTS",

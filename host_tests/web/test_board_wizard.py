@@ -1,4 +1,4 @@
-"""Setting a board up in the page: from an empty board to a machine that answers."""
+"""Test the setup of a board in the page, from an empty board to a machine that answers."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +20,7 @@ _PICO = (BOARDS / "rpi_pico.py").read_text()
 def set_up(
     person_at: Callable[..., Person], machines: Callable[..., Any], tmp_path: Path
 ) -> Iterator[Callable[..., Person]]:
-    """Makes somebody with the page from disk and a board that has what is said."""
+    """Return a maker of persons: the page from disk, and a board with that content."""
     made: "list[PromptBoard]" = []
 
     def make(has: str = "frozen", board: str = "", **options: Any) -> Person:
@@ -29,7 +29,7 @@ def set_up(
         if board:
             (flash / "board.py").write_text(board)
         person = person_at(**options)
-        ready = machines({})  # it starts while somebody reads
+        ready = machines({})  # starts while the person reads
         made.append(PromptBoard(flash, lambda: ready if ready.is_new() else machines({}), has))
         person.bridge.machine = made[0]  # type: ignore[assignment]
         person.open_from_disk()
@@ -51,16 +51,16 @@ def step(person: Person, name: str) -> None:
 
 
 def give(person: Person, **jobs: int) -> None:
-    """A job for each pin, as somebody chooses it by its words."""
+    """Give each pin a job, chosen by its label."""
     for words, pin in jobs.items():
         person.page.select_option(f"#pin-{pin}", label=words.replace("_", " "))
 
 
-# In whatever state
+# States of the board at first
 
 
 @pytest.mark.sampled(1)
-def test_a_board_without_a_board_file_is_led_to_the_choice_of_one(set_up):
+def test_board_without_board_file_leads_to_choice(set_up):
     person = set_up()
     person.click("#connect")
     person.reads(
@@ -73,7 +73,7 @@ def test_a_board_without_a_board_file_is_led_to_the_choice_of_one(set_up):
     assert person.text("#state-name") == "Prompt" and not person.page.is_enabled("#stop")
 
 
-def test_micropython_without_ugrbl_says_which_file_to_drag(set_up):
+def test_micropython_without_ugrbl_names_file_to_copy(set_up):
     person = set_up("nothing")
     person.click("#connect")
     person.reads("#setup-found", "without ugrbl")
@@ -84,7 +84,7 @@ def test_micropython_without_ugrbl_says_which_file_to_drag(set_up):
     assert person.text("#uf2-drive") == "RP2350"
 
 
-def test_a_machine_at_work_goes_on_and_its_board_file_can_be_read(set_up):
+def test_running_machine_continues_and_its_board_file_is_read(set_up):
     person = set_up(board=_PICO)
     person.bridge.machine.power_up()
     person.click("#connect")
@@ -96,11 +96,11 @@ def test_a_machine_at_work_goes_on_and_its_board_file_can_be_read(set_up):
     person.waits(
         "document.getElementById('board-text').value.includes('Raspberry Pi Pico with three')"
     )
-    person.sees("Idle")  # it was started again
+    person.sees("Idle")  # it was restarted
     person.knows_all()
 
 
-def test_a_machine_in_motion_is_not_disturbed(set_up):
+def test_moving_machine_is_not_interrupted(set_up):
     person = set_up(board=_PICO)
     person.bridge.machine.power_up()
     person.click("#connect")
@@ -114,7 +114,7 @@ def test_a_machine_in_motion_is_not_disturbed(set_up):
     assert b"\x03" not in person.bridge.machine.sent
 
 
-def test_a_board_that_says_nothing_is_said_to(set_up):
+def test_silent_board_is_reported(set_up):
     person = set_up()
     person.bridge.machine.write = lambda data: None
     person.click("#connect")
@@ -127,7 +127,7 @@ def test_a_board_that_says_nothing_is_said_to(set_up):
 # From pins to a machine
 
 
-def test_from_an_empty_board_with_pins_of_ones_own_to_a_machine(set_up):
+def test_empty_board_becomes_machine_with_own_pins(set_up):
     person = set_up()
     person.click("#connect")
     person.reads("#setup-found", "without a board file")
@@ -156,7 +156,7 @@ def test_from_an_empty_board_with_pins_of_ones_own_to_a_machine(set_up):
     assert not (flash_of(person) / "new.py").exists()
 
 
-def test_what_cannot_be_is_said_at_once_in_the_words_of_the_board_check(set_up):
+def test_fault_is_shown_at_once_in_words_of_board_check(set_up):
     person = set_up()
     step(person, "board")
     person.page.select_option("#board-chip", "esp32")
@@ -169,7 +169,7 @@ def test_what_cannot_be_is_said_at_once_in_the_words_of_the_board_check(set_up):
     assert person.page.input_value("#pin-34") == ""
 
 
-def test_a_second_motor_of_an_axis_has_pins_of_its_own(set_up):
+def test_second_motor_of_axis_has_own_pins(set_up):
     person = set_up()
     step(person, "board")
     person.click("#board-cards b:text-is('rpi_pico')")
@@ -183,7 +183,7 @@ def test_a_second_motor_of_an_axis_has_pins_of_its_own(set_up):
     assert "LIMIT = (9, 10, 11, 21)" in text
 
 
-def test_what_was_entered_outlives_the_page(set_up):
+def test_entries_are_kept_when_page_is_reloaded(set_up):
     person = set_up()
     step(person, "board")
     person.click("text=My own")
@@ -194,7 +194,7 @@ def test_what_was_entered_outlives_the_page(set_up):
     assert person.page.input_value("#pin-2") == "STEP 0"
 
 
-# What goes wrong
+# Faults
 
 _MARKED = """(() => {
   const { value, selectionStart, selectionEnd } = document.getElementById("board-text");
@@ -210,7 +210,7 @@ _MARKED = """(() => {
         (_PICO + "\nJERK = True\nSKEW = True\n", len(_PICO.split("\n")) + 2, "SKEW and JERK"),
     ],
 )
-def test_an_error_comes_back_with_its_line(set_up, text, line, words):
+def test_fault_is_shown_with_its_line(set_up, text, line, words):
     person = set_up(board=_PICO)
     person.click("#connect")
     person.reads("#setup-found", "The machine does not run")
@@ -227,19 +227,19 @@ def test_an_error_comes_back_with_its_line(set_up, text, line, words):
     assert person.page.input_value("#board-text") == _PICO
 
 
-def test_a_file_that_is_damaged_on_its_way_does_not_replace_the_old_one(set_up):
+def test_file_damaged_on_its_way_does_not_replace_old_file(set_up):
     person = set_up(board=_PICO)
     person.click("#connect")
     person.reads("#setup-found", "The machine does not run")
     step(person, "file")
-    person.bridge.machine.damage = b"\\x58"  # an X, as it is sent
+    person.bridge.machine.damage = b"\\x58"  # an X in the escaped form of the script that sends it
     person.page.fill("#board-text", 'MPY_ARCH = "armv6m"  # X\n')
     person.click("#send-board")
     person.reads("#file-says", "the file was damaged on its way")
     assert (flash_of(person) / "board.py").read_text() == _PICO
 
 
-def test_a_file_for_another_chip_is_not_sent(set_up):
+def test_file_for_another_chip_is_not_sent(set_up):
     person = set_up(board=_PICO)
     person.click("#connect")
     person.reads("#setup-found", "The machine does not run")
@@ -250,10 +250,10 @@ def test_a_file_for_another_chip_is_not_sent(set_up):
     assert (flash_of(person) / "board.py").read_text() == _PICO
 
 
-# Python of the user's own
+# The user's Python code
 
 
-def test_custom_py_is_sent_and_its_error_is_marked(set_up):
+def test_custom_py_is_sent_and_its_fault_is_marked(set_up):
     person = set_up(board=_PICO)
     person.click("#connect")
     person.reads("#setup-found", "The machine does not run")
@@ -276,7 +276,7 @@ def test_custom_py_is_sent_and_its_error_is_marked(set_up):
     assert (flash_of(person) / "board.py").read_text() == _PICO
 
 
-# The drive of the boot loader
+# The boot loader's drive
 
 _DRIVE = """
 async ([id, name, bytes]) => {
@@ -313,9 +313,9 @@ def uf2(family: int) -> bytes:
         ("RPI-RP2", uf2(0xADA52840), "for another chip"),
     ],
 )
-def test_only_the_right_file_goes_onto_the_right_drive(person_at, drive, image, words):
+def test_only_matching_file_is_written_to_drive(person_at, drive, image, words):
     person = person_at()
-    person.open_served()  # a folder of the browser's own is there for addresses only
+    person.open_served()  # the browser's private folder needs a page with an address
     said, size = person.page.evaluate(_DRIVE, [drive, "f.uf2", list(image)])
     assert words in said
     assert size == (len(image) if "is on the board" in words else 0)

@@ -1,4 +1,4 @@
-"""The page at the exact firmware: a browser without a window, and the simulator behind it."""
+"""Test the page with a headless browser and the simulator, which runs the exact firmware."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
 
 
 @pytest.mark.sampled(1)
-def test_nothing_is_sent_before_somebody_connects_and_only_questions_after(person_at):
+def test_nothing_is_sent_before_connecting_and_only_queries_after(person_at):
     person = person_at()
     person.open_from_disk()
     person.reads("#state-words", "press Connect")
@@ -26,13 +26,13 @@ def test_nothing_is_sent_before_somebody_connects_and_only_questions_after(perso
     assert not sent_at_once(person.machine)
 
 
-def test_state_place_and_modes_are_shown(person):
+def test_state_position_and_modes_are_shown(person):
     assert person.place() == [0, 0, 0]
     assert person.text("#modes").startswith("G0 G54 G17 G21 G90 G94 M5")
     assert person.page.evaluate("grbl.window") == 127
 
 
-def test_without_web_serial_it_says_what_to_do(person_at):
+def test_without_web_serial_page_says_what_to_do(person_at):
     person = person_at()
     person.page.add_init_script("delete Navigator.prototype.serial")
     person.page.goto(_page_uri())
@@ -46,7 +46,7 @@ def _page_uri():
     return PAGE.as_uri()
 
 
-def test_a_machine_that_does_not_answer_is_said_to(person_at):
+def test_machine_that_does_not_answer_is_reported(person_at):
     person = person_at()
     person.machine.hears = False
     person.open_from_disk()
@@ -55,7 +55,7 @@ def test_a_machine_that_does_not_answer_is_said_to(person_at):
     assert not person.page.is_enabled("[data-jog='X+']")
 
 
-def test_the_plug_pulled_in_a_job_is_said_and_connecting_again_works(person):
+def test_unplugging_in_job_is_reported_and_reconnecting_works(person):
     person.loads(FAR.replace("F600", "F1200"))
     person.click("#run")
     person.sees("Run")
@@ -65,13 +65,13 @@ def test_the_plug_pulled_in_a_job_is_said_and_connecting_again_works(person):
     person.reads("#notice-lost", "A spindle stays on")
     person.sees("Not connected")
     person.click("#connect")
-    person.sees("Run")  # it ends what it was given
+    person.sees("Run")  # it executes the lines already received
     person.sees("Idle")
     person.waits("grbl.settled && !document.getElementById('notice-lost')")
     assert person.page.evaluate("portsOpened") == 2
 
 
-def test_disconnecting_is_no_accident(person):
+def test_disconnecting_shows_no_warning(person):
     person.click("#disconnect")
     person.sees("Not connected")
     assert not person.page.query_selector("#notice-lost")
@@ -82,7 +82,7 @@ def test_disconnecting_is_no_accident(person):
 # The console
 
 
-def test_lines_have_a_history_and_answers_their_meaning(person):
+def test_console_has_history_and_explains_answers(person):
     person.types("G1 X5")
     person.reads("#log", "error:22: The feed rate has not been set")
     person.types("M5")
@@ -107,7 +107,7 @@ def test_markup_is_shown_as_text(person):
 # Settings
 
 
-def test_a_setting_is_changed_and_kept(person):
+def test_setting_is_changed_and_stored(person):
     person.click("#tabs [data-tab=settings]")
     person.page.fill("[aria-label^='$110 Maximum rate X']", "2500")
     person.page.keyboard.press("Enter")
@@ -115,7 +115,7 @@ def test_a_setting_is_changed_and_kept(person):
     person.waits("grbl.settings.get(110) === '2500.000'")
 
 
-def test_a_refused_setting_says_so_in_its_row_and_keeps_what_was_typed(person):
+def test_refused_setting_is_shown_in_its_row_and_keeps_typed_text(person):
     person.click("#tabs [data-tab=settings]")
     person.page.fill("[aria-label^='$0 ']", "1")
     person.page.keyboard.press("Enter")
@@ -131,7 +131,7 @@ def test_a_refused_setting_says_so_in_its_row_and_keeps_what_was_typed(person):
     assert not person.page.query_selector("#notice-trouble")
 
 
-def test_what_is_on_or_off_is_a_box_and_a_mask_one_for_each_axis(person):
+def test_switch_is_checkbox_and_mask_is_checkbox_per_axis(person):
     person.click("#tabs [data-tab=settings]")
     person.page.check("[aria-label='$5 Invert limit pins']")
     person.reads("#setting-5", "1 is kept")
@@ -146,7 +146,7 @@ def test_what_is_on_or_off_is_a_box_and_a_mask_one_for_each_axis(person):
     assert lines == ["$5=1", "$3=1", "$3=5", "$10=0"]
 
 
-def test_bits_without_a_name_stay_as_they_are(person):
+def test_bits_without_name_stay_unchanged(person):
     person.types("$10=5")
     person.waits("grbl.settings.get(10) === '5'")
     person.click("#tabs [data-tab=settings]")
@@ -154,8 +154,8 @@ def test_bits_without_a_name_stay_as_they_are(person):
     person.reads("#setting-10", "7 is kept")
 
 
-def test_a_setting_typed_in_the_console_is_known_at_once(person):
-    """And settings that a program has set."""
+def test_setting_typed_in_console_is_shown_at_once(person):
+    """Settings that a program has changed are shown, too."""
     person.types("$110=1234")
     person.waits("grbl.settings.get(110) === '1234.000'")
     person.types("$RST=$")
@@ -169,7 +169,7 @@ def test_a_setting_typed_in_the_console_is_known_at_once(person):
     assert person.machine.lines().count("$$") == 4, "only where one was taken"
 
 
-def test_settings_of_extras_have_their_meaning_unit_and_limits(person):
+def test_settings_of_extras_have_meaning_unit_and_limits(person):
     person.machine.say(b"$33=5000\r\n$170=-0.500\r\n$143=800.000\r\n$802=0.000\r\nok\r\n")
     person.click("#tabs [data-tab=settings]")
     for words in (
@@ -185,7 +185,7 @@ def test_settings_of_extras_have_their_meaning_unit_and_limits(person):
 
 
 @pytest.mark.parametrize(("number", "value"), [(0, "256"), (1, "1.5"), (100, "-1")])
-def test_a_value_outside_of_a_settings_limits_is_not_sent(person, number, value):
+def test_value_outside_limits_is_not_sent(person, number, value):
     person.click("#tabs [data-tab=settings]")
     person.page.fill(f"[aria-label^='${number} ']", value)
     person.page.keyboard.press("Enter")
@@ -194,7 +194,7 @@ def test_a_value_outside_of_a_settings_limits_is_not_sent(person, number, value)
     assert not [line for line in person.machine.lines() if line.startswith(f"${number}=")]
 
 
-def test_nothing_is_asked_while_a_setting_is_written(person):
+def test_nothing_is_queried_while_setting_is_written(person):
     person.machine.hears = False
     person.types("$110=2000")
     person.pauses(0.3)
@@ -204,7 +204,7 @@ def test_nothing_is_asked_while_a_setting_is_written(person):
     assert bytes(person.machine.sent) == sent
 
 
-def test_settings_are_backed_up_compared_and_restored(person):
+def test_settings_are_saved_compared_and_restored(person):
     person.click("#tabs [data-tab=settings]")
     with person.page.expect_download() as download:
         person.click("#backup")
@@ -221,17 +221,17 @@ def test_settings_are_backed_up_compared_and_restored(person):
     assert person.page.evaluate("grbl.settings.get(110)") == "2000.000"
 
 
-def test_a_file_that_holds_no_settings_is_refused_with_its_line(person):
+def test_file_without_settings_is_refused_with_its_line(person):
     person.click("#tabs [data-tab=settings]")
     (person.folder / "job.nc").write_text("G0 X1\n")
     person.page.set_input_files("#settings-file", str(person.folder / "job.nc"))
     person.reads("#settings-words", "Line 1 is no setting such as $100=250: G0 X1")
 
 
-# Served
+# Served by `ugrbl web`
 
 
-def test_served_it_connects_by_itself_and_passes_its_query_on(person_at):
+def test_served_page_connects_by_itself_and_passes_query_on(person_at):
     person = person_at(on={"bypass_csp": False})
     person.bridge.look = {
         "seconds": 75.0,
@@ -252,7 +252,7 @@ def test_served_it_connects_by_itself_and_passes_its_query_on(person_at):
     person.reads("#dialog", "There are problems")
 
 
-def test_a_program_is_looked_at_where_it_will_run_and_again_when_zero_is_moved(person_at):
+def test_program_is_previewed_at_its_position_and_again_after_zero_moves(person_at):
     person = person_at()
     person.bridge.look = {
         "seconds": 7.0,
@@ -283,7 +283,7 @@ def test_a_program_is_looked_at_where_it_will_run_and_again_when_zero_is_moved(p
     assert person.bridge.asked_for.count("/api/look") == count == 2, "not for nothing"
 
 
-def test_reports_in_inches_are_looked_at_in_millimetres(person_at):
+def test_reports_in_inches_are_previewed_in_millimetres(person_at):
     person = person_at({13: "1"})
     person.bridge.look = {"seconds": 1.0, "problems": [], "lines": 1, "times": [], "path": []}
     person.open_served()
@@ -298,7 +298,7 @@ def test_reports_in_inches_are_looked_at_in_millimetres(person_at):
     assert asked["offsets"]["G54"][0] == pytest.approx(25.4) and "F254" in asked["modes"]
 
 
-def test_a_second_page_watches_until_it_takes_over(person_at):
+def test_second_page_watches_until_it_takes_over(person_at):
     person = person_at()
     person.bridge.drives = False
     person.open_served()
@@ -320,7 +320,7 @@ def test_a_second_page_watches_until_it_takes_over(person_at):
     person.reads("#notice-watch", "Nobody drives")
 
 
-def test_stop_on_a_page_that_watches_takes_over_first(person_at):
+def test_stop_on_watching_page_takes_over_first(person_at):
     person = person_at()
     person.bridge.drives = False
     person.open_served()
@@ -330,7 +330,7 @@ def test_stop_on_a_page_that_watches_takes_over_first(person_at):
     assert person.machine.sent.startswith(b"\x18")
 
 
-def test_a_server_that_goes_is_said_and_found_again(person_at):
+def test_lost_server_is_reported_and_reconnected(person_at):
     person = person_at()
     person.open_served()
     person.sees("Idle")
@@ -340,12 +340,12 @@ def test_a_server_that_goes_is_said_and_found_again(person_at):
     person.waits("!document.getElementById('notice-lost')")
 
 
-# How it looks
+# Layout
 
 
 @pytest.mark.parametrize("width", [390, 320])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_is_cut_off_on_a_phone(person_at, scheme, width):
+def test_nothing_is_cut_off_on_phone(person_at, scheme, width):
     screen = {"width": width, "height": 640}
     person = person_at(HOMING, on={"viewport": screen, "color_scheme": scheme, "has_touch": True})
     person.open_from_disk()
@@ -364,8 +364,8 @@ def test_nothing_is_cut_off_on_a_phone(person_at, scheme, width):
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
-def test_all_that_a_job_needs_is_in_sight_on_a_desk(person_at, size):
-    """The drawing takes what is left, and as many lines are listed as there is room for."""
+def test_all_parts_of_job_are_visible_on_desktop(person_at, size):
+    """The drawing takes the remaining height; the list of lines fills its space."""
     width, height = size
     person = person_at(on={"viewport": {"width": width, "height": height}})
     person.open_from_disk()
@@ -384,7 +384,7 @@ def test_all_that_a_job_needs_is_in_sight_on_a_desk(person_at, size):
 
 
 @pytest.mark.parametrize("width", [860, 1024, 1199])
-def test_all_that_steers_a_job_is_in_sight_on_a_small_desk(person_at, width):
+def test_all_job_controls_are_visible_on_small_desktop(person_at, width):
     person = person_at(on={"viewport": {"width": width, "height": 800}})
     person.open_from_disk()
     person.connect()
@@ -398,7 +398,7 @@ def test_all_that_steers_a_job_is_in_sight_on_a_small_desk(person_at, width):
     person.click("#stop")
 
 
-def test_what_custom_py_refuses_is_not_said_to_be_a_command(person_at, tmp_path):
+def test_refusal_by_custom_py_is_not_explained_as_command(person_at, tmp_path):
     custom = tmp_path / "custom.py"
     custom.write_text(
         "from ugrbl import Refuse, mcode\n\n\n"
@@ -414,7 +414,7 @@ def test_what_custom_py_refuses_is_not_said_to_be_a_command(person_at, tmp_path)
     person.reads("#log", f"error:3: {meaning('error:3')}")
 
 
-def test_what_is_grey_says_why(person):
+def test_disabled_controls_give_reason(person):
     assert person.page.get_attribute("#home", "title").startswith("Homing is off: $22=1")
     assert person.page.is_visible("#home-off")
     assert person.page.get_attribute("#run", "title") == "No file is open."
@@ -427,14 +427,14 @@ def test_what_is_grey_says_why(person):
 _BOXES = """(names) => Object.fromEntries(names.map((name) =>
     [name, document.querySelector(name).getBoundingClientRect().toJSON()]))"""
 
-# Controls that reach over the screen's edge, outside of what can be scrolled sideways.
+# Controls that extend past the right edge of the screen, outside of parts that scroll sideways.
 _CUT_OFF = """[...document.querySelectorAll("button, input, .file")]
     .filter((element) => element.offsetParent && !element.closest("[style*=overflow-x], #tabs"))
     .filter((element) => element.getBoundingClientRect().right > innerWidth + 0.5)
     .map((element) => element.outerHTML)"""
 
 
-def test_buttons_are_large_enough_for_a_finger(person):
+def test_buttons_are_large_enough_for_finger(person):
     small = person.page.evaluate(
         "[...document.querySelectorAll('button')].filter((button) => button.offsetParent)"
         ".filter((button) => button.offsetHeight < 40).map((button) => button.outerHTML)"
@@ -442,7 +442,7 @@ def test_buttons_are_large_enough_for_a_finger(person):
     assert not small
 
 
-def test_every_field_and_button_has_a_name(person):
+def test_every_field_and_button_has_name(person):
     nameless = person.page.evaluate(
         "[...document.querySelectorAll('main button, main input, header button')].filter("
         "(element) => !element.textContent && !element.labels?.length && !element.ariaLabel)"
@@ -451,7 +451,7 @@ def test_every_field_and_button_has_a_name(person):
     assert not nameless
 
 
-def test_the_path_is_turned_and_zoomed_without_a_fault(person):
+def test_path_is_rotated_and_zoomed_without_fault(person):
     person.loads(FAR)
     person.click("#turn")
     person.page.hover("#plot")

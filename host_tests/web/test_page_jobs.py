@@ -1,4 +1,4 @@
-"""Programs at the page: sent from it, or kept on the board."""
+"""Test programs in the page: sent from it, or stored on the board."""
 
 import pytest
 from browser import FAR, sent_at_once
@@ -10,7 +10,7 @@ pytestmark = [pytest.mark.xdist_group("page jobs"), pytest.mark.thorough]
 # Jobs
 
 
-def test_a_job_with_a_hold_and_an_override_ends_at_the_right_place(person):
+def test_job_with_hold_and_override_ends_at_its_end_point(person):
     person.loads("G21 G90\nG1 X20 F600\nG2 X0 Y0 R10\nG1 Z-3\nG1 X12.5 Y5\nM2\n")
     person.click("#run")
     person.sees("Run")
@@ -24,7 +24,7 @@ def test_a_job_with_a_hold_and_an_override_ends_at_the_right_place(person):
     person.rests_at(12.5, 5, -3)
 
 
-def test_modes_are_followed_while_a_job_runs(person):
+def test_modes_are_updated_while_job_runs(person):
     person.loads("G21 G91\nM3 S500\nG1 X40 F600\n")
     person.click("#run")
     person.sees("Run")
@@ -32,7 +32,7 @@ def test_modes_are_followed_while_a_job_runs(person):
     person.click("#stop")
 
 
-def test_a_line_that_is_refused_holds_the_machine_and_is_named(person):
+def test_refused_line_holds_machine_and_is_named(person):
     later = "".join(f"G1 X{i}\n" for i in range(20, 4, -1))
     person.loads(f"G21 G90\nG1 X20 F2400\nG999\n{later}{later}G1 X5\n")
     person.click("#run")
@@ -47,7 +47,7 @@ def test_a_line_that_is_refused_holds_the_machine_and_is_named(person):
     person.rests_at(5, 0, 0)
 
 
-def test_a_refused_line_is_left_out_only_once_the_machine_has_come_to_rest(person_at):
+def test_refused_line_is_skipped_only_after_machine_has_stopped(person_at):
     """Grbl ignores a resume while it brakes for a hold."""
     person = person_at({120: "10"})
     person.open_from_disk()
@@ -56,7 +56,7 @@ def test_a_refused_line_is_left_out_only_once_the_machine_has_come_to_rest(perso
     person.click("#run")
     person.reads("#job-words", "Line 32 was refused.")
     assert not person.page.is_enabled("#go-on"), "seconds of braking lie ahead"
-    person.click("#go-on")  # waits until it can be pressed
+    person.click("#go-on")  # waits until it is enabled
     person.reads("#job-words", "Job done: 1 line refused")
     person.rests_at(155, 0, 0)
 
@@ -72,8 +72,8 @@ def test_a_refused_line_is_left_out_only_once_the_machine_has_come_to_rest(perso
         ),
     ],
 )
-def test_what_is_no_program_is_refused_in_words(person, name, content, words):
-    """And what was open stays."""
+def test_file_that_is_no_program_is_refused_with_reason(person, name, content, words):
+    """The open program stays."""
     person.loads("G0 X1\n")
     (person.folder / name).write_bytes(content)
     person.page.set_input_files("#job-file", str(person.folder / name))
@@ -83,7 +83,7 @@ def test_what_is_no_program_is_refused_in_words(person, name, content, words):
     assert not person.page.query_selector("#notice-trouble")
 
 
-def test_a_comment_in_another_code_page_is_no_reason_to_refuse(person):
+def test_comment_in_other_encoding_is_accepted(person):
     (person.folder / "old.nc").write_bytes("G0 X1 (f\u00fcr)\n".encode("latin-1"))
     person.page.set_input_files("#job-file", str(person.folder / "old.nc"))
     person.reads("#job-name", "old.nc")
@@ -91,7 +91,7 @@ def test_a_comment_in_another_code_page_is_no_reason_to_refuse(person):
     person.rests_at(1, 0, 0)
 
 
-def test_a_job_that_is_ended_keeps_the_position(person):
+def test_ended_job_keeps_position(person):
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
@@ -103,8 +103,8 @@ def test_a_job_that_is_ended_keeps_the_position(person):
     assert sent_at_once(person.machine) == b"!\x18"
 
 
-def test_a_job_that_is_ended_names_the_line_that_the_tool_is_in(person):
-    """Lines are answered long before they are made: fifteen of these at once."""
+def test_ended_job_names_line_in_execution(person):
+    """Lines are answered long before they are executed: fifteen of these are queued."""
     stairs = [f"G1 {'XY'[k % 2]}{4 * (k // 2 + 1)}" for k in range(60)]
     person.loads("G21 G90 F900\n" + "\n".join(stairs) + "\n")
     person.click("#run")
@@ -120,7 +120,7 @@ def test_a_job_that_is_ended_names_the_line_that_the_tool_is_in(person):
 
 
 def _is_in(before: list[str], line: str, x: float, y: float) -> bool:
-    """Whether a place is on a line of the stairs, or as good as at an end of it."""
+    """Return whether a position is on a line of the stairs, within 0.05 mm."""
     at = {"X": 0.0, "Y": 0.0}
     at.update({word[3]: float(word[4:]) for word in before})
     axis, end = line[3], float(line[4:])
@@ -128,7 +128,7 @@ def _is_in(before: list[str], line: str, x: float, y: float) -> bool:
     return at[axis] - 0.05 < here < end + 0.05 and abs(beside - at[other]) < 0.05
 
 
-def test_signs_that_act_at_once_do_not_leave_comments(person):
+def test_realtime_characters_in_comments_are_not_sent(person):
     person.loads("G21 (wait! ~ really?)\n; what? ~!\nG0 X1 (ümlaut)\n")
     person.click("#run")
     person.reads("#job-words", "Job done: nothing refused")
@@ -136,7 +136,7 @@ def test_signs_that_act_at_once_do_not_leave_comments(person):
     assert not sent_at_once(person.machine)
 
 
-def test_a_sign_that_acts_at_once_in_the_code_is_not_sent(person):
+def test_realtime_character_in_code_is_not_sent(person):
     person.loads("G21\nG0 X1!\n")
     person.click("#run")
     person.reads("#notice-trouble", "line 2: ! does not belong in a line")
@@ -158,7 +158,7 @@ def test_thousands_of_lines_stream_without_stalling(person_at):
     person.rests_at(9.9, 5.9, 0)
 
 
-def test_the_machine_checks_a_program_and_nothing_moves(person):
+def test_check_mode_checks_program_without_motion(person):
     person.loads("G21 G90\nG1 X20 F600\nG999\nG1 X5\n")
     person.click("#check")
     person.reads("#problems", "Line 3 error:20")
@@ -167,7 +167,7 @@ def test_the_machine_checks_a_program_and_nothing_moves(person):
     assert person.machine.lines().count("$C") == 2
 
 
-def test_from_a_line_on_it_says_what_it_does_first_and_asks(person):
+def test_start_from_line_lists_its_first_moves_and_asks(person):
     person.loads("G21 G90\nM3 S500\nG0 Z5\nG1 X20 F2400\nG1 Z-2\nG1 Y10\nG1 X0\nG0 Z5\nM5\n")
     person.page.fill("#from", "6")
     person.click("#run")
@@ -200,7 +200,7 @@ def test_from_a_line_on_it_says_what_it_does_first_and_asks(person):
         ("G0 X1\n", 3, "has lines 1 to 1"),
     ],
 )
-def test_a_line_that_nobody_can_begin_with_is_refused_in_words(person, program, line, words):
+def test_line_that_cannot_be_start_is_refused_with_reason(person, program, line, words):
     person.loads(program)
     person.page.fill("#from", str(line))
     person.click("#run")
@@ -213,7 +213,7 @@ def test_a_line_that_nobody_can_begin_with_is_refused_in_words(person, program, 
 
 @pytest.fixture
 def keeper(person_at, tmp_path):
-    """At a board that keeps jobs."""
+    """A person at a board that stores jobs."""
     board = tmp_path / "my.py"
     jobs = tmp_path / "jobs"
     board.write_text((BOARDS / "rpi_pico.py").read_text() + f'\nJOBS = "{jobs}"\n')
@@ -226,7 +226,7 @@ def keeper(person_at, tmp_path):
 PART = "G21 G91\n\n; done? not yet!\n(ok)\nG1 X3 F1200\nG1 X-1\n"
 
 
-def test_a_program_is_sent_to_the_board_opened_from_there_run_and_deleted(keeper):
+def test_program_is_sent_to_board_opened_run_and_deleted(keeper):
     long = PART + "".join(f"(line {n} {'x' * (n % 50)})\n" for n in range(200))
     keeper.loads(long, "my part.nc")
     keeper.click("#board-files")
@@ -249,7 +249,7 @@ def test_a_program_is_sent_to_the_board_opened_from_there_run_and_deleted(keeper
     assert not keeper.page.query_selector("#notice-trouble")
 
 
-def test_a_job_of_the_board_is_shown_with_its_progress(keeper):
+def test_job_of_board_is_shown_with_progress(keeper):
     (keeper.folder / "jobs").mkdir(exist_ok=True)
     (keeper.folder / "jobs" / "LONG.NC").write_text("G21 G91 F600\n" + "G1 X1\nG1 X-1\n" * 20)
     keeper.click("#board-files")
@@ -260,7 +260,7 @@ def test_a_job_of_the_board_is_shown_with_its_progress(keeper):
     keeper.sees("Alarm")
 
 
-def test_a_machine_that_keeps_no_files_says_so(person):
+def test_machine_without_stored_files_says_so(person):
     person.click("#board-files")
     person.reads("#files-words", "This machine keeps no files.")
     assert not person.page.is_visible("#upload")

@@ -1,4 +1,4 @@
-"""What moves the machine by hand, and what stops it, at the page."""
+"""Test the page's controls that move the machine by hand, and those that stop it."""
 
 import pytest
 from browser import FAR, sent_at_once
@@ -9,14 +9,14 @@ pytestmark = [pytest.mark.xdist_group("page moves"), pytest.mark.thorough]
 # Alarms
 
 
-def test_a_locked_machine_is_unlocked(homer):
+def test_locked_machine_is_unlocked(homer):
     assert "Locked" in homer.text("#state-words")
     assert not homer.page.is_enabled("[data-jog='X+']")
     homer.click("#unlock")
     homer.sees("Idle")
 
 
-def test_homing_ends_at_the_pull_off(homer):
+def test_homing_ends_at_pull_off(homer):
     homer.page.evaluate("window.states = []; grbl.on('status', () => states.push(grbl.state))")
     homer.homes()
     assert "Home" in homer.page.evaluate("states")
@@ -25,7 +25,7 @@ def test_homing_ends_at_the_pull_off(homer):
     assert homer.place() == [-1, -1, -1]
 
 
-def test_a_reset_in_motion_ends_in_an_alarm_in_words(person):
+def test_reset_in_motion_ends_in_explained_alarm(person):
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
@@ -39,8 +39,8 @@ def test_a_reset_in_motion_ends_in_an_alarm_in_words(person):
     assert not person.page.query_selector("#notice-alarm")
 
 
-def test_an_alarm_is_shown_at_once_and_nothing_can_be_run(homer):
-    """Also where no report follows, as after ALARM:2."""
+def test_alarm_is_shown_at_once_and_disables_run(homer):
+    """This holds without a status report, too, as after ALARM:2."""
     homer.homes()
     homer.types("$20=1")
     homer.click("#tabs [data-tab=job]")
@@ -64,7 +64,7 @@ def test_an_alarm_is_shown_at_once_and_nothing_can_be_run(homer):
     homer.sees("Idle")
 
 
-def test_stop_works_with_one_tap_while_the_button_is_still_down(person):
+def test_stop_works_while_button_is_still_down(person):
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
@@ -74,7 +74,7 @@ def test_stop_works_with_one_tap_while_the_button_is_still_down(person):
     assert sent_at_once(person.machine) == b"\x18"
 
 
-def test_escape_in_a_field_stops_nothing(person):
+def test_escape_in_field_stops_nothing(person):
     person.click("#tabs [data-tab=console]")
     person.page.focus("#line")
     person.page.keyboard.press("Escape")
@@ -85,7 +85,7 @@ def test_escape_in_a_field_stops_nothing(person):
 # Jogging
 
 
-def test_a_tap_jogs_one_step_each_time(person):
+def test_tap_jogs_one_step_each_time(person):
     person.page.fill("#jog-feed", "3000")
     person.click("#steps >> text='10'")
     person.click("[data-jog='X+']")
@@ -96,14 +96,14 @@ def test_a_tap_jogs_one_step_each_time(person):
     assert not sent_at_once(person.machine)
 
 
-# A jog, in mm/s, on a machine with 500 mm/s²; nobody asks for more than half a second of it.
+# A jog at 20 mm/s on a machine with 500 mm/s²; at most 0.5 s of motion is queued.
 JOG_MM_S = 20.0
 BRAKE_MM = JOG_MM_S**2 / 2 / 500
 ASKED_MM = BRAKE_MM + JOG_MM_S * 0.5
 
 
 def assert_jog_was_cancelled(person):
-    """By a byte (until the machine obeys), and the page asked for nothing more after it."""
+    """Check that only cancels were sent, until the machine obeyed, and no jog line after them."""
     assert set(sent_at_once(person.machine)) == {0x85}
     assert b"$J" not in person.machine.sent.partition(b"\x85")[2]
 
@@ -115,12 +115,12 @@ def hold_to_jog(person, button):
     person.waits(f"grbl.feed === {60 * JOG_MM_S:g}")
 
 
-def test_a_button_that_is_held_moves_without_slowing_until_it_is_let_go(person):
+def test_held_button_moves_without_slowing_until_released(person):
     hold_to_jog(person, "[data-jog='Y-']")
     begun = len(person.machine.said)
     person.waits("grbl.machine[1] < -40")
     feeds = [feed for _, _, feed in person.machine.reports(begun)]
-    # A busy computer may be late with a piece now and then
+    # A loaded computer may send a piece late now and then.
     assert len(feeds) > 4 and sorted(feeds)[len(feeds) // 3] > 0.95 * 60 * JOG_MM_S
     at = person.machine.report()[1][1]
     person.page.mouse.up()
@@ -141,8 +141,8 @@ LOSSES = {
 
 
 @pytest.mark.parametrize("lost", LOSSES.values(), ids=LOSSES)
-def test_a_jog_stops_by_itself_where_nobody_asks_for_more(person, lost):
-    """Within the distance that docs/web.md states, whatever has become of the page."""
+def test_jog_stops_by_itself_when_page_sends_no_more(person, lost):
+    """It stops within the distance that docs/web.md states, whatever happened to the page."""
     hold_to_jog(person, "[data-jog='X+']")
     person.waits("grbl.machine[0] > 10")
     lost(person)
@@ -152,8 +152,8 @@ def test_a_jog_stops_by_itself_where_nobody_asks_for_more(person, lost):
     assert b"\x85" not in person.machine.sent, "no cancel has ended it"
 
 
-def test_a_jog_faster_than_the_axis_is_not_sent_ahead(person_at):
-    """Nor is one of a slow acceleration."""
+def test_jog_faster_than_axis_is_not_sent_ahead(person_at):
+    """A jog on an axis with a slow acceleration is not sent ahead either."""
     person = person_at({110: "600", 120: "25"})
     person.open_from_disk()
     person.connect()
@@ -167,7 +167,7 @@ def test_a_jog_faster_than_the_axis_is_not_sent_ahead(person_at):
     assert at <= x < at + 10.0**2 / 2 / 25 + 10.0 * 0.5
 
 
-def test_the_other_way_at_once_begins_when_the_first_has_ended(person):
+def test_opposite_jog_begins_after_first_has_ended(person):
     hold_to_jog(person, "[data-jog='X+']")
     person.page.mouse.up()
     person.press("[data-jog='X-']")
@@ -176,11 +176,11 @@ def test_the_other_way_at_once_begins_when_the_first_has_ended(person):
     person.sees("Idle")
 
 
-def test_a_held_jog_that_is_refused_is_said_once(homer):
+def test_refused_held_jog_is_reported_once(homer):
     homer.homes()
     homer.types("$20=1")
     homer.waits("grbl.setting(20) === 1")
-    homer.page.evaluate("grbl.settings.set(20, '0')")  # it does not know of it
+    homer.page.evaluate("grbl.settings.set(20, '0')")  # the page does not know that $20 is on
     homer.click("#tabs [data-tab=job]")
     homer.page.fill("#jog-feed", "3000")
     homer.press("[data-jog='X-']")
@@ -191,7 +191,7 @@ def test_a_held_jog_that_is_refused_is_said_once(homer):
 
 
 @pytest.mark.parametrize("event", ["blur", "pagehide"])
-def test_a_page_that_is_left_stops_the_jog(person, event):
+def test_leaving_page_stops_jog(person, event):
     person.press("[data-jog='X+']")
     person.sees("Jog")
     person.page.evaluate(f"dispatchEvent(new Event('{event}'))")
@@ -199,14 +199,14 @@ def test_a_page_that_is_left_stops_the_jog(person, event):
     assert 0 < there[0] < 40
 
 
-def test_a_lost_pointer_stops_the_jog(person):
+def test_lost_pointer_stops_jog(person):
     person.press("[data-jog='X+']")
     person.sees("Jog")
     person.page.evaluate("""document.querySelector("[data-jog='X+']").releasePointerCapture(1)""")
     assert 0 < person.shown_place()[0] < 40
 
 
-def test_arrow_keys_jog_only_when_they_are_switched_on(person):
+def test_arrow_keys_jog_only_when_enabled(person):
     person.page.keyboard.press("ArrowRight")
     person.pauses(0.3)
     assert not [line for line in person.machine.lines() if line.startswith("$J")]
@@ -219,8 +219,8 @@ def test_arrow_keys_jog_only_when_they_are_switched_on(person):
     assert person.shown_place()[1] > 1
 
 
-def test_a_cancel_before_the_jog_has_begun_is_said_again(person):
-    """A cancel that comes before the line is read is ignored; the jog must end all the same."""
+def test_cancel_before_jog_has_begun_is_repeated(person):
+    """Grbl ignores a cancel that arrives before the jog line is read; the jog must still end."""
     person.page.evaluate("""{
         jogger.press(0, 1);
         setTimeout(() => jogger.release(), Jogger.HOLD_MS + 1);
@@ -229,21 +229,21 @@ def test_a_cancel_before_the_jog_has_begun_is_said_again(person):
     assert 0 <= person.shown_place()[0] < 20
 
 
-def test_a_jog_ends_before_soft_limits_do(homer):
+def test_jog_ends_before_soft_limits(homer):
     homer.homes()
     homer.types("$20=1")
     homer.types("$$")
     homer.waits("grbl.setting(20) === 1")
     homer.page.fill("#jog-feed", "3000")
     homer.press("[data-jog='X-']")
-    homer.waits("grbl.machine[0] < -28 && grbl.state === 'Idle'")  # and held all the same
+    homer.waits("grbl.machine[0] < -28 && grbl.state === 'Idle'")  # still held
     homer.page.mouse.up()
     homer.page.click("#frame-machine")
     assert homer.shown_place()[0] == pytest.approx(-29.99, abs=0.02)
     assert not homer.page.query_selector("#notice-trouble")
 
 
-def test_zero_and_the_way_back_to_it(person):
+def test_zero_is_set_and_returned_to(person):
     person.page.fill("#jog-feed", "3000")
     person.click("#steps >> text='10'")
     person.click("[data-jog='X+']")
@@ -270,7 +270,7 @@ def test_reports_in_inches_are_shown_and_jogged_in_inches(person_at):
     assert person.text(".facts [data-unit=rate]") == "in/min"
 
 
-def test_by_keyboard_alone_it_jogs_and_stops(person):
+def test_keyboard_alone_jogs_and_stops(person):
     person.page.fill("#jog-feed", "1200")
     person.page.focus("[data-jog='X+']")
     person.page.keyboard.press("Space")

@@ -1,4 +1,4 @@
-"""Around a job: outline, coordinate systems, macros, jobs on the board, finding settings."""
+"""Test outline, coordinate systems, macros, jobs on the board, and the search for settings."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ def jogs(person):
 # The outline
 
 
-def test_the_outline_goes_round_the_cuts_with_the_tool_up(person):
+def test_outline_goes_round_cuts_with_tool_up(person):
     person.loads(_JOB)
     person.page.fill("#jog-feed", "2000")
     person.click("#outline")
@@ -30,7 +30,7 @@ def test_the_outline_goes_round_the_cuts_with_the_tool_up(person):
     assert jogs(person) == ["$J=G21 G90 Z5 F2000", *moves]
 
 
-def test_nothing_moves_where_somebody_thinks_better_of_it(person):
+def test_nothing_moves_when_outline_is_declined(person):
     person.loads(_JOB)
     person.click("#outline")
     person.click("#dialog-no")
@@ -38,7 +38,7 @@ def test_nothing_moves_where_somebody_thinks_better_of_it(person):
     assert not jogs(person)
 
 
-def test_a_laser_goes_round_at_a_hundredth_and_ends_dark(person_at):
+def test_laser_outline_runs_at_1_percent_and_ends_off(person_at):
     person = person_at({32: "1", 30: "1000"})
     person.open_from_disk()
     person.connect()
@@ -55,7 +55,7 @@ def test_a_laser_goes_round_at_a_hundredth_and_ends_dark(person_at):
 # Coordinate systems
 
 
-def test_a_coordinate_system_is_chosen_and_typed(person):
+def test_coordinate_system_is_chosen_and_typed(person):
     person.click("#tabs [data-tab=offsets]")
     person.page.fill("[aria-label='G55 X']", "12.5")
     person.page.keyboard.press("Enter")
@@ -66,7 +66,7 @@ def test_a_coordinate_system_is_chosen_and_typed(person):
     person.reads("#offsets", "in force")
 
 
-def test_a_typed_offset_is_in_the_units_that_are_shown(person):
+def test_typed_offset_is_in_displayed_units(person):
     person.types("G20")
     person.waits("grbl.modes.includes('G20')")
     person.click("#tabs [data-tab=offsets]")
@@ -78,7 +78,7 @@ def test_a_typed_offset_is_in_the_units_that_are_shown(person):
 # Macros
 
 
-def test_a_macro_asks_for_its_numbers_and_runs_line_by_line(person):
+def test_macro_asks_for_numbers_and_runs_line_by_line(person):
     person.click("#macros-edit")
     person.click("#macro-add")
     person.page.fill("[aria-label='Name of macro 1']", "Down")
@@ -94,7 +94,7 @@ def test_a_macro_asks_for_its_numbers_and_runs_line_by_line(person):
     assert person.text("#macros").strip() == "Down"
 
 
-def test_a_macro_ends_where_a_line_is_refused(person, tmp_path):
+def test_macro_ends_at_refused_line(person, tmp_path):
     macros = [{"name": "Bad", "lines": "G91\nG1 X5\nG0 Y9\n"}]
     file = tmp_path / "macros.json"
     file.write_text(json.dumps(macros))
@@ -108,7 +108,7 @@ def test_a_macro_ends_where_a_line_is_refused(person, tmp_path):
     assert json.loads(Path(saved.value.path()).read_text()) == macros
 
 
-def test_a_file_that_holds_no_macros_changes_nothing(person, tmp_path):
+def test_file_without_macros_changes_nothing(person, tmp_path):
     file = tmp_path / "no.json"
     file.write_text('{"name": 1}')
     person.click("#macros-edit")
@@ -120,7 +120,7 @@ def test_a_file_that_holds_no_macros_changes_nothing(person, tmp_path):
 # Settings
 
 
-def test_settings_are_in_groups_and_found_by_their_words(person):
+def test_settings_are_grouped_and_found_by_words(person):
     person.click("#tabs [data-tab=settings]")
     person.reads("#settings", "Limits and homing")
     person.page.fill("#settings-find", "accel")
@@ -134,7 +134,7 @@ def test_settings_are_in_groups_and_found_by_their_words(person):
 # Jobs on the board
 
 
-def test_a_job_on_the_board_goes_on_at_a_line(person):
+def test_job_on_board_continues_at_line(person):
     person.page.evaluate("""
       grbl.send = (line, quiet, said) => {
         (window.sentThere ||= []).push(line);

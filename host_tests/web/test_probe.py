@@ -1,4 +1,4 @@
-"""Probing in the page, and a height map, at a machine with a leaning table."""
+"""Test probing and height maps in the page, on a machine with a tilted table."""
 
 import json
 import re
@@ -14,7 +14,7 @@ from browser import Person, settings_file
 pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
 
 _PER_MM = [80.0, 80.0, 400.0]
-# The work's top: 4 mm below the middle of the travel, and leaning.
+# The top of the work is 4 mm below the middle of the travel, and tilted.
 _HEIGHT, _ALONG_X, _ALONG_Y = -4.0, 0.02, -0.03
 _SURFACE = {"surface": [_HEIGHT, _ALONG_X, _ALONG_Y]}
 _STEP_MM = 1 / 80
@@ -24,7 +24,7 @@ _JOB = f"G21 G90\nM3 S1000\nG0 Z5\nG0 X2 Y1\n{_CUTS}G0 Z5\nM2\n"
 
 @pytest.fixture
 def prober_at(person_at: Callable[..., Person], tmp_path: Path) -> Iterator[Callable[..., Person]]:
-    """Makes somebody at a machine with such things on its table, in the middle of its travel."""
+    """Return a maker of persons at a machine with these solids on its table, in mid-travel."""
     machines: "list[Machine]" = []
 
     def make(things: "dict[str, list[float]]") -> Person:
@@ -54,7 +54,7 @@ def prober_at(person_at: Callable[..., Person], tmp_path: Path) -> Iterator[Call
 
 @pytest.fixture
 def prober(prober_at: Callable[..., Person]) -> Person:
-    """4 mm over the work."""
+    """A person at a machine with the probe 4 mm above the work."""
     return prober_at(_SURFACE)
 
 
@@ -63,7 +63,7 @@ def choose(person: Person, kind: str) -> None:
     person.click(f"#probe-kinds button:text-is('{kind}')")
 
 
-def test_a_plate_sets_z_and_the_modes_of_before_are_kept(prober):
+def test_plate_sets_z_and_keeps_modes(prober):
     choose(prober, "Plate")
     prober.page.fill("#probe-plate", "1.5")
     prober.page.fill("#probe-feed", "400")
@@ -80,7 +80,7 @@ def test_a_plate_sets_z_and_the_modes_of_before_are_kept(prober):
 
 
 def work_zero(person: Person) -> "list[float]":
-    """In machine coordinates, once it is known to the page."""
+    """Return the work zero in machine coordinates, once the page knows it."""
     person.click("#read-offsets")
     person.waits("!grbl.linesUnderWay")
     text: str = person.page.evaluate("grbl.offsets.get('G54')")
@@ -88,7 +88,7 @@ def work_zero(person: Person) -> "list[float]":
 
 
 @pytest.mark.parametrize(("side", "axis", "place"), [("left", 0, 8), ("front", 1, 6)])
-def test_an_edge_counts_with_tool_and_plate(prober_at, side, axis, place):
+def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, place):
     prober = prober_at({"block": [8, -20] if axis == 0 else [-20, 6]})
     choose(prober, "Edge")
     prober.page.select_option("#probe-side", side)
@@ -99,7 +99,7 @@ def test_an_edge_counts_with_tool_and_plate(prober_at, side, axis, place):
     assert work_zero(prober)[axis] == pytest.approx(place + 3, abs=2 * _STEP_MM)
 
 
-def test_a_corner_is_found_from_two_sides(prober_at):
+def test_corner_is_found_from_two_sides(prober_at):
     prober = prober_at({"block": [5, -4]})
     choose(prober, "Corner")
     for name, value in (("tool", "2"), ("plate", "0"), ("far", "12"), ("feed", "900")):
@@ -107,11 +107,11 @@ def test_a_corner_is_found_from_two_sides(prober_at):
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
     x, y, _ = work_zero(prober)
-    # The probe has no width here, and the tool is said to have 1 mm each way.
+    # The probe has no width here, and the page was given a tool diameter of 2 mm.
     assert (x, y) == pytest.approx((5 + 1, -4 + 1), abs=2 * _STEP_MM)
 
 
-def test_the_middle_of_a_hole_is_found_and_gone_to(prober_at):
+def test_centre_of_hole_is_found_and_approached(prober_at):
     prober = prober_at({"hole": [3, -2, 8]})
     choose(prober, "Hole")
     prober.page.fill("#probe-feed", "900")
@@ -121,7 +121,7 @@ def test_the_middle_of_a_hole_is_found_and_gone_to(prober_at):
     prober.rests_at(0, 0, 0)
 
 
-def test_where_nothing_is_touched_it_says_what_to_do(prober):
+def test_probe_without_contact_says_what_to_do(prober):
     choose(prober, "Plate")
     prober.page.fill("#probe-far", "2")
     prober.page.fill("#probe-feed", "400")
@@ -131,7 +131,7 @@ def test_where_nothing_is_touched_it_says_what_to_do(prober):
     assert not any(line.startswith("G10") for line in prober.machine.lines())
 
 
-def test_a_probe_that_touches_already_moves_nothing(prober):
+def test_triggered_probe_moves_nothing(prober):
     prober.types("G0 Z-5")
     prober.waits("grbl.pins.includes('P')")
     choose(prober, "Plate")
@@ -141,14 +141,14 @@ def test_a_probe_that_touches_already_moves_nothing(prober):
     assert not any("G38" in line for line in prober.machine.lines())
 
 
-def test_a_later_tool_gets_the_difference_to_the_first(prober):
+def test_later_tool_gets_difference_to_first(prober):
     choose(prober, "Tool length")
     prober.page.fill("#probe-feed", "400")
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
     reference = prober.page.evaluate("probeSet.reference")
     assert reference == pytest.approx(_HEIGHT, abs=2 / 400)
-    prober.page.evaluate("probeSet.reference = probeSet.reference - 2.5")  # it was a shorter one
+    prober.page.evaluate("probeSet.reference = probeSet.reference - 2.5")  # it was shorter
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
     prober.waits("Math.abs(Number(grbl.offsets.get('TLO')) - 2.5) < 0.01")
@@ -158,7 +158,7 @@ def surface(x: float, y: float) -> float:
     return _HEIGHT + _ALONG_X * x + _ALONG_Y * y
 
 
-def test_a_height_map_is_probed_drawn_kept_and_followed_by_the_program(prober, tmp_path):
+def test_height_map_is_probed_drawn_saved_and_applied_to_program(prober, tmp_path):
     prober.loads(_JOB)
     choose(prober, "Height map")
     prober.page.fill("#probe-columns", "3")
@@ -202,7 +202,7 @@ def test_a_height_map_is_probed_drawn_kept_and_followed_by_the_program(prober, t
         ("G21 G90\nG0 X0 Y0 Z1\nG91\nG1 X5 F50\n", "relative"),
     ],
 )
-def test_what_cannot_follow_a_map_is_said(person, program, why):
+def test_program_that_cannot_follow_map_is_reported(person, program, why):
     person.loads(program)
     found = person.page.evaluate(
         """() => {

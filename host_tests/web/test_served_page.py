@@ -1,6 +1,7 @@
-"""The page as people have it: `ugrbl web --sim` and a browser, from the first click to the last.
+"""Test `ugrbl web --sim` with a browser, from the first click to the last.
 
-With UGRBL_PICTURES=1 (`make pictures`) the pictures of the page in docs/pictures are kept anew.
+With UGRBL_PICTURES=1 (`make pictures`) the pictures of the page in docs/pictures are written
+again.
 """
 
 import os
@@ -34,7 +35,7 @@ Visit = Callable[..., Visitor]
 
 @pytest.fixture(scope="module")
 def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    """A mill with switches, for all tests here; it is where the one before has left it."""
+    """A mill with switches, for all tests here; each finds the state that the one before left."""
     file = settings_file(tmp_path_factory.mktemp("mill"), MILL)
     running = Web("--sim", "--no-browser", "--settings", str(file))
     yield running
@@ -43,7 +44,7 @@ def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
 
 @pytest.fixture
 def visit(opened: Any, web: Web, tmp_path: Path) -> Iterator[Visit]:
-    """Opens the page in a browser of its own."""
+    """Open the page in a new browser context."""
     contexts: list[Any] = []
     visitors: list[Visitor] = []
 
@@ -60,7 +61,7 @@ def visit(opened: Any, web: Web, tmp_path: Path) -> Iterator[Visit]:
 
 
 def free(visitor: Visitor) -> Visitor:
-    """Out of whatever the test before has left, to Idle; its place is nowhere."""
+    """Bring the machine from any state to Idle; its position is then undefined."""
     visitor.waits("grbl.drives && grbl.state")
     anew = "grbl.on('welcome', () => grbl.on('status', done)); grbl.reset()"
     visitor.page.evaluate(f"new Promise((done) => {{ {anew} }}).then(() => 0)")
@@ -77,7 +78,7 @@ def opens_example(visitor: Visitor) -> None:
 
 
 def keep(visitor: Visitor, name: str) -> None:
-    """The picture of that name is what is seen now; in a rerun nothing changes for nothing."""
+    """Save a screenshot under that name, if it differs from the saved picture."""
     drawn = visitor.folder / name
     visitor.page.screenshot(path=drawn)
     fresh = visitor.folder / f"small-{name}"
@@ -89,7 +90,7 @@ def keep(visitor: Visitor, name: str) -> None:
 
 
 def jog_to_the_corner(person: Visitor) -> None:
-    """Of the stock, from the switches, by taps; that is zero from then on."""
+    """Jog by taps from the switches to a corner of the stock and set zero there."""
     person.page.fill("#jog-feed", "6000")
     for step, axes, times in ((50, "XY", 2), (10, "XY", 3), (10, "Z", 2)):
         person.click(f"#steps >> text='{step}'")
@@ -101,7 +102,7 @@ def jog_to_the_corner(person: Visitor) -> None:
     person.rests_at(0, 0, 0)
 
 
-def test_pins_are_chosen_at_a_drawing_without_a_board(visit: Visit) -> None:
+def test_pins_are_chosen_in_drawing_without_board(visit: Visit) -> None:
     person = visit(viewport={"width": 1200, "height": 1000})
     person.click("#tabs [data-tab=setup]")
     person.click("#setup-steps [data-step=board]")
@@ -111,7 +112,7 @@ def test_pins_are_chosen_at_a_drawing_without_a_board(visit: Visit) -> None:
     keep(person, "page_pins.png")
 
 
-def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: Web) -> None:
+def test_example_runs_from_first_click_to_last(visit: Visit, web: Web) -> None:
     person = visit()
     person.sees("Alarm")
     person.reads("#state-words", "Locked")
@@ -135,15 +136,15 @@ def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: 
     person.waits("job?.line > 25")
 
     (simulator,) = web.children()
-    os.kill(simulator, signal.SIGKILL)  # the plug is pulled
+    os.kill(simulator, signal.SIGKILL)  # like unplugging
     person.reads("#notice-lost", "The job stopped in line ")
     person.reads("#notice-lost", "A spindle stays on")
     person.sees("Not connected")
     assert 25 < person.page.evaluate("job.line") < 100
-    person.sees("Alarm")  # it is there again, and has lost its place
+    person.sees("Alarm")  # restarted, so its position is lost
     assert not person.page.query_selector("#notice-lost")
     person.homes()
-    person.rests_at(130, 130, 20)  # by the zero that it has kept
+    person.rests_at(130, 130, 20)  # by the stored work zero
 
     person.page.fill("#from", str(FROM_LINE))
     person.click("#run")
@@ -159,8 +160,8 @@ def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: 
 SLOW = "G21 G91\nG1 X-40 F600\nG1 X20\nG1 X20\n"
 
 
-def test_what_leaves_the_travel_is_said_before_it_is_run(visit: Visit) -> None:
-    """And after zero has been moved, so that it does not, no more."""
+def test_travel_violation_is_shown_before_run(visit: Visit) -> None:
+    """It is no longer shown after zero has been moved so that the program fits."""
     person = free(visit())
     person.homes()
     person.click("#zero-all")
@@ -171,7 +172,7 @@ def test_what_leaves_the_travel_is_said_before_it_is_run(visit: Visit) -> None:
     person.types("G10 L20 P1 Y50")
     person.click("#tabs [data-tab=job]")
     person.reads("#job-words", "No problems.")
-    person.types("$130=5")  # it is known at once
+    person.types("$130=5")  # the page knows it at once
     person.click("#tabs [data-tab=job]")
     person.reads("#problems", "Line 2 ALARM:2 - X would go to")
     person.types("$130=150")
@@ -181,7 +182,7 @@ def test_what_leaves_the_travel_is_said_before_it_is_run(visit: Visit) -> None:
     person.reads("#job-words", "Job done: nothing refused")
 
 
-def test_a_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
+def test_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
     first = free(visit())
     first.homes()
     phone = visit(viewport=PHONE, color_scheme="dark", has_touch=True, is_mobile=True)
@@ -201,18 +202,18 @@ def test_a_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
 
 
 def long_job() -> str:
-    """Forty lines, far more than a machine holds, and one at its end that shows all were made."""
+    """Return 40 lines, far more than the planner holds, and a last one that shows they all ran."""
     return "G21 G91 F1200\n" + "G1 X-2\nG1 X1\n" * 20 + "G1 Y-3\n"
 
 
-def test_a_page_loaded_anew_in_a_job_finds_it_held_and_goes_on_with_it(visit: Visit) -> None:
+def test_page_reloaded_in_job_finds_it_held_and_continues(visit: Visit) -> None:
     person = free(visit())
     person.homes()
     person.loads(long_job())
     person.reads("#job-words", "It takes")
     person.click("#run")
     person.waits("job?.made > 8")
-    person.page.on("dialog", lambda dialog: dialog.accept())  # whether to leave
+    person.page.on("dialog", lambda dialog: dialog.accept())  # confirms leaving the page
     person.page.reload()
     person.sees("Hold")
     person.waits("grbl.drives")
@@ -227,7 +228,7 @@ def test_a_page_loaded_anew_in_a_job_finds_it_held_and_goes_on_with_it(visit: Vi
     person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-21,-4,-1'")
 
 
-def test_a_job_is_seen_by_all_and_who_takes_over_goes_on_with_it(visit: Visit) -> None:
+def test_job_is_visible_to_all_and_continued_after_takeover(visit: Visit) -> None:
     first, second = free(visit()), visit()
     first.homes()
     first.loads(long_job(), "other.nc")
@@ -246,7 +247,7 @@ def test_a_job_is_seen_by_all_and_who_takes_over_goes_on_with_it(visit: Visit) -
     first.reads("#job-words", "Job done: nothing refused")
 
 
-def test_a_refused_line_that_went_out_before_is_said_to_who_goes_on(visit: Visit) -> None:
+def test_line_refused_before_takeover_is_shown_to_next_client(visit: Visit) -> None:
     person = free(visit())
     person.homes()
     person.loads("G21 G91 F300\n" + "G1 X-2\nG1 X2\n" * 12 + "G999\nG1 Y-3\n")
@@ -265,7 +266,7 @@ def test_a_refused_line_that_went_out_before_is_said_to_who_goes_on(visit: Visit
     person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-1,-4,-1'")
 
 
-def test_a_page_that_leaves_in_a_jog_ends_it(visit: Visit) -> None:
+def test_page_closed_in_jog_ends_jog(visit: Visit) -> None:
     person, other = free(visit()), visit()
     person.homes()
     person.press("[data-jog='X-']")
@@ -275,7 +276,7 @@ def test_a_page_that_leaves_in_a_jog_ends_it(visit: Visit) -> None:
     assert -20 < other.page.evaluate("grbl.machine[0]") < -3
 
 
-def test_from_the_network_only_who_has_the_token_comes_in(visit: Visit) -> None:
+def test_browser_from_network_needs_token(visit: Visit) -> None:
     guarded = Web("--sim", "--no-browser", "--host", "0.0.0.0")
     try:
         port = guarded.address.partition("?")[0].rstrip("/").rpartition(":")[2]

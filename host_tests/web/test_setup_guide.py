@@ -1,4 +1,4 @@
-"""The setting-up guide at a machine that is built otherwise than its settings say."""
+"""Test the setup guide on a machine that does not match its settings."""
 
 import json
 import sys
@@ -15,11 +15,11 @@ pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
 
 _PER_MM = [80.0, 80.0, 400.0]
 _TRAVEL = [60.0, 50.0, 40.0]
-_RULER_MM = 0.1  # what a person reads off
+_RULER_MM = 0.1  # resolution of a reading by eye
 
 
 class Mechanic(Person):
-    """Somebody at a real machine: they see where it goes, and have a ruler."""
+    """A person at a real machine who sees its motion and has a ruler."""
 
     ruler: Path
 
@@ -31,7 +31,7 @@ class Mechanic(Person):
         return place
 
     def rests(self) -> "list[float]":
-        """Where it stands once it stands still, to a tenth of a millimetre."""
+        """Return the real position once the machine stands still, rounded to 0.1 mm."""
         before: "list[float]" = []
         while before != (now := self.really_at()):
             before = now
@@ -46,7 +46,7 @@ class Mechanic(Person):
         self.click(f"#guide-tasks button:has-text('{name}')")
 
     def moves(self, axis: int, mm: float) -> float:
-        """Let it move, and look how far it went."""
+        """Move an axis with the guide; return the real distance moved in mm."""
         before = self.rests()[axis]
         self.page.fill("#guide-mm", f"{abs(mm):g}")
         self.click("#guide-plus" if mm > 0 else "#guide-minus")
@@ -56,7 +56,7 @@ class Mechanic(Person):
         return self.rests()[axis] - before
 
     def sets_up_motor(self, axis: int) -> None:
-        """What the guide asks for: the way first, then a ruler over a longer way."""
+        """Do the guide's task for one motor: direction first, then steps per mm with a ruler."""
         self.task(f"Motor {'XYZ'[axis]}")
         if self.moves(axis, 1) < 0:
             self.click("#guide-wrong")
@@ -75,7 +75,7 @@ class Mechanic(Person):
 def mechanic(
     person_at: Callable[..., Person], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Mechanic]:
-    """At a machine with belts of another pitch than its settings say, and a swapped motor."""
+    """A machine whose belts have another pitch than its settings state, with one motor swapped."""
     person = person_at()
     person.machine.close()
     ruler = tmp_path / "ruler.json"
@@ -99,7 +99,7 @@ def mechanic(
     machine.close()
 
 
-def test_a_machine_with_a_wrong_pitch_and_a_swapped_motor_is_set_right(mechanic):
+def test_machine_with_wrong_pitch_and_swapped_motor_is_corrected(mechanic):
     for axis in range(3):
         mechanic.sets_up_motor(axis)
     settings = "[100, 101, 102, 3].map((number) => grbl.setting(number))"
@@ -107,7 +107,7 @@ def test_a_machine_with_a_wrong_pitch_and_a_swapped_motor_is_set_right(mechanic)
     assert per_mm == pytest.approx(_PER_MM, rel=0.02)
     assert inverted == 2  # Y
 
-    # Switches: a hand pushes the table against one.
+    # Switches: a person would push the table against each one; here the task is marked as done.
     mechanic.reads("#guide-tasks [aria-pressed=true]", "Switches")
     mechanic.click("#guide-done")
 
@@ -133,7 +133,7 @@ def test_a_machine_with_a_wrong_pitch_and_a_swapped_motor_is_set_right(mechanic)
     mechanic.reads("#guide-says", "Soft limits")
     mechanic.click("#guide-done")
 
-    # The spindle runs for as long as a button is held
+    # The spindle runs while a button is held
     mechanic.press("#guide-run")
     mechanic.waits("grbl.accessories.includes('S')")
     mechanic.page.mouse.up()
@@ -145,7 +145,7 @@ def test_a_machine_with_a_wrong_pitch_and_a_swapped_motor_is_set_right(mechanic)
     assert "$3=2 " in text and "$22=1 " in text
 
 
-def test_it_is_left_and_taken_up_where_it_was(mechanic):
+def test_guide_continues_where_it_was_left(mechanic):
     mechanic.sets_up_motor(0)
     mechanic.reads("#guide-tasks [aria-pressed=true]", "Motor Y")
     mechanic.page.reload()
@@ -156,7 +156,7 @@ def test_it_is_left_and_taken_up_where_it_was(mechanic):
     mechanic.reads("#guide-tasks [aria-pressed=true]", "Motor Y")
 
 
-def test_homing_the_wrong_way_is_stopped_and_turned_round(mechanic):
+def test_homing_in_wrong_direction_is_stopped_and_reversed(mechanic):
     for axis in range(3):
         mechanic.sets_up_motor(axis)
     mechanic.task("Homing")
@@ -177,7 +177,7 @@ def test_homing_the_wrong_way_is_stopped_and_turned_round(mechanic):
     assert stopped[0] <= before
 
 
-def test_switches_are_shown_while_they_are_pressed(mechanic):
+def test_switches_are_shown_while_pressed(mechanic):
     mechanic.task("Switches")
     mechanic.machine.say(b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|Pn:XP>\r\n")
     mechanic.reads("#guide-switches .on", "limit X: pressed")

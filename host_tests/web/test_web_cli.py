@@ -1,4 +1,4 @@
-"""The command `ugrbl web`, in a process of its own."""
+"""Test the command `ugrbl web` in its own process."""
 
 import json
 import signal
@@ -37,13 +37,13 @@ def wait_until_gone(number: int) -> None:
     until = time.monotonic() + PATIENCE_S
     while Path(f"/proc/{number}/cmdline").exists():
         if not Path(f"/proc/{number}/cmdline").read_bytes():
-            return  # a zombie, for nobody waits for it here
+            return  # a zombie, because nothing here waits for it
         assert time.monotonic() < until, "it goes on"
         time.sleep(0.05)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_it_and_its_simulator(number: int, web: Start) -> None:
+def test_signal_ends_server_and_its_simulator(number: int, web: Start) -> None:
     running = web("--sim", "--no-browser")
     assert running.said.startswith("sim is at http://127.0.0.1:")
     (simulator,) = running.children()
@@ -52,7 +52,7 @@ def test_a_signal_ends_it_and_its_simulator(number: int, web: Start) -> None:
     wait_until_gone(simulator)
 
 
-def test_a_simulator_does_not_outlive_a_server_that_was_killed(web: Start) -> None:
+def test_simulator_ends_when_server_is_killed(web: Start) -> None:
     running = web("--sim", "--no-browser")
     (simulator,) = running.children()
     running.process.kill()
@@ -60,7 +60,7 @@ def test_a_simulator_does_not_outlive_a_server_that_was_killed(web: Start) -> No
 
 
 @pytest.mark.sampled(1)
-def test_from_the_network_it_says_a_token(web: Start) -> None:
+def test_network_address_is_printed_with_token(web: Start) -> None:
     running = web("--sim", "--no-browser", "--host", "0.0.0.0")
     bare, _, token = running.address.partition("?token=")
     assert len(token) >= 20 and "0.0.0.0" not in bare
@@ -70,7 +70,7 @@ def test_from_the_network_it_says_a_token(web: Start) -> None:
     assert running.get(f"http://127.0.0.1:{port}/?token={token}")[0] != 403
 
 
-def test_it_opens_a_browser(tmp_path: Path, web: Start) -> None:
+def test_browser_is_opened(tmp_path: Path, web: Start) -> None:
     seen = tmp_path / "seen"
     browser = tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\necho "$1" > {seen}.new && mv {seen}.new {seen}\n')
@@ -83,8 +83,8 @@ def test_it_opens_a_browser(tmp_path: Path, web: Start) -> None:
     assert seen.read_text().strip() == running.address
 
 
-def test_the_simulator_keeps_its_settings_in_a_file(tmp_path: Path, web: Start) -> None:
-    """Which is read at its start, and looked at with the same board."""
+def test_simulator_stores_settings_in_file(tmp_path: Path, web: Start) -> None:
+    """The file is read at the start; previews use the same board."""
     file = tmp_path / "mill.settings"
     file.write_text("$110=3000\n")
     running = web("--sim", "--no-browser", "--settings", str(file), "--board", "sim_xyza")
@@ -97,7 +97,7 @@ def test_the_simulator_keeps_its_settings_in_a_file(tmp_path: Path, web: Start) 
 
 
 def refused(*words: str) -> str:
-    """What is said, with exit code 1."""
+    """Return the message of a command that ends with exit code 1."""
     command = [sys.executable, "-m", "ugrbl.cli", "web", "--no-browser", *words]
     done = subprocess.run(
         command,
@@ -112,7 +112,7 @@ def refused(*words: str) -> str:
     return done.stderr
 
 
-def test_a_place_that_is_taken_is_reported() -> None:
+def test_address_in_use_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         said = refused("--sim", "--http", str(port))
@@ -132,12 +132,12 @@ def test_a_place_that_is_taken_is_reported() -> None:
         ("--sim --host no.such.invalid --http 0", "no.such.invalid:0 cannot be listened at"),
     ],
 )
-def test_what_cannot_be_is_reported_in_words(words: str, why: str, tmp_path: Path) -> None:
+def test_unusable_options_are_refused_with_reason(words: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "photo").write_bytes(b"\xff\xd8\xff\xe0")
     assert why in refused(*words.replace("FOLDER", str(tmp_path)).split())
 
 
-def test_without_a_board_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_board_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     from typer.testing import CliRunner
     from ugrbl.cli import ports
     from ugrbl.cli.app import app
@@ -148,7 +148,7 @@ def test_without_a_board_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> 
     assert "no controller is plugged in" in done.output and "--sim" in done.output
 
 
-def test_the_page_is_saved_for_a_browser_without_a_server(tmp_path: Path) -> None:
+def test_page_is_saved_for_browser_without_server(tmp_path: Path) -> None:
     file = tmp_path / "ugrbl.html"
     command = [sys.executable, "-m", "ugrbl.cli", "web", "--save", str(file)]
     done = subprocess.run(command, env=as_users(), capture_output=True, text=True, check=True)

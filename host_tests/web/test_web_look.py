@@ -1,4 +1,4 @@
-"""What `ugrbl web` says beforehand of a program."""
+"""Test the previews of programs that `ugrbl web` makes."""
 
 import asyncio
 from itertools import pairwise
@@ -17,7 +17,7 @@ _SQUARE = "G21 G90\nG0 X10\nG1 Y10 F300\nX0\nY0\nM30\n"
 
 
 def look(folder: Path, *requests: Any, longest_s: float = 60.0) -> "list[tuple[int, Any]]":
-    """Posts them one after the other; returns status and answer of each."""
+    """Post the requests one after the other; return status and answer of each."""
     found = []
 
     @played
@@ -30,7 +30,7 @@ def look(folder: Path, *requests: Any, longest_s: float = 60.0) -> "list[tuple[i
     return found
 
 
-def test_time_way_and_lines_are_those_of_a_run(tmp_path: Path) -> None:
+def test_time_path_and_lines_match_run(tmp_path: Path) -> None:
     ((status, found),) = look(tmp_path, {"name": "square.nc", "program": _SQUARE})
     assert status == 200
     wanted, _ = run_program(_SQUARE.encode().splitlines())
@@ -48,7 +48,7 @@ def test_time_way_and_lines_are_those_of_a_run(tmp_path: Path) -> None:
     assert found["times"][-1][1] == pytest.approx(found["seconds"], abs=0.05)
 
 
-def test_the_machines_own_settings_hold_and_others_are_passed_over(tmp_path: Path) -> None:
+def test_machine_settings_apply_and_invalid_ones_are_ignored(tmp_path: Path) -> None:
     quick = {"110": "6000", "111": "6000.000", "120": 500, "121": "500", "999": "1", "0": "1"}
     odd: dict[str, Any] = {"22": "1", "20": "1", "x": "1", "100": "many", "110": None, "²": "1"}
     odd.update(
@@ -75,11 +75,11 @@ STANDING = {
 
 
 def ends(found: Any) -> "dict[int, list[float]]":
-    """Where the motion of a line ends."""
+    """Return where the motion of each line ends."""
     return {line: [x, y, z] for x, y, z, _, line, _ in found["path"]}
 
 
-def test_a_program_runs_where_the_machine_stands_with_its_offsets(tmp_path: Path) -> None:
+def test_program_starts_at_machine_position_with_its_offsets(tmp_path: Path) -> None:
     program = "G0 X10 Y0\nG0 Z1\nG55 X0 Y0\nG53 Z0\nG28\nG91 G0 X1\n"
     ((status, found),) = look(tmp_path, {"program": program, **STANDING})
     assert status == 200 and not found["problems"]
@@ -95,14 +95,14 @@ def test_a_program_runs_where_the_machine_stands_with_its_offsets(tmp_path: Path
     }
 
 
-def test_time_counts_from_where_the_machine_stands(tmp_path: Path) -> None:
+def test_time_counts_from_machine_position(tmp_path: Path) -> None:
     far = {"program": "G0 X0\n", "place": [-100, 0, 0]}
     (_, near), (_, found) = look(tmp_path, {**far, "place": [-10, 0, 0]}, far)
     assert found["seconds"] == pytest.approx(near["seconds"] + 90 / 500 * 60, abs=0.2)
     assert found["times"] == [[1, pytest.approx(found["seconds"], abs=0.05)]]
 
 
-def test_modes_that_are_in_force_hold_for_a_program(tmp_path: Path) -> None:
+def test_active_modes_apply_to_program(tmp_path: Path) -> None:
     modes = "G1 G55 G17 G20 G91 G94 M5 M9 T0 F600.5 S0".split()
     request = {"program": "X1\nX1\n", "modes": modes, "offsets": {"G55": [3, 3, 3]}}
     ((_, found),) = look(tmp_path, request)
@@ -111,7 +111,7 @@ def test_modes_that_are_in_force_hold_for_a_program(tmp_path: Path) -> None:
     assert max(row[5] for row in found["path"]) == pytest.approx(500, abs=1), "$110"
 
 
-def test_what_makes_no_sense_of_how_it_stands_is_passed_over(tmp_path: Path) -> None:
+def test_invalid_machine_state_is_ignored(tmp_path: Path) -> None:
     odd: "list[dict[str, Any]]" = [
         {"place": "here", "offsets": [1], "modes": {}},
         {"place": [None], "offsets": {"G54": "x", "G99": [1], "": []}, "modes": [7, "G64", "!"]},
@@ -125,8 +125,8 @@ def test_what_makes_no_sense_of_how_it_stands_is_passed_over(tmp_path: Path) -> 
 
 
 @pytest.mark.sampled(1)
-def test_what_leaves_the_travel_is_said_beforehand(tmp_path: Path) -> None:
-    """The first line beyond each end, and how far it would be at the most."""
+def test_travel_violation_is_reported_in_preview(tmp_path: Path) -> None:
+    """The first line beyond each end is reported, with the farthest position."""
     settings = {"20": "1", "22": "1", "130": "150", "131": "150", "132": "40"}
     program = "G0 X60\nX120 Y10\nX130\nZ-1\nZ-20\nX0\n"
     request = {**STANDING, "program": program, "settings": settings, "options": "VNM"}
@@ -147,8 +147,8 @@ def test_what_leaves_the_travel_is_said_beforehand(tmp_path: Path) -> None:
     assert [row["line"] for row in other["problems"]] == [1, 5], "X goes from 0 to 150 there"
 
 
-def test_what_is_said_to_leave_the_travel_is_what_the_machine_refuses() -> None:
-    """At the same line, by the firmware's own soft limits."""
+def test_reported_travel_violation_matches_machine() -> None:
+    """The firmware's own soft limits refuse the same line."""
     from ugrbl.web.preview import preview as looked
 
     program = "".join(f"G0 X{-10 * n}\nG2 X{-10 * n - 8} I-4 F900\n" for n in range(12))
@@ -160,7 +160,7 @@ def test_what_is_said_to_leave_the_travel_is_what_the_machine_refuses() -> None:
     assert [row["line"] for row in said["problems"]] == [result.other_output[-1][0]] == [20]
 
 
-def test_lines_that_are_refused_are_named_with_their_meaning(tmp_path: Path) -> None:
+def test_refused_lines_are_named_with_meaning(tmp_path: Path) -> None:
     ((status, found),) = look(tmp_path, {"program": "G64\nG1 X1\nG0 X1 ! (hm?)\nM3 (Ä)\n"})
     assert status == 200
     assert [(row["line"], row["code"]) for row in found["problems"]] == [(1, 20), (2, 22), (3, 0)]
@@ -168,12 +168,12 @@ def test_lines_that_are_refused_are_named_with_their_meaning(tmp_path: Path) -> 
     assert "feed hold" in found["problems"][2]["text"]
 
 
-def test_the_marks_of_a_tapes_ends_are_no_fault(tmp_path: Path) -> None:
+def test_percent_lines_at_both_ends_are_accepted(tmp_path: Path) -> None:
     ((status, found),) = look(tmp_path, {"program": "%\nG21\nG0 X5\n%\n"})
     assert (status, found["problems"], found["lines"]) == (200, [], 4)
 
 
-def test_a_program_that_ends_in_an_alarm_says_where(tmp_path: Path) -> None:
+def test_program_that_ends_in_alarm_names_line(tmp_path: Path) -> None:
     ((status, found),) = look(tmp_path, {"program": "G21\nG38.2 Z-5 F200\nG0 X5\n"})
     assert status == 200
     (problem,) = found["problems"]
@@ -181,7 +181,7 @@ def test_a_program_that_ends_in_an_alarm_says_where(tmp_path: Path) -> None:
     assert problem["text"].startswith("ALARM:5 - ")
 
 
-def test_a_long_program_is_reported_in_few_points(tmp_path: Path) -> None:
+def test_long_program_is_reported_in_few_points(tmp_path: Path) -> None:
     moves = "".join(f"G{n % 2} X{n % 3} Y{n % 7} F3000\n" for n in range(3_000))
     settings = {"110": "20000", "111": "20000", "120": "9000", "121": "9000"}
     ((status, found),) = look(tmp_path, {"program": moves, "settings": settings})
@@ -207,7 +207,7 @@ def test_a_long_program_is_reported_in_few_points(tmp_path: Path) -> None:
         ({"program": "\ud800"}, ""),
     ],
 )
-def test_what_is_no_program_is_refused_in_words(request_: Any, why: str, tmp_path: Path) -> None:
+def test_request_without_program_is_refused(request_: Any, why: str, tmp_path: Path) -> None:
     ((status, said),) = look(tmp_path, request_)
     if why:
         assert status == 400 and why in said and "Traceback" not in said
@@ -215,7 +215,7 @@ def test_what_is_no_program_is_refused_in_words(request_: Any, why: str, tmp_pat
         assert status == 200
 
 
-def test_what_is_too_large_is_refused_in_words(tmp_path: Path) -> None:
+def test_too_large_request_is_refused(tmp_path: Path) -> None:
     program = {"program": "G0 X1\n" * (PROGRAM_BYTES // 6 + 1)}
     body = b"x" * (2 * PROGRAM_BYTES + (2 << 20))
     (one, said), (other, too) = look(tmp_path, program, body)
@@ -223,13 +223,13 @@ def test_what_is_too_large_is_refused_in_words(tmp_path: Path) -> None:
     assert other == 413 and "32 MB at the most" in too
 
 
-def test_a_look_that_takes_too_long_is_given_up(tmp_path: Path) -> None:
+def test_preview_that_takes_too_long_is_aborted(tmp_path: Path) -> None:
     ((status, said),) = look(tmp_path, {"program": _SQUARE}, longest_s=0.05)
     assert status == 504 and "within 0.05 s" in said
 
 
 @played
-async def test_the_newest_wins_and_bytes_go_on_meanwhile(tmp_path: Path) -> None:
+async def test_newest_request_wins_and_bytes_flow_meanwhile(tmp_path: Path) -> None:
     board = FakeBoard()
     long = {"program": "G1 F9000\n" + "X1\nX0\n" * 200_000}
     async with served(board, tmp_path) as site:

@@ -1,4 +1,4 @@
-"""`ugrbl web`: browsers at one board, and who of them moves it."""
+"""Test `ugrbl web`: several browsers at one board, of which one controls it."""
 
 import asyncio
 import json
@@ -32,7 +32,7 @@ def board() -> FakeBoard:
 
 
 @played
-async def test_all_hear_the_board_and_its_driver_is_heard(tmp_path: Path) -> None:
+async def test_all_clients_receive_and_controlling_client_sends(tmp_path: Path) -> None:
     async with served(Simulator("sim"), tmp_path) as site:
         first, second = await site.open(), await site.open()
         await first.told(link={"name": "sim", "open": True}, driver=True, drivers=1, watchers=1)
@@ -44,11 +44,11 @@ async def test_all_hear_the_board_and_its_driver_is_heard(tmp_path: Path) -> Non
 
 
 @played
-async def test_bytes_of_a_watcher_are_dropped(board: FakeBoard, tmp_path: Path) -> None:
+async def test_bytes_of_watcher_are_dropped(board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         first, second = await site.open(), await site.open()
         await second.send(b"G0 X5\n!\x18\x85")
-        await second.drive(True)  # behind it, so that it has been read
+        await second.drive(True)  # sent after the bytes, so those have been read
         await second.told(driver=True)
         await second.send(b"$G\n")
         await board.wait_for(b"$G\n")
@@ -57,7 +57,7 @@ async def test_bytes_of_a_watcher_are_dropped(board: FakeBoard, tmp_path: Path) 
 
 
 @played
-async def test_where_nobody_drives_who_watches_may_ask_and_no_more(
+async def test_watcher_may_only_query_when_no_client_controls(
     board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -71,14 +71,14 @@ async def test_where_nobody_drives_who_watches_may_ask_and_no_more(
         await first.drive(True)
         await first.told(driver=True)
         await second.send(b"?")
-        await second.drive(True)  # behind it, so that it has been read
+        await second.drive(True)  # sent after the bytes, so those have been read
         await second.told(driver=True)
         await asyncio.sleep(0.1)
         assert board.got == b"???"
 
 
 @played
-async def test_every_byte_a_board_can_say_comes_as_it_is(board: FakeBoard, tmp_path: Path) -> None:
+async def test_every_byte_of_board_arrives_unchanged(board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         page = await site.open()
         said = bytes(range(256)) * 100
@@ -88,7 +88,7 @@ async def test_every_byte_a_board_can_say_comes_as_it_is(board: FakeBoard, tmp_p
 
 
 @pytest.mark.sampled(1)
-def test_lines_go_whole_and_what_acts_overtakes_them() -> None:
+def test_lines_go_whole_and_realtime_bytes_overtake_them() -> None:
     framing = Framing()
     assert list(framing.take(b"G1 X")) == []
     assert list(framing.take(b"1?0!\r\n$G\nG9")) == [
@@ -109,7 +109,7 @@ def test_lines_go_whole_and_what_acts_overtakes_them() -> None:
 
 
 @played
-async def test_only_bytes_of_the_protocol_reach_a_board(board: FakeBoard, tmp_path: Path) -> None:
+async def test_only_protocol_bytes_reach_board(board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         page = await site.open()
         await page.send(b"\x03\x03\x03\r\x01\x04\x02")
@@ -121,7 +121,7 @@ async def test_only_bytes_of_the_protocol_reach_a_board(board: FakeBoard, tmp_pa
 
 
 @played
-async def test_a_stop_overtakes_lines_that_the_board_has_not_taken(
+async def test_stop_overtakes_lines_that_board_has_not_read(
     board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -137,11 +137,11 @@ async def test_a_stop_overtakes_lines_that_the_board_has_not_taken(
         assert board.got == b"G4 P1\n!\x18$X\n", "and what a reset comes behind is not done"
 
 
-# Drivers
+# Control
 
 
 @played
-async def test_anyone_who_takes_over_drives_and_the_other_watches(
+async def test_client_that_takes_over_controls_and_other_watches(
     board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -163,7 +163,7 @@ async def test_anyone_who_takes_over_drives_and_the_other_watches(
 
 
 @played
-async def test_a_sender_may_send_its_bytes_as_text(board: FakeBoard, tmp_path: Path) -> None:
+async def test_client_may_send_bytes_as_text(board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         sender = await site.open()
         await sender.socket.send_str("G91 (− is no byte)\n\x85?")
@@ -173,9 +173,7 @@ async def test_a_sender_may_send_its_bytes_as_text(board: FakeBoard, tmp_path: P
 
 @pytest.mark.parametrize("words", ['{"drive": 0}', "{}", "{", '{"job": 1}', '{"job": {}}'])
 @played
-async def test_words_that_mean_nothing_are_passed_over(
-    words: str, board: FakeBoard, tmp_path: Path
-) -> None:
+async def test_unknown_messages_are_ignored(words: str, board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         first, second = await site.open(), await site.open()
         await second.socket.send_str(words)
@@ -194,13 +192,13 @@ LOSSES = ["closed", "crashed", "gave up", "server ended"]
     [("Run", b"!"), ("Jog", b"\x85"), ("Idle", b""), ("Hold:0", b""), ("Alarm", b"")],
 )
 @played
-async def test_a_machine_whose_driver_is_lost_is_asked_to_stop_once(
+async def test_machine_of_lost_client_is_stopped_once(
     how: str, state: str, told: bytes, board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         board.say(f"<Run|MPos:0,0,0>\r\nok\r\n<{state}|MPos:0,0".encode())
-        board.say(b",0|FS:0,0>\r\nok\r\n<Idle|")  # half a report is none
+        board.say(b",0|FS:0,0>\r\nok\r\n<Idle|")  # half a report does not count
         await watcher.wait("<Idle|")
         await driver.send(b"G1")
         await _lose(how, site, driver)
@@ -226,7 +224,7 @@ async def _lose(how: str, site: Site, driver: Page) -> None:
 
 
 @played
-async def test_a_driver_whose_network_has_gone_is_lost_as_well(
+async def test_client_whose_network_fails_is_lost_as_well(
     board: FakeBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "_HEARTBEAT_S", 0.4)
@@ -234,13 +232,13 @@ async def test_a_driver_whose_network_has_gone_is_lost_as_well(
         driver, watcher = await site.open(), await site.open()
         board.say(b"<Run|MPos:0,0,0>\r\n")
         await driver.wait(">")
-        driver.go_deaf()  # so it answers no ping
+        driver.go_deaf()  # it answers no ping
         await watcher.told(drivers=0, watchers=1)
         await board.wait_for(b"!")
 
 
 @played
-async def test_a_job_whose_driver_is_lost_is_held_and_goes_on_when_asked(tmp_path: Path) -> None:
+async def test_job_of_lost_client_is_held_and_continues_on_request(tmp_path: Path) -> None:
     async with served(Simulator("sim"), tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         await driver.ask("G91")
@@ -263,7 +261,7 @@ PROGRAM = {"id": "one", "name": "x.nc", "program": "G1 X1\nG1 X2\n"}
 
 
 @played
-async def test_a_job_is_told_to_all_and_may_be_taken_up_where_its_browser_has_gone(
+async def test_job_is_shared_and_may_be_continued_after_browser_is_lost(
     board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -271,7 +269,7 @@ async def test_a_job_is_told_to_all_and_may_be_taken_up_where_its_browser_has_go
         assert (await site.job(PROGRAM))[0] == 200
         await watcher.told(job={"id": "one", "name": "x.nc"})
         far = {"id": "one", "sent": 1, "made": 1, "state": "running", "why": ""}
-        await watcher.job({**far, "made": 9}, "G1 X9\n")  # it does not drive
+        await watcher.job({**far, "made": 9}, "G1 X9\n")  # this client is not in control
         await driver.job(far, "G1 X1\n")
         await watcher.told(job={**far, "name": "x.nc"})
         await board.wait_for(b"G1 X1\n")
@@ -290,10 +288,10 @@ async def test_a_job_is_told_to_all_and_may_be_taken_up_where_its_browser_has_go
 
 
 @played
-async def test_lines_of_a_job_that_wait_for_the_board_are_counted_as_sent_and_go_there(
+async def test_queued_lines_count_as_sent_and_reach_board_after_takeover(
     board: FakeBoard, tmp_path: Path
 ) -> None:
-    """Where another takes over; so who goes on with it leaves none out, and sends none twice."""
+    """So the client that continues the job leaves no line out and sends none twice."""
     async with served(board, tmp_path) as site:
         driver, other = await site.open(), await site.open()
         await site.job(PROGRAM)
@@ -308,7 +306,7 @@ async def test_lines_of_a_job_that_wait_for_the_board_are_counted_as_sent_and_go
 
 @pytest.mark.parametrize("body", [b"", b"[]", b'{"id": "1", "name": "x"}', b'{"id": 1}'])
 @played
-async def test_what_is_no_program_is_not_shared(
+async def test_body_without_program_is_not_shared(
     body: bytes, board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -318,7 +316,7 @@ async def test_what_is_no_program_is_not_shared(
 
 
 @played
-async def test_a_jog_whose_driver_is_lost_ends(tmp_path: Path) -> None:
+async def test_jog_of_lost_client_ends(tmp_path: Path) -> None:
     async with served(Simulator("sim"), tmp_path) as site:
         driver, watcher = await site.open(), await site.open()
         await driver.ask("$J=G91 X100 F500")
@@ -331,7 +329,7 @@ async def test_a_jog_whose_driver_is_lost_ends(tmp_path: Path) -> None:
 
 
 @played
-async def test_the_simulator_can_be_homed(tmp_path: Path) -> None:
+async def test_simulator_can_be_homed(tmp_path: Path) -> None:
     async with served(Simulator("sim"), tmp_path) as site:
         page = await site.open()
         fast = ("$25=3000", "$24=600", "$110=3000", "$111=3000", "$112=3000")
@@ -343,16 +341,16 @@ async def test_the_simulator_can_be_homed(tmp_path: Path) -> None:
 
 
 @played
-async def test_a_board_whose_motors_move_axes_together_has_no_switches(tmp_path: Path) -> None:
+async def test_board_with_coupled_motors_has_no_switches(tmp_path: Path) -> None:
     async with served(Simulator("sim_corexy"), tmp_path) as site:
         assert (await (await site.open()).ask("G91 G0 X1")).endswith("ok\r\n")
 
 
-# The plug
+# Unplugging
 
 
 class PtyBoard:
-    """A port that can be pulled out, and put back in as another terminal."""
+    """A port that can be unplugged and returns as another terminal."""
 
     def __init__(self, link: Path) -> None:
         self._link = link
@@ -377,7 +375,7 @@ class PtyBoard:
 
 
 @played
-async def test_a_pulled_plug_is_reported_and_tried_again_and_browsers_stay(tmp_path: Path) -> None:
+async def test_unplugging_is_reported_and_retried_while_browsers_stay(tmp_path: Path) -> None:
     port = tmp_path / "ttyACM0"
     plug = PtyBoard(port)
     async with served(SerialSource(lambda: str(port)), tmp_path) as site:
@@ -387,7 +385,7 @@ async def test_a_pulled_plug_is_reported_and_tried_again_and_browsers_stay(tmp_p
         plug.pull()
         for page in pages:
             await page.told(link={"name": str(port), "open": False})
-        await pages[0].send(b"G1 X100\n")  # is lost
+        await pages[0].send(b"G1 X100\n")  # lost
         await until(lambda: len(site.log) == 2, "log")
         assert "broke" in site.log[0] and "simulator run?; it is tried again" in site.log[1]
         plug.plug_in()
@@ -401,7 +399,7 @@ async def test_a_pulled_plug_is_reported_and_tried_again_and_browsers_stay(tmp_p
 
 
 @played
-async def test_a_simulator_that_was_killed_is_started_anew(tmp_path: Path) -> None:
+async def test_killed_simulator_is_restarted(tmp_path: Path) -> None:
     simulator = Simulator("sim")
     async with served(simulator, tmp_path) as site:
         page = await site.open()
@@ -412,13 +410,11 @@ async def test_a_simulator_that_was_killed_is_started_anew(tmp_path: Path) -> No
         assert "[GC:" in await page.ask("$G")
 
 
-# Who may come in
+# Access
 
 
 @played
-async def test_the_page_is_served_and_no_other_may_frame_it(
-    board: FakeBoard, tmp_path: Path
-) -> None:
+async def test_page_is_served_and_may_not_be_framed(board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         async with site.session.get(site.address) as got:
             assert (got.status, await got.text()) == (200, HTML)
@@ -438,7 +434,7 @@ async def test_the_page_is_served_and_no_other_may_frame_it(
     "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost", "http://["]
 )
 @played
-async def test_pages_of_others_are_refused(origin: str, board: FakeBoard, tmp_path: Path) -> None:
+async def test_foreign_pages_are_refused(origin: str, board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         for path, method in (("/ws", "GET"), ("/api/look", "POST")):
             status, said = await site.status(path, method, Origin=origin)
@@ -462,7 +458,7 @@ async def test_pages_of_others_are_refused(origin: str, board: FakeBoard, tmp_pa
     ],
 )
 @played
-async def test_names_that_are_not_ours_are_refused(
+async def test_foreign_host_names_are_refused(
     host: str, status: int, board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -472,7 +468,7 @@ async def test_names_that_are_not_ours_are_refused(
 
 
 @played
-async def test_from_the_network_a_token_is_wanted(board: FakeBoard, tmp_path: Path) -> None:
+async def test_network_access_needs_token(board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path, host="0.0.0.0") as site:
         token = site.access.token
         assert len(token) >= 20
@@ -485,18 +481,18 @@ async def test_from_the_network_a_token_is_wanted(board: FakeBoard, tmp_path: Pa
         await (await site.open(f"/ws?token={token}")).told(driver=True)
 
 
-def test_every_start_has_another_token() -> None:
+def test_every_start_has_new_token() -> None:
     from ugrbl.web.access import Access
 
     assert Access("0.0.0.0").token != Access("0.0.0.0").token
     assert not Access("localhost").token and not Access("::1").token
 
 
-# Many, and slow
+# Many clients, and slow ones
 
 
 @played
-async def test_who_does_not_read_is_let_go_and_nobody_else_waits(
+async def test_client_that_does_not_read_is_dropped_and_delays_no_other(
     board: FakeBoard, tmp_path: Path
 ) -> None:
     async with served(board, tmp_path) as site:
@@ -511,7 +507,7 @@ async def test_who_does_not_read_is_let_go_and_nobody_else_waits(
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Iterator["tuple[str, Path, subprocess.Popen[str]]"]:
-    """A simulator that tells its steps at the end: where it is, the file, the process."""
+    """A simulator that writes its steps at the end; yields its address, the file, the process."""
     report = tmp_path / "report.json"
     command = [sys.executable, "-m", "ugrbl.cli", "sim", "--tcp", "0", "--report", str(report)]
     process = subprocess.Popen(
@@ -526,7 +522,7 @@ def recorded(tmp_path: Path) -> Iterator["tuple[str, Path, subprocess.Popen[str]
 
 @pytest.mark.thorough
 @played
-async def test_a_storm_of_reloads_and_slow_readers_changes_no_step(
+async def test_reloads_and_slow_readers_change_no_step(
     recorded: "tuple[str, Path, subprocess.Popen[str]]", tmp_path: Path
 ) -> None:
     port, report, process = recorded
@@ -551,7 +547,7 @@ async def test_a_storm_of_reloads_and_slow_readers_changes_no_step(
 
 
 async def _reload(site: Site, slow: bool) -> None:
-    """Come, send what is not heard, and go, again and again; slow: or stay and read nothing."""
+    """Connect, send bytes that are dropped, and disconnect, in a loop; slow: also read nothing."""
     while True:
         page = await site.open()
         await page.send(b"G0 X99\n!\x18" * 10)
@@ -563,7 +559,7 @@ async def _reload(site: Site, slow: bool) -> None:
 
 
 async def _stream(page: Page, lines: "list[bytes]") -> None:
-    """Keep 120 bytes under way, and ask for reports meanwhile."""
+    """Keep at most 120 bytes unanswered, and request reports meanwhile."""
     page.text = ""
     under_way: deque[int] = deque()
     answered = 0
