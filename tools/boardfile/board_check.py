@@ -1,4 +1,4 @@
-"""What is wrong with a board file: judged from its data, before anything is on a board."""
+"""Check a board file from its data, before anything is sent to a board."""
 
 import ast
 import difflib
@@ -29,7 +29,7 @@ from .new_board import (
 from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 from .setting_tables import tables_of
 
-# How an extra of the user's own reads a name of the board file.
+# How a user's extra reads a name of the board file.
 _READ = re.compile(r"""\b(?:option\(|getattr\(\s*board,\s*)"([A-Z]\w*)"|\bboard\.([A-Z]\w*)""")
 
 # Pins that new_board does not ask for.
@@ -39,17 +39,17 @@ _OTHERS = {
     "INPUTS": "inputs for custom.py",
 }
 
-# Of an RP2350, which has pulses for one more.
+# On an RP2350, which can step one motor more without a laser.
 MOST_BESIDE_BEAM = 7
 
-# Pins of an SPI: what is left by 4 of its clock, what it sends at, what it reads at; by turns one
-# SPI has so many of them, and the other.
+# SPI pins of RP2040 and RP2350: GPIO number modulo 4 of SCK, TX and RX. Groups of 2**_SPI_LOG2 = 8
+# pins belong to SPI0 and SPI1 in turn.
 _SPI = (2, 3, 0)
 _SPI_LOG2 = 3
 
 
 def problems(board: ModuleType) -> list[str]:
-    """Every problem in words: what and why. None for a good board."""
+    """Return every problem in words, with its cause; an empty list for a correct board."""
     values = [*_values(board), *_unknown(board), *_network(board)]
     if is_simulated(board):
         return values or list(_firmware(board))
@@ -58,12 +58,12 @@ def problems(board: ModuleType) -> list[str]:
         return found
     check = _inputs if _has_registers(board) else _pins
     pins = min((list(check(board, chip)) for chip in chips_of(board)), key=len)
-    rest = values or (() if pins else _firmware(board))  # which takes pins for granted
+    rest = values or (() if pins else _firmware(board))  # it relies on correct pins
     return [*pins, *_wires(board), *_card(board), *rest, *_defaults(board)]
 
 
 def notes(board: ModuleType) -> list[str]:
-    """What is worth to know about the pins and defaults of a good board."""
+    """Return hints about the pins and defaults of a correct board."""
     if is_simulated(board):
         return []
     check = _inputs if _has_registers(board) else _pins
@@ -76,7 +76,7 @@ def notes(board: ModuleType) -> list[str]:
 
 
 def imports(text: str) -> Iterator[str]:
-    """Modules that a Python file imports, as it says them. SyntaxError where it is none."""
+    """Yield the modules that a Python file imports, as written. Raises SyntaxError."""
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -85,17 +85,17 @@ def imports(text: str) -> Iterator[str]:
 
 
 def is_simulated(board: ModuleType) -> bool:
-    """A machine of the simulator, without pins."""
+    """Return whether the board is a machine of the simulator, without pins."""
     return getattr(board, "ENGINE", "") == SIMULATOR
 
 
 def _has_registers(board: ModuleType) -> bool:
-    """Motors have no pins of the chip."""
+    """Return whether the motors use shift registers instead of pins of the chip."""
     return "STEP" not in engines()[board.ENGINE].pins
 
 
 def chips_of(board: ModuleType) -> list[Chip]:
-    """The chip that it names; else those that it may be on."""
+    """Return the chip that the board names, or else the chips that it may run on."""
     return [CHIPS[board.CHIP]] if hasattr(board, "CHIP") else on_their_own(board.MPY_ARCH)
 
 
@@ -108,7 +108,7 @@ def _missing(board: ModuleType) -> Iterator[str]:
 
 
 def _parts(board: ModuleType) -> Iterator[str]:
-    """Engine, link, chip and what is compiled for: words that there are, and that go together."""
+    """Check that ENGINE, LINK, MPY_ARCH and CHIP are known words and fit together."""
     found = [_problem(board, name) for name in ("ENGINE", "LINK", "MPY_ARCH", "CHIP")]
     yield from filter(None, found)
     if any(found):
@@ -125,12 +125,12 @@ def _problem(board: ModuleType, name: str) -> str:
 
 
 def _values(board: ModuleType) -> Iterator[str]:
-    """What is of another type than it has to be, out of range, or none of the words there are."""
+    """Check the type, range and word of every option."""
     yield from filter(None, (_problem(board, name) for name in BY_NAME))
 
 
 def _kinds(board: ModuleType) -> Iterator[str]:
-    """What is of another type: nothing more can be said of such a board."""
+    """Check the types alone; with a wrong type nothing else can be checked."""
     for name, option in BY_NAME.items():
         if hasattr(board, name) and not option.kind.fits(getattr(board, name)):
             yield _problem(board, name)
@@ -153,12 +153,12 @@ def _pins_of_extras(board: ModuleType) -> tuple[str, ...]:
 
     try:
         return select_extras.pin_options(board)
-    except Exception:  # whatever a module of the user's own raises
-        return ()  # _values() and _firmware() say it
+    except Exception:  # a user's module may raise anything
+        return ()  # _values() and _firmware() report it
 
 
 def _others(board: ModuleType) -> dict[str, str]:
-    """What else is a pin, those of extras included, and what it is for."""
+    """Return the other options that hold pins, with their purpose; those of extras, too."""
     names = _pins_of_extras(board)
     return {**_OTHERS, **{name: name.lower().replace("_", " ") for name in names}}
 
@@ -170,7 +170,7 @@ def _as_tuple(value: Any) -> tuple[Any, ...]:
 
 
 def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Names in the board file with their pins, controls by their own names."""
+    """Yield names in the board file with their pins; controls under their own names."""
     for item in ITEMS:
         if item.name not in CONTROLS and getattr(board, item.name, None) is not None:
             yield item.name, _as_tuple(getattr(board, item.name))
@@ -183,7 +183,7 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
 
 
 def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
-    """No pin twice, pins that exist, as many as the engine needs."""
+    """Check that pins exist, are used once, and are as many as the engine needs."""
     if motor_names.axes_of(board) < FEWEST_AXES:
         yield f"STEP wants {FEWEST_AXES} pins, for {motor_names.AXIS_LETTERS[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
@@ -191,7 +191,7 @@ def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
     items = {item.name: item for item in ITEMS}
     known = Board(board.__name__, chip, getattr(board, "MOTORS", ""))
     for name, pins in _held(board):
-        # An enable per driver is as good as one for all.
+        # One enable pin per driver is allowed as well as one for all.
         if name in items and not (name == "ENABLE" and len(pins) > 1):
             try:
                 check_item(known, items[name], pins)
@@ -222,7 +222,7 @@ def _loose(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
 
 
 def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
-    """Of a board whose outputs are behind shift registers: those apart, pins of the chip apart."""
+    """Check a board with shift registers, whose outputs are numbered apart from the pins."""
     outputs = (*board.STEP, *board.DIR, *_as_tuple(getattr(board, "ENABLE", ())))
     for pin in sorted(set(outputs)):
         if outputs.count(pin) > 1:
@@ -239,33 +239,33 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
 
 
 def _names_of_extras(board: ModuleType) -> set[str]:
-    """What modules of the user's own read."""
+    """Return the names that the user's modules read from the board file."""
     matches = [match for text in _own_extras(board).values() for match in _READ.findall(text)]
     return {one or other for one, other in matches}
 
 
 def own_modules(board: Any) -> tuple[str, ...]:
-    """The modules of the user's own that lie beside the board file, by name."""
+    """Return the names of the user's modules that are stored in the board file's folder."""
     kinematics = getattr(board, "KINEMATICS", "")
     return (*getattr(board, "EXTRAS", ()), *((kinematics,) if kinematics else ()))
 
 
 def _own_extras(board: ModuleType) -> dict[str, str]:
-    """The modules of the user's own, as they are written, by name."""
+    """Return the source text of the user's modules, by name."""
     specs = {name: importlib.util.find_spec(name) for name in own_modules(board)}
     files = {name: Path(spec.origin) for name, spec in specs.items() if spec and spec.origin}
     return {name: file.read_text(encoding="utf-8") for name, file in files.items()}
 
 
 def _name_of_custom(board: ModuleType) -> Iterator[str]:
-    """What an extra is called, the user's own module cannot be."""
+    """Check that the user's custom module does not have the name of an extra."""
     name = getattr(board, "CUSTOM", "")
     if name and name in own_modules(board):
         yield f"CUSTOM is {name!r}: EXTRAS has a module of that name"
 
 
 def _imports_of_extras(board: ModuleType) -> Iterator[str]:
-    """Modules of the firmware: a board need not have them, and their constants are gone there."""
+    """Report imports of firmware modules: a board may lack them, and has no constants of them."""
     packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()} - {"extras"}
     for name, text in _own_extras(board).items():
         for module in imports(text):
@@ -277,7 +277,7 @@ def _imports_of_extras(board: ModuleType) -> Iterator[str]:
 
 
 def _wires(board: ModuleType) -> Iterator[str]:
-    """What is switched on, or turned round, and has no pin."""
+    """Check that everything switched on or inverted has a pin."""
     for option, name in (("SAFETY_DOOR", "door"), ("MIST", "mist")):
         if getattr(board, option, False) and not _wired(board, name):
             yield f"{option} is set and there is no pin for the {name}"
@@ -296,7 +296,7 @@ def _wires(board: ModuleType) -> Iterator[str]:
 
 
 def _network(board: ModuleType) -> Iterator[str]:
-    """Where the page cannot be served, or there is no network at all."""
+    """Check that the board can serve the page and that its network exists."""
     chip, link = CHIPS.get(getattr(board, "CHIP", "")), getattr(board, "LINK", "")
     page = getattr(board, "PAGE", None) is True
     if page and getattr(board, "MPY_ARCH", "") == TOO_SMALL:
@@ -308,7 +308,7 @@ def _network(board: ModuleType) -> Iterator[str]:
 
 
 def _card(board: ModuleType) -> Iterator[str]:
-    """Where an SD card cannot be: RP2040 and RP2350 have two SPIs, with pins of their own."""
+    """Check the pins of an SD card: RP2040 and RP2350 have two SPIs, each with fixed pins."""
     pins = getattr(board, "SD_CARD", ())
     if not pins:
         return
@@ -330,7 +330,7 @@ def _wired(board: ModuleType, name: str) -> bool:
 
 
 def _firmware(board: ModuleType) -> Iterator[str]:
-    """What the firmware itself would refuse: an extra, or what it lacks."""
+    """Report what the firmware itself refuses: an extra, or a missing module."""
     paths.use_firmware()
     from boot.options import Options
 
@@ -358,11 +358,11 @@ def _defaults(board: ModuleType) -> Iterator[str]:
     settings = Settings(MemoryStore(), motor_names.axes_of(board), {})
     try:
         tables = tables_of(board)
-    except ValueError:  # which _firmware() tells
+    except ValueError:  # _firmware() reports it
         return
     for rows in tables.values():
         settings.rows = (*(row for row in settings.rows if row not in rows), *rows)
-    settings.signed = dict.fromkeys(SIGNED, inf)  # how far, the extra itself says
+    settings.signed = dict.fromkeys(SIGNED, inf)  # the extra itself checks the range
     settings.load()
     for number, value in getattr(board, "DEFAULTS", {}).items():
         try:

@@ -1,8 +1,8 @@
-"""Drawings of modules: the pins on both sides, from the USB plug down.
+"""Drawings of modules: the pins on both sides, from the USB connector down.
 
-From the makers' pin drawings: Raspberry Pi Pico data sheet, figure 2; ESP32-DevKitC V4;
-ESP32-S3-DevKitC-1. A number is a GPIO, anything else is printed as it is. A chip without a module
-is drawn with its pins in order.
+Sources are the makers' pin drawings: Raspberry Pi Pico data sheet, figure 2; ESP32-DevKitC V4;
+ESP32-S3-DevKitC-1. A number is a GPIO; any other word is a label. A chip without a module is drawn
+with its pins in order.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ class Module(NamedTuple):
     title: str
     left: str
     right: str
-    on_board: str = ""  # GPIOs that are not at an edge
+    on_board: str = ""  # GPIOs that are not on an edge
 
 
 _PICO = (

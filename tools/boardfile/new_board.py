@@ -1,4 +1,4 @@
-"""A board file made of answers: which pins there are, what may go where, the text of the file."""
+"""Make a board file from answers: the pins that exist, the rules for their use, the text."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from .chips import CHIPS, Chip
 
 FEWEST_AXES = 3
 
-Pins = tuple[int | None, ...]  # None: not wired
+Pins = tuple[int | None, ...]  # None: not connected
 
 
 class Item(NamedTuple):
@@ -24,7 +24,7 @@ class Item(NamedTuple):
     output: bool = False
 
 
-# In the order of the file, and of the questions.
+# In the order of the file and of the questions.
 ITEMS = (
     Item("STEP", "step pulses, a pin per motor", per_axis=True, needed=True, output=True),
     Item("DIR", "directions, a pin per motor", per_axis=True, needed=True, output=True),
@@ -42,16 +42,16 @@ ITEMS = (
     Item("FLOOD", "flood coolant", output=True),
     Item("MIST_PIN", "mist coolant", output=True),
 )
-# These stand together in the file, None where there is no such input.
+# One tuple holds all of these in the file, with None for a missing input.
 CONTROLS = ("RESET", "HOLD", "START", "DOOR")
-# Steps, and inputs that are looked at all at once: not every pin will do (Chip.last_quick).
+# Steps and directions, and inputs that are read all at once, need pins up to Chip.last_quick.
 QUICK = ("STEP", "DIR", "LIMIT", "PROBE", *CONTROLS)
-# What a pin brings with it.
+# Options that a pin switches on.
 SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
 BY_NAME = {item.name: item for item in ITEMS}
 
 
-# A Pico W's; what is left on it: docs/boards.md.
+# MPY_ARCH of a Pico W; for its remaining memory see docs/boards.md.
 TOO_SMALL = "armv6m"
 NO_PAGE = (
     "PAGE: a Pico W has less than 40 kB of memory left with it: take the page from `ugrbl web`, "
@@ -60,29 +60,29 @@ NO_PAGE = (
 
 
 class BoardError(Exception):
-    """Something that a board file cannot say; the text tells what and why."""
+    """Raised for answers that a board file cannot express; the text gives the cause."""
 
 
 @dataclass
 class Board:
-    """The answers."""
+    """The answers from which a board file is made."""
 
     title: str
     chip: Chip
-    motors: str = ""  # the axis of each, where one has two
-    rotary: str = ""  # axes that turn
+    motors: str = ""  # the axis of each motor, if an axis has two
+    rotary: str = ""  # rotary axes
     pins: dict[str, Pins] = field(default_factory=dict)
     defaults: dict[int, float] = field(default_factory=dict)
     network: bool = False
-    page: bool = False  # which the network has
+    page: bool = False  # served over the network
 
     @property
     def axes(self) -> int:
-        """How many there are; 0 before there are step pins."""
+        """Return the number of axes; 0 before step pins are known."""
         return motor_names.count_axes(self.motors) or len(self.pins.get("STEP", ()))
 
     def as_json(self) -> dict[str, object]:
-        """The answers, without title and chip."""
+        """Return the answers without title and chip."""
         return {
             "pins": self.pins,
             "motors": self.motors,
@@ -91,7 +91,7 @@ class Board:
         }
 
     def text(self) -> str:
-        """The board file."""
+        """Return the text of the board file."""
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]
         lines += [f'CHIP = "{name}"' for name, one in CHIPS.items() if one is self.chip]
         lines += [f'MPY_ARCH = "{self.chip.mpy_arch}"', f'ENGINE = "{self.chip.engine}"']
@@ -133,7 +133,7 @@ class Board:
         return [f"CONTROL = ({values})  # reset, hold, start, door"]
 
     def wiring(self) -> Iterator[tuple[int, str]]:
-        """Every pin in use, and what is connected to it."""
+        """Yield every pin in use and what is connected to it."""
         names = motor_names.names(self.motors or motor_names.AXIS_LETTERS)
         for item in ITEMS:
             for motor, pin in enumerate(self.pins.get(item.name, ())):
@@ -148,7 +148,7 @@ def _tuple(pins: Sequence[int | None]) -> str:
 
 
 def read_pins(text: str) -> Pins:
-    """`2 3 4`, `2,3,4` or `GP2 GP3 GP4`; `None` where there is none."""
+    """Parse `2 3 4`, `2,3,4` or `GP2 GP3 GP4`; `None` stands for a missing input."""
     pins: list[int | None] = []
     for word in text.replace(",", " ").split():
         if word.lower() == "none":
@@ -162,13 +162,13 @@ def read_pins(text: str) -> Pins:
 
 
 def check_item(board: Board, item: Item, pins: Pins) -> None:
-    """BoardError where these pins cannot be it, beside those there are already."""
+    """Raise BoardError if the pins do not suit the item, or conflict with the pins already set."""
     if not pins:
         if item.needed:
             raise BoardError(f"{item.name} is needed: --pin {item.name.lower()}=2,3,4")
         return
     count = len(board.pins.get("STEP", pins)) if item.per_axis else 1
-    # A second motor need not have a switch.
+    # A second motor needs no switch of its own.
     wanted = {count, board.axes or count} if item.name == "LIMIT" else {count}
     if item.name == "STEP" and len(pins) > board.chip.most_motors:
         raise BoardError(
@@ -194,12 +194,12 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
             raise BoardError(f"{item.name}: pin {pin} of {board.chip.title} can only read")
         if pin in used:
             raise BoardError(f"{item.name}: pin {pin} is {used[pin]} already")
-        if pin in pins[:count] and item.name != "LIMIT":  # whose switches may share one
+        if pin in pins[:count] and item.name != "LIMIT":  # limit switches may share a pin
             raise BoardError(f"{item.name} names pin {pin} twice")
 
 
 def check_motors(board: Board, letters: str) -> None:
-    """BoardError where these cannot be the axes of the motors that have step pins."""
+    """Raise BoardError if the letters cannot be the axes of the motors with step pins."""
     paths.use_firmware()
     from extras.motors.ganged import count_axes
 
@@ -210,7 +210,7 @@ def check_motors(board: Board, letters: str) -> None:
 
 
 def check_axes(board: Board) -> None:
-    """BoardError where nothing says what so many motors move."""
+    """Raise BoardError if there are more motors than axes and MOTORS is not given."""
     motors, most = len(board.pins["STEP"]), len(motor_names.AXIS_LETTERS)
     if not board.motors and motors > most:
         raise BoardError(
@@ -220,7 +220,7 @@ def check_axes(board: Board) -> None:
 
 
 def check_rotary(board: Board, letters: str) -> None:
-    """BoardError where these cannot be axes that turn."""
+    """Raise BoardError if the letters cannot be rotary axes."""
     paths.use_firmware()
     from extras.kinematics.rotary import mask_of
 
@@ -231,7 +231,7 @@ def check_rotary(board: Board, letters: str) -> None:
 
 
 def check(board: Board) -> None:
-    """BoardError for the first thing that is wrong with the whole of it."""
+    """Raise BoardError for the first fault of the whole board."""
     if not board.title.isprintable() or set(board.title) & set('"\\'):
         raise BoardError("the title is one line without quotation marks and backslashes")
     for item in ITEMS:
@@ -268,7 +268,7 @@ def _check_defaults(board: Board) -> None:
 
 
 def oddities(board: Board) -> list[str]:
-    """What is worth to know about the pins chosen."""
+    """Return hints about the chosen pins."""
     return [
         f"pin {pin} ({what}) {board.chip.odd[pin]}"
         for pin, what in board.wiring()

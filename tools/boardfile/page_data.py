@@ -1,7 +1,7 @@
-"""The data with which the page in the browser makes board files: our tables, as JSON.
+"""Provide the tables from which the page makes board files, as JSON.
 
-The rules themselves are repeated in tools/web/page/board_file.js;
-host_tests/web/test_board_wizard.py compares both over random boards.
+tools/web/page/board_file.js repeats the rules themselves. host_tests/web/test_board_rules.py
+compares both with random boards.
 """
 
 from typing import Any
@@ -14,8 +14,8 @@ from .files import boards, load
 from .modules import module
 from .options import BY_NAME, INVERTIBLE, NAMES, WORD, Option
 
-# The options in the forms. Others have rules that need modules which a page cannot read, or pins
-# of an engine; their lines in a board file of boards/ are kept as they are.
+# The options in the forms. The rules of the others need modules that a page cannot read, or pins
+# of an engine; their lines in a board file of boards/ are kept unchanged.
 FORMS = {
     "Motors": (
         *("COREXY", "BACKLASH", "SKEW", "JERK", "DIR_SETUP_US", "DIR_HOLD_US"),

@@ -33,7 +33,7 @@ EXAMPLES = examples(
 
 @dataclass
 class Options:
-    """What the command line asks for."""
+    """The options of the command line."""
 
     port: str | None
     baud: int
@@ -73,8 +73,8 @@ def command(
 ) -> None:
     """Serve a page that jogs the machine and sends jobs.
 
-    Any number of browsers may watch; one drives. On the network, whoever has the address that is
-    printed, with its token, can move the machine. Ctrl-C ends it; a machine at work is held.
+    Any number of browsers may watch; one controls the machine. On the network, anyone with the
+    printed address and its token can move the machine. Ctrl-C ends it; a moving machine is held.
     """
     try:
         if save:
@@ -89,7 +89,7 @@ def command(
 
 
 def _check(options: Options) -> None:
-    """ValueError or SendError where something cannot be; before anything is opened."""
+    """Check the options before anything is opened. Raises ValueError or SendError."""
     if options.sim and options.port:
         raise ValueError("say one of --port and --sim")
     if options.settings and not options.sim:
@@ -103,7 +103,7 @@ def _check(options: Options) -> None:
 
 
 async def _serve(options: Options) -> None:
-    """Until a signal comes."""
+    """Serve until a signal arrives."""
     from ..web.access import Access
     from ..web.board_link import SerialSource, Source
     from ..web.server import Server
@@ -114,7 +114,7 @@ async def _serve(options: Options) -> None:
         source = Simulator(options.board, options.settings)
 
     def log(text: str) -> None:
-        with suppress(OSError):  # of a terminal that was closed: the machine is held all the same
+        with suppress(OSError):  # the terminal may be closed; the machine must still be held
             print(text, flush=True)
 
     access = Access(options.host)
@@ -125,7 +125,7 @@ async def _serve(options: Options) -> None:
         address = _address(options.host, port, access.token)
         log(f"{source.name} is at {address}")
         if options.browser:
-            # Some browsers are programs that this would wait for.
+            # In a thread, because some browsers return only when they end.
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
         await ended.wait()
     finally:
@@ -133,7 +133,7 @@ async def _serve(options: Options) -> None:
 
 
 def _on_signals() -> asyncio.Event:
-    """Set by the first one; a second one ends everything at once."""
+    """Return an event that the first signal sets; a second signal ends the process at once."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -141,19 +141,19 @@ def _on_signals() -> asyncio.Event:
         loop.call_soon_threadsafe(ended.set)
 
     for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGINT)):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored by nohup
             signal.signal(number, end)
     return ended
 
 
 def _address(host: str, port: int, token: str) -> str:
-    """As a browser wants it."""
+    """Return the address to open in a browser."""
     name = host.strip("[]")
     try:
         if ipaddress.ip_address(name).is_unspecified:
             name = _own_address()
     except ValueError:
-        return _url(name, port, token)  # a name
+        return _url(name, port, token)  # a host name
     return _url(f"[{name}]" if ":" in name else name, port, token)
 
 
@@ -162,10 +162,10 @@ def _url(name: str, port: int, token: str) -> str:
 
 
 def _own_address() -> str:
-    """By which others on the network come here."""
+    """Return this computer's address on the network."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # sends nothing, and chooses the way
+            probe.connect(("192.0.2.1", 9))  # sends nothing, only selects a route
         except OSError:
-            return socket.gethostname()  # there is no network
+            return socket.gethostname()  # no network
         return str(probe.getsockname()[0])

@@ -1,8 +1,8 @@
-"""Who may come in: pages of ours only, under a name of ours, and from outside with a token.
+"""Restrict access: only our own pages, under our own names, and with a token from the network.
 
-Any page on the web may open a websocket to this computer, and a name of its own may lead here
-(DNS rebinding): neither may move a machine. Programs that are no browsers send no Origin; they
-could open the port as well.
+Any page on the web may open a websocket to this computer, and a foreign name may resolve to it
+(DNS rebinding); neither may move a machine. Programs other than browsers send no Origin and are
+accepted, because they could open the port as well.
 """
 
 import hmac
@@ -16,7 +16,7 @@ _TOKEN_BYTES = 16
 
 
 class Access:
-    """What a request has to bring along for a server bound to host."""
+    """The conditions for a request to a server that is bound to host."""
 
     def __init__(self, host: str) -> None:
         self._bound = host.strip("[]").lower()
@@ -25,7 +25,7 @@ class Access:
         self.token = "" if self.is_local else secrets.token_urlsafe(_TOKEN_BYTES)
 
     def refusal(self, headers: Mapping[str, str], query: Mapping[str, str]) -> str:
-        """Why a request is refused, in a sentence; "" where it is not."""
+        """Return why a request is refused, in a sentence; "" if it is accepted."""
         host = headers.get("Host", "")
         if not self._is_own(_name(host)):
             return (
@@ -43,8 +43,10 @@ class Access:
         return ""
 
     def _is_own(self, name: str) -> bool:
-        """Whether a browser may have come here by that name; a number is no name that leads
-        elsewhere today and here tomorrow."""
+        """Return whether a browser may use that name.
+
+        A number is accepted, because it cannot resolve to another address later, as a name can.
+        """
         if is_loopback(name) or (name and name == self._bound):
             return True
         if self.is_local:
@@ -53,12 +55,12 @@ class Access:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer can come in there."""
+    """Return whether only this computer can reach that host."""
     return host == "localhost" or (_is_number(host) and ipaddress.ip_address(host).is_loopback)
 
 
 def _place(origin: str) -> str:
-    """Host and port of an Origin; "" where it has none, as `null`."""
+    """Return host and port of an Origin; "" if it has none, as `null`."""
     try:
         return urlsplit(origin).netloc.lower()
     except ValueError:
@@ -66,7 +68,7 @@ def _place(origin: str) -> str:
 
 
 def _name(host: str) -> str:
-    """A Host without its port."""
+    """Return a Host without its port."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

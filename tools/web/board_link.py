@@ -1,6 +1,6 @@
-"""A board at its port: bytes both ways, in threads of their own, so that no browser delays them.
+"""Connect a board at its port; threads read and write, so that no browser delays them.
 
-Where the plug is pulled, the port is tried again once a second, for ever.
+After unplugging, opening the port is retried once a second without limit.
 """
 
 import threading
@@ -14,24 +14,24 @@ _READ_S = 0.05
 _AGAIN_S = 1.0
 _READ_BYTES = 4096
 _WRITE_BYTES = 256
-# What a board gets at the end, a hold most of all, goes out within this time.
+# Time limit for the last bytes at the end, above all a feed hold.
 _LAST_S = 1.0
 
 
 class Source(Protocol):
-    """Where the board is."""
+    """A place where a board can be opened."""
 
     name: str
 
     def open(self) -> Any:
-        """A port of pyserial's. SendError where it cannot be opened."""
+        """Open a port with pyserial's interface. Raises SendError if it cannot be opened."""
 
     def close(self) -> None:
-        """It will not be opened again."""
+        """Close the source; it is not opened again."""
 
 
 class SerialSource:
-    """A serial port. where: names it, or finds it; SendError where it cannot."""
+    """A serial port. where: returns its name, or raises SendError."""
 
     name = ""
 
@@ -40,17 +40,20 @@ class SerialSource:
         self._baud = baud
 
     def open(self) -> Any:
-        """Open the port that is there now: a board that is plugged in anew may have another."""
+        """Open the port that exists now; its name may differ after plugging in again."""
         self.name = self._where()
         return open_port(self.name, self._baud, _READ_S)
 
     def close(self) -> None:
-        """Nothing is left."""
+        """Do nothing; the source holds no resources."""
 
 
 class BoardLink:
-    """Bytes to and from one board. heard gets what comes from it, changed is called where the
-    link breaks or is there again, log with a sentence: all from threads."""
+    """Pass bytes to and from one board.
+
+    heard receives the bytes from the board. changed is called when the link breaks and when it is
+    restored. log receives a sentence. All three are called from threads.
+    """
 
     def __init__(
         self,
@@ -63,11 +66,11 @@ class BoardLink:
         self._heard, self._changed, self._log = heard, changed, log
         self._port: Any = None
         self._closing = threading.Event()
-        self._news = threading.Condition()  # of what is to be written, and of the port
+        self._news = threading.Condition()  # signals bytes to write, and changes of the port
         self._urgent = bytearray()
         self._lines: deque[bytes] = deque()
         self._writing = False
-        self._told = ""  # why it could not be opened, as last logged
+        self._told = ""  # the last logged reason why the port could not be opened
         self._threads = [
             threading.Thread(target=work, name=f"board link, {work.__name__}", daemon=True)
             for work in (self._read_on, self._write_on)
@@ -75,22 +78,22 @@ class BoardLink:
 
     @property
     def name(self) -> str:
-        """The port, or `sim`."""
+        """Return the name of the port, or `sim`."""
         return self._source.name
 
     @property
     def is_open(self) -> bool:
-        """Whether a board is there."""
+        """Return whether a board is connected."""
         return self._port is not None
 
     def start(self) -> None:
-        """Open it for the first time, and begin. SendError where it cannot be opened."""
+        """Open the port for the first time and start the threads. Raises SendError."""
         self._port = self._source.open()
         for thread in self._threads:
             thread.start()
 
     def close(self) -> None:
-        """Send what is left to be sent, and give the port back."""
+        """Send the remaining bytes within 1 s and close the port."""
         with self._news:
             self._news.wait_for(self._is_empty, _LAST_S)
             self._closing.set()
@@ -106,26 +109,26 @@ class BoardLink:
     # To the board
 
     def write_line(self, line: bytes) -> None:
-        """A whole line; lost where no board is there."""
+        """Queue a whole line; it is lost if no board is connected."""
         with self._news:
             if self._port is not None:
                 self._lines.append(line)
                 self._news.notify_all()
 
     def write_now(self, byte: bytes) -> None:
-        """A real-time command, in front of lines that wait; lost where no board is there."""
+        """Queue a realtime byte before all waiting lines; it is lost if no board is connected."""
         with self._news:
             if self._port is not None:
                 self._urgent += byte
                 self._news.notify_all()
 
     def forget_lines(self) -> None:
-        """Lines that have not gone yet will not go."""
+        """Drop the lines that are not sent yet."""
         with self._news:
             self._lines.clear()
 
     def waiting(self) -> int:
-        """How many lines have not gone yet."""
+        """Return the number of lines that are not sent yet."""
         return len(self._lines)
 
     def _is_empty(self) -> bool:
@@ -146,7 +149,7 @@ class BoardLink:
                 continue
             try:
                 port.write(data)
-            except (OSError, TypeError, ValueError):  # as where it is read
+            except (OSError, TypeError, ValueError):  # as in _read_on()
                 self._lose(port)
 
     def _next(self) -> bytes:
@@ -169,7 +172,7 @@ class BoardLink:
                 continue
             try:
                 data = _read(port)
-            except (OSError, TypeError, ValueError):  # of a port that is closed, too
+            except (OSError, TypeError, ValueError):  # also raised for a closed port
                 self._lose(port)
                 continue
             if data:
@@ -192,7 +195,7 @@ class BoardLink:
         self._changed()
 
     def _lose(self, port: Any) -> None:
-        """The port has failed: what waits for it goes nowhere. Either thread may find it first."""
+        """Drop the failed port and all bytes that wait for it; either thread may call it first."""
         with self._news:
             if self._port is not port:
                 return
@@ -205,7 +208,7 @@ class BoardLink:
 
 
 def _read(port: Any) -> bytes:
-    """What there is; waits a moment for the first byte."""
+    """Return the available bytes; wait up to 0.05 s for the first."""
     data = bytes(port.read(1))
     try:
         while data and len(data) < _READ_BYTES and (more := port.in_waiting):
@@ -213,4 +216,4 @@ def _read(port: Any) -> bytes:
     except (OSError, TypeError, ValueError):
         if not data:
             raise
-    return data  # what has gone wrong behind it, the next read finds as well
+    return data  # the next read meets the same fault again

@@ -1,8 +1,8 @@
-"""Bytes of whoever drives, as a board is to get them: whole lines, and what acts at once.
+"""Split the controlling browser's bytes into whole lines and realtime bytes for the board.
 
-Half a line that a browser has left behind would become a part of the next one's first line, and a
-machine would go where nobody has sent it. So a line waits for its end, and real-time commands
-overtake it, as they do in Grbl itself.
+If a browser left half a line, it would become part of the next browser's first line, and the
+machine would move where no one had sent it. So a line waits for its end, and realtime bytes
+overtake it, as in Grbl itself.
 """
 
 import re
@@ -11,20 +11,22 @@ from collections.abc import Iterator
 from ..grbl.gcode_file import RESET
 from ..grbl.wire_bytes import permitted
 
-# Grbl refuses lines far shorter than that; what is longer is refused in part as well as in whole.
+# Grbl refuses much shorter lines, so a line cut at this length is refused as the whole line is.
 _LONGEST = 4096
 _PARTS = re.compile(rb"[?~!\x18\x80-\xff]|[\r\n]|[^?~!\x18\x80-\xff\r\n]+")
 
 
 class Framing:
-    """What has come of a line stays here until all of it has."""
+    """Store an incomplete line until its end arrives."""
 
     def __init__(self) -> None:
         self._line = bytearray()
 
     def take(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
-        """The next bytes; those that are not of Grbl's protocol are dropped. Yields lines with
-        their end, and single bytes that act at once; with each whether it is one of these."""
+        """Yield (part, is_realtime) for each complete line, with its end, and each realtime byte.
+
+        Bytes that are not part of Grbl's protocol are dropped.
+        """
         for part in _PARTS.findall(permitted(data)):
             if part in b"\r\n":
                 line = bytes(self._line + part)
@@ -32,13 +34,13 @@ class Framing:
                 yield line, False
             elif len(part) == 1 and _acts(part):
                 if part == RESET:
-                    self.forget()  # as Grbl drops what it has of a line
+                    self.forget()  # Grbl drops its incomplete line as well
                 yield part, True
             else:
                 self._line += part[: _LONGEST - len(self._line)]
 
     def forget(self) -> None:
-        """The line that has begun will not be ended."""
+        """Drop the incomplete line."""
         self._line.clear()
 
 

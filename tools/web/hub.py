@@ -1,9 +1,8 @@
-"""Who watches a board and who drives it: every browser hears all, one of them is heard.
+"""Connect all browsers to one board: all receive its bytes, only the controlling one sends.
 
-Where nobody drives, who watches may still ask how it stands: that moves nothing.
+When no browser controls, a watcher may still send `?`, because that moves nothing.
 
-All of it runs in the event loop, but for the board's threads, which call in with
-call_soon_threadsafe.
+All of it runs in the event loop. The board's threads call in with call_soon_threadsafe.
 """
 
 import asyncio
@@ -17,52 +16,55 @@ from ..grbl.gcode_file import FEED_HOLD, JOG_CANCEL, RESET, STATUS
 from .framing import Framing
 from .shared_job import SharedJob
 
-# What a browser may leave unread: a job of 100,000 lines with all its answers and reports.
+# Unread bytes allowed per browser: a job of 100,000 lines with all its answers and reports.
 _UNREAD_BYTES = 1_000_000
 _MESSAGE_BYTES = 65_536
-# A driver that sends more lines than a board takes is read no further meanwhile.
+# More waiting lines than this stop reading from the controlling browser until the board reads
+# some.
 _LINES_AHEAD = 2000
 _LOOK_S = 0.01
 _LONGEST_LINE = 1024
 
 
 class Board(Protocol):
-    """What the hub wants of a board, see board_link.py."""
+    """The board's interface that the hub uses, see board_link.py."""
 
     @property
     def name(self) -> str:
-        """Where it is."""
+        """Return the name of its port."""
 
     @property
     def is_open(self) -> bool:
-        """Whether it is there."""
+        """Return whether it is connected."""
 
     def write_line(self, line: bytes) -> None:
-        """A whole line."""
+        """Send a whole line."""
 
     def write_now(self, byte: bytes) -> None:
-        """A byte that acts at once."""
+        """Send a realtime byte."""
 
     def forget_lines(self) -> None:
-        """Those that have not gone yet."""
+        """Drop the lines that are not sent yet."""
 
     def waiting(self) -> int:
-        """How many these are."""
+        """Return the number of lines that are not sent yet."""
 
 
 class Socket(Protocol):
-    """A websocket, as aiohttp has it."""
+    """A websocket with aiohttp's interface."""
 
     async def send_bytes(self, data: bytes) -> None:
-        """A binary message."""
+        """Send a binary message."""
 
     async def send_str(self, data: str) -> None:
-        """A text message."""
+        """Send a text message."""
 
 
 class Browser:
-    """One websocket, with what is still to be sent to it. who: as the log names it; drop: ends
-    its connection at once."""
+    """One websocket with its queue of unsent data.
+
+    who: its name in the log; drop: ends its connection at once.
+    """
 
     def __init__(self, socket: Socket, who: str, drop: Callable[[], None]) -> None:
         self.who = who
@@ -73,7 +75,7 @@ class Browser:
         self._news = asyncio.Event()
 
     def put(self, part: bytes | str) -> bool:
-        """To be sent. Returns whether there was room for it."""
+        """Queue a part for sending. Return whether space was free for it."""
         if self._unread + len(part) > _UNREAD_BYTES:
             return False
         self._parts.append(part)
@@ -82,7 +84,7 @@ class Browser:
         return True
 
     async def send_on(self) -> None:
-        """Send what there is, until the connection breaks (ConnectionError)."""
+        """Send queued parts until the connection breaks (ConnectionError)."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -97,24 +99,24 @@ class Browser:
                     self._unread -= len(data)
 
     def _joined(self, data: bytes) -> bytes:
-        """Bytes that wait behind one another are one message."""
+        """Join successive byte parts of the queue into one message."""
         parts = [data]
         size = len(data)
         while self._parts and isinstance(self._parts[0], bytes) and size < _MESSAGE_BYTES:
-            parts.append(self._parts.popleft())  # type: ignore[arg-type]  # it is bytes, see above
+            parts.append(self._parts.popleft())  # type: ignore[arg-type]
             size += len(parts[-1])
         return b"".join(parts)
 
 
 class LastState:
-    """The state in the last report that has gone by."""
+    """Track the state in the last status report."""
 
     def __init__(self) -> None:
         self.state = ""
         self._line = b""
 
     def hear(self, data: bytes) -> bool:
-        """Bytes from the board. Returns whether it has started anew."""
+        """Read bytes from the board. Return whether the machine has restarted."""
         began = False
         *lines, rest = (self._line + data).split(b"\n")
         self._line = rest[-_LONGEST_LINE:]
@@ -127,12 +129,12 @@ class LastState:
         return began
 
     def forget(self) -> None:
-        """It is not known any more."""
+        """Mark the state as unknown."""
         self.state = ""
 
 
 class Hub:
-    """The browsers of one board. log: says a sentence to whoever runs the server."""
+    """The browsers of one board. log: receives sentences for the user who runs the server."""
 
     def __init__(self, board: Board, log: Callable[[str], None]) -> None:
         self._board = board
@@ -146,7 +148,7 @@ class Hub:
     # Browsers
 
     def join(self, browser: Browser) -> None:
-        """One more; it drives where nobody does."""
+        """Add a browser; it takes control if no browser has it."""
         self._browsers.append(browser)
         if self._driver is None:
             self._driver = browser
@@ -154,7 +156,7 @@ class Hub:
         self._tell_job([browser])
 
     def leave(self, browser: Browser) -> None:
-        """Its connection has gone."""
+        """Remove a browser whose connection has ended."""
         if browser not in self._browsers:
             return
         self._browsers.remove(browser)
@@ -163,7 +165,7 @@ class Hub:
         self._tell()
 
     def drive(self, browser: Browser, wanted: bool) -> None:
-        """It takes over, or gives it up."""
+        """Give control to a browser, or take it back."""
         if wanted and browser is not self._driver:
             self._leave_job()
             self._forget()
@@ -174,14 +176,14 @@ class Hub:
         self._tell()
 
     async def send(self, browser: Browser, data: bytes) -> None:
-        """Bytes of a browser: to the board where it drives, else nowhere. Waits for room."""
+        """Pass a browser's bytes to the board if it controls, else drop them; wait for space."""
         if self._driver is None and data == STATUS:
             self._board.write_now(STATUS)
         if browser is not self._driver:
             return
         for part, acts in self._framing.take(data):
             if part == RESET:
-                self._board.forget_lines()  # else they would be done behind it
+                self._board.forget_lines()  # else they would be executed after the reset
             if acts:
                 self._board.write_now(part)
             else:
@@ -190,7 +192,7 @@ class Hub:
             await asyncio.sleep(_LOOK_S)
 
     def _abandon(self, how: str) -> None:
-        """Nobody drives any more. What moves, and was to be told more, is held."""
+        """Take control from the browser. Hold a running machine, and cancel a jog."""
         who = self._driver.who if self._driver else ""
         self._driver = None
         self._leave_job()
@@ -201,11 +203,13 @@ class Hub:
         self._board.write_now(stop)
         what = "held (!)" if stop == FEED_HOLD else "told to end its jog"
         self._log(f"{who} {how}, and the machine was in {self._last.state}: it is {what}")
-        self._last.forget()  # so it is told once
+        self._last.forget()  # so the command is sent only once
 
     def _forget(self) -> None:
-        """Drop what the last driver has begun. Lines of a job that the next one may continue have
-        been counted as sent, and stay."""
+        """Drop incomplete input of the last controlling browser.
+
+        Lines of a job that the next browser may continue count as sent, so they stay.
+        """
         self._framing.forget()
         if not self._job.is_left:
             self._board.forget_lines()
@@ -213,7 +217,7 @@ class Hub:
     # The job
 
     def open_job(self, program: dict[str, str]) -> bool:
-        """A browser has opened a program, for all. Returns whether it may: none is under way."""
+        """Open a program for all browsers. Return False while a job is running."""
         if self._job.is_under_way:
             return False
         self._job.open(program)
@@ -221,11 +225,11 @@ class Hub:
         return True
 
     def get_program(self) -> dict[str, str]:
-        """The one that is open; empty where none is."""
+        """Return the open program; empty if none is open."""
         return self._job.program
 
     async def tell_job(self, browser: Browser, told: dict[str, Any], lines: str) -> None:
-        """The driver says how far its job is, and sends these lines of it: both, or neither."""
+        """Share the controlling browser's progress and send its lines together."""
         if browser is self._driver and self._job.update(told):
             self._tell_job(other for other in self._browsers if other is not browser)
         await self.send(browser, lines.encode("latin-1", "ignore"))
@@ -248,21 +252,21 @@ class Hub:
     # The board
 
     def heard(self, data: bytes) -> None:
-        """Bytes from the board, for everybody."""
+        """Pass bytes from the board to all browsers."""
         began = self._last.hear(data)
         self._put(data, self._browsers)
         if began:
             self._stop_job("the machine was reset")
 
     def link_changed(self) -> None:
-        """The board has gone, or is there again."""
+        """React to a broken or restored link to the board."""
         self._framing.forget()
         self._last.forget()
         self._tell()
         self._stop_job("the connection was lost")
 
     def _tell(self) -> None:
-        """Say to each how things stand."""
+        """Send the current state to each browser."""
         for browser in tuple(self._browsers):
             self._put(self._state_for(browser), [browser])
 

@@ -1,7 +1,7 @@
-"""How a machine stands before a program: place, offsets and modes, as a page has heard of them.
+"""Set up the simulated machine before a program: position, offsets and modes known to the page.
 
-Of X, Y and Z; in mm, machine coordinates. What of it makes no sense is passed over: it is a
-picture that is asked for, and a machine may know words that the simulated one does not.
+For X, Y and Z; mm, machine coordinates. Invalid values are ignored, because the result is only a
+preview, and a machine may report words that the simulated one does not know.
 """
 
 import re
@@ -14,18 +14,18 @@ import numpy as np
 from ..draw.motion_trace import LETTERS, Motion
 
 _SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
-_KEPT = ("G28", "G30")  # places of their own
+_KEPT = ("G28", "G30")  # stored positions, not coordinate systems
 _MODE = re.compile(r"G(?:[0-3]|80|1[7-9]|2[01]|9[0134])")
 _FEED = re.compile(r"F\d{1,6}(?:\.\d{1,3})?")
 _AXES = 3
 _FARTHEST_MM = 1e5
-_BEYOND_MM = 0.005  # less is the rounding of steps
+_BEYOND_MM = 0.005  # smaller differences are the rounding of steps
 
 Place = tuple[float, ...]
 
 
 def lines(request: Mapping[str, Any]) -> list[str]:
-    """What brings a fresh machine there, by "place", "offsets" and "modes" of a request."""
+    """Return lines that bring a fresh machine to "place", "offsets" and "modes" of a request."""
     offsets = _offsets(request.get("offsets"))
     modes = [word for word in _words(request.get("modes")) if isinstance(word, str)]
     system = next((word for word in modes if word in _SYSTEMS), _SYSTEMS[0])
@@ -58,14 +58,14 @@ def _axes(place: Place) -> str:
 
 
 def _shown(place: Place, system: Place | None, tool: float, shift: Place) -> Place:
-    """What G92 has to say there for such a shift."""
+    """Return the coordinates for a G92 that results in this shift."""
     zero = system or (0.0,) * _AXES
     longer = (0.0, 0.0, tool)
     return tuple(at - of - z - more for at, of, z, more in zip(place, zero, longer, shift))
 
 
 def _offsets(found: Any) -> dict[str, Place]:
-    """Those by name that are places, and are not 0."""
+    """Return the valid positions by name, without those that are 0."""
     if not isinstance(found, dict):
         return {}
     places = {name: _place(numbers) for name, numbers in found.items()}
@@ -73,7 +73,7 @@ def _offsets(found: Any) -> dict[str, Place]:
 
 
 def _place(found: Any) -> Place | None:
-    """Numbers of the first axes; None where they are none."""
+    """Return the coordinates of the first axes; None if they are invalid."""
     numbers = _words(found)[:_AXES]
     if not numbers or not all(isinstance(n, int | float) for n in numbers):
         return None
@@ -91,8 +91,11 @@ def _words(found: Any) -> Sequence[Any]:
 def beyond(
     motion: Motion, settings: Mapping[int, str], request: Mapping[str, Any]
 ) -> list[tuple[int, str]]:
-    """Where the machine's soft limits ($20=1) would end a program: the first line beyond each end
-    of an axis, with the answer. "options" of a request: the letters of `[OPT:`."""
+    """Return where the soft limits ($20=1) would end a program.
+
+    For each end of an axis: the first line beyond it, and its message. "options" of a request
+    holds the letters of `[OPT:`.
+    """
     if float(settings.get(20, 0)) != 1:
         return []
     positive = int(float(settings.get(23, 0))) if "Z" in str(request.get("options", "")) else 0

@@ -1,8 +1,8 @@
-"""What a program will do, for a page: how long, which way, what will be refused.
+"""Preview a program for a page: its time, its path, and the lines that will be refused.
 
-Run as a program, it looks at one: what the browser has posted on stdin, the answer on stdout, the
-board's name as its argument. It is a process of its own, for a long program takes long, and the
-simulator has but one machine in a process.
+Run as a program, it previews one request: the posted body on stdin, the answer on stdout, the
+board's name as argument. It runs in its own process, because a long program takes long and the
+simulator has only one machine per process.
 """
 
 import json
@@ -28,27 +28,27 @@ from . import machine_state
 PROGRAM_BYTES = 32 << 20
 MOST_TIMES = 2000
 MOST_POINTS = 20_000
-# What is drawn is nowhere further from the path than this, as long as there are points enough.
+# The drawn path differs from the real one by at most this, while MOST_POINTS are enough.
 _TOLERANCE_MM = 0.01
 RAPID, FEED = 0, 1
-_NUMBER = re.compile("[0-9]{1,3}")  # of a setting
+_NUMBER = re.compile("[0-9]{1,3}")  # number of a setting
 _BEYOND = 3.4e38
-_DECIMALS = 4  # one more than a Grbl prints
+_DECIMALS = 4  # one more than Grbl prints
 REFUSED = 3  # exit code: the answer is a sentence
 
 Rows = NDArray[np.int64]
 
 
 class Refused(ValueError):
-    """What was posted cannot be looked at; the text says why."""
+    """Raised for a request that cannot be previewed; the text says why."""
 
 
 def preview(request: Mapping[str, Any], board: str) -> dict[str, Any]:
-    """What a request for /api/look is answered with. Refused where it is none.
+    """Return the answer to a request for /api/look. Raises Refused for an invalid one.
 
-    times: rows of line and of the seconds at which its motion ends; path: rows of X, Y, Z in mm,
-    machine coordinates, kind of the stroke that ends there, its line, and its mean speed in
-    mm/min. The machine stands as machine_state.py reads it, else at 0 without offsets.
+    times: rows of line number and the time in s at which its motion ends. path: rows of X, Y, Z in
+    mm (machine coordinates), kind of the segment that ends there, its line, and its mean speed in
+    mm/min. The machine starts as machine_state.py reads it, or else at 0 without offsets.
     """
     name, lines = _program(request)
     settings = _settings(request.get("settings", {}))
@@ -73,7 +73,7 @@ def preview(request: Mapping[str, Any], board: str) -> dict[str, Any]:
 
 
 def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
-    """Its name and lines."""
+    """Return the program's name and lines."""
     name, text = request.get("name", ""), request.get("program")
     if not isinstance(text, str) or not isinstance(name, str):
         raise Refused('there is no program in it: {"name": …, "program": …} is wanted, as text')
@@ -86,7 +86,7 @@ def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
 
 
 def _settings(found: Any) -> dict[int, str]:
-    """Settings by number, those that can be; what the machine takes of them is seen later."""
+    """Return the valid settings by number; the machine checks their values later."""
     if not isinstance(found, dict):
         raise Refused('"settings" are by number: {"110": "500.000"}')
     return {
@@ -97,7 +97,7 @@ def _settings(found: Any) -> dict[int, str]:
 
 
 def _value(text: Any) -> float | None:
-    """A number, or text of one, that fits into the machine's single precision; else None."""
+    """Return a number, or a text as a number, within single precision; else None."""
     try:
         value = float(text)
     except (TypeError, ValueError, OverflowError):
@@ -111,8 +111,11 @@ def _value(text: Any) -> float | None:
 def _problems(
     lines: Sequence[bytes], result: Result, beyond: Sequence[tuple[int, str]]
 ) -> list[dict[str, Any]]:
-    """Lines that are refused, or act at once, or at which the program ended, or that go beyond
-    the travel; by line."""
+    """Return all problems, sorted by line.
+
+    These are refused lines, wide arcs, realtime characters, travel violations, and the line at
+    which the program ended.
+    """
     found = [
         _problem(number, f"{reply} - {meaning(reply, gcode_file.shown(lines[number - 1]))}")
         for number, reply in result.errors
@@ -132,7 +135,7 @@ def _problems(
 
 
 def _problem(line: int, text: str) -> dict[str, Any]:
-    """code: Grbl's number of an error or alarm; 0 for what has none."""
+    """Return a problem; code: Grbl's number of an error or alarm, 0 if it has none."""
     kind, _, rest = text.partition(":")
     number = rest.partition(" ")[0]
     is_grbls = kind in ("error", "ALARM") and number.isdecimal()
@@ -140,7 +143,7 @@ def _problem(line: int, text: str) -> dict[str, Any]:
 
 
 def _times(motion: Motion) -> list[list[float]]:
-    """When the motion of a line ends."""
+    """Return when the motion of each line ends, in s; at most MOST_TIMES rows."""
     lines = motion.lines
     numbers, from_end = np.unique(lines[::-1], return_index=True)
     seconds = np.frombuffer(motion.time_s)[::-1][from_end]
@@ -151,16 +154,16 @@ def _times(motion: Motion) -> list[list[float]]:
 
 
 def _spread(count: int, most: int) -> Rows:
-    """Rows, evenly, the last one among them."""
+    """Return at most `most` evenly spaced rows, including the last one."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 
 
 def _path(motion: Motion) -> list[list[float]]:
-    """Corners of the path, and where it goes on for another line, as far as there is room."""
+    """Return the corners of the path and the changes of line, at most MOST_POINTS."""
     if not len(motion):
         return []
     moves = np.frombuffer(motion.block, np.int32) > 0
-    # At rest it is where the last move ended, and that is whose point it is.
+    # While the machine stands still, its point belongs to the move before.
     of_move = np.maximum.accumulate(np.where(moves, np.arange(len(motion)), 0))
     points, rapid, line = motion.points, motion.rapids[of_move], motion.lines[of_move]
     moving_s = np.cumsum(np.where(moves, motion.seconds, 0.0))
@@ -176,7 +179,7 @@ def _path(motion: Motion) -> list[list[float]]:
 
 
 def _corners(points: Any, rapid: Any, line: Any) -> Rows:
-    """Rows that are enough, MOST_POINTS at the most."""
+    """Return the rows that describe the path within the tolerance, at most MOST_POINTS."""
     rapids = np.flatnonzero(rapid[1:] != rapid[:-1])
     lines = np.flatnonzero((rapid[1:] != rapid[:-1]) | (line[1:] != line[:-1]))
     none: Rows = np.empty(0, np.int64)
@@ -189,7 +192,7 @@ def _corners(points: Any, rapid: Any, line: Any) -> Rows:
 
 
 def _needed() -> Callable[[int], None]:
-    """Told how far it has come, it ends where nobody waits for it any more."""
+    """Return a progress function that ends the process after its parent has ended."""
     parent = os.getppid()
 
     def progress(line: int) -> None:
@@ -200,10 +203,10 @@ def _needed() -> Callable[[int], None]:
 
 
 def main() -> None:
-    """Look at what stdin says, when the computer has nothing better to do."""
+    """Preview the request on stdin at low priority."""
     if hasattr(os, "nice"):
         os.nice(10)
-    out, sys.stdout = sys.stdout.buffer, sys.stderr  # for what anything else prints
+    out, sys.stdout = sys.stdout.buffer, sys.stderr  # other prints go to stderr
     try:
         answer = preview(_request(sys.stdin.buffer.read()), sys.argv[1])
     except (Refused, gcode_file.NotText) as error:

@@ -13,14 +13,14 @@ _SHOWN_LINES = 20
 
 
 class Answer(NamedTuple):
-    """What a browser gets: JSON where the status is 200, else a sentence."""
+    """The answer to a browser: JSON if the status is 200, else a sentence."""
 
     status: HTTPStatus
     text: str
 
 
 class PreviewQueue:
-    """Looks at programs for a machine of that board. log: gets what went wrong in a simulator."""
+    """Preview programs for a machine of that board. log: receives faults of the simulator."""
 
     def __init__(
         self, board: str, log: Callable[[str], None], longest_s: float = LONGEST_S
@@ -32,13 +32,13 @@ class PreviewQueue:
         self._running: asyncio.subprocess.Process | None = None
 
     async def look(self, body: bytes) -> Answer:
-        """What a request is answered with, see preview.py; whoever was at it is told so."""
+        """Return the answer to a request, see preview.py; an older one ends with status 409."""
         process = await self._start()
         try:
             out, err = await asyncio.wait_for(process.communicate(body), self._longest_s)
         except asyncio.TimeoutError:
             return self._too_long()
-        except ConnectionError:  # it ended before it had read all
+        except ConnectionError:  # it ended before it had read everything
             out, err = b"", b""
         finally:
             replaced = self._running is not process
@@ -55,7 +55,7 @@ class PreviewQueue:
         return self._failed(err.decode("utf-8", "replace"))
 
     def close(self) -> None:
-        """Nobody waits for an answer any more."""
+        """End the running simulation."""
         process, self._running = self._running, None
         if process is not None:
             _end(process)

@@ -15,20 +15,23 @@ from .preview import PROGRAM_BYTES
 from .preview_queue import LONGEST_S, PreviewQueue
 from .shared_job import program_of
 
-# JSON doubles what it has to escape, and settings come along.
+# JSON doubles escaped characters, and the request also holds the settings.
 _BODY_BYTES = 2 * PROGRAM_BYTES + (1 << 20)
 _MESSAGE_BYTES = 1 << 20
-# A browser whose network has gone is known as gone after one and a half times that.
+# A browser whose network has failed is detected after 1.5 times this interval.
 _HEARTBEAT_S = 6.0
 _GOODBYE_S = 1.0
-_AWAY = 1001  # the code of a server that ends
+_AWAY = 1001  # close code: the server ends
 
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class Server:
-    """Serves one board. access: who may come in; board: its name, for simulations; log: a
-    sentence for whoever runs it."""
+    """Serve one board.
+
+    access: checks requests; board: name of the simulated board for previews; log: receives
+    sentences for the user who runs the server.
+    """
 
     def __init__(
         self,
@@ -50,9 +53,9 @@ class Server:
         self._runner: web.AppRunner | None = None
 
     async def start(self, host: str, port: int) -> int:
-        """Listen, and open the board. Returns the port, which 0 leaves to the system.
+        """Listen and open the board. Return the port, which the system chooses for port 0.
 
-        OSError where nothing can be listened at, SendError where the board cannot be opened.
+        Raises OSError if the address cannot be used, SendError if the board cannot be opened.
         """
         app = web.Application(middlewares=[self._guard], client_max_size=_BODY_BYTES)
         app.router.add_get("/", self._get_page)
@@ -70,11 +73,11 @@ class Server:
             why = f"{host}:{port} cannot be listened at: {why_not(error)} (--host and --http)"
             raise OSError(why) from error
         await self._loop.run_in_executor(None, self._link.start)
-        self._hub.link_changed()  # for a browser that was quicker
+        self._hub.link_changed()  # a browser may have connected before the board was open
         return int(self._runner.addresses[0][1])
 
     async def stop(self) -> None:
-        """Let everybody go, then the board: a machine at work is held, as by a lost browser."""
+        """Disconnect all browsers, then the board; a moving machine is held, a jog cancelled."""
         self._previews.close()
         if self._runner is not None:
             await self._runner.cleanup()
@@ -108,7 +111,7 @@ class Server:
             text = self._page()
         except FileNotFoundError as error:
             return _sentence(404, f"the page is missing, {error.filename}: install ugrbl anew")
-        # Nobody else's page may hold ours in a frame and have its buttons clicked unseen.
+        # A foreign page may not put ours in a frame and have its buttons clicked unseen.
         sources = f"default-src 'self' 'unsafe-inline' data: blob:; connect-src 'self' ws://{request.host}"
         return web.Response(
             text=text,
@@ -170,7 +173,7 @@ class Server:
                 await self._hub.send(browser, message.data)
             elif message.type is WSMsgType.TEXT and message.data.startswith("{"):
                 await self._take_words(browser, message)
-            elif message.type is WSMsgType.TEXT:  # as senders send it
+            elif message.type is WSMsgType.TEXT:  # Grbl senders send text messages
                 await self._hub.send(browser, message.data.encode("latin-1", "ignore"))
 
     async def _take_words(self, browser: Browser, message: WSMessage) -> None:
@@ -186,13 +189,13 @@ class Server:
             self._log(f"{browser.who} has sent words that mean nothing here: passed over")
 
     async def _say_goodbye(self, app: web.Application) -> None:
-        """To all at once: whoever does not answer is not waited for by the others."""
+        """Close all sockets at the same time, so that no slow one delays the others."""
         goodbyes = [socket.close(code=_AWAY) for socket in tuple(self._sockets)]
         await asyncio.gather(*goodbyes, return_exceptions=True)
 
 
 async def _send_on(browser: Browser) -> None:
-    with suppress(ConnectionError):  # the reading side hears of it, too
+    with suppress(ConnectionError):  # the reading side detects it, too
         await browser.send_on()
 
 

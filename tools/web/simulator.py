@@ -1,7 +1,8 @@
-"""The simulator in a process of its own, so that it keeps real time whatever browsers ask for.
+"""Run the simulator in its own process, so that it keeps real time under any load from browsers.
 
-Run as a program, this is that process: options as a line of JSON on stdin, its place on TCP as
-another on stdout. It ends with its stdin, and so with the server, however that ends.
+Run as a program, this is that process. It reads its options as a line of JSON on stdin and prints
+its TCP address as a line of JSON on stdout. It ends when stdin closes, and so with the server,
+however that ends.
 """
 
 import json
@@ -26,8 +27,11 @@ _PATIENCE_S = 5.0
 
 
 class TcpPort:
-    """A TCP connection with as much of pyserial's Serial as board_link.py asks for. OSError where
-    it breaks, as there. (pyserial's own sends small messages late, and reads byte by byte.)"""
+    """A TCP connection with the part of pyserial's Serial that board_link.py uses.
+
+    Raises OSError when the connection breaks, as pyserial does. pyserial's own TCP port sends
+    small messages late and reads byte by byte.
+    """
 
     def __init__(self, place: str) -> None:
         self._socket = socket.create_connection(address(place), _PATIENCE_S)
@@ -36,11 +40,11 @@ class TcpPort:
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes are there already."""
+        """Return the number of bytes already received."""
         return len(self._come)
 
     def read(self, limit: int) -> bytes:
-        """So many at the most; waits a moment for the first."""
+        """Return at most limit bytes; wait up to 0.05 s for the first."""
         if not self._come and select.select([self._socket], [], [], _READ_S)[0]:
             self._come = self._socket.recv(_READ_BYTES)
             if not self._come:
@@ -49,18 +53,18 @@ class TcpPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """All of them."""
+        """Send all bytes."""
         self._socket.sendall(data)
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
 
 class Simulator:
-    """A board in the place of one at a serial port. settings: the file that keeps them, if any.
+    """Replace a board at a serial port. settings: the file that stores its settings, if any.
 
-    It has limit switches at both ends of its travel where its motors move an axis each.
+    It has limit switches at both ends of its travel if each motor moves one axis.
     """
 
     name = "sim"
@@ -71,7 +75,7 @@ class Simulator:
         self._place = ""
 
     def open(self) -> TcpPort:
-        """Its port; it is started where it does not run. SendError where it cannot be."""
+        """Return its port; start it if it is not running. Raises SendError."""
         if self._process is None or self._process.poll() is not None:
             self._start()
         try:
@@ -80,12 +84,12 @@ class Simulator:
             raise SendError("the simulator does not answer") from error
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         process, self._process = self._process, None
         if process is None:
             return
         try:
-            process.communicate(timeout=_PATIENCE_S)  # which closes its stdin
+            process.communicate(timeout=_PATIENCE_S)  # closes its stdin
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -106,7 +110,7 @@ class Simulator:
             process.stdin.flush()
             said = json.loads(process.stdout.readline() or "{}")
         except (OSError, ValueError):
-            said = {}  # it has ended, or printed something else
+            said = {}  # it ended, or printed something else
         self._process = process
         if "place" not in said:
             self.close()
@@ -118,7 +122,7 @@ def main() -> None:
     """Simulate in real time until stdin ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     options = json.loads(sys.stdin.readline())
-    out, sys.stdout = sys.stdout, sys.stderr  # for what anything else prints
+    out, sys.stdout = sys.stdout, sys.stderr  # other prints go to stderr
     wire = Tcp(LOOPBACK, 0)
     try:
         rig = _build(options, wire)
@@ -132,7 +136,7 @@ def main() -> None:
 
 
 def _build(options: Mapping[str, str], wire: Tcp) -> Any:
-    """A rig on that wire, with switches. ValueError for a board or a file that cannot be."""
+    """Build a rig on the wire, with switches. Raises ValueError for an invalid board or file."""
     file = Path(options["settings"]) if options["settings"] else None
     rig = machine.build(
         options["board"], lambda rig: LiveLink(rig, wire, fast=False), file, keeps_jobs=True
