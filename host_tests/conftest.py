@@ -1,4 +1,4 @@
-"""The firmware on the desktop: stand-ins first, so that they win over others of the name."""
+"""Put the desktop stand-ins first on the path, and set up pytest for all host tests."""
 
 import gc
 import os
@@ -15,14 +15,14 @@ from hypothesis import settings
 _HERE = Path(__file__).parent
 
 sys.path[:0] = [str(_HERE.parent / "tools" / "sim" / "standins"), str(_HERE.parent / "firmware")]
-# Some tests take something from one of another folder. Helpers are in support/: pyproject.toml.
+# Some tests import from a test of another folder. Helpers are in support/: see pyproject.toml.
 sys.path += sorted({str(file.parent) for file in _HERE.glob("*/test_*.py")})
-# Said aloud, so that no tool under test switches the checks off for the tests after it.
+# Set explicitly, so that no tool under test switches the checks off for later tests.
 os.environ.setdefault("UGRBL_VIPER", "checked")
-# So wide that no line breaks, however long the name of a test's folder is.
+# Wide enough that no line of output wraps, however long a test's folder name is.
 os.environ["COLUMNS"] = "500"
 
-# Typer would make all commands anew for each that a test types: 24 ms.
+# Typer would rebuild all commands for each command line that a test runs: 24 ms.
 typer.testing._get_command = cache(typer.testing._get_command)
 
 settings.register_profile("ring 1", deadline=None, max_examples=12)
@@ -42,7 +42,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> "int | None":
-    """In the second ring one more than there are cores: tests of pages and terminals wait."""
+    """Return one worker more than there are cores in the second ring: tests of pages and terminals
+    wait."""
     return (os.cpu_count() or 1) + 1 if rings.is_second(config) else None
 
 
@@ -58,23 +59,24 @@ def pytest_terminal_summary(
 
 @pytest.fixture(autouse=True, scope="module")
 def collections_of_tests() -> None:
-    """When the firmware collects garbage, nobody looks through what was there before: 30 ms."""
+    """Freeze older objects, so that the firmware's garbage collections skip them: 30 ms each."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="session")
 def turns_at_rest() -> None:
-    """A machine at rest turns less often than in motion: a third of the tests' time. Recorded
-    conversations are replayed by processes of their own, to the millisecond."""
-    from ugrbl.sim.rig import Rig  # with the stand-ins in place
+    """Poll an idle machine less often than a moving one: saves a third of the tests' time.
+
+    Recorded conversations are replayed by separate processes, to the millisecond."""
+    from ugrbl.sim.rig import Rig  # only after the stand-ins are in place
 
     Rig.idle_poll_ms = 4
 
 
 @pytest.fixture
 def each_ms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests that look at a machine at rest as closely as that."""
+    """Poll an idle machine each millisecond, for tests that need that resolution."""
     from ugrbl.sim.rig import Rig
 
     monkeypatch.setattr(Rig, "idle_poll_ms", 1)
@@ -82,12 +84,13 @@ def each_ms(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def kernels_of_tests() -> None:
-    """Kernels that are compiled for this computer: not in the user's folder, and all workers share
+    """Cache kernels compiled for this computer in build/, not in the user's folder; all workers
+    share
     them."""
     os.environ["UGRBL_KERNELS"] = str(_HERE.parent / "build" / "cache" / "tests" / "kernels")
 
 
-# Who runs tests in the background may have these ignored, and what a test starts would inherit it.
+# A shell may ignore these signals for background jobs; processes that tests start inherit that.
 for _number in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
     if signal.getsignal(_number) == signal.SIG_IGN:
         signal.signal(_number, signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""Program files: what is left out of comments, what is refused, and with which line."""
+"""Program files: comments are sanitized, problems are refused with their line number."""
 
 import io
 from pathlib import Path
@@ -25,23 +25,23 @@ from ugrbl.grbl.lines import split_lines
         ("G1 X1 (plain, nothing to do)", b"G1 X1 (plain, nothing to do)"),
     ],
 )
-def test_comments_become_harmless_and_code_stays(line: str, sent: bytes) -> None:
+def test_comments_are_sanitized_and_code_is_kept(line: str, sent: bytes) -> None:
     assert sanitize(line.encode("utf-8")) == sent
 
 
-def test_a_comment_in_latin_1_becomes_harmless_too() -> None:
+def test_a_latin_1_comment_is_sanitized() -> None:
     assert sanitize("G1 (Fräser)".encode("latin-1")) == b"G1 (Fraser)"
 
 
 @given(st.binary(max_size=60))
-def test_whatever_is_in_comments_only_code_can_act(line: bytes) -> None:
+def test_comments_never_contain_realtime_characters_after_sanitizing(line: bytes) -> None:
     line = line.replace(b"\n", b"").replace(b"\r", b"")
     found = problems([line])
     if not found or found[0].in_comment:
         assert not has_realtime(sanitize(line))
 
 
-def test_problems_name_line_and_sign() -> None:
+def test_problems_name_the_line_and_the_character() -> None:
     lines = ["G21", "(Ä)", "G1 X10°", "M0 !", "G1 (x?) X1", "\x18"]
     found = problems([line.encode("utf-8") for line in lines])
     assert [(one.line, one.in_comment) for one in found] == [
@@ -55,18 +55,18 @@ def test_problems_name_line_and_sign() -> None:
     assert "feed hold" in found[2].text and "reset" in found[4].text
 
 
-def test_the_mark_of_utf_8_is_no_part_of_the_program(tmp_path: Path) -> None:
+def test_a_utf_8_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     file = tmp_path / "program.nc"
     file.write_bytes(b"\xef\xbb\xbfG21\r\nG0 X1\r\n")
     assert list(gcode_file.read_lines(file)) == [b"G21", b"G0 X1"]
 
 
-def test_a_program_can_come_from_stdin(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_is_read_from_stdin(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(b"G21\nG0 X1\n")))
     assert list(gcode_file.read_lines(Path("-"))) == [b"G21", b"G0 X1"]
 
 
-def test_what_is_said_to_people() -> None:
+def test_comment_texts_are_extracted_for_display() -> None:
     assert comment(b"M0 (change to 3 mm)") == "change to 3 mm"
     assert comment("M0 ; Fräser 3 mm".encode()) == "Fräser 3 mm"
     assert comment(b"M0") == ""

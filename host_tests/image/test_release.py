@@ -1,4 +1,4 @@
-"""A release, all of it that needs no network: the files that are made, and who names them."""
+"""Release files: everything that works without a network, and the names used for the images."""
 
 import hashlib
 import io
@@ -18,7 +18,7 @@ _WORKFLOW = (_ROOT / ".github" / "workflows" / "release.yml").read_text()
 _WIZARD = (paths.TOOLS / "web" / "page" / "board_wizard.js").read_text(encoding="utf-8")
 
 
-def test_a_dry_run_makes_all_that_needs_no_network(tmp_path: Path) -> None:
+def test_a_dry_run_makes_all_files_without_network(tmp_path: Path) -> None:
     image = tmp_path / "ugrbl-dry-RPI_PICO.uf2"
     image.write_bytes(b"image")
     release.make("", tmp_path, ["rpi_pico", "esp32_devkit"])
@@ -33,7 +33,7 @@ def test_a_dry_run_makes_all_that_needs_no_network(tmp_path: Path) -> None:
     assert (tmp_path / "notes" / "notes.md").read_text().startswith("### Added")
 
 
-def test_a_zip_is_what_mip_installs_and_the_same_each_time() -> None:
+def test_a_board_zip_is_installable_by_mip_and_reproducible() -> None:
     data = release.board_zip("rpi_pico")
     assert data == release.board_zip("rpi_pico")
     made = build.for_board(board_file("rpi_pico"))
@@ -43,7 +43,7 @@ def test_a_zip_is_what_mip_installs_and_the_same_each_time() -> None:
         assert {path: packed.read(f"rpi_pico/{path}") for path in made.files} == made.files
 
 
-def test_a_tag_is_the_version_and_has_its_notes() -> None:
+def test_a_tag_must_match_the_version_and_have_notes() -> None:
     newest = "# Changelog\n\n## [Unreleased]\n\n## [0.2.0] - 2027-01-01\n\n- New.\n"
     changelog = newest + "\n## [0.1.0]\n\n- Old.\n"
     assert release.notes(changelog, "v0.2.0") == "- New.\n"
@@ -56,13 +56,13 @@ def test_a_tag_is_the_version_and_has_its_notes() -> None:
         release.check_version("v99.0")
 
 
-def test_nothing_is_written_where_it_cannot_be_released(tmp_path: Path) -> None:
+def test_nothing_is_written_if_the_version_is_wrong(tmp_path: Path) -> None:
     with pytest.raises(release.ReleaseError):
         release.make("v99.0", tmp_path, ["rpi_pico"])
     assert not list(tmp_path.iterdir())
 
 
-def test_the_page_and_the_readme_name_the_images_that_the_workflow_makes() -> None:
+def test_the_page_and_the_workflow_use_the_same_image_names() -> None:
     made = set(re.findall(r"board: (RPI_\w+)", _WORKFLOW))
     assert set(re.findall(r'"(RPI_\w+)"', _WIZARD)) == made
     assert "ugrbl-$GITHUB_REF_NAME-${{ matrix.board }}.uf2" in _WORKFLOW
@@ -71,7 +71,7 @@ def test_the_page_and_the_readme_name_the_images_that_the_workflow_makes() -> No
         assert board_file(board).is_file()
 
 
-def test_the_workflow_makes_its_files_as_the_dry_run_does() -> None:
+def test_the_workflow_makes_the_same_files_as_the_dry_run() -> None:
     makefile = (_ROOT / "Makefile").read_text()
     assert "make release-files VERSION=$GITHUB_REF_NAME" in _WORKFLOW
     assert "--notes-file dist/notes/notes.md" in _WORKFLOW

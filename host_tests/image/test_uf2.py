@@ -1,4 +1,4 @@
-"""One file for a board: the boot ROM makes of it what is in it, and nothing else."""
+"""UF2 files for a board: the boot ROM writes exactly the file's contents, and nothing else."""
 
 import struct
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ def garbage(size: int, seed: int = 1) -> bytearray:
 
 
 def program(name: str = "MicroPython", version: str = "v1.28.0", devices: int = 1) -> Flash:
-    """A MicroPython, as far as it speaks of itself."""
+    """Return a MicroPython image with only its binary info."""
     texts = {0x02031C86: name, 0x11A9BC3A: version}
     at, data, entries = BASE + 0x3000, b"", []
     for number, text in texts.items():
@@ -53,7 +53,7 @@ def program(name: str = "MicroPython", version: str = "v1.28.0", devices: int = 
 
 
 @given(some.dictionaries(some.integers(0, 600), some.binary(min_size=PAGE, max_size=PAGE)))
-def test_the_rom_leaves_what_is_in_the_file_and_touches_no_other_sector(
+def test_the_rom_writes_the_files_pages_and_touches_no_other_sector(
     pages: "dict[int, bytes]",
 ) -> None:
     flash = Flash(RP2040, {BASE + PAGE * n: page for n, page in pages.items()})
@@ -69,8 +69,8 @@ def test_the_rom_leaves_what_is_in_the_file_and_touches_no_other_sector(
         )
 
 
-def test_a_file_that_is_only_put_after_another_is_wrecked() -> None:
-    """What the model is for: 20 pages, and then those of a sector elsewhere."""
+def test_a_file_appended_to_another_is_corrupted() -> None:
+    """Why the model exists: 20 pages, then those of a sector elsewhere."""
     pages = {BASE + PAGE * n: bytes([n]) * PAGE for n in (*range(20), *range(160, 176))}
     data = b"".join(
         struct.pack("<8I", 0, 0, 0, address, PAGE, number, len(pages), RP2040)
@@ -82,7 +82,7 @@ def test_a_file_that_is_only_put_after_another_is_wrecked() -> None:
     assert any(chip[at - BASE : at - BASE + PAGE] != page for at, page in pages.items())
 
 
-def test_what_is_written_is_read_again_with_the_blocks_of_others_in_front() -> None:
+def test_a_written_file_is_read_back_even_after_blocks_of_others() -> None:
     first = uf2.write(Flash(RP2350, {0x10FFFF00: b"\x11" * PAGE}))[:512]
     foreign = first[:28] + (0xE48BFF57).to_bytes(4, "little") + first[32:]
     flash = uf2.read(foreign + uf2.write(program()))
@@ -103,15 +103,15 @@ def test_what_is_written_is_read_again_with_the_blocks_of_others_in_front() -> N
         (uf2.write(program()) + uf2.write(Flash(RP2350, program().pages)), "not for one of"),
     ],
 )
-def test_what_is_no_file_for_these_chips_is_reported(data: bytes, said: str) -> None:
+def test_files_for_other_chips_or_damaged_files_are_reported(data: bytes, said: str) -> None:
     with pytest.raises(Uf2Error, match=said):
         uf2.read(data)
 
 
-# What it says of itself
+# Binary info
 
 
-def test_a_micropython_says_where_its_file_system_is() -> None:
+def test_micropython_reports_where_its_file_system_is() -> None:
     assert binary_info.about(program()) == ("MicroPython", "v1.28.0", _START, _SIZE)
 
 
@@ -128,7 +128,7 @@ def test_other_programs_are_reported(flash: Flash, said: str) -> None:
         binary_info.about(flash)
 
 
-def test_what_has_a_file_system_already_is_reported() -> None:
+def test_data_inside_the_file_system_is_reported() -> None:
     flash = program()
     flash.put(_START, bytes(SECTOR))
     with pytest.raises(Uf2Error, match="lies in the file system already"):
@@ -139,7 +139,7 @@ def test_what_has_a_file_system_already_is_reported() -> None:
 
 
 def read_back(image: bytes) -> "dict[str, bytes]":
-    """All its files."""
+    """Return all files of an image."""
     context = littlefs.UserContext(len(image))
     context.buffer[:] = image
     disk = littlefs.LittleFS(
@@ -155,7 +155,7 @@ def read_back(image: bytes) -> "dict[str, bytes]":
 
 
 def used_chip(size: int, seed: int) -> bytearray:
-    """A file system that somebody has worked with for long: each block has been written."""
+    """Return a file system after long use: each block has been written."""
     random = Random(seed)
     context = littlefs.UserContext(size)
     disk = littlefs.LittleFS(context=context, block_size=SECTOR, block_count=size // SECTOR)
@@ -170,7 +170,7 @@ def used_chip(size: int, seed: int) -> bytearray:
 
 
 def dragged_before(files: "Mapping[str, bytes]", size: int, random: Random) -> bytearray:
-    """One that came by such a file, and has been worked with."""
+    """Return a file system that came from an earlier drag and was used since."""
     old = bytearray(size)
     overlay(old, files)
     context = littlefs.UserContext(size)
@@ -184,13 +184,13 @@ def dragged_before(files: "Mapping[str, bytes]", size: int, random: Random) -> b
 
 
 def overlay(chip: bytearray, files: "Mapping[str, bytes]") -> None:
-    """What a drag does to it."""
+    """Write the generated file system over the chip, as a drag does."""
     for place, sector in file_system.make(files, len(chip)).items():
         chip[place : place + SECTOR] = sector
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_over_an_older_file_system_there_are_the_new_files_alone(seed: int) -> None:
+def test_an_older_file_system_is_replaced_completely(seed: int) -> None:
     random = Random(seed)
     files = {f"pack{n % 5}/module{n}.mpy": random.randbytes(200 * n) for n in range(25)}
     files["main.py"] = b"import main"
@@ -205,8 +205,8 @@ def test_over_an_older_file_system_there_are_the_new_files_alone(seed: int) -> N
 
 
 @pytest.mark.parametrize("count", [1, 12, 40])
-def test_of_the_root_there_is_what_it_has_become_and_not_how(count: int) -> None:
-    """A board reads all of it for each name that it looks for."""
+def test_root_folder_is_compacted(count: int) -> None:
+    """A board reads the whole root folder for each name that it looks up."""
     files = {f"folder{n}/__init__.mpy": bytes([n]) * 3000 for n in range(count)}
     files["main.py"] = b"import main"
     chip = bytearray(_SIZE)
@@ -216,12 +216,12 @@ def test_of_the_root_there_is_what_it_has_become_and_not_how(count: int) -> None
     assert read_back(bytes(chip)) == files
 
 
-def test_what_does_not_fit_is_named() -> None:
+def test_a_file_that_does_not_fit_is_named() -> None:
     with pytest.raises(Uf2Error, match=r"b\.py does not fit into the 40 KiB"):
         file_system.make({"a.py": bytes(9000), "b.py": bytes(40000)}, 10 * SECTOR)
 
 
-# The whole
+# The whole file
 
 
 def made(**files: bytes) -> Build:
@@ -229,14 +229,14 @@ def made(**files: bytes) -> Build:
 
 
 def after_a_drag(data: bytes) -> "tuple[bytes, Mapping[str, bytes]]":
-    """Flash, and the files in it."""
+    """Return the flash and the files in it after a drag."""
     chip = used_chip(2 * _MIB, 3)
     uf2_model.load(chip, data)
     start = _START - BASE
     return bytes(chip), read_back(bytes(chip[start : start + _SIZE]))
 
 
-def test_a_drag_leaves_micropython_and_what_a_deployment_would(tmp_path: Path) -> None:
+def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path) -> None:
     settings = tmp_path / "my.settings"
     settings.write_text("; mine\n$110=4321\n$32=1\n")
     flash = program()
@@ -280,7 +280,7 @@ def micropython(tmp_path: Path) -> Path:
     return file
 
 
-def test_the_command_makes_the_file_and_says_where_to_drag_it(
+def test_the_command_writes_the_file_and_says_where_to_drag_it(
     micropython: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "new" / "router.uf2"
@@ -312,7 +312,7 @@ def test_the_command_makes_the_file_and_says_where_to_drag_it(
         ("--micropython RPI_PICO.uf2 --board toaster", "no board 'toaster'"),
     ],
 )
-def test_what_cannot_be_is_one_sentence_and_no_file(
+def test_an_impossible_request_is_refused_in_one_sentence_and_writes_no_file(
     words: str, said: str, micropython: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Lines of random words get the error number that a second reading of the rules gives them."""
+"""Random lines get the error number that an independent implementation of the rules gives."""
 
 from typing import Any
 
@@ -81,7 +81,7 @@ jogs = st.tuples(
 
 
 def everything(machine: Machine) -> "dict[str, Any]":
-    """What a refused line may not change."""
+    """Return all state that a refused line must not change."""
     controller: Any = machine.rig.controller
     modes, coords, planner = controller.modes, controller.coords, controller.planner
     found: dict[str, Any] = {
@@ -102,7 +102,7 @@ def everything(machine: Machine) -> "dict[str, Any]":
 
 
 def check_equal(machine: Machine, oracle: Oracle) -> None:
-    """The firmware and the oracle have come to the same state."""
+    """Check that the firmware and the oracle are in the same state."""
     controller: Any = machine.rig.controller
     modes, coords = controller.modes, controller.coords
     told = controller.commands.modes()
@@ -118,7 +118,7 @@ def check_equal(machine: Machine, oracle: Oracle) -> None:
 
 
 def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) -> None:
-    """Play the program; every answer is the oracle's, and so is the state it leaves."""
+    """Play the program; check that every answer and the state after it match the oracle's."""
     before: dict[str, Any] = {}
 
     def answered(line: str, replies: "list[str]") -> None:
@@ -143,14 +143,14 @@ def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) 
 @example(["G10L2P2X1", "G55", "M2", "G0X0", "G54X0"])
 @example(["G20F10", "G93G1X1F2", "G94G1X2", "G94F3", "X3"])
 @example(["G43.1Z1", "G0Z0", "G92Z0", "G10L20P0Z0", "G49", "Z0"])
-def test_random_lines_get_the_error_that_the_rules_say(program: "list[str]") -> None:
+def test_random_lines_get_the_error_of_the_rules(program: "list[str]") -> None:
     compare(Machine(), Oracle(), program, "$C")
 
 
 @some(15)
 @given(st.lists(st.one_of(jogs, jogs, st.sampled_from(["G20", "G91", "G92X1"])), max_size=8))
 @example(["$J=", "$J=X1", "$J=G1X1F100", "$J=G53X1F1000", "$J=M3X1F100", "$J=X1F100S2"])
-def test_random_jogs_get_the_error_that_the_rules_say(program: "list[str]") -> None:
+def test_random_jogs_get_the_error_of_the_rules(program: "list[str]") -> None:
     rates = {110 + i: 30_000.0 for i in range(3)} | {120 + i: 5000.0 for i in range(3)}
     compare(Machine(rates), Oracle(), program, "G21")
 
@@ -176,11 +176,11 @@ def test_random_jogs_get_the_error_that_the_rules_say(program: "list[str]") -> N
         ("T256", 38),
     ],
 )
-def test_the_oracle_knows_what_was_recorded(line: str, code: int) -> None:
+def test_the_oracle_gives_the_recorded_errors(line: str, code: int) -> None:
     assert Oracle().judge(line) == code
 
 
-# Bytes that are no lines at all
+# Bytes that are not lines
 
 noise = st.one_of(
     st.binary(max_size=60),
@@ -190,7 +190,7 @@ noise = st.one_of(
 
 
 def play(machine: Machine, data: bytes) -> bool:
-    """Send bytes whatever comes back; returns whether the machine has come to rest."""
+    """Send bytes whatever comes back; return whether the machine is idle at the end."""
     rig = machine.rig
 
     def script() -> Any:
@@ -201,7 +201,7 @@ def play(machine: Machine, data: bytes) -> bool:
             yield rig.ms(40)
             while not machine.idle() and rig.now < until:
                 yield rig.ms(40)
-        yield rig.ms(1500)  # behind an alarm nothing is said for half a second
+        yield rig.ms(1500)  # after an alarm nothing is sent for half a second
         at_rest.append(machine.idle())
 
     at_rest: list[bool] = []
@@ -223,14 +223,14 @@ def answers(machine: Machine) -> int:
 @example(b"$SLP\n?\x18\n")
 @example(b"(" + bytes(range(128, 256)) + b")\n")
 @example(b"$I=" + b"\xc3" * 60 + b"\n$I\n")
-def test_any_bytes_are_answered_line_by_line(data: bytes) -> None:
+def test_random_bytes_are_answered_line_by_line(data: bytes) -> None:
     data += b"\n"
     machine = Machine()
     at_rest = play(machine, data)
     ends = sum(data.count(c) for c in (b"\n", b"\r"))
     assert answers(machine) <= ends + 3 * data.count(b"\x18")  # startup lines answer too
     resets = sum(line.startswith("Grbl ") for line in machine.received) - 1
-    if at_rest and not resets:  # a reset forgets the lines that wait
+    if at_rest and not resets:  # a reset discards the waiting lines
         assert answers(machine) == ends
 
 

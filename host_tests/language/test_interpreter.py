@@ -1,4 +1,4 @@
-"""The interpreter, on paper: what a line asks of the machine, in which order; and its tables."""
+"""The interpreter without a machine: what each line calls, in which order; and its tables."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +19,7 @@ from language.interpreter import Interpreter
 
 
 class Paper:
-    """An interpreter whose machine notes what it is asked for."""
+    """An interpreter whose machine only records its calls."""
 
     def __init__(self) -> None:
         self.canon, self.voice, store = FakeCanon(), FakeVoice(), FakeStore()
@@ -38,14 +38,14 @@ class Paper:
             report=self.voice,
         )
         self.interpreter = Interpreter(machine, block, False)
-        self.interpreter.watch(MOVE)  # or lines would be planned without being asked for
+        self.interpreter.watch(MOVE)  # without it the kernels would plan lines unseen
 
     def _probe(self, *_: object) -> bool:
         self.canon.asked.append("probe")
         return True
 
     def does(self, *lines: str) -> "list[str]":
-        """What lines without spaces ask for; of the last one only."""
+        """Run lines without spaces; return the calls of the last one."""
         for line in lines:
             self.canon.asked.clear()
             text = bytearray(line.encode() + b"\0")
@@ -73,7 +73,9 @@ class Paper:
         (("$J=X1F10",), ["jog F10 1 0 0"]),
     ],
 )
-def test_what_a_line_asks_of_the_machine(lines: "tuple[str, ...]", asked: "list[str]") -> None:
+def test_a_line_makes_these_calls_of_the_machine(
+    lines: "tuple[str, ...]", asked: "list[str]"
+) -> None:
     assert Paper().does(*lines) == asked
 
 
@@ -84,7 +86,7 @@ def test_the_end_of_a_program_is_reported() -> None:
 
 
 @pytest.mark.parametrize("line", ["G1X1", "G2X1F10", "G1X1F10M3S1M99", "G38.2F10"])
-def test_a_line_that_is_refused_asks_for_nothing(line: str) -> None:
+def test_a_refused_line_makes_no_calls(line: str) -> None:
     paper = Paper()
     with pytest.raises(GrblError):
         paper.does(line)
@@ -92,7 +94,7 @@ def test_a_line_that_is_refused_asks_for_nothing(line: str) -> None:
     assert list(paper.modes.position) == [0, 0, 0] and paper.modes.rates[0] == 0
 
 
-def test_a_jog_out_of_the_travel_is_refused() -> None:
+def test_a_jog_beyond_the_travel_is_refused() -> None:
     paper = Paper()
     paper.canon.too_far = 10
     assert paper.does("$J=X10F10") == ["jog F10 10 0 0"]
@@ -113,7 +115,7 @@ def test_a_jog_out_of_the_travel_is_refused() -> None:
     ids=["motions", "commands"],
 )
 def test_every_word_in_the_dictionary_is_executed(group: int, known: "set[int]") -> None:
-    """Interpreter.run_move() takes a motion that it does not know for a probe (38), and
-    _non_modal() ignores a command: who adds one to the dictionary adds it there, and here."""
+    """Interpreter.run_move() treats an unknown motion as a probe (38), and _non_modal() ignores an
+    unknown command: a new word of the dictionary must be added there, and here."""
     rows = [words[i : i + ROW] for i in range(ROW, len(words), ROW)]
     assert {row[SETTING] for row in rows if row[GROUP] | row[GROUP + 1] << 8 == group} == known

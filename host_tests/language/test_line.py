@@ -1,4 +1,4 @@
-"""A line done by kernels alone: the same as by the interpreter, bit by bit."""
+"""Lines done by kernels alone give the same result as by the interpreter, bit by bit."""
 
 from itertools import product
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ from ugrbl.run.program import ProgramLink
 
 
 class Bench:
-    """A machine that is told lines and never moves: what it plans is looked at, and forgotten."""
+    """A machine that gets lines and never moves: what it plans is inspected and discarded."""
 
     def __init__(
         self,
@@ -38,19 +38,19 @@ class Bench:
         settings.laser_mode, settings.max_rpm, settings.min_rpm = int(laser), most, least
         self.machine.configure()
         self.machine.planner.override()
-        self.machine.canon.service = self.machine.planner.clear  # whoever waits finds room
+        self.machine.canon.service = self.machine.planner.clear  # a waiting caller finds space
         self.machine.motor_control.start = self.machine.state.enter  # type: ignore[method-assign]
         if not short:
             self.machine.interpreter.watch(MOVE)
         self.modal, self.counts, self.memory = self.machine.interpreter.memory()
 
     def does(self, text: str, line: "bytearray | None" = None) -> int:
-        """Whether the kernels have done a line."""
+        """Return whether the kernels have done a line."""
         line = line or bytearray(text.encode() + b"\0")
         return ln.execute(line, len(text), self.modal, self.counts, self.memory)
 
     def tell(self, text: str) -> "tuple[Any, ...]":
-        """Everything that comes of a line."""
+        """Run a line; return its whole effect."""
         gcode, planner = self.machine.interpreter, self.machine.planner
         gcode.line = line = bytearray(text.encode() + b"\0")
         fault = 0
@@ -154,12 +154,14 @@ program = st.lists(
 @example(["M4S9F5G91", "G2X0.1R5", "G3X0.1R5S5", "G93G2X0.1R5F3", "M3", "G2I0.001S7"], True, False)
 @example(["G93", "G1X1F9", "X2F9", "X3", "G20", "X4F5", "G0X0", "G0X1F3", "G94"], False, True)
 @example(["F9", "G1X1", "G93X2F3", "X3F3", "G93X4F4", "G94X5", "G94X5F5", "X6"], True, True)
-def test_kernels_do_what_the_interpreter_does(lines: "list[str]", laser: bool, mist: bool) -> None:
+def test_kernels_and_interpreter_give_the_same_result(
+    lines: "list[str]", laser: bool, mist: bool
+) -> None:
     compare(lines, laser, mist)
 
 
 @pytest.mark.parametrize("plane", PLANES)
-def test_words_of_planes_in_every_combination(plane: str) -> None:
+def test_plane_words_in_every_combination(plane: str) -> None:
     words = ["", *PLANES, "G91", "M8", "G4"]
     lines = [
         line
@@ -168,13 +170,13 @@ def test_words_of_planes_in_every_combination(plane: str) -> None:
         for line in (f"{one}{other}{move}", "X1")
     ]
     compare(["F300", "G1X1", "M8", plane, *lines])
-    # A jog may have none, not even that which is in force.
+    # A jog may have no plane word, not even the current plane's.
     compare([plane, *[f"$J={word}G91X1F50" for word in PLANES], *[f"$J=X1{plane}F50"], "X1"])
     assert Bench(False, True).tell(f"$J={plane}G91X1F50")[0][0] == INVALID_JOG_COMMAND
 
 
 @pytest.mark.parametrize("mist", [True, False])
-def test_words_of_coolant_in_every_combination(mist: bool) -> None:
+def test_coolant_words_in_every_combination(mist: bool) -> None:
     words = ["M7", "M8", "M9", "M7M8", "M8M7", "M8M8", "M9M8"]
     lines = [
         line
@@ -185,7 +187,7 @@ def test_words_of_coolant_in_every_combination(mist: bool) -> None:
 
 
 def compare(lines: "list[str]", laser: bool = False, mist: bool = False) -> None:
-    """Both say and do the same."""
+    """Check that both benches answer and plan the same."""
     short, long = Bench(laser, True, mist=mist), Bench(laser, False, mist=mist)
     for line in lines:
         assert short.tell(line) == long.tell(line), line
@@ -193,7 +195,7 @@ def compare(lines: "list[str]", laser: bool = False, mist: bool = False) -> None
 
 @pytest.mark.parametrize("override", [100, 50])
 @pytest.mark.parametrize("beam", ["M3", "M4"])
-def test_kernels_do_another_power_of_the_beam(beam: str, override: int) -> None:
+def test_kernels_do_lines_with_a_changed_laser_power(beam: str, override: int) -> None:
     bench = Bench(True, True)
     bench.machine.state.override_spindle(override)
     for text in (f"{beam}S100F300", "G1X1", "X2"):
@@ -214,7 +216,7 @@ speeds = st.decimals(0, 13000, places=3).map(lambda x: format(x, "f"))
     st.booleans(),
     st.lists(st.one_of(speeds, st.just("0")), min_size=1, max_size=6),
 )
-def test_kernels_give_the_beam_the_power_that_the_spindle_says(
+def test_kernels_set_the_same_laser_power_as_the_spindle(
     most: float, least: float, override: int, follows: bool, powers: "list[str]"
 ) -> None:
     bench = Bench(True, True, most, least)
@@ -234,7 +236,7 @@ def test_kernels_give_the_beam_the_power_that_the_spindle_says(
         planner.clear()
 
 
-def test_kernels_do_lines_that_have_to_wait_for_nothing() -> None:
+def test_kernels_do_lines_that_need_no_wait() -> None:
     bench = Bench(False, True)
     for text in ("G1X1F500", "X2", "X3Y1N5", "X4F501", "G0X5", "G1X7F502", "T1", ""):
         assert bench.does(text), text
@@ -243,16 +245,16 @@ def test_kernels_do_lines_that_have_to_wait_for_nothing() -> None:
     assert bench.machine.modes.rates[modal.FEED] == 502
 
 
-def test_kernels_do_an_arc_that_one_chord_does_for() -> None:
+def test_kernels_do_an_arc_of_a_single_chord() -> None:
     bench = Bench(False, True)
     bench.tell("G91F500")
     for text in ("G2X0.1R5", "X0.1R5N3", "G3X-0.2Y0.1R900", "G2X0.1I0.05J-5F501"):
         assert bench.does(text), text
-    for text in ("X1R5", "I0.5", "G93X0.1R5F3", "X0.1R0.04"):  # more chords, or what is wrong
+    for text in ("X1R5", "I0.5", "G93X0.1R5F3", "X0.1R0.04"):  # more chords, or errors
         assert not bench.does(text), text
 
 
-def test_kernels_do_any_arc_in_check_mode_that_no_limit_can_stop() -> None:
+def test_kernels_do_any_arc_in_check_mode_without_soft_limits() -> None:
     bench = Bench(False, True)
     bench.machine.state.enter(CHECK)
     assert bench.does("G2X100R90F500") and bench.does("G3X100I50Z3")
@@ -261,7 +263,7 @@ def test_kernels_do_any_arc_in_check_mode_that_no_limit_can_stop() -> None:
     assert not bench.does("I-5")
 
 
-def test_kernels_leave_what_waits_or_is_wrong_and_change_nothing() -> None:
+def test_kernels_refuse_lines_that_wait_or_fail_and_change_nothing() -> None:
     bench = Bench(False, True)
     bench.tell("G1X1F500")
     before = list(bench.machine.modes.modal), list(bench.machine.modes.position)

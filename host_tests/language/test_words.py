@@ -1,4 +1,4 @@
-"""words.scan against a plain twin of how Grbl reads numbers: the oracle's."""
+"""words.scan against the oracle's plain version of Grbl's number reader."""
 
 import struct
 from array import array
@@ -35,7 +35,7 @@ pieces = st.one_of(
 @example("." + 60 * "0" + "1")
 @example("-.5")
 @example("-0")
-def test_a_number_is_rounded_digit_by_digit_as_by_grbl(text: str) -> None:
+def test_a_number_is_rounded_digit_by_digit_like_grbl(text: str) -> None:
     expected = read_number(text)
     end, value = bare(bytearray(text.encode() + b"\0"), 0)
     if expected is None:
@@ -45,7 +45,7 @@ def test_a_number_is_rounded_digit_by_digit_as_by_grbl(text: str) -> None:
 
 
 @given(st.lists(pieces, max_size=12).map(lambda parts: "".join(parts)[:127]))
-def test_a_line_is_read_word_by_word_up_to_the_first_fault(text: str) -> None:
+def test_a_line_is_read_word_by_word_up_to_the_first_error(text: str) -> None:
     line = Words(127)
     line.read(bytearray(text.encode() + b"\0"), 0, len(text))
     found = [(chr(line.letters[i]), bits(line.values[i])) for i in range(line.count)]
@@ -56,14 +56,14 @@ def test_a_line_is_read_word_by_word_up_to_the_first_fault(text: str) -> None:
 
 @some(200)
 @given(st.binary(max_size=126))
-def test_any_bytes_are_read_without_raising(data: bytes) -> None:
+def test_random_bytes_are_read_without_raising(data: bytes) -> None:
     line = Words(127)
     line.read(bytearray(data + b"\0"), 0, len(data))
     assert line.count <= len(data)
 
 
 @pytest.mark.parametrize("start", [0, 2])
-def test_reading_begins_where_it_is_asked(start: int) -> None:
+def test_reading_begins_at_the_given_offset(start: int) -> None:
     line = Words(127)
     text = b"$$X1Y2"[2 - start :]
     line.read(bytearray(text + b"\0"), start, len(text))
@@ -87,7 +87,7 @@ places = st.one_of(normal, st.sampled_from([0.0, 1.0, -1.0, 0.1, -16777216.0, 2.
 @example(1.0000001, 2.0**-24)
 @example(1.0, -(2.0**-25))
 @example(16777216.0, -0.50000006)
-def test_an_offset_is_added_as_in_single_precision(value: float, offset: float) -> None:
+def test_an_offset_is_added_in_single_precision(value: float, offset: float) -> None:
     a, b = array("f", [offset]), array("f", [value])
     expected = single(b[0] + a[0])
     assume(expected == 0 or 2.0**-126 <= abs(expected))
@@ -98,7 +98,7 @@ def test_an_offset_is_added_as_in_single_precision(value: float, offset: float) 
 @given(places)
 @example(1e37)
 @example(1.0000001)
-def test_inches_become_millimetres_as_in_single_precision(value: float) -> None:
+def test_inches_become_millimetres_in_single_precision(value: float) -> None:
     inches = array("f", [value])
     expected = single(inches[0] * f32(25.4))
     multiply(inches, 0, array("f", [25.4]), 0)

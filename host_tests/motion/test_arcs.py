@@ -1,4 +1,4 @@
-"""Arcs: their chords end where they should, however many, and the link is looked at meanwhile."""
+"""Arcs: chords end on the arc, however many there are, and the link is served meanwhile."""
 
 from array import array
 from collections.abc import Iterator
@@ -17,9 +17,9 @@ from motion.arc_geometry import CENTRE_0, CENTRE_1, RADIUS, Arc
 from ugrbl.run import machine
 from ugrbl.run.program import ProgramLink
 
-# What a place may be off, but for half a step: this part of the radius, which an angle in single
-# precision leaves open over a circle; of the way from 0, which is rounded to single precision; and
-# some units of the course.
+# How far a position may be off, in addition to half a step: a fraction of the radius (an angle in
+# single precision leaves that open over a circle); a fraction of the distance from 0 (rounding to
+# single precision); and some units of the course.
 _TURN = 6e-7
 _ROUNDED = 2.0**-24
 _UNITS = 16 * 2.0**-29
@@ -31,7 +31,7 @@ planes = st.sampled_from(PLANES)
 
 
 class Way(NamedTuple):
-    """An arc in doubles. sweep: in radians; shift: what the axes besides the plane go."""
+    """An arc in doubles. sweep: in radians; shift: travel of the axes outside the plane."""
 
     radius: float
     begin: float
@@ -40,11 +40,11 @@ class Way(NamedTuple):
     shift: "tuple[float, ...]" = (0.0,)
     plane: "tuple[int, int]" = PLANES[0]
     clockwise: bool = False
-    steps: "tuple[float, float]" = (1.0, 1.0)  # what a mm of other axes has besides those of X
+    steps: "tuple[float, float]" = (1.0, 1.0)  # steps/mm of the other axes, relative to those of X
 
 
 class Course:
-    """The course of a way: its own places, and where they should be."""
+    """The course of an arc: its computed positions, and the exact ones."""
 
     def __init__(self, way: Way, tolerance: float) -> None:
         self.axes = 2 + len(way.shift)
@@ -67,7 +67,7 @@ class Course:
         self.left = self._course[arcs.LEFT]
 
     def _lay_ends(self, way: Way) -> "tuple[float, float]":
-        """Returns where the centre lies, seen from the start."""
+        """Set start and target; return the centre relative to the start."""
         first, second = way.plane
         sweep = -way.sweep if way.clockwise else way.sweep
         for ends, angle in ((self._start, way.begin), (self._target, way.begin + sweep)):
@@ -81,11 +81,11 @@ class Course:
         return f32(centre[0] - start[first]), f32(centre[1] - start[second])
 
     def others(self) -> "list[int]":
-        """The axes that are not in the plane."""
+        """Return the axes that are not in the plane."""
         return [i for i in range(self.axes) if i not in self._arc.plane[:2]]
 
     def made(self) -> "Iterator[list[float]]":
-        """Where chords end, all but the last."""
+        """Yield where chords end, except the last."""
         table = array("i", [0] * layout.table_length(self.axes, self.axes))
         table[layout.AXES] = self.axes
         for _ in range(self.left):
@@ -94,7 +94,7 @@ class Course:
             yield [(n - arcs.FAR) / r for n, r in zip(steps, self._steps_per_mm, strict=True)]
 
     def exact(self) -> "Iterator[list[float]]":
-        """The same in doubles, each from the beginning of the arc."""
+        """Yield the same in doubles, each computed from the beginning of the arc."""
         start, target = self._start, self._target
         first, second, clockwise = self._arc.plane
         x, y = -self._centre[0], -self._centre[1]
@@ -114,7 +114,7 @@ class Course:
             yield place
 
     def check(self) -> None:
-        """Each place is where it should be."""
+        """Check that each position is within tolerance."""
         reach = 5 * self._arc.numbers[RADIUS] + sum(map(abs, [*self._start, *self._target]))
         allowed = _TURN * self._arc.numbers[RADIUS] + _ROUNDED * reach + _UNITS * (1 + reach)
         most = [allowed + 0.5 / steps for steps in self._steps_per_mm]
@@ -138,7 +138,7 @@ def test_chords_of_a_circle_end_on_it(
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
-def test_an_error_does_not_grow_with_the_number_of_chords(clockwise: bool) -> None:
+def test_the_error_does_not_grow_with_the_number_of_chords(clockwise: bool) -> None:
     course = Course(Way(400.0, 2.0, 2 * pi, clockwise=clockwise), 1e-6)
     assert course.chords > 44_000
     course.check()
@@ -161,12 +161,12 @@ ways = st.builds(
 @given(ways, tolerances)
 @example(Way(0.00201, 0.0, 2 * pi), 0.002)
 @example(Way(0.00101, 0.3, 5.99), 0.002)
-def test_places_of_any_arc_are_those_of_doubles(way: Way, tolerance: float) -> None:
+def test_positions_on_any_arc_match_doubles(way: Way, tolerance: float) -> None:
     Course(way, tolerance).check()
 
 
 @pytest.mark.parametrize("far", [1e7, 3e38, float("inf"), float("nan")])
-def test_an_arc_that_no_unit_has_room_for_is_one_line(far: float) -> None:
+def test_an_arc_beyond_the_range_of_units_is_one_line(far: float) -> None:
     arc = Arc()
     arc.numbers[CENTRE_0] = arc.numbers[RADIUS] = 5.0
     course = array("i", [0] * arcs.course_length(3))
@@ -179,7 +179,7 @@ def test_an_arc_that_no_unit_has_room_for_is_one_line(far: float) -> None:
 
 
 class Bench:
-    """A machine that plans and never moves: blocks are taken out of its ring by who waits."""
+    """A machine that plans and never moves: the wait for space takes blocks out of its ring."""
 
     def __init__(self, takes: int = 15, axes: int = 3, **changed: float) -> None:
         rig = machine.build("sim", lambda rig: ProgramLink(rig, lambda _: iter(())), axes=axes)
@@ -193,7 +193,7 @@ class Bench:
         made.canon.service = self._service
         self._takes = takes
         self.blocks: "list[list[int]]" = []
-        self.each: "list[int]" = []  # how many were planned between two services
+        self.each: "list[int]" = []  # blocks planned between two services
         self._seen = 0
 
     def _service(self) -> None:
@@ -216,7 +216,7 @@ class Bench:
             flow[layout.TAIL] = (flow[layout.TAIL] + 1) % flow[layout.ROWS]
 
     def tell(self, *lines: str) -> "Bench":
-        """Have lines executed and everything planned taken out."""
+        """Execute lines and take out everything planned."""
         for text in lines:
             self.machine.interpreter.execute(bytearray(text.encode() + b"\0"), len(text))
         while not self.machine.planner.empty():
@@ -224,7 +224,7 @@ class Bench:
         return self
 
     def place(self) -> "list[int]":
-        """Where the blocks lead, in steps."""
+        """Return where the blocks lead, in steps."""
         return [sum(steps) for steps in zip(*self.blocks, strict=True)]
 
 
@@ -244,13 +244,13 @@ def test_a_chord_that_has_to_wait_is_not_lost(takes: int) -> None:
     assert Bench(takes=takes).tell(*lines).blocks == Bench(takes=7).tell(*lines).blocks
 
 
-def test_chords_are_no_longer_in_sequence_than_the_link_can_wait() -> None:
+def test_the_link_is_served_every_eight_chords() -> None:
     bench = Bench().tell("F500", "G3X0I-20")
     assert len(bench.blocks) > 200
     assert max(bench.each) == 8
 
 
-def test_check_mode_waits_for_the_link_as_often_and_plans_nothing() -> None:
+def test_check_mode_serves_the_link_as_often_and_plans_nothing() -> None:
     bench = Bench(soft_limits=1)
     bench.machine.state.enter(run.CHECK)
     bench.tell("F500", "G1X-10Y-50", "G3X-10I-20")
@@ -258,7 +258,7 @@ def test_check_mode_waits_for_the_link_as_often_and_plans_nothing() -> None:
     assert len(bench.each) > 25
 
 
-def test_check_mode_makes_no_chords_where_there_are_no_limits_to_pass() -> None:
+def test_check_mode_skips_chords_if_there_are_no_soft_limits() -> None:
     bench = Bench()
     bench.machine.state.enter(run.CHECK)
     bench.tell("F500", "G1X-10Y-50", "G3X30I20")
@@ -266,20 +266,20 @@ def test_check_mode_makes_no_chords_where_there_are_no_limits_to_pass() -> None:
     assert list(bench.machine.modes.position) == [30, -50, 0]
 
 
-def test_a_fourth_axis_goes_evenly() -> None:
+def test_a_fourth_axis_moves_evenly_along_an_arc() -> None:
     bench = Bench(axes=4).tell("F500", "G1A5", "G3X0I-2A6")
     turned = [steps[3] for steps in bench.blocks[1:]]
     assert len(turned) > 20
     assert max(turned) - min(turned) <= 1
 
 
-def test_the_time_of_an_inverse_time_arc_is_shared_out() -> None:
+def test_the_time_of_an_inverse_time_arc_is_divided_among_chords() -> None:
     bench = Bench()
     bench.tell("G93", "G3X-4I-2F2")
     assert abs(bench.machine.planner._feed[0] - 2 * len(bench.blocks)) < 0.001
 
 
-def test_a_spindle_override_counts_from_the_next_chords_on() -> None:
+def test_a_spindle_override_applies_from_the_next_chords() -> None:
     bench = Bench(laser_mode=1)
     powers = set()
     service, planner = bench.machine.canon.service, bench.machine.planner
@@ -297,7 +297,7 @@ def test_a_spindle_override_counts_from_the_next_chords_on() -> None:
     assert len(powers - {0}) == 2
 
 
-def test_a_beam_takes_its_power_where_chords_have_no_steps() -> None:
+def test_laser_power_is_set_if_chords_have_no_steps() -> None:
     bench = Bench(laser_mode=1, arc_tolerance_mm=0.0000001)
     spun: "list[float]" = []
     bench.machine.canon.spin = lambda direction, rpm: spun.append(rpm)  # type: ignore[method-assign]

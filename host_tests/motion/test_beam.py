@@ -1,8 +1,8 @@
-"""The beam: power changes where it belongs, whatever the machine does on its way.
+"""The laser: power changes at the right step, through holds, overrides and resets.
 
-Each step that the simulated machine makes is noted with the power it was made at, and held to the
-dots that the program asks for. That hardware changes power when it is told to is shown on the
-emulated Pico (emulator/test_pico_laser.py), and here for the program of its machine.
+Each step that the simulated machine makes is recorded with its power, and compared with the dots
+of the program. That the hardware changes power on request is shown on the emulated Pico
+(emulator/test_pico_laser.py), and here for the program of its state machine.
 """
 
 from array import array
@@ -20,10 +20,10 @@ from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER
 from test_laser import made
 from test_settings_effects import Bench
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
-# A machine that is quick for what it burns.
+# A fast machine for the amount it burns.
 _SETTINGS = {32: 1, 110: 6000, 111: 6000, 120: 800, 121: 800}
 _PER_MM = 250
 _FULL = 1000  # of power, and of S
@@ -31,7 +31,7 @@ _FULL = 1000  # of power, and of S
 
 @dataclass
 class Burnt:
-    """What a program has burnt. steps: power of each step of X, in their order."""
+    """What a program has burnt. steps: power of each step of X, in order."""
 
     steps: "list[int]" = field(default_factory=list)
     said: "list[str]" = field(default_factory=list)
@@ -43,7 +43,7 @@ class Burnt:
 def burn(
     *lines: str, before: str = "G91G1F3000M3S0", events: "list[tuple[float, str]] | None" = None
 ) -> Burnt:
-    """Run lines; events: bytes sent meanwhile, each so many ms behind the one before."""
+    """Run lines; events: bytes sent meanwhile, each this many ms after the one before."""
     bench, burnt = Bench(_SETTINGS, "sim_laser"), Burnt()
     base = ROW_AXES
 
@@ -73,8 +73,8 @@ def burn(
 
 
 def dot_of(step: int, steps: int, dots: "list[int]") -> "set[int]":
-    """The powers that a step, from 0, of a line may be made at: those within half a step."""
-    places = (step, step + 0.5, step + 1)  # it is made half way
+    """Return the powers that step (from 0) of a line may have: those within half a step."""
+    places = (step, step + 0.5, step + 1)  # a step is made in the middle of its interval
     return {dots[min(int(place * len(dots) / steps), len(dots) - 1)] for place in places}
 
 
@@ -83,7 +83,7 @@ def cluster(mm: float, dots: "list[int]") -> str:
 
 
 def held(burnt: Burnt, lines: "list[tuple[float, list[int]]]") -> None:
-    """Every step has the power of its dot, to half a step."""
+    """Check that every step has the power of its dot, within half a step."""
     at = 0
     for mm, dots in lines:
         steps = abs(round(mm * _PER_MM))
@@ -102,7 +102,7 @@ _lines = st.lists(st.tuples(st.sampled_from((0.4, 0.8, 1.6, 0.02, 2.5)), _dots),
 @some(25)
 @example([(0.02, [1000, 0] * 8), (0.8, [1, 250])], 6000)  # more dots than steps
 @example([(1.6, [0, 1000] * 8)] * 3, 6000)
-def test_every_dot_is_burnt_where_it_belongs(
+def test_every_dot_is_burnt_at_its_place(
     lines: "list[tuple[float, list[int]]]", feed: int
 ) -> None:
     burnt = burn(*(cluster(*line) for line in lines), before=f"G91G1F{feed}M3S0")
@@ -111,7 +111,7 @@ def test_every_dot_is_burnt_where_it_belongs(
 
 
 @pytest.mark.parametrize("plain", [False, True])
-def test_dots_are_kept_by_lines_that_wait_for_room_in_the_planner(plain: bool) -> None:
+def test_dots_are_kept_while_lines_wait_for_space_in_the_planner(plain: bool) -> None:
     lines = [(0.8, [0, 10 * k, 500, 1000 - 10 * k]) for k in range(60)]
     between = ["X0.8S300"] if plain else []
     burnt = burn(*(text for line in lines for text in (cluster(*line), *between)))
@@ -121,10 +121,10 @@ def test_dots_are_kept_by_lines_that_wait_for_room_in_the_planner(plain: bool) -
 
 @given(_lines.filter(bool))
 @some(10)
-def test_the_dots_of_a_line_get_the_energy_they_are_to_have(
+def test_the_dots_of_a_line_get_the_planned_energy(
     lines: "list[tuple[float, list[int]]]",
 ) -> None:
-    """Added up over steps, which at a constant power of M3 are equal lengths."""
+    """Summed over steps; at the constant power of M3 all steps have equal lengths."""
     burnt = burn(*(cluster(*line) for line in lines))
     wanted = sum(abs(round(mm * _PER_MM)) * sum(dots) / len(dots) for mm, dots in lines)
     edges = sum(len(dots) for _, dots in lines)
@@ -145,7 +145,7 @@ def test_holds_and_overrides_move_no_dot(events: "list[tuple[int, str]]") -> Non
     assert burnt.place == sum(round(mm * _PER_MM) for mm, _ in lines)
 
 
-def test_a_laser_in_hold_is_dark_and_the_dots_go_on_after_it() -> None:
+def test_the_laser_is_off_in_a_hold_and_dots_continue_after_it() -> None:
     lines = [(1.6, [1000, 900]), (1.6, [800, 700])]
     bench = Bench(_SETTINGS, "sim_laser")
 
@@ -166,7 +166,7 @@ def test_a_laser_in_hold_is_dark_and_the_dots_go_on_after_it() -> None:
 
 
 def test_the_dots_of_m4_follow_the_speed() -> None:
-    """At the programmed speed a dot has its power; where it is slower, as much less."""
+    """At the programmed speed a dot has full power; below it, proportionally less."""
     burnt = burn("X2S0", cluster(4, [1000, 500]), "X2S0", before="G91G1F3000M4S0")
     first, second = burnt.steps[500:1000], burnt.steps[1000:1500]
     assert set(first[1:]) == {1000} and set(second[1:]) == {500}
@@ -176,13 +176,13 @@ def test_the_dots_of_m4_follow_the_speed() -> None:
     assert burnt.at_rest == 0
 
 
-def test_a_laser_that_follows_the_speed_is_dark_at_rest_and_one_that_does_not_goes_on() -> None:
+def test_m4_is_off_at_rest_and_m3_stays_on() -> None:
     assert burn(cluster(1, [100, 300]), before="G91G1F3000M4S0").at_rest == 0
     assert burn(cluster(1, [100, 300]), before="G91G1F3000M3S0").at_rest == 300
 
 
-def test_an_override_of_the_spindle_weighs_dots_anew() -> None:
-    """Those of the blocks that wait, too."""
+def test_a_spindle_override_rescales_dots() -> None:
+    """Also the dots of waiting blocks."""
     lines = [(2.5, [1000, 500])] * 3
     burnt = burn(*(cluster(*line) for line in lines), events=[(5, "\x9b" * 5)])
     assert burnt.steps[0] == 1000 and 500 not in burnt.steps[:600]
@@ -191,23 +191,25 @@ def test_an_override_of_the_spindle_weighs_dots_anew() -> None:
     assert set(burnt.steps[-300:]) == {250}
 
 
-# Plain lines
+# Lines without a cluster
 
 
 @given(st.lists(st.tuples(st.sampled_from((0.4, 1.2, -0.8)), st.integers(0, 1000)), min_size=1))
 @some(15)
-def test_every_step_of_a_plain_line_has_its_power(lines: "list[tuple[float, int]]") -> None:
+def test_every_step_of_a_line_without_cluster_has_its_power(
+    lines: "list[tuple[float, int]]",
+) -> None:
     lines = lines[:8]
     burnt = burn(*(f"X{mm}S{power}" for mm, power in lines))
     held(burnt, [(mm, [power]) for mm, power in lines])
     assert burnt.at_rest == lines[-1][1]
 
 
-# Lines that hold a cluster
+# Lines with a cluster
 
 
 def talk(*lines: str, before: str = "G91G1F3000M3S0") -> "list[list[str]]":
-    """What the machine answers to each."""
+    """Return the machine's answers to each line."""
     bench, said = Bench(_SETTINGS, "sim_laser"), []
 
     def script() -> Iterator[Any]:
@@ -240,7 +242,7 @@ def talk(*lines: str, before: str = "G91G1F3000M3S0") -> "list[list[str]]":
         ("X1S1:2S3", "error:25"),
     ],
 )
-def test_a_line_with_a_cluster_is_answered_once_and_one_that_is_refused_changes_nothing(
+def test_a_line_with_a_cluster_is_answered_once_and_a_refused_one_changes_nothing(
     line: str, answer: str
 ) -> None:
     before, said, after = talk("$G", line, "$G")
@@ -248,35 +250,35 @@ def test_a_line_with_a_cluster_is_answered_once_and_one_that_is_refused_changes_
     assert (before == after) == (answer != "ok")
 
 
-def test_a_cluster_out_of_travel_is_the_alarm_of_any_line() -> None:
+def test_a_cluster_in_g0_is_refused_even_beyond_the_travel() -> None:
     (said,) = talk("X-5S1:2", before="$20=0")
     assert said == ["error:20"]  # G0 is in force
 
 
-def test_without_laser_mode_there_are_no_clusters() -> None:
+def test_clusters_are_refused_without_laser_mode() -> None:
     assert talk("X1S1:2", before="$32=0") == [["error:20"]]
 
 
-def test_after_a_cluster_s_is_its_last() -> None:
+def test_s_after_a_cluster_is_its_last_value() -> None:
     burnt = burn(cluster(1, [100, 300]), "X1")
     assert set(burnt.steps[250:]) == {300}
 
 
-def test_check_mode_takes_clusters_and_burns_nothing() -> None:
+def test_check_mode_accepts_clusters_and_burns_nothing() -> None:
     assert talk("$C", "X1S1:2", "X1S1:", "X1S5:6")[1:] == [["ok"], ["error:2"], ["ok"]]
 
 
-def test_without_m3_and_m4_there_is_no_power() -> None:
+def test_a_cluster_has_no_power_without_m3_or_m4() -> None:
     assert set(burn(cluster(1, [100, 300]), before="G91G1F3000M5").steps) == {0}
 
 
-def test_lines_with_and_without_clusters_go_together() -> None:
+def test_lines_with_and_without_clusters_can_alternate() -> None:
     lines = [(0.8, [0, 1000]), (0.8, [250]), (0.8, [1, 600, 250]), (0.4, [1000])] * 4
     burnt = burn(*(cluster(*line) for line in lines))
     held(burnt, lines)
 
 
-def test_a_reset_forgets_the_dots_of_the_lines_that_it_forgets() -> None:
+def test_a_reset_discards_the_dots_of_discarded_lines() -> None:
     bench = Bench(_SETTINGS, "sim_laser")
     powers: list[int] = []
 
@@ -296,12 +298,12 @@ def test_a_reset_forgets_the_dots_of_the_lines_that_it_forgets() -> None:
     assert set(powers) <= {0, 7}
 
 
-def test_a_longer_line_than_grbls_is_taken_and_one_that_is_too_long_is_not() -> None:
+def test_a_line_longer_than_grbls_is_accepted_up_to_a_limit() -> None:
     values = ":".join(["123.25"] * 16)
     assert talk("X1S" + values, "X1" + "S1" * 90) == [["ok"], ["error:11"]]
 
 
-def test_a_board_without_clusters_knows_none() -> None:
+def test_a_board_without_clusters_refuses_them() -> None:
     bench = Bench(_SETTINGS)
     said: list[list[str]] = []
 
@@ -313,7 +315,7 @@ def test_a_board_without_clusters_knows_none() -> None:
     assert said == [["ok"], ["error:1"]]
 
 
-# What S means
+# The meaning of S
 
 
 @given(
@@ -324,13 +326,13 @@ def test_a_board_without_clusters_knows_none() -> None:
     st.booleans(),
 )
 @some(300)
-def test_a_dot_has_the_power_that_s_has(
+def test_a_dot_has_the_same_power_as_s(
     values: "list[float]", most: float, least: float, full: int, dynamic: bool
 ) -> None:
     spindle = made(most, least, full)
     spindle.laser = True
     flags = 0x20 | (layout.DYNAMIC if dynamic else 0)
-    spindle.block_power(flags, 0)  # it knows of the override now
+    spindle.block_power(flags, 0)  # reads the override
     scale = spindle._state.spindle
     powers, speeds = array("i", [0] * 34), array("f", [0] * 32)
     clusters.store(array("f", values), len(values), scale, flags, powers, speeds, 1)

@@ -1,8 +1,8 @@
 """Braking starts in time at any step rate, up to 500 kHz, with any engine's ticks and segments.
 
-Moves that do not reach their speed and moves that do, of random length, on a straight line there
-and back; then the programs that were found to end at full speed. laws.check_segments() sees
-deceleration, the speed at the end of each block, and what every corner allows.
+Moves of random length, which reach their speed or not, on a straight line and back; then the
+programs that once ended at full speed. laws.check_segments() checks deceleration, the speed at
+the end of each block, and the limit of every corner.
 """
 
 from itertools import pairwise
@@ -15,7 +15,7 @@ from laws import STEP_PART, Bench, Limits, Piece, check_plan, check_segments, so
 from rig_bench import Machine
 from test_jerk import JerkBench
 
-# Ticks per second, and of a full segment, as a power of two: 10 ms, 10.5 ms, 4.1 ms, 4.1 ms.
+# Ticks per second; log2 of the ticks of a full segment: 10 ms, 10.5 ms, 4.1 ms, 4.1 ms.
 ENGINES = {
     "sim": (13_107_200, 17),
     "pio": (12_500_000, 17),
@@ -27,7 +27,7 @@ FASTEST_HZ = 500_000
 
 
 def bench(engine: str, hz: float, steps_per_mm: float, ramp_s: float, jerk_s: float = 0) -> Bench:
-    """One that comes to hz steps a second in ramp_s. jerk_s: how long acceleration takes, or 0."""
+    """Return a bench that reaches hz steps/s in ramp_s. jerk_s: duration of acceleration, or 0."""
     mm_s = hz / steps_per_mm
     accel = mm_s / ramp_s
     limits = Limits((steps_per_mm,) * 3, (mm_s * 60,) * 3, (accel,) * 3, step_hz=FASTEST_HZ)
@@ -37,7 +37,7 @@ def bench(engine: str, hz: float, steps_per_mm: float, ramp_s: float, jerk_s: fl
 
 
 def check(made: Bench) -> "list[Piece]":
-    """All laws but those that look at each pulse. Returns the last piece of each block."""
+    """Check all laws except those about each pulse. Return the last piece of each block."""
     made.planner.catch_up()
     check_plan(made.watch)
     made.finish()
@@ -47,10 +47,10 @@ def check(made: Bench) -> "list[Piece]":
 
 
 def hardest(made: Bench) -> float:
-    """Deceleration from row to row, as a part of what the axes allow.
+    """Return the largest deceleration between rows, as a fraction of the axes' limit.
 
-    Less what braking of a small part of a step makes of it: at 1 kHz a row of 2 ms brakes a tenth
-    harder, the next a tenth less.
+    The effect of braking within a small fraction of a step is subtracted: at 1 kHz a row of 2 ms
+    brakes a tenth harder, the next a tenth less.
     """
     rates = [
         (before.speed - after.speed - after.block.braked(STEP_PART))
@@ -62,7 +62,7 @@ def hardest(made: Bench) -> float:
     return max(rates, default=0.0)
 
 
-# Ways as parts of what speeding up and braking takes, and feed rates as parts of the highest.
+# Travel as a fraction of the ramps' length, and feed rates as a fraction of the highest.
 ways = st.lists(
     st.tuples(
         st.floats(0.02, 1.7) | st.floats(-1.7, -0.02),
@@ -74,7 +74,7 @@ ways = st.lists(
 
 
 def any_bench(engine: str, data: Any, jerk_s: float = 0) -> Bench:
-    """Rates are as likely between 1 and 10 kHz as between 50 and 500."""
+    """Draw a bench with moves. Rates of 1-10 kHz are as likely as rates of 50-500 kHz."""
     made = bench(
         engine,
         10 ** data.draw(st.floats(3, 5.699)),
@@ -96,7 +96,7 @@ def any_bench(engine: str, data: Any, jerk_s: float = 0) -> Bench:
 def test_moves_of_any_length_brake_in_time(engine: str, data: Any) -> None:
     made = any_bench(engine, data)
     check(made)
-    assert hardest(made) <= 1.08  # a sixteenth, and what integers leave open
+    assert hardest(made) <= 1.08  # a sixteenth, and integer rounding
 
 
 @engines
@@ -111,7 +111,7 @@ def test_moves_of_any_length_brake_in_time_with_jerk_limited(
 @engines
 @pytest.mark.parametrize("khz", [90, 110, 160, 204, 250, 333, 390, 420, 500])
 @pytest.mark.parametrize("part", [0.6, 1.2])
-def test_a_move_ends_at_rest_and_no_ramp_is_left(engine: str, khz: int, part: float) -> None:
+def test_a_move_ends_at_rest_with_a_full_ramp(engine: str, khz: int, part: float) -> None:
     made = bench(engine, khz * 1000, 1600.0, 0.3)
     way = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
     made.line((way, 0, 0))
@@ -124,7 +124,7 @@ def test_a_move_ends_at_rest_and_no_ramp_is_left(engine: str, khz: int, part: fl
 @engines
 @pytest.mark.parametrize("khz", [160, 250, 380])
 @pytest.mark.parametrize("part", [0.3, 0.75, 0.9, 1.05])
-def test_a_move_ends_at_the_speed_planned_with_jerk_limited(
+def test_a_move_ends_at_the_planned_speed_with_jerk_limited(
     engine: str, khz: int, part: float
 ) -> None:
     made = bench(engine, khz * 1000, 1600.0, 0.2, 0.05)
@@ -135,7 +135,7 @@ def test_a_move_ends_at_the_speed_planned_with_jerk_limited(
 
 
 def test_millions_of_steps_of_braking_end_at_rest() -> None:
-    """What the whole way of braking is known to, 2**-13, is more than the last steps can mend."""
+    """The braking distance is known to 2**-13, more than the last steps can correct."""
     made = bench("pio", FASTEST_HZ, 1600.0, 12.0)
     made.line((2400.0, 0, 0))
     check(made)
@@ -143,7 +143,7 @@ def test_millions_of_steps_of_braking_end_at_rest() -> None:
 
 
 @engines
-def test_a_hold_and_the_way_on_brake_in_time(engine: str) -> None:
+def test_a_hold_and_the_remaining_distance_brake_in_time(engine: str) -> None:
     made = bench(engine, 300_000, 400.0, 0.3)
     made.line((300.0, 40.0, 0))
     made.line((0.0, 0.0, 0))
@@ -152,7 +152,7 @@ def test_a_hold_and_the_way_on_brake_in_time(engine: str) -> None:
     check(made)
 
 
-# The programs that were found: $100=1600 $110=6000 $120=300, in mm/s at the end of each line.
+# The programs that once failed: $100=1600 $110=6000 $120=300; mm/s at the end of each line.
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_a_hold_and_the_way_on_brake_in_time(engine: str) -> None:
     ],
     ids=["ended at 16.8", "turned round at 16.8", "went on at 19.1"],
 )
-def test_a_triangle_of_160_khz_ends_at_the_speed_planned(lines: Any, ends: Any) -> None:
+def test_a_triangle_profile_of_160_khz_ends_at_the_planned_speed(lines: Any, ends: Any) -> None:
     made = Bench(Limits((1600.0,) * 3, (6000.0,) * 3, (300.0,) * 3, step_hz=FASTEST_HZ))
     for place, feed in lines:
         made.line((place, 0, 0), feed)
@@ -174,14 +174,14 @@ def test_a_triangle_of_160_khz_ends_at_the_speed_planned(lines: Any, ends: Any) 
 
 
 @pytest.mark.parametrize("way", [44.0, 52.5, 61.0, 80.0, 93.7, 105.0])
-def test_a_triangle_of_fewer_steps_per_mm_ends_at_rest(way: float) -> None:
-    """$100=400 $110=20000 $120=1000 ended at up to 32 mm/s."""
+def test_a_triangle_profile_of_fewer_steps_per_mm_ends_at_rest(way: float) -> None:
+    """$100=400 $110=20000 $120=1000 once ended at up to 32 mm/s."""
     made = Bench(Limits((400.0,) * 3, (20_000.0,) * 3, (1000.0,) * 3, step_hz=FASTEST_HZ))
     made.line((way, 0, 0), 20_000)
     assert check(made)[-1].mean <= 1.5
 
 
-def test_the_whole_machine_ends_a_triangle_of_160_khz_at_rest() -> None:
+def test_the_whole_machine_ends_a_triangle_profile_of_160_khz_at_rest() -> None:
     machine = Machine({0: 3, 100: 1600.0, 110: 6000.0, 120: 300.0})
     machine.play(["G1X8F6000", "G1X0"])
     check_segments(machine.watch)

@@ -1,4 +1,4 @@
-"""Arcs whose ends lie so near that their angle is lost in single precision go the short way."""
+"""Arcs whose ends are so close that single precision loses their angle take the short way."""
 
 from array import array
 from fractions import Fraction
@@ -19,7 +19,7 @@ from ugrbl.run.program import Result, run_program
 from ugrbl.web.preview import preview
 
 PLANES = {"G17": "XYIJ", "G18": "ZXKI", "G19": "YZJK"}
-_NEAR_MM = 0.6  # what an arc's end may be off, and a little
+_NEAR_MM = 0.6  # largest error of an arc's end, and a margin
 
 
 def run(*lines: str) -> Result:
@@ -29,7 +29,7 @@ def run(*lines: str) -> Result:
 
 
 def in_plane(plane: str, line: str) -> str:
-    """A line of G17 as it is in another plane."""
+    """Return a line of G17 rewritten for another plane."""
     return line.translate(str.maketrans(PLANES["G17"], PLANES[plane]))
 
 
@@ -44,29 +44,27 @@ def in_plane(plane: str, line: str) -> str:
         ("X0 Y0", "G2 X0 Y0.01 I30000 J0"),
         ("X0 Y0", "G3 X0 Y-0.01 R30000"),
         ("X0 Y0", "G2 X0 Y-0.01 R30000"),
-        ("X0 Y0", "G3 X-0.01 Y0 I30000 J0"),  # its end is off the circle, and no more
+        ("X0 Y0", "G3 X-0.01 Y0 I30000 J0"),  # only its end is off the circle
     ],
 )
-def test_ends_that_differ_by_little_are_led_to_the_short_way(
-    plane: str, begin: str, arc: str
-) -> None:
+def test_an_arc_with_close_ends_takes_the_short_way(plane: str, begin: str, arc: str) -> None:
     result = run(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"), in_plane(plane, arc))
     there = run(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"))
     assert result.totals.distance_mm - there.totals.distance_mm < 0.03
 
 
-def test_a_helix_with_ends_that_differ_by_little_is_a_short_one() -> None:
+def test_a_helix_with_close_ends_is_short() -> None:
     assert run("G21 G90", "G3 X0 Y-0.01 Z-2 I30000 J0 F60000").totals.distance_mm < 2.01
 
 
 @pytest.mark.parametrize("arc", ["G2 X0 I5", "G3 Y0 J-5", "G3 X0 Y0 I5", "G2 X0 Y0 Z-1 I3 J4"])
-def test_ends_that_are_the_same_are_a_full_circle(arc: str) -> None:
+def test_an_arc_with_equal_ends_is_a_full_circle(arc: str) -> None:
     result = run("G21 G90", f"{arc} F6000")
     assert result.totals.distance_mm == pytest.approx(10 * pi, rel=0.02)
 
 
-def test_ends_in_other_words_are_still_the_same() -> None:
-    """A G91 way to a place, and the place: rounding is no distance."""
+def test_ends_equal_after_rounding_are_a_full_circle() -> None:
+    """A position reached in G91 and the same position in G90: rounding is no distance."""
     result = run("G21 G91 F6000", *["G1 X0.1 Y0.1"] * 30, "G90 G2 X3 Y3 I-5 J0", "G1 X0 Y0")
     assert result.totals.distance_mm == pytest.approx(10 * pi + 2 * hypot(3, 3), rel=0.02)
 
@@ -74,14 +72,14 @@ def test_ends_in_other_words_are_still_the_same() -> None:
 def exact_angle(
     start: "tuple[Fraction, ...]", target: "tuple[Fraction, ...]", centre: "tuple[Fraction, ...]"
 ) -> float:
-    """Counterclockwise from start to target, round a centre that is seen from the start."""
+    """Return the counterclockwise angle from start to target. centre: relative to the start."""
     x, y = (-part for part in centre)
     to_x, to_y = (b - a - c for a, b, c in zip(start, target, centre, strict=True))
     return atan2(x * to_y - y * to_x, x * to_x + y * to_y) % (2 * pi)
 
 
 def decimals(low: float, high: float, digits: int = 4) -> "st.SearchStrategy[Fraction]":
-    """Numbers as programs have them."""
+    """Return a strategy for numbers as programs have them."""
     scale = 10**digits
     return st.integers(int(low * scale), int(high * scale)).map(lambda n: Fraction(n, scale))
 
@@ -107,15 +105,15 @@ def test_an_arc_that_is_short_in_exact_numbers_is_planned_short(
     clockwise: bool,
 ) -> None:
     radius = hypot(*centre)
-    assume(radius > 0.02)  # or an end may be as far off as the centre
+    assume(radius > 0.02)  # below it an end may be as far off as the centre
     target = tuple(a + b for a, b in zip(start, way, strict=True))
-    # As the checks have it: the end lies near the circle.
+    # The firmware's own check: the end lies near the circle.
     off = abs(hypot(*(b - a - c for a, b, c in zip(start, target, centre, strict=True))) - radius)
     assume(off < 0.005 or off < min(0.5, 0.001 * radius))
     singles = vector(3), vector(3)
     for i in range(2):
         singles[0][i], singles[1][i] = float(start[i]), float(target[i])
-    # What single precision does not tell apart is the same place: a full circle.
+    # Ends equal in single precision are the same position: a full circle.
     apart = [abs(a - b) > 2.0**-22 * max(abs(a), abs(b)) for a, b in zip(*singles, strict=True)]
     assume(any(apart))
     arc = Arc()
@@ -132,7 +130,7 @@ def test_an_arc_that_is_short_in_exact_numbers_is_planned_short(
         assert length == pytest.approx(radius * angle, rel=0.01, abs=0.001)
 
 
-# What is said of arcs that leave the part
+# Warnings of arcs that leave the part
 
 
 @pytest.mark.parametrize(
@@ -146,19 +144,19 @@ def test_an_arc_that_is_short_in_exact_numbers_is_planned_short(
         ),
         ("G3 X0 Y-0.01 I10", ""),
         ("G2 X0 Y0 I10", ""),
-        ("G2 X0.0501 Y-1 I10", ""),  # a gap that is meant
+        ("G2 X0.0501 Y-1 I10", ""),  # an intended gap
         ("G2 X900 Y900 I900 J0", ""),
-        ("G3 X0 Y-0.01 I30000", ""),  # it is short
+        ("G3 X0 Y-0.01 I30000", ""),  # a short arc
     ],
 )
-def test_an_arc_that_leaves_the_part_is_warned_of(arc: str, words: str) -> None:
+def test_an_arc_that_leaves_the_part_is_reported(arc: str, words: str) -> None:
     result, _ = run_program([b"G21 G90", f"{arc} F600".encode()], check=True)
     assert not result.errors
     assert [text[: len(words)] for _, text in result.wide_arcs] == ([words] if words else [])
     assert [line for line, _ in result.wide_arcs] == [2][: bool(words)]
 
 
-def test_run_send_and_page_say_so(tmp_path: Path) -> None:
+def test_run_send_and_page_show_the_warning(tmp_path: Path) -> None:
     program = "G21 G90\nG2 X0 Y-0.01 I10 F6000\n"
     (tmp_path / "part.nc").write_text(program)
     said = CliRunner().invoke(app, ["run", str(tmp_path / "part.nc"), "--check"]).output

@@ -1,4 +1,4 @@
-"""Kernels against plain floats; the stand-in for viper raises where 32 bits would not do."""
+"""Kernels against plain floats; the stand-in for viper raises if 32 bits do not suffice."""
 
 import struct
 from array import array
@@ -24,7 +24,7 @@ parts = st.integers(0, 2**17)
 
 
 def single(x: float) -> float:
-    """X rounded to single precision."""
+    """Return x rounded to single precision."""
     return struct.unpack("f", struct.pack("f", x))[0]
 
 
@@ -32,16 +32,16 @@ def near(got: float, expected: float, part: float = _PRECISION) -> bool:
     return abs(got - expected) <= part * abs(expected)
 
 
-# Reals
+# Minifloats
 
 
 @given(floats)
-def test_a_real_is_the_nearest_below(x: float) -> None:
+def test_a_minifloat_is_the_nearest_below(x: float) -> None:
     assert x * (1 - 2**-14) < value(real(x)) <= x
 
 
 @given(st.one_of(st.just(0.0), st.floats(0.001, 1e9)))
-def test_a_rate_per_minute_is_the_nearest_below_per_second(feed: float) -> None:
+def test_a_rate_per_minute_becomes_the_nearest_below_per_second(feed: float) -> None:
     bits = array("i", array("f", (feed,)).tobytes())
     exact = Fraction(single(feed)) / 60
     got = Fraction(value(minifloat.per_second(bits, 0)))
@@ -49,11 +49,11 @@ def test_a_rate_per_minute_is_the_nearest_below_per_second(feed: float) -> None:
 
 
 @given(floats, floats)
-def test_reals_compare_as_integers_do(x: float, y: float) -> None:
+def test_minifloats_compare_like_integers(x: float, y: float) -> None:
     assert (real(x) < real(y)) == (value(real(x)) < value(real(y)))
 
 
-def test_nothing_is_zero() -> None:
+def test_zero_is_packed_as_zero() -> None:
     assert real(0.0) == minifloat.pack(0, 64) == minifloat.mul(0, real(2.0)) == 0
     assert minifloat.product(0, real(1.0), real(9.0)) == 0
 
@@ -64,18 +64,18 @@ def test_packing_keeps_fifteen_bits(n: int, exponent: int) -> None:
 
 
 @given(floats, floats)
-def test_products_are_near(x: float, y: float) -> None:
+def test_a_product_is_within_tolerance(x: float, y: float) -> None:
     a, b = real(x), real(y)
     assert near(value(minifloat.mul(a, b)), value(a) * value(b))
 
 
 @given(words, floats)
-def test_ratios_are_near(n: int, x: float) -> None:
+def test_a_ratio_is_within_tolerance(n: int, x: float) -> None:
     assert near(value(minifloat.ratio(n, real(x))), n / value(real(x)))
 
 
 @given(floats)
-def test_results_are_normal(x: float) -> None:
+def test_results_are_normalised(x: float) -> None:
     assert 16384 <= minifloat.mul(real(x), real(3.0)) % 32768
 
 
@@ -88,7 +88,7 @@ def test_square_roots_are_exact(n: int) -> None:
 
 
 @given(floats, floats, floats)
-def test_a_product_of_three_is_cut_off_and_saturates(x: float, y: float, z: float) -> None:
+def test_a_product_of_three_is_truncated_and_saturates(x: float, y: float, z: float) -> None:
     exact = value(real(x)) * value(real(y)) * value(real(z))
     got = minifloat.product(real(x), real(y), real(z))
     if exact > HIGHEST * 1.001:
@@ -114,7 +114,7 @@ def test_a_product_of_three_is_cut_off_and_saturates(x: float, y: float, z: floa
 @example(1.17549435e-38, 5000.0)
 @example(8388607.5, 1.0)
 @example(107374.18, 5000.0)
-def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: float) -> None:
+def test_millimetres_become_steps_in_single_precision(mm: float, resolution: float) -> None:
     target, resolutions = vector(1), vector(1)
     target[0], resolutions[0] = mm, resolution
     machine = array("i", [1] + [0] * layout.table_length(1, 1))
@@ -128,7 +128,7 @@ def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: 
         assert steps[0] - 2**29 == (rounded if product >= 0 else -rounded)
 
 
-def test_a_place_out_of_reach_lies_in_its_direction() -> None:
+def test_a_position_out_of_reach_keeps_its_direction() -> None:
     bench = Bench()
     bench.line((10, -10, 0))
     bench.line((3e6, -4e6, 0))
@@ -139,14 +139,14 @@ def test_a_place_out_of_reach_lies_in_its_direction() -> None:
 
 
 @given(words, positive)
-def test_a_share_is_cut_off_at_all_of_it(part: int, total: int) -> None:
+def test_a_share_never_exceeds_the_whole(part: int, total: int) -> None:
     exact = part / total * 2**17
     got = ramps.share(part, total)
     assert got == 2**17 if part >= total else abs(got - exact) <= 2 + exact * 2**-20
 
 
 @given(words, parts)
-def test_times_is_a_product_with_a_part(x: int, part: int) -> None:
+def test_times_is_a_product_with_a_fraction(x: int, part: int) -> None:
     exact = x * part / 2**17
     assert abs(ramps.times(x, part) - exact) <= 2 + x * 2**-15
 
@@ -156,7 +156,7 @@ accelerations = st.integers(1, 2**30 - 1)
 
 
 @given(speeds, speeds, accelerations, st.sampled_from([0, 18]))
-def test_braking_distance_is_what_floats_say(one: int, other: int, ramp: int, unit: int) -> None:
+def test_braking_distance_matches_floats(one: int, other: int, ramp: int, unit: int) -> None:
     fast, slow = max(one, other), min(one, other)
     exact = (fast - slow) * (fast + slow) / 2 / ramp * 2.0 ** (unit - 18)
     got = ramps.braking(fast, slow, ramp, unit)
@@ -170,7 +170,7 @@ def test_braking_distance_is_what_floats_say(one: int, other: int, ramp: int, un
 @example(2**30 - 1, 1, 1, False)
 @example(2**30 - 1, 2**29, 2**30 - 1, True)
 @example(2**28, 2**26, 2**29, True)
-def test_speed_after_a_distance_is_what_floats_say(
+def test_speed_after_a_distance_matches_floats(
     speed: int, ramp: int, distance: int, down: bool
 ) -> None:
     square = speed**2 + (-2 if down else 2) * ramp * distance
@@ -182,7 +182,7 @@ def test_speed_after_a_distance_is_what_floats_say(
         assert abs(got**2 - exact) <= tolerance + 4 * got
 
 
-# Extreme but legal settings: nothing leaves 32 bits, and every law holds.
+# Extreme but legal settings: nothing exceeds 32 bits, and every law holds.
 
 extremes = st.builds(
     Limits,
@@ -207,7 +207,7 @@ def test_extreme_settings_and_distances_stay_within_32_bits(limits, moves) -> No
     bench.pull(3)
 
 
-def test_a_step_in_a_minute_is_made() -> None:
+def test_one_step_in_a_minute_is_made() -> None:
     bench = Bench(Limits((1.0,) * 3, (1.0,) * 3))
     bench.line((3, 1, 0))
     bench.check()
@@ -228,8 +228,8 @@ def test_a_short_move_at_extreme_settings_keeps_every_law(rate, acceleration, re
 
 
 @given(st.lists(st.integers(-40_000, 40_000), min_size=2, max_size=6))
-@example([29_000] * 6)  # six squares of 14 bits have more than 30
-def test_the_length_of_a_block_is_that_of_its_distances(steps: "list[int]") -> None:
+@example([29_000] * 6)  # the sum of six squares of 14 bits needs more than 30
+def test_the_length_of_a_block_matches_its_distances(steps: "list[int]") -> None:
     axes = len(steps)
     bench = Bench(Limits(*[(1.0,) * axes, (60.0,) * axes, (100.0,) * axes]))
     if bench.line([float(each) for each in steps]):
@@ -243,7 +243,7 @@ mantissas = st.integers(minifloat.SMALLEST, minifloat.LIMIT - 1)
 
 @given(mantissas, mantissas, mantissas)
 @example(32767, 16385, 16384)  # the product has one bit more than a mantissa
-def test_a_limit_along_a_move_is_that_of_the_axis_by_its_share(
+def test_a_limit_along_a_move_is_the_axis_limit_divided_by_its_share(
     most: int, way: int, mm: int
 ) -> None:
     table = array("i", [0] * (layout.LIMITS + 6))
@@ -255,4 +255,4 @@ def test_a_limit_along_a_move_is_that_of_the_axis_by_its_share(
     plan_kernel.limit(table, ring, 0)
     expected = value((80 << 15) + most) * 4 * way / mm
     for made in (layout.RAPID, layout.ACCEL):
-        assert near(value(ring[made]), expected, 2**-12), "two quotients are cut off"
+        assert near(value(ring[made]), expected, 2**-12), "two quotients are truncated"

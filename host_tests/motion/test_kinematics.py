@@ -1,4 +1,4 @@
-"""Which motor moves which axes: the tables, both ways, and what is planned and cut by them."""
+"""Which motor moves which axes: the tables, in both directions, and the plans made with them."""
 
 from array import array
 from collections.abc import Sequence
@@ -16,8 +16,8 @@ from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from motion.planner import Planner
 from motion.steps import motor_steps
 
-CARTESIAN: "tuple[int, ...]" = ()  # as a machine without a table: each motor moves its own axis
-# Two motors on Y: the second, behind one for each axis, stands the other way round.
+CARTESIAN: "tuple[int, ...]" = ()  # a machine without a table: each motor moves its own axis
+# Two motors on Y: the second, after one motor for each axis, is mounted reversed.
 PAIR = (0x001, 0x002, 0x004, 0x200)
 PAIR_ALONGSIDE = (0x001, 0x002, 0x004, 0x002)
 COREXZ = (0x005, 0x002, 0x401)
@@ -35,7 +35,7 @@ fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 20
 
 
 def motors_at(kinematics: Kinematics, place: Sequence[int]) -> "array[int]":
-    """What the motors have made when the axes have come from 0 to there."""
+    """Return the motors' steps when the axes have moved from 0 to this position."""
     way = array("i", [*place, 0, 0, 0])
     return array("i", [motor_steps(way, 0, 3, moves) for moves in kinematics.moves])
 
@@ -51,7 +51,7 @@ def motors_at(kinematics: Kinematics, place: Sequence[int]) -> "array[int]":
     ],
     ids=TABLES,
 )
-def test_motors_add_up_what_their_axes_go(moves: Sequence[int], motors: "list[int]") -> None:
+def test_motors_sum_the_travel_of_their_axes(moves: Sequence[int], motors: "list[int]") -> None:
     kinematics = Kinematics(3, moves)
     assert len(kinematics.moves) == len(motors)
     assert list(motors_at(kinematics, [10, 3, 7])) == motors
@@ -59,9 +59,7 @@ def test_motors_add_up_what_their_axes_go(moves: Sequence[int], motors: "list[in
 
 @each_table
 @given(places)
-def test_axes_are_where_their_motors_have_brought_them(
-    moves: Sequence[int], place: "list[int]"
-) -> None:
+def test_axis_positions_are_computed_from_motors(moves: Sequence[int], place: "list[int]") -> None:
     kinematics = Kinematics(3, moves)
     motors = motors_at(kinematics, place)
     assert [kinematics.axis_steps(motors, i) for i in range(3)] == place
@@ -71,7 +69,7 @@ def test_axes_are_where_their_motors_have_brought_them(
 
 @each_table
 @given(places, st.integers(0, 2), st.integers(-(2**28), 2**28 - 1))
-def test_an_axis_gets_a_new_place_and_the_others_keep_theirs(
+def test_setting_one_axis_keeps_the_others(
     moves: Sequence[int], place: "list[int]", axis: int, steps: int
 ) -> None:
     kinematics = Kinematics(3, moves)
@@ -82,12 +80,12 @@ def test_an_axis_gets_a_new_place_and_the_others_keep_theirs(
 
 
 @pytest.mark.parametrize(("a", "b", "x", "y"), [(1, 0, 0, 0), (-1, 0, 0, 0), (7, -2, 2, 4)])
-def test_half_a_step_of_a_corexy_is_rounded_towards_0(a: int, b: int, x: int, y: int) -> None:
+def test_half_a_step_of_corexy_is_rounded_towards_0(a: int, b: int, x: int, y: int) -> None:
     kinematics = Kinematics(3, COREXY)
     motors = array("i", [a, b, 5])
     assert [kinematics.axis_steps(motors, i) for i in range(3)] == [x, y, 5]
     kinematics.set_axis(motors, 2, 9)
-    assert list(motors) == [a, b, 9], "the motors of other axes are left alone"
+    assert list(motors) == [a, b, 9], "the motors of other axes keep their steps"
     kinematics.set_axis(motors, 0, 10)
     assert list(motors) == [10 + y, 10 - y, 9]
 
@@ -113,14 +111,14 @@ def test_all_motors_of_an_axis_stop_at_its_switch(
 
 
 @each_table
-def test_each_further_motor_goes_with_one_of_the_first(moves: Sequence[int]) -> None:
-    """What steps.measure() takes for granted: a block's way is that of the first motors."""
+def test_each_further_motor_follows_one_of_the_first(moves: Sequence[int]) -> None:
+    """steps.measure() relies on it: a block's length is that of the first motors."""
     both = [{m, (m & 0xFF) << 8 | m >> 8} for m in Kinematics(3, moves).moves]
     assert all(any(motor == first for first in both[:3]) for motor in both[3:])
 
 
 def zigzag(moves: Sequence[int]) -> "tuple[Bench, list[array[int]]]":
-    """A bench that has made a program by all laws, and its segments."""
+    """Return a bench that has run a program under all laws, and its segments."""
     bench = Bench(replace(fast, moves=moves))
     for i in range(12):
         bench.line((i % 2 * 3.0, i * 0.3, -0.1 * (i % 3)), 2000)
@@ -129,7 +127,7 @@ def zigzag(moves: Sequence[int]) -> "tuple[Bench, list[array[int]]]":
 
 
 def motor(row: "array[int]", i: int) -> "list[int]":
-    """Steps of a motor in a segment, and when the first and the last are."""
+    """Return a motor's steps in a segment, and the ticks of the first and the last."""
     count, *ticks = row[ROW_AXES + ROW_STRIDE * i :][:ROW_STRIDE]
     return [count, *ticks] if count else [0]
 
@@ -151,17 +149,17 @@ def test_a_second_motor_of_an_axis_makes_its_steps_and_changes_nothing_else(
 
 
 @each_table
-def test_planning_goes_on_from_where_the_motors_are(moves: Sequence[int]) -> None:
+def test_planning_continues_from_the_motors_position(moves: Sequence[int]) -> None:
     bench = Bench(replace(fast, moves=moves))
     bench.planner.sync_motors(motors_at(Kinematics(3, moves), [500, -250, 750]))
-    assert not bench.line((2.0, -1.0, 3.0)), "it is there already"
+    assert not bench.line((2.0, -1.0, 3.0)), "it is already there"
     assert bench.line((3.0, -1.0, 3.0))
     ring, count = bench.planner.ring, bench.planner.motors
     made = motors_at(Kinematics(3, moves), [250, 0, 0])
     assert list(ring[layout.STEPS :][:count]) == [abs(n) for n in made]
 
 
-def test_the_planner_asks_its_kinematics_where_the_axes_are() -> None:
+def test_the_planner_asks_kinematics_for_axis_positions() -> None:
     planner = Planner(3, 4, FakeKinematics(), State())
     motors = array("i", [10, 20, 30])
     assert [planner.axis_steps(motors, axis) for axis in range(3)] == [20, 10, 30]

@@ -1,7 +1,7 @@
-"""The law of the path: whatever the rate, motors are where the line is, to half a step and a bit.
+"""The law of the path: at any rate motors are on the line, within half a step and a margin.
 
-A row's steps are even but for a tick, and motors have different remainders: in rows of 10 ms, the
-longer gaps first, two of them were 5 steps apart at 150 kHz.
+The steps of a row are even to a tick, and motors have different remainders: when the longer gaps
+came first in rows of 10 ms, two motors were 5 steps apart at 150 kHz.
 """
 
 import pytest
@@ -11,16 +11,18 @@ from laws import Bench, Limits, off_line, pulses, some
 from test_braking import ENGINES, FASTEST_HZ
 from test_engines import _play_words
 
-# Besides the half step that rounding makes: what the order of gaps and ticks leave open, up to
-# where rows are as short as in a ramp, in Hz.
+# In addition to half a step of rounding: what the order of gaps and ticks leaves open, up to the
+# rate in Hz at which rows are as short as in a ramp.
 _BIT = 0.3
 _TO_HZ = 140_000
-# How fast an engine makes steps: shorter pulses than 3 us are asked of none.
+# The highest step rate of an engine: pulses shorter than 3 us are not needed.
 _MOST_HZ = {"sim": 250_000, "pio": 250_000, "i2s": 60_000, "rmt": 5_000}
 
 
 def bench(engine: str, rate_hz: float, way: "tuple[float, ...]") -> Bench:
-    """A line on which the fastest motor makes rate_hz, 1600 steps/mm, a ramp of 25 ms."""
+    """Return a bench with a line on which the fastest motor makes rate_hz, 1600 steps/mm, a ramp
+    of
+    25 ms."""
     length = sum(mm * mm for mm in way) ** 0.5
     feed = rate_hz / 1600 * length / max(map(abs, way))
     limits = Limits((1600.0,) * 3, (feed * 60,) * 3, (feed * 40,) * 3, step_hz=FASTEST_HZ)
@@ -30,7 +32,7 @@ def bench(engine: str, rate_hz: float, way: "tuple[float, ...]") -> Bench:
 
 
 def apart(made: Bench) -> float:
-    """How far the motors are from the line, in steps."""
+    """Return how far the motors are from the line, in steps."""
     made.finish()
     rows = [(segment.start, segment.row) for segment in made.watch.made]
     return off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)])
@@ -50,7 +52,7 @@ def test_motors_keep_to_the_line(engine: str, part: float, others: "tuple[float,
 
 
 @pytest.mark.parametrize(("feed", "was"), [(6000, 3.5), (9000, 5.3)])
-def test_the_lines_that_were_found(feed: int, was: float) -> None:
+def test_lines_that_once_failed_keep_to_the_line(feed: int, was: float) -> None:
     """G1X10Y7.3, 1600 steps/mm; was: half steps off the line."""
     rate_hz = feed / 60 * 1600 * 10 / (10**2 + 7.3**2) ** 0.5
     for engine in ("sim", "pio"):

@@ -1,8 +1,8 @@
-"""Programs like those that other controllers' planners went wrong at, written anew.
+"""Programs like those that broke the planners of other controllers, written anew.
 
-Each is named for what went wrong there. All laws hold of all of them, on all engines, with jerk
-limited and without: speed and acceleration of every axis, corners, steps, pulses; braking for the
-end of each block, and that lines are kept to.
+Each is named after the fault there. All laws hold for all of them, on all engines, with and
+without a jerk limit: speed and acceleration of every axis, corners, steps, pulses; braking for the
+end of each block, and the path along lines.
 """
 
 from collections.abc import Iterator
@@ -19,15 +19,15 @@ from test_jerk import JerkBench
 
 Place = tuple[float, ...]
 
-# Some of them in the first ring.
+# The first ring runs some of them.
 pytestmark = pytest.mark.sampled(10)
 
-# How fast an engine makes steps, at most, in steps/mm of the machine.
+# The highest step rate of an engine, expressed as steps/mm of the machine.
 _PER_MM = {"sim": 400.0, "pio": 400.0, "i2s": 80.0, "rmt": 26.667}
 
 
 def arc(radius: float, start: float, sweep: float, rise: float = 0.0) -> "list[Place]":
-    """Chords of an arc about 0, each 0.01 mm off it at the most; angles are parts of a turn."""
+    """Return chords of an arc about 0, each within 0.01 mm of it; angles in turns."""
     chords = max(ceil(abs(sweep) * pi * radius / (0.01 * (2 * radius - 0.01)) ** 0.5), 1)
     angles = [2 * pi * (start + sweep * k / chords) for k in range(1, chords + 1)]
     places = zip(angles, range(1, chords + 1), strict=True)
@@ -35,7 +35,7 @@ def arc(radius: float, start: float, sweep: float, rise: float = 0.0) -> "list[P
 
 
 def joined_arcs() -> "Iterator[Place]":
-    """Half circles of 4 mm and less, one into the next."""
+    """Yield half circles of 4 mm radius and less, one leading into the next."""
     x = 0.0
     for k, radius in enumerate((4.0, 2.0, 4.0, 0.5, 1.0, 0.25, 3.0)):
         way = 1 if k % 2 else -1
@@ -49,24 +49,24 @@ def stairs() -> "Iterator[Place]":
         yield (k // 2 + k % 2) * 0.0125, k // 2 * 0.0125, 0.0
 
 
-# What went wrong; the lines; their feed in mm/min.
+# The fault; the lines; their feed in mm/min.
 PROGRAMS: "dict[str, tuple[list[Place], float]]" = {
     # LinuxCNC 3773: up to 8 times the acceleration where small arcs were blended.
     "acceleration overshot between small arcs": (list(joined_arcs()), 6000),
-    # LinuxCNC 4539: braking began too late, and the speed left was dropped at once.
+    # LinuxCNC 4539: braking began too late, and the remaining speed was dropped at once.
     "speed left at a line's end": ([(30, 0, 0), (30.02, 0, 0), (30.02, 5, 0), (0, 5.1, 0)], 9000),
-    # LinuxCNC 550: a line of next to no length, and another axis that has a long way in it.
+    # LinuxCNC 550: a line of almost no length in which another axis moves far.
     "an axis with a long way beside axes with none": (
         [(2, 2, 1), (2.0001, 2.0001, 40), (0, 0, 0)],
         9000,
     ),
-    # LinuxCNC 426: a pause where a helix goes on as arcs.
+    # LinuxCNC 426: a pause where a helix continues as arcs.
     "a pause behind a helix": (
         [*arc(6, 0, 1, -2), *((x, y, -2) for x, y, _ in [*arc(6, 0, 0.5), *arc(6, 0.5, 0.5)])],
         1500,
     ),
     "a helix faster than its slowest axis": (arc(2, 0, 3, 24), 9000),
-    # A corner of so small an angle that an axis' jump of speed was overlooked.
+    # A corner of so small an angle that an axis' jump in speed was overlooked.
     "nearly straight corners": ([(2.0 * k, 0.02 * (k % 2), 0) for k in range(1, 12)], 9000),
     "a nearly straight corner into a slow axis": ([(20, 0, 0), (40, 0, 0.4), (60, 0, 0)], 9000),
     "lines shorter than what a segment takes": (
@@ -93,7 +93,7 @@ def bench(engine: str, jerk: float) -> Bench:
 @pytest.mark.parametrize("jerk", [0.0, 20_000.0], ids=["no limit", "jerk limited"])
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_what_went_wrong_elsewhere_keeps_every_law(name: str, engine: str, jerk: float) -> None:
+def test_faults_of_other_controllers_keep_every_law(name: str, engine: str, jerk: float) -> None:
     lines, feed = PROGRAMS[name]
     made: Any = bench(engine, jerk)
     for place in lines:
@@ -106,7 +106,7 @@ def test_what_went_wrong_elsewhere_keeps_every_law(name: str, engine: str, jerk:
         assert off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)]) <= 1.05
 
 
-def test_no_line_of_a_helix_and_its_arcs_is_a_stop() -> None:
+def test_a_helix_with_arcs_never_stops_between_lines() -> None:
     lines, feed = PROGRAMS["a pause behind a helix"]
     made = bench("sim", 0.0)
     for place in lines:
@@ -118,10 +118,10 @@ def test_no_line_of_a_helix_and_its_arcs_is_a_stop() -> None:
 
 @pytest.mark.parametrize("line", ["G1X{x}S{s}", "S{s}G1X{x}", "M3G1X{x}S{s}F6000", "{g}X{x}S{s}"])
 @pytest.mark.parametrize(("laser_mode", "stops"), [(1, 0), (0, 60)])
-def test_a_raster_stops_for_its_powers_where_grbl_does(
+def test_a_raster_stops_for_power_changes_only_without_laser_mode(
     line: str, laser_mode: int, stops: int
 ) -> None:
-    """In M3 a line's S is its block's in laser mode; else the spindle changes at rest."""
+    """In laser mode with M3 a block carries its line's S; else the spindle changes at rest."""
     machine = Machine({1: 255, 32: laser_mode, 110: 6000, 111: 6000, 120: 1000, 121: 1000})
     raster = [
         line.format(x=f"{k / 10:.1f}", s=k * 37 % 1000, g="G0" if k % 2 else "G1")

@@ -1,7 +1,7 @@
-"""Places too far for an axis' steps are refused, whichever way a line takes; endless axes go on.
+"""Targets too far to count in steps are refused on every path of a line; endless axes continue.
 
-An axis counts 2**29 steps either way. Beyond, a line is what it is beyond a soft limit: ALARM:2, a
-jog error:15, and no motor moves.
+An axis counts 2**29 steps in each direction. Beyond it, a line is treated as beyond a soft limit:
+ALARM:2, for a jog error:15, and no motor moves.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,8 @@ from rig_bench import Machine
 
 FARTHEST = 2**29
 SETTINGS = {110: 3000.0, 111: 3000.0, 112: 3000.0}
-# How a line goes: the quick way (behind another move), the long one, and others. {} is in mm.
+# The paths of a line: by the kernels (after another move), by the interpreter, and others. {} is
+# in mm.
 FORMS = {
     "quick": "G1X{}",
     "rapid": "G0X{}",
@@ -38,7 +39,7 @@ _INCH_MM = 25.4
 
 
 def answered(machine: Machine, lines: "list[str]") -> str:
-    """What the last line is answered with: "ok", an error or an alarm. The machine stops there."""
+    """Return the answer to the last line: "ok", an error or an alarm. The machine stops there."""
     found: list[str] = []
 
     def script() -> Iterator[Any]:
@@ -56,7 +57,7 @@ def answered(machine: Machine, lines: "list[str]") -> str:
 
 
 def answer(form: str, mm: float, steps_per_mm: float, board: str = "sim") -> "tuple[str, Any]":
-    """To a line of this form, of a machine that was idle; and where its motors are then."""
+    """Send a line of this form to an idle machine; return the answer, and the motors' position."""
     machine = Machine({**SETTINGS, 100: steps_per_mm}, board, watched=False)
     amount = f"{mm / _INCH_MM if form == 'inches' else mm:.4f}"
     line = FORMS[form].format(amount).replace("--", "")
@@ -72,11 +73,11 @@ def answer(form: str, mm: float, steps_per_mm: float, board: str = "sim") -> "tu
 )
 @example(1.001, 1, 250.0)
 @example(0.999, 1, 250.0)
-def test_a_target_is_refused_where_its_steps_cannot_be_counted(
+def test_a_target_is_refused_if_its_steps_cannot_be_counted(
     form: str, part: float, sign: int, steps_per_mm: float
 ) -> None:
     if form.startswith("probe"):
-        part += 1  # within reach it would take hours
+        part += 1  # a probe within reach would take hours
     told, motors = answer(form, sign * part * FARTHEST / steps_per_mm, steps_per_mm)
     if part < 1:
         assert told == "ok"
@@ -92,25 +93,25 @@ def test_axes_that_share_motors_reach_half_as_far() -> None:
 
 
 @pytest.mark.parametrize("text", ["1e", "99999999", "-99999999"])
-def test_a_huge_arc_leaves_no_motor_moved(text: str) -> None:
+def test_a_refused_huge_arc_moves_no_motor(text: str) -> None:
     machine = Machine(SETTINGS, watched=False)
     lines = ["G1F500", f"G2X{text.replace('e', '')}9999999Y0R99999999"]
     assert answered(machine, lines) in ("ALARM:2", "error:34", "error:33")
     assert machine.physical() == [0, 0, 0]
 
 
-def test_a_changed_resolution_puts_the_present_place_out_of_reach_of_no_step() -> None:
+def test_a_target_is_refused_if_a_changed_resolution_puts_it_out_of_reach() -> None:
     machine = Machine(SETTINGS, watched=False)
     lines = ["G1F500", "G10L20P1X-2000000", "$100=1600", "G1X-1000000F500"]
     assert answered(machine, lines) == "ALARM:2"
     assert machine.physical() == [0, 0, 0]
 
 
-# Axes without an end
+# Endless axes
 
 
 def turning(lines: "list[str]") -> Machine:
-    """A machine whose A has 20 steps a degree."""
+    """Run lines on a machine whose A has 20 steps per degree."""
     machine = Machine({103: 20.0, 113: 200_000.0, 123: 50_000.0}, "sim_rotary")
     machine.play(lines)
     return machine
@@ -118,12 +119,12 @@ def turning(lines: "list[str]") -> Machine:
 
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An endless axis is unwound beyond 819 degrees."""
+    """Make an endless axis unwind beyond 819 degrees."""
     monkeypatch.setattr(rotary, "_EXACT", 16384.0)
 
 
 def places(machine: Machine) -> "tuple[float, float]":
-    """A's place in the machine, and in work, in the last report."""
+    """Return A's machine and work position from the last report."""
     report = next(line for line in reversed(machine.received) if "WCO:" in line)
     mpos, wco = (
         float(report.split(name)[1].split("|")[0].strip(">").split(",")[3])
@@ -134,7 +135,7 @@ def places(machine: Machine) -> "tuple[float, float]":
 
 @pytest.mark.usefixtures("soon")
 @pytest.mark.parametrize("line", ["G91G1A330F200000", "T1G91G1A330F200000", "$J=G91A330F200000"])
-def test_an_endless_axis_turns_on_and_keeps_its_angle(line: str) -> None:
+def test_an_endless_axis_keeps_turning_and_keeps_its_angle(line: str) -> None:
     machine = turning([line] * 12 + ["G4P0.1"])
     assert machine.physical()[3] == 12 * 6600
     mpos, work = places(machine)
@@ -143,7 +144,7 @@ def test_an_endless_axis_turns_on_and_keeps_its_angle(line: str) -> None:
 
 
 @pytest.mark.usefixtures("soon")
-def test_numbers_of_a_program_go_on_where_an_endless_axis_is_unwound() -> None:
+def test_program_coordinates_continue_after_an_endless_axis_is_unwound() -> None:
     machine = turning(
         [*(f"G1A{a}F200000" for a in range(0, 3000, 250)), "G2X2I1A3000F200000", "G1A-90"]
     )
@@ -152,11 +153,11 @@ def test_numbers_of_a_program_go_on_where_an_endless_axis_is_unwound() -> None:
 
 
 @pytest.mark.usefixtures("soon")
-def test_a_line_longer_than_an_endless_axis_is_exact_goes_as_far_as_any() -> None:
+def test_a_line_beyond_the_exact_range_of_an_endless_axis_moves_its_full_distance() -> None:
     machine = turning(["G1A2000F200000", "A0", "A1000"])
     assert machine.physical()[3] == 20_000
 
 
-def test_what_an_endless_axis_cannot_count_is_refused() -> None:
+def test_a_target_that_an_endless_axis_cannot_count_is_refused() -> None:
     machine = Machine({103: 100.0}, "sim_rotary", watched=False)
     assert answered(machine, ["G1A6000000F3600"]) == "ALARM:2"
