@@ -1,8 +1,9 @@
-"""The PIO pulse engine tick by tick: its programs, its words, and all of it on a modelled chip.
+"""The PIO pulse engine tick by tick: its programs, its words, and the whole engine on a modelled
+chip.
 
 The assembled programs run on rp2040py's model of a PIO block. A second has 12.5 million ticks:
-what is too slow to be played is reckoned by the timing that programs.py states, which the model
-has been shown to keep.
+moves too slow to be played are computed from the timing that programs.py states; the model is
+shown to keep that timing.
 """
 
 import sys
@@ -29,7 +30,7 @@ from test_engines import _play_words
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import step_tick
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(1)
 
 pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")
@@ -39,12 +40,13 @@ LOG2 = PioEngine.segment_log2
 _STEP, _DIR = tuple(range(2, 20, 2)), tuple(range(3, 21, 2))
 AXES = 3
 STEP, DIR = _STEP[:AXES], _DIR[:AXES]
-# That a chip may have: from the fifth on they are PIO 1's, the seventh and eighth an RP2350's.
+# Numbers of motors of a chip: from the fifth on they use PIO 1, the seventh and eighth need an
+# RP2350.
 MOTORS = (3, 4, 6, 8)
 _OF_PIO_0 = 4
 LONGEST_DELAY, MOST_STEPS = (1 << 19) - 1, (1 << 12) - 1
 
-# $0, and the hold and setup of DIR, all in us.
+# $0, and hold and setup time of DIR, all in us.
 Timing = tuple[int, int, int]
 _BREAKOUT: Any = load_board("generic_breakout")
 TIMINGS = {
@@ -56,12 +58,12 @@ TIMINGS = {
 
 
 def ticks(us: int) -> int:
-    """Ticks that last so long at least."""
+    """Return the smallest number of ticks that lasts at least us."""
     return -(-us * 25 // 2)
 
 
 def row(count: int, dirs: int, *axes: "tuple[int, int, int]") -> "array[int]":
-    """A segment; per axis steps, tick of the first, tick of the last."""
+    """Return a segment; per axis: steps, tick of the first, tick of the last."""
     return array("i", [count, dirs, KEEP_POWER, *(n for axis in axes for n in axis)])
 
 
@@ -69,17 +71,17 @@ def word(direction: int, steps: int, delay: int) -> int:
     return direction | steps << 1 | delay << 13
 
 
-# What drivers see
+# The drivers' view
 
 
 @dataclass
 class Driver:
-    """What the driver of one axis sees, in ticks."""
+    """The edges that the driver of one axis receives, in ticks."""
 
-    steps: "list[tuple[int, int]]" = field(default_factory=list)  # when, with which level of DIR
+    steps: "list[tuple[int, int]]" = field(default_factory=list)  # tick, level of DIR
     pulses: "set[int]" = field(default_factory=set)  # lengths
     pause: int = HZ  # the shortest between pulses,
-    setup: int = HZ  # from a change of DIR to a step,
+    setup: int = HZ  # from a change of DIR to a step
     hold: int = HZ  # from the end of a pulse to a change of DIR
 
     @property
@@ -88,7 +90,7 @@ class Driver:
 
 
 def driver(edges: "Iterable[tuple[int, int, int]]", axis: int) -> Driver:
-    """What a chip's edges are to a driver. Nothing may change DIR while STEP is high."""
+    """Turn a chip's edges into a driver's view. DIR must not change while STEP is high."""
     seen = Driver()
     direction = step = 0
     fell = turned = -HZ
@@ -110,7 +112,7 @@ def driver(edges: "Iterable[tuple[int, int, int]]", axis: int) -> Driver:
 
 
 def check_times(seen: Driver, timing: Timing) -> None:
-    """What a driver may demand: length of pulses, hold and setup of DIR."""
+    """Check the times a driver may demand: pulse length, hold and setup of DIR."""
     pulse_us, hold_us, setup_us = timing
     assert seen.pulses <= {ticks(pulse_us)}
     assert seen.hold >= ticks(hold_us)
@@ -121,7 +123,7 @@ def check_times(seen: Driver, timing: Timing) -> None:
 
 
 class Words:
-    """Segments made into words, as the engine does it, and what is to become of them."""
+    """Segments converted to words as by the engine, and the steps expected from them."""
 
     def __init__(self, timing: Timing = TIMINGS["usual"]) -> None:
         self.pulse = ticks(timing[0])
@@ -139,12 +141,12 @@ class Words:
         return self.lanes[pulses.LANE * axis + what]
 
     def add(self, whole: "array[int]") -> None:
-        """Take over a segment, in pieces where it is long."""
+        """Convert a segment, in pieces if it is long."""
         pieces = list(cut(whole)) if whole[ROW_TICKS] > pulses.LONGEST else [whole]
         sent = len(self.late)
         for piece in pieces:
             self._convert(piece)
-        assert not any(self.late[sent + 1 :]), "a piece is late"
+        assert not any(self.late[sent + 1 :]), "a later piece is delayed"
         start = self.end + self.late[sent]
         for axis, due in enumerate(self.due):
             base = ROW_AXES + ROW_STRIDE * axis
@@ -157,13 +159,13 @@ class Words:
         self.late.append(pulses.convert(piece, self.lanes, self.ring, self.timing))
         for i, words in enumerate(self.words):
             made = (self.lane(i, pulses.HEAD) - heads[i]) % (1 << pulses.RING_LOG2)
-            assert made <= 6, "the ring is reckoned for six words"
+            assert made <= 6, "a segment makes at most six words per ring"
             for k in range(made):
                 at = (heads[i] + k) % (1 << pulses.RING_LOG2)
                 words.append(self.ring[(i << pulses.RING_LOG2) + at] & 0xFFFFFFFF)
 
     def model(self) -> Any:
-        """A PIO block that is about to play them."""
+        """Return a PIO block that is ready to play the words."""
         model = pio_model.PioModel(programs.stepper, list(zip(STEP, DIR, strict=True)))
         for i, words in enumerate(self.words):
             model.load_isr(i, self.pulse - 3)
@@ -172,19 +174,19 @@ class Words:
         return model
 
     def played(self) -> "list[Driver]":
-        """What the drivers see of all words."""
+        """Play all words; return what the drivers receive."""
         model = self.model()
         while any(model.unread(i) or model.at(i) != programs.NEXT for i in range(AXES)):
             model.run(200)
         return [driver(model.edges, i) for i in range(AXES)]
 
     def reckoned(self) -> "list[list[tuple[int, int]]]":
-        """The steps by the timing that programs.py states."""
+        """Return the steps computed from the timing that programs.py states."""
         return [reckon(words, self.pulse)[0] for words in self.words]
 
 
 def cut(whole: "array[int]") -> "Iterator[array[int]]":
-    """The pieces of a long segment."""
+    """Yield the pieces of a long segment."""
     begin = 0
     while True:
         piece = array("i", whole)
@@ -195,7 +197,8 @@ def cut(whole: "array[int]") -> "Iterator[array[int]]":
 
 
 def reckon(words: "Iterable[int]", pulse: int) -> "tuple[list[tuple[int, int]], int]":
-    """Steps of words by the timing that programs.py states, and when the machine is ready."""
+    """Compute the steps of words from the timing in programs.py, and the tick the machine is
+    ready."""
     steps = []
     ready = 0
     for w in words:
@@ -212,7 +215,7 @@ def reckon(words: "Iterable[int]", pulse: int) -> "tuple[list[tuple[int, int]], 
 def segmented(
     targets: "Sequence[tuple[float, ...]]", feed: float, limits: Limits
 ) -> "list[array[int]]":
-    """Segments that planner and kernels make of lines at feed mm/s."""
+    """Return the segments that planner and kernels make of lines at feed mm/s."""
     bench = Bench(limits, 64, HZ, LOG2)
     for target in targets:
         bench.line(target, feed * 60)
@@ -225,9 +228,11 @@ def segmented(
 def at_rate(
     hz: int, steps: int, ratio: "tuple[float, ...]", step_hz: int = 390_000
 ) -> "list[array[int]]":
-    """Segments of one line whose longest axis makes so many steps at hz, from a flying start.
+    """Return segments of one line whose longest axis makes this many steps at hz, from a flying
+    start.
 
-    step_hz: what the engine makes; with more, full segments would be shorter than a board's.
+    step_hz: the engine's highest rate; a higher rate would make full segments shorter than a
+    board's.
     """
     limits = Limits((hz / 100,) * AXES, (6e6,) * AXES, (1e7,) * AXES, step_hz=step_hz)
     target = tuple(steps * 100 / hz * part for part in ratio)
@@ -235,7 +240,7 @@ def at_rate(
     return segmented([target], 100 * length / target[0], limits)
 
 
-# Lines that take some tenths of a second at the most, by what is remarkable about them.
+# Lines of a few tenths of a second at most, by their special property.
 _QUICK = Limits((80.0,) * 3, (6000.0,) * 3, (3000.0,) * 3)
 _FAST = Limits((400.0,) * 3, (30_000.0,) * 3, (20_000.0,) * 3)
 MOVES: "dict[str, tuple[Limits, float, list[tuple[float, ...]]]]" = {
@@ -255,9 +260,9 @@ def move(name: str) -> "list[array[int]]":
 
 @st.composite
 def segments(draw: Any, gap: int, most: int = 8, motors: int = AXES) -> "list[array[int]]":
-    """Segments that no planner makes, with steps on their edges, reversals at full speed.
+    """Draw segments that no planner makes: steps on their edges, reversals at full speed.
 
-    gap: the least from step to step within a segment.
+    gap: the least ticks from step to step within a segment.
     """
     rows = []
     for _ in range(draw(st.integers(1, most))):
@@ -277,7 +282,7 @@ def segments(draw: Any, gap: int, most: int = 8, motors: int = AXES) -> "list[ar
 def timed_segments(
     draw: Any, most: int = 8, motors: int = AXES
 ) -> "tuple[Timing, list[array[int]]]":
-    """Segments that keep to the highest rate, with settings."""
+    """Draw segments within the highest rate, with pulse settings."""
     timing = draw(st.sampled_from(sorted(TIMINGS.values())))
     return timing, draw(segments(pulses.shortest_gap(ticks(timing[0])), most, motors))
 
@@ -293,7 +298,7 @@ def fed(rows: "Iterable[array[int]]", timing: Timing = TIMINGS["usual"]) -> Word
 
 
 def play(words: "list[int]", pulse: int, count: int) -> "list[tuple[int, int, int]]":
-    """Edges of one machine that plays these words for so many ticks."""
+    """Return the edges of one machine that plays these words for count ticks."""
     model = pio_model.PioModel(programs.stepper, [(STEP[0], DIR[0])])
     model.load_isr(0, pulse - 3)
     model.waiting[0] += words
@@ -303,7 +308,7 @@ def play(words: "list[int]", pulse: int, count: int) -> "list[tuple[int, int, in
 
 
 @pytest.mark.parametrize("pulse_us", range(3, 21))
-def test_a_pulse_lasts_as_long_as_it_is_asked_to(pulse_us: int) -> None:
+def test_a_pulse_has_the_requested_length(pulse_us: int) -> None:
     pulse = ticks(pulse_us)
     seen = driver(play([word(0, 3, 0), word(1, 2, 7)], pulse, 3000), 0)
     assert len(seen.steps) == 5
@@ -313,8 +318,8 @@ def test_a_pulse_lasts_as_long_as_it_is_asked_to(pulse_us: int) -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 777])
 @pytest.mark.parametrize("pulse", [38, 125])
-def test_edges_come_when_programs_says(pulse: int, delay: int) -> None:
-    """The second word's DIR changes a tick after the machine has been ready for the word."""
+def test_edges_follow_the_timing_of_programs(pulse: int, delay: int) -> None:
+    """The second word's DIR changes one tick after the machine is ready for the word."""
     edges = play([word(0, 2, delay), word(1, 0, 0)], pulse, 4000)
     first = 6 + delay
     second = first + pulse + 9 + delay
@@ -343,7 +348,7 @@ _ANY_WORD = st.builds(word, st.integers(0, 1), st.integers(0, 6), st.integers(0,
 
 
 @given(st.lists(_ANY_WORD, max_size=20), st.integers(4, 150))
-def test_model_and_reckoning_agree_about_any_words(words: "list[int]", pulse: int) -> None:
+def test_model_and_computation_agree_on_random_words(words: "list[int]", pulse: int) -> None:
     steps, ready = reckon(words, pulse)
     edges = play([*words, word(1, 0, 0), word(0, 0, 0)], pulse, ready + 20)
     assert driver(edges, 0).steps == steps
@@ -352,7 +357,7 @@ def test_model_and_reckoning_agree_about_any_words(words: "list[int]", pulse: in
 
 
 @pytest.mark.parametrize("name", ["reversals", "one step"])
-def test_model_and_test_engines_agree_about_moves(name: str) -> None:
+def test_model_and_test_engines_agree_on_moves(name: str) -> None:
     rows = move(name)
     waiting = iter(rows)
 
@@ -376,10 +381,10 @@ def test_model_and_test_engines_agree_about_moves(name: str) -> None:
 
 
 @given(timed_segments())
-def test_every_step_comes_in_the_very_tick_planned(
+def test_every_step_comes_in_its_planned_tick(
     case: "tuple[Timing, list[array[int]]]",
 ) -> None:
-    """Count, direction and time; a segment that has to wait for an axis waits as a whole."""
+    """Count, direction and time; a segment delayed by one axis is delayed as a whole."""
     timing, rows = case
     words = fed(rows, timing)
     assert [seen.steps for seen in words.played()] == words.due
@@ -394,21 +399,22 @@ def test_drivers_get_the_times_they_need(case: "tuple[Timing, list[array[int]]]"
 
 
 @pytest.mark.parametrize("timing", TIMINGS.values(), ids=TIMINGS)
-def test_a_reversal_waits_no_longer_than_it_has_to(timing: Timing) -> None:
-    """Steps at the highest rate, back and forth: hold and setup are kept to a tick or are free."""
+def test_a_reversal_takes_the_shortest_allowed_time(timing: Timing) -> None:
+    """At the highest rate, back and forth: hold and setup are exact to a tick, or take no extra
+    time."""
     pulse, hold, setup = (ticks(us) for us in timing)
     gap = pulses.shortest_gap(pulse)
     rows = [row(4 * gap, way % 2 * 7, *[(4, gap, 4 * gap)] * AXES) for way in range(4)]
     for seen in fed(rows, timing).played():
         check_times(seen, timing)
         turns = [b[0] - a[0] for a, b in pairwise(seen.steps) if a[1] != b[1]]
-        # The program cannot turn faster than 10 and 5 ticks; nor is the rate ever exceeded.
+        # The program needs at least 10 and 5 ticks for a turn; the rate is never exceeded.
         assert turns == [max(pulse + max(hold, 10) + max(setup, 5), gap)] * 3
 
 
 @given(timed_segments())
-def test_machines_stay_together_to_the_tick(case: "tuple[Timing, list[array[int]]]") -> None:
-    """A word that uses up what is carried, and then one that turns DIR: all in one tick."""
+def test_machines_stay_synchronous_to_the_tick(case: "tuple[Timing, list[array[int]]]") -> None:
+    """One word uses up the carried ticks, the next turns DIR: on all axes in the same tick."""
     timing, rows = case
     words = fed(rows, timing)
     later = 1000
@@ -423,8 +429,8 @@ def test_machines_stay_together_to_the_tick(case: "tuple[Timing, list[array[int]
 
 
 @given(segments(40))
-def test_what_is_asked_too_fast_comes_late_and_whole(rows: "list[array[int]]") -> None:
-    """Steps closer than the program can: none is lost, and the machines stay together."""
+def test_steps_requested_too_fast_come_late_and_complete(rows: "list[array[int]]") -> None:
+    """Steps closer than the program allows: none is lost, and the machines stay synchronous."""
     words = fed(rows)
     for i, seen in enumerate(words.played()):
         assert [level for _, level in seen.steps] == [level for _, level in words.due[i]]
@@ -436,7 +442,7 @@ def test_what_is_asked_too_fast_comes_late_and_whole(rows: "list[array[int]]") -
 
 
 @pytest.mark.parametrize("name", MOVES)
-def test_moves_are_made_to_the_tick(name: str) -> None:
+def test_moves_are_exact_to_the_tick(name: str) -> None:
     timing = TIMINGS["generic_breakout"]
     words = fed(move(name), timing)
     for due, seen in zip(words.due, words.played(), strict=True):
@@ -445,7 +451,7 @@ def test_moves_are_made_to_the_tick(name: str) -> None:
 
 
 def test_the_longest_segment_fits_into_words() -> None:
-    """Delays that fill all bits of a word: after a pause, and where an axis waits for another."""
+    """Delays that fill all bits of a word: after a pause, and where one axis waits for another."""
     long, none = pulses.LONGEST, (0, 0, 0)
     rows = [row(1000, 0, (1, 1000, 1000), none, none)]
     rows += [row(long, 1, (2, 0, long), none, (1, long, long))]
@@ -456,8 +462,8 @@ def test_the_longest_segment_fits_into_words() -> None:
     assert [seen.steps for seen in words.played()] == words.due
 
 
-def test_a_long_segment_is_cut_without_a_trace() -> None:
-    """In pieces of 131072 ticks: among the steps are the first and the last tick of some."""
+def test_a_long_segment_is_cut_without_changing_its_steps() -> None:
+    """Pieces have 131072 ticks; some steps fall on the first or the last tick of a piece."""
     edges = [(1, 700_000, 700_000), (7, 131_072, 655_360), (3, 0, 262_143)]
     words = fed([row(700_000, 2, *edges), row(300_000, 5, *[(2, 1, 299_999)] * 3)])
     assert [seen.steps for seen in words.played()] == words.due
@@ -466,20 +472,20 @@ def test_a_long_segment_is_cut_without_a_trace() -> None:
 
 # Rates
 
-# Ticks by which slice_kernel.place_steps may misplace the first step of a segment against the last
-# of the one before: it rounds down, more than once.
+# Ticks by which slice_kernel.place_steps may misplace the first step of a segment relative to the
+# last of the one before: it rounds down, more than once.
 _ROUNDING = 1.1
 
 
 def cruise(words: Words, rows: "list[array[int]]") -> "list[list[int]]":
-    """Ticks of the steps of each axis at a constant rate: without the ends of a move."""
+    """Return the steps' ticks of each axis at a constant rate, without the ends of the move."""
     begin = 2 << LOG2
     end = words.end - begin
     return [[tick for tick, _ in axis if begin < tick < end] for axis in words.reckoned()]
 
 
 def unevenness(steps: "list[int]") -> "tuple[float, float]":
-    """The mean interval, and by how much any is off."""
+    """Return the mean interval, and the largest deviation from it."""
     mean = (steps[-1] - steps[0]) / (len(steps) - 1)
     return mean, max(abs(b - a - mean) for a, b in pairwise(steps))
 
@@ -488,7 +494,7 @@ def unevenness(steps: "list[int]") -> "tuple[float, float]":
 def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
     """Within a tick or 1 %, whichever is more, within segments and from one to the next.
 
-    Slow moves are reckoned, not played: an interval at 1 Hz has 12.5 million ticks.
+    Slow moves are computed, not played: an interval at 1 Hz has 12.5 million ticks.
     """
     rows = at_rate(hz, max(hz // 12, 12), (1.0, 1.0, 1.0))
     words = fed(rows, TIMINGS["shortest pulse"])
@@ -499,12 +505,12 @@ def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
         assert len(steps) >= 6
         mean, worst = unevenness(steps)
         assert mean == pytest.approx(HZ / hz, rel=0.02)
-        assert worst <= max(1.01, mean / 100)  # the mean's own rounding
+        assert worst <= max(1.01, mean / 100)  # rounding of the mean itself
 
 
 @pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.383), (1.0, 0.999, 0.05)])
 @pytest.mark.parametrize("hz", [47_123, 71_060, 125_000, 171_640, 200_000, 250_000])
-def test_fast_axes_of_any_rate_are_even_to_three_ticks(
+def test_fast_axes_are_even_to_three_ticks_at_any_rate(
     hz: int, ratio: "tuple[float, ...]"
 ) -> None:
     rows = at_rate(hz, hz // 4, ratio)
@@ -517,7 +523,8 @@ def test_fast_axes_of_any_rate_are_even_to_three_ticks(
 
 @pytest.mark.thorough
 def test_three_axes_make_250_khz_with_the_shortest_pulse() -> None:
-    """0.1 s of it, all three to the same tick, counted; the processor makes no step of them."""
+    """0.1 s of it, all three axes in the same tick, counted; the processor makes none of the
+    steps."""
     engine_says = HZ // pulses.shortest_gap(ticks(3))
     assert engine_says == 250_000
     rows = at_rate(engine_says, 25_000, (1.0, 1.0, -1.0), engine_says)
@@ -526,15 +533,15 @@ def test_three_axes_make_250_khz_with_the_shortest_pulse() -> None:
     assert [seen.place for seen in played] == [25_000, 25_000, -25_000]
     assert [seen.steps for seen in played] == words.due
     assert {tick for tick, _ in played[0].steps} == {tick for tick, _ in played[2].steps}
-    assert not any(words.late[1:]), "but for the turn of the third axis at the start"
+    assert not any(words.late[1:]), "except for the turn of the third axis at the start"
     assert max(len(w) for w in words.words) <= 4 * len(rows)
     fastest = [tick for tick, _ in played[0].steps][5000:20_000]
     assert (fastest[-1] - fastest[0]) / (len(fastest) - 1) == pytest.approx(50, rel=1e-3)
     assert min(seen.pause for seen in played) >= 9
 
 
-def test_a_pulse_and_nine_ticks_is_the_programs_limit() -> None:
-    """Within a segment and from one to the next; what is asked sooner comes then."""
+def test_pulse_plus_nine_ticks_is_the_programs_limit() -> None:
+    """Within a segment and from one to the next; steps requested sooner come at that time."""
     for pulse_us in (3, 10):
         pulse = ticks(pulse_us)
         for gap, made in ((pulse + 9, pulse + 9), (pulse + 8, pulse + 9)):
@@ -544,25 +551,25 @@ def test_a_pulse_and_nine_ticks_is_the_programs_limit() -> None:
 
 
 @pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.083), (1.0, 0.999, 0.5)])
-def test_the_rate_stated_leaves_room_for_rounding(ratio: "tuple[float, ...]") -> None:
-    """No segment waits for another, though rounding makes gaps up to a tick shorter."""
+def test_the_stated_rate_includes_a_margin_for_rounding(ratio: "tuple[float, ...]") -> None:
+    """No segment waits for another, although rounding makes gaps up to a tick shorter."""
     gap = pulses.shortest_gap(ticks(3))
     assert gap > ticks(3) + 9
     rows = at_rate(HZ // gap, 20_000, ratio)
     assert not any(fed(rows, TIMINGS["shortest pulse"]).late)
-    rows = at_rate(HZ // (ticks(3) + 8), 20_000, ratio)  # faster than the program can
+    rows = at_rate(HZ // (ticks(3) + 8), 20_000, ratio)  # faster than the program allows
     assert any(fed(rows, TIMINGS["shortest pulse"]).late)
 
 
-# Running dry and stopping
+# Running empty, and stops
 
 
 @given(timed_segments(5), st.lists(st.integers(0, 400), min_size=5, max_size=5))
 @some(30)
-def test_words_that_come_late_are_waited_for(
+def test_machines_wait_for_late_words(
     case: "tuple[Timing, list[array[int]]]", gaps: "list[int]"
 ) -> None:
-    """No step is lost or repeated, no pulse cut short, and between words no pin moves."""
+    """No step is lost or repeated, no pulse is cut short, and no pin moves between words."""
     timing, rows = case
     words = Words(timing)
     model = words.model()
@@ -583,7 +590,7 @@ def test_words_that_come_late_are_waited_for(
 
 
 def check_undone(words: Words, model: Any) -> None:
-    """What pulses.undone() makes of a machine's state is what has not been seen of its steps."""
+    """Check pulses.undone(): a machine's state gives the number of steps not yet made."""
     for i in range(AXES):
         sent = words.lane(i, pulses.HEAD)
         undone = pulses.undone(words.ring, i, sent, model.unread(i), model.at(i), model.x(i))
@@ -608,7 +615,7 @@ def test_undone_steps_are_known_in_every_tick() -> None:
 
 @given(timed_segments(5), st.data())
 @some(40)
-def test_a_stop_in_any_tick_leaves_a_known_place(
+def test_a_stop_in_any_tick_leaves_a_known_position(
     case: "tuple[Timing, list[array[int]]]", data: Any
 ) -> None:
     timing, rows = case
@@ -626,7 +633,7 @@ def test_a_stop_in_any_tick_leaves_a_known_place(
 
 
 @given(st.lists(st.integers(4, 4000), min_size=1, max_size=20))
-def test_the_clock_interrupts_at_the_boundaries_of_segments(lengths: "list[int]") -> None:
+def test_the_clock_interrupts_at_segment_boundaries(lengths: "list[int]") -> None:
     model = pio_model.PioModel(programs.clock, [None])
     model.waiting[0] += [length - 4 for length in lengths]
     model.start()
@@ -638,7 +645,7 @@ def test_the_clock_interrupts_at_the_boundaries_of_segments(lengths: "list[int]"
 
 
 class Bed:
-    """An engine on a modelled chip, and the segments that it has asked for."""
+    """An engine on a modelled chip, and the segments it has requested."""
 
     def __init__(self, patch: pytest.MonkeyPatch, timing: Timing, motors: int) -> None:
         self.timing = timing
@@ -646,10 +653,10 @@ class Bed:
         self.chip = pio_model.PioChip(patch, _STEP[:motors], _DIR[:motors], *timing[1:])
         self.engine = self.chip.engine
         self.waiting: list[array[int]] = []
-        self.powers: list[tuple[int, int]] = []  # when, which
-        self.asked: list[int] = []  # when a segment was asked for
-        self.rests: list[int] = []  # when the machines stood still
-        self.faults: list[int] = []  # when the engine has said that it failed
+        self.powers: list[tuple[int, int]] = []  # tick, power
+        self.asked: list[int] = []  # ticks at which a segment was requested
+        self.rests: list[int] = []  # ticks at which the machines stood still
+        self.faults: list[int] = []  # ticks at which the engine reported a fault
         self.engine.attach(
             self._next,
             lambda power: self.powers.append((self.chip.now, power)),
@@ -674,7 +681,7 @@ class Bed:
         return self
 
     def again(self, rows: "Iterable[array[int]]") -> "Bed":
-        """Motion after a stop."""
+        """Start motion after a stop."""
         self.waiting.clear()
         self.engine.arm()
         return self.start(rows)
@@ -684,7 +691,7 @@ class Bed:
         return self
 
     def late_by(self, latencies: "list[int]") -> None:
-        """Until all is made, the interrupt is late by these ticks, and again by these."""
+        """Run to the end with these interrupt latencies in turn, in ticks."""
         for latency in cycle(latencies):
             self.chip.latency = latency
             self.chip.run(1500)
@@ -693,23 +700,24 @@ class Bed:
         self.finish()
 
     def drivers(self) -> "list[Driver]":
-        """What they see. Motors of PIO 1 are a tick late, here: pio_model.PioChip says why."""
+        """Return the drivers' views. Motors of PIO 1 appear a tick late: pio_model.PioChip says
+        why."""
         late = [(tick - 1, *edge) for tick, *edge in self.chip.edges]
         edges: list[Any] = [self.chip.edges, late]
         return [driver(edges[i >= _OF_PIO_0], i) for i in range(self.motors)]
 
     def places(self) -> "list[int]":
-        """Where the steps seen have led to."""
+        """Return the position given by the steps received."""
         return [seen.place for seen in self.drivers()]
 
     def position(self) -> "list[int]":
-        """Where the engine says that it is."""
+        """Return the position that the engine reports."""
         steps = array("i", [0] * self.motors)
         self.engine.position(steps)
         return list(steps)
 
     def rises(self) -> int:
-        """Steps seen so far, of all motors."""
+        """Return the steps so far, of all motors."""
         return sum(pin in _STEP and level for _, pin, level in self.chip.edges)
 
 
@@ -721,7 +729,8 @@ def a_bed(
     flight: int = 1,
     motors: int = AXES,
 ) -> "Iterator[Bed]":
-    """counted, flight: how DMA is read (pio_model.Channel). No word may ever be lost."""
+    """Yield a bed; no word may ever be lost. counted, flight: how DMA is read
+    (pio_model.Channel)."""
     with pytest.MonkeyPatch.context() as patch:
         bed = Bed(patch, timing, motors)
         bed.chip.latency = latency
@@ -735,9 +744,9 @@ DMA_READINGS = st.tuples(st.booleans(), st.integers(1, 3))
 
 
 def begins(rows: "Iterable[array[int]]", drivers: "list[Driver]") -> "list[int | None]":
-    """When each segment has begun, None for one without steps.
+    """Return the first tick of each segment; None for one without steps.
 
-    Every step of every axis says when: they all have to say the same.
+    It follows from every step of every axis; all must agree.
     """
     steps = [iter(seen.steps) for seen in drivers]
     found: list[int | None] = []
@@ -749,24 +758,25 @@ def begins(rows: "Iterable[array[int]]", drivers: "list[Driver]") -> "list[int |
                 tick, level = next(track)
                 assert level == made[ROW_DIRS] >> axis & 1
                 said.add(tick - step_tick(made, base, k))
-        assert len(said) <= 1, "the axes' steps do not fit together"
+        assert len(said) <= 1, "the axes' steps disagree"
         found.append(said.pop() if said else None)
-    assert not [step for track in steps for step in track], "steps that nobody has asked for"
+    assert not [step for track in steps for step in track], "steps that were not requested"
     return found
 
 
 def rush(
     ways: "Sequence[int]", timing: Timing = TIMINGS["usual"], motors: int = AXES
 ) -> "list[array[int]]":
-    """Segments at the highest rate, with the given directions; motors behind the third have the
-    steps of the first ones."""
+    """Return segments at the highest rate with the given directions; motors after the third repeat
+    the steps of the first ones."""
     gap = pulses.shortest_gap(ticks(timing[0]))
     edges = [(30, gap, 30 * gap), (30, gap, 30 * gap), (7, 0, 25 * gap)]
     return [row(30 * gap, dirs, *(edges * 3)[:motors]) for dirs in ways]
 
 
 def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
-    """Ticks from call to call of the clock: in long segments it calls before the end, too."""
+    """Return the ticks between the clock's interrupts; a long segment has one before its end,
+    too."""
     found = []
     for late, made in zip(words.late, rows, strict=True):
         whole = late + made[ROW_TICKS]
@@ -782,7 +792,7 @@ def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
         ("whole segments", 35_000),
     ],
 )
-def test_the_engine_makes_all_steps_when_they_are_due(name: str, latency: int) -> None:
+def test_the_engine_makes_all_steps_at_their_ticks(name: str, latency: int) -> None:
     """Through DMA and interrupts, which come as rows begin, and may be 2.8 ms late, and 1.0 ms
     where rows are slices of segments."""
     timing = TIMINGS["shortest pulse"]
@@ -799,15 +809,15 @@ def test_the_engine_makes_all_steps_when_they_are_due(name: str, latency: int) -
             for seen, track in zip(bed.drivers(), words.due, strict=True)
             for (tick, _), (due, _) in zip(seen.steps, track, strict=True)
         }
-        assert len(shift) == 1, "something has waited for the processor"
-        # The first call is that of start().
+        assert len(shift) == 1, "the processor has delayed a step"
+        # The first interrupt is caused by start().
         assert [b - a for a, b in pairwise(bed.chip.interrupts[1:])] == clocked(words, rows)
         assert 0 < bed.chip.interrupts[1] - shift.pop() < 10
         assert bed.position() == bed.places()
 
 
-def test_the_clock_waits_for_a_turn_as_the_machines_do() -> None:
-    """Also in a segment that is over sooner than the clock's own loop."""
+def test_the_clock_waits_for_a_turn_like_the_machines() -> None:
+    """Also in a segment that is shorter than the clock's own loop."""
     rows = [*rush([0] * 5), row(3, 7, *[(1, 2, 2)] * AXES), *rush([7] * 2)]
     words = fed(rows)
     assert words.late[5] > 100
@@ -817,7 +827,7 @@ def test_the_clock_waits_for_a_turn_as_the_machines_do() -> None:
 
 
 @pytest.mark.thorough
-def test_the_engine_knows_where_it_is_in_motion() -> None:
+def test_the_engine_knows_its_position_in_motion() -> None:
     rows = move("fast")
     with a_bed() as bed:
         bed.start(rows)
@@ -825,7 +835,7 @@ def test_the_engine_knows_where_it_is_in_motion() -> None:
             bed.chip.run(pause)
             if bed.engine.idle():
                 break
-            # Its timer counts microseconds; a step may come meanwhile.
+            # Its timer counts microseconds; a step may come in between.
             off = [abs(a - b) for a, b in zip(bed.position(), bed.places(), strict=True)]
             assert max(off) <= 1
         assert bed.position() == bed.places() == [3200, -2600, 0]
@@ -834,10 +844,10 @@ def test_the_engine_knows_where_it_is_in_motion() -> None:
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.integers(0, 3000), DMA_READINGS, st.data())
 @some(40)
-def test_a_stop_of_the_engine_is_at_once_and_leaves_the_true_place(
+def test_a_stop_of_the_engine_is_immediate_and_leaves_the_true_position(
     motors: int, latency: int, dma: "tuple[bool, int]", data: Any
 ) -> None:
-    """Whatever has been made, handed over, fetched, or is between DMA and a FIFO by then."""
+    """Whichever words were made, handed over, fetched, or in transit from DMA to a FIFO."""
     timing, rows = data.draw(timed_segments(14, motors))
     with a_bed(timing, latency, *dma, motors) as bed:
         bed.start(rows)
@@ -855,8 +865,9 @@ def test_a_stop_of_the_engine_is_at_once_and_leaves_the_true_place(
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.data())
 @some(30)
-def test_motion_after_a_stop_keeps_what_drivers_need(motors: int, data: Any) -> None:
-    """The stop comes anywhere, the segments after it turn or do not, their first step at once."""
+def test_motion_after_a_stop_keeps_the_drivers_times(motors: int, data: Any) -> None:
+    """The stop comes anywhere; the segments after it turn or not, with their first step at
+    once."""
     timing = data.draw(st.sampled_from(sorted(TIMINGS.values())))
     ways = st.lists(st.integers(0, (1 << motors) - 1), min_size=3, max_size=3)
     with a_bed(timing, 0, *data.draw(DMA_READINGS), motors) as bed:
@@ -880,9 +891,10 @@ def test_motion_after_a_stop_keeps_what_drivers_need(motors: int, data: Any) -> 
 
 
 @pytest.mark.parametrize("motors", MOTORS)
-def test_a_turn_that_a_stop_has_cut_off_is_made_anew(motors: int) -> None:
-    """The words had DIR turned already; the pin had not. Z's first step comes at once. Behind a
-    stop at rest the last one alone turns back: it does not live on what others wait for."""
+def test_a_turn_cut_off_by_a_stop_is_repeated(motors: int) -> None:
+    """The words had turned DIR already; the pin had not. Z's first step comes at once. After a
+    stop at
+    rest only the last motor turns back: its setup time must not depend on the others' delay."""
     back = (1 << motors) - 1
     with a_bed(motors=motors) as bed:
         bed.start(rush([0, back], motors=motors))
@@ -899,8 +911,8 @@ def test_a_turn_that_a_stop_has_cut_off_is_made_anew(motors: int) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("motors", "each"), [(3, 7), (6, 19), (8, 31)])
 def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) -> None:
-    """A limit switch closes while the engine is at work: after every seventh access to memory; in
-    the first ring after every 28th."""
+    """A limit switch closes while the engine works: after every `each` accesses to memory; in the
+    first ring after every 4 times as many."""
     rows = rush([0, 255, 5], motors=motors)
     with a_bed(motors=motors) as bed:
         total = bed.start(rows).finish().chip.accesses
@@ -924,8 +936,8 @@ def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) 
 
 @pytest.mark.parametrize("motors", [3, 6, 8])
 @pytest.mark.parametrize("work", ["stop", "lock", "position"])
-def test_a_stop_may_interrupt_what_the_main_loop_has_the_engine_do(work: str, motors: int) -> None:
-    """At any access, with an axis locked, and in motion; what comes out is true."""
+def test_a_stop_may_interrupt_the_main_loops_calls(work: str, motors: int) -> None:
+    """At any access, with an axis locked, and in motion; the reported position is true."""
     for after in range(1, 1000, 2 if motors == AXES else 5):
         with a_bed(motors=motors) as bed:
             steps = array("i", [0] * motors)
@@ -955,10 +967,8 @@ def test_a_stop_may_interrupt_what_the_main_loop_has_the_engine_do(work: str, mo
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.data(), st.lists(st.integers(0, 9000), min_size=1, max_size=9))
 @some(20)
-def test_interrupts_that_come_late_lose_nothing(
-    motors: int, data: Any, latencies: "list[int]"
-) -> None:
-    """Motion pauses between segments, with all axes together, and goes on."""
+def test_late_interrupts_lose_no_step(motors: int, data: Any, latencies: "list[int]") -> None:
+    """Motion pauses between segments, with all axes together, and continues."""
     rows = data.draw(segments(160, 12, motors))
     with a_bed(motors=motors) as bed:
         bed.start(rows).late_by(latencies)
@@ -973,10 +983,10 @@ def test_interrupts_that_come_late_lose_nothing(
 @pytest.mark.parametrize(
     ("motors", "one"), [(motors, one) for motors in MOTORS for one in range(1, motors)]
 )
-def test_a_locked_axis_stands_still_and_the_others_go_on(
+def test_a_locked_axis_stands_still_and_the_others_continue(
     motors: int, one: int, latency: int
 ) -> None:
-    """Also where motion pauses meanwhile and all machines are started again."""
+    """Also if motion pauses meanwhile and all machines are started again."""
     each = ([30, 30, 7] * 3)[:motors]  # steps of a row
     with a_bed(motors=motors) as bed:
         bed.start(rush([0] * 8 + [255] * 12, motors=motors))
@@ -999,8 +1009,8 @@ def test_a_locked_axis_stands_still_and_the_others_go_on(
 
 
 @pytest.mark.parametrize("count", [4000, 60_000, 131_072])
-def test_segments_are_asked_for_shortly_before_they_begin(count: int) -> None:
-    """So that a hold comes into effect: 3.2 ms before, or one or two segments if that is more."""
+def test_segments_are_requested_shortly_before_they_begin(count: int) -> None:
+    """So that a hold acts soon: 3.2 ms before, or one or two segments if that is more."""
     rows = [row(count, 0, *[(9, 400, count)] * AXES) for _ in range(240_000 // count + 3)]
     with a_bed() as bed:
         bed.start(rows).finish()
@@ -1011,7 +1021,7 @@ def test_segments_are_asked_for_shortly_before_they_begin(count: int) -> None:
 
 
 @pytest.mark.parametrize("latency", [0, 700])
-def test_power_is_reported_as_its_segment_begins(latency: int) -> None:
+def test_power_is_reported_when_its_segment_begins(latency: int) -> None:
     rows = rush([0] * 12)
     powers = [5, 5, 9, KEEP_POWER, 9, 0, 300, 300, 300, KEEP_POWER, 1, 1]
     for made, power in zip(rows, powers, strict=True):
@@ -1021,16 +1031,17 @@ def test_power_is_reported_as_its_segment_begins(latency: int) -> None:
         found = begins(rows, bed.drivers())
         assert [power for _, power in bed.powers] == [5, 9, 0, 300, 1]
         for (tick, _), k in zip(bed.powers, (0, 2, 5, 6, 10), strict=True):
-            # Its first step may have to wait some ticks; the interrupt takes one per register.
+            # The first step may have to wait some ticks; the interrupt takes a tick per register.
             assert -16 <= tick - (found[k] or 0) <= latency + 50
 
 
 @given(segments(160, 12), st.lists(st.integers(0, 9000), min_size=1, max_size=5))
 @some(20)
-def test_power_at_rest_is_that_of_the_last_segment(
+def test_power_after_motion_is_that_of_the_last_segment(
     rows: "list[array[int]]", latencies: "list[int]"
 ) -> None:
-    """However late interrupts come: some segments' power may be left out, never the last one's."""
+    """However late interrupts come: power of some segments may be skipped, never the last
+    one's."""
     for k, made in enumerate(rows):
         made[ROW_POWER] = 900 - k
     with a_bed() as bed:
@@ -1054,8 +1065,8 @@ def test_no_power_is_reported_after_a_stop(after: int) -> None:
         assert len(bed.powers) == told
 
 
-def test_a_long_segment_is_made_in_pieces() -> None:
-    """As at 10 steps a second, between quick ones."""
+def test_a_long_segment_is_played_in_pieces() -> None:
+    """As at 10 steps/s, between fast segments."""
     long = row(1_300_000, 2, (2, 650_000, 1_300_000), (1, 9, 9), (0, 0, 0))
     rows = [*rush([0, 0]), long, *rush([1])]
     with a_bed() as bed:
@@ -1065,8 +1076,8 @@ def test_a_long_segment_is_made_in_pieces() -> None:
         assert bed.position() == bed.places()
 
 
-def test_pins_are_inverted_on_demand() -> None:
-    """Levels at the pins, and at rest: of the second STEP, of the first and third DIR."""
+def test_pins_are_inverted_on_request() -> None:
+    """Levels at the pins, also at rest: STEP of the second motor, DIR of the first and third."""
     with a_bed() as bed:
         bed.engine.configure(10, 0b010, 0b101)
         pins = [bed.chip.mcu.gpio[pin] for pin in (*STEP, *DIR)]
@@ -1079,7 +1090,7 @@ def test_pins_are_inverted_on_demand() -> None:
         assert [pin.value.name for pin in pins] == ["LOW", "LOW", "LOW", "HIGH", "LOW", "LOW"]
 
 
-def test_the_rate_is_stated_per_length_of_pulse() -> None:
+def test_the_highest_rate_depends_on_the_pulse_length() -> None:
     with a_bed() as bed:
         stated = [bed.engine.max_step_hz(us) for us in (3, 5, 10, 255)]
         assert stated == [HZ // (ticks(us) + 12) for us in (3, 5, 10, 255)]
@@ -1087,7 +1098,7 @@ def test_the_rate_is_stated_per_length_of_pulse() -> None:
 
 
 @pytest.mark.parametrize("hz", [125_000_000, 133_000_000, 150_000_000, 200_000_000])
-def test_a_processor_clock_of_whole_ticks_is_demanded(
+def test_a_processor_clock_of_whole_ticks_is_required(
     hz: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine, "freq", lambda: hz)
@@ -1101,8 +1112,9 @@ def test_a_processor_clock_of_whole_ticks_is_demanded(
             assert [one.freq for one in machines] == [HZ] * (AXES + 1)
 
 
-def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
-    """Addresses only: its model is the RP2040's with these moved. PIO 0 and 1 lie alike."""
+def test_rp2350_registers_match_its_data_sheet() -> None:
+    """Addresses only: the model is the RP2040's with these moved. PIO 0 and 1 have equal
+    addresses."""
     with a_bed(), pytest.MonkeyPatch.context() as patch:
         there = memory.Memory(AXES, True).state
         timer, rivals, busy = hub_layout.TIMER, hub_layout.RIVALS, hub_layout.BUSY
@@ -1132,7 +1144,7 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
             PioEngine((2, 4, 6), (3, 5, 32))
 
 
-# The beam
+# The laser
 
 
 @given(
@@ -1144,10 +1156,10 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
     st.integers(38, 130),
 )
 @some(30)
-def test_the_beams_machine_plays_words_in_the_times_of_steps(
+def test_the_laser_program_plays_words_at_the_times_of_steps(
     words: "list[tuple[int, int, int]]", pulse: int
 ) -> None:
-    """Where a step rises, a change of power comes a tick later; and so to the end."""
+    """A change of power comes one tick after the step's rising edge, for all words."""
     motor = pio_model.PioModel(programs.stepper, [(2, 3)])
     beam = pio_model.PioModel(beam_program.beam, [None])
     fifo = beam._pio.machines[0].rx_fifo
@@ -1161,7 +1173,7 @@ def test_the_beams_machine_plays_words_in_the_times_of_steps(
         beam.run(1)
         assert fifo.item_count <= 1
         if fifo.item_count:
-            changes.append(beam.now - 1)  # edges are noted before their tick is counted
+            changes.append(beam.now - 1)  # edges are recorded before their tick is counted
             fifo.pull()
     assert [tick - 1 for tick in changes] == [
         tick for tick, pin, level in motor.edges if (pin, level) == (2, 1)
@@ -1174,7 +1186,7 @@ def test_the_beams_machine_plays_words_in_the_times_of_steps(
     ("pin", "place"),
     [(0, 0x40050000), (5, 0x40050028), (15, 0x4005008C), (16, 0x40050000), (25, 0x40050050)],
 )
-def test_the_slice_of_a_beam_is_where_the_data_sheet_has_it(pin: int, place: int) -> None:
-    """Of the RP2040: 4.5.3 has the registers, 1.4.3 the pins."""
+def test_the_pwm_slice_of_a_laser_pin_matches_the_data_sheet(pin: int, place: int) -> None:
+    """Data sheet of the RP2040: 4.5.3 has the registers, 1.4.3 the pins."""
     with a_bed():
         assert slice_of(pin) == place

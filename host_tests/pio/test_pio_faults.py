@@ -1,7 +1,7 @@
-"""The PIO engine where something goes wrong: stops at any instant, exceptions, lost words.
+"""The PIO engine under faults: stops at any instant, exceptions, lost words.
 
-Law: behind a stop there is not one further step, the position is that of the steps made, and
-arm() and start() set the machine in motion again.
+The law: after a stop no further step is made, the position is that of the steps made, and arm()
+and start() set the machine in motion again.
 """
 
 import sys
@@ -22,7 +22,7 @@ from laws import some
 from pio import engine_state, programs
 from test_pio import AXES, DMA_READINGS, MOTORS, Bed, a_bed, reckon, rush, ticks, word
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")
@@ -37,7 +37,7 @@ _FIRMWARE = str(Path(engine_state.__file__).parent)
 
 
 def check_stopped(bed: Bed, made: int) -> None:
-    """Nothing steps any more, whatever happens; then all is well again."""
+    """Check that no further step is made until arm(), and that motion works after it."""
     bed.chip.run(1000)
     assert bed.rises() == made
     bed.engine.start()
@@ -71,8 +71,8 @@ def test_a_stop_at_any_instant_is_exact(
 
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("counted", [True, False])
-def test_stops_without_end_lose_no_word(counted: bool, motors: int) -> None:
-    """Each leaves words in FIFOs, in DMA and between them; those are not to add up."""
+def test_repeated_stops_lose_no_word(counted: bool, motors: int) -> None:
+    """Each stop leaves words in FIFOs, in DMA and between them; they must not accumulate."""
     with a_bed(counted=counted, flight=2, motors=motors) as bed:
         for k in range(40):
             bed.again(rush([0, 63, 5], motors=motors)).chip.run(137 * k % 4001)
@@ -83,15 +83,15 @@ def test_stops_without_end_lose_no_word(counted: bool, motors: int) -> None:
 
 
 class Injector:
-    """A stop in front of one line, or one bytecode, of what the engine does.
+    """Stop the engine before one line, or one bytecode, of its code.
 
-    Lines are told apart by how often they have come before.
+    A line is identified by its number and by how often it was reached before.
     """
 
     def __init__(self, bed: Bed, opcodes: bool) -> None:
         self.seen: dict[tuple[str, int], int] = {}
         self.at: tuple[tuple[str, int], int] | None = None
-        self.made = -1  # steps, when the stop came
+        self.made = -1  # steps made when the stop came
         self._bed = bed
         self._event = "opcode" if opcodes else "line"
         self._due = False
@@ -121,7 +121,7 @@ class Injector:
 def injected(
     opcodes: bool, motors: int, at: "tuple[tuple[str, int], int] | None"
 ) -> "Iterator[Any]":
-    """A bed in motion, with a stop at that place; or all places that there are."""
+    """Yield a bed in motion with a stop at that point; without `at`, record all points."""
     with a_bed(latency=300, motors=motors) as bed:
         injector = Injector(bed, opcodes)
         injector.at = at
@@ -138,7 +138,7 @@ def injected(
 def places(
     opcodes: bool, motors: int, names: "Iterable[str]"
 ) -> "Iterator[tuple[tuple[str, int], int]]":
-    """Every place in these functions, the first and the last time that it comes."""
+    """Yield every point in these functions, at its first and its last occurrence."""
     with injected(opcodes, motors, None) as (bed, injector):
         assert bed.finish().position() == bed.places()
     wanted = {key: count for key, count in injector.seen.items() if key[0] in names}
@@ -185,12 +185,12 @@ def _check_injection(opcodes: bool, motors: int, name: str) -> None:
 @pytest.mark.sampled(0, 2)
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("work", ["stop", "lock"])
-def test_the_engines_interrupt_may_come_into_a_stop(work: str, motors: int) -> None:
-    """It comes before the main loop, and motion has just run dry: nothing is started anew."""
+def test_the_engines_interrupt_may_come_during_a_stop(work: str, motors: int) -> None:
+    """It comes before the main loop, and motion has just run empty: nothing is started again."""
     for after in range(1, 600, 2):
         with a_bed(latency=10_000, motors=motors) as bed:
             bed.start(rush([0, 0, 0, 0], motors=motors))
-            bed.chip.run(19_000)  # the clock waits, the interrupt is due
+            bed.chip.run(19_000)  # the clock waits, the interrupt is pending
             made = bed.rises()
             assert made == sum(abs(steps) for steps in bed.position())
             before = bed.chip.accesses
@@ -210,7 +210,7 @@ def test_the_engines_interrupt_may_come_into_a_stop(work: str, motors: int) -> N
 
 
 def _interrupt(bed: Bed) -> "Callable[[], None]":
-    """The one that is due, now."""
+    """Return a function that runs the pending interrupt now."""
 
     def come() -> None:
         bed.chip._due = None
@@ -238,7 +238,7 @@ def test_rest_is_reported_whenever_the_machines_stand_still() -> None:
         bed.chip.run(500)
         bed.engine.stop()
         bed.chip.run(5000)
-        assert len(bed.rests) == 2, "who has stopped the machine has seen to the tool"
+        assert len(bed.rests) == 2, "the caller of stop() has switched the tool off"
 
 
 def test_power_is_reported_again_after_a_rest() -> None:
@@ -250,8 +250,8 @@ def test_power_is_reported_again_after_a_rest() -> None:
         assert [power for _, power in bed.powers] == [77, 77]
 
 
-def test_a_pause_that_is_gone_on_from_at_once_is_no_rest() -> None:
-    """The interrupt has come late; the next segment is made and started in the same."""
+def test_a_pause_resumed_at_once_is_not_reported_as_rest() -> None:
+    """The interrupt was late; it makes the next segment and starts it at once."""
     with a_bed(latency=20_000) as bed:
         bed.start(rush([0] * 8)).finish()
         assert bed.position() == bed.places() == [240, 240, 56]
@@ -269,7 +269,7 @@ def _fail(*_: object) -> int:
 @pytest.mark.parametrize("who", ["_next_segment", "_on_power", "_on_rest"])
 @pytest.mark.parametrize("deaf", [False, True])
 def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool, motors: int) -> None:
-    """deaf: there is too little stack even for those who are to kill the tool."""
+    """deaf: the stack does not suffice even for the callback that switches the tool off."""
     rows = rush([0] * 9, motors=motors)
     for k, made in enumerate(rows):
         made[2] = k
@@ -294,10 +294,10 @@ def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool, mo
 
 
 @pytest.mark.parametrize("motors", [3, 6])
-def test_machines_stop_even_where_the_stop_fails(
+def test_machines_stop_even_if_the_stop_fails(
     monkeypatch: pytest.MonkeyPatch, motors: int
 ) -> None:
-    """No stack for any call: they are off at once, where they are is found out later."""
+    """No stack for any call: the machines are off at once, their position is found later."""
     with a_bed(motors=motors) as bed:
         bed.start(rush([0] * 9, motors=motors))
         bed.chip.run(1200)
@@ -317,8 +317,8 @@ def test_machines_stop_even_where_the_stop_fails(
 
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
-def test_a_word_too_many_is_noticed_before_anything_moves(motors: int, lane: int) -> None:
-    """Put by hand and taken by hand, as an engine of ours once did: DMA counts five places."""
+def test_an_extra_word_is_noticed_before_anything_moves(motors: int, lane: int) -> None:
+    """Put and pulled by hand, as an earlier engine did: DMA counts five free places."""
     with a_bed(motors=motors) as bed:
         for register, value in ((_TXF, 122), (_INSTR, _PULL)):
             bed.chip.write(register + _BLOCK * (lane // 4), value)
@@ -355,8 +355,8 @@ def test_a_lost_word_stops_the_engine_before_its_next_start(motors: int, lane: i
 
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 2), (6, 5)])
-def test_dma_that_does_not_move_is_a_fault(motors: int, lane: int) -> None:
-    """No interrupt waits for it for ever."""
+def test_a_stuck_dma_channel_is_a_fault(motors: int, lane: int) -> None:
+    """No interrupt waits for it forever."""
     with a_bed(motors=motors) as bed:
         bed.start(rush([0, 63, 5], motors=motors))
         bed.chip.run(2000)
@@ -369,8 +369,8 @@ def test_dma_that_does_not_move_is_a_fault(motors: int, lane: int) -> None:
         assert bed.faults and "DMA" in bed.engine.fault()
 
 
-def test_an_interrupt_that_does_not_come_is_a_fault_until_it_is_armed_anew() -> None:
-    """MicroPython disables, for good, one that has let an exception out."""
+def test_a_missing_interrupt_is_a_fault_until_the_engine_is_armed() -> None:
+    """MicroPython disables a handler for good once it has raised."""
     with a_bed() as bed:
         rp2.PIO.handlers[1] = (lambda _: 0, 0, True)
         bed.start(rush([0]))
@@ -381,8 +381,8 @@ def test_an_interrupt_that_does_not_come_is_a_fault_until_it_is_armed_anew() -> 
 
 
 @pytest.mark.parametrize("base_us", [0, (1 << 30) - 30_000, (1 << 30) - 1_000])
-def test_motion_that_is_behind_its_schedule_is_a_fault(base_us: int) -> None:
-    """Its clock wraps after 18 minutes; a rest may last longer."""
+def test_motion_late_on_its_schedule_is_a_fault(base_us: int) -> None:
+    """The clock wraps after 18 minutes; the machine may rest for longer."""
     with a_bed() as bed:
         clock = bed.chip.mcu.clock
         clock.tick(base_us * 1000)
@@ -402,13 +402,13 @@ def test_motion_that_is_behind_its_schedule_is_a_fault(base_us: int) -> None:
         check_stopped(bed, bed.rises())
 
 
-def test_faults_are_reported_without_a_word_that_senders_wait_for() -> None:
+def test_fault_messages_contain_no_answer_words() -> None:
     module = sys.modules["pio.engine"]
     for text in module._FAULTS:
         assert "ok" not in text.lower() and "error" not in text.lower()
 
 
-def test_the_pulse_length_goes_into_a_machine_without_its_fifo() -> None:
+def test_the_pulse_length_is_loaded_without_the_fifo() -> None:
     for us in (3, 10, 255):
         with a_bed((us, 2, 5)) as bed:
             gap = ticks(us) + 12
@@ -418,11 +418,12 @@ def test_the_pulse_length_goes_into_a_machine_without_its_fifo() -> None:
 
 
 @pytest.mark.parametrize(("motors", "pio"), [(3, _PIO1), (6, _PIO1), (7, _PIO2), (8, _PIO2)])
-def test_what_others_have_in_a_pio_is_left_alone(motors: int, pio: int) -> None:
-    """A radio's machine goes on behind stops, faults and starts, and its words are its own: also
-    one too many of them is."""
+def test_other_users_of_a_pio_are_left_alone(motors: int, pio: int) -> None:
+    """A radio's machine keeps running through stops, faults and starts; its words and its FIFO
+    overflow
+    flag stay."""
     with a_bed(motors=motors) as bed:
-        loop = 31  # the last place of the PIO: an instruction that jumps to itself
+        loop = 31  # last address of the PIO: an instruction that jumps to itself
         bed.chip.write(pio + _INSTR_MEM + 4 * loop, loop)
         bed.chip.write(pio + _SM2_INSTR, loop)
         for _ in range(5):
@@ -450,7 +451,7 @@ def test_what_others_have_in_a_pio_is_left_alone(motors: int, pio: int) -> None:
         assert left_alone()
 
 
-def test_more_motors_than_there_are_machines_for_are_refused() -> None:
+def test_more_motors_than_machines_are_refused() -> None:
     with pytest.raises(ValueError, match="8 motors at most"), a_bed(motors=9):
         pass
     with pytest.MonkeyPatch.context() as patch:
@@ -459,11 +460,11 @@ def test_more_motors_than_there_are_machines_for_are_refused() -> None:
             pass
 
 
-# A second opinion on the programs, by an emulator that is not the one of pio_model
+# The programs under a second, independent emulator
 
 
 def _emulated(program: "Sequence[int]", state: Any, count: int) -> "Iterator[Any]":
-    """States of a machine that runs a program for so many ticks. DIR is its pin 0, STEP pin 1."""
+    """Yield states of a machine that runs a program for count ticks. DIR is pin 0, STEP pin 1."""
     pins = {"out_base": 0, "out_count": 1, "set_base": 1, "set_count": 1}
     for _, after in pioemu.emulate(
         list(program),
@@ -481,8 +482,8 @@ _WORD = st.builds(word, st.integers(0, 1), st.integers(0, 5), st.integers(0, 90)
 
 @given(st.lists(_WORD, max_size=7), st.integers(4, 150))
 @some(20)
-def test_another_emulator_agrees_about_any_words(words: "list[int]", pulse: int) -> None:
-    """Every edge of STEP, up and down, in the very tick that programs.py states."""
+def test_another_emulator_agrees_on_random_words(words: "list[int]", pulse: int) -> None:
+    """Every edge of STEP, up and down, in the exact tick that programs.py states."""
     steps, ready = reckon(words, pulse)
     isr = pioemu.ShiftRegister(pulse - 3, 32)
     state = pioemu.State(transmit_fifo=deque(words), input_shift_register=isr)
@@ -492,17 +493,17 @@ def test_another_emulator_agrees_about_any_words(words: "list[int]", pulse: int)
         if after.pin_values >> 1 & 1 != level:
             level = 1 - level
             edges.append((after.clock, after.pin_values & 1))
-    # It tells the state behind an instruction; ours that in front of it.
+    # This emulator reports the state after an instruction; our model the state before it.
     assert [(tick - 1, way) for tick, way in edges[::2]] == steps
     assert {down[0] - up[0] for up, down in zip(edges[::2], edges[1::2], strict=True)} <= {pulse}
 
 
-def test_another_emulator_agrees_about_the_clock() -> None:
+def test_another_emulator_agrees_on_the_clock() -> None:
     lengths = [4, 5, 700, 4, 91]
     state = pioemu.State(transmit_fifo=deque(length - 4 for length in lengths))
     program = list(programs.clock[0])
     assert program[0] >> 13 == 6
-    program[0] = 0xA042  # it knows no interrupts: mov(y, y) instead, which takes a tick too
+    program[0] = 0xA042  # no interrupts in this emulator: mov(y, y) takes a tick too
     pulled = [
         after.clock
         for after in _emulated(program, state, sum(lengths) + 50)
@@ -514,7 +515,7 @@ def test_another_emulator_agrees_about_the_clock() -> None:
 
 
 @pytest.mark.parametrize("pulse", [4, 125, 3185])
-def test_another_emulator_agrees_about_what_is_forced_into_isr(pulse: int) -> None:
+def test_another_emulator_agrees_on_values_forced_into_isr(pulse: int) -> None:
     forced = [engine_state._CLEAR_ISR]
     for shift in (10, 5, 0):
         forced += [engine_state._SET_X | pulse >> shift & 31, engine_state._SHIFT_IN]

@@ -1,4 +1,4 @@
-"""Pins of the RP2040 on stand-ins, and what power-up says of a board file that cannot be right."""
+"""Pins of the RP2040 on stand-ins, and the power-up checks of a board file."""
 
 from collections.abc import Iterator
 from types import ModuleType, SimpleNamespace
@@ -37,7 +37,7 @@ def board(**changes: Any) -> ModuleType:
 
 @pytest.fixture(autouse=True)
 def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    # The interpreter of the chip says what it is; CPython's does not.
+    # The chip's interpreter names the chip; CPython's does not.
     monkeypatch.setattr(gpio.sys, "implementation", SimpleNamespace(_machine="with RP2040"))
     Pin.pins.clear()
     PWM.outputs.clear()
@@ -47,7 +47,7 @@ def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 class Heard:
-    """Counts what it is called for."""
+    """Count the calls of each callback."""
 
     def __init__(self) -> None:
         self.limits = self.controls = self.probe = self.faults = 0
@@ -80,12 +80,12 @@ def test_inputs_are_closed_when_pulled_to_ground() -> None:
     assert (port.limits(), port.controls(), port.probe()) == (2, 1, True)
 
 
-def test_inputs_that_are_not_wired_are_never_closed() -> None:
+def test_unwired_inputs_are_never_closed() -> None:
     port, _ = made(LIMIT=(), PROBE=None, CONTROL=(None,) * 4)
     assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
 
 
-def test_a_switch_is_heard_at_once_in_a_hard_interrupt() -> None:
+def test_a_switch_is_reported_at_once_in_a_hard_interrupt() -> None:
     _, heard = made()
     Pin(9).drive(0)
     Pin(14).drive(0)
@@ -93,7 +93,7 @@ def test_a_switch_is_heard_at_once_in_a_hard_interrupt() -> None:
     assert all(Pin(pin).hard for pin in (9, 10, 11, 12, 13, 14, 15))
 
 
-def test_an_input_that_axes_share_is_reported_for_each_and_heard_once() -> None:
+def test_a_shared_input_reports_each_axis_and_interrupts_once() -> None:
     port, heard = made(LIMIT=(9, 9, 11))
     pin_check.check(board(LIMIT=(9, 9, 11)), MOTORS)
     Pin(9).drive(0)
@@ -103,7 +103,7 @@ def test_an_input_that_axes_share_is_reported_for_each_and_heard_once() -> None:
     assert (port.limits(), heard.limits) == (0, 2)
 
 
-def test_limits_are_heard_only_where_they_are_wanted() -> None:
+def test_limits_interrupt_only_while_enabled() -> None:
     port, heard = made()
     port.enable_limits(False)
     Pin(9).drive(0)
@@ -113,7 +113,7 @@ def test_limits_are_heard_only_where_they_are_wanted() -> None:
     assert heard.limits == 1
 
 
-def test_interference_calls_once_in_a_while_and_leaves_the_others_alone() -> None:
+def test_interference_interrupts_rarely_and_blocks_no_other_input() -> None:
     port, heard = made()
     for _ in range(1000):
         Pin(9).drive(0)
@@ -121,16 +121,16 @@ def test_interference_calls_once_in_a_while_and_leaves_the_others_alone() -> Non
     assert (Pin(9).calls, heard.limits) == (1, 1)
     Pin(10).drive(0)
     assert heard.limits == 2
-    port._look_timer.expire()  # as at the last edge heard
+    port._look_timer.expire()  # same level as at the last reported edge
     assert heard.limits == 2
     Pin(9).drive(0)
     assert heard.limits == 3
     Pin(9).drive(1)
-    port._look_timer.expire()  # that was not heard, but seen
+    port._look_timer.expire()  # an edge without interrupt, found by the timer
     assert heard.limits == 4
 
 
-def test_nothing_is_heard_again_once_limits_are_not_wanted() -> None:
+def test_nothing_is_reported_after_limits_are_disabled() -> None:
     port, heard = made()
     Pin(9).drive(0)
     port.enable_limits(False)
@@ -141,7 +141,7 @@ def test_nothing_is_heard_again_once_limits_are_not_wanted() -> None:
 
 
 @pytest.mark.parametrize("invert", [0, 7])
-def test_a_limit_that_is_to_last_counts_if_it_is_closed_in_the_end(invert: int) -> None:
+def test_a_debounced_limit_counts_if_it_is_closed_at_the_end(invert: int) -> None:
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     port.limit_invert = invert
     at_rest, hit = (0, 1) if invert else (1, 0)
@@ -164,7 +164,7 @@ def test_pins_interrupt_before_all_others() -> None:
     assert machine.mem32[0xE000E40C] == 0x80804080
 
 
-def test_a_button_is_heard_at_once_and_a_storm_is_not() -> None:
+def test_a_button_is_reported_at_once_and_a_storm_is_not() -> None:
     port, heard = made()
     for _ in range(1000):
         Pin(13).drive(0)
@@ -173,14 +173,14 @@ def test_a_button_is_heard_at_once_and_a_storm_is_not() -> None:
     assert (Pin(13).calls, heard.controls) == (1, 2)
     Pin(13).drive(0)
     port._control_timer.expire()
-    assert heard.controls == 3  # what came in peace is not lost
+    assert heard.controls == 3  # the last edge is not lost
     port._control_timer.expire()
     assert (heard.controls, port._control_timer.callback) == (3, None)
     Pin(13).drive(1)
     assert heard.controls == 4
 
 
-def test_an_input_is_active_when_open_where_the_board_says_so() -> None:
+def test_an_input_is_active_when_open_if_the_board_says_so() -> None:
     port, _ = made(CONTROL_INVERT=0b011)
     assert port.controls() == 0b011
     for pin in (13, 14, 15):
@@ -188,7 +188,7 @@ def test_an_input_is_active_when_open_where_the_board_says_so() -> None:
     assert port.controls() == 0b100
 
 
-def test_the_emergency_stop_is_pressed_when_open_and_is_never_left_in_peace() -> None:
+def test_an_open_emergency_stop_is_reported_also_during_debounce() -> None:
     port, heard = made(ESTOP=22, CONTROL_DEBOUNCE_MS=20)
     assert port.estop is not None and port.estop()
     Pin(22).drive(0)
@@ -203,12 +203,12 @@ def test_the_emergency_stop_is_pressed_when_open_and_is_never_left_in_peace() ->
     assert port._control_timer.callback is None
 
 
-def test_no_emergency_stop_costs_nothing() -> None:
+def test_a_board_without_emergency_stop_has_none() -> None:
     port, _ = made()
     assert port.estop is None
 
 
-def test_a_bouncing_button_is_heard_once_and_again_when_it_has_changed() -> None:
+def test_a_bouncing_button_is_reported_once_and_again_after_a_change() -> None:
     port, heard = made(CONTROL_DEBOUNCE_MS=20)
     for level in (0, 1, 0, 1, 0):
         Pin(13).drive(level)
@@ -216,7 +216,7 @@ def test_a_bouncing_button_is_heard_once_and_again_when_it_has_changed() -> None
     port._control_timer.expire()
     assert heard.controls == 1
     Pin(13).drive(1)
-    Pin(14).drive(0)  # while the contacts of the other are at it
+    Pin(14).drive(0)  # while the contacts of the other still bounce
     assert heard.controls == 2
     port._control_timer.expire()
     assert heard.controls == 3
@@ -244,21 +244,21 @@ def test_a_probe_interrupts_only_while_it_is_watched() -> None:
     assert (Pin(12).calls, heard.probe) == (0, 0)
 
 
-def test_a_probe_that_touches_already_is_reported_at_once() -> None:
+def test_an_already_touching_probe_is_reported_at_once() -> None:
     port, heard = made()
     Pin(12).drive(0)
     port.watch_probe(heard.on_contact, True)
     assert heard.probe == 1
 
 
-def test_spindle_power_is_the_share_of_the_pulse() -> None:
+def test_spindle_power_sets_the_duty_cycle() -> None:
     port, _ = made(PWM_MAX=1000)
     for power, duty in ((0, 0), (1, 65), (500, 32767), (1000, 65535)):
         port.spindle(power > 0, power)
         assert (PWM.outputs[16].duty, Pin(19).value()) == (duty, int(power > 0))
 
 
-def test_safe_switches_all_off_that_could_do_harm() -> None:
+def test_safe_switches_off_all_dangerous_outputs() -> None:
     port, _ = made(MIST_PIN=20)
     port.spindle(True, 1000)
     port.coolant(3)
@@ -274,7 +274,7 @@ def test_motors_are_off_until_the_machine_enables_them() -> None:
     assert [Pin(pin).value() for pin in (8, 21, 22)] == [0, 0, 0]
 
 
-def test_an_extra_has_pins() -> None:
+def test_an_extra_can_add_pins() -> None:
     port, heard = made()
     port.add_pins((20, 21), (22, 26))
     port.watch_pins(heard.on_contact)
@@ -288,7 +288,7 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
     port, _ = made()
     assert port.watch(5000) is not None
     assert port.watch(0) is None
-    assert machine.mem32[0x4005B000] == 1 << 30  # CTRL's ENABLE, by the alias that clears
+    assert machine.mem32[0x4005B000] == 1 << 30  # CTRL.ENABLE, through the alias that clears bits
 
 
 @pytest.mark.parametrize(
@@ -309,14 +309,14 @@ def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:
         pin_check.check(board(**changes), MOTORS)
 
 
-def test_outputs_behind_shift_registers_are_no_pins() -> None:
+def test_outputs_of_shift_registers_are_not_pins() -> None:
     pins = engines()["i2s"].pins
     pin_check.check(board(STEP=(2, 3, 101), LIMIT=(2, 3, 4), I2S=(20, 21, 22)), pins)
     with pytest.raises(ValueError, match="PROBE: pin 21 is I2S already"):
         pin_check.check(board(PROBE=21, I2S=(20, 21, 22)), pins)
 
 
-def test_no_message_of_a_fault_can_be_taken_for_an_answer() -> None:
+def test_a_fault_message_cannot_be_taken_for_an_answer() -> None:
     try:
         raise ValueError("token: Error in [book], ok")
     except ValueError as fault:
