@@ -1,4 +1,4 @@
-"""Programs on a card: FAT has no step in which one file takes another's place."""
+"""Programs on a card: FAT cannot replace one file by another in a single step."""
 
 from micropython_runner import needs_micropython, run_micropython
 from ugrbl.paths import FIRMWARE
@@ -69,7 +69,7 @@ def content(files, name):
 
 
 def card_with(called, others):
-    # As a computer leaves it, with an umlaut in one name.
+    # Make a card as a computer does, with an umlaut in one name.
     image = bytearray(4096 * BLOCK)
     vfs.VfsFat.mkfs(Blocks(image))
     card = Card(image)
@@ -83,7 +83,7 @@ def card_with(called, others):
 
 
 def count(image):
-    # Blocks read and written as the new one comes.
+    # Count the blocks read and written while the new file is saved.
     card = Card(bytearray(image))
     files = files_on(card)
     files.mount()
@@ -95,8 +95,8 @@ def count(image):
     return card.blocks.done
 
 
-def behind(image, fault_at, is_cut):
-    # What is there when the power is back, or the card is looked at anew; and other files come.
+def after_fault(image, fault_at, is_cut):
+    # Return the file after power-up, or after the card is mounted again; then write other files.
     card = Card(bytearray(image))
     files = files_on(card)
     card.blocks.done, card.blocks.fault_at = 0, fault_at
@@ -130,13 +130,13 @@ for called, others in (("part.nc", range(0)), ("PART.NC", range(14))):
     card.unmount()
     blocks = count(image)
     for is_cut in (True, False):
-        found = {behind(image, fault_at, is_cut) for fault_at in range(blocks)}
+        found = {after_fault(image, fault_at, is_cut) for fault_at in range(blocks)}
         assert found == {OLD, NEW}, found
     print(blocks)
 """
 
 
 @needs_micropython
-def test_a_fault_at_any_block_leaves_the_old_file_or_the_new_and_all_others() -> None:
+def test_a_fault_at_any_block_leaves_the_old_or_the_new_file_and_all_others() -> None:
     printed = run_micropython(_SCRIPT, paths=[_HERE, FIRMWARE])
     assert all(int(count) > 30 for count in printed.split())

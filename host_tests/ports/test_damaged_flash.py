@@ -1,7 +1,7 @@
-"""What is kept is damaged in flash: the machine starts, has the copy before, and says so.
+"""Stored files are damaged in flash: the machine starts, uses the older copy, and reports it.
 
-Power cuts are not damage: test_flash_store.py. UGRBL_TORTURE starts a machine with every bit of
-every file flipped, and every file cut at every byte.
+Power cuts are not damage: see test_flash_store.py. UGRBL_TORTURE starts a machine with every bit
+of every file flipped, and with every file cut at every byte.
 """
 
 import os
@@ -29,7 +29,7 @@ from ports.storage.flash_store import FlashStore
 from test_bytes import PATHS
 from ugrbl.run.board_modules import complete
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 _BENCH = Path(__file__).parents[1] / "support" / "byte_bench.py"
@@ -38,7 +38,7 @@ _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a machine that has kept something under each name, twice."""
+    """Return the folder of a machine that has stored something under each name, twice."""
     complete()
     here = Path.cwd()
     folder = tmp_path_factory.mktemp("damage") / "board"
@@ -48,7 +48,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_machine_starts_with_the_copy_before_whatever_a_file_has_become(
+def test_a_machine_starts_with_the_older_copy_of_any_damaged_file(
     name: str, filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -58,7 +58,7 @@ def test_a_machine_starts_with_the_copy_before_whatever_a_file_has_become(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_no_damage_is_taken_for_what_was_kept(name: str, filled: Path, tmp_path: Path) -> None:
+def test_damage_is_always_detected(name: str, filled: Path, tmp_path: Path) -> None:
     files = kept_in(str(filled))
     now, old = files[f"{name}.txt"], files[f"{name}.old"]
     (tmp_path / f"{name}.old").write_bytes(old)
@@ -71,9 +71,7 @@ def test_no_damage_is_taken_for_what_was_kept(name: str, filled: Path, tmp_path:
 
 
 @pytest.mark.parametrize("kind", [".old", ".new"])
-def test_damage_to_other_copies_than_the_one_that_counts_does_nothing(
-    kind: str, filled: Path, tmp_path: Path
-) -> None:
+def test_damage_to_unused_copies_does_nothing(kind: str, filled: Path, tmp_path: Path) -> None:
     files = kept_in(str(filled))
     (tmp_path / "settings.txt").write_bytes(files["settings.txt"])
     whole = FlashStore(f"{tmp_path}/").load("settings")
@@ -83,7 +81,7 @@ def test_damage_to_other_copies_than_the_one_that_counts_does_nothing(
         assert store.load("settings") == whole and not store.damaged
 
 
-def test_a_file_of_somebody_elses_with_a_right_checksum_is_damage_if_it_is_no_text(
+def test_a_file_with_a_right_checksum_is_damaged_if_it_is_not_text(
     tmp_path: Path,
 ) -> None:
     text = b"$0=\xff\n"
@@ -92,7 +90,7 @@ def test_a_file_of_somebody_elses_with_a_right_checksum_is_damage_if_it_is_no_te
     assert store.load("settings") is None and store.damaged == {"settings": False}
 
 
-def test_what_is_damaged_is_reported_to_who_opens_the_port_later(
+def test_damage_is_reported_when_the_port_is_opened_later(
     filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -111,12 +109,12 @@ def test_what_is_damaged_is_reported_to_who_opens_the_port_later(
     assert b"[MSG:Damaged in flash: settings (older copy)]\r\n" in said
 
 
-def test_damage_to_custom_py_leaves_a_machine(
+def test_the_machine_works_with_a_damaged_custom_py(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     complete()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.dont_write_bytecode", True)  # or the one before would be run
+    monkeypatch.setattr("sys.dont_write_bytecode", True)  # or the older bytecode would run
     folder = str(tmp_path / "board")
     furnish(folder)
     start_with_damaged_custom(folder, Dice(4), 6)
@@ -124,8 +122,8 @@ def test_damage_to_custom_py_leaves_a_machine(
 
 @pytest.mark.thorough
 @needs_micropython
-def test_micropython_starts_with_the_copy_before(filled: Path, tmp_path: Path) -> None:
+def test_micropython_starts_with_the_older_copy(filled: Path, tmp_path: Path) -> None:
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
     said = run_micropython(_BENCH, "damage", folder, paths=PATHS)
-    assert said == f"{2 * len(NAMES) - 1}\n", "at the start, and once more with a reset"
+    assert said == f"{2 * len(NAMES) - 1}\n", "once at the start, and once more after a reset"

@@ -1,4 +1,4 @@
-"""The way back to the prompt, among the bytes of a sender."""
+"""The escape to the MicroPython prompt, among the bytes of a sender."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +9,7 @@ from ports.escape import Escape
 
 
 class Dupterm:
-    """MicroPython's second terminal: what is read from it comes behind what has arrived."""
+    """MicroPython's second terminal: it reads its stream after the bytes that have arrived."""
 
     def __init__(self) -> None:
         self.arrived = b""
@@ -34,7 +34,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Dupterm:
 
 
 def escapes(*pieces: bytes, at_rest: bool = True) -> bool:
-    """Whether these bytes, read in these pieces, lead to the prompt."""
+    """Return whether these bytes, read in these pieces, lead to the prompt."""
     closed: list[bool] = []
     escape = Escape(lambda: closed.append(True))
     escape.at_rest = lambda: at_rest
@@ -59,7 +59,9 @@ def escapes(*pieces: bytes, at_rest: bool = True) -> bool:
         (b"\r\x03", b"\r", b"\x03", b"\r", b"\x03\r"),
     ],
 )
-def test_the_prompt_is_asked_for(pieces: "tuple[bytes, ...]", terminal: Dupterm) -> None:
+def test_escape_sequences_lead_to_the_prompt(
+    pieces: "tuple[bytes, ...]", terminal: Dupterm
+) -> None:
     assert escapes(*pieces)
 
 
@@ -74,15 +76,17 @@ def test_the_prompt_is_asked_for(pieces: "tuple[bytes, ...]", terminal: Dupterm)
         (b"", b"G1X10F100\n"),
     ],
 )
-def test_other_bytes_do_not_lead_there(pieces: "tuple[bytes, ...]", terminal: Dupterm) -> None:
+def test_other_bytes_do_not_lead_to_the_prompt(
+    pieces: "tuple[bytes, ...]", terminal: Dupterm
+) -> None:
     assert not escapes(*pieces)
     assert terminal.arrived == b""
 
 
-def test_not_while_the_machine_moves(terminal: Dupterm) -> None:
+def test_escape_is_ignored_while_the_machine_moves(terminal: Dupterm) -> None:
     assert not escapes(b"\x03\x03\x03", at_rest=False)
 
 
-def test_the_prompt_reads_on_where_the_firmware_stops(terminal: Dupterm) -> None:
+def test_the_prompt_reads_the_bytes_after_the_escape(terminal: Dupterm) -> None:
     assert escapes(b"\r\x03\r\x01print(1)\r\x04")
     assert terminal.arrived == b"\x01print(1)\r\x04"

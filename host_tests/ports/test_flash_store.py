@@ -1,4 +1,4 @@
-"""The board's store on a real littlefs image, with the power cut at every write to flash."""
+"""The board's store on a real littlefs image, with a power cut at every write to flash."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OLD, NEW = ["$0=10", "$110=500.5"], ["$0=3", "$110=1000", "$999=1"]
 
 
 class Flash(littlefs.UserContext):
-    """A flash chip that remembers every operation that changes it."""
+    """A flash chip that records every operation that changes it."""
 
     def __init__(self, image: bytes | None = None) -> None:
         super().__init__(BLOCK * BLOCKS)
@@ -34,7 +34,7 @@ class Flash(littlefs.UserContext):
 
 
 def cut(image: bytes, log: list[tuple[int, bytes]], whole: int, torn: int) -> bytes:
-    """The chip after so many whole operations and `torn` bytes of the next."""
+    """Return the chip after `whole` complete operations and `torn` bytes of the next."""
     chip = bytearray(image)
     for at, data in log[:whole]:
         chip[at : at + len(data)] = data
@@ -45,7 +45,7 @@ def cut(image: bytes, log: list[tuple[int, bytes]], whole: int, torn: int) -> by
 
 
 class Files:
-    """`os` and `open` as the store sees them, on that chip."""
+    """`os` and `open` for the store, on that chip."""
 
     def __init__(self, flash: Flash, fresh: bool) -> None:
         self.fs = littlefs.LittleFS(
@@ -60,7 +60,7 @@ class Files:
             return self.fs.open(path, mode)
         except littlefs.LittleFSError as error:
             raise OSError(path) from error
-        except FileNotFoundError as error:  # which has no number here
+        except FileNotFoundError as error:  # it has no errno here
             raise OSError(errno.ENOENT, path) from error
 
     def rename(self, old: str, new: str) -> None:
@@ -74,7 +74,7 @@ def attach(monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False) -
     return FlashStore("/")
 
 
-def test_what_is_saved_is_loaded_and_the_copy_before_it_kept(
+def test_saved_text_is_loaded_and_the_older_copy_is_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     store = attach(monkeypatch, Flash(), fresh=True)
@@ -86,7 +86,7 @@ def test_what_is_saved_is_loaded_and_the_copy_before_it_kept(
     assert store.load("settings") == OLD
 
 
-def test_what_was_never_kept_is_reported_from_what_is_lost(
+def test_a_file_never_saved_differs_from_a_lost_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     store = attach(monkeypatch, Flash(), fresh=True)
@@ -115,7 +115,7 @@ def test_a_power_cut_in_the_first_write_leaves_a_new_board_or_the_settings(
     assert all(lines in ([], OLD) for lines in found)
 
 
-def test_a_power_cut_at_any_write_leaves_the_old_or_the_new(
+def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_text(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     first = Flash()
@@ -130,13 +130,13 @@ def test_a_power_cut_at_any_write_leaves_the_old_or_the_new(
             lines = attach(monkeypatch, left).load("settings")
             assert lines in (OLD, NEW), f"after {whole} operations and {torn} bytes"
             found.add(tuple(lines))
-    assert len(found) == 2, "the cuts fall on both sides of the change"
+    assert len(found) == 2, "cuts must fall on both sides of the change"
 
 
-def test_a_power_cut_in_a_save_after_a_power_cut_leaves_what_was_read_or_the_new(
+def test_a_second_power_cut_leaves_the_text_read_before_or_the_new_text(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """No copy that counts is written over."""
+    """A valid copy is never overwritten."""
     first, third = Flash(), ["$0=5"]
     attach(monkeypatch, first, fresh=True).save("settings", OLD)
     chip = Flash(bytes(first.buffer))
@@ -150,7 +150,7 @@ def test_a_power_cut_in_a_save_after_a_power_cut_leaves_what_was_read_or_the_new
         for later in range(len(again.log) + 1):
             left = attach(monkeypatch, Flash(cut(image, again.log, later, 0)))
             assert left.load("settings") in (there, third), (whole, later)
-            assert not left.damaged, "a power cut is no damage"
+            assert not left.damaged, "a power cut is not damage"
 
 
 class FullFile:
@@ -179,10 +179,10 @@ def test_a_full_flash_is_reported_and_loses_nothing(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("turn", [1, 2, 3])
-def test_memory_that_is_full_is_reported_as_flash_is(
+def test_full_memory_is_reported_like_full_flash(
     turn: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As a file is written, read back, or the one before it is."""
+    """While a file is written, while it is read back, while the older one is read."""
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
     working = flash_store.open  # type: ignore[attr-defined]
@@ -201,7 +201,7 @@ def test_memory_that_is_full_is_reported_as_flash_is(
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_a_write_is_reported_even_where_it_fails(
+def test_a_write_calls_both_hooks_even_if_it_fails(
     full: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     attach(monkeypatch, Flash(), fresh=True)

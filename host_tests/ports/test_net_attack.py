@@ -1,8 +1,8 @@
-"""Attacks on the network of a machine that works, at real sockets of the desktop MicroPython.
+"""Attacks on the network of a working machine, at real sockets of the desktop MicroPython.
 
 None of the attackers has the key. Each segment of each job is the same as without them; a client
-that has the key is answered, comes in again, and at last stops the machine. UGRBL_ATTACK: for so
-many seconds (600 is a good number), in place of some.
+that has the key is answered, reconnects, and finally stops the machine. UGRBL_ATTACK: seconds of
+attack (600 is a good number) instead of a few.
 """
 
 import itertools
@@ -31,9 +31,9 @@ _SECONDS = float(os.environ.get("UGRBL_ATTACK", "6"))
 _ROOT = Path(__file__).parents[2]
 _PATIENCE_S = 120.0
 _EACH_S = 0.004
-_LONGEST_US = 1_000_000  # lwIP would wait for up to ten seconds
+_LONGEST_US = 1_000_000  # lwIP would wait up to ten seconds
 _LWIP_BYTES = 8000
-_OPEN = 10  # sockets of an attacker
+_OPEN = 10  # sockets of each attacker
 _GREETED = b"for help]"
 
 
@@ -42,7 +42,7 @@ def _reset(made: socket.socket) -> None:
 
 
 class Attacker(threading.Thread):
-    """Connects from an address of its own, says what is its kind's, reads nothing, and goes."""
+    """Connect from its own address, send its kind of data, read nothing, and disconnect."""
 
     def __init__(self, number: int, port: int, says: "Iterator[bytes]") -> None:
         super().__init__(daemon=True)
@@ -56,7 +56,7 @@ class Attacker(threading.Thread):
         while not self.over.wait(_EACH_S):
             if len(self._open) < _OPEN and self._chance.random() < 0.3:
                 self._connect()
-            with suppress(OSError, IndexError):  # the board has hung up, as it should
+            with suppress(OSError, IndexError):  # the board may close the connection
                 self._chance.choice(self._open).send(next(self._says))
                 self.acts += 1
             if len(self._open) >= _OPEN and self._chance.random() < 0.1:
@@ -107,7 +107,7 @@ _BY_TCP: "tuple[Iterator[bytes], ...]" = (
 )
 _BY_HTTP: "tuple[Iterator[bytes], ...]" = (
     itertools.cycle([request("/"), request("/0"), request("/1"), request("/2?0000")]),
-    _bytes_of(request("/0")),  # as slowly as one likes
+    _bytes_of(request("/0")),  # byte by byte
     itertools.cycle([b"GET / HTTP/1.1\r\n", b"X-%d: y\r\n" % 7 * 50, b"z" * 3000]),
     itertools.cycle(
         [request("/", Host="evil.example"), request("/", Transfer_Encoding="chunked")]
@@ -128,7 +128,9 @@ _BY_HTTP: "tuple[Iterator[bytes], ...]" = (
 
 
 class Client(threading.Thread):
-    """Has the key. Asks for reports, comes anew now and then; at the end it holds the machine."""
+    """A client with the key: it polls reports, reconnects now and then, and holds the machine at
+    the
+    end."""
 
     def __init__(self, port: int) -> None:
         super().__init__(daemon=True)
@@ -190,7 +192,7 @@ def _machine(ports: "list[int]", folder: Path, seconds: float) -> "subprocess.Po
 
 
 def _has_said_last(machine: "subprocess.Popen[str]") -> None:
-    """From now on a hold ends it."""
+    """Wait until the machine says "last"; from now on a hold ends it."""
     assert machine.stdout
     line = machine.stdout.readline()
     assert line == "last\n", line + machine.stdout.read()
@@ -235,14 +237,14 @@ def test_attacks_change_no_segment_and_a_client_with_the_key_stops_the_machine(
     )
     print("acts:", [attacker.acts for attacker in attackers])
     assert set(digests) == usual and digests
-    assert held, "the machine has not heard a client that has the key"
+    assert held, "the machine did not hear the client with the key"
     assert longest_us < _LONGEST_US and most < _LWIP_BYTES
     assert client.reports > 5 * client.visits > 0
     assert all(attacker.acts > 10 for attacker in attackers)
 
 
 def _quiet(folder: Path) -> "set[str]":
-    """What the segments of a job are when nobody is there but a client that holds the last."""
+    """Return the segments' digests of a job without attackers, held at the end by a client."""
     ports = [free_port(), free_port()]
     machine = _machine(ports, folder, 2)
     _has_said_last(machine)

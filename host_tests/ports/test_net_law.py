@@ -1,8 +1,8 @@
-"""The law of the network, and of the page that it serves: motion does not feel them.
+"""The law of the network and of the served page: motion does not depend on them.
 
-The record of all segments is the same, to the tick, whatever callers do who do not have the key,
-and whatever those do who have it and do not drive, but for stops; and what the one who drives has
-sent before he was lost is done as if he were there.
+All segments are the same, to the tick, whatever clients without the key do, and whatever clients
+with the key do that are not in control, except stops. Lines that a controlling client sent before
+its connection was lost are executed as if it were still there.
 """
 
 import random
@@ -17,7 +17,7 @@ from net_bench import NetBench, Pipe
 from page_bench import CLOSE, PING, TEXT, WS_UPGRADE, PageBench, frame, request
 from ugrbl.run.tcp_link import HostCalls
 
-# Many cases of each: the first ring takes some. Machines are compared to the tick.
+# Many cases of each: the first ring runs a sample. Machines are compared to the tick.
 pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
 FAST = {
@@ -40,7 +40,7 @@ PROGRAM = [
     "M5",
 ]
 _WINDOW = 120
-_LATE_TICKS = 13_107  # one millisecond: as often the simulated loop turns
+_LATE_TICKS = 13_107  # one millisecond, a turn of the simulated loop
 _RUBBISH = (
     b"\xff\xfb\x18\xff\xfd\x03",
     b"G1X9F9000\n",
@@ -53,7 +53,7 @@ _RUBBISH = (
     bytes(range(256)) * 8,
     b"$$\n$G\n?",
 )
-# Of who has come for the page, or has opened a websocket.
+# Sent on connections to the page or to a websocket.
 _OF_BROWSERS = (
     *(request(f"/{path}") for path in ("", "0", "17", "9999", "../board.py")),
     *(request("/ws", **WS_UPGRADE, Host=host) for host in ("ugrbl.local", "evil.example")),
@@ -68,13 +68,16 @@ _OF_BROWSERS = (
     b"\x82\xff" + b"\xff" * 12,
     random.Random(1).randbytes(300),
 )
-_STOPS = b"!\x18\x84\x85"  # act, if a client with the key says them
+_STOPS = b"!\x18\x84\x85"  # take effect if a client with the key sends them
 _STRANGERS = range(2, 9)  # last numbers of addresses
 
 
 class Storm:
-    """Callers and visitors of the page without the key, at real sockets and in memory, and a
-    caller with the key, who stops nothing: an act each time. ports: by TCP, by HTTP."""
+    """Perform random acts of clients and page visitors without the key, at real sockets and in
+    memory,
+    and of one client with the key that stops nothing.
+
+    ports: TCP, HTTP."""
 
     def __init__(self, bench: NetBench, ports: "tuple[int, int]", seed: int) -> None:
         self.random = random.Random(seed)
@@ -91,12 +94,12 @@ class Storm:
         self.random.choice((*often, self.connect, self.say, self.watch))()
 
     def connect(self) -> None:
-        """Reconnect, never reading: half-open, as far as anybody can see."""
+        """Reconnect and never read: half-open, as far as the machine knows."""
         made = socket.socket()
         made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
         made.setblocking(False)
         made.bind((f"127.0.0.{self.random.choice(_STRANGERS)}", 0))
-        # In time, where many are in front of it.
+        # Mostly TCP, so that HTTP is reached in time although many wait there.
         tcp, http = self.ports
         made.connect_ex(("127.0.0.1", self.random.choice((tcp, tcp, tcp, http))))
         self.add(made)
@@ -107,7 +110,7 @@ class Storm:
             self.go()
 
     def call(self) -> None:
-        if self.bench.door.waiting:  # else those at sockets would never be seen to
+        if self.bench.door.waiting:  # else the clients at sockets would never be accepted
             self.go()
             return
         pipe = self.bench.call(f"10.0.0.{self.random.choice(_STRANGERS)}")
@@ -115,15 +118,15 @@ class Storm:
         self.add(pipe)
 
     def watch(self) -> None:
-        """One, for nobody takes the place of who has the key."""
+        """Connect one client with the key; its place is never taken by another."""
         if self.watcher not in self.open and not self.bench.door.waiting:
             self.watcher = self.bench.call()
             self.watcher.room = self.random.choice((50, 5000, 50_000))
             self.add(self.watcher)
 
     def visit(self) -> None:
-        """A page is loaded anew, and its websocket opened again."""
-        if self.bench.visits.waiting:  # else they would be seen to when all is over
+        """Load the page again, or open its websocket again."""
+        if self.bench.visits.waiting:  # else they would be accepted only at the very end
             self.go()
             return
         pipe = self.bench.visit(self.random.choice(("10.0.0.9", "10.0.0.1")))
@@ -149,11 +152,11 @@ class Storm:
             return
         caller = self.open.pop(self.random.randrange(len(self.open)))
         if isinstance(caller, Pipe):
-            # Visitors that end in other ways are held in memory for ten seconds.
+            # Memory of visitors that end in other ways stays reserved for ten seconds.
             ways = ((1, 0),) if caller in self.visitors else ((1, 0), (0, 1), (0, 0))
             caller.is_broken, caller.has_hung_up = self.random.choice(ways)
             return
-        if self.random.random() < 0.5:  # a reset, not an end
+        if self.random.random() < 0.5:  # a reset, not a normal end
             caller.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         caller.close()
 
@@ -164,7 +167,7 @@ class Storm:
 
 
 class Reloads:
-    """A page that is loaded again and again, each time to the end and to its websocket."""
+    """Load a page again and again, each time to its end and to its websocket."""
 
     def __init__(self, bench: PageBench) -> None:
         self.bench = bench
@@ -193,7 +196,7 @@ class Reloads:
 
 
 def stream(bench: NetBench, put: Any, answers: Any, events: "dict[int, str]") -> Iterator[Any]:
-    """Count characters as a sender does; events: bytes at their ms. Ends where nothing moves."""
+    """Stream with character counting; events: bytes by their ms. End when the program is done."""
     left, sent = list(PROGRAM), []
     begun, done = bench.rig.now, 0
     due = [(bench.rig.ms(ms), what) for ms, what in sorted(events.items())]
@@ -213,7 +216,7 @@ def stream(bench: NetBench, put: Any, answers: Any, events: "dict[int, str]") ->
             line = left.pop(0) + "\n"
             put(line)
             sent.append(len(line))
-        assert bench.rig.now < begun + 60_000 * bench.rig.ticks_per_ms, "it does not end"
+        assert bench.rig.now < begun + 60_000 * bench.rig.ticks_per_ms, "the program does not end"
         yield min(bench.rig.ms(1), due[0][0]) if due else bench.rig.ms(1)
 
 
@@ -226,8 +229,11 @@ def record(
     each_ms: int = 2,
     reloads: bool = False,
 ) -> "tuple[Any, ...]":
-    """All segments of the program, where the motors stand, and the state; with a storm of that
-    seed, or none. by: where who drives is; reloads: of the page, all the time."""
+    """Return all segments of the program, and the final state and motor positions.
+
+    seed: of the storm, None without a storm. by: the controlling client's connection. reloads:
+    load
+    the page all the time."""
     real, visits, folder = HostCalls(), HostCalls(), TemporaryDirectory()
     bench = PageBench(monkeypatch, Path(folder.name), FAST, real, visits)
     storm = Storm(bench, (real.port, visits.port), seed or 0)
@@ -279,7 +285,7 @@ def record(
             if seed is not None and ms % each_ms == 0:
                 storm.act()
             if ms % 500 == 0:
-                put("?")  # as senders do: who has gone silent drives no more
+                put("?")  # as senders do: a silent client loses control
             yield bench.rig.ms(1)
         rows.extend((start - begun, row) for start, row in bench.rows)
         state.append((bench.rig.controller.state.run, bench.steps()))
@@ -292,20 +298,21 @@ def record(
     folder.cleanup()
     if seed is not None:
         assert storm.acts > 500
-        # Two pieces that nobody proves to have read take the page's memory, for ten seconds.
+        # Two pieces whose reading nobody has proved take the page's memory for ten seconds.
         assert len([1 for pipe in storm.visitors if pipe.got]) > 1
     return rows, state
 
 
 def ended(found: "tuple[Any, ...]") -> int:
-    """When the last segment was over, or cut short."""
+    """Return the end of the last segment, or where it was cut short."""
     start, row = found[0][-1]
     return int(start + row[0])
 
 
 def stretches(found: "tuple[Any, ...]") -> "tuple[Any, ...]":
-    """Without how long the motors stand still in between, as for M3: what comes over the network
-    then comes a turn of the main loop sooner or later."""
+    """Remove the length of pauses between motions, as for M3.
+
+    After a pause, network data is read a turn of the main loop earlier or later."""
     rows, end = [], 0
     for start, row in found[0]:
         rows.append((start == end, row))
@@ -336,7 +343,7 @@ EVENTS = [
 @pytest.mark.parametrize("events", EVENTS, ids=["through", "held", "late", "reset", "limit"])
 @pytest.mark.parametrize("by", ["cable", "network", "page"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_storm_of_callers_changes_no_segment(
+def test_a_storm_of_clients_changes_no_segment(
     monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by: str, seed: int
 ) -> None:
     usual = quiet(monkeypatch, events, by)
@@ -349,7 +356,7 @@ def test_a_storm_of_callers_changes_no_segment(
         assert stretches(found) == stretches(usual)
         assert abs(ended(found) - ended(usual)) < 5 * _LATE_TICKS
         return
-    # It comes behind lines on a wire, and when those were sent is the sender's affair.
+    # The reset comes after lines on the wire; when those were sent depends on the sender.
     cut = min(len(found[0]), len(usual[0])) - 2
     assert cut > 100 and found[0][:cut] == usual[0][:cut]
     assert abs(ended(found) - ended(usual)) < _LATE_TICKS
@@ -357,7 +364,7 @@ def test_a_storm_of_callers_changes_no_segment(
 
 @pytest.mark.parametrize("by", ["cable", "network", "page"])
 @pytest.mark.parametrize("events", EVENTS[:2], ids=["through", "held"])
-def test_pages_that_are_loaded_change_no_segment(
+def test_loading_pages_changes_no_segment(
     monkeypatch: pytest.MonkeyPatch, by: str, events: "dict[int, str]"
 ) -> None:
     found = record(monkeypatch, events, by=by, seed=None, reloads=True)
@@ -367,10 +374,10 @@ def test_pages_that_are_loaded_change_no_segment(
 @pytest.mark.sampled(2, 12)
 @pytest.mark.parametrize("lost_ms", [*range(0, 260, 13), 400, 700, 1100])
 @pytest.mark.parametrize("how", ["silent", "reset", "end"])
-def test_of_who_is_lost_all_whole_lines_are_done(
+def test_all_complete_lines_of_a_lost_client_are_executed(
     monkeypatch: pytest.MonkeyPatch, lost_ms: int, how: str
 ) -> None:
-    """As if he had sent so many lines and no more."""
+    """The same result as if the client had sent exactly the lines up to then."""
 
     def run(lost: bool) -> "tuple[Any, ...]":
         bench = NetBench(monkeypatch, FAST)
@@ -387,7 +394,7 @@ def test_of_who_is_lost_all_whole_lines_are_done(
                 if bench.rig.now >= begun + lost_ms * bench.rig.ticks_per_ms:
                     break
                 yield wake
-            yield bench.rig.ms(12)  # what has been sent has come
+            yield bench.rig.ms(12)  # the bytes sent have arrived
             if lost:
                 driver.send("G1X9F9")  # half a line
                 yield bench.rig.ms(12)

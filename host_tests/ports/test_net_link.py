@@ -1,4 +1,5 @@
-"""The network's link: who drives, who reads, what each is told, and who is let go."""
+"""The network link: which client controls, which only reads, what each receives, which is
+dropped."""
 
 import pytest
 from net_bench import KEY, WELCOME, NetBench, connected, joined
@@ -10,7 +11,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
     return NetBench(monkeypatch)
 
 
-def test_who_calls_is_welcomed_and_drives_with_a_first_line(bench) -> None:
+def test_a_client_is_welcomed_and_takes_control_with_its_first_line(bench) -> None:
     def script(bench):
         pipe = yield from joined(bench)
         answer = yield from bench.ask(pipe, "G1X2F600\n")
@@ -19,13 +20,13 @@ def test_who_calls_is_welcomed_and_drives_with_a_first_line(bench) -> None:
         pipe.send("?")
         yield from bench.until(lambda: b">" in pipe.got)
         assert "MPos:2.000,0.000" in pipe.take()
-        assert bench.sender.take() == []  # the cable has not asked
+        assert bench.sender.take() == []  # the cable's sender has asked nothing
 
     bench.run(script)
     assert bench.steps() == [500, 0, 0]
 
 
-def test_a_sender_at_the_cable_is_answered_as_if_nobody_had_called(bench) -> None:
+def test_the_cable_sender_gets_its_answers_while_clients_are_connected(bench) -> None:
     def script(bench):
         pipe = yield from joined(bench)
         yield from bench.sender.wait("ok", "$G\n")
@@ -39,7 +40,7 @@ def test_a_sender_at_the_cable_is_answered_as_if_nobody_had_called(bench) -> Non
     bench.run(script)
 
 
-def test_a_watcher_is_answered_his_question_and_nobody_else_is(bench) -> None:
+def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
     def script(bench):
         one, two = bench.call(), bench.call()
         yield from connected(bench, one)
@@ -54,7 +55,7 @@ def test_a_watcher_is_answered_his_question_and_nobody_else_is(bench) -> None:
 
 
 @pytest.mark.parametrize("line", ["$G\n", "$#\n", "$I\n", "$N\n", "$$\n"])
-def test_what_a_client_has_asked_for_reaches_no_other(bench, line: str) -> None:
+def test_an_answer_goes_only_to_the_client_that_asked(bench, line: str) -> None:
     def script(bench):
         one = yield from joined(bench)
         two = bench.call()
@@ -69,7 +70,7 @@ def test_what_a_client_has_asked_for_reaches_no_other(bench, line: str) -> None:
 
 
 @pytest.mark.parametrize("line", ["G1X1F100\n", "$H\n", "$J=G91X1F100\n", "$110=7\n", "$RST=*\n"])
-def test_without_the_key_nothing_is_done(bench, line: str) -> None:
+def test_without_the_key_no_command_is_executed(bench, line: str) -> None:
     def script(bench):
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
@@ -85,7 +86,7 @@ def test_without_the_key_nothing_is_done(bench, line: str) -> None:
     assert bench.steps() == [0, 0, 0] and bench.rows == []
 
 
-def test_without_the_key_a_sender_comes_through_its_greeting(bench) -> None:
+def test_without_the_key_a_sender_completes_its_start_queries(bench) -> None:
     def script(bench):
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
@@ -99,7 +100,7 @@ def test_without_the_key_a_sender_comes_through_its_greeting(bench) -> None:
     bench.run(script)
 
 
-def test_with_the_key_everything_is_done_and_each_connection_says_it(bench) -> None:
+def test_with_the_key_commands_are_executed_and_each_connection_must_send_it(bench) -> None:
     def script(bench):
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
@@ -117,7 +118,7 @@ def test_with_the_key_everything_is_done_and_each_connection_says_it(bench) -> N
     assert bench.steps() == [500, 0, 0]
 
 
-def test_a_machine_without_a_key_trusts_nobody(bench) -> None:
+def test_a_machine_without_a_key_trusts_no_client(bench) -> None:
     def script(bench):
         bench.rig.link.access.secret = ""
         pipe = bench.call("10.0.0.1")
@@ -127,7 +128,7 @@ def test_a_machine_without_a_key_trusts_nobody(bench) -> None:
     bench.run(script)
 
 
-def test_lines_of_two_are_never_mixed(bench) -> None:
+def test_lines_of_two_clients_are_never_mixed(bench) -> None:
     def script(bench):
         one, two = bench.call(), bench.call()
         yield from connected(bench, one)
@@ -144,14 +145,16 @@ def test_lines_of_two_are_never_mixed(bench) -> None:
     assert bench.steps() == [1250, 0, 0]
 
 
-def test_at_rest_another_may_drive_when_the_first_has_been_silent(bench) -> None:
+def test_another_client_may_take_control_if_the_first_is_silent_and_the_machine_idle(
+    bench,
+) -> None:
     def script(bench):
         one, two = bench.call(), bench.call()
         yield from connected(bench, one)
         yield from connected(bench, two)
         assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
         for _ in range(6):
-            one.send("?")  # it is there, and says no line
+            one.send("?")  # a status request is not a line
             yield from bench.wait(1000)
         one.take()
         assert (yield from bench.ask(two, "G1X2\n")) == "ok\r\n"
@@ -164,11 +167,13 @@ def test_at_rest_another_may_drive_when_the_first_has_been_silent(bench) -> None
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84", "\x85"])
 @pytest.mark.parametrize("by", ["cable", "key"])
-def test_stops_act_anyone_who_is_in_control(bench, byte: str, by: str) -> None:
+def test_stops_act_from_the_cable_and_with_the_key_whoever_controls(
+    bench, byte: str, by: str
+) -> None:
     def script(bench):
         stranger = bench.call("10.0.0.1")
         yield from connected(bench, stranger)
-        yield from bench.ask(stranger, "$$\n")  # which makes it no client that controls
+        yield from bench.ask(stranger, "$$\n")  # reading does not give it control
         pipe, other = (yield from joined(bench)), (yield from joined(bench))
         line = "$J=G91X50F300\n" if byte == "\x85" else "G1X50F300\n"
         assert (yield from bench.ask(pipe, line)) == "ok\r\n"
@@ -185,8 +190,8 @@ def test_stops_act_anyone_who_is_in_control(bench, byte: str, by: str) -> None:
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84"])
-def test_stops_act_after_a_client_that_never_ceases_to_send(bench, byte: str) -> None:
-    """The client in control floods its connection."""
+def test_stops_act_while_another_client_floods_its_connection(bench, byte: str) -> None:
+    """The flooding client is the one in control."""
 
     def script(bench):
         one, two = (yield from joined(bench)), (yield from joined(bench))
@@ -209,14 +214,14 @@ def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
             assert bench.rig.link.control.driver is None
         one = yield from joined(bench)
         assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
-        yield from bench.wait(7000)  # at rest, and silent
+        yield from bench.wait(7000)  # idle, and silent
         assert (yield from bench.ask(stranger, "$G\n")).endswith("error:9\r\n")
         assert "Somebody else" not in one.take()
 
     bench.run(script)
 
 
-def test_of_who_hangs_up_in_the_middle_of_a_line_the_line_is_forgotten(bench) -> None:
+def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
     def script(bench):
         one = yield from joined(bench)
         assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
@@ -228,10 +233,10 @@ def test_of_who_hangs_up_in_the_middle_of_a_line_the_line_is_forgotten(bench) ->
         yield from bench.wait(3000)
 
     bench.run(script)
-    assert bench.steps() == [500, 250, 0]  # what was whole has been done
+    assert bench.steps() == [500, 250, 0]  # the complete line was executed
 
 
-def test_answers_to_one_who_has_gone_are_nobody_elses(bench) -> None:
+def test_answers_to_a_closed_connection_go_to_no_other_client(bench) -> None:
     def script(bench):
         one = yield from joined(bench)
         one.send("G4P2\nG1X1F600\nG1X2\n")
@@ -248,7 +253,7 @@ def test_answers_to_one_who_has_gone_are_nobody_elses(bench) -> None:
     assert bench.steps() == [1000, 0, 0]
 
 
-def test_a_jog_ends_where_its_sender_goes_and_a_program_does_not(bench) -> None:
+def test_a_jog_ends_when_its_client_disconnects_and_a_program_continues(bench) -> None:
     def script(bench):
         one = yield from joined(bench)
         assert (yield from bench.ask(one, "$J=G91X50F300\n")) == "ok\r\n"
@@ -267,18 +272,18 @@ def test_a_jog_ends_where_its_sender_goes_and_a_program_does_not(bench) -> None:
     bench.run(script)
 
 
-def test_who_comes_back_to_a_machine_in_motion_can_go_on_with_it(bench) -> None:
+def test_a_reconnected_client_can_resume_a_moving_machine(bench) -> None:
     def script(bench):
         one = yield from joined(bench)
         assert (yield from bench.ask(one, "G1X5F600\n")) == "ok\r\n"
         yield from bench.wait(100)
-        # Wi-Fi is lost: nothing comes, and nothing tells of it.
+        # Wi-Fi is lost: no bytes come, and the machine is not notified.
         two = yield from joined(bench)
         two.send("!")
         yield from bench.wait(100)
         two.send("~")
         yield from bench.wait(100)
-        assert bench.rig.controller.state.run == 16  # the first may be there still
+        assert bench.rig.controller.state.run == 16  # the first client may still be there
         yield from bench.wait(3000)
         two.send("~")
         yield from bench.wait(2000)
@@ -287,7 +292,7 @@ def test_who_comes_back_to_a_machine_in_motion_can_go_on_with_it(bench) -> None:
     assert bench.steps() == [1250, 0, 0]
 
 
-def test_who_does_not_read_is_let_go_and_nobody_waits_for_him(bench) -> None:
+def test_a_client_that_does_not_read_is_dropped_without_blocking_others(bench) -> None:
     def script(bench):
         pipe = yield from joined(bench)
         pipe.room = 100
@@ -302,7 +307,7 @@ def test_who_does_not_read_is_let_go_and_nobody_waits_for_him(bench) -> None:
     bench.run(script)
 
 
-def test_no_more_is_on_its_way_to_who_is_not_heard_of_than_there_is_memory_for(bench) -> None:
+def test_output_to_a_silent_client_stays_within_memory(bench) -> None:
     def script(bench):
         pipe = yield from joined(bench)
         for _ in range(100):
@@ -313,7 +318,7 @@ def test_no_more_is_on_its_way_to_who_is_not_heard_of_than_there_is_memory_for(b
     bench.run(script)
 
 
-def test_bytes_that_make_no_sense_do_nothing(bench) -> None:
+def test_random_bytes_without_the_key_do_nothing(bench) -> None:
     def script(bench):
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
@@ -326,7 +331,7 @@ def test_bytes_that_make_no_sense_do_nothing(bench) -> None:
     assert bench.rows == []
 
 
-def test_ctrl_c_leads_nobody_on_the_network_to_the_prompt(bench) -> None:
+def test_ctrl_c_over_the_network_never_leads_to_the_prompt(bench) -> None:
     def script(bench):
         pipe = yield from joined(bench)
         assert (yield from bench.ask(pipe, "\x03\x03\x03\x01$G\n")).endswith("ok\r\n")
@@ -334,7 +339,7 @@ def test_ctrl_c_leads_nobody_on_the_network_to_the_prompt(bench) -> None:
     bench.run(script)
 
 
-def test_with_the_last_caller_gone_the_cable_is_read_without_a_look(bench) -> None:
+def test_the_cable_is_read_directly_after_the_last_client_has_gone(bench) -> None:
     def script(bench):
         link = bench.rig.link
         assert link._is_plain
@@ -350,8 +355,9 @@ def test_with_the_last_caller_gone_the_cable_is_read_without_a_look(bench) -> No
     assert bench.steps() == [500, 0, 0]
 
 
-def test_who_opens_the_port_is_greeted_and_nobody_else(bench) -> None:
-    """The cable's own link tells of it, and asks for the welcome (ports/usb/usb_link.py)."""
+def test_only_the_cable_is_greeted_when_its_port_is_opened(bench) -> None:
+    """The cable's own link reports the opening and asks for the welcome
+    (ports/usb/usb_link.py)."""
 
     def script(bench):
         pipe = yield from joined(bench)
@@ -373,31 +379,31 @@ def test_who_opens_the_port_is_greeted_and_nobody_else(bench) -> None:
     bench.run(script)
 
 
-def test_who_is_let_go_in_the_middle_of_what_he_says_does_not_drive(bench) -> None:
+def test_a_client_dropped_in_the_middle_of_its_lines_loses_control(bench) -> None:
     def script(bench):
         one, two = bench.call(), bench.call()
         yield from connected(bench, one)
         yield from connected(bench, two)
         assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
         for _ in range(6):
-            one.send("?")  # it says no line: another may drive
+            one.send("?")  # no line: another client may take control
             yield from bench.wait(1000)
         two.room = 0
-        two.send("$NETKEY=\n" * 17 + "M9\n")  # refused, as long as there is room for answers
+        two.send("$NETKEY=\n" * 17 + "M9\n")  # refused, as long as there is space for answers
         yield from bench.until(lambda: two.is_closed)
         assert (yield from bench.ask(one, "G1X2\n")) == "ok\r\n"
 
     bench.run(script)
 
 
-def test_lines_of_who_comes_while_others_are_done_are_all_done(bench) -> None:
+def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -> None:
     def script(bench):
         one = yield from joined(bench)
         one.send("G4P1.5\n")
         yield from bench.wait(100)
         one.has_hung_up = True
         two = yield from joined(bench)
-        two.send("G91\n" + "G1X0.1F600\n" * 11)  # 125 bytes, as who counts
+        two.send("G91\n" + "G1X0.1F600\n" * 11)  # 125 bytes, as with character counting
         yield from bench.wait(5000)
         assert two.take().count("ok\r\n") == 12
 
@@ -405,7 +411,7 @@ def test_lines_of_who_comes_while_others_are_done_are_all_done(bench) -> None:
     assert bench.steps() == [275, 0, 0]
 
 
-def test_a_long_answer_comes_whole(bench) -> None:
+def test_a_long_answer_arrives_complete(bench) -> None:
     def script(bench):
         pipe = yield from joined(bench)
         machine = bench.rig.controller
@@ -419,7 +425,7 @@ def test_a_long_answer_comes_whole(bench) -> None:
 
 
 def silent_owner_and_other(bench, sends=""):
-    """A client in control that has been silent for 6 s, at last after `sends`; and another."""
+    """Return a client in control that is silent for 6 s after `sends`, and another client."""
     one, two = (yield from joined(bench)), (yield from joined(bench))
     yield from bench.ask(one, "G91G1X1F60000\n")
     one.send(sends)
@@ -427,7 +433,7 @@ def silent_owner_and_other(bench, sends=""):
     return one, two
 
 
-def test_a_client_that_polls_neither_takes_control_nor_keeps_it(bench) -> None:
+def test_a_polling_client_neither_takes_nor_loses_control(bench) -> None:
     def script(bench):
         one, two = (yield from joined(bench)), (yield from joined(bench))
         for k in range(4):
@@ -437,13 +443,13 @@ def test_a_client_that_polls_neither_takes_control_nor_keeps_it(bench) -> None:
                 heard = yield from bench.ask(two, line)
                 assert "error" not in heard and heard.count("ok\r\n") == line.count("\n")
             assert one.take() == ""
-        # It has driven nothing: what it polls does not make the machine its own.
+        # The polling client executed nothing: it does not own the machine.
         assert bench.rig.link.control.owner.conn is one
 
     bench.run(script)
 
 
-def test_a_line_after_one_that_reads_takes_control_and_loses_no_answer(bench) -> None:
+def test_a_command_after_a_query_takes_control_and_loses_no_answer(bench) -> None:
     def script(bench):
         one, two = yield from silent_owner_and_other(bench)
         two.send("$G\nG91G1X1\n")
@@ -453,8 +459,8 @@ def test_a_line_after_one_that_reads_takes_control_and_loses_no_answer(bench) ->
     bench.run(script)
 
 
-def test_lines_of_the_client_in_control_wait_while_another_reads(bench) -> None:
-    """Wherever they meet: all are done, and answered to the client that has sent them."""
+def test_lines_of_the_controlling_client_wait_while_another_reads(bench) -> None:
+    """At any delay: all lines are executed, and answered to the client that sent them."""
 
     def script(bench):
         one, two = (yield from joined(bench)), (yield from joined(bench))
@@ -474,7 +480,7 @@ def test_lines_of_the_client_in_control_wait_while_another_reads(bench) -> None:
     bench.run(script)
 
 
-def test_a_reader_that_goes_leaves_control_where_it_was(bench) -> None:
+def test_a_reader_that_disconnects_does_not_change_control(bench) -> None:
     def script(bench):
         one, two = yield from silent_owner_and_other(bench)
         two.send("$$\n")
@@ -486,7 +492,7 @@ def test_a_reader_that_goes_leaves_control_where_it_was(bench) -> None:
     bench.run(script)
 
 
-def test_an_answer_that_is_late_is_the_owners_though_another_reads_meanwhile(bench) -> None:
+def test_a_late_answer_goes_to_the_owner_although_another_reads(bench) -> None:
     def script(bench):
         one, two = yield from silent_owner_and_other(bench, "G4P7\n")
         two.send("$G\n")
@@ -496,7 +502,7 @@ def test_an_answer_that_is_late_is_the_owners_though_another_reads_meanwhile(ben
     bench.run(script)
 
 
-def test_a_line_that_has_begun_is_not_broken_by_one_that_reads(bench) -> None:
+def test_a_begun_line_is_not_broken_by_a_reading_client(bench) -> None:
     def script(bench):
         one, two = yield from silent_owner_and_other(bench, "G1 X")
         assert "error:9" in (yield from bench.ask(two, "$G\n"))
@@ -505,7 +511,7 @@ def test_a_line_that_has_begun_is_not_broken_by_one_that_reads(bench) -> None:
     bench.run(script)
 
 
-def test_a_jog_ends_when_its_client_goes_while_another_reads(bench) -> None:
+def test_a_jog_ends_when_its_client_disconnects_while_another_reads(bench) -> None:
     def script(bench):
         one, two = yield from silent_owner_and_other(bench)
         two.send("$$\n")
@@ -518,7 +524,7 @@ def test_a_jog_ends_when_its_client_goes_while_another_reads(bench) -> None:
     bench.run(script)
 
 
-def test_one_without_the_key_keeps_nobody_from_the_machine(bench) -> None:
+def test_a_client_without_the_key_blocks_no_other_client(bench) -> None:
     """However often it reads."""
 
     def script(bench):

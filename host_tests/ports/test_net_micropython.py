@@ -1,5 +1,5 @@
-"""The network's link, and the page, under the desktop MicroPython, with its sockets and real
-callers."""
+"""The network link, and the page, under the desktop MicroPython with its sockets and real
+clients."""
 
 import gzip
 import http.client
@@ -23,10 +23,10 @@ from ugrbl.paths import FIRMWARE, TOOLS
 pytestmark = [needs_micropython, pytest.mark.thorough]
 
 _LINES = 120
-_LONGEST_US = 100_000  # a turn, on a computer that does other things as well
+_LONGEST_US = 100_000  # one turn, on a computer that also does other things
 _STEP_S = 0.003
 
-# A machine that answers each line, and a question with a report; ends with a line END.
+# A machine that answers each line, and a "?" with a report; it ends after a line END.
 _MACHINE = """
 import json, sys, time
 from array import array
@@ -83,10 +83,10 @@ print(json.dumps([longest, turns, [line.decode() for line in lines]]))
 
 
 class Board:
-    """The machine above, listening for clients until it reads END."""
+    """Run the machine above, listening for clients until it reads END."""
 
     def __init__(self, listening: int, *arguments: object) -> None:
-        placed_firmware()  # may take long: not while a caller waits
+        placed_firmware()  # may take long: do it before a client waits
         pool = ThreadPoolExecutor(1)
         self.ended = pool.submit(run_micropython, _MACHINE, *arguments, paths=[FIRMWARE])
         pool.shutdown(wait=False)
@@ -99,7 +99,7 @@ class Board:
             return caller.connect_ex(("127.0.0.1", port)) == 0
 
     def check(self, answers: list[str]) -> None:
-        """Every line came once, in order, was answered, and no turn took long."""
+        """Check that every line came once, in order, was answered, and that no turn took long."""
         longest, turns, lines = json.loads(self.ended.result(60))
         assert lines == [*(f"G1X{number}" for number in range(_LINES)), "END"]
         assert answers.count("ok") >= _LINES + 1 and "error:9" not in answers
@@ -115,7 +115,7 @@ _RUBBISH = (b"?" * 99, b"G1X9\n", bytes(range(256)))
 
 
 def storm(port: int, over: threading.Event, rubbish: "tuple[bytes, ...]" = _RUBBISH) -> None:
-    """Connect, say rubbish, read nothing, hang up or reset, again and again."""
+    """Connect, send rubbish, read nothing, hang up or reset, again and again."""
     chance = random.Random(port)
     there: list[socket.socket] = []
     while not over.is_set():
@@ -128,7 +128,7 @@ def storm(port: int, over: threading.Event, rubbish: "tuple[bytes, ...]" = _RUBB
         try:
             chance.choice(there).send(chance.choice(rubbish))
         except OSError:
-            pass  # the board has hung up, as it should
+            pass  # the board has closed the connection, as it should
         while len(there) > 8:
             gone = there.pop(chance.randrange(len(there)))
             if chance.random() < 0.5:
@@ -137,7 +137,7 @@ def storm(port: int, over: threading.Event, rubbish: "tuple[bytes, ...]" = _RUBB
 
 
 def drive(port: int, out: list[str]) -> None:
-    """Say the key, then lines, each when the one before is answered, with questions between."""
+    """Send the key, then lines, each after the answer to the one before, with "?" in between."""
     caller = connected(port)
     answers = lines_of(caller)
     for line in ["$NET/KEY=23456789", *(f"G1X{number}" for number in range(_LINES)), "END"]:
@@ -159,14 +159,14 @@ def lines_of(caller: socket.socket) -> Iterator[str]:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("stormy", [False, True], ids=["quiet", "storm"])
-def test_lines_arrive_whole_and_in_order_and_no_turn_waits(port: int, stormy: bool) -> None:
+def test_lines_arrive_complete_and_in_order_and_no_turn_blocks(port: int, stormy: bool) -> None:
     board = Board(port, port)
     over, answers = threading.Event(), list[str]()
     threads = [threading.Thread(target=drive, args=(port, answers))]
     if stormy:
         threads.append(threading.Thread(target=storm, args=(port, over)))
     threads[0].start()
-    time.sleep(0.5)  # before the storm it finds a place
+    time.sleep(0.5)  # connect before the storm takes all places
     for thread in threads[1:]:
         thread.start()
     threads[0].join(60)
@@ -188,7 +188,7 @@ _OF_VISITORS = (
 
 
 def _get(connection: http.client.HTTPConnection, path: str) -> "tuple[bytes, str]":
-    """What lies there, and the path of what comes after it."""
+    """Return the content at a path, and the path of the next piece."""
     connection.request("GET", path)
     answer = connection.getresponse()
     assert answer.status == 200
@@ -196,7 +196,7 @@ def _get(connection: http.client.HTTPConnection, path: str) -> "tuple[bytes, str
 
 
 def whole_page(port: int) -> bytes:
-    """As the first page fetches it."""
+    """Fetch all pieces as the first page does."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     first, _ = _get(connection, "/")
     path = first[first.index(b"/0?") :][:7].decode()
@@ -212,7 +212,7 @@ def connected(port: int) -> socket.socket:
 
 
 def heard_by_browser(made: socket.socket) -> bytes:
-    """What has come, with a pong for each ping. The board sends a frame in one piece."""
+    """Return the bytes received; answer each ping. The board sends each frame in one piece."""
     heard = made.recv(999)
     for ping in re.findall(b"\x89\x04(....)", heard, re.DOTALL):
         made.sendall(frame(ping, PONG))
@@ -220,7 +220,7 @@ def heard_by_browser(made: socket.socket) -> bytes:
 
 
 def drive_by_page(port: int, out: list[str]) -> None:
-    """As drive(), some of the messages in parts."""
+    """Do the same as drive(), with some messages in several frames."""
     made, chance = connected(port), random.Random(port)
     here = f"127.0.0.1:{port}"
     made.sendall(request("/ws", **{**WS_UPGRADE, "Host": here, "Origin": f"http://{here}"}))
@@ -244,7 +244,7 @@ def drive_by_page(port: int, out: list[str]) -> None:
 
 
 @pytest.mark.parametrize("stormy", [False, True], ids=["quiet", "storm"])
-def test_a_page_is_loaded_and_drives_and_no_turn_waits(stormy: bool, tmp_path: Path) -> None:
+def test_a_page_is_loaded_and_drives_and_no_turn_blocks(stormy: bool, tmp_path: Path) -> None:
     page_files.save(tmp_path)
     by_tcp, by_http = free_port(), free_port()
     board = Board(by_http, by_tcp, by_http, f"{tmp_path}/")

@@ -1,4 +1,4 @@
-"""Clients without the key: what they get, what they cost, and whose place they cannot have."""
+"""Clients without the key: what they receive, what they cost, and that they displace nobody."""
 
 import pytest
 from net_bench import KEY, WELCOME, NetBench, Pipe, connected, joined
@@ -11,14 +11,14 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
 
 
 def three(bench):
-    """All that there is space for, with the key."""
+    """Connect as many clients with the key as there are places."""
     pipes = []
     for _ in range(3):
         pipes.append((yield from joined(bench)))
     return pipes
 
 
-def test_wrong_keys_end_their_connection_and_keep_nobody_out(bench) -> None:
+def test_wrong_keys_close_their_connection_and_lock_nobody_out(bench) -> None:
     def script(bench):
         for number in range(40):
             wrong, right = bench.call("10.0.0.1"), bench.call(f"10.0.1.{number}")
@@ -33,7 +33,7 @@ def test_wrong_keys_end_their_connection_and_keep_nobody_out(bench) -> None:
     bench.run(script)
 
 
-def test_clients_without_the_key_make_space_for_others(bench) -> None:
+def test_clients_without_the_key_make_place_for_others(bench) -> None:
     def script(bench):
         first = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
         for pipe in first:
@@ -43,7 +43,7 @@ def test_clients_without_the_key_make_space_for_others(bench) -> None:
         assert late.take() == ""
         yield from bench.wait(300)
         for pipe in first:
-            pipe.send("?$G\n")  # what they say keeps none of them there
+            pipe.send("?$G\n")  # their queries do not protect them
         yield from bench.wait(50)
         late = bench.call("10.0.0.4")
         yield from connected(bench, late)
@@ -52,7 +52,7 @@ def test_clients_without_the_key_make_space_for_others(bench) -> None:
     bench.run(script)
 
 
-def test_a_computer_that_calls_again_and_again_takes_its_own_place_only(bench) -> None:
+def test_a_computer_that_reconnects_again_and_again_takes_only_its_own_place(bench) -> None:
     def script(bench):
         first = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
         for pipe in first:
@@ -66,7 +66,7 @@ def test_a_computer_that_calls_again_and_again_takes_its_own_place_only(bench) -
     bench.run(script)
 
 
-def test_nobody_takes_the_place_of_a_client_that_waits_for_the_end_of_a_long_move(bench) -> None:
+def test_a_client_waiting_for_a_long_move_keeps_its_place(bench) -> None:
     def script(bench):
         waiting, watching, third = yield from three(bench)
         waiting.send("G1X20F60\nG4P0\n")  # 20 s
@@ -79,7 +79,7 @@ def test_nobody_takes_the_place_of_a_client_that_waits_for_the_end_of_a_long_mov
     bench.run(script)
 
 
-def test_a_client_with_the_key_that_is_lost_keeps_its_place_for_ten_minutes() -> None:
+def test_a_lost_client_with_the_key_keeps_its_place_for_ten_minutes() -> None:
     places = [Client(Memory()) for _ in range(3)]
     for started_ms, place in enumerate(places):
         place.begin(Pipe(), "10.0.0.1", started_ms)
@@ -92,7 +92,7 @@ def test_a_client_with_the_key_that_is_lost_keeps_its_place_for_ten_minutes() ->
 # Memory
 
 
-def test_a_client_without_the_key_is_sent_so_many_bytes_and_no_more(bench) -> None:
+def test_a_client_without_the_key_gets_a_limited_number_of_bytes(bench) -> None:
     def script(bench):
         pipes = [bench.call(f"10.0.0.{n}") for n in (1, 2)]
         for pipe in pipes:
@@ -109,8 +109,8 @@ def test_a_client_without_the_key_is_sent_so_many_bytes_and_no_more(bench) -> No
 
 
 @pytest.mark.parametrize("how", ["has_hung_up", "is_broken"])
-def test_what_closed_connections_may_hold_counts_for_ten_seconds(bench, how: str) -> None:
-    """But for those that were reset: lwIP has dropped all of theirs."""
+def test_memory_of_closed_connections_counts_for_ten_seconds(bench, how: str) -> None:
+    """Not for connections that were reset: lwIP has freed their memory."""
 
     def script(bench):
         got = 0
@@ -129,7 +129,7 @@ def test_what_closed_connections_may_hold_counts_for_ten_seconds(bench, how: str
     bench.run(script)
 
 
-def test_none_of_lwips_memory_is_missed_after_a_day_of_clients(bench) -> None:
+def test_no_lwip_memory_is_counted_after_a_day_of_clients(bench) -> None:
     def script(bench):
         for number in range(50):
             pipe = bench.call(f"10.0.0.{number}")
@@ -162,7 +162,7 @@ def test_none_of_lwips_memory_is_missed_after_a_day_of_clients(bench) -> None:
         "\x16\x03\x01",
     ],
 )
-def test_what_browsers_say_is_hung_up_on_before_anything_acts(
+def test_browser_requests_are_closed_before_anything_acts(
     bench, method: str, address: str
 ) -> None:
     body = f"$NET/KEY={KEY}\n$J=G91X9F900\n"

@@ -1,4 +1,4 @@
-"""The page from the board itself: HTTP and websockets, as browsers speak and as they do not."""
+"""The page served by the board: HTTP and websockets, with valid and with invalid requests."""
 
 import gzip
 from pathlib import Path
@@ -20,11 +20,11 @@ def bench(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PageBench:
 # HTTP
 
 
-def test_the_first_page_fits_into_a_piece() -> None:
+def test_the_first_page_fits_into_one_piece() -> None:
     assert len(page_files.made()["page.html"]) <= PIECE
 
 
-def test_the_page_comes_in_pieces_of_which_each_tells_that_the_last_has_come(bench) -> None:
+def test_a_request_for_the_next_piece_proves_that_the_last_was_read(bench) -> None:
     def script(bench):
         pipe, head, first = yield from bench.get(request("/"))
         assert head.startswith(b"HTTP/1.1 200 OK\r\n") and b"frame-ancestors 'none'" in head
@@ -36,7 +36,7 @@ def test_the_page_comes_in_pieces_of_which_each_tells_that_the_last_has_come(ben
             path = bench.next(head, b"")
             if not body:
                 break
-            assert len(head) + len(body) + 4 <= 800, "a segment"
+            assert len(head) + len(body) + 4 <= 800, "fits a TCP segment"
             found += body
         assert gzip.decompress(found) == WHOLE
         assert b"Connection: close" in head and pipe.is_closed
@@ -81,9 +81,7 @@ def test_the_page_comes_in_pieces_of_which_each_tells_that_the_last_has_come(ben
         (426, request("/ws", **{**WS_UPGRADE, "Sec-WebSocket-Version": "8"})),
     ],
 )
-def test_what_is_no_request_for_the_page_is_refused_with_a_sentence(
-    bench, status: int, data: bytes
-) -> None:
+def test_an_invalid_request_is_refused_with_a_sentence(bench, status: int, data: bytes) -> None:
     def script(bench):
         pipe, head, body = yield from bench.get(data)
         assert head.startswith(f"HTTP/1.1 {status} ".encode()), head
@@ -96,7 +94,7 @@ def test_what_is_no_request_for_the_page_is_refused_with_a_sentence(
 
 
 @pytest.mark.parametrize("host", ["ugrbl", "UGRBL.local:80", "192.168.1.7", "10.0.0.1:8080"])
-def test_names_of_the_board_and_numbers_are_taken(bench, host: str) -> None:
+def test_host_names_of_the_board_and_addresses_are_accepted(bench, host: str) -> None:
     def script(bench):
         _, head, _ = yield from bench.get(request("/", Host=host))
         assert head.startswith(b"HTTP/1.1 200 ")
@@ -105,7 +103,7 @@ def test_names_of_the_board_and_numbers_are_taken(bench, host: str) -> None:
     bench.run(script)
 
 
-def test_a_page_that_is_not_there_is_said(bench, tmp_path: Path) -> None:
+def test_a_missing_page_is_reported(bench, tmp_path: Path) -> None:
     (tmp_path / "page.gz").unlink()
 
     def script(bench):
@@ -115,7 +113,7 @@ def test_a_page_that_is_not_there_is_said(bench, tmp_path: Path) -> None:
     bench.run(script)
 
 
-def test_a_request_in_small_parts_is_served_and_one_without_an_end_is_not_waited_for(
+def test_a_slow_request_is_served_and_an_endless_one_is_dropped(
     bench,
 ) -> None:
     def script(bench):
@@ -137,8 +135,8 @@ def test_a_request_in_small_parts_is_served_and_one_without_an_end_is_not_waited
     bench.run(script)
 
 
-def test_visitors_that_prove_nothing_are_sent_three_pieces_in_ten_seconds(bench) -> None:
-    """Whether they ask on without reading, say nothing, hang up, or guess."""
+def test_visitors_without_proof_of_reading_get_three_pieces_in_ten_seconds(bench) -> None:
+    """Whether they request more without reading, say nothing, hang up, or guess."""
 
     def script(bench):
         lost = []
@@ -154,7 +152,7 @@ def test_visitors_that_prove_nothing_are_sent_three_pieces_in_ten_seconds(bench)
     bench.run(script)
 
 
-def test_a_visitor_that_proves_that_it_reads_is_served_whatever_others_do(bench) -> None:
+def test_a_visitor_with_proof_of_reading_is_served_whatever_others_do(bench) -> None:
     def script(bench):
         pipe, head, _ = yield from bench.get(request("/0"))
         lost = bench.visit()
@@ -169,7 +167,7 @@ def test_a_visitor_that_proves_that_it_reads_is_served_whatever_others_do(bench)
     bench.run(script)
 
 
-def test_what_was_sent_to_a_visitor_that_is_reset_is_free_at_once(bench) -> None:
+def test_memory_of_a_reset_connection_is_free_at_once(bench) -> None:
     def script(bench):
         for _ in range(10):
             pipe = bench.visit()
@@ -184,7 +182,7 @@ def test_what_was_sent_to_a_visitor_that_is_reset_is_free_at_once(bench) -> None
 # The websocket
 
 
-def test_a_page_drives_as_a_sender_over_tcp_does(bench) -> None:
+def test_a_page_controls_like_a_sender_over_tcp(bench) -> None:
     def script(bench):
         page = yield from bench.open()
         assert page.news() == (
@@ -203,7 +201,7 @@ def test_a_page_drives_as_a_sender_over_tcp_does(bench) -> None:
     assert bench.steps() == [500, 0, 0]
 
 
-def test_of_two_pages_one_drives_and_each_is_reported(bench) -> None:
+def test_one_of_two_pages_controls_and_both_are_notified(bench) -> None:
     def script(bench):
         one, two = (yield from bench.open()), (yield from bench.open())
         assert (yield from bench.say(one, "G1X1F600")) == "ok\r\n"
@@ -225,7 +223,7 @@ def test_of_two_pages_one_drives_and_each_is_reported(bench) -> None:
     bench.run(script)
 
 
-def test_without_the_key_a_page_may_read_and_with_it_everything(bench) -> None:
+def test_a_page_without_the_key_may_only_read(bench) -> None:
     def script(bench):
         page = yield from bench.open("10.0.0.1")
         assert '"key":true' in page.news()
@@ -269,8 +267,8 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
         (1002, frame("G1X9\n", BINARY | 0x40)),
         (1002, frame("G1X9\n", 3)),
         (1002, frame("G1X9\n", 11)),
-        (1002, frame("G1X9\n", 0)),  # goes on with nothing
-        (1002, frame("G", last=False) + frame("1X9\n")),  # two at once
+        (1002, frame("G1X9\n", 0)),  # continuation without a beginning
+        (1002, frame("G", last=False) + frame("1X9\n")),  # a message within another
         (1002, frame("x", PING, last=False)),
         (1002, frame("x" * 126, PING)),
         (1002, bytes((0x82, 0xFE, 0, 5)) + MASK + b"G1X9\n"),
@@ -282,7 +280,7 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
         (1002, b"GET / HTTP/1.1\r\nHost: ugrbl\r\n\r\n"),
     ],
 )
-def test_what_is_no_frame_of_a_browsers_ends_the_connection_and_moves_nothing(
+def test_an_invalid_frame_closes_the_connection_and_moves_nothing(
     bench, code: int, data: bytes
 ) -> None:
     def script(bench):
@@ -291,13 +289,13 @@ def test_what_is_no_frame_of_a_browsers_ends_the_connection_and_moves_nothing(
         yield from bench.until(lambda: page.pipe.is_closed, 200)
         assert page.all(CLOSE) == [bytes((code >> 8, code & 0xFF))]
         assert bench.rig.link.client_count() == 0
-        yield from bench.open()  # another one
+        yield from bench.open()  # another client
 
     bench.run(script)
     assert bench.rows == []
 
 
-def test_a_page_that_does_not_read_is_let_go_and_nobody_waits_for_it(bench) -> None:
+def test_a_page_that_does_not_read_is_dropped_without_blocking_others(bench) -> None:
     def script(bench):
         page = yield from bench.open()
         page.pipe.room = 100
@@ -313,7 +311,7 @@ def test_a_page_that_does_not_read_is_let_go_and_nobody_waits_for_it(bench) -> N
 
 
 @pytest.mark.thorough
-def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memory_for(
+def test_output_to_a_silent_page_stays_within_memory(
     bench,
 ) -> None:
     def script(bench):
@@ -321,9 +319,9 @@ def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memo
         page.look()
         page.reads = False
         others = []
-        for _ in range(12):  # to ten seconds: handshakes wait for memory
+        for _ in range(12):  # up to ten seconds: handshakes wait for memory
             yield from bench.sender.wait("ok", "M30\n")  # its message goes to all
-            others.append((yield from bench.open()))  # which changes how things stand
+            others.append((yield from bench.open()))  # it changes the state sent to all pages
             others.pop().pipe.has_hung_up = True
             page.pipe.send(frame("?") + frame("x" * 99, PING) + frame("abcd", PONG))
             yield from bench.wait(20)
@@ -333,7 +331,7 @@ def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memo
 
 
 @pytest.mark.thorough
-def test_a_page_of_the_board_is_the_same_for_the_machine_as_the_cable(
+def test_a_page_of_the_board_gives_the_same_motion_as_the_cable(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """A long program, in messages as the page sends them."""
@@ -360,7 +358,7 @@ def test_a_page_of_the_board_is_the_same_for_the_machine_as_the_cable(
     assert bench.steps() == [250 * (199 % 7), 250 * (199 % 3), 0]
 
 
-def test_the_prompt_takes_the_network_away(bench) -> None:
+def test_the_prompt_closes_all_network_connections(bench) -> None:
     def script(bench):
         visitor = bench.visit()
         yield from bench.wait(50)
@@ -372,5 +370,5 @@ def test_the_prompt_takes_the_network_away(bench) -> None:
     bench.run(script)
 
 
-def test_the_board_is_called_what_its_network_calls_it() -> None:
+def test_the_page_uses_the_boards_default_host_name() -> None:
     assert HOST == "ugrbl"

@@ -1,4 +1,5 @@
-"""Blocks of an SD card: whatever happens on the wire they are right, or it says so in time."""
+"""Blocks of an SD card: despite faults on the wire they are right, or a fault is reported in
+time."""
 
 import errno
 from array import array
@@ -15,16 +16,16 @@ from ports.storage import sd_blocks
 from ports.storage.sd_blocks import SdBlocks
 from sd_model import BLOCK, SdCard
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 _PINS = (10, 11, 12, 13)
 _BLOCKS = 1024
-_LOOP_MS = 250  # what the supervisor allows the main loop in motion
+_LOOP_MS = 250  # the supervisor's limit for the main loop in motion
 
 
 class Bench:
-    """A card on a bus whose bytes take their time. out_at: taken out at that byte."""
+    """A card on a bus whose bytes take time. out_at: the card is removed at that byte."""
 
     def __init__(self, is_large: bool = True) -> None:
         content = Random(1).randbytes(_BLOCKS * BLOCK)
@@ -101,7 +102,7 @@ def block_of(bench: Bench, number: int, count: int = 1) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["bench", "small"])
-def test_what_is_written_is_there_and_is_read(kind: str, request: pytest.FixtureRequest) -> None:
+def test_written_blocks_are_read_back(kind: str, request: pytest.FixtureRequest) -> None:
     bench: Bench = request.getfixturevalue(kind)
     driver = bench.driver()
     assert driver.ioctl(4, 0) == _BLOCKS and driver.ioctl(5, 0) == BLOCK
@@ -114,7 +115,7 @@ def test_what_is_written_is_there_and_is_read(kind: str, request: pytest.Fixture
     assert bench.card.written == 3
 
 
-def test_it_begins_slowly_and_goes_on_fast(bench: Bench) -> None:
+def test_the_bus_starts_slowly_and_continues_fast(bench: Bench) -> None:
     speeds: list[int] = []
     exchange = bench.exchange
     bench.exchange = lambda byte: speeds.append(bench.hz) or exchange(byte)  # type: ignore
@@ -127,7 +128,7 @@ def test_it_begins_slowly_and_goes_on_fast(bench: Bench) -> None:
 
 @given(where=st.integers(0, BLOCK * 8 - 1), number=st.integers(0, _BLOCKS - 1))
 @some(50)
-def test_a_bit_that_is_read_wrong_is_read_again(where: int, number: int) -> None:
+def test_a_block_with_a_wrong_bit_is_read_again(where: int, number: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         for bench in _wired(Bench(), patch):
             driver = bench.driver()
@@ -148,11 +149,11 @@ def once(bench: Bench, where: int) -> Any:
     return damage
 
 
-def test_what_is_read_wrong_each_time_is_a_fault(bench: Bench) -> None:
+def test_a_block_that_is_always_read_wrong_is_a_fault(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.damage = lambda block: bytes([block[0] ^ 1]) + block[1:]
     assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
-    # What the file system knows of it is half by then: nothing goes on until it is mounted anew.
+    # The file system's state is incomplete by then: nothing works until it is mounted again.
     bench.card.damage = lambda block: block
     assert driver.is_faulty and not driver.is_there()
     count = bench.bytes
@@ -161,7 +162,7 @@ def test_what_is_read_wrong_each_time_is_a_fault(bench: Bench) -> None:
     assert bench.bytes == count
 
 
-def test_a_block_that_does_not_arrive_whole_is_written_again(bench: Bench) -> None:
+def test_a_refused_block_is_written_again(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.refuse = 2
     driver.writeblocks(3, bytes(BLOCK))
@@ -170,12 +171,12 @@ def test_a_block_that_does_not_arrive_whole_is_written_again(bench: Bench) -> No
     assert driver.writeblocks(4, bytes(BLOCK)) == -errno.EIO
 
 
-def test_after_the_last_block_is_nothing(bench: Bench) -> None:
+def test_a_block_after_the_last_is_a_fault(bench: Bench) -> None:
     assert bench.driver().readblocks(_BLOCKS, bytearray(BLOCK)) == -errno.EIO
 
 
-def test_an_order_that_is_not_heard_is_given_again(bench: Bench) -> None:
-    """A board that starts anew finds the card in the middle of a block, say."""
+def test_an_ignored_command_is_repeated(bench: Bench) -> None:
+    """For example a restarted board finds the card in the middle of a block."""
     exchange, heard = bench.exchange, 0
 
     def deaf_at_first(byte: int) -> int:
@@ -191,7 +192,7 @@ def test_an_order_that_is_not_heard_is_given_again(bench: Bench) -> None:
     assert bench.driver().is_there()
 
 
-def test_without_checksums_no_card_is_taken(bench: Bench) -> None:
+def test_a_card_without_checksums_is_refused(bench: Bench) -> None:
     bench.card.has_no_sums = True
     with pytest.raises(OSError):
         bench.driver()
@@ -205,14 +206,14 @@ def test_an_empty_holder_is_reported_in_time(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("out_at", range(0, 560, 7))
-def test_a_card_taken_out_at_any_byte_is_a_fault_and_no_wrong_block(
+def test_a_card_removed_at_any_byte_is_a_fault_and_gives_no_wrong_block(
     bench: Bench, out_at: int
 ) -> None:
     driver = bench.driver()
     bench.bytes, bench.out_at = 0, out_at + 1
     since = bench.us
     into = bytearray(BLOCK)
-    if driver.readblocks(9, into) == 0:  # it was over already
+    if driver.readblocks(9, into) == 0:  # it was finished already
         assert into == block_of(bench, 9) and bench.bytes < out_at + 20
     assert bench.us - since < _LOOP_MS * 1000
     bench.card.is_in = False
@@ -228,8 +229,8 @@ def test_another_card_is_not_taken_for_the_one_before(bench: Bench) -> None:
     assert driver.is_there()
 
 
-def test_after_the_end_nothing_is_written_nor_raised(bench: Bench) -> None:
-    """A file left open writes as it is collected: to no other card."""
+def test_after_end_nothing_is_written_or_raised(bench: Bench) -> None:
+    """An open file writes when it is collected: it must not write to another card."""
     driver = bench.driver()
     driver.end()
     before, count = bytes(bench.card.image), bench.bytes
@@ -241,7 +242,7 @@ def test_after_the_end_nothing_is_written_nor_raised(bench: Bench) -> None:
     assert block_of(bench, 0) == bytes(BLOCK)
 
 
-def test_a_block_that_never_comes_takes_a_tenth_of_a_second(bench: Bench) -> None:
+def test_a_missing_block_takes_a_tenth_of_a_second(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.damage = lambda block: None
     since = bench.us
@@ -249,7 +250,7 @@ def test_a_block_that_never_comes_takes_a_tenth_of_a_second(bench: Bench) -> Non
     assert 100_000 <= bench.us - since < 150_000
 
 
-def test_a_card_that_holds_the_line_low_does_so_too(bench: Bench) -> None:
+def test_a_card_that_holds_the_line_low_takes_a_tenth_of_a_second(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.exchange = lambda byte: 0  # type: ignore[method-assign]
     since = bench.us

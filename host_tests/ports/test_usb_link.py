@@ -1,5 +1,6 @@
-"""The link over USB without MicroPython's ring, as a port has it that is none of ours: answers go
-out whole and in their order, however long. With the ring the emulated Pico has it (emulator/)."""
+"""The USB link without MicroPython's ring, as on other ports: answers go out complete and in
+order,
+at any length. The emulated Pico tests it with the ring (emulator/)."""
 
 from micropython_runner import needs_micropython, run_micropython
 from ugrbl.paths import FIRMWARE
@@ -17,6 +18,6 @@ for _ in range(8):
 
 
 @needs_micropython
-def test_answers_go_out_whole_and_in_their_order() -> None:
+def test_answers_go_out_complete_and_in_order() -> None:
     said = run_micropython(_SCRIPT, paths=[FIRMWARE]).split()
     assert said == ["ok", "<Idle|MPos:0.000>", "x" * 700, "ok", "y" * 90]

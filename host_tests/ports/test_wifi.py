@@ -22,7 +22,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
 
 
 def asked(bench: NetBench, *lines: str) -> list[str]:
-    """What the machine answers at the cable."""
+    """Return the machine's answers at the cable."""
     said: list[str] = []
 
     def script(bench: NetBench) -> Iterator[Any]:
@@ -39,7 +39,7 @@ def kept(bench: NetBench) -> dict[str, str]:
     return {name: value for name, _, value in rows}
 
 
-def test_what_the_tool_says_is_what_the_machine_keeps(bench: NetBench) -> None:
+def test_the_machine_stores_what_the_tool_sends(bench: NetBench) -> None:
     name, password = "Werk stätte/2,4", "a-Passw0rd!" * 5 + "öhm;("
     wanted = wifi.Wanted(name, password, True, "Router-1", 2300)
     lines = list(wifi.orders(wanted))
@@ -53,7 +53,7 @@ def test_what_the_tool_says_is_what_the_machine_keeps(bench: NetBench) -> None:
     assert found["KEY"] == KEY
 
 
-def test_nothing_that_the_machine_says_has_name_or_password(bench: NetBench) -> None:
+def test_no_answer_contains_the_network_name_or_password(bench: NetBench) -> None:
     secrets = ("Workshop", "Workshop".encode().hex().upper(), "hunter22", "68756E74")
     lines = wifi.orders(wifi.Wanted("Workshop", "hunter22", True))
     said = asked(bench, *lines, "$NET", "$$", "$I", "$I+", "$#", "$G", "$N", "$NET/PASS=1")
@@ -85,14 +85,14 @@ def test_nothing_that_the_machine_says_has_name_or_password(bench: NetBench) -> 
         "$NET/WHAT",
     ],
 )
-def test_what_cannot_be_changes_nothing(bench: NetBench, line: str) -> None:
+def test_an_invalid_setting_changes_nothing(bench: NetBench, line: str) -> None:
     before = list(bench.store.files["network"])
     said = asked(bench, line)
     assert said[-1] == "error:3" and said[0].startswith("[MSG:")
     assert bench.store.files["network"] == before
 
 
-def test_it_is_set_up_at_rest_only_and_at_the_cable_only(bench: NetBench) -> None:
+def test_the_network_is_set_up_only_while_idle_and_only_at_the_cable(bench: NetBench) -> None:
     before = list(bench.store.files["network"])
 
     def script(bench: NetBench) -> Iterator[Any]:
@@ -110,7 +110,7 @@ def test_it_is_set_up_at_rest_only_and_at_the_cable_only(bench: NetBench) -> Non
     assert bench.store.files["network"] == before
 
 
-def test_a_new_machine_makes_a_key_and_tells_it_at_the_cable_once(bench: NetBench) -> None:
+def test_a_new_machine_makes_a_key_and_shows_it_once_at_the_cable(bench: NetBench) -> None:
     del bench.store.files["network"]
     heard: list[str] = []
 
@@ -132,7 +132,7 @@ def test_a_new_machine_makes_a_key_and_tells_it_at_the_cable_once(bench: NetBenc
     assert [line for line in said if key in line] == [f"[MSG:Network key: {key}]"]
 
 
-def test_another_key_ends_what_the_old_one_allowed(bench: NetBench) -> None:
+def test_a_new_key_ends_the_rights_of_the_old_one(bench: NetBench) -> None:
     def script(bench: NetBench) -> Iterator[Any]:
         pipe = bench.call("10.0.0.1")
         yield from bench.until(lambda: b"Grbl" in pipe.got)
@@ -152,7 +152,7 @@ def test_another_key_ends_what_the_old_one_allowed(bench: NetBench) -> None:
 
 
 class Board:
-    """A connection on paper."""
+    """A board connection with fixed replies."""
 
     def __init__(self, *replies: str) -> None:
         self.asked: list[str] = []
@@ -163,7 +163,7 @@ class Board:
         return self.replies
 
 
-def test_a_board_without_a_network_is_named(bench: NetBench) -> None:
+def test_a_board_without_a_network_is_reported(bench: NetBench) -> None:
     board: Any = Board("error:3")
     with pytest.raises(SendError, match='LINK = "wifi"'):
         wifi.status(board)
@@ -182,7 +182,7 @@ def test_a_board_without_a_network_is_named(bench: NetBench) -> None:
         wifi.Wanted(host="a b"),
     ],
 )
-def test_what_no_network_has_is_refused_in_words(wanted: wifi.Wanted) -> None:
+def test_an_impossible_name_or_password_is_refused_in_words(wanted: wifi.Wanted) -> None:
     with pytest.raises(ValueError, match=r"bytes|letters"):
         list(wifi.orders(wanted))
 
@@ -195,7 +195,7 @@ def test_what_no_network_has_is_refused_in_words(wanted: wifi.Wanted) -> None:
         (["--off", "--name", "x"], "one of"),
     ],
 )
-def test_what_does_not_go_together_is_refused(words: list[str], why: str) -> None:
+def test_contradicting_options_are_refused(words: list[str], why: str) -> None:
     done = CliRunner().invoke(app, ["wifi", "--port", "/nowhere", *words])
     assert done.exit_code and why in done.output and "Traceback" not in done.output
 
@@ -211,7 +211,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return clock
 
 
-def test_a_station_calls_again_at_rest_only_and_not_all_the_time(clock: SimpleNamespace) -> None:
+def test_a_station_reconnects_only_while_idle_and_not_all_the_time(clock: SimpleNamespace) -> None:
     radio = Radio(b"Shop", b"secret12", "router", True)
     assert network.hostname() == "router"
     assert radio.status() == "station, 192.168.1.7, router.local"
@@ -229,7 +229,7 @@ def test_a_station_calls_again_at_rest_only_and_not_all_the_time(clock: SimpleNa
     assert radio._wlan.calls <= 6 and "192.168.1.7" in radio.status()
 
 
-def test_an_access_point_has_name_and_password(clock: SimpleNamespace) -> None:
+def test_an_access_point_has_a_name_and_a_password(clock: SimpleNamespace) -> None:
     radio = Radio(b"Own", b"secret12", "router", False)
     told = radio._wlan.asked
     assert (told["ssid"], told["key"]) == (b"Own", b"secret12")
@@ -238,7 +238,7 @@ def test_an_access_point_has_name_and_password(clock: SimpleNamespace) -> None:
     assert radio.status() == "access point, 192.168.4.1, router.local" and not radio._wlan.calls
 
 
-def test_without_a_network_or_with_a_radio_that_fails_there_is_the_cable(
+def test_the_cable_works_without_a_network_or_with_a_failing_radio(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     lines: list[str] = []
