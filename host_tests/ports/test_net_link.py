@@ -167,7 +167,7 @@ def test_another_client_may_take_control_if_the_first_is_silent_and_the_machine_
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84", "\x85"])
 @pytest.mark.parametrize("by", ["cable", "key"])
-def test_stops_act_from_the_cable_and_with_the_key_whoever_controls(
+def test_stops_act_from_any_trusted_client_during_anothers_control(
     bench, byte: str, by: str
 ) -> None:
     def script(bench):

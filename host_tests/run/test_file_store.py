@@ -16,11 +16,11 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "settings.txt"
 
 
-def test_nothing_is_kept_at_first(path: Path) -> None:
+def test_a_new_store_has_no_settings(path: Path) -> None:
     assert FileStore(path).load("settings") is None
 
 
-def test_what_is_saved_is_loaded_in_the_next_run(path: Path) -> None:
+def test_saved_text_is_loaded_in_the_next_run(path: Path) -> None:
     store = FileStore(path)
     store.save("settings", ["$0=10", "$7=1"])
     store.save("startup", ["", "G21"])
@@ -36,7 +36,7 @@ def test_a_line_may_look_like_another_kind_of_line(path: Path) -> None:
     assert store.load("settings") == store.load("startup") is None
 
 
-def test_saving_again_replaces(path: Path) -> None:
+def test_a_second_save_replaces_the_first(path: Path) -> None:
     store = FileStore(path)
     store.save("settings", ["$0=10", "$1=25"])
     store.save("settings", ["$0=11"])
@@ -54,14 +54,14 @@ def test_a_failed_save_leaves_the_file_as_it_was(path: Path) -> None:
     assert FileStore(path).load("settings") == ["$0=10"]
 
 
-def test_what_the_file_does_not_say_is_the_factorys(path: Path) -> None:
+def test_sections_missing_in_the_file_get_factory_values(path: Path) -> None:
     path.write_text("$110=600\n")
     store = FileStore(path, {"settings": ["$0=10"], "startup": ["", ""]})
     assert store.load("settings") == ["$110=600"]
     assert store.load("startup") == ["", ""]
 
 
-# One form with `ugrbl settings pull`
+# The same format as `ugrbl settings pull`
 
 
 def test_a_pulled_file_is_read(path: Path) -> None:
@@ -70,7 +70,7 @@ def test_a_pulled_file_is_read(path: Path) -> None:
     assert FileStore(path, firmware=_GRBL).load("settings") == ["$0=10", "$100=250.000"]
 
 
-def test_what_is_kept_can_be_pushed(path: Path) -> None:
+def test_a_saved_file_can_be_pushed(path: Path) -> None:
     store = FileStore(path, firmware=_GRBL)
     store.save("settings", ["$0=10", "$100=250"])
     store.save("startup", ["G21", ""])
@@ -81,7 +81,7 @@ def test_what_is_kept_can_be_pushed(path: Path) -> None:
     assert not [line for line in path.read_text().splitlines() if line[0] not in ";$"]
 
 
-def test_comments_and_values_as_others_wrote_them_stay(path: Path) -> None:
+def test_comments_and_number_formats_of_a_file_are_kept(path: Path) -> None:
     path.write_text("; my mill\n  $0 = 10.0 (as the driver wants)\n$110=600 ; slow, $110=600\n")
     store = FileStore(path)
     store.save("settings", ["$0=10", "$110=700", "$111=500"])
@@ -90,7 +90,7 @@ def test_comments_and_values_as_others_wrote_them_stay(path: Path) -> None:
     )
 
 
-# Nothing is written over that was not read and understood
+# A file that was not read and understood is never overwritten
 
 
 @pytest.mark.parametrize(
@@ -109,14 +109,16 @@ def test_comments_and_values_as_others_wrote_them_stay(path: Path) -> None:
         b"; [VER:0.9j.20150717:]\n$0=10\n",
     ],
 )
-def test_a_file_that_is_not_understood_is_refused_and_stays(path: Path, foreign: bytes) -> None:
+def test_a_file_that_is_not_understood_is_refused_and_not_changed(
+    path: Path, foreign: bytes
+) -> None:
     path.write_bytes(foreign)
     with pytest.raises(SettingsError):
         FileStore(path, firmware=_GRBL)
     assert path.read_bytes() == foreign
 
 
-def test_a_file_that_somebody_changes_meanwhile_stays(path: Path) -> None:
+def test_a_file_changed_by_another_program_is_not_overwritten(path: Path) -> None:
     store = FileStore(path)
     store.save("settings", ["$0=10"])
     path.write_text("$0=20\n")
@@ -125,7 +127,7 @@ def test_a_file_that_somebody_changes_meanwhile_stays(path: Path) -> None:
     assert path.read_text() == "$0=20\n"
 
 
-def test_one_that_appears_meanwhile_stays(path: Path) -> None:
+def test_a_file_created_by_another_program_is_not_overwritten(path: Path) -> None:
     store = FileStore(path)
     path.write_text("precious")
     with pytest.raises(OSError, match="changed by somebody else"):
@@ -133,7 +135,7 @@ def test_one_that_appears_meanwhile_stays(path: Path) -> None:
     assert path.read_text() == "precious"
 
 
-def test_a_save_that_fails_leaves_no_other_file(path: Path, monkeypatch: Any) -> None:
+def test_a_failed_save_leaves_no_temporary_file(path: Path, monkeypatch: Any) -> None:
     FileStore(path).save("settings", ["$0=10"])
     store = FileStore(path)
 
@@ -155,6 +157,6 @@ def test_a_link_to_the_file_stays_a_link(path: Path) -> None:
     assert link.is_symlink() and path.read_text() == "$0=11\n"
 
 
-def test_a_folder_that_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="no folder"):
         FileStore(tmp_path / "nowhere" / "settings")

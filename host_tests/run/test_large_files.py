@@ -1,4 +1,4 @@
-"""Programs of millions of lines: their memory is the file's, and each check says how far it is."""
+"""Programs of millions of lines: memory is that of the file, and each check shows its progress."""
 
 import os
 import pickle
@@ -22,7 +22,7 @@ _START = "G21 G90 G17 F900\n"
 
 
 def moves(count: int) -> bytes:
-    """Lines as CAM writes them."""
+    """Return lines like those of CAM programs."""
     lines = (f"G1 X{n % 97:.4f} Y{n % 31:.4f} Z-{n % 7:.4f}\n" for n in range(count))
     return (_START + "".join(lines)).encode()
 
@@ -43,7 +43,7 @@ ENDS = [
 
 
 @pytest.mark.parametrize("data", ENDS, ids=range(len(ENDS)))
-def test_lines_cut_when_asked_for_are_those_cut_all_at_once(data: bytes) -> None:
+def test_lines_split_on_demand_equal_lines_split_at_once(data: bytes) -> None:
     lines, wanted = Lines(data), split_lines(data)
     assert list(lines) == wanted and len(lines) == len(wanted)
     assert [lines[n] for n in range(-len(lines), len(lines))] == wanted + wanted
@@ -54,7 +54,7 @@ def test_lines_cut_when_asked_for_are_those_cut_all_at_once(data: bytes) -> None
         lines[len(lines)]
 
 
-def test_changed_lines_are_made_when_asked_for_and_go_to_another_process() -> None:
+def test_changed_lines_are_made_on_demand_and_can_be_pickled() -> None:
     lines = Changed(Lines(b"G0 (!)\nG1\n"), sanitize)
     there: Sequence[bytes] = pickle.loads(pickle.dumps(lines))
     assert list(there) == [there[0], there[1]] == list(there[:2]) == [b"G0 (.)", b"G1"]
@@ -63,8 +63,9 @@ def test_changed_lines_are_made_when_asked_for_and_go_to_another_process() -> No
 # Memory
 
 
-# In a process of its own, as users have it: the checked kernels of the tests take too long. What
-# is made once is not counted.
+# In a separate process, as users run it: the checked kernels of the tests are too slow. Memory
+# that
+# is allocated only once is not counted.
 _PEAK = """
 import sys, tracemalloc
 from pathlib import Path
@@ -90,7 +91,7 @@ for name in sys.argv[2:]:
 
 
 @pytest.mark.parametrize("command", ["run", "send"])
-def test_a_check_takes_no_more_memory_than_the_file_is_long(command: str, tmp_path: Path) -> None:
+def test_a_check_uses_no_more_memory_than_the_files_size(command: str, tmp_path: Path) -> None:
     files = [tmp_path / "short.nc", tmp_path / "long.nc"]
     for file, count in zip(files, (4000, 16_000), strict=True):
         file.write_bytes(moves(count))
@@ -121,7 +122,7 @@ MESSY = (
 
 
 def checked(lines: Sequence[bytes], *settings: str) -> Result:
-    """What comes of it, besides time: turns of a machine at rest count there."""
+    """Return the result without its time, because turns of an idle machine count there."""
     result = run_program(lines, settings=settings, check=True)[0]
     result.totals.time_s = 0.0
     return result
@@ -136,7 +137,7 @@ def sent_one_by_one(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_many_lines_at_once_are_judged_as_when_each_is_sent(
+def test_many_lines_at_once_give_the_same_result_as_single_lines(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw = random.Random(seed)
@@ -151,18 +152,18 @@ def test_many_lines_at_once_are_judged_as_when_each_is_sent(
 def test_a_program_may_end_check_mode_itself() -> None:
     lines = [b"G21 G91 F900", *[b"G1 X.5"] * 20, b"$C", b"F900", *[b"G1 X.25 G91"] * 20, b"$C"]
     result = checked([*lines, b"G1 X1", b"Q1"])
-    # The $C that ends it is a reset, and has no answer.
+    # The $C that ends check mode is a reset, and has no answer.
     assert result.lines == 45 and result.errors == [(46, "error:20")]
     assert result.totals.steps_made["X"] == 20 * 0.25 * 250
 
 
-def test_an_alarm_among_many_lines_is_at_its_line() -> None:
+def test_an_alarm_among_many_lines_names_its_line() -> None:
     lines = [b"G21 G90 F900", *[b"G1 X-2"] * 50, b"G1 X-3000", b"G1 X-1"]
     result, line = rehearsal.check(rehearsal.Job(lines, ["$22=1", "$20=1"]))
     assert (result.stopped, line) == ("ALARM:2", 52)
 
 
-def test_lines_that_only_move_are_not_sent_in_check_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_move_only_lines_are_not_sent_in_check_mode(monkeypatch: pytest.MonkeyPatch) -> None:
     sent = []
     usual = ProgramLink._send
 
@@ -180,7 +181,7 @@ def test_lines_that_only_move_are_not_sent_in_check_mode(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(("check", "count"), [(True, 1500), (False, 300)])
-def test_progress_comes_every_few_lines(check: bool, count: int) -> None:
+def test_progress_is_reported_every_few_lines(check: bool, count: int) -> None:
     seen: list[int] = []
     lines = [b"G21 G91 F3000", *[b"G1 X.01"] * count]
     run_program(lines, check=check, progress=seen.append)
@@ -188,7 +189,7 @@ def test_progress_comes_every_few_lines(check: bool, count: int) -> None:
     assert max(steps) <= 1000 and len(seen) > 1 and seen[-1] == len(lines)
 
 
-def test_a_terminal_shows_how_far_a_check_is(tmp_path: Path) -> None:
+def test_a_terminal_shows_the_progress_of_a_check(tmp_path: Path) -> None:
     file = tmp_path / "arcs.nc"
     arcs = (f"G2 X{5 + n % 2} Y0 R30\n" for n in range(5000))
     file.write_text(_START + "".join(arcs))
@@ -202,7 +203,7 @@ def test_a_terminal_shows_how_far_a_check_is(tmp_path: Path) -> None:
         try:
             while piece := os.read(ours, 4096):
                 said += piece
-        except OSError:  # it has ended
+        except OSError:  # the process has ended
             pass
     os.close(ours)
     assert run.returncode == 0, said.decode()

@@ -1,4 +1,4 @@
-"""A look at a program leaves everything as it was, whatever the program says."""
+"""Checks and previews of a program change no file, whatever the program contains."""
 
 import zlib
 from collections.abc import Callable, Iterator
@@ -12,12 +12,12 @@ from ugrbl.paths import BOARDS
 from ugrbl.run import rehearsal
 from ugrbl.web.preview import preview
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 _JOB = b"G21\nG0X1\n"
 _NEW = b"G0X2\n"
-# Every command that writes, deletes or sets something, and what G-code stores.
+# Every command that writes, deletes or sets something, and everything that G-code stores.
 _PROGRAM = (
     *("$FD=A.NC", "$SD/Delete=A.NC", "$LocalFS/Delete=A.NC", "$F", "$F=A.NC", "$F<=A.NC"),
     *("$FB=A.NC", "$FB=", "$F=A.NC@2", "$F=@"),
@@ -42,7 +42,7 @@ def note(m):
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the commands are given: with a folder of jobs, as a board's file names it."""
+    """Return a working folder with a jobs folder, as named in a board file."""
     (tmp_path / "my.py").write_text((BOARDS / "pico_w_wifi.py").read_text() + '\nJOBS = "jobs"\n')
     (tmp_path / "mine.py").write_text(_CUSTOM)
     (tmp_path / "part.nc").write_text(_TEXT)
@@ -54,7 +54,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def files(folder: Path) -> Iterator[tuple[str, int, bytes]]:
-    """All there are, with when they were written, and what is in them."""
+    """Yield all files with their modification time and content."""
     for path in sorted(folder.rglob("*")):
         yield str(path), path.stat().st_mtime_ns, path.read_bytes() if path.is_file() else b""
 
@@ -94,13 +94,13 @@ LOOKS: dict[str, Callable[[], object]] = {
 
 
 @pytest.mark.parametrize("command", LOOKS.values(), ids=LOOKS)
-def test_a_look_changes_no_file(folder: Path, command: Callable[[], object]) -> None:
+def test_a_check_or_preview_changes_no_file(folder: Path, command: Callable[[], object]) -> None:
     before = list(files(folder))
     command()
     assert list(files(folder)) == before
 
 
-def test_a_look_sees_the_jobs_that_its_program_brings(folder: Path) -> None:
+def test_a_run_uses_the_jobs_of_its_program_only(folder: Path) -> None:
     done = CliRunner().invoke(app, ["run", "../part.nc", "--board", "../my.py"])
-    assert "There is no job A.NC" in done.output, "those of this computer are not the board's"
+    assert "There is no job A.NC" in done.output, "jobs of this computer must not be listed"
     assert "[FILE:/A.NC|SIZE" not in done.output

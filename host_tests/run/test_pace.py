@@ -1,4 +1,4 @@
-"""Where a program's lines come faster than a board takes them: found before it is sent."""
+"""Programs whose lines come faster than a board can process them are found before sending."""
 
 import json
 import re
@@ -27,12 +27,12 @@ SPEED = (Path(__file__).parents[2] / "docs" / "speed.md").read_text(encoding="ut
 FAST = [f"${n + axis}={v}" for n, v in ((110, 30_000), (120, 5000)) for axis in range(3)]
 LASER = [*FAST, "$32=1", "$30=1000"]
 FEED = 15_000
-ASKED = 2500  # dots a second, at that feed
-DOTS = 800  # of a row
+ASKED = 2500  # dots per second, at that feed
+DOTS = 800  # per row
 
 
 def raster(feed: int, rows: int = 1, dots: int = DOTS) -> "list[bytes]":
-    """A way to speed up, then 0.1 mm per dot; forth and back."""
+    """Return a raster: a distance to accelerate, then 0.1 mm per dot, back and forth."""
     lines = [b"G21G90M4S0F%d" % feed]
     for row in range(rows):
         way = range(dots) if row % 2 == 0 else range(dots - 1, -1, -1)
@@ -61,12 +61,12 @@ def test_each_row_of_a_raster_is_reported() -> None:
     assert [one.first // DOTS for one in found] == [0, 1, 2]
 
 
-def test_with_the_feed_that_is_reported_it_is_in_time() -> None:
+def test_the_recommended_feed_is_in_time() -> None:
     worst = stretches(raster(FEED), LASER, "rpi_pico2")[0]
     assert stretches(raster(FEED * worst.feed // 100), LASER, "rpi_pico2") == []
 
 
-def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
+def test_dwells_and_the_start_of_a_program_are_no_delay() -> None:
     lines = [b"G91F6000", *[b"G1X0.5", b"G4P0.01"] * 60]
     assert stretches(lines, FAST) == []
 
@@ -85,7 +85,7 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
         ),
     ],
 )
-def test_it_says_which_lines_are_in_the_way(
+def test_the_kind_of_slow_lines_is_reported(
     lines: "list[bytes]", kind: str, settings: "list[str]"
 ) -> None:
     (stretch, *_) = stretches(lines, settings, "rpi_pico2")
@@ -120,16 +120,18 @@ def test_it_says_which_lines_are_in_the_way(
         (b"; nothing", b"G1X0F100", "no_words_ms"),
     ],
 )
-def test_lines_by_their_way_through_the_firmware(line: bytes, before: bytes, kind: str) -> None:
+def test_lines_are_classified_by_their_path_through_the_firmware(
+    line: bytes, before: bytes, kind: str
+) -> None:
     modal = [b"G1X3F100", before, line]
     assert list(pace._kinds(modal, laser=True))[2] == kind
 
 
-def test_an_s_without_a_laser_may_turn_a_spindle() -> None:
+def test_an_s_without_laser_mode_may_change_the_spindle() -> None:
     assert list(pace._kinds([b"G1X1F9", b"X2S3"], laser=False))[1] == "in_python_ms"
 
 
-def test_a_serial_line_carries_so_many_bytes_and_no_more() -> None:
+def test_a_serial_line_limits_the_rate_of_bytes() -> None:
     lines = [b"G91F9000", *[b"G1X0.20000000Y0.00000000"] * 600]
     settings = ["$100=5", "$101=5", "$102=5", *FAST]
     assert stretches(lines, settings, "esp32_s3") == []
@@ -146,16 +148,16 @@ def test_a_serial_line_carries_so_many_bytes_and_no_more() -> None:
         ("esp32_devkit", "an ESP32 has not"),
     ],
 )
-def test_it_is_said_whose_figures_these_are(board: str, words: str) -> None:
+def test_the_board_of_the_measured_rates_is_named(board: str, words: str) -> None:
     said = rates.intake(load_board(board)).whose
     assert words in said and said.startswith("a Pico")
 
 
-# Against a machine that works so long on each line
+# Against a machine that takes this time for each line
 
 
 def streamed_s(lines: "list[bytes]", answer_us: int) -> float:
-    """How long motion takes where each line takes so long to be answered."""
+    """Return the duration of motion if each answer takes answer_us."""
     board = ModuleType("board")
     usual = load_board("sim")
     vars(board).update(vars(usual), ANSWER_US=answer_us, LOOP_US=0, PLANNER_BLOCKS=64)
@@ -172,12 +174,12 @@ def streamed_s(lines: "list[bytes]", answer_us: int) -> float:
         yield from sender.wait("stream", b"".join(line + b"\n" for line in lines).decode())
         yield from sender.wait("idle", "\n")
 
-    rig.link._rx_ticks = rig.link._tx_ticks = 1  # no wire is in the way
+    rig.link._rx_ticks = rig.link._tx_ticks = 1  # no delay on the wire
     rig.run(script())
     return (ticks[-1] - ticks[0]) / rig.engine.tick_hz
 
 
-def test_motion_takes_longer_by_about_what_is_reported() -> None:
+def test_motion_takes_longer_by_about_the_reported_time() -> None:
     lines = raster(FEED, dots=1800)
     told = sum(stretch.lost_s for stretch in stretches(lines, LASER, "rpi_pico2"))
     delay = streamed_s(lines, round(1e6 / PICO.power)) - streamed_s(lines, 0)
@@ -188,7 +190,7 @@ def test_motion_takes_longer_by_about_what_is_reported() -> None:
 
 
 @pytest.mark.parametrize("name", ["jscut_jsdc.gcode", "inkscape_gcodetools_sun.ngc"])
-def test_real_programs_at_the_speed_of_usual_machines_are_in_time(name: str) -> None:
+def test_real_programs_at_common_speeds_are_in_time(name: str) -> None:
     if not (_PROGRAMS / name).exists():
         pytest.skip(f"{_PROGRAMS} is not there")
     usual = [f"${n + axis}={v}" for n, v in ((110, 5000), (120, 500)) for axis in range(3)]
@@ -196,17 +198,17 @@ def test_real_programs_at_the_speed_of_usual_machines_are_in_time(name: str) -> 
     assert paced.starves(read_lines(_PROGRAMS / name)) == []
 
 
-def test_every_tick_of_motion_is_some_lines_own() -> None:
+def test_every_tick_of_motion_belongs_to_a_line() -> None:
     _, paced = run_program(raster(9000), settings=LASER)
     moved = sum(paced.ticks) / paced._rig.engine.tick_hz
     assert moved == pytest.approx(paced.totals().time_s, abs=0.05)
     assert sum(paced.blocks) >= DOTS
 
 
-# What the command says
+# Output of the command
 
 
-def test_run_says_where_motion_will_falter_and_what_to_do(tmp_path: Path) -> None:
+def test_run_reports_where_motion_is_too_fast_and_what_to_do(tmp_path: Path) -> None:
     file, told = tmp_path / "raster.nc", tmp_path / "told.json"
     file.write_bytes(b"\n".join(raster(FEED, rows=2)))
     settings = [word for line in LASER for word in ("--set", line)]
@@ -219,7 +221,7 @@ def test_run_says_where_motion_will_falter_and_what_to_do(tmp_path: Path) -> Non
     assert one["kind"] == "power" and one["lost_s"] > 0.05
 
 
-def test_run_says_that_all_is_in_time(tmp_path: Path) -> None:
+def test_run_reports_that_all_lines_are_in_time(tmp_path: Path) -> None:
     file, told = tmp_path / "slow.nc", tmp_path / "told.json"
     file.write_bytes(b"G91F600\n" + b"G1X1\n" * 20)
     done = ugrbl("run", file, "--json", told)
@@ -227,11 +229,12 @@ def test_run_says_that_all_is_in_time(tmp_path: Path) -> None:
     assert json.loads(told.read_text())["too_fast"] == []
 
 
-# The figures
+# The rates
 
 
 def cached(row: str, which: int = 0) -> float:
-    """A number in the column with the cache of docs/speed.md, by the row's beginning."""
+    """Return a number of docs/speed.md, in the column with the cache, of the row with this
+    beginning."""
     (line,) = [line for line in SPEED.splitlines() if line.startswith(f"| {row}")]
     return float(re.findall(r"[\d.,]+", line.split("|")[3])[which].rstrip(",").replace(",", ""))
 
@@ -244,16 +247,16 @@ def cached(row: str, which: int = 0) -> float:
         (PICO.chords, "circles of 702 chords"),
     ],
 )
-def test_rates_are_those_that_the_document_states(figure: float, row: str) -> None:
+def test_rates_match_the_document(figure: float, row: str) -> None:
     assert figure == cached(row)
 
 
-def test_a_line_that_python_does_is_an_arc_of_two_chords_but_for_those() -> None:
+def test_time_of_a_python_line_is_an_arc_of_two_chords_minus_its_chords() -> None:
     arc_ms = cached("an arc of one chord, and of two", 1)
     assert PICO.in_python_ms == pytest.approx(arc_ms - 2000 / PICO.chords, abs=0.05)
 
 
-def test_a_line_without_words_is_received_and_put_together() -> None:
+def test_time_of_a_line_without_words_is_reception_and_assembly() -> None:
     row = r"^\| (received|put)[^|]* \| \d+, (\d+) \|"
     stages = [int(us) for _, us in re.findall(row, SPEED, re.MULTILINE)]
     assert len(stages) == 2

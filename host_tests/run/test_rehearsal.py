@@ -1,4 +1,4 @@
-"""Rehearsals: a machine's state in the simulator, which line is made when, the way to a line."""
+"""Rehearsals: a machine's state in the simulator, which line is executed when, entry at a line."""
 
 from pathlib import Path
 from typing import Any
@@ -44,15 +44,15 @@ def forecast(
     return found
 
 
-# The stage
+# State of the simulator
 
 
-def test_the_simulator_stands_where_the_machine_stands(
+def test_the_simulator_starts_with_the_machines_state(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     found = forecast(here, ["G0 X0", "G91 Y-1"], ask_at=1)
     assert found.start == [-20.0, -20.0, -5.0]
-    # G54 and G92 in X; Y in inches, from where it was.
+    # G54 and G92 in X; Y in inches, from its former position.
     ends = [-49.0, -20.0, -5.0, -49.0, -45.4, -5.0]
     assert list(found.block_ends) == pytest.approx(ends, abs=1e-4)
     there = machine_snapshot.read(found.at_line)
@@ -60,12 +60,12 @@ def test_the_simulator_stands_where_the_machine_stands(
     assert "G20" in there.modes and there.word("F") == 254
 
 
-def test_places_in_inches_are_understood(here: machine_snapshot.MachineSnapshot) -> None:
+def test_offsets_in_inches_are_converted(here: machine_snapshot.MachineSnapshot) -> None:
     inches = machine_snapshot.read(["$13=1", "[G54:1.0000,2.0000,0.0000]", "[GC:G0 G54 F10]"])
     assert inches.offsets["G54"] == [25.4, 50.8, 0.0] and inches.feed_mm_min() == 254
 
 
-def test_soft_limits_count_from_where_the_machine_is(
+def test_soft_limits_use_the_machines_position(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = ["G21", "G0 X-40", "X-60"]
@@ -73,7 +73,9 @@ def test_soft_limits_count_from_where_the_machine_is(
     assert (result.stopped, line) == ("ALARM:2", 3)
 
 
-def test_lines_for_a_machine_at_rest_are_no_errors(here: machine_snapshot.MachineSnapshot) -> None:
+def test_commands_for_an_idle_machine_are_no_errors(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     result, _ = check(job(["$H", "$10=3", "G0 X0", "T1 M6"], here.commands()))
     assert result.errors == [(4, "error:20")]
 
@@ -90,7 +92,7 @@ def test_a_machine_of_four_axes_is_rehearsed_with_four() -> None:
     assert check(three)[0].errors == [(1, "error:20")]
 
 
-# Which line it was
+# The line being executed
 
 
 def squares(count: int) -> list[str]:
@@ -104,21 +106,21 @@ def test_each_line_of_many_has_its_own_block() -> None:
     assert list(found.block_line) == [n for n in range(2, 70) if n not in other]
 
 
-def test_the_line_is_found_by_its_place(here: machine_snapshot.MachineSnapshot) -> None:
+def test_a_line_is_found_by_its_position(here: machine_snapshot.MachineSnapshot) -> None:
     found = forecast(here, ["G21 G91 F1000", *(f"G1 X-{n}" for n in range(1, 9))])
     x = -20.0 - 1 - 2 - 1.5  # in the middle of X3
     assert found.line_at(8, [x, -20.0, -5.0], 15, None) == 4
 
 
-def test_of_lines_at_the_same_place_the_earlier_is_taken(
+def test_of_several_lines_at_a_position_the_earlier_is_chosen(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     found = forecast(here, squares(3))
     assert found.line_at(13, [-19.5, -20.0, -5.0], 15, None) == 2
-    assert found.line_at(13, [-19.5, -20.0, -5.0], 6, None) == 10  # no more fits the planner
+    assert found.line_at(13, [-19.5, -20.0, -5.0], 6, None) == 10  # planner full
 
 
-def test_the_line_is_found_by_the_blocks_that_are_left(
+def test_a_line_is_found_by_the_number_of_waiting_blocks(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     found = forecast(here, squares(3))
@@ -126,7 +128,7 @@ def test_the_line_is_found_by_the_blocks_that_are_left(
     assert found.line_at(13, [0.0, 0.0, 0.0], 15, 0) == 13
 
 
-def test_a_place_off_the_path_is_no_line(here: machine_snapshot.MachineSnapshot) -> None:
+def test_a_position_off_the_path_is_no_line(here: machine_snapshot.MachineSnapshot) -> None:
     assert forecast(here, squares(1)).line_at(5, [-90.0, 0.0, 0.0], 15, None) is None
 
 
@@ -134,17 +136,17 @@ def test_an_arc_is_one_line(here: machine_snapshot.MachineSnapshot) -> None:
     found = forecast(here, ["G21 G91 F1000", "G1 X5", "G2 X0 Y0 I5", "G1 X-1"])
     assert set(found.block_line) == {2, 3, 4} and found.block_line.count(3) > 20
     top = [-10.0, -15.0, -5.0]
-    assert found.line_at(2, top, 15, None) == 3  # under way, and not answered
+    assert found.line_at(2, top, 15, None) == 3  # in motion, and not answered
 
 
 def test_time_left_falls_from_line_to_line(here: machine_snapshot.MachineSnapshot) -> None:
     found = forecast(here, ["G21 G91 F600", *["G1 X-1"] * 40])  # 40 mm at 10 mm/s
     left = [found.seconds_left(n) or 0 for n in range(42)]
     assert 4.0 < left[0] < 4.5 and left == sorted(left, reverse=True)
-    assert 1.0 < left[41] < 2.0  # what is in the planner then
+    assert 1.0 < left[41] < 2.0  # still in the planner then
 
 
-def test_a_rehearsal_in_a_process_of_its_own_says_the_same(
+def test_a_rehearsal_in_a_separate_process_gives_the_same_result(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     made = job(squares(5), here.commands(), ask_at=3)
@@ -153,7 +155,7 @@ def test_a_rehearsal_in_a_process_of_its_own_says_the_same(
     running.close()
 
 
-# From a line on
+# Entry at a line
 
 
 PART = [
@@ -176,7 +178,9 @@ def way(
     return [line.text for line in approach(lines, number, found, here).lines]
 
 
-def test_the_way_goes_up_across_and_down_at_feed(here: machine_snapshot.MachineSnapshot) -> None:
+def test_the_entry_rises_crosses_and_descends_at_feed(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     here.place[2] = -25.0
     assert way(here, 6) == [
         "G21 G90 G94 M5",
@@ -192,7 +196,7 @@ def test_the_way_goes_up_across_and_down_at_feed(here: machine_snapshot.MachineS
     ]
 
 
-def test_a_machine_that_reports_inches_goes_the_same_way(
+def test_the_entry_is_the_same_for_a_machine_that_reports_inches(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     in_mm = way(here, 6)
@@ -201,7 +205,9 @@ def test_a_machine_that_reports_inches_goes_the_same_way(
     assert way(here, 6) == in_mm
 
 
-def test_a_laser_is_on_only_once_it_is_there(here: machine_snapshot.MachineSnapshot) -> None:
+def test_a_laser_is_switched_on_only_at_the_entry_point(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     here.settings[32] = "1"
     with pytest.raises(CannotEnter, match="line 6 goes on with G1"):
         way(here, 6)
@@ -210,13 +216,13 @@ def test_a_laser_is_on_only_once_it_is_there(here: machine_snapshot.MachineSnaps
     assert "G4 P4" not in lines
 
 
-def test_an_arc_that_goes_on_cannot_be_begun_with(here: machine_snapshot.MachineSnapshot) -> None:
+def test_entry_at_a_continued_arc_is_refused(here: machine_snapshot.MachineSnapshot) -> None:
     with pytest.raises(CannotEnter, match="line 8 goes on with G2"):
         way(here, 8)
     assert way(here, 7)[-1].startswith("G1 ")
 
 
-def test_a_drilling_cycle_that_goes_on_cannot_be_begun_with(
+def test_entry_at_a_continued_drilling_cycle_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = [b"G21 G90", b"G0 Z10", b"G99 G81 X5 Y5 Z-2 R2 F100", b"X10", b"G80", b"G0 X20"]
@@ -226,7 +232,9 @@ def test_a_drilling_cycle_that_goes_on_cannot_be_begun_with(
     assert approach(lines, 6, found, here).lines
 
 
-def test_what_only_the_user_can_know_is_said(here: machine_snapshot.MachineSnapshot) -> None:
+def test_conditions_that_only_the_user_knows_are_reported(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
     found = forecast(here, [line.decode() for line in lines], ask_at=9)
     moves, origin, tool = approach(lines, 9, found, here).cautions
@@ -234,18 +242,18 @@ def test_what_only_the_user_can_know_is_said(here: machine_snapshot.MachineSnaps
     assert "line 5 names a tool" in tool
 
 
-def test_the_way_stores_the_offsets_that_the_lines_before_have_written(
+def test_the_entry_stores_offsets_written_by_earlier_lines(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = [b"G21 G90 G55", b"G10 L2 P2 X-9 Y-9 Z-9", b"G0 X0", b"G10 L2 P2 X-8", b"G0 X-1"]
-    here.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has been there
+    here.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has run to there
     assert "G10 L2 P2 X-9.000 Y-9.000 Z-9.000" in way(here, 3, lines)
     assert not any("G10" in line for line in way(here, 5, lines))
     found = forecast(here, [line.decode() for line in lines], ask_at=3)
     assert "line 4 stores offsets" in approach(lines, 3, found, here).cautions[-1]
 
 
-def test_a_place_that_the_lines_before_have_stored_is_not_gone_to(
+def test_entry_after_a_changed_stored_position_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = [b"G21 G90", b"G53 G0 X-7 Y-7 Z-7", b"G28.1", b"G0 X1", b"G28"]
@@ -255,7 +263,7 @@ def test_a_place_that_the_lines_before_have_stored_is_not_gone_to(
     assert way(here, 4, lines)
 
 
-def test_a_setting_of_the_lines_before_has_to_be_the_machines(
+def test_entry_after_a_changed_setting_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = [b"$30=500", b"G21 G90", b"G0 X1"]
@@ -266,7 +274,9 @@ def test_a_setting_of_the_lines_before_has_to_be_the_machines(
     assert way(here, 3, lines)
 
 
-def test_what_cannot_be_simulated_cannot_be_passed(here: machine_snapshot.MachineSnapshot) -> None:
+def test_entry_after_a_line_that_cannot_be_simulated_is_refused(
+    here: machine_snapshot.MachineSnapshot,
+) -> None:
     lines = ["G21", "G38.2 Z-30 F100", "G0 X1"]
     _, found = rehearse(job(lines, here.commands(), ask_at=3))
     with pytest.raises(CannotEnter, match="ALARM"):
@@ -299,7 +309,7 @@ def own(
     return job(lines, commands, custom=str(folder / "mine.py"), inputs=[*inputs], ask_at=2)
 
 
-def test_after_a_probe_of_ones_own_the_place_is_where_it_touched(
+def test_a_custom_probe_ends_at_the_contact(
     here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     _, found = rehearse(own(here, tmp_path, ["M100 P1", "G21"], "probe=Z-12"))
@@ -308,7 +318,7 @@ def test_after_a_probe_of_ones_own_the_place_is_where_it_touched(
     assert found.own == "M100, M101"
 
 
-def test_what_a_handler_prints_is_not_in_the_forecasts_way(
+def test_output_of_a_handler_does_not_disturb_the_forecast(
     here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     running = Rehearsal(own(here, tmp_path, ["M100 P0", "G64"], "probe=Z-12"))
@@ -317,14 +327,14 @@ def test_what_a_handler_prints_is_not_in_the_forecasts_way(
     assert found and found.refused == [2]
 
 
-def test_a_wait_that_nobody_ends_stops_the_rehearsal_in_words(
+def test_an_endless_wait_stops_the_rehearsal_with_a_message(
     here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     _, found = rehearse(own(here, tmp_path, ["M101", "G0 X1"]))
     assert "--input part=on" in found.stopped
 
 
-def test_python_that_is_none_stops_the_rehearsal_in_words(
+def test_broken_python_stops_the_rehearsal_with_a_message(
     here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
     made = own(here, tmp_path, ["M101"])
@@ -335,7 +345,7 @@ def test_python_that_is_none_stops_the_rehearsal_in_words(
     assert found and "ZeroDivisionError" in found.stopped
 
 
-# Words that $I names
+# Custom words listed by $I
 
 
 INFO = [
@@ -361,7 +371,7 @@ INFO = [
         (b"T1", "", ""),
     ],
 )
-def test_own_words_and_events_of_a_line_are_found(line: bytes, word: str, handler: str) -> None:
+def test_custom_words_and_events_of_a_line_are_found(line: bytes, word: str, handler: str) -> None:
     own_words = CustomCodes.read(INFO)
     assert (own_words.word_in(line), own_words.handler_of(line)) == (word, handler)
     assert CustomCodes.read(INFO[:1]).handler_of(line) == ""
@@ -369,7 +379,7 @@ def test_own_words_and_events_of_a_line_are_found(line: bytes, word: str, handle
     assert CustomCodes.read(of_09).text == own_words.text
 
 
-def test_of_a_list_that_is_cut_the_last_word_and_the_missing_are_not_known() -> None:
+def test_the_last_word_of_a_truncated_list_is_unknown() -> None:
     text = ", ".join(f"M{n}" for n in range(100, 140))[:112]
     found = CustomCodes.read([f"[MSG:Custom: {text}]"])
     assert found.is_cut and found.word_in(b"M110") and not found.word_in(b"M" + text[-2:].encode())

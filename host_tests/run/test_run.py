@@ -16,7 +16,7 @@ from ugrbl.grbl.lines import split_lines
 from ugrbl.grbl.messages import alarms, errors, meaning
 from ugrbl.run.program import Result, run_program
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 _PROGRAMS = Path(__file__).resolve().parents[3] / "shared" / "gcode"
@@ -30,13 +30,13 @@ def run(text: str, *settings: str, **options: bool) -> Result:
 
 
 def ugrbl(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own, as a user runs it."""
+    """Run the command in a separate process, as a user does."""
     environment = as_users(COLUMNS="120")
     command = [sys.executable, "-m", "ugrbl.cli", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
 
 
-def test_check_names_bytes_that_act_at_once(tmp_path: Path) -> None:
+def test_check_names_bytes_with_a_realtime_meaning(tmp_path: Path) -> None:
     file = tmp_path / "umlauts.nc"
     file.write_text("(Größe)\nG0 X1\n", encoding="utf-8")
     done = ugrbl("run", file, "--check")
@@ -46,7 +46,7 @@ def test_check_names_bytes_that_act_at_once(tmp_path: Path) -> None:
     assert done.returncode == 1 and "line 2: 'Ö'" in done.stdout
 
 
-# Real programs, with real Grbl as the judge
+# Real programs, compared with real Grbl
 
 
 def programs(only_good: bool) -> list[object]:
@@ -56,7 +56,7 @@ def programs(only_good: bool) -> list[object]:
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", programs(only_good=False))
-def test_check_finds_what_real_grbl_found(name: str) -> None:
+def test_check_finds_the_same_errors_as_real_grbl(name: str) -> None:
     result, _ = run_program(read_lines(_PROGRAMS / name), check=True)
     seen = _GRBL[name]
     assert [list(error) for error in result.errors] == seen["errors"]
@@ -77,10 +77,10 @@ def test_programs_without_errors_run_to_their_last_step(name: str, tmp_path: Pat
     assert [result["final_state"]] == _GRBL[name]["final_state"]
 
 
-# What it tells
+# Results of a run
 
 
-def test_time_is_that_of_the_trapezoid() -> None:
+def test_time_matches_the_trapezoid() -> None:
     # 600 mm/min = 10 mm/s reached and lost in 1 s each, 10 mm/s2: 20 mm take 3 s.
     result = run("G1 X20 F600\n", "$110=1000")
     assert result.totals.time_s == pytest.approx(3.0, rel=1e-3)
@@ -95,7 +95,7 @@ def test_steps_are_counted_in_both_directions() -> None:
     assert totals.steps_planned == totals.steps_made == {"X": 500, "Y": 0, "Z": 500}
 
 
-def test_bounds_follow_an_arc_to_where_it_swings_out() -> None:
+def test_bounds_include_the_extremes_of_an_arc() -> None:
     bounds = run("G17 G2 X0 Y0 I5 J0 F500\n").totals.bounds_mm
     assert bounds["X"] == pytest.approx((0, 10), abs=0.01)
     assert bounds["Y"] == pytest.approx((-5, 5), abs=0.01)
@@ -112,17 +112,17 @@ def test_corexy_bounds_are_those_of_the_tool() -> None:
     assert result.totals.distance_mm == pytest.approx(5.0, abs=0.01)
 
 
-def test_errors_carry_their_lines() -> None:
+def test_errors_have_their_line_numbers() -> None:
     result = run("G0 X1\nG64\n\nG2 X5 F100\n")
     assert result.errors == [(2, "error:20"), (4, "error:35")]
     assert result.lines == 4
 
 
-def test_other_output_carries_the_line_it_belongs_to() -> None:
+def test_other_output_has_its_line_number() -> None:
     assert run("G0 X1\nM30\nG0 X0\n").other_output == [(2, "[MSG:Pgm End]")]
 
 
-def test_the_final_state_is_that_of_the_parser() -> None:
+def test_the_final_state_is_the_parsers() -> None:
     assert run("G20 G91\nG1 F10\n").final_state.startswith("[GC:G1 G54 G17 G20 G91 ")
 
 
@@ -132,22 +132,22 @@ def test_check_mode_moves_nothing() -> None:
     assert totals.time_s < 0.1
 
 
-def test_a_line_too_long_for_the_receive_buffer_is_one_line() -> None:
+def test_a_line_longer_than_the_receive_buffer_counts_as_one() -> None:
     assert run("G0 X1 (" + "a" * 300 + ")\nG0" + " X1" * 100 + "\nG0 X2\n").errors == [
         (2, "error:11")
     ]
 
 
-# What it does about programs that stop
+# Programs that stop
 
 
-def test_a_pause_is_told_to_go_on() -> None:
+def test_a_pause_is_resumed() -> None:
     result = run("G0 X1\nM0\nG0 X2\nM0\nG0 X3\n")
     assert (result.pauses, result.lines, result.stopped) == ([2, 4], 5, "")
     assert result.totals.steps_made["X"] == 750
 
 
-def test_a_hold_in_the_text_is_told_to_go_on() -> None:
+def test_a_hold_character_in_the_text_is_resumed() -> None:
     result = run("G0 X1\n(wow!)\nG0 X2\n")
     assert (len(result.pauses), result.lines, result.stopped) == (1, 3, "")
     assert result.totals.steps_made["X"] == 500
@@ -162,13 +162,13 @@ def test_sleep_ends_the_run() -> None:
     assert "asleep" in run("$SLP\nG0 X1\n").stopped
 
 
-def test_a_reset_in_the_text_does_not_lose_the_rest() -> None:
+def test_lines_after_a_reset_character_are_still_executed() -> None:
     result = run("G91\n\x18\nG0 X1\n")
     assert result.stopped == ""
     assert result.final_state.startswith("[GC:G0 G54 G17 G21 G90 ")
 
 
-def test_a_refused_setting_ends_it_before_it_begins() -> None:
+def test_a_refused_setting_ends_the_run_before_it_begins() -> None:
     result = run("G0 X1\n", "$0=1")
     assert result.stopped == "$0=1 was refused with error:6"
     assert result.totals.steps_made["X"] == 0
@@ -189,7 +189,7 @@ def test_a_refused_setting_ends_it_before_it_begins() -> None:
         (b"a\n\rb", [b"a", b"", b"b"]),
     ],
 )
-def test_a_file_is_cut_at_every_kind_of_line_end(data: bytes, lines: list[bytes]) -> None:
+def test_a_file_is_split_at_every_kind_of_line_end(data: bytes, lines: list[bytes]) -> None:
     assert split_lines(data) == lines
 
 
@@ -200,7 +200,7 @@ def test_every_number_has_a_meaning() -> None:
     assert all(words.endswith(".") for words in [*errors().values(), *alarms().values()])
 
 
-def test_unknown_numbers_are_said_to_be_so() -> None:
+def test_an_unknown_number_is_reported_as_unknown() -> None:
     assert meaning("error:99") == "not a number of Grbl 1.1"
 
 
@@ -208,7 +208,7 @@ def test_a_reset_in_the_text_is_reported() -> None:
     assert run("G91\n\x18\nG0 X1\n").resets == [2]
 
 
-def test_a_place_is_what_the_firmware_calls_it() -> None:
+def test_positions_are_those_that_the_firmware_reports() -> None:
     totals = run("G92 X0\nG0 X-3\n").totals
     assert totals.final_position_mm["X"] == -3
     totals = run("G0 X3\n", "$3=1").totals
@@ -225,7 +225,7 @@ def test_a_reset_in_the_text_is_a_failure(program: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\n\n", b"GIF89a\0\0"])
-def test_what_is_no_program_is_a_failure(program: Path, data: bytes) -> None:
+def test_a_file_without_a_program_is_a_failure(program: Path, data: bytes) -> None:
     program.write_bytes(data)
     done = CliRunner().invoke(app, ["run", str(program)])
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
@@ -241,7 +241,7 @@ def test_what_is_no_program_is_a_failure(program: Path, data: bytes) -> None:
         (["--set", "fast"], "write it as"),
     ],
 )
-def test_what_cannot_be_is_reported_before_the_work(
+def test_impossible_options_are_reported_before_the_run(
     program: Path, words: list[str], why: str
 ) -> None:
     program.write_text("G0 X1\n")
@@ -252,7 +252,7 @@ def test_what_cannot_be_is_reported_before_the_work(
     assert program.read_text() == "G0 X1\n"
 
 
-def test_a_program_of_another_controller_is_told_what_takes_it(program: Path) -> None:
+def test_a_program_for_another_controller_gets_a_hint_to_lenient(program: Path) -> None:
     program.write_text("%\nO1000 (PART)\nN10 T1 M6\nG21 G90\nG0 X1\nM30\n%\n")
     done = CliRunner().invoke(app, ["run", str(program), "--check"])
     assert done.exit_code == 1 and "line 1" not in done.output
@@ -268,13 +268,13 @@ def test_a_program_may_be_in_utf_16(program: Path, encoding: str) -> None:
     assert list(read_program(program)) == ["G0 X1 (ä)".encode(), b"G0 X2"]
 
 
-def test_a_dash_that_is_no_minus_is_named(program: Path) -> None:
+def test_a_dash_instead_of_a_minus_is_named(program: Path) -> None:
     program.write_text("G21\nG1 X−1 F500\n", encoding="utf-8")
     done = CliRunner().invoke(app, ["run", str(program)])
     assert "line 2: '−' is no minus: write -" in done.output
 
 
-def test_settings_of_a_file_hold_and_those_said_over_them(program: Path, tmp_path: Path) -> None:
+def test_options_override_the_settings_file(program: Path, tmp_path: Path) -> None:
     program.write_text("G0 X1 Y1\n")
     settings, file = tmp_path / "my.settings", tmp_path / "out.json"
     settings.write_text("$100=100 ; coarse\n$101=50\n")
@@ -286,7 +286,7 @@ def test_settings_of_a_file_hold_and_those_said_over_them(program: Path, tmp_pat
 
 
 @pytest.mark.parametrize("suffix", [".html", ".PNG", ".svg"])
-def test_what_has_run_is_drawn_as_plot_does(program: Path, suffix: str) -> None:
+def test_run_plots_the_path_like_plot(program: Path, suffix: str) -> None:
     program.write_text("G0 X10 Y5\nG1 X0 F300\n")
     file = program.with_name("new") / f"path{suffix}"
     done = CliRunner().invoke(app, ["run", str(program), "--plot", str(file)])
@@ -302,7 +302,7 @@ def test_every_board_simulates(name: str, program: Path) -> None:
     assert "2 commanded" not in done.output and "!=" not in done.output
 
 
-def test_a_board_file_anywhere_simulates(program: Path, tmp_path: Path) -> None:
+def test_a_board_file_in_any_folder_simulates(program: Path, tmp_path: Path) -> None:
     program.write_text("G0 X1\n")
     board = tmp_path / "mine.py"
     board.write_text((paths.BOARDS / "rpi_pico.py").read_text() + "DEFAULTS = {100: 80.0}\n")
@@ -316,7 +316,7 @@ def program(tmp_path: Path) -> Path:
     return tmp_path / "program.nc"
 
 
-def test_json_has_everything(program: Path, tmp_path: Path) -> None:
+def test_json_contains_all_results(program: Path, tmp_path: Path) -> None:
     program.write_text("G0 X1\nG64\n")
     file = tmp_path / "out.json"
     done = CliRunner().invoke(app, ["run", str(program), "--set", "110=1000", "--json", str(file)])

@@ -1,4 +1,5 @@
-"""These run when asked for by name (`make test-senders`): they install programs, and take long."""
+"""Tests with real senders run only when named (`make test-senders`): they install programs, and
+take long."""
 
 from pathlib import Path
 
@@ -6,5 +7,5 @@ import pytest
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave this folder out of plain runs."""
+    """Leave this folder out unless it is named."""
     return None if any("senders" in argument for argument in config.args) else True

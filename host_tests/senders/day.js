@@ -1,4 +1,4 @@
-// The day of a sender that is a server, driven by its own socket as its pages drive it.
+// A user's day with a sender that is a server, driven through its socket as by its pages.
 //
 //     node drive_NAME.js FOLDER PLAN_FILE RESULT_FILE HTTP_PORT
 
@@ -17,7 +17,7 @@ const known = /^(ok$|error:|ALARM:|<|\$\d+ ?=|\$N\d=|Grbl|\[[A-Z][A-Z\d.]*:)/i;
 
 const numbers = (place) => ['x', 'y', 'z'].map((axis) => Number(place[axis]));
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
-// Where the machine is: a path, or a host and a port.
+// The machine's address: a path, or a host and a port.
 const place = plan.port.startsWith('socket:') ? new URL(plan.port) : null;
 
 function finish(error) {
@@ -26,7 +26,7 @@ function finish(error) {
   process.exit(0);
 }
 
-// Put empty ones in the place of modules that the sender loads and this day does not use.
+// Replace modules that the sender loads but this day does not use.
 function replace(modules) {
   const load = Module._load;
   Module._load = function (name, ...rest) {
@@ -34,7 +34,7 @@ function replace(modules) {
   };
 }
 
-// Keep the sender's server on this computer, and its page at the port that was given.
+// Bind the sender's server to this computer only, with its page at the given port.
 function stayLocal() {
   const listen = net.Server.prototype.listen;
   net.Server.prototype.listen = function (port, ...rest) {
@@ -43,13 +43,13 @@ function stayLocal() {
   };
 }
 
-// A sender that calls the port of telnet alone is led to the machine's.
+// Redirect a sender that only connects to the telnet port to the machine's port.
 function leadTelnet() {
   const connect = net.connect;
   net.connect = (port, ...rest) => connect(Number(port) === 23 && place ? place.port : port, ...rest);
 }
 
-// What a page needs of socket.io 3 and later, over one websocket.
+// The part of socket.io 3 and later that a page needs, over one websocket.
 class Socket {
   constructor(WebSocket) {
     this.handlers = {};
@@ -72,11 +72,11 @@ class Socket {
 
   emit(...words) { this.wire.send('42' + JSON.stringify(words)); }
 
-  // The same, where the server calls back.
+  // The same for calls that the server acknowledges.
   ask(...words) { this.wire.send('421' + JSON.stringify(words)); }
 }
 
-// Wait until the server listens, and call it.
+// Wait until the server listens, and connect.
 async function call(WebSocket) {
   let socket = null;
   await until('listening', () => {
@@ -104,7 +104,7 @@ function noteState(state, percent) {
   if (percent) result.override.push(Number(percent));
 }
 
-// sender: state(), mpos(), wpos(), and what a user does with it.
+// sender: state(), mpos(), wpos(), and the user's actions.
 async function live(sender) {
   const at = (expected) => sender.state() === 'Idle' && expected.every(
     (mm, i) => Math.abs(mm - sender.mpos()[i]) < 0.005

@@ -1,9 +1,9 @@
-"""A day with bCNC: its Sender and its controller for Grbl 1.x, without its windows.
+"""A user's day with bCNC: its Sender and its controller for Grbl 1.x, without its windows.
 
     python drive_bcnc.py PLAN_FILE RESULT_FILE
 
-Runs in the Python that has bCNC. What its main window adds to a Sender is stood in for here:
-the queue of a run (bmain.Application.run), and the calls that draw.
+Runs in the Python that has bCNC. This file replaces what its main window adds to a Sender: the
+queue of a run (bmain.Application.run), and the calls that draw.
 """
 
 import importlib.util
@@ -15,9 +15,9 @@ import time
 from pathlib import Path
 
 _PATIENCE_S = 60.0
-# Kinds of lines that parseLine() hands to the terminal and reads nothing from, as with real Grbl.
-# A whole status report is one of them: the Sender asks on a timer and on its own account (reset,
-# unlock, overrides), notes one question only (sio_status), and logs the answer to the other.
+# Kinds of lines that parseLine() only shows in the terminal, as with real Grbl. A whole status
+# report can be one of them: the Sender asks on a timer and for its own purposes (reset, unlock,
+# overrides), records one question only (sio_status), and logs the answer to the other.
 _KNOWN = re.compile(
     r"\$\d+=|Grbl |\[(MSG|GC|VER|OPT|G\d\d|G92|TLO|PRB|HLP):"
     r"|<[A-Z][a-z]+(:\d)?\|[MW]Pos:[-\d.,]+(\|[A-Z][A-Za-z]*:[-\w.,]+)*>$"
@@ -29,7 +29,7 @@ def find_bcnc():
     home = Path(spec.origin).parent
     for folder in ("controllers", "plugins", "lib", ""):
         sys.path.insert(0, str(home / folder))
-    os.environ["HOME"] = str(Path(sys.argv[2]).parent)  # its settings are not the user's
+    os.environ["HOME"] = str(Path(sys.argv[2]).parent)  # keep the user's settings out
     return home
 
 
@@ -43,7 +43,7 @@ def make_sender():
     from Sender import Sender
 
     class Headless(Sender):
-        """A Sender whose window is not there."""
+        """A Sender without a window."""
 
         def event_generate(self, *_, **__):
             pass
@@ -61,7 +61,7 @@ def make_sender():
 
 
 class Day:
-    """One sender, one plan, what came of it."""
+    """One sender, one plan, and the results."""
 
     def __init__(self, sender, plan):
         from CNC import CNC, WAIT
@@ -74,7 +74,7 @@ class Day:
         self.result = {"unparsed": [], "errors": [], "override": [], "states": []}
 
     def log(self):
-        """Empty the log its terminal would show."""
+        """Empty the log that its terminal would show."""
         while not self.sender.log.empty():
             kind, text = self.sender.log.get()
             if kind == self.sender.MSG_ERROR:
@@ -103,7 +103,7 @@ class Day:
         return self.vars["state"] == "Idle" and near and self.sender.queue.empty()
 
     def run(self):
-        """As bmain.Application.run() does with lines."""
+        """Do what bmain.Application.run() does with lines."""
         sender = self.sender
         sender.initRun()
         sender._runLines = sys.maxsize
@@ -141,7 +141,7 @@ class Day:
 
         self.run()
         self.until("running", lambda: values["state"] == "Run")
-        for percent in (110, 120):  # in one go it overshoots, where WCO: takes the place of Ov:
+        for percent in (110, 120):  # in steps: a report with WCO: lacks Ov:, so one go overshoots
             values["_OvFeed"] = percent
             values["_OvChanged"] = True
             self.until("overridden", lambda percent=percent: values["OvFeed"] == percent)
@@ -151,7 +151,7 @@ class Day:
         sender.resume()
         self.until("resumed", lambda: values["state"] == "Run")
         self.until("done", lambda: sender._gcount >= sender._runLines and self.at(plan["ended"]))
-        # As its window does at the end of a job: hold, reset, unlock, and set everything up again.
+        # As its window does at the end of a job: hold, reset, unlock, and restore all modes.
         sender.cleanAfter = True
         sender.runEnded()
         self.until("purged", lambda: not sender.cleanAfter and sender.queue.empty())

@@ -1,4 +1,4 @@
-// A day with cncjs: its own server in this process, driven by its own socket as its pages drive it.
+// A user's day with cncjs: its server in this process, driven through its socket as by its pages.
 //
 //     node drive_cncjs.js CNCJS_FOLDER PLAN_FILE RESULT_FILE HTTP_PORT
 
@@ -16,7 +16,7 @@ const settingsFile = path.join(path.dirname(resultFile), 'cncrc');
 const secret = 'for this test';
 const patienceMs = 60000;
 
-// What its parser makes nothing of is what it would show as noise.
+// Lines that its parser does not recognise would appear as noise.
 const { default: Parser } = require(path.join(server, 'server/controllers/Grbl/GrblLineParser'));
 const parse = Parser.prototype.parse;
 Parser.prototype.parse = function (line) {
@@ -111,7 +111,7 @@ async function day(socket) {
   result.settings = Object.fromEntries(
     Object.entries(seen.settings.settings).map(([name, value]) => [name.replace('$', ''), value])
   );
-  // The banner came before it looked, or it asked: either way this is what it holds for the version.
+  // The version it uses, from the banner or from its own query.
   result.version = seen.settings.version;
 }
 

@@ -1,8 +1,8 @@
-"""A day with grbl-streamer: its public methods, its own log.
+"""A user's day with grbl-streamer: its public methods, its own log.
 
     python drive_grbl_streamer.py PLAN_FILE RESULT_FILE
 
-Runs in the Python that has it. Its way to override the feed is to rewrite F words.
+Runs in the Python that has it. It overrides the feed by rewriting F words.
 """
 
 import json
@@ -16,13 +16,13 @@ from pathlib import Path
 from grbl_streamer import GrblStreamer
 
 _PATIENCE_S = 60.0
-# What it hands on without looking inside, as with real Grbl.
+# Lines that it passes on without parsing, as with real Grbl.
 _KNOWN = re.compile(r"\$(\d+)=(\S+)$|(Grbl )|\[GC:|\[(G\d\d|G92|TLO|PRB):")
 _FEED = 1500
 
 
 class Day:
-    """One sender, one plan, what came of it."""
+    """One sender, one plan, and the results."""
 
     def __init__(self, plan):
         self.plan = plan
@@ -97,7 +97,7 @@ class Day:
 
 
 class Complaints(logging.Handler):
-    """What it logs as an error is a line it could not parse, or did not dare to send."""
+    """Collect its logged errors: a line it could not parse, or did not send."""
 
     def __init__(self, into):
         super().__init__(logging.ERROR)

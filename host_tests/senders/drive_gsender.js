@@ -1,4 +1,4 @@
-// A day with gSender's server, which is built in FOLDER (`npm run build-dev-server` and its kin).
+// A user's day with gSender's server, built in FOLDER (`npm run build-dev-server` or similar).
 
 'use strict';
 
@@ -40,7 +40,7 @@ async function meet() {
   socket.on('sender:status', (status) => { seen.sender = status; });
   socket.on('serialport:write', (line) => seen.sent.add(line.trim()));
   socket.on('serialport:read', (line) => {
-    // It shows the lines of a program here, too, and a lock as an alarm of its own.
+    // It also shows a program's lines here, and a lock as its own alarm.
     const its = plan.program.includes(line) || line === 'G4 P0.5' || line.startsWith('ALARM:Homing');
     if (!its) day.note(line);
   });
@@ -58,7 +58,7 @@ function driver(command, seen) {
     mpos: () => day.numbers(status().mpos || {}),
     wpos: () => day.numbers(status().wpos || {}),
     home() {
-      command('settings:updated', { useAaxisForGrbl: true }); // or A goes out as Y
+      command('settings:updated', { useAaxisForGrbl: true }); // otherwise A is sent as Y
       command('homing');
     },
     jog: () => command('gcode', plan.jog),
@@ -76,7 +76,7 @@ function driver(command, seen) {
   };
 }
 
-// Windows, and what writes other boards' flash.
+// Windows, and writers of other boards' flash.
 day.replace({ electron: {}, '@sienci/avrgirl-arduino': class {} });
 day.stayLocal();
 fs.writeFileSync(settingsFile, JSON.stringify({ checkForUpdates: false }));

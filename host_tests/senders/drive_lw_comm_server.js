@@ -1,4 +1,4 @@
-// A day with lw.comm-server, LaserWeb's, by the words that LaserWeb sends it.
+// A user's day with LaserWeb's lw.comm-server, driven by LaserWeb's messages.
 
 'use strict';
 
@@ -12,7 +12,7 @@ const from = (name) => require(require.resolve(name, { paths: [day.home] }));
 async function meet() {
   const socket = await day.call(from('ws'));
   const seen = { state: '', mpos: [], wco: [0, 0, 0], left: 0, sent: false };
-  socket.on('data', (line) => { // over telnet it begins with a word of its own, undefined
+  socket.on('data', (line) => { // over telnet it first sends the text 'undefined'
     const text = line.trim();
     const setting = /^\$(\d+)=(\S+)/.exec(text);
     if (setting) result.settings[setting[1]] = setting[2];
@@ -26,7 +26,7 @@ async function meet() {
   return driver(socket, seen);
 }
 
-// LaserWeb reads machine positions itself out of the reports, which are handed on to it.
+// LaserWeb reads machine positions from the reports itself; the server passes them on.
 function read(report, seen) {
   const field = (name) => (new RegExp(`${name}:([-\\d.,]+)`).exec(report) || [])[1];
   const place = (text) => text.split(',').slice(0, 3).map(Number);
@@ -60,7 +60,7 @@ function driver(socket, seen) {
   };
 }
 
-day.replace({ 'node-hid': {} }); // a pendant's
+day.replace({ 'node-hid': {} }); // for pendants
 day.stayLocal();
 day.leadTelnet();
 process.on('unhandledRejection', day.finish);

@@ -1,4 +1,4 @@
-// A day with OpenBuilds CONTROL, without its window.
+// A user's day with OpenBuilds CONTROL, without its window.
 
 'use strict';
 
@@ -20,7 +20,7 @@ async function meet() {
     result.version = status.machine.firmware.version || result.version;
   });
   socket.on('data', ({ command, response }) => {
-    if (command === 'connect' || command.startsWith('[')) return; // its own words
+    if (command === 'connect' || command.startsWith('[')) return; // its own messages
     const setting = /^\$(\d+)=(\S+)/.exec(response);
     if (setting) result.settings[setting[1]] = setting[2];
     day.note(response);
@@ -32,7 +32,7 @@ async function meet() {
   return driver(socket, seen);
 }
 
-// Its own words, "Running" and others, stand in the place of the machine's until the next report.
+// Its own words ("Running" and others) replace the machine's state until the next report.
 const state = (seen) => {
   const word = (seen.status ? seen.status.comms.runStatus : '').split(':')[0];
   return ['Idle', 'Run', 'Hold', 'Jog', 'Home', 'Alarm'].includes(word) ? word : '';
@@ -59,7 +59,7 @@ function driver(socket, seen) {
     begun: () => true,
     feed: (percent) => socket.emit('feedOverride', percent),
     pause: () => socket.emit('pause'),
-    // A report of the hold that is under way when it resumes makes it hold again: press twice.
+    // A hold report that was already sent when it resumes makes it hold again: press twice.
     resume() {
       socket.emit('resume');
       setTimeout(() => { if (state(seen) === 'Hold') this.resume(); }, 1000);
@@ -68,7 +68,7 @@ function driver(socket, seen) {
   };
 }
 
-// Windows; what looks for machines in the network.
+// Windows; the search for machines in the network.
 const nothing = () => {};
 const electron = { app: { setAppUserModelId: nothing, commandLine: { appendSwitch: nothing } } };
 day.replace({ electron, evilscan: class {} });

@@ -1,8 +1,8 @@
-"""A day with the plainest of senders, as Grbl's own examples are: a port, a loop, nothing clever.
+"""A user's day with a minimal sender, like Grbl's own examples: a port and a loop.
 
     python drive_plain.py line|count PLAN_FILE RESULT_FILE
 
-line: a line is sent when the one before is answered. count: as many as 127 bytes are under way.
+line: send a line when the one before is answered. count: keep up to 127 bytes unanswered.
 """
 
 import json
@@ -34,7 +34,7 @@ _KNOWN = re.compile(
 
 
 class Plain:
-    """The port, and what is known of the machine behind it."""
+    """The port, and the known state of the machine."""
 
     def __init__(self, plan: Any, by_line: bool) -> None:
         self.plan = plan
@@ -55,7 +55,7 @@ class Plain:
         self.rest = ""
 
     def turn(self) -> None:
-        """Ask for a report when it is time, and read what has come."""
+        """Ask for a report when it is due, and read the bytes received."""
         if time.monotonic() - self.asked > _POLL_S:
             self.asked = time.monotonic()
             self.port.write(b"?")
@@ -102,7 +102,7 @@ class Plain:
             self.turn()
 
     def send(self, line: str) -> None:
-        """Send as soon as there is room."""
+        """Send as soon as space is free."""
         data = line.encode() + b"\n"
         self.until("room", lambda: not self.under_way or self.fits(len(data)))
         self.port.write(data)
@@ -123,7 +123,7 @@ class Plain:
 
 
 def live(sender: Plain) -> None:
-    """The day."""
+    """Do everything that belongs to the day."""
     plan, result = sender.plan, sender.result
     sender.port.write(b"\x18")
     sender.until("greeted", lambda: "version" in result)
@@ -140,7 +140,7 @@ def live(sender: Plain) -> None:
     half = len(plan["program"]) // 2
     for line in plan["program"][:half]:
         sender.send(line)
-    for percent in (110, 120):  # one at a time: Grbl keeps them as flags, two at once are one
+    for percent in (110, 120):  # one at a time: Grbl keeps them as flags, two at once count once
         sender.port.write(b"\x91")
         sender.until("overridden", lambda percent=percent: percent in result["override"])
     sender.port.write(b"!")

@@ -1,8 +1,8 @@
-"""Puts the senders under test into a folder of its own, from the registries they are published in.
+"""Install the senders under test into a separate folder, from their registries.
 
     python install.py [FOLDER]
 
-The folder is ~/.cache/ugrbl-senders, or what UGRBL_SENDERS says; what is there already is kept.
+The default folder is ~/.cache/ugrbl-senders, or UGRBL_SENDERS; an existing installation is kept.
 """
 
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 FOLDER = Path(os.environ.get("UGRBL_SENDERS") or Path.home() / ".cache" / "ugrbl-senders")
 
 CNCJS = "cncjs@1.11.5"
-# The rest of what bCNC asks for (OpenCV, Pillow, tkinter-gl …) serves its windows and its camera.
+# bCNC's other requirements (OpenCV, Pillow, tkinter-gl …) serve its windows and its camera.
 PYTHON_SENDERS = ("bCNC==0.9.16", "grbl-streamer==2.0.2")
 PYTHON_NEEDS = ("pyserial==3.5", "gcode-machine==1.0.3", "numpy", "svgelements<2", "shxparser")
 
@@ -22,11 +22,11 @@ _PATIENCE_S = 600
 
 
 class NotInstalled(Exception):
-    """A sender cannot be had here; the text says why."""
+    """A sender cannot be installed here; the text says why."""
 
 
 def cncjs() -> Path:
-    """The folder of cncjs, installed if need be."""
+    """Return the folder of cncjs; install it if needed."""
     home = FOLDER / "cncjs"
     package = home / "node_modules" / "cncjs"
     if not (package / "package.json").exists():
@@ -34,7 +34,7 @@ def cncjs() -> Path:
         if npm is None or shutil.which("node") is None:
             raise NotInstalled("cncjs needs Node.js and npm")
         home.mkdir(parents=True, exist_ok=True)
-        # Its native part comes ready made; scripts would only build what is there.
+        # Its native part is prebuilt; install scripts would only build it again.
         _run(
             [
                 npm,
@@ -51,7 +51,7 @@ def cncjs() -> Path:
 
 
 def python() -> Path:
-    """A Python that has the senders of PyPI, made if need be."""
+    """Return a Python with the senders of PyPI; make it if needed."""
     home = FOLDER / "python"
     interpreter = home / "bin" / "python"
     done = home / "installed"

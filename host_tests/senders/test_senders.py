@@ -1,9 +1,9 @@
-"""A user's day with real senders, each a program of its own, at the terminal of `ugrbl sim`.
+"""A user's day with real senders, each in its own process, at the terminal of `ugrbl sim`.
 
-Each comes to a locked machine, recognises Grbl 1.1, reads its settings, homes it, jogs, sets an
-offset, streams a program, overrides the feed, holds and resumes in the middle, and ends where it
-should, without having read a line it could make nothing of. So they do at a machine with an axis
-that turns, which has more numbers for them everywhere.
+Each sender meets a locked machine, recognises Grbl 1.1, reads its settings, homes it, jogs, sets
+an offset, streams a program, overrides the feed, holds and resumes in the middle, and ends at the
+right position, without reading a line that it could not parse. The same is tested with a machine
+with a rotary axis, which has more numbers in every answer.
 """
 
 import json
@@ -27,8 +27,11 @@ _TURNED = -45  # degrees, at the end
 
 
 def spiral(turning: bool) -> list[str]:
-    """Some seconds of short moves, an arc, a dwell; in work coordinates, back to X-5 Y-7 Z-1.
-    turning: A goes with them, and back to A-45."""
+    """Return some seconds of short moves, an arc and a dwell, in work coordinates, ending at X-5
+    Y-7
+    Z-1.
+
+    turning: A moves with them, and ends at A-45."""
     points = [
         (-0.4 * n * math.cos(n / 2) - 2, -0.4 * n * math.sin(n / 2) - 2) for n in range(1, 25)
     ]
@@ -49,8 +52,8 @@ PLAN: dict[str, Any] = {
 }
 
 
-# Senders that are in no registry, by the variable that names the folder of each, which was built
-# there by its own means.
+# Senders that are in no registry, by the variable that names the folder of each, built there by
+# the sender's own tools.
 SERVERS = {
     "UGRBL_GSENDER": "drive_gsender.js",
     "UGRBL_OPENBUILDS_CONTROL": "drive_openbuilds.js",
@@ -72,14 +75,14 @@ def bench(tmp_path: Path, board: str) -> Iterator[Bench]:
 
 @pytest.fixture
 def network(tmp_path: Path) -> Iterator[Bench]:
-    """A machine that senders call over TCP, by the link that a board with Wi-Fi has."""
+    """A machine that senders reach over TCP, through the link of a board with Wi-Fi."""
     running = Bench(tmp_path, "--board", "sim_wifi", settings=SETTINGS, network=True)
     yield running
     running.kill()
 
 
 def available(install: Any) -> Path:
-    """Where a sender is; where it cannot be had, the test is skipped and says why."""
+    """Return a sender's path; skip the test with the reason if it is not available."""
     try:
         return Path(install())
     except NotInstalled as error:
@@ -87,8 +90,9 @@ def available(install: Any) -> Path:
 
 
 def live(bench: Bench, board: str, *command: object, moving: bool = False) -> Any:
-    """Let a sender live through the day; returns what it noted. moving: it finds a machine that
-    another one has set going."""
+    """Run a sender through the day; return what it recorded.
+
+    moving: another sender has started motion before."""
     folder = bench.port.parent
     plan, result = folder / "plan.json", folder / "result.json"
     program = spiral(turning=board == "sim_rotary")
@@ -105,7 +109,7 @@ def live(bench: Bench, board: str, *command: object, moving: bool = False) -> An
 
 
 def set_going(bench: Bench) -> None:
-    """Begin a move of some seconds, and leave."""
+    """Start a move of some seconds, and disconnect."""
     with serial.serial_for_url(bench.url, timeout=10) as port:
         port.read_until(b"]\r\n")
         for line in (b"$X\n", b"G1 X-40 F120\n"):
@@ -114,7 +118,7 @@ def set_going(bench: Bench) -> None:
 
 
 def judge(noted: Any, bench: Bench, board: str) -> None:
-    """What holds for every sender's day, by its own words and by the machine's."""
+    """Check what holds for every sender's day, by its own record and by the machine's."""
     assert noted["unparsed"] == []
     assert [text for text in noted["errors"] if "error" in text or "ALARM" in text] == []
     assert float(noted["settings"]["110"]) == SETTINGS[110]
@@ -126,8 +130,9 @@ def judge(noted: Any, bench: Bench, board: str) -> None:
     assert noted["wpos"] == [-5, -7, -1]
     sent = bench.wire(">")
     assert sent.index(b"!") < sent.rindex(b"~")
-    # From the switch, at machine position 0, by the motors' own count. Homing looks at its
-    # switches as often as the computer lets it: a busy one stands still for some 20 ms.
+    # Measured from the switch, machine position 0, in the motors' steps. Homing polls its switches
+    # only
+    # as often as the computer allows: a busy one pauses for some 20 ms.
     late = 0.1 * SETTINGS[24] / 60 * STEPS_PER_MM
     switch = [SWITCH_STEPS + mm * STEPS_PER_MM for mm in PLAN["ended"]]
     place = bench.stop()
@@ -192,7 +197,7 @@ def test_a_plain_streamer_over_the_network(network: Bench, mode: str) -> None:
 
 @pytest.fixture(params=SERVERS)
 def server(request: pytest.FixtureRequest) -> tuple[object, ...]:
-    """The command that lets a server live through the day."""
+    """Return the command that runs a server through the day."""
     variable = str(request.param)
     folder = os.environ.get(variable)
     if not folder:
@@ -221,12 +226,12 @@ def a_day_with_a_server(
     assert noted.get("version", "1.1h") == "1.1h"
     assert max(noted["override"]) == 120
     if moving:
-        resets = "lw_comm" in str(server[1])  # by its own default, as it opens the port
+        resets = "lw_comm" in str(server[1])  # its default when it opens the port
         assert ("Run" in noted["met"]) is not resets
     judge(noted, bench, board)
 
 
-# A router with a rotary axis and programs of its own, for senders that know grblHAL.
+# A router with a rotary axis and jobs, for senders that know grblHAL.
 _HAL = """
 MPY_ARCH = "armv6m"
 ENGINE = "pio"
@@ -241,7 +246,7 @@ JOBS = "jobs"
 """
 
 
-def test_gsender_knows_axes_settings_and_programs_of_the_dialect_hal(tmp_path: Path) -> None:
+def test_gsender_reads_axes_settings_and_programs_in_hal_dialect(tmp_path: Path) -> None:
     folder = os.environ.get("UGRBL_GSENDER")
     if not folder:
         pytest.skip("UGRBL_GSENDER names no folder: this sender is in no registry")

@@ -32,7 +32,7 @@ def test_a_script_finds_modules_and_arguments(tmp_path):
     assert run_micropython(script, "a", 1, paths=[tmp_path]) == "42 ['a', '1']\n"
 
 
-def test_source_text_takes_arguments_too():
+def test_source_text_also_takes_arguments():
     assert run_micropython("import sys\nprint(sys.argv[-1])", "last") == "last\n"
 
 

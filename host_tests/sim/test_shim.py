@@ -1,4 +1,4 @@
-"""The micropython stand-in: viper arithmetic raises where the board would be silently wrong."""
+"""The micropython stand-in: viper arithmetic raises where the board would silently overflow."""
 
 import traceback
 from array import array
@@ -149,7 +149,7 @@ def test_shifts_are_exact_or_raise(a, n):
 
 @pytest.mark.parametrize("kernel", [shift_left, shift_right])
 @pytest.mark.parametrize("count", [-1, 32])
-def test_shift_counts_the_chip_does_not_define_raise(kernel, count):
+def test_shift_counts_undefined_on_the_chip_raise(kernel, count):
     with pytest.raises(OverflowError):
         kernel(1, count)
 
@@ -166,7 +166,7 @@ def test_division_by_zero_raises(kernel):
 
 
 @pytest.mark.parametrize("bad", [1.0, None, "1"])
-def test_only_integers_are_taken_as_int(bad):
+def test_only_integers_are_accepted_as_int(bad):
     with pytest.raises(TypeError):
         add(bad, 1)
 
@@ -198,7 +198,7 @@ def test_any_buffer_is_read_as_signed_words(memory):
         assert (load(memory, 0), load(memory, 1)) == (7, -2)
 
 
-def test_floats_in_an_array_are_seen_as_their_bits():
+def test_floats_in_an_array_are_read_as_their_bits():
     assert load32(array("f", [1.0]), 0) == 0x3F800000
 
 
@@ -208,7 +208,7 @@ def test_short_pointers_are_unsigned():
     assert load16(memory, 0) == 0xFFFE
 
 
-def test_stores_reach_the_array():
+def test_stores_change_the_array():
     memory = array("i", [1, 2])
     store32(memory, 1, -5)
     assert accumulate(memory, 1, -5) == -10
@@ -221,7 +221,7 @@ def test_a_sum_stored_by_augmented_assignment_is_checked():
 
 
 @pytest.mark.parametrize("value", [-1, 256])
-def test_a_byte_that_would_be_cut_raises(value):
+def test_a_byte_out_of_range_raises(value):
     with pytest.raises(ValueError, match="format"):
         store8(bytearray(1), 0, value)
 
@@ -239,19 +239,19 @@ def test_a_pointer_to_no_buffer_raises():
         load32(0xD0000000, 0)
 
 
-def test_a_pointer_to_a_register_is_mem32_with_a_sign():
+def test_a_pointer_to_a_register_reads_mem32_as_signed():
     store32(0x40014004, 2, -2)
     assert machine.mem32[0x4001400C] == 0xFFFFFFFE
     assert load32(0x4001400C, 0) == -2
     machine.mem32[0x4001400C] = 0
 
 
-def test_new_arrays_are_not_taken_for_old_ones():
-    for n in range(3000):  # more than the stand-in keeps, and at recycled addresses
+def test_new_arrays_are_not_confused_with_old_ones():
+    for n in range(3000):  # more than the stand-in caches, and at recycled addresses
         assert load32(array("i", [n]), 0) == n
 
 
-def test_name_documentation_and_control_flow_survive():
+def test_name_docstring_and_control_flow_are_kept():
     assert count_up.__name__ == count_up.__qualname__ == "count_up"
     assert count_up.__doc__ == "Count."
     assert [count_up(n) for n in (0, 5, 100)] == [0, 10, 1081]
@@ -327,7 +327,7 @@ def inner_function(a: int) -> int:
     ],
     ids=lambda function: function.__name__,
 )
-def test_what_the_board_cannot_do_is_refused_at_decoration(function):
+def test_constructs_unsupported_on_the_board_are_refused_at_decoration(function):
     with pytest.raises(SyntaxError, match=function.__name__) as caught:
         viper(function)
     assert caught.value.filename == __file__
@@ -344,7 +344,7 @@ def test_locals_of_an_outer_function_are_refused():
         viper(closure)
 
 
-def test_large_literals_are_fine_inside_int():
+def test_large_literals_are_allowed_inside_int():
     @viper
     def mask(a: int) -> int:
         return (a & int(0x7FFFFFFF)) | int(-0x80000000)
@@ -368,7 +368,7 @@ def test_methods_can_be_viper():
         Counter().twice(2**30)
 
 
-def test_objects_can_be_taken_apart():
+def test_objects_can_be_unpacked():
     @viper
     def difference(pair: object) -> int:
         one, other = pair
@@ -387,7 +387,7 @@ def test_fast_mode_casts_pointers_and_checks_nothing(monkeypatch):
     assert scaled(array("I", [0, 2**32 - 3]), 2**31) == -3 * 2**31
 
 
-def test_what_is_not_modelled_does_not_exist():
+def test_unsupported_names_of_micropython_are_missing():
     with pytest.raises(AttributeError):
         _ = micropython.qstr_info
 
@@ -402,7 +402,7 @@ def at(p: ptr8, n: int) -> int:
 """
 
 
-def test_what_is_kept_of_a_function_is_of_the_numbers_it_has_now(
+def test_the_cached_function_depends_on_its_current_constants(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
@@ -414,7 +414,7 @@ def test_what_is_kept_of_a_function_is_of_the_numbers_it_has_now(
     assert function.at(b"abc", 1) == ord("b") + 1
     kept = [*(tmp_path / "build" / "cache").iterdir()]
     with monkeypatch.context() as patch:
-        patch.setattr(micropython, "_compiled", None)  # nothing is made anew
+        patch.setattr(micropython, "_compiled", None)  # nothing may be compiled again
         assert reload(function).at(b"abc", 2) == ord("b") + 2
     numbers.AT = -1
     with pytest.raises(IndexError, match="-1 is before the start"):

@@ -1,4 +1,4 @@
-"""The simulator as a part of other people's tests."""
+"""The simulator as a fixture in other projects' tests."""
 
 import subprocess
 import sys
@@ -9,7 +9,7 @@ from as_users import as_users
 from ugrbl.sim import Machine
 
 
-def test_a_line_is_answered_and_motion_is_made_while_time_passes(grbl: Machine) -> None:
+def test_a_line_is_answered_and_motion_takes_simulated_time(grbl: Machine) -> None:
     assert grbl.welcome[-1] == "Grbl 1.1h ['$' for help]"
     assert grbl.ask("G1 X2 F600") == ["ok"]
     assert grbl.status().startswith("<Run|MPos:0.")
@@ -28,12 +28,12 @@ def test_time_stands_still_between_calls(grbl: Machine) -> None:
     assert grbl.status().startswith("<Hold:0|")
 
 
-def test_a_program_is_streamed_and_all_its_answers_come(grbl: Machine) -> None:
+def test_a_program_is_streamed_and_fully_answered(grbl: Machine) -> None:
     lines = [f"G1 X{k % 3} F1200" for k in range(60)]
     assert grbl.program([*lines, "G64"]) == ["ok"] * 60 + ["error:20"]
 
 
-def test_inputs_and_outputs_are_at_hand() -> None:
+def test_inputs_can_be_set_and_outputs_read() -> None:
     with Machine("sim", {21: 1, 30: 1000}) as machine:
         machine.ask("M3 S500")
         assert machine.outputs()["spindle_pwm"] == 128
@@ -44,12 +44,12 @@ def test_inputs_and_outputs_are_at_hand() -> None:
         assert machine.rest()[0] == "ALARM:1" and abs(machine.steps()[0] - 1000) <= 2
 
 
-def test_settings_are_what_it_shows(grbl: Machine) -> None:
+def test_settings_returns_the_machines_settings(grbl: Machine) -> None:
     grbl.ask("$110=750")
     assert grbl.settings()[110] == "750.000" and len(grbl.settings()) == 34
 
 
-def test_what_takes_too_long_and_what_is_off_is_said() -> None:
+def test_a_timeout_and_a_closed_machine_raise() -> None:
     machine = Machine(settings={110: 6000})
     with pytest.raises(TimeoutError, match="not within 500 ms"):
         machine.ask("G4 P10", 500)
@@ -61,15 +61,15 @@ def test_what_takes_too_long_and_what_is_off_is_said() -> None:
         Machine("toaster")
 
 
-def test_two_machines_do_not_know_each_other(grbl: Machine) -> None:
+def test_two_machines_are_independent(grbl: Machine) -> None:
     with Machine("sim_xyza") as other:
         other.ask("G1 A1 F600")
         other.rest()
         assert other.steps() == [0, 0, 0, 250] and grbl.steps() == [0, 0, 0]
 
 
-def test_what_the_docs_show_passes(tmp_path: Path) -> None:
-    """In a folder of somebody else's, with the fixture that the package brings."""
+def test_the_example_of_the_docs_passes(tmp_path: Path) -> None:
+    """Run in an empty folder, with the fixture that the package provides."""
     page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
     text = page.partition("```python test_my_program.py\n")[2].partition("```")[0]
     (tmp_path / "test_my_program.py").write_text(text)

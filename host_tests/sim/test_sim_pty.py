@@ -1,4 +1,4 @@
-"""`ugrbl sim`: the firmware behind a real pseudo-terminal, in a process of its own."""
+"""`ugrbl sim`: the firmware at a real pseudo-terminal, in a separate process."""
 
 import json
 import os
@@ -16,7 +16,7 @@ import pytest
 import serial
 from as_users import as_users
 
-# Real processes in real time: the first ring takes one.
+# Real processes in real time: the first ring runs one.
 pytestmark = pytest.mark.thorough
 
 _PATIENCE_S = 60.0
@@ -24,7 +24,7 @@ _COMMAND = [sys.executable, "-m", "ugrbl.cli"]
 
 
 def ugrbl(*words: object) -> subprocess.CompletedProcess[str]:
-    """A command in a process of its own."""
+    """Run a command in a separate process."""
     command = [*_COMMAND, *map(str, words)]
     return subprocess.run(
         command,
@@ -58,7 +58,7 @@ class Sim:
 
 
 class Sender:
-    """A sender as pyserial makes them."""
+    """A sender that uses pyserial."""
 
     def __init__(self, port: Path | str) -> None:
         self._serial = serial.serial_for_url(str(port), 115200, timeout=0.05)
@@ -74,11 +74,11 @@ class Sender:
         self._serial.write(data)
 
     def read(self) -> str:
-        """What has come, within a twentieth of a second."""
+        """Return the bytes received within 50 ms."""
         return str(self._serial.read(4096).decode("latin-1"))
 
     def wait(self, what: str | Callable[[str], bool], seconds: float = _PATIENCE_S) -> str:
-        """Read until a text comes; returns everything up to then."""
+        """Read until a text comes; return everything up to then."""
         found = what if callable(what) else lambda text: what in text
         until = time.monotonic() + seconds
         while not found(self.text):
@@ -92,7 +92,7 @@ class Sender:
         return self.wait(lambda text: "ok\r\n" in text or "error:" in text)
 
     def wait_idle(self) -> str:
-        """Ask for the status until the machine is idle; returns the report."""
+        """Ask for the status until the machine is idle; return the report."""
         for _ in range(int(_PATIENCE_S / 0.02)):
             self.send(b"?")
             report = self.wait(">")
@@ -159,7 +159,7 @@ def test_a_machine_with_switches_is_homed_at_either_end_and_stops_there(tmp_path
         running.process.communicate()
 
 
-def test_a_computer_that_stands_still_meanwhile_finds_the_switches_all_the_same(
+def test_homing_finds_the_switches_even_if_the_computer_stalls(
     tmp_path: Path,
 ) -> None:
     running = Sim(tmp_path, "--switches")
@@ -175,7 +175,7 @@ def test_a_computer_that_stands_still_meanwhile_finds_the_switches_all_the_same(
             sender.send(b"$H\n")
             while "ok" not in sender.text and "ALARM" not in sender.text:
                 running.process.send_signal(signal.SIGSTOP)
-                time.sleep(0.2)  # the way to the switch takes 0.15
+                time.sleep(0.2)  # the switch is 0.15 s away
                 running.process.send_signal(signal.SIGCONT)
                 time.sleep(0.005)
                 sender.text += sender.read()
@@ -187,7 +187,7 @@ def test_a_computer_that_stands_still_meanwhile_finds_the_switches_all_the_same(
         running.process.communicate()
 
 
-def test_a_sender_that_leaves_does_not_stop_the_machine(sim: Sim) -> None:
+def test_a_disconnected_sender_does_not_stop_the_machine(sim: Sim) -> None:
     with sim.open() as sender:
         sender.wait("help]")
         sender.send(b"G91\n" + b"G1 X1 F500\n" * 10)
@@ -198,7 +198,7 @@ def test_a_sender_that_leaves_does_not_stop_the_machine(sim: Sim) -> None:
         assert "G91" in sender.ask("$G")
 
 
-def test_the_next_sender_gets_nothing_that_was_meant_for_the_last(sim: Sim) -> None:
+def test_the_next_sender_gets_no_old_answers(sim: Sim) -> None:
     with sim.open() as sender:
         sender.send(b"$$\n" * 3)
         time.sleep(0.3)  # answered, and not read
@@ -228,7 +228,7 @@ def test_a_sender_that_does_not_read_does_not_stop_the_machine(sim: Sim) -> None
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_garbage_does_no_harm(sim: Sim, seed: int) -> None:
+def test_random_bytes_do_no_harm(sim: Sim, seed: int) -> None:
     bytes_ = random.Random(seed)
     with sim.open() as sender:
         sender.wait("help]")
@@ -243,7 +243,7 @@ def test_garbage_does_no_harm(sim: Sim, seed: int) -> None:
     assert sim.process.poll() is None
 
 
-def test_settings_are_kept_in_the_file(tmp_path: Path) -> None:
+def test_settings_are_stored_in_the_file(tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     for value in ("$11=0.010", "$11=0.020"):
         sim = Sim(tmp_path, "--settings", str(file))
@@ -254,7 +254,7 @@ def test_settings_are_kept_in_the_file(tmp_path: Path) -> None:
         sim.stop()
 
 
-def test_a_new_machine_has_the_factorys_settings_and_nothing_to_complain_of(sim: Sim) -> None:
+def test_a_new_machine_has_factory_settings_and_reports_no_fault(sim: Sim) -> None:
     with sim.open() as sender:
         assert "error" not in sender.wait("help]")
         assert sender.ask("$N").startswith("$N0=\r\n")
@@ -268,7 +268,7 @@ def test_an_erased_memory_is_reported(tmp_path: Path) -> None:
     sim.stop()
 
 
-def test_settings_that_want_each_other_may_come_in_any_order(tmp_path: Path) -> None:
+def test_settings_that_depend_on_each_other_may_come_in_any_order(tmp_path: Path) -> None:
     file = tmp_path / "mill.settings"
     file.write_text("$20=1\n$22=1\n$7=1\n")
     sim = Sim(tmp_path, "--settings", str(file))
@@ -280,7 +280,7 @@ def test_settings_that_want_each_other_may_come_in_any_order(tmp_path: Path) -> 
     assert file.read_text().startswith("$20=1\n$22=1\n$7=1\n")
 
 
-def test_settings_that_the_machine_would_refuse_are_named(tmp_path: Path) -> None:
+def test_settings_refused_by_the_machine_are_named(tmp_path: Path) -> None:
     file = tmp_path / "mill.settings"
     file.write_text("$0=1\n")
     done = ugrbl("sim", "--stdio", "--settings", file)
@@ -289,7 +289,7 @@ def test_settings_that_the_machine_would_refuse_are_named(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("text", ["G21 G90\nG1 X10 F600\n", "$110=fast\n"])
-def test_a_file_that_holds_no_settings_is_left_alone(tmp_path: Path, text: str) -> None:
+def test_a_file_without_settings_is_not_changed(tmp_path: Path, text: str) -> None:
     file = tmp_path / "precious.nc"
     file.write_text(text)
     done = ugrbl("sim", "--stdio", "--settings", file)
@@ -298,7 +298,7 @@ def test_a_file_that_holds_no_settings_is_left_alone(tmp_path: Path, text: str) 
     assert file.read_text() == text
 
 
-def test_what_was_pulled_is_the_simulators_and_what_it_keeps_can_be_pushed(tmp_path: Path) -> None:
+def test_pulled_settings_can_be_simulated_and_saved_ones_pushed(tmp_path: Path) -> None:
     file, kept = tmp_path / "mill.settings", tmp_path / "kept.settings"
     file.write_text("; [VER:1.1h.20190830:]\n$110=1234.500 ; fast\n$132=70\n")
     sim = Sim(tmp_path, "--settings", str(file))
@@ -324,7 +324,7 @@ def test_what_was_pulled_is_the_simulators_and_what_it_keeps_can_be_pushed(tmp_p
     sim.stop()
 
 
-def test_the_link_goes_when_the_simulator_goes(tmp_path: Path) -> None:
+def test_the_link_is_removed_when_the_simulator_ends(tmp_path: Path) -> None:
     sim = Sim(tmp_path)
     printed = sim.stop()
     assert str(tmp_path / "grbl") in printed.replace("\n", "")
@@ -333,7 +333,7 @@ def test_the_link_goes_when_the_simulator_goes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["file", "link", "broken link", "folder", "another simulator's"])
-def test_the_link_replaces_nothing_that_is_there(tmp_path: Path, kind: str) -> None:
+def test_the_link_replaces_no_existing_file(tmp_path: Path, kind: str) -> None:
     place, other = tmp_path / "precious", tmp_path / "other"
     running = None
     if kind == "file":
@@ -358,11 +358,11 @@ def test_the_link_replaces_nothing_that_is_there(tmp_path: Path, kind: str) -> N
         running.stop()
 
 
-def test_the_link_of_a_simulator_that_was_killed_is_replaced(tmp_path: Path) -> None:
+def test_the_link_of_a_killed_simulator_is_replaced(tmp_path: Path) -> None:
     killed = Sim(tmp_path)
     killed.process.kill()
     killed.process.communicate()
-    # Its own terminal may be somebody else's by now.
+    # Its own terminal may belong to another process by now.
     killed.port.unlink()
     killed.port.symlink_to("/dev/./pts/9999999")
     process = subprocess.Popen(
@@ -375,7 +375,7 @@ def test_the_link_of_a_simulator_that_was_killed_is_replaced(tmp_path: Path) -> 
     assert not killed.port.is_symlink()
 
 
-def test_a_link_that_somebody_has_put_in_its_place_stays(tmp_path: Path) -> None:
+def test_a_link_replaced_by_another_program_is_kept(tmp_path: Path) -> None:
     sim = Sim(tmp_path)
     sim.port.unlink()
     sim.port.symlink_to("/dev/null")
@@ -383,8 +383,9 @@ def test_a_link_that_somebody_has_put_in_its_place_stays(tmp_path: Path) -> None
     assert os.readlink(sim.port) == "/dev/null"
 
 
-def test_a_sender_that_says_nothing_is_not_greeted_before_it_is_ready(sim: Sim) -> None:
-    """The Universal G-Code Sender has begun by itself, and noted it, some time after opening."""
+def test_a_silent_sender_is_greeted_after_a_short_delay(sim: Sim) -> None:
+    """The Universal G-Code Sender is ready for the greeting only some time after opening the
+    port."""
     time.sleep(0.5)
     with sim.open() as sender:
         begun = time.monotonic()
@@ -393,7 +394,7 @@ def test_a_sender_that_says_nothing_is_not_greeted_before_it_is_ready(sim: Sim) 
         assert sender.ask("$I").count("[VER") == 1
 
 
-def test_a_sender_that_speaks_first_does_not_wait_for_its_greeting(sim: Sim) -> None:
+def test_a_sender_that_speaks_first_is_greeted_at_once(sim: Sim) -> None:
     time.sleep(0.5)
     with sim.open() as sender:
         begun = time.monotonic()
@@ -406,7 +407,7 @@ def test_a_sender_that_speaks_first_does_not_wait_for_its_greeting(sim: Sim) -> 
 
 
 class TcpSim:
-    """A simulator that listens."""
+    """A simulator that listens on TCP."""
 
     def __init__(self, *arguments: str) -> None:
         command = [*_COMMAND, "sim", "--speed", "max", "--tcp", *(arguments or ("0",))]
@@ -430,7 +431,7 @@ def tcp_sim() -> Iterator[TcpSim]:
     assert running.stop() == 0
 
 
-def test_senders_on_tcp_come_one_after_the_other(tcp_sim: TcpSim) -> None:
+def test_senders_on_tcp_are_served_one_after_another(tcp_sim: TcpSim) -> None:
     assert tcp_sim.place.startswith("127.0.0.1:")
     with tcp_sim.open() as sender:
         sender.wait("help]")
@@ -442,8 +443,8 @@ def test_senders_on_tcp_come_one_after_the_other(tcp_sim: TcpSim) -> None:
             assert f"MPos:{place}.000," in sender.wait_idle()
 
 
-def test_a_sender_is_greeted_where_work_is_under_way(tcp_sim: TcpSim) -> None:
-    """Or it takes the machine for a dead one, and resets it."""
+def test_a_new_sender_is_greeted_during_a_hold(tcp_sim: TcpSim) -> None:
+    """Otherwise it takes the machine for dead, and resets it."""
     with tcp_sim.open() as sender:
         sender.wait("help]")
         sender.send(b"!")
@@ -457,12 +458,12 @@ def test_a_sender_is_greeted_where_work_is_under_way(tcp_sim: TcpSim) -> None:
         assert sender.wait(">").startswith("<Hold:")
 
 
-def test_who_opens_the_port_in_motion_is_greeted_and_motion_goes_on(tmp_path: Path) -> None:
+def test_a_sender_is_greeted_during_motion_and_motion_continues(tmp_path: Path) -> None:
     running = Sim(tmp_path, "--speed", "real")
     with running.open() as sender:
         sender.wait("help]\r\n")
         sender.ask("G91 G1 X4 F24")
-    time.sleep(1)  # it looks now and then whether anybody is there
+    time.sleep(1)  # the simulator checks only now and then whether a sender is connected
     with running.open() as sender:
         sender.wait("help]\r\n")
         sender.send(b"?")
@@ -471,7 +472,7 @@ def test_who_opens_the_port_in_motion_is_greeted_and_motion_goes_on(tmp_path: Pa
     running.stop()
 
 
-def test_another_one_waits_until_the_first_has_hung_up(tcp_sim: TcpSim) -> None:
+def test_a_second_sender_waits_until_the_first_disconnects(tcp_sim: TcpSim) -> None:
     with tcp_sim.open() as sender:
         sender.wait("help]")
         second = tcp_sim.open()
@@ -484,7 +485,7 @@ def test_another_one_waits_until_the_first_has_hung_up(tcp_sim: TcpSim) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:serial")
-def test_a_serial_port_over_the_network_is_one(tmp_path: Path) -> None:
+def test_a_serial_port_over_the_network_works_like_a_local_one(tmp_path: Path) -> None:
     running = TcpSim("0", "--rfc2217")
     try:
         for place in (2, 4):
@@ -496,7 +497,7 @@ def test_a_serial_port_over_the_network_is_one(tmp_path: Path) -> None:
         assert running.stop() == 0
 
 
-def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim) -> None:
+def test_a_tcp_sender_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim) -> None:
     host, _, port = tcp_sim.place.rpartition(":")
     with socket.create_connection((host, int(port)), _PATIENCE_S) as deaf:
         deaf.setblocking(False)
@@ -506,8 +507,8 @@ def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim
             time.sleep(0.003)
     with tcp_sim.open() as sender:
         sender.send(b"\x18")
-        sender.wait("help]", 5 * _PATIENCE_S)  # after all that the other has sent
-        assert sender.ask("G0 X1").endswith("ok\r\n")  # it may have been welcomed, too
+        sender.wait("help]", 5 * _PATIENCE_S)  # after everything that the other has sent
+        assert sender.ask("G0 X1").endswith("ok\r\n")  # the welcome may come first
 
 
 @pytest.mark.parametrize(
@@ -524,7 +525,7 @@ def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim
         (["--rfc2217"], "is for --tcp"),
     ],
 )
-def test_what_cannot_be_is_reported_before_it_runs(
+def test_impossible_options_are_reported_before_the_start(
     tmp_path: Path, words: list[str], why: str
 ) -> None:
     (tmp_path / "mill.settings").write_text("$110=600\n")
@@ -541,13 +542,13 @@ def test_what_cannot_be_is_reported_before_it_runs(
 
 
 @pytest.mark.parametrize("words", [["0:x"], ["99999"], ["0", "--stdio"], ["256.1.1.1:0"]])
-def test_where_it_cannot_listen_it_says_so(words: list[str]) -> None:
+def test_an_unusable_address_is_reported(words: list[str]) -> None:
     done = ugrbl("sim", "--tcp", *words)
     assert done.returncode == 1
     assert done.stderr and "Traceback" not in done.stderr
 
 
-def test_a_place_that_is_taken_is_reported(tcp_sim: TcpSim) -> None:
+def test_a_busy_address_is_reported(tcp_sim: TcpSim) -> None:
     done = ugrbl("sim", "--tcp", tcp_sim.place)
     assert done.returncode == 1
     assert "another program does" in done.stderr and "Traceback" not in done.stderr
@@ -568,7 +569,7 @@ def test_real_speed_takes_real_time(tmp_path: Path) -> None:
     assert 0.5 < moved < 3
 
 
-def test_full_speed_does_not(sim: Sim) -> None:
+def test_full_speed_takes_less_than_real_time(sim: Sim) -> None:
     with sim.open() as sender:
         sender.wait("help]")
         begun = time.monotonic()
@@ -591,7 +592,7 @@ def test_a_held_machine_stays_held_at_full_speed(sim: Sim) -> None:
         assert "MPos:5.000" in sender.wait_idle()
 
 
-def test_the_report_tells_steps_commanded_and_made(tmp_path: Path) -> None:
+def test_the_report_contains_steps_commanded_and_made(tmp_path: Path) -> None:
     report, plot = tmp_path / "report.json", tmp_path / "part.svg"
     sim = Sim(tmp_path, "--speed", "max", "--report", str(report), "--plot", str(plot))
     with sim.open() as sender:
@@ -601,10 +602,10 @@ def test_the_report_tells_steps_commanded_and_made(tmp_path: Path) -> None:
     sim.stop()
     totals = json.loads(report.read_text())
     assert totals["steps_planned"] == totals["steps_made"] == {"X": 500, "Y": 0, "Z": 250}
-    assert "<!-- part -->" in plot.read_text(), "the title, as the file is called"
+    assert "<!-- part -->" in plot.read_text(), "the title is the file's name"
 
 
-def test_stdio_ends_with_its_input_when_all_is_done() -> None:
+def test_stdio_ends_after_its_input_is_processed() -> None:
     done = subprocess.run(
         [*_COMMAND, "sim", "--stdio", "--speed", "max"],
         input=b"G91 G0 X3\n?\nG4P1\n$G\n",
@@ -614,11 +615,11 @@ def test_stdio_ends_with_its_input_when_all_is_done() -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count(b"ok\r\n") == 4  # the line of the "?" is an empty one
+    assert done.stdout.count(b"ok\r\n") == 4  # the line with "?" counts as empty
     assert b"[GC:G0 G54 G17 G21 G91 " in done.stdout
 
 
-def test_the_demonstration_ends_well(tmp_path: Path) -> None:
+def test_the_demonstration_succeeds(tmp_path: Path) -> None:
     done = subprocess.run(
         [*_COMMAND, "demo"],
         cwd=tmp_path,

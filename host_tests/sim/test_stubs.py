@@ -1,7 +1,7 @@
-"""Our stand-ins beside the stubs that the MicroPython project's users have: no name of our own.
+"""Our stand-ins against the stubs of the MicroPython project's users: no name of our own.
 
-The stubs come from PyPI into ~/.cache/ugrbl-stubs (UGRBL_STUBS names another folder); where they
-cannot be had the tests are skipped.
+The stubs come from PyPI into ~/.cache/ugrbl-stubs (UGRBL_STUBS names another folder); the tests
+are skipped if they are not available.
 """
 
 import ast
@@ -16,7 +16,7 @@ _STANDINS = Path(__file__).parents[2] / "tools" / "sim" / "standins"
 _VERSION = "1.28.*"
 _CACHE = Path(os.environ.get("UGRBL_STUBS") or Path.home() / ".cache" / "ugrbl-stubs")
 
-# What tests and the virtual clock do with a stand-in, and the board's modules do not have.
+# Names that tests and the virtual clock use, and the board's modules do not have.
 _OURS = {
     "Pin": {"pins", "without_output", "drive"},
     "PWM": {"outputs"},
@@ -32,7 +32,7 @@ _CLASSES = [
 _CLASSES.append(("esp32.py", "esp32.pyi", "RMT"))
 _CLASSES.append(("esp_pcnt.py", "esp32.pyi", "PCNT"))
 
-Names = dict[str, set[str]]  # parameters by method; none of a constant
+Names = dict[str, set[str]]  # parameters by method; none for a constant
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def stubs() -> Path:
 
 
 def names(file: Path, name: str) -> Names:
-    """What a class in a file has, overloads taken together."""
+    """Return the names of a class in a file, with overloads merged."""
     tree = ast.parse(file.read_text())
     found: Names = {}
     node = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == name)
@@ -76,12 +76,12 @@ def names(file: Path, name: str) -> Names:
 
 
 @pytest.mark.parametrize(("module", "stub", "name"), _CLASSES, ids=[name for *_, name in _CLASSES])
-def test_a_stand_in_has_no_names_but_the_boards(
+def test_a_stand_in_has_only_the_boards_names(
     module: str, stub: str, name: str, stubs: Path
 ) -> None:
     ours, theirs = names(_STANDINS / module, name), names(stubs / stub, name)
     assert set(ours) - _OURS[name] <= set(theirs)
     for method in set(ours) & set(theirs):
-        # Values given by their place have names of no meaning.
+        # Names of positional parameters do not matter.
         given = {"level", "duty", "function"}
         assert "**" in theirs[method] or ours[method] - given <= theirs[method], method
