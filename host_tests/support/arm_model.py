@@ -1,7 +1,8 @@
 """A board's kernels as machine code, run on this computer by the emulator Unicorn.
 
-The code lies at one place of its memory, what a kernel is handed at another; of MicroPython there
-is what the code asks its table of functions for (py/nativeglue.h), as far as integers go.
+The code lies at one address of its memory, the kernels' arguments at another. Of MicroPython only
+those functions exist that the code calls through its table (py/nativeglue.h), as far as integers
+need them.
 """
 
 import struct
@@ -30,7 +31,7 @@ _REGISTERS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)
 CODE = 0x2000_0000
 _HEAP = 0x2010_0000
 _STACK_END = 0x2030_0000
-_PYTHON = 0x1000_0000  # its functions, one every 4 bytes, and its table
+_PYTHON = 0x1000_0000  # MicroPython's functions, one every 4 bytes, and their table
 _TABLE = _PYTHON + 0x1000
 _BACK = _PYTHON + 0x800
 _BX_LR = 0x4770
@@ -42,25 +43,25 @@ _TYPE = 0x1234_5678
 
 
 def signed(value: int) -> int:
-    """A word as an integer."""
+    """Return a word as a signed integer."""
     return (value & 0xFFFFFFFF) - ((value & 0x8000_0000) << 1)
 
 
 def kernels_of(arch: str) -> "tuple[str, list[Key]]":
-    """The C text of all, and which they are."""
+    """Return the C text of all kernels, and their keys."""
     apart = build.prepared(arch)
     return apart.c, [key for keys in apart.pieces.values() for key in keys]
 
 
 def c_of(text: str) -> "tuple[str, list[Key]]":
-    """The same of a made-up module."""
+    """Return the same for a module given as text."""
     module = Module("made", "import micropython\n" + text)
     keys = [("made", name) for name in module.functions]
     return machine_code.in_c({"made": module}, keys), keys
 
 
 class Board:
-    """Memory with that code in it, at a place that is moved by so many bytes."""
+    """Memory with that code in it, shifted by `moved` bytes."""
 
     def __init__(self, c: str, keys: "list[Key]", arch: str = "armv6m", moved: int = 0) -> None:
         self.code = machine_code.linked(c, arch, tuple(keys))
@@ -82,7 +83,7 @@ class Board:
         self.functions = self._start(keys)
 
     def _start(self, keys: "list[Key]") -> "dict[Key, int]":
-        """Where the code of each function is, as its object says."""
+        """Return the code address of each function, from its object."""
         objects = self.put(struct.pack("<I", _TABLE))
         context = self.put(struct.pack("<4I", 0, 0, 0, objects))
         itself = self.put(struct.pack("<2I", 0, context))
@@ -100,14 +101,14 @@ class Board:
         return found
 
     def put(self, content: bytes) -> int:
-        """Memory with this in it; its address."""
+        """Write content into memory; return its address."""
         at = self._free
         self._free += len(content) + 15 & ~15
         self._cpu.mem_write(at, content)
         return at
 
     def call(self, key: Key, *arguments: Any) -> int:
-        """A kernel, with integers, buffers, which it may change, and what can be called."""
+        """Call a kernel with integers, buffers (it may change them) and callables."""
         mark, self._objects = self._free, []
         given, buffers = [], []
         for argument in arguments:
@@ -129,7 +130,7 @@ class Board:
         return result
 
     def run(self, code: int, *registers: int) -> int:
-        """From here until it returns."""
+        """Run from this address until it returns."""
         for register, value in zip(_REGISTERS, registers, strict=False):
             self._cpu.reg_write(register, value)
         self._cpu.reg_write(UC_ARM_REG_SP, _STACK_END - 16)
@@ -154,7 +155,7 @@ class Board:
         return signed(thing) >> 1 if thing & 1 else self._objects[thing // 4 - 1]
 
     def _asked(self, _cpu: Uc, at: int, _size: int, _data: object) -> None:
-        """One of its functions is called, before it returns at once."""
+        """Execute a MicroPython function when the code calls it; the code then returns at once."""
         a, b, c = (int(self._cpu.reg_read(register)) for register in _REGISTERS[:3])
         answers: dict[int, Callable[[], int]] = {
             _FROM_OBJECT: lambda: self._value(a),
@@ -173,7 +174,7 @@ class Board:
 
 
 def use(board: Board, apart: "Callable[[str, str], bool]" = lambda module, name: True) -> None:
-    """Have the firmware's kernels run there, from the next import of a module of it on."""
+    """Run the firmware's kernels on the board, from the next import of a firmware module on."""
     import micropython
 
     def find(module: str, name: str) -> "Callable[..., int] | None":
@@ -186,5 +187,5 @@ def use(board: Board, apart: "Callable[[str, str], bool]" = lambda module, name:
 
 
 def _plain(argument: Any) -> Any:
-    """What the stand-in hands to a kernel."""
+    """Convert an argument of the stand-in for a kernel."""
     return argument if not isinstance(argument, array) else memoryview(argument)

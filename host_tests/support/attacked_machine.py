@@ -1,10 +1,10 @@
 """A machine at real sockets, under the desktop MicroPython: its cable's sender runs one job after
-the other, in virtual time, for so many seconds of the wall's.
+another, in virtual time, for SECONDS of real time.
 
 micropython attacked_machine.py TCP_PORT HTTP_PORT PAGE_FOLDER KEY SECONDS
 
 Prints a line of JSON: digests of the segments of each job, the longest turn of the link in us, the
-most that lwIP would have held, and whether a client of the network has held the last job.
+most bytes that lwIP would have held, and whether a network client has held the last job.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ from sim.rig import Rig
 from boards import sim_page
 
 _WINDOW = 120
-# The first move is long enough for the planner to be full before its end, whatever else is done.
+# The first move is long enough to fill the planner before its end, whatever else happens.
 _JOB = [b"G21G90G1X5F600\n", b"F2400\n"]
 _JOB += [b"G1X%d.%dY%d\n" % (i % 5, i % 7, i % 3) for i in range(25)]
 _JOB += [b"G1X0Y0\n", b"G2X4Y0I2\n", b"M3S500\n", b"G1X5Y3F900\n"]
@@ -35,7 +35,7 @@ _LAST_MS = 60_000
 
 
 class Link(PageLink):
-    """What a rig wants besides is the cable's."""
+    """A network link with the attributes of the cable that a rig needs."""
 
     def __init__(self, rig, page):
         cable = SimLink(rig)
@@ -49,7 +49,7 @@ class Link(PageLink):
         self.advance = cable.advance
         self.power_off = cable.power_off
         self.longest_us = self.most = 0
-        self._at_rest = lambda: rig.controller.at_rest()  # noqa: PLW0108  (it is made later)  # noqa: PLW0108  (it is made later)
+        self._at_rest = lambda: rig.controller.at_rest()  # noqa: PLW0108  (no controller yet)
 
     def read_into(self, buf):
         before = time.ticks_us()
@@ -70,7 +70,7 @@ def main(tcp, http, folder, key, seconds):
     cable = link.cable
 
     def is_over():
-        """Held by a client, or waited for that long enough."""
+        """Return whether a client holds the machine, or the wait has been long enough."""
         if rig.controller.state.run == state.HOLD:
             held.append(True)
         return held or time.ticks_diff(time.ticks_ms(), end) > _LAST_MS
@@ -84,9 +84,9 @@ def main(tcp, http, folder, key, seconds):
         def trace(start, row):
             made = list(row)
             for at in range(ROW_AXES, len(made), ROW_STRIDE):
-                if not made[at]:  # no steps: what follows is left over
+                if not made[at]:  # no steps: the rest of the slot is stale
                     made[at : at + ROW_STRIDE] = [0] * ROW_STRIDE
-            # How long it stands still, for M3 or at the start, is the main loop's affair.
+            # The pause before a motion (at the start, for M3) depends on the main loop.
             digest.update(repr((start == ends[0], made)).encode())
             ends[0] = start + row[ROW_TICKS]
 
@@ -112,7 +112,7 @@ def main(tcp, http, folder, key, seconds):
             yield rig.ms(1)
         while time.ticks_diff(end, time.ticks_ms()) > 0:
             yield from run_job()
-        print("last")  # from now on a hold is waited for
+        print("last")  # from now on the machine waits for a hold
         while not held and time.ticks_diff(time.ticks_ms(), end) < _LAST_MS:
             yield from run_job()
 

@@ -1,7 +1,7 @@
-"""A machine that is sent bytes which are no text, and one whose flash has been damaged.
+"""A machine that receives bytes that are not text, and one whose flash is damaged.
 
-Runs under both Pythons: test_bytes.py and test_damaged_flash.py call it, and have MicroPython run
-main(), which prints what it has tried.
+Runs under both Pythons: test_bytes.py and test_damaged_flash.py call it, and let MicroPython run
+main(), which prints the number of lines tried.
 """
 
 import os
@@ -44,7 +44,7 @@ def dwell(m):
     m.g("G4P0.001 (\\xe9)")
 """
 _ALL = {"LENIENT": True, "JOBS": "jobs", "LINK": "wifi", "CUSTOM": "bytes_custom"}
-# Boards: what each has besides sim's. All extras that read text of a sender's are there.
+# Boards: options in addition to sim's. They cover all extras that read a sender's text.
 BOARDS = {
     "plain": {},
     "0.9": {"DIALECT": "0.9"},
@@ -58,10 +58,10 @@ BOARDS = {
     "skew": {"DIALECT": "0.9", "SKEW": True, "LINE_NUMBERS": True},
     "drivers": {"DIALECT": "0.9", "TMC2209": (0, 2, 1), "TMC_UART": (8, 9)},
 }
-# Those that MicroPython tries.
+# Boards tried under MicroPython.
 MICROPYTHONS = ("plain", "hal", "echo", "all", "punch")
 
-# What the bytes stand behind.
+# Text before the tested bytes.
 _BEGINNINGS = (
     b"$ $$ $# $G $I $I= $I+ $N $N0= $N1=G4P0.0 $N0=G0 $C $X $H $S $SL $R $RST= $J $J= "
     b"$J=G91X0.1F90 $1 $1= $100=25 $x $130 $F $F= $F<= $FD= $FB= $FU= $FU=A.NC,4, $F=GOOD.NC "
@@ -71,17 +71,17 @@ _BEGINNINGS = (
     b"M M3S M6 M6T M100 M100P M101 M102 G101 T S F900 N N5 X O % G1X0.1S0: G1X0.1F100S1:2: ( "
     b"(MSG, ; / G0X0Y0( $E $ES $EA $+ $SPINDLESH $HELP $FM"
 ).split(b" ")
-# The first and the last that are no printable ASCII, a letter in UTF-8 and one that is not, parts
+# The first and the last byte outside printable ASCII, a letter in UTF-8 and one in Latin-1, parts
 # of letters.
 _BYTES = (b"\x7f", b"\x80", b"\xff", b"\xc3\xa9", b"\xe9", b"\xe2\x82", b"\xf0\x9f")
 _ENDS = (b"", b"1", b"=1", b"A.NC", b"\xb0C")
-# Not sent in the middle of a line: they end it, or the machine with it.
+# Not sent within a line: they end the line or reset the machine.
 _NOT_OF_A_LINE = b"\r\n\x18\x19"
 _SLEEP = b"$SLP"
 
 
 class Board:
-    """A board's own words, as its module has them."""
+    """A namespace with the board's options."""
 
 
 def _board(name: str, folder: str) -> Board:
@@ -112,8 +112,7 @@ def _link(rig):
 
 
 class Bench:
-    """A machine of one of BOARDS, whose files are in a folder. said: what it has said since its
-    power-up."""
+    """A machine of one of BOARDS with its files in a folder. said: its output since power-up."""
 
     def __init__(self, name: str, folder: str) -> None:
         os.chdir(folder)
@@ -126,7 +125,7 @@ class Bench:
         self.said = []
 
     def run(self, script) -> None:
-        """Power up, and let the script go on behind the welcome. What fails in it is raised."""
+        """Power up and run the script after the welcome. Raise the script's exception, if any."""
         ended = []
 
         def whole():
@@ -140,8 +139,9 @@ class Bench:
         assert ended, "the machine has ended"
 
     def line(self, data: bytes):
-        """Send a line; it has one answer. A machine that a line has held, or given an alarm, goes
-        on."""
+        """Send a line and wait for its one answer. Resume a machine that the line has held; clear
+        an
+        alarm."""
         rig, sender = self.rig, self.sender
         state = rig.controller.state
         rig.link.send(data + b"\n")
@@ -154,7 +154,7 @@ class Bench:
             if state.run & (st.HOLD | st.DOOR):
                 rig.link.send(b"~")
         if data[:2] in (b"$C", b"$R"):
-            yield rig.ms(700)  # after it there is a reset
+            yield rig.ms(700)  # a reset follows
             if state.run == st.CHECK:
                 self.said += sender.take()
                 yield from self.line(b"$C")
@@ -171,7 +171,7 @@ class Bench:
 
 
 def furnish(folder: str) -> None:
-    """What there is on the board from the start."""
+    """Write the board's initial files."""
     for path in ("", "/flash", "/jobs"):
         os.mkdir(folder + path)
     write(folder + "/hal.txt", b"ES 0 [SETTING:0|35|Pulse]\r\nES 7 [SETTING:7|1|None]\r\n")
@@ -183,11 +183,11 @@ def furnish(folder: str) -> None:
         write(folder + "/jobs/BAD%d.NC" % number, b"G91\nG0X0.%c1\nG0X-0.1\n" % byte)
 
 
-# Bytes that are no text
+# Bytes that are not text
 
 
 def lines_of(dice, how_many):
-    """Lines with such bytes: so many in each place, or None: all there are."""
+    """Yield lines with such bytes: how_many for each beginning, or all if None."""
     any_byte = [bytes([b]) for b in range(256) if b not in _NOT_OF_A_LINE]
     for beginning in _BEGINNINGS:
         if how_many is None:
@@ -204,7 +204,7 @@ def lines_of(dice, how_many):
 
 
 def talk(name: str, folder: str, seed: int, how_many) -> int:
-    """Send a machine such lines, and jobs with such bytes. Returns how many lines."""
+    """Send such lines, and run jobs with such bytes. Return the number of lines."""
     bench = Bench(name, folder)
     count = [0]
 
@@ -215,7 +215,7 @@ def talk(name: str, folder: str, seed: int, how_many) -> int:
         yield from bench.lines(b"M5", b"G4P0", b"$N0=G21")
         bench.rig.link.send(b"\x18")
         yield bench.rig.ms(1000)
-        bench.said += bench.sender.take()  # and what becomes of the startup line
+        bench.said += bench.sender.take()  # with the output of the startup line
         yield from bench.lines(b"$X", b"G90", b"G0X0.5", b"G4P0", b"$I", b"$N", b"$#", b"$G")
         if "CUSTOM" in BOARDS[name]:
             begun = len(bench.said)
@@ -237,7 +237,7 @@ def talk(name: str, folder: str, seed: int, how_many) -> int:
     if "JOBS" in BOARDS[name]:
         assert [line for line in said if "Job GOOD.NC: done" in line], said[-20:]
         refused = len([line for line in said if "Job BAD" in line and "refused with 1" in line])
-        takes_upper = BOARDS[name].get("DIALECT", "1.1")[:1] == "0"  # bytes, in lines
+        takes_upper = BOARDS[name].get("DIALECT", "1.1")[:1] == "0"  # accepts bytes in lines
         assert refused == (4 if takes_upper else 1), said
     return count[0]
 
@@ -250,7 +250,7 @@ _SHOW = (b"$$", b"$#", b"$N", b"$I", b"M100", b"$FB", b"$I+")
 
 
 def fill(folder: str) -> None:
-    """Have a machine keep something under all of NAMES, twice."""
+    """Let a machine store something under each of NAMES, twice."""
     furnish(folder)
     long = b"\n".join([b"G1X%dF9000" % (5 + i % 2) for i in range(40)])
     write(folder + "/jobs/LONG.NC", long)
@@ -278,8 +278,7 @@ def fill(folder: str) -> None:
 
 
 def view(folder: str):
-    """What a machine has of all that is kept: without the key of its network, which is secret; and
-    all that it has said."""
+    """Return a machine's stored values without the secret network key, and all its output."""
     bench = Bench("all 1.1", folder)
     shown = []
 
@@ -289,7 +288,7 @@ def view(folder: str):
         shown.extend([line for line in bench.said if not line.startswith("[MSG:Custom")])
         shown.extend([line for line in greeting if "[MSG:Job" in line])
         shown.append(bench.rig.controller.saves.load("network") or [])
-        bench.rig.link.send(b"\x18")  # what has been read after the start is reported now
+        bench.rig.link.send(b"\x18")  # reports damage that was found after the start
         yield bench.rig.ms(300)
         bench.said = greeting + bench.said + bench.sender.take()
 
@@ -299,8 +298,9 @@ def view(folder: str):
 
 
 def damages(data: bytes, dice, flips):
-    """What may become of a file: with a bit flipped, and cut off, each so often, or None: at every
-    place; nothing, and rubbish."""
+    """Yield damaged versions of a file: one bit flipped, truncated (each `flips` times, or
+    everywhere if
+    None), all 0xFF, empty, random bytes, and one byte appended."""
     bits = range(8 * len(data))
     for bit in bits if flips is None else [dice.any(bits) for _ in range(flips)]:
         spoilt = bytearray(data)
@@ -323,13 +323,15 @@ def _restore(folder: str, kept) -> None:
 
 
 def kept_in(folder: str):
-    """The files of its flash."""
+    """Return the files of the machine's flash."""
     return {file: read(folder + "/flash/" + file) for file in os.listdir(folder + "/flash")}
 
 
 def start_damaged(folder: str, kept, name: str, dice, flips: int) -> int:
-    """Start a machine with each damage to what is kept under a name: all else is as it was, and
-    this as it was kept before that, or as if never; and it says so. Returns how many."""
+    """Start a machine with each damage to one stored name; return the number of starts.
+
+    All other values must be unchanged, this one must be the older copy or missing, and the machine
+    must report it."""
     now, old = name + ".txt", name + ".old"
     _restore(folder, dict(kept, **{now: kept[old]}))
     before, _ = view(folder)
@@ -354,12 +356,12 @@ def _check(folder: str, name: str, wanted, how: str) -> None:
     assert shown == wanted, (name, shown, wanted)
     told = [line for line in said if line.startswith("[MSG:Damaged in flash")]
     assert set(told) == {"[MSG:Damaged in flash: %s (%s)]" % (name, how)}, (name, said)
-    if name in _FROM_THE_START:  # where Grbl says it
+    if name in _FROM_THE_START:  # at the same place as Grbl
         assert "error:7" in said[: said.index("Grbl 1.1h ['$' for help]")], (name, said)
 
 
 def start_with_damaged_custom(folder: str, dice, flips: int) -> None:
-    """Start a machine with each damage to its user's own Python."""
+    """Start a machine with each damage to the user's own Python."""
     file = folder + "/bytes_custom.py"
     whole = read(file)
     for spoilt in damages(whole, dice, flips):
@@ -375,8 +377,9 @@ def start_with_damaged_custom(folder: str, dice, flips: int) -> None:
 
 
 def damage_all(folder: str) -> int:
-    """Damage all that is kept, as often as that takes, without a machine, then start one. Returns
-    how much it reports."""
+    """Damage every stored file many times and load it without a machine; then start one with all
+    of
+    them damaged. Return the number of damage reports."""
     kept = kept_in(folder)
     _restore(folder, {file: data for file, data in kept.items() if ".old" in file})
     for name in NAMES:
@@ -392,7 +395,7 @@ def damage_all(folder: str) -> int:
 
 
 def main() -> None:
-    """As MicroPython runs it: talk in an empty folder, or damage in that of a machine."""
+    """Run under MicroPython: talk in an empty folder, or damage the folder of a machine."""
     what, folder = sys.argv[1:]
     if what == "damage":
         print(damage_all(folder))

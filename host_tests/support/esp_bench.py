@@ -1,8 +1,8 @@
-"""The ESP32's engines on the desktop: what they hand to hardware, turned back into steps.
+"""The ESP32's engines on the desktop: their output to hardware, turned back into steps.
 
-EspEngine is an engine of firmware/esp_chip on the stand-ins, with the simulator's side of a
-SimEngine, so that a Rig takes it for one. Steps are what a motor's driver would make of the pins:
-a rising edge of STEP counts, with the level that DIR has then.
+EspEngine is an engine of firmware/esp_chip on the stand-ins, with the simulator's interface of a
+SimEngine, so that a Rig accepts it. Steps are those that a motor's driver would see at the pins: a
+rising edge of STEP counts, with the level that DIR has then.
 """
 
 import sys
@@ -23,7 +23,7 @@ CHIP = SimpleNamespace(_machine="Generic ESP32 module with ESP32")
 
 
 def _load() -> "tuple[Any, Any, Any, Any, Any]":
-    """Import engines and pins with the ESP32's own modules in the place of others of the name."""
+    """Import engines and pins with the ESP32's own modules instead of others of the same name."""
     stand_ins: dict[str, Any] = {
         "machine": esp_machine,
         "sys": SimpleNamespace(implementation=CHIP),
@@ -51,7 +51,7 @@ i2s, rmt, esp_start, gpio_esp, gpio_port = _load()
 esp_machine.I2S.recording = True
 
 # As on the boards: outputs of the shift registers, pins.
-# Of six motors; a machine has the first of them.
+# Six motors; a machine uses the first ones.
 I2S_STEP, I2S_DIR, I2S_ENABLE = (1, 5, 3, 7, 9, 11), (2, 6, 4, 8, 10, 12), (0, 13)
 RMT_STEP, RMT_DIR = (26, 25, 17, 18, 19, 21), (16, 27, 14, 22, 23, 13)
 
@@ -59,7 +59,7 @@ Step = tuple[int, int, int]  # us, axis, +1 or -1
 
 
 class Levels:
-    """Levels of one axis' two pins: finds steps, and measures what a driver wants kept."""
+    """Levels of one axis' two pins: finds steps, and measures the times that a driver needs."""
 
     def __init__(self, axis: int) -> None:
         self.axis = axis
@@ -71,14 +71,14 @@ class Levels:
         self.invert = 0
 
     def set_direction(self, us: int, level: int) -> None:
-        """The direction pin has this level from now on."""
+        """Set the direction pin's level from now on."""
         if level != self.direction:
             self.direction = level
             self.turned = us
             self.shortest_hold = min(self.shortest_hold, us - self.rose)
 
     def set_step(self, us: int, level: int) -> "Step | None":
-        """The step pin has this level from now on; returns the step that this is."""
+        """Set the step pin's level from now on; return the step, if this makes one."""
         if level == self.step:
             return None
         self.step = level
@@ -93,7 +93,7 @@ class Levels:
 
 
 class I2sPins:
-    """Shift registers that hang on machine.I2S in the Philips format."""
+    """Shift registers connected to machine.I2S in the Philips format."""
 
     def __init__(self, axes: int) -> None:
         self.levels = [Levels(i) for i in range(axes)]
@@ -103,16 +103,16 @@ class I2sPins:
         self._events: deque[tuple[int, int]] = deque()
 
     def make(self) -> Any:
-        """The engine."""
+        """Make the engine."""
         motors = len(self.levels)
         return i2s.I2sEngine(I2S_STEP[:motors], I2S_DIR[:motors], I2S_ENABLE, (16, 17, 21))
 
     def outputs(self) -> int:
-        """All outputs."""
+        """Return all outputs."""
         return self._shown
 
     def run(self, until: int) -> "list[Step]":
-        """The steps up to a time."""
+        """Return the steps up to a time."""
         stream = esp_machine.I2S.open_streams[0]
         steps: list[Step] = []
         if stream is not self._stream:
@@ -141,7 +141,7 @@ class I2sPins:
     def _play(self, steps: "list[Step]", until: int) -> None:
         while self._events and self._events[0][0] <= until:
             us, word = self._events.popleft()
-            # WS rises when the registers hold the word but for its last bit.
+            # WS rises when the registers hold all bits of the word except the last.
             shown = self._shown = word >> 1
             for axis, levels in enumerate(self.levels):
                 levels.set_direction(us, shown >> I2S_DIR[axis] & 1)
@@ -151,12 +151,13 @@ class I2sPins:
 
 
 class RmtPins:
-    """Drivers that hang on RMT channels, as far as the pins show these, and direction pins."""
+    """Drivers connected to RMT channels, as far as the pins are routed to them, and direction
+    pins."""
 
     def __init__(self, axes: int) -> None:
         self.levels = [Levels(i) for i in range(axes)]
         self._trains = [0] * axes
-        # Edges that are to come, (us, level, train), and where in the logs of the pins we are.
+        # Future edges (us, level, train), and the read positions in the logs of the pins.
         self._edges: list[deque[tuple[int, int, int]]] = [deque() for _ in range(axes)]
         self._turns = [0] * axes
         self._words = [0] * axes
@@ -164,12 +165,12 @@ class RmtPins:
         self._shows = [False] * axes
 
     def make(self) -> Any:
-        """The engine."""
+        """Make the engine."""
         motors = len(self.levels)
         return rmt.RmtEngine(RMT_STEP[:motors], RMT_DIR[:motors])
 
     def run(self, until: int) -> "list[Step]":
-        """The steps up to a time."""
+        """Return the steps up to a time."""
         steps: list[Step] = []
         for axis, levels in enumerate(self.levels):
             self._take_trains(axis)
@@ -199,7 +200,7 @@ class RmtPins:
             self._edges[axis].append((us, 0, number))
 
     def _next(self, axis: int, until: int) -> "int | None":
-        """The next change of what RMT makes, or of whether the pin shows it."""
+        """Return the time of the next change of RMT's output, or of the pin's routing to it."""
         edges = self._edges[axis]
         words = esp_machine.mem32.log[RMT_STEP[axis]]
         word_us = words[self._words[axis]][0] if self._words[axis] < len(words) else until + 1
@@ -213,7 +214,7 @@ class RmtPins:
             return word_us
         us, self._rmt[axis], number = edges.popleft()
         end = esp32.RMT.channels[axis].trains[number][3]
-        if us > end:  # the train was cut off, and the channel is at rest from there on
+        if us > end:  # the train was cut off, and the channel is idle from there on
             us, self._rmt[axis] = end, 0
         return us
 
@@ -228,7 +229,7 @@ CHIPS = {
 
 
 def reset_stand_ins(chip: str = "esp32") -> None:
-    """As after power-up."""
+    """Restore the state after power-up."""
     RMT = esp32.RMT
     CHIP._machine, RMT.available, RMT.block, RMT.first_signal, first_pad = CHIPS[chip]
     esp_machine.mem32.first = first_pad
@@ -245,7 +246,7 @@ def reset_stand_ins(chip: str = "esp32") -> None:
 
 
 class EspEngine:
-    """An engine of the ESP32 in virtual time, seen by a Rig as its simulated engine."""
+    """An engine of the ESP32 in virtual time, with the interface of the simulated engine."""
 
     def __init__(self, name: str, axes: int = 3) -> None:
         reset_stand_ins("esp32s3" if name == "rmt_s3" else "esp32")
@@ -258,7 +259,7 @@ class EspEngine:
         self.trace: Callable[[int, array[int]], None] | None = None
         self.prepare: Callable[[], None] | None = None
         self.starts = 0
-        self.steps: list[Step] = []  # all that have been made
+        self.steps: list[Step] = []  # all steps made so far
         self._axes = axes
         self._per_us = self.tick_hz // 1_000_000
         self._place = [0] * axes
@@ -278,7 +279,7 @@ class EspEngine:
         self.starts += 1
         self.real.start()
 
-    # The simulator's side
+    # The simulator's interface
 
     @property
     def now(self) -> int:
@@ -289,24 +290,24 @@ class EspEngine:
         self.advance(to)
 
     def physical(self, steps: "array[int]") -> None:
-        """Steps since power-up, whatever the firmware calls the place."""
+        """Set steps to those since power-up, whatever position the firmware reports."""
         steps[:] = array("i", self._place)
 
     def power_off(self) -> None:
-        """The machine is not needed any more."""
+        """Release the machine."""
 
     def next_event(self) -> int:
-        """The tick up to which nothing changes by itself."""
+        """Return the tick up to which nothing changes by itself."""
         if self.real.idle():
             return sim_engine._NEVER
         return self.now + 250 * self._per_us
 
     def advance(self, to: int) -> None:
-        """Let time pass."""
+        """Advance the time."""
         end = -(-to // self._per_us)
         while True:
             moving = not self.real.idle()
-            # Time goes in pieces, so that a switch is found where it is.
+            # In small pieces, so that a switch closes at its place.
             piece = 20 if self.switches else 500
             clock.advance(min(clock.us + piece, end) if moving else end)
             made = self.pins.run(clock.us)

@@ -1,13 +1,13 @@
 """The whole firmware of an ESP32 board on stand-ins: under either Python, in virtual time.
 
-python esp_boot.py BOARD FOLDER [LINE ...] — runs main.py with boards/BOARD.py, in
-which each LINE (`ENGINE = "i2s"`) takes the place of the one for the same name, or comes behind
-it; RUN = "FILE" runs that in place of main.py, until the watchdog ends it. Settings are kept in
-FOLDER. Its talk.json is what a sender says and waits for, nothing and
-the welcome first: [["", "Grbl"], ["$X\\n", "ok"], ...]. "pin 5 0" and "ms 100" are directions
-to the world around; "deaf 5 0" pulls the pin during a collection, which nobody hears of; "hang
-400" keeps the main loop away for so many ms; "fail" makes the engine's next turn raise; "duty 5"
-prints what is at a pin. Prints the conversation, and what the prompt would read after it.
+python esp_boot.py BOARD FOLDER [LINE ...] runs main.py with boards/BOARD.py. Each LINE
+(`ENGINE = "i2s"`) replaces the line for the same name, or is appended; RUN = "FILE" runs that file
+instead of main.py, until the watchdog ends it. Settings are stored in FOLDER. Its talk.json lists
+what the sender sends and waits for, beginning with nothing and the welcome:
+[["", "Grbl"], ["$X\\n", "ok"], ...]. Some texts are commands to the environment: "pin 5 0" sets a
+pin; "ms 100" waits; "deaf 5 0" sets the pin during a collection, so that its interrupt is lost;
+"hang 400" keeps the main loop away for 400 ms; "fail" makes the engine's next turn raise; "duty 5"
+prints the duty of a pin. Prints the conversation, and the bytes left for the prompt.
 """
 
 import gc
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def set_path() -> str:
-    """Find the firmware and the stand-ins; returns the folder of the tree."""
+    """Find the firmware and the stand-ins; return the folder of the tree."""
     here = sys.argv[0].rsplit("/", 1)[0] if "/" in sys.argv[0] else "."
     root = here + "/../.."
     standins = root + "/tools/sim/standins"
@@ -46,7 +46,7 @@ _THINKING_US = 2_000
 
 
 def load(modules: "dict[str, object]", *names: str) -> None:
-    """Import the firmware's modules of these names with others in the place of some of theirs."""
+    """Import the firmware's modules of these names with stand-ins for some of their imports."""
     hidden = {name: sys.modules.get(name) for name in modules}
     for name, stand_in in modules.items():
         sys.modules[name] = stand_in  # type: ignore[assignment]
@@ -68,7 +68,7 @@ class Time:
 
 
 class Namespace:
-    """A module made here."""
+    """A module made from a dictionary."""
 
     def __init__(self, names: "dict[str, object]") -> None:
         for name, value in names.items():
@@ -76,21 +76,21 @@ class Namespace:
 
 
 class Unanswered(BaseException):
-    """What a sender waits for does not come. No Exception: the firmware has a net for these."""
+    """The expected answer does not come. Not an Exception, because the firmware catches those."""
 
 
 def deaf(pin: "esp_machine.Pin", level: int) -> None:
-    """A pin changes behind 40 ms of C code: a timer has taken all places for callbacks."""
+    """Change a pin after 40 ms of C code: a timer has taken all places for callbacks."""
     clock.work(40_000)
     lost = clock.lost
     clock.busy = True
     pin.drive(level)
     clock.busy = False
-    assert clock.lost > lost or not clock.timers, "the edge is to be lost"
+    assert clock.lost > lost or not clock.timers, "the edge must be lost"
 
 
 def fail() -> None:
-    """The engine's next turn raises."""
+    """Make the engine's next turn raise."""
     for module, name in (("esp_chip.i2s", "I2sEngine"), ("esp_chip.rmt", "RmtEngine")):
         if module in sys.modules:
             kind: "Any" = getattr(sys.modules[module], name)
@@ -98,7 +98,7 @@ def fail() -> None:
 
 
 def failing(kind: "Any", go_on: "Any") -> "Any":
-    """A turn that raises, once."""
+    """Return a turn that raises once."""
 
     def turn(_: object) -> None:
         kind._advance = go_on
@@ -108,7 +108,7 @@ def failing(kind: "Any", go_on: "Any") -> "Any":
 
 
 def flash_write() -> None:
-    """No interrupt comes while a sector is erased."""
+    """Block interrupts as while a sector is erased."""
     for channel in esp32.RMT.channels:
         channel.flash_write(45_000)
     streams = list(esp_machine.I2S.open_streams.values())
@@ -119,7 +119,7 @@ def flash_write() -> None:
 
 
 class Sender:
-    """Says one thing, waits for an answer, and so on."""
+    """Send a text, wait for its answer, and so on."""
 
     def __init__(self, wire: "esp_stdio.Wire", talk: "list[tuple[str, str]]") -> None:
         self._wire = wire
@@ -139,7 +139,7 @@ class Sender:
         print(text.replace("\r", ""), end="")
 
     def turn(self) -> None:
-        """The firmware looks for bytes, and there are none."""
+        """Act when the firmware looks for bytes and there are none."""
         if self.punch:
             self.punch.turn()
         if clock.us > self._deadline:
@@ -173,7 +173,7 @@ class Sender:
 
 
 def board(name: str, lines: "list[str]") -> "Namespace":
-    """The board file, changed."""
+    """Return the board file with its changed lines."""
     with open(ROOT + "/boards/" + name + ".py") as file:
         source = file.read().split("\n")
     for line in lines:
@@ -189,7 +189,7 @@ def board(name: str, lines: "list[str]") -> "Namespace":
 
 
 def chip(board: str) -> "Namespace":
-    """The board's `sys`, as far as it says which chip this is."""
+    """Return the board's `sys` with the name of its chip."""
     s3 = board == "esp32_s3"
     if s3:
         esp_machine.mem32.first = 0x60004554
@@ -199,11 +199,11 @@ def chip(board: str) -> "Namespace":
 
 
 class Restart(BaseException):
-    """The watchdog's. No Exception: the firmware has a net for these."""
+    """The watchdog's reset. Not an Exception, because the firmware catches those."""
 
 
 class BusyTime(Time):
-    """Time that passes as it is asked for, as in a loop that does nothing else."""
+    """Time that advances with each query, as in a loop that does nothing else."""
 
     @staticmethod
     def ticks_ms() -> int:
@@ -231,7 +231,7 @@ class BusyTime(Time):
 
 
 def run(path: str) -> None:
-    """A program for the prompt."""
+    """Run a program as from the prompt."""
     sys.modules["machine"] = esp_machine  # type: ignore[assignment]
     sys.modules["time"] = BusyTime  # type: ignore[assignment]
     with open(path) as file:
@@ -263,7 +263,7 @@ def main() -> None:
     real_store = flash_store.FlashStore
 
     class Store(real_store):  # type: ignore[misc, valid-type]
-        """Flash that takes its time, and interrupts with it."""
+        """Flash whose writes take time and block interrupts."""
 
         def _write(self, path: str, kept: "list[str]") -> None:
             super()._write(path, kept)
@@ -279,7 +279,7 @@ def main() -> None:
     sys.modules["board"] = made  # type: ignore[assignment]
     with open(folder + "/talk.json") as file:
         sender = Sender(wire, json.load(file))
-    for pin in made.LIMIT + made.NO_PULL_UP:  # resistors outside
+    for pin in made.LIMIT + made.NO_PULL_UP:  # external resistors
         if pin is not None:
             esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
     if getattr(made, "PUNCH_UP", None):

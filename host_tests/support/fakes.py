@@ -1,7 +1,7 @@
-"""Fakes of the seams (firmware/interfaces.pyi): what is asked of one is noted, in `asked`.
+"""Fakes of the interfaces (firmware/interfaces.pyi): calls are recorded in `asked`.
 
-`make types` holds each of them against its seam, at the end of this file. One list of several
-fakes shows in which order they were asked. What is to move really is tools/sim/.
+`make types` checks each of them against its interface, at the end of this file. Several fakes may
+share one list, which shows the order of their calls. Real motion is simulated in tools/sim/.
 """
 
 from array import array
@@ -38,7 +38,7 @@ def place(target: "array[float]") -> str:
 
 
 class FakeCanon:
-    """A machine on paper: the canonical calls of a program, a line of text each."""
+    """A machine that only records: the canonical calls of a program, a line of text each."""
 
     def __init__(self, axes: int = 3) -> None:
         self.asked: Asked = []
@@ -58,7 +58,7 @@ class FakeCanon:
         self.asked.append(f"jog F{move.feed:g} {place(target)}")
 
     def finish(self) -> None:
-        """Every line ends with one: it is not noted."""
+        """Do nothing: every line ends with this call, so it is not recorded."""
 
     def make_room(self) -> None:
         self.asked.append("room")
@@ -89,7 +89,7 @@ class FakeCanon:
 
 
 class FakeEngine:
-    """Makes no pulses. Idle unless started; it runs until stop() or `runs` is cleared."""
+    """An engine without pulses. Idle unless started; it runs until stop() or `runs` is cleared."""
 
     tick_hz = 1_000_000
     segment_log2 = 13
@@ -162,8 +162,9 @@ class FakeKinematics:
 
 
 class FakePort:
-    """Pins that are attributes, and a clock that goes on by a ms with each look. fails: what
-    raises when it is asked for."""
+    """Pins as attributes, and a clock that advances by a ms with each reading. fails: the name
+    that
+    raises when it is read."""
 
     pwm_max = 1000
     pwm = None
@@ -252,7 +253,7 @@ class FakePort:
 
 
 class FakeVoice:
-    """What was said, in words and numbers."""
+    """Record messages as words and numbers."""
 
     def __init__(self, asked: "Asked | None" = None) -> None:
         self.asked: Asked = [] if asked is None else asked
@@ -275,7 +276,7 @@ class FakeVoice:
 
 
 class FakeLink:
-    """Bytes to be read, and those that were sent."""
+    """A link with bytes to be read, and a record of those sent."""
 
     def __init__(self, unread: bytes = b"") -> None:
         self.unread = unread
@@ -294,7 +295,7 @@ class FakeLink:
 
 
 class FakeStore:
-    """What is kept, by name. full: names that there is no room for."""
+    """Stored text by name. full: names for which no space is left."""
 
     def __init__(self, *full: str) -> None:
         self.files: "dict[str, list[str]]" = {}

@@ -1,7 +1,7 @@
-"""For the desktop's MicroPython: FAT file systems as a computer makes them, and what is in them.
+"""For the desktop's MicroPython: make FAT file systems as a computer does, and read them back.
 
-Usage: fat_image.py IMAGE make BLOCKS FOLDER, or IMAGE read FOLDER: files of a folder go into a new
-image, those of an image into a folder.
+Usage: fat_image.py IMAGE make BLOCKS FOLDER, or IMAGE read FOLDER: copy the files of a folder into
+a new image, or those of an image into a folder.
 """
 
 import os
@@ -13,8 +13,11 @@ BLOCK = 512
 
 
 class Blocks:
-    """Of an image in memory. fault_at: that block is not read or written any more, nor any behind
-    it. As those of a card do, they take what comes behind end(), and do nothing."""
+    """Blocks of an image in memory.
+
+    fault_at: from that block on, nothing is read or written. As with a card's, calls after end()
+    do
+    nothing and report success."""
 
     def __init__(self, image: bytearray) -> None:
         self.image = image
@@ -23,7 +26,7 @@ class Blocks:
         self.is_faulty = self._has_ended = False
 
     def end(self) -> None:
-        """Whoever still asks is not told."""
+        """Make later calls do nothing."""
         self._has_ended = True
 
     def readblocks(self, number: int, into: bytearray) -> int:

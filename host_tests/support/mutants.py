@@ -1,9 +1,9 @@
-"""How many small faults in the firmware the tests find: `make mutants COUNT=60 SEED=1`.
+"""Count the small faults in the firmware that the tests find: `make mutants COUNT=60 SEED=1`.
 
-Each mutant is the tree with one change in firmware/: an operator turned, a constant one more, a
-condition negated, a statement left out. The first ring runs on it until a test fails, files named
-after the module first, then those that see the whole machine; with --all the second ring. Prints
-what nobody has found.
+Each mutant is the tree with one change in firmware/: an operator replaced, a constant incremented,
+a condition negated, a statement removed. The first ring runs on it until a test fails: first the
+files named after the module, then those of the whole machine; with --all the second ring. Prints
+the mutants that no test found.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
 
-# In this order: those that play whole conversations find the most.
+# In this order: tests that play whole conversations find the most.
 _ALL = [
     "host_tests/whole/test_conformance.py",
     "host_tests/talk/test_conversation.py",
@@ -33,7 +33,7 @@ _ALL = [
     "host_tests",
 ]
 
-_APART = ("emulator", "senders", "web")  # which want more than this computer has
+_APART = ("emulator", "senders", "web")  # they need more than this computer has
 
 _TURNED: "dict[type[ast.AST], str]" = {
     ast.Lt: "<=",
@@ -55,7 +55,7 @@ _TURNED: "dict[type[ast.AST], str]" = {
 
 
 class Mutant(NamedTuple):
-    """A change: in this file, between these offsets of its text, what stands there then."""
+    """A change: in this file, between these offsets of its text, to this text."""
 
     file: Path
     begin: int
@@ -63,7 +63,7 @@ class Mutant(NamedTuple):
     text: str
 
     def source(self) -> str:
-        """The file with the change."""
+        """Return the file with the change."""
         old = self.file.read_text(encoding="utf-8")
         return old[: self.begin] + self.text + old[self.end :]
 
@@ -75,7 +75,7 @@ class Mutant(NamedTuple):
 
 
 def mutants(file: Path) -> Iterator[Mutant]:
-    """Every change there may be in a file."""
+    """Yield every possible change in a file."""
     text = file.read_text(encoding="utf-8")
     starts = [0]
     for line in text.splitlines(keepends=True):
@@ -115,7 +115,7 @@ def _operators(node: ast.AST) -> "Iterator[tuple[ast.expr, ast.AST, ast.expr]]":
 
 
 def _that_run(node: ast.AST) -> Iterator[ast.AST]:
-    """All below, without annotations and what only mypy reads."""
+    """Yield all nodes that are executed: no annotations, nothing that only mypy reads."""
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         return
     if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "TYPE_CHECKING":
@@ -129,7 +129,7 @@ def _that_run(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def copy_of_tree(folder: Path) -> Path:
-    """The tree as it is, where a test finds it and what it needs."""
+    """Copy the working tree with everything that a test needs."""
     root = folder / "ugrbl"
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
     for name in subprocess.check_output(listed, cwd=ROOT, text=True).splitlines():
@@ -138,12 +138,12 @@ def copy_of_tree(folder: Path) -> Path:
     if (ROOT.parent / "shared").is_dir():
         (folder / "shared").symlink_to(ROOT.parent / "shared")
     (folder / "site").mkdir()
-    (folder / "site" / "ugrbl").symlink_to(root / "tools")  # before the one that is installed
+    (folder / "site" / "ugrbl").symlink_to(root / "tools")  # before the installed package
     return root
 
 
 def is_found(root: Path, mutant: Mutant, whole: bool) -> "str | None":
-    """The first test that fails; None where all pass."""
+    """Return the first test that fails; None if all pass."""
     file = root / mutant.file.relative_to(ROOT)
     before = file.read_text(encoding="utf-8")
     file.write_text(mutant.source(), encoding="utf-8")
@@ -174,7 +174,7 @@ def _failure(root: Path, tests: "list[str]", whole: bool) -> "str | None":
 
 
 def main() -> None:
-    """Make them, run the tests, print the list."""
+    """Make mutants, run the tests, print the list."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)

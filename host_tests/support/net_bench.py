@@ -1,4 +1,4 @@
-"""A simulated machine with a network: callers in memory, or at real sockets."""
+"""A simulated machine with a network: clients in memory, or at real sockets."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -22,8 +22,7 @@ Script = Callable[["NetBench"], Iterator[Any]]
 
 
 class Pipe:
-    """A connection in memory. room: bytes that are taken of what is sent, before who has called
-    reads on."""
+    """A connection in memory. room: bytes accepted from the machine before the client reads."""
 
     def __init__(self) -> None:
         self.unread = bytearray()  # by the machine
@@ -58,14 +57,14 @@ class Pipe:
         self.unread += text.encode("latin-1") if isinstance(text, str) else text
 
     def take(self) -> str:
-        """What has come since the last call."""
+        """Return the text received since the last call."""
         text = self.got.decode("latin-1")
         self.got.clear()
         return text
 
 
 class Door:
-    """Who calls in memory. more: another door, looked at where nobody waits at this one."""
+    """Clients in memory. more: another source, polled when nobody waits here."""
 
     def __init__(self, more: "HostCalls | None" = None) -> None:
         self.waiting: list[tuple[Pipe, str]] = []
@@ -81,7 +80,8 @@ class Door:
 
 
 class _Link(RigLink):
-    """What `driver` sends is an event, as what comes by the cable: the machine does not sleep."""
+    """Make `driver`'s bytes an event like those of the cable, so that the machine does not
+    sleep."""
 
     driver: "Pipe | None" = None
     trusts = (LOOPBACK,)
@@ -98,8 +98,9 @@ class _PageLink(_Link, RigPageLink):
 
 
 class NetBench:
-    """A machine, its sender at the cable, and who calls. more: who calls besides, see Door; page:
-    who visits the page that lies in that folder, at which door."""
+    """A machine with a sender at the cable, and network clients.
+
+    more: further clients, see Door. page: the visitors' door and the folder of the served page."""
 
     def __init__(
         self,
@@ -133,13 +134,13 @@ class NetBench:
         return int(self.rig.now / self.rig.ticks_per_ms) & 0x3FFFFFFF if self.rig else 0
 
     def call(self, address: str = LOOPBACK) -> Pipe:
-        """Somebody calls; this computer needs no key."""
+        """Connect a client; this computer needs no key."""
         pipe = Pipe()
         self.door.waiting.append((pipe, address))
         return pipe
 
     def run(self, script: Script) -> None:
-        """What goes wrong in the script is raised here."""
+        """Run the script; raise its exception here."""
         failed: list[BaseException] = []
 
         def guarded() -> Iterator[Any]:
@@ -158,14 +159,14 @@ class NetBench:
         yield self.rig.ms(ms)
 
     def until(self, condition: Callable[[], bool], ms: float = 60_000) -> Iterator[Any]:
-        """Time passes until that holds."""
+        """Wait until the condition holds."""
         end = self.rig.ms(ms)
         while not condition():
-            assert self.rig.now < end, "it never comes to that"
+            assert self.rig.now < end, "the condition never holds"
             yield self.rig.ms(1)
 
     def ask(self, pipe: Pipe, text: str, ms: float = 30_000) -> Iterator[Any]:
-        """Send a line; its answers are what it returns."""
+        """Send a line; return its answers."""
         pipe.take()
         pipe.send(text)
         yield from self.until(
@@ -180,13 +181,13 @@ class NetBench:
 
 
 def connected(bench: NetBench, pipe: Pipe, welcome: str = WELCOME) -> Iterator[Any]:
-    """It has been welcomed."""
+    """Wait for a client's welcome."""
     yield from bench.until(lambda: welcome.encode() in pipe.got)
     pipe.take()
 
 
 def joined(bench: NetBench) -> Iterator[Any]:
-    """Somebody who has called, and has been welcomed."""
+    """Connect a client and wait for its welcome."""
     pipe = bench.call()
     yield from connected(bench, pipe)
     return pipe

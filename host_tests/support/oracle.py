@@ -1,18 +1,18 @@
-"""A second reading of Grbl 1.1h's rules for a block: plain, slow, and nobody's but the tests'.
+"""An independent, plain and slow implementation of Grbl 1.1h's rules for a block, for tests only.
 
-judge() says which error number a line gets, 0 for "ok", and keeps the modal state, offsets and
-the parser's position as real Grbl would in check mode ("$C") or, for jogs, at rest. Numbers are
+judge() returns the error number of a line, 0 for "ok", and updates modal state, offsets and the
+parser's position as real Grbl would in check mode ("$C") or, for jogs, while idle. Numbers are
 rounded to single precision at every step, as on Grbl's chip.
 """
 
 import struct
 from math import inf, sqrt, trunc
 
-# What stands in a block besides its words: who claims the axis words.
+# Which command of a block uses the axis words.
 NOBODY, NON_MODAL, MOTION, LENGTH = range(4)
 
 PLANES = {17: ("X", "Y"), 18: ("Z", "X"), 19: ("Y", "Z")}
-# In which modal group a G or M code is; two of one group get error 21.
+# The modal group of a G or M code; two of one group get error 21.
 G_GROUPS = {
     **dict.fromkeys((4, 10, 28, 30, 53, 92), "non-modal"),
     **dict.fromkeys((0, 1, 2, 3, 38, 80), "motion"),
@@ -39,7 +39,7 @@ class Refused(Exception):
 
 
 def single(x: float) -> float:
-    """X rounded to single precision."""
+    """Return x rounded to single precision."""
     try:
         return struct.unpack("f", struct.pack("f", x))[0]
     except OverflowError:
@@ -47,7 +47,7 @@ def single(x: float) -> float:
 
 
 def rounded(x: float) -> int:
-    """As C's round(): halves away from zero; kept in 16 bits without sign."""
+    """Round like C's round(): halves away from zero; the result is unsigned 16 bits."""
     return (trunc(x + 0.5) if x >= 0 else trunc(x - 0.5)) & 0xFFFF
 
 
@@ -56,7 +56,8 @@ def hypotenuse(x: float, y: float) -> float:
 
 
 def read_number(text: str) -> "tuple[int, float] | None":
-    """Grbl's reader: eight digits count, the rest move the point. Returns length and value."""
+    """Read a number like Grbl: eight digits count, the rest move the point. Return length and
+    value."""
     pos = 0
     if text[:1] in ("-", "+"):
         pos = 1
@@ -91,7 +92,7 @@ def read_number(text: str) -> "tuple[int, float] | None":
 
 
 def read_words(text: str) -> "tuple[list[tuple[str, float]], int]":
-    """All words of a line, and the error that stands behind the last."""
+    """Return all words of a line, and the error after the last one."""
     found = []
     while text:
         if not "A" <= text[0] <= "Z":
@@ -110,7 +111,7 @@ class Oracle:
     def __init__(self) -> None:
         self.position = dict.fromkeys("XYZ", 0.0)
         self.systems = {n: dict.fromkeys("XYZ", 0.0) for n in (54, 55, 56, 57, 58, 59, 28, 30)}
-        self.in_use = dict.fromkeys("XYZ", 0.0)  # the active system, as it was last read
+        self.in_use = dict.fromkeys("XYZ", 0.0)  # offsets of the active system, as last read
         self.g92 = dict.fromkeys("XYZ", 0.0)
         self.length = 0.0
         self.motion = "G0"
@@ -121,13 +122,13 @@ class Oracle:
         self.tool = 0
 
     def modes(self) -> str:
-        """What "$G" shows, but for the numbers of F and S."""
+        """Return the output of "$G", without the numbers of F and S."""
         coolant = "M8" if self.flood else "M9"
         modes = f"{self.motion} G{self.system} G{self.plane} G{self.units} G{self.distance}"
         return f"{modes} G{self.feed_mode} M{self.spindle} {coolant} T{self.tool}"
 
     def judge(self, line: str) -> int:
-        """The error number of a line of words: upper case, without spaces and comments."""
+        """Return the error number of a line of words: upper case, without spaces and comments."""
         block = Block(self, line.startswith("$J="))
         try:
             block.read(line.removeprefix("$J="))
@@ -144,7 +145,7 @@ class Oracle:
 
 
 class Block:
-    """One line on its way through the rules."""
+    """One line during the checks."""
 
     def __init__(self, grbl: Oracle, jog: bool) -> None:
         self.grbl = grbl
@@ -161,7 +162,7 @@ class Block:
         self.spindle, self.flood, self.flow = grbl.spindle, grbl.flood, 1
         self.target = dict(grbl.position)
 
-    # Words, one by one: what is wrong with the first that is wrong counts.
+    # Words, one by one: the first wrong one gives the error.
 
     def read(self, text: str) -> None:
         words, fault = read_words(text)
@@ -242,7 +243,7 @@ class Block:
             raise Refused(4)
         self.words[letter] = value
 
-    # Rules about the block as a whole
+    # Rules for the whole block
 
     def axes(self) -> str:
         return "".join(letter for letter in "XYZ" if letter in self.words)
@@ -265,7 +266,7 @@ class Block:
         if self.length_mode == "G43.1" and self.axes() != "Z":
             raise Refused(37)
         self.find_target()
-        # Before motion, which may drop the claim: a claim without axis words claims nothing.
+        # Before the motion check, which may drop the claim: a claim without axis words uses none.
         self.check_motion()
         if self.claim:
             self.unused -= set("XYZ")
@@ -309,7 +310,7 @@ class Block:
             raise Refused(30)
 
     def place(self, letter: str) -> float:
-        """Where an axis is to go, in machine coordinates."""
+        """Return an axis' target in machine coordinates."""
         grbl = self.grbl
         if letter not in self.words:
             return grbl.position[letter]
@@ -322,7 +323,8 @@ class Block:
         return single(value + grbl.length) if letter == "Z" else value
 
     def offsets_here(self, other: "dict[str, float]") -> "dict[str, float]":
-        """The offsets that, with the others, make the present place read as the axis words."""
+        """Return offsets that, with the others, make the current position read as the axis
+        words."""
         grbl = self.grbl
         found = {}
         for letter in self.axes():
@@ -392,7 +394,7 @@ class Block:
         if self.groups - {"non-modal", "distance", "units"} or self.non_modal not in ("", "G53"):
             raise Refused(16)
 
-    # What an accepted block leaves behind
+    # Effects of an accepted block
 
     def execute(self) -> None:
         grbl = self.grbl
@@ -414,7 +416,7 @@ class Block:
             grbl.motion = "G1"
             grbl.plane, grbl.distance, grbl.feed_mode = 17, 90, 94
             grbl.system, grbl.spindle, grbl.flood = 54, 5, False
-            # Real Grbl, in check mode only, keeps adding the offsets of the system before.
+            # Real Grbl, in check mode only, keeps adding the offsets of the former system.
             grbl.in_use = grbl.systems[54]
 
     def execute_non_modal(self) -> None:

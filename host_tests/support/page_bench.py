@@ -1,4 +1,4 @@
-"""A simulated machine that serves its page, and browsers: what they ask, and their frames."""
+"""A simulated machine that serves its page, and browsers: their requests and frames."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,13 +8,13 @@ from net_bench import Door, NetBench, Pipe
 from ugrbl.compiling import page_files
 from ugrbl.run.tcp_link import LOOPBACK
 
-# As Chromium asks.
+# Chromium's request headers.
 _USUAL = (
     "User-Agent: Mozilla/5.0 (X11; Linux x86_64) AppleWebKit/537.36 (KHTML, like Gecko) "
     "Chrome/140.0.0.0 Safari/537.36\r\nAccept: */*\r\nAccept-Encoding: gzip, deflate\r\n"
     "Accept-Language: en-GB,en;q=0.9,de;q=0.8\r\nCookie: other=1\r\n"
 )
-_KEY = "dGhlIHNhbXBsZSBub25jZQ=="  # of RFC 6455, with its answer
+_KEY = "dGhlIHNhbXBsZSBub25jZQ=="  # from RFC 6455, with its answer
 _ACCEPTED = b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo="
 WS_UPGRADE = {
     "Connection": "keep-alive, Upgrade",
@@ -28,14 +28,14 @@ TEXT, BINARY, CLOSE, PING, PONG = 1, 2, 8, 9, 10
 
 
 def request(path: str, method: str = "GET", **fields: str) -> bytes:
-    """A request, with other fields, or an empty text where one is not to be there."""
+    """Return a request with changed fields; an empty text removes a field."""
     there = {"Host": "ugrbl.local", **{name.replace("_", "-"): fields[name] for name in fields}}
     lines = "".join(f"{name}: {value}\r\n" for name, value in there.items() if value)
     return f"{method} {path} HTTP/1.1\r\n{lines}{_USUAL}\r\n".encode()
 
 
 def frame(data: "str | bytes", opcode: int = BINARY, last: bool = True) -> bytes:
-    """As a browser sends it."""
+    """Return a frame as a browser sends it."""
     data = data.encode("latin-1") if isinstance(data, str) else data
     size = len(data)
     head = [size | 0x80] if size < 126 else [126 | 0x80, size >> 8, size & 0xFF]
@@ -44,7 +44,7 @@ def frame(data: "str | bytes", opcode: int = BINARY, last: bool = True) -> bytes
 
 
 class Frames:
-    """What has come of a websocket."""
+    """The frames received on a websocket."""
 
     def __init__(self, pipe: Pipe) -> None:
         self.pipe = pipe
@@ -62,7 +62,7 @@ class Frames:
             del got[: start + size]
 
     def _answer(self, opcode: int, data: bytes) -> None:
-        """As browsers do, of themselves."""
+        """Answer like a browser."""
         if opcode == 0x80 | PING and self.reads:
             self.pipe.send(frame(data, PONG))
 
@@ -78,8 +78,9 @@ class Frames:
 
 
 class PageBench(NetBench):
-    """A machine that serves its page from that folder, with visitors in memory. more, visits: who
-    calls by TCP and comes by HTTP besides."""
+    """A machine that serves its page from that folder, with visitors in memory.
+
+    more, visits: further clients by TCP and by HTTP."""
 
     def __init__(
         self,
@@ -99,13 +100,13 @@ class PageBench(NetBench):
         return pipe
 
     def next(self, head: bytes, body: bytes) -> str:
-        """The path that a piece names as the next: in its head, or in the first page."""
+        """Return the path of the next piece: from the head, or from the first page."""
         at = body.find(b"/0?")
         found = head.partition(b"Next: ")[2].partition(b"\r\n")[0] or body[at : at + 7]
         return found.decode()
 
     def answer(self, pipe: Pipe, ms: float = 30_000) -> "Iterator[Any]":
-        """Head and body of the next answer."""
+        """Return head and body of the next answer."""
         yield from self.until(lambda: b"\r\n\r\n" in pipe.got, ms)
         head, _, _ = bytes(pipe.got).partition(b"\r\n\r\n")
         size = int(head.partition(b"Content-Length: ")[2].split(b"\r\n")[0] or b"0")
@@ -116,14 +117,15 @@ class PageBench(NetBench):
         return head, body
 
     def get(self, data: bytes, address: str = LOOPBACK) -> "Iterator[Any]":
-        """Somebody comes and asks once."""
+        """Connect and send one request."""
         pipe = self.visit(address)
         pipe.send(data)
         head, body = yield from self.answer(pipe)
         return pipe, head, body
 
     def open(self, address: str = LOOPBACK, **fields: str) -> "Iterator[Any]":
-        """A page at its websocket; what has come of it, which is the welcome and how it stands."""
+        """Open a page's websocket; return its frames after the welcome and the first state
+        message."""
         pipe, head, _ = yield from self.get(request("/ws", **{**WS_UPGRADE, **fields}), address)
         assert head.startswith(b"HTTP/1.1 101 ") and _ACCEPTED in head, head
         frames = Frames(pipe)
@@ -131,7 +133,7 @@ class PageBench(NetBench):
         return frames
 
     def say(self, page: Frames, line: str, ms: float = 30_000) -> "Iterator[Any]":
-        """A line of a page's, and its answer."""
+        """Send a line from a page; return its answer."""
         before = len(page.said())
         page.pipe.send(frame(line + "\n"))
 

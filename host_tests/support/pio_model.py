@@ -1,9 +1,9 @@
 """PIO programs run tick by tick: rp2040py's model of the chip, without its processor.
 
-PioModel is one PIO block and the words it is given. PioChip is all that PioEngine works on,
-with CPython in the processor's place: the firmware's own code reads and writes the registers of
-the modelled PIOs and timer, and its arrays lie in the modelled memory. DMA is our own: theirs
-puts a word into a FIFO in no time, whenever there is room, where a chip's counts.
+PioModel is one PIO block and its words. PioChip is all hardware that PioEngine uses, with CPython
+as the processor: the firmware's own code reads and writes the registers of the modelled PIOs and
+timer, and its arrays lie in the modelled memory. DMA is modelled here: rp2040py's puts a word into
+a FIFO at once when space is free, where a chip counts credits.
 """
 
 import builtins
@@ -19,19 +19,19 @@ from pio import engine, engine_state, memory, pulses, refill, stops
 from rp2040py.irq import IRQ
 from rp2040py.rp2040 import RP2040
 
-# The data sheet's addresses.
+# Addresses from the data sheet.
 _PIO = (0x50200000, 0x50300000, 0x50400000)
 _CTRL, _FDEBUG, _FLEVEL, _TXF, _INSTR_MEM = 0x00, 0x08, 0x0C, 0x10, 0x48
 _SM, _SM_STRIDE = 0xC8, 0x18
 _CLKDIV, _EXECCTRL, _SHIFTCTRL, _ADDR, _INSTR, _PINCTRL = range(0, 0x18, 4)
-_FUNCTION = 0x40014004  # of a pin: GPIO0_CTRL
+_FUNCTION = 0x40014004  # GPIO0_CTRL
 _DMA, _DMA_STRIDE, _DMA_END = 0x50000000, 0x40, 0x50001000
 _DMA_READ, _DMA_CONTROL, _DMA_TRIGGER, _DMA_CREDITS = 0x00, 0x10, 0x1C, 0x800
 _BUSY, _BUSY_2350 = 1 << 24, 1 << 26
 _FIFO = 4  # words
 _NVIC_ENABLE, _NVIC_DISABLE = 0xE000E100, 0xE000E180
 _RAM, _RAM_END = 0x20000000, 0x20042000
-# Where an RP2350 has what the model has elsewhere: timer, and control of pins.
+# RP2350 addresses that the model has elsewhere: timer, and control of pins.
 _MOVED = {0x400B0: 0x40054, 0x40028: 0x40014}
 MOST_OF_RP2040 = 6  # motors; a chip with more is an RP2350
 
@@ -44,7 +44,7 @@ _CLOCK_FLAG = 1 << 3  # the clock is machine 3
 
 
 class _Chip:
-    """What both have in common: programs, pins, and a log of edges."""
+    """Common part: programs, pins, and a log of edges."""
 
     def __init__(self) -> None:
         self.now = 0
@@ -64,7 +64,7 @@ class _Chip:
     def set_up(
         self, block: int, number: int, program: "list[Any]", at: int, pins: "Sequence[int]"
     ) -> None:
-        """A machine as MicroPython leaves it; pins: step and direction, or none."""
+        """Set up a machine as MicroPython does; pins: step and direction, or none."""
         base = _PIO[block] + _SM + _SM_STRIDE * number
         self.write(base + _CLKDIV, 1 << 16)
         self.write(base + _EXECCTRL, program[4] + (at << 12) | at << 7)
@@ -80,14 +80,14 @@ class _Chip:
 
     def _listener(self, pin: int) -> Any:
         def on_change(new: Any, old: Any) -> None:
-            if old.name in ("LOW", "HIGH"):  # else it has only become an output
+            if old.name in ("LOW", "HIGH"):  # else the pin has only become an output
                 self.edges.append((self.now, pin, int(new.name == "HIGH")))
 
         return on_change
 
 
 class PioModel(_Chip):
-    """One PIO block: a program in every machine, words fed as a DMA would, edges logged.
+    """One PIO block: a program in every machine, words fed as by DMA, edges logged.
 
     machines: per machine its step and direction pins, none for a program without pins.
     """
@@ -103,7 +103,7 @@ class PioModel(_Chip):
             self.set_up(0, number, program, 0, pins or ())
 
     def load_isr(self, number: int, value: int) -> None:
-        """What the engine does before it starts a machine."""
+        """Load ISR, as the engine does before it starts a machine."""
         self.write(_PIO[0] + _TXF + 4 * number, value)
         for instruction in (_PULL, _LOAD_ISR):
             self.write(_PIO[0] + _SM + _SM_STRIDE * number + _INSTR, instruction)
@@ -119,7 +119,7 @@ class PioModel(_Chip):
         self.write(_PIO[0] + _CTRL, 0)
 
     def run(self, ticks: int) -> None:
-        """Advance so many ticks."""
+        """Advance this many ticks."""
         pio = self._pio
         for _ in range(ticks):
             pio.advance(1)
@@ -135,25 +135,28 @@ class PioModel(_Chip):
                 self.write(_PIO[0] + _TXF + 4 * number, words.pop(0))
 
     def at(self, number: int) -> int:
-        """Where a machine stands."""
+        """Return a machine's program counter."""
         return int(self.mcu.read_uint32(_PIO[0] + _SM + _SM_STRIDE * number + _ADDR))
 
     def x(self, number: int) -> int:
-        """Its X register."""
+        """Return a machine's X register."""
         return int(self._pio.machines[number].x)
 
     def unread(self, number: int) -> int:
-        """Words it has not fetched."""
+        """Return the number of words not yet fetched."""
         return int(self._pio.machines[number].tx_fifo.item_count) + len(self.waiting[number])
 
 
 class Channel:
     """A DMA channel that moves words from a ring in memory into the FIFO of one machine.
 
-    How it knows that there is room there can be read in two ways in the data sheets. counted:
-    there is a counter of its own, 4 at first, less one with each word that it sends, and more by
-    one with each that is taken out of the FIFO, whoever has put it there. Else it looks. A word
-    is on its way for `flight` ticks, and so long neither in the count nor in the FIFO.
+    The data sheets can be read in two ways about how it detects free space. counted: it has a
+    counter
+    of its own, 4 at first, decremented by each word that it sends, and incremented by each word
+    taken
+    out of the FIFO, whatever has put it there. Otherwise it looks at the FIFO. A word is in
+    transit
+    for `flight` ticks, during which it is neither in the count nor in the FIFO.
     """
 
     def __init__(self, chip: "PioChip", number: int) -> None:
@@ -165,7 +168,7 @@ class Channel:
         self._fifo = chip.pios[block].machines[own].tx_fifo
         self._level = 0  # of the FIFO, when last seen
         self._room = _FIFO
-        self._flying: deque[tuple[int, int]] = deque()  # when it arrives, the word
+        self._flying: deque[tuple[int, int]] = deque()  # tick of arrival, word
         self._at = self._mask = self._left = 0
 
     @property
@@ -173,7 +176,7 @@ class Channel:
         return self._left > 0 or len(self._flying) > 0
 
     def read(self, register: int) -> int:
-        """One of its registers."""
+        """Return one of its registers."""
         match register:
             case 0x00:
                 return self._at
@@ -187,12 +190,12 @@ class Channel:
 
     def write(self, register: int, value: int) -> None:
         if register == _DMA_READ:
-            assert not self.busy, "the address of words on their way has been changed"
+            assert not self.busy, "the address changed while words were in transit"
             self._at = value
         elif register == _DMA_CONTROL:
             self._mask = (1 << (value >> 6 & 15)) - 1
         elif register == _DMA_TRIGGER:
-            assert not self.busy, "DMA has not come to its end"
+            assert not self.busy, "DMA has not finished"
             self._left = value
         elif register == _DMA_CREDITS:
             self._room = _FIFO - self._level - len(self._flying)
@@ -200,20 +203,20 @@ class Channel:
             raise AssertionError(f"nobody writes register {register:#x} of DMA")
 
     def put(self, word: int) -> None:
-        """A word comes to the FIFO; where that is full it is lost, and TXOVER says so."""
+        """Put a word into the FIFO; if that is full, it is lost, and TXOVER is set."""
         self.look()
         self._level += not self._fifo.full
         self._chip.mcu.write_uint32(self._put_at, word)
 
     def look(self) -> None:
-        """See what has been taken out."""
+        """Update the count for words taken out."""
         level = self._fifo.item_count
         if level != self._level:
             self._room += self._level - level
             self._level = level
 
     def advance(self) -> None:
-        """A tick."""
+        """Advance one tick."""
         self.look()
         now = self._chip.now
         while self._flying and self._flying[0][0] <= now:
@@ -228,11 +231,12 @@ class Channel:
 
 
 class PioChip(_Chip):
-    """A chip with a PioEngine that runs on it. patch: until its end the engine is not on a board.
+    """A chip with a PioEngine that runs on it. patch: the engine is on this chip until it ends.
 
-    The engine's own interrupt comes `latency` ticks late. Whatever the engine does with a
-    register takes a tick; the rest of its computing takes no time. So what begins at once in PIO 0
-    and PIO 1, a few cycles apart on a chip, is a tick apart here.
+    The engine's own interrupt comes `latency` ticks late. Each access of the engine to a register
+    takes a tick; the rest of its code takes no time. Therefore machines of PIO 0 and PIO 1,
+    started a
+    few cycles apart on a chip, start a tick apart here.
     """
 
     def __init__(
@@ -251,7 +255,7 @@ class PioChip(_Chip):
             self.mcu.peripherals[_PIO[2] >> 12] = self.pios[2]
         self.latency = 0
         self.interrupts: list[int] = []
-        self.accesses = 0  # to registers and memory, in what may be interrupted
+        self.accesses = 0  # to registers and memory, by interruptible code
         self._due: int | None = None
         self._inside = False
         self._pins_may = True
@@ -271,7 +275,7 @@ class PioChip(_Chip):
         chip = self
 
         class Pointer(int):
-            """An address, as viper has it."""
+            """An address, as in viper."""
 
             def __getitem__(self, i: int) -> int:
                 return chip._load(self + 4 * i)
@@ -303,7 +307,7 @@ class PioChip(_Chip):
             self.set_up(block, number % 4, made.program, at, pins)
         for axis, (made, channel) in enumerate(self.engine._machines):
             block, own = divmod(axis, _MACHINES)
-            request = 8 * block + own  # DREQ_PIO0_TX0, DREQ_PIO1_TX0 and behind
+            request = 8 * block + own  # DREQ_PIO0_TX0, DREQ_PIO1_TX0 and the following ones
             assert channel.channel == axis
             assert channel.configured["ctrl"] >> 15 & 63 == request
             assert channel.configured["write"] is made is rp2.StateMachine.machines[axis]
@@ -346,12 +350,13 @@ class PioChip(_Chip):
         if address in (_NVIC_ENABLE, _NVIC_DISABLE):
             self._pins_may = address == _NVIC_ENABLE
         self.write(address, value)
-        # An instruction forced into a machine at rest: the model looks at pins when one runs.
+        # An instruction may be forced into a stopped machine: the model updates pins only in a
+        # tick.
         for block in self.pios:
             block.check_changed_pins()
 
     def read(self, address: int) -> int:
-        """A register."""
+        """Return a register."""
         if _DMA <= address < _DMA_END:
             return self.channels[(address & 0x7FF) // _DMA_STRIDE].read(address & 0x83F)
         return int(self.mcu.read_uint32(self._place(address)))
@@ -366,7 +371,7 @@ class PioChip(_Chip):
             super().write(self._place(address), value)
 
     def _place(self, address: int) -> int:
-        """Where the model has a register."""
+        """Return the model's address of a register."""
         if self.is_rp2350 and address >> 12 in _MOVED:
             return _MOVED[address >> 12] << 12 | address & 0xFFF
         return address
@@ -378,14 +383,14 @@ class PioChip(_Chip):
         return None
 
     def lost(self) -> int:
-        """Lanes whose machine's FIFO has been given a word when it was full."""
+        """Return a mask of lanes whose machine's full FIFO received a word."""
         first, second = (self.read(at + _FDEBUG) >> _TXOVER & 15 for at in _PIO[:2])
         return (first | second << _MACHINES) & (1 << len(self.channels)) - 1
 
     # Time and interrupts
 
     def run(self, ticks: int) -> None:
-        """Advance so many ticks."""
+        """Advance this many ticks."""
         end = self.now + ticks
         while self.now < end:
             if self._due is not None and self._due <= self.now:
@@ -395,16 +400,16 @@ class PioChip(_Chip):
 
     @property
     def clock_block(self) -> int:
-        """The PIO whose last machine is the clock's."""
+        """Return the PIO whose last machine is the clock's."""
         return max(rp2.StateMachine.machines) // _MACHINES
 
     def interrupt(self) -> None:
-        """The engine's own comes."""
+        """Run the engine's own interrupt."""
         block = self.clock_block
         rp2.PIO.handlers[block][0](rp2.PIO(block))
 
     def run_until_idle(self, limit: int = 20_000_000) -> None:
-        """Until the engine has made all it is given."""
+        """Run until the engine has made all its segments."""
         end = self.now + limit
         self.run(self.latency + 1000)
         while not self.engine.idle() or self._due is not None:
@@ -413,13 +418,14 @@ class PioChip(_Chip):
         self.run(4000)  # the last pulse
 
     def interruptible(self, work: "Callable[[], object]") -> None:
-        """Let the engine do something that a pin's interrupt may interrupt."""
+        """Run a function of the engine that a pin's interrupt may interrupt."""
         self._inside = True
         work()
         self._inside = False
 
     def preempt(self, after: int, action: "Callable[[], None]") -> None:
-        """A pin's interrupt after so many accesses of such work, or when the engine allows it."""
+        """Interrupt by a pin after this many accesses of such work, or when the engine allows
+        it."""
         self._preempt = (self.accesses + after, action)
 
     def _touch(self) -> None:

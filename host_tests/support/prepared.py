@@ -1,8 +1,8 @@
 """The firmware as boards get it, in a folder where simulator and tests find it.
 
 The sources of all modules go through the first pass. Simulator and tests, which use the firmware's
-constants, are copied, and have them in place, too. What runs on MicroPython has been through
-mpy-cross besides, as for a board, but for this computer's processor.
+constants, are copied and get the constants inlined, too. For MicroPython the files are also
+compiled by mpy-cross, as for a board; only the processor is this computer's.
 """
 
 import shutil
@@ -19,22 +19,22 @@ from ugrbl.compiling.kernel_module import Apart
 # This computer's processor, as MicroPython names it.
 ARCH = "x64"
 _ROOT = Path(__file__).resolve().parents[2]
-# Tests, and what they stand on, which are run against prepared sources.
+# Tests run against prepared sources, and their imports.
 _TESTS = (
     "conftest.py",
     *(f"support/{name}.py" for name in ("rings", "laws", "rig_bench")),
     *(f"whole/{name}.py" for name in ("test_laws", "test_torture")),
 )
 _DATA = ("boards", "tools")
-# In a process of CPython there is nobody who sees to const(), as MicroPython's compiler does.
+# CPython has no const(); MicroPython's compiler handles it.
 _CONST = "import builtins\nbuiltins.const = lambda value: value\n"
 
-# What becomes of a tree of sources under root.
+# Writes a tree of sources under root.
 Compile = Callable[[Path, dict[str, str]], None]
 
 
 def write_sources(root: Path, made: "dict[str, str]") -> None:
-    """The firmware as CPython can run it."""
+    """Write the firmware as CPython can run it."""
     for source in build.sources():
         file = root / "firmware" / source
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -42,7 +42,7 @@ def write_sources(root: Path, made: "dict[str, str]") -> None:
 
 
 def write_compiled(root: Path, made: "dict[str, str]") -> None:
-    """The firmware as MicroPython on this computer runs it: only the processor is another."""
+    """Write the firmware as MicroPython on this computer runs it: only the processor differs."""
     code = build.compiled(ARCH, Apart(made, "", {}))
     files = {build.path_of(name): content for name, content in code.items()}
     files[build.START] = made[build.module(build.START)].encode()
@@ -50,7 +50,8 @@ def write_compiled(root: Path, made: "dict[str, str]") -> None:
 
 
 def write_tree(root: Path, made: "dict[str, str]", write: Compile) -> Path:
-    """All that simulator and tests need, under root. Returns the simulator's program."""
+    """Write everything that simulator and tests need under root. Return the simulator's
+    program."""
     write(root, made)
     for folder in _DATA:
         shutil.copytree(
@@ -66,7 +67,7 @@ def write_tree(root: Path, made: "dict[str, str]", write: Compile) -> Path:
 
 
 def guests() -> "dict[str, str]":
-    """Simulator and tests, by their paths, with the firmware's constants in place."""
+    """Return simulator and tests by path, with the firmware's constants inlined."""
     files = [*(paths.TOOLS / "sim").glob("*.py"), *(_ROOT / "host_tests" / t for t in _TESTS)]
     texts = {str(file.relative_to(_ROOT)): file.read_text("utf-8") for file in files}
     placed = inline({**build.texts(), **texts})

@@ -1,4 +1,4 @@
-"""A punch that hangs on the pins of a board. Runs under both Pythons."""
+"""A punch connected to the pins of a board. Runs under both Pythons."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -9,9 +9,9 @@ _STROKE_US = 30_000
 
 
 class Punch:
-    """On its way for 30 ms, and seen at both ends. turn() lets it be where it has got to.
+    """A punch that moves for 30 ms, and is sensed at both ends. turn() updates its position.
 
-    Pin: the stand-in's class. now_us: the time.
+    Pin: the stand-in's class. now_us: returns the time.
     """
 
     def __init__(self, board: "Any", Pin: "Any", now_us: "Callable[[], int]") -> None:

@@ -1,4 +1,4 @@
-"""A whole simulated machine for tests: lines and real-time bytes in, everything noted."""
+"""A whole simulated machine for tests: lines and real-time bytes in, everything recorded."""
 
 from array import array
 from collections import deque
@@ -20,8 +20,9 @@ _LIMIT_MS = 600_000
 class Machine:
     """The firmware on the simulator.
 
-    settings: values by $-number that are not the factory's. watched: its settings are sound, its
-    plans and segments are looked at.
+    settings: values by $-number that differ from the factory's. watched: its settings are sound,
+    and
+    its plans and segments are recorded for the laws.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Machine:
         self.watch = Watch(
             controller.planner, controller.segments, self.limits, self.rig.engine.tick_hz
         )
-        # What the engine is about to be told to ask, extras included.
+        # The function that the engine is about to be given, extras included.
         hooks = controller.state.hooks
         self.watch._next, hooks.next_segment = hooks.next_segment, self.watch.next
 
@@ -57,12 +58,12 @@ class Machine:
         self.rows.append((start, row[:]))
 
     def physical(self) -> "list[int]":
-        """Where the motors are."""
+        """Return the motors' position."""
         self.rig.engine.physical(self.rig.scratch)
         return list(self.rig.scratch)
 
     def reported(self) -> "list[float]":
-        """MPos of the last status report."""
+        """Return MPos of the last status report."""
         report = next(line for line in reversed(self.received) if line.startswith("<"))
         return [float(x) for x in report.split("MPos:")[1].split("|")[0].split(",")]
 
@@ -71,7 +72,7 @@ class Machine:
         self.run(self._play(lines, sorted(events)))
 
     def run(self, script: Iterator[Any]) -> None:
-        """Run the firmware with a script; what goes wrong in the script is raised here."""
+        """Run the firmware with a script; raise the script's exception here."""
         failed: list[Exception] = []
 
         def guarded() -> Iterator[Any]:
@@ -91,7 +92,7 @@ class Machine:
         self.take()
 
     def take(self) -> "list[str]":
-        """The lines received since the last call; `received` has all of them."""
+        """Return the lines received since the last call; `received` has all of them."""
         lines = self.sender.take()
         self.received += lines
         return lines
@@ -122,7 +123,7 @@ class Machine:
         yield from self.rest()
 
     def converse(self, lines: Sequence[str], answered: "Callable[[str, list[str]], None]") -> None:
-        """Send lines one by one; answered(line, replies) is called when it has been done with."""
+        """Send lines one by one; call answered(line, replies) after each."""
 
         def script() -> Iterator[Any]:
             yield from self.start()
@@ -133,15 +134,15 @@ class Machine:
         self.run(script())
 
     def _go_on(self) -> None:
-        """A machine that holds is told to go on."""
+        """Resume a machine in hold."""
         controller: Any = self.rig.controller
         if controller.state.run & (st.HOLD | st.DOOR):
             self.rig.link.send(b"~")
 
     def rest(self) -> Iterator[Any]:
-        """Come to rest, and report."""
+        """Wait until the machine is at rest, and report."""
         rig = self.rig
-        yield rig.ms(700)  # a reset on its way, or an alarm's silence, would take the question
+        yield rig.ms(700)  # a pending reset or an alarm would discard the question
         while not self.idle():
             self._go_on()
             yield rig.ms(20)
@@ -151,7 +152,7 @@ class Machine:
         self.take()
 
     def idle(self) -> bool:
-        """Nothing moves, and nothing will."""
+        """Return whether nothing moves, and nothing will."""
         controller: Any = self.rig.controller
         state = controller.state
         quiet = not self.rig.moving() and self.rig.link.next_event() is None

@@ -1,4 +1,4 @@
-"""Which tests run, and how many of many alike.
+"""Which tests run, and how many cases of similar ones.
 
 The first ring (`make test`) answers in minutes: it leaves out tests marked `thorough`, and runs
 three cases of a test marked `sampled(3)`. The second (`make test-all`, pytest --all) runs
@@ -22,7 +22,7 @@ _ring: "dict[str, int]" = {"all": 0, "whole": 0, "seed": 0}
 
 
 def add_options(parser: pytest.Parser) -> None:
-    """What pytest may be asked."""
+    """Add pytest's options for rings."""
     group = parser.getgroup("rings")
     group.addoption("--all", action="store_true", help="the second ring: all there is")
     group.addoption("--whole", action="store_true", help="and of what it samples all cases")
@@ -31,7 +31,7 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def choose(config: pytest.Config) -> None:
-    """Called before any module of tests is imported. Workers inherit the seed."""
+    """Set ring and seed, before any module of tests is imported. Workers inherit the seed."""
     if config.option.seed is None:
         chosen = os.environ.setdefault("UGRBL_SEED", str(random.randrange(10_000)))
         config.option.seed = int(chosen)
@@ -42,22 +42,22 @@ def choose(config: pytest.Config) -> None:
 
 
 def is_second(config: pytest.Config) -> bool:
-    """Whether all is asked for, known before choose()."""
+    """Return whether all tests are requested; works before choose()."""
     return bool(config.option.all or config.option.whole)
 
 
 def is_first() -> bool:
-    """Whether samples are enough."""
+    """Return whether samples are enough."""
     return not _ring["all"]
 
 
 def is_whole() -> bool:
-    """Whether nothing is sampled."""
+    """Return whether nothing is sampled."""
     return bool(_ring["whole"])
 
 
 def sample(items: "Sequence[_Item]", first: int, second: "int | None" = None) -> "list[_Item]":
-    """That many of the items in the first ring and in the second, in their order. None: all."""
+    """Return `first` items in the first ring and `second` in the second, in order. None: all."""
     count = first if is_first() else second
     if count is None or is_whole() or len(items) <= count:
         return list(items)
@@ -78,12 +78,13 @@ def select(config: pytest.Config, items: "list[pytest.Item]") -> None:
 
 
 def _of_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
-    """Of each sampled test so many cases, and all others but, in the first ring, the thorough."""
+    """Return the ring's items: samples of sampled tests, thorough tests only in the second
+    ring."""
     kept = []
     alike: "dict[str, list[pytest.Item]]" = defaultdict(list)
     counts: "dict[str, tuple[int, ...]]" = {}
     for item in items:
-        # The closest counts: a test of a thorough module may be sampled.
+        # The closest mark counts: a test of a thorough module may be sampled.
         marks = (mark for mark in item.iter_markers() if mark.name in ("thorough", "sampled"))
         mark = next(marks, None)
         if mark is not None and mark.name == "sampled":
@@ -98,7 +99,7 @@ def _of_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
 
 
 def summary(config: pytest.Config) -> str:
-    """What is run, and how to run the same again."""
+    """Return a line that says what runs, and how to repeat it."""
     whole = ", whole" if is_whole() else ""
     ring = "first" if is_first() else f"second{whole}, shard {config.option.shard or '1/1'}"
     return f"ring: {ring}, --seed={config.option.seed}"

@@ -1,7 +1,7 @@
-"""An SD card as a bus sees it: bytes in, bytes out, by the rules of its SPI mode.
+"""An SD card as seen from the bus: bytes in, bytes out, by the rules of its SPI mode.
 
-From the SD Association's Physical Layer Simplified Specification, chapter 7, and not from our
-driver. It wants right checksums, once it has been asked for them, and right order.
+Written from the SD Association's Physical Layer Simplified Specification, chapter 7, not from our
+driver. It requires right checksums, once enabled, and the right order of commands.
 """
 
 from collections import deque
@@ -13,12 +13,12 @@ _IDLE, _ILLEGAL, _BAD_SUM, _BAD_ADDRESS = 1, 4, 8, 0x20
 _START, _ACCEPTED, _REFUSED = 0xFE, 0xE5, 0xEB
 _HIGH = 0xFF
 _CLOCKS = 74
-_BUSY = 20  # bytes that it is, behind a block written
+_BUSY = 20  # busy bytes after a block written
 _DELAY = 8  # bytes until a block comes
 
 
 def sum7(data: bytes) -> int:
-    """CRC-7 by long division, behind it a 1."""
+    """Return CRC-7 by long division, followed by a 1."""
     rest = int.from_bytes(data, "big") << 7
     for bit in reversed(range(7, rest.bit_length())):
         if rest >> bit & 1:
@@ -27,7 +27,7 @@ def sum7(data: bytes) -> int:
 
 
 def sum16(data: bytes) -> int:
-    """CRC-16 (CCITT) by long division."""
+    """Return CRC-16 (CCITT) by long division."""
     rest = int.from_bytes(data, "big") << 16
     for bit in reversed(range(16, rest.bit_length())):
         if rest >> bit & 1:
@@ -36,9 +36,11 @@ def sum16(data: bytes) -> int:
 
 
 class SdCard:
-    """A card. is_large: addresses count blocks. damage: what becomes of a block on its way to who
-    reads it, or None: it never comes; refuse: blocks to write that come damaged; has_no_sums: it
-    knows no checksums."""
+    """A card. is_large: addresses count blocks. damage: returns a block as it arrives at the
+    reader, or
+    None if it never comes; refuse: number of blocks to refuse as damaged when written;
+    has_no_sums: it
+    does not support checksums."""
 
     def __init__(self, image: bytearray, is_large: bool = True) -> None:
         self.image = image
@@ -53,23 +55,23 @@ class SdCard:
         self.power_off()
 
     def power_off(self) -> None:
-        """Taken out, or put in anew."""
+        """Reset the state, as after removal or insertion."""
         self._clocks = 0
         self._is_awake = self._is_spi = self._has_sums = self._is_application = False
-        self._begins = 3  # it is asked so often before it has begun
+        self._begins = 3  # it answers busy so often before it is ready
         self._out: deque[int] = deque()
         self._in = bytearray()
         self._writes: int | None = None
         self._has_waited = False
 
     def select(self, is_selected: bool) -> None:
-        """The line of its own; what it was saying ends."""
+        """Set its select line; this ends its output."""
         self._is_selected = is_selected
         self._in, self._out = bytearray(), deque()
         self._writes = None
 
     def exchange(self, byte: int) -> int:
-        """A byte to it, and one from it."""
+        """Exchange a byte: one in, one out."""
         if not self.is_in:
             return _HIGH
         if not self._is_selected:
@@ -144,7 +146,7 @@ class SdCard:
         return bytes([_HIGH] * _DELAY + [_START]) + came + sum16(data).to_bytes(2, "big")
 
     def _receive(self, byte: int) -> None:
-        """A block comes, behind a byte at least."""
+        """Receive a block, after at least one byte of delay."""
         has_waited, self._has_waited = self._has_waited, True
         if not self._in and (byte != _START or not has_waited):
             return
@@ -164,7 +166,7 @@ class SdCard:
         self._out.extend(bytes([_ACCEPTED] + [0] * self.busy))
 
     def about(self) -> bytes:
-        """Its CSD register."""
+        """Return its CSD register."""
         count = len(self.image) // BLOCK
         csd = bytearray(16)
         if self.is_large:

@@ -1,7 +1,7 @@
-"""`ugrbl sim` on a bench: limit switches to home against, inputs to push, a log of the wire.
+"""`ugrbl sim` on a bench: limit switches for homing, inputs to set, a log of the wire.
 
-As a program it is `ugrbl sim` with these added, see serve(); as a module, Bench
-runs that program in a process of its own.
+As a program it is `ugrbl sim` with these additions, see serve(); as a module, Bench runs that
+program in a separate process.
 """
 
 import json
@@ -22,11 +22,12 @@ from as_users import as_users
 _PATIENCE_S = 60.0
 _HERE = Path(__file__).resolve().parent
 
-# Where the simulated machine's limit switches close, in steps from where it is switched on.
+# Where the simulated machine's limit switches close, in steps from its position at power-up.
 SWITCH_STEPS = 5000
 STEPS_PER_MM = 250
-# Fast enough for a test in real time, and with everything that stock settings leave off. A busy
-# computer sees a switch 50 ms late at times: it is to be within the pull-off by then ($25, $27).
+# Fast enough for a test in real time, with everything enabled that stock settings leave off. A
+# busy
+# computer sees a switch up to 50 ms late: the overrun must stay within the pull-off ($25, $27).
 SETTINGS = {
     1: 255,
     22: 1,
@@ -44,8 +45,11 @@ SETTINGS = {
 
 
 def free_port() -> int:
-    """One that nobody has, and that the system gives to no client: a client that calls a port of
-    those again and again before anybody listens there calls itself at last, and keeps it."""
+    """Return a free port that the system never assigns to clients.
+
+    A client that repeatedly connects to such a port before anything listens there finally connects
+    to
+    itself, and keeps the port."""
     for port in random.SystemRandom().sample(range(20_000, 30_000), 100):
         with socket.socket() as free, suppress(OSError):
             free.bind(("127.0.0.1", port))
@@ -54,8 +58,11 @@ def free_port() -> int:
 
 
 class Bench:
-    """A running simulator. settings: kept in it from the start, by number. network: its cable is
-    nobody's, and who calls from this computer drives."""
+    """A running simulator.
+
+    settings: stored from the start, by number. network: nobody uses its cable, and clients from
+    this
+    computer control it."""
 
     def __init__(
         self,
@@ -99,25 +106,25 @@ class Bench:
         self.process.stdin.flush()
 
     def stop(self) -> list[int]:
-        """Switch it off; returns where the motors stand, in steps from where they began."""
+        """Switch it off; return the motors' position, in steps from the start."""
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(_PATIENCE_S)
         place: list[int] = json.loads(self._place.read_text())
         return place
 
     def kill(self) -> None:
-        """However it went, no process is left."""
+        """Kill the process, whatever happened."""
         self.process.kill()
         self.process.communicate()
 
     def wire(self, direction: str) -> bytes:
-        """Everything a sender has sent (">"), or has been sent ("<")."""
+        """Return all bytes that the sender has sent (">"), or received ("<")."""
         rows = [json.loads(line) for line in self.wire_log.read_text().splitlines()]
         return b"".join(row[2].encode("latin-1") for row in rows if row[1] == direction)
 
 
 def serve(wire_log: Path, arguments: list[str]) -> None:
-    """Be `ugrbl sim`, fitted with switches; commands for inputs come as JSON on stdin."""
+    """Run `ugrbl sim` with switches; commands for inputs come as JSON on stdin."""
     from ugrbl import paths
     from ugrbl.cli.app import app
     from ugrbl.run import machine, pty_link
@@ -156,7 +163,7 @@ def _fit_switches(rig: Any) -> None:
 
 
 def _listen(rig: Any) -> None:
-    """Whenever the firmware reads, look for commands on stdin, too."""
+    """Read commands on stdin whenever the firmware reads."""
     read = rig.link.read_into
     rest = ""
 
@@ -177,7 +184,7 @@ def _note(out: TextIO, direction: str, data: bytes) -> None:
 
 
 def _log(pty: Any, out: TextIO) -> None:
-    """Note what goes over the wire, with the time."""
+    """Log the bytes on the wire, with the time."""
     read, write = pty.read, pty.write
 
     def logged_read(self: Any, limit: int) -> bytes:
@@ -193,7 +200,7 @@ def _log(pty: Any, out: TextIO) -> None:
 
 
 def _log_network(out: TextIO) -> None:
-    """The same of connections."""
+    """Log the bytes on connections in the same way."""
     from ugrbl.run import tcp_link
 
     connection: Any = tcp_link.HostConnection

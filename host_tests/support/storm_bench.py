@@ -1,8 +1,8 @@
-"""Storms of edges in virtual time: one processor, whose interrupts take what they take.
+"""Storms of edges in virtual time: one processor, whose interrupts take their real time.
 
 On an RP2040 interrupts of pins come before those of timers and of the engine, and these before the
 main loop; an edge during another interrupt waits in a latch. On an ESP32 all of them wait for one
-of eight places between two bytecodes (esp_clock.py). What they call is the firmware's own.
+of eight places between two bytecodes (esp_clock.py). The handlers are the firmware's own.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ import machine
 from esp_bench import clock, esp_machine
 from machine import Pin
 
-# What emulated interrupts of pins take: up to the look at the pin, and from there on.
+# Duration of emulated interrupts of pins: until the pin is read, and the rest.
 _ENTRY_US, _REST_US = 12, 28
 _TIMER_US = 40  # a timer's interrupt
 _REFILL_US, _REFILL_EVERY_US = 1_500, 5_000  # the engine's
@@ -21,20 +21,20 @@ _NEVER = 1 << 60
 
 
 class Cpu:
-    """An RP2040. turn: what the main loop does in each of its turns."""
+    """An RP2040. turn: called in each turn of the main loop."""
 
     def __init__(self) -> None:
         self.us = 0
         self.turn: Callable[[], None] = lambda: None
         self.turns = 0
-        self.late_us = 0  # the most that an interrupt of the engine or a timer has been late
-        self.calls: list[int] = []  # when a pin interrupted
+        self.late_us = 0  # longest delay of an interrupt of the engine or a timer
+        self.calls: list[int] = []  # times of pin interrupts
         self._timers: dict[Any, int] = {}  # when each is due
         self._refill = _REFILL_EVERY_US
         self._edges: list[tuple[int, Pin, int]] = []  # of the storm, the next one last
 
     def timer(self) -> type[machine.Timer]:
-        """The class of timers that go by this clock."""
+        """Return a class of timers that use this clock."""
         timers, now = self._timers, lambda: self.us
 
         class VirtualTimer(machine.Timer):
@@ -49,7 +49,8 @@ class Cpu:
         return VirtualTimer
 
     def storm(self, pins: "list[Pin]", open_us: int, closed_us: int, us: int) -> None:
-        """Have edges come on all these pins for so long, and let time pass. They end open."""
+        """Send edges to all these pins for us microseconds, and advance the time. The pins end
+        open."""
         at, level, edges = self.us, 1, []
         while at < self.us + us:
             at += (closed_us, open_us)[level]
@@ -62,7 +63,7 @@ class Cpu:
             pin.drive(1)
 
     def run(self, us: int) -> None:
-        """Let time pass."""
+        """Advance the time."""
         end = self.us + us
         while self.us < end:
             self._interrupts()
@@ -83,7 +84,8 @@ class Cpu:
                 self._spend(_REFILL_US)
 
     def _spend(self, us: int, urgent: bool = False) -> None:
-        """So much work; interrupts of pins come in between, but into each other."""
+        """Advance by this much work; pin interrupts may come in between, but not into each
+        other."""
         while us > 0:
             gap = min(us, self._edges[-1][0] - self.us) if self._edges else us
             self.us += gap
@@ -104,7 +106,7 @@ class Cpu:
 
 
 class SoftCpu:
-    """An ESP32, whose engine wants a turn each millisecond."""
+    """An ESP32, whose engine needs a turn each millisecond."""
 
     def __init__(self) -> None:
         self.calls: list[int] = []
@@ -120,7 +122,7 @@ class SoftCpu:
         self.turns += 1
 
     def storm(self, pins: "list[Any]", open_us: int, closed_us: int, us: int) -> None:
-        """The same; every other half millisecond MicroPython is at work in C."""
+        """Do the same; MicroPython runs C code during every other half millisecond."""
         end, level = clock.us + us, 1
         handlers = [self._counted(pin) for pin in pins]
         while clock.us < end:
@@ -135,7 +137,7 @@ class SoftCpu:
             pin.handler = handler
 
     def run(self, us: int) -> None:
-        """Let time pass."""
+        """Advance the time."""
         clock.advance(clock.us + us)
 
     def _pass(self, us: int) -> None:

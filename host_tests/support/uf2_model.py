@@ -1,7 +1,7 @@
-"""The RP2040's boot ROM as far as it writes UF2 files to flash, and a chip for it to write to.
+"""The RP2040's boot ROM, as far as it writes UF2 files to flash, and a chip for it to write to.
 
-As bootrom's virtual_disk.c: blocks of a family are told by their numbers. At the first block of
-each 16 that comes, the sector of that block's address is erased, and at no other. To program can
+As bootrom's virtual_disk.c: blocks of a family are identified by their numbers. The first block
+that arrives of each 16 erases the sector of its address; no other block erases. Programming can
 only clear bits.
 """
 

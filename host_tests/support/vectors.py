@@ -1,4 +1,4 @@
-"""Prints what kernels and words make of pseudo-random vectors: the same on every Python."""
+"""Print the results of kernels and words for pseudo-random vectors: equal on every Python."""
 
 import sys
 from array import array
@@ -22,17 +22,17 @@ class Dice:
         self._state = seed
 
     def below(self, limit):
-        """An integer from 0 to limit - 1, limit up to 2**24."""
+        """Return an integer from 0 to limit - 1, limit up to 2**24."""
         self._state = (self._state * 1103 + 12345) % 16777213
         return self._state % limit
 
     def any(self, choices):
-        """One of them."""
+        """Return one of the choices."""
         return choices[self.below(len(choices))]
 
 
 def print_reals(dice):
-    """The arithmetic of reals and of the interrupt."""
+    """Print the arithmetic of minifloats and of the interrupt."""
     for _ in range(600):
         a = minifloat.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
         b = minifloat.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
@@ -51,7 +51,7 @@ def print_reals(dice):
 
 
 def print_words(dice):
-    """Numbers of any length, read into the bits of floats."""
+    """Print numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
     for _ in range(1500):
         text = ""
@@ -69,7 +69,7 @@ def print_words(dice):
 
 
 class Settings:
-    """What Planner.configure() takes."""
+    """The settings that Planner.configure() reads."""
 
     junction_deviation_mm = 0.01
 
@@ -82,7 +82,7 @@ class Settings:
 
 
 def print_blocks(dice):
-    """Blocks as they are planned, and the rows of segments cut from them."""
+    """Print blocks as they are planned, and the rows of segments cut from them."""
     row = array("i", [0] * layout.row_length(3))
     target = vector(3)
     move = Move()
@@ -108,7 +108,7 @@ def print_blocks(dice):
 
 
 def print_arcs(dice):
-    """Steps of chords, in any plane, with helices, for scales of many sizes."""
+    """Print steps of chords, in any plane, with helices, for many scales."""
     course, table = array("i", [0] * arcs.course_length(4)), array("i", [0] * 60)
     table[layout.AXES] = 4
     start, target = vector(4), vector(4)

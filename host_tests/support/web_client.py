@@ -1,4 +1,4 @@
-"""A browser's side of `ugrbl web`, and boards for its other end."""
+"""The browser's side of `ugrbl web`, and boards for its other end."""
 
 import asyncio
 import functools
@@ -21,7 +21,7 @@ HTML = "<!doctype html><title>a page</title>"
 
 
 def played(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
-    """A test as a coroutine, run to its end."""
+    """Run a test that is a coroutine."""
 
     @functools.wraps(test)
     def run(*arguments: Any, **named: Any) -> None:
@@ -31,7 +31,7 @@ def played(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
 
 
 class FakeBoard:
-    """A board that says what it is told to say, and notes what it gets."""
+    """A board with scripted output that records its input."""
 
     name = "fake"
 
@@ -39,7 +39,7 @@ class FakeBoard:
         self.got = bytearray()
         self._said: queue.Queue[bytes] = queue.Queue()
         self._rest = b""
-        self.stuck = False  # it takes no bytes
+        self.stuck = False  # it accepts no bytes
 
     def open(self) -> "FakeBoard":
         return self
@@ -67,12 +67,12 @@ class FakeBoard:
         self.got += data
 
     async def wait_for(self, data: bytes) -> None:
-        """Until that has come."""
+        """Wait until the board has received this."""
         await until(lambda: data in self.got, f"{data!r} at the board")
 
 
 async def until(done: Callable[[], Any], what: str, seconds: float = PATIENCE_S) -> None:
-    """Until it is so."""
+    """Wait until the condition holds."""
     end = time.monotonic() + seconds
     while not done():
         assert time.monotonic() < end, f"no {what}"
@@ -80,7 +80,7 @@ async def until(done: Callable[[], Any], what: str, seconds: float = PATIENCE_S)
 
 
 class Page:
-    """One browser with all that has come to it."""
+    """One browser with everything it has received."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self.socket = socket
@@ -105,7 +105,7 @@ class Page:
         await self.socket.send_str(json.dumps({"job": told, "lines": lines}))
 
     async def wait(self, what: str, seconds: float = PATIENCE_S) -> str:
-        """Everything up to where that text comes."""
+        """Wait for a text; return everything up to its end."""
         await until(lambda: what in self.text, f"{what!r} in the page", seconds)
         before, _, self.text = self.text.partition(what)
         return before + what
@@ -117,7 +117,7 @@ class Page:
         return self.text
 
     async def report(self, state: str = "") -> str:
-        """A status report, of that state if one is said."""
+        """Return a status report; if a state is given, one of that state."""
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
             await self.wait_quietly()
@@ -129,12 +129,12 @@ class Page:
         raise AssertionError(f"never {state}")
 
     async def wait_quietly(self) -> None:
-        """What is on its way has come, and is forgotten."""
+        """Let pending output arrive, and discard it."""
         await asyncio.sleep(0.02)
         self.text = ""
 
     async def told(self, **wanted: Any) -> None:
-        """Until the last word on how things stand is that."""
+        """Wait until the last state message has these values."""
 
         def stands() -> bool:
             return bool(self.states) and {**self.states[-1], **wanted} == self.states[-1]
@@ -145,11 +145,11 @@ class Page:
         await self.socket.close()
 
     def vanish(self) -> None:
-        """As by a crash."""
+        """Abort the connection, as in a crash."""
         self._transport().abort()
 
     def go_deaf(self) -> None:
-        """It reads nothing any more."""
+        """Stop reading."""
         self._transport().pause_reading()
 
     def _transport(self) -> asyncio.Transport:
@@ -177,7 +177,7 @@ class Site:
             return got.status, await got.text()
 
     async def job(self, program: Any = None) -> "tuple[int, Any]":
-        """Share a program; without one, get what is open."""
+        """Share a program; without one, return the open program."""
         address = f"{self.address}/api/job"
         data = program if isinstance(program, bytes) else json.dumps(program).encode()
         asked = (
@@ -196,7 +196,7 @@ class Site:
 async def served(
     source: Source, folder: Path, host: str = "127.0.0.1", longest_s: float = 60.0
 ) -> AsyncIterator[Site]:
-    """A server for that board. Its simulators run as users have them, see as_users.py."""
+    """Run a server for that board. Its simulators run as users have them, see as_users.py."""
     checked = os.environ.pop("UGRBL_VIPER", None)
     page = folder / "index.html"
     page.write_text(HTML)

@@ -1,4 +1,4 @@
-"""`ugrbl web` in a process of its own."""
+"""`ugrbl web` in a separate process."""
 
 import signal
 import subprocess
@@ -14,7 +14,7 @@ PATIENCE_S = 60.0
 
 
 class Web:
-    """A running server. address: as it has printed it."""
+    """A running server. address: as printed by it."""
 
     def __init__(self, *words: str, **environment: str) -> None:
         command = [sys.executable, "-m", "ugrbl.cli", "web", "--http", "0", *words]
@@ -42,13 +42,13 @@ class Web:
         return self.process.communicate(timeout=PATIENCE_S)[0]
 
     def children(self) -> "list[int]":
-        """The processes that it has started: the simulator, for one."""
+        """Return its child processes, for example the simulator."""
         files = list(Path(f"/proc/{self.process.pid}/task").glob("*/children"))
         if not files:
             pytest.skip("no /proc here that tells of children")
         return [int(number) for file in files for number in file.read_text().split()]
 
     def close(self) -> None:
-        """End it, however it is."""
+        """Stop it in any state."""
         self.process.kill()
         self.process.communicate()

@@ -1,5 +1,5 @@
-"""Replays recordings as tools/sim/replay_main.py does, on a machine with a fault, which the judge
-has to see. UGRBL_FAULT names it."""
+"""Replay recordings like tools/sim/replay_main.py, on a machine with a fault that the judge must
+detect. UGRBL_FAULT names the fault."""
 
 import importlib
 import importlib.util
@@ -13,23 +13,23 @@ MAIN = Path(__file__).resolve().parents[2] / "tools" / "sim" / "replay_main.py"
 
 
 def never_enables() -> None:
-    """Motors stay without power."""
+    """Leave the motors without power."""
     importlib.import_module("sim.port").SimPort.enable = lambda self, level: None
 
 
 def turns_no_spindle() -> None:
-    """Nothing comes out at the spindle's pin."""
+    """Leave the spindle's pin off."""
     importlib.import_module("sim.port").SimPort.spindle = lambda self, on, power: None
 
 
 def says_nothing() -> None:
-    """A ? has no answer."""
+    """Do not answer "?"."""
     report = importlib.import_module("talk.report").Report
     report.status = lambda self: memoryview(b"")
 
 
 def is_off_after_a_hold() -> None:
-    """Its last axis is four steps further than it was, on paper, once it has been held."""
+    """Report the last axis four steps too far after a hold."""
     engine = importlib.import_module("sim.engine").SimEngine
     segments = importlib.import_module("motion.segments").Segments
     usual_position, usual_hold, usual_init = engine.position, segments.hold, segments.__init__
@@ -51,7 +51,7 @@ def is_off_after_a_hold() -> None:
 
 
 def takes_three_times() -> None:
-    """All motion is a third as fast."""
+    """Run all motion at a third of its speed."""
     planner = importlib.import_module("motion.planner").Planner
     usual = planner.override
 

@@ -1,4 +1,4 @@
-"""What Grbl says, and when, where one would expect it otherwise: see ../shared/GRBL-FACTS.md."""
+"""Grbl's output and its timing in surprising cases: see ../shared/GRBL-FACTS.md."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -13,7 +13,7 @@ Script = Iterator[Any]
 
 
 def fields(report: "list[str]") -> "dict[str, str]":
-    """Of the last line, a status report; the state is under ""."""
+    """Return the fields of a status report, the last line; the state has the key ""."""
     state, *rest = report[-1][1:-1].split("|")
     return {"": state, **dict(field.split(":", 1) for field in rest)}
 
@@ -23,13 +23,13 @@ def status(bench: Bench) -> Script:
 
 
 def both_reports(bench: Bench) -> Script:
-    """Two status reports later all that is shown now and then has been shown."""
+    """Wait for two status reports, after which all occasional fields have been shown."""
     yield from status(bench)
     yield from status(bench)
 
 
 @pytest.mark.parametrize("line", ["$10=1", "$13=1"])
-def test_a_setting_that_changes_what_offsets_look_like_has_them_shown_again(line: str) -> None:
+def test_offsets_are_reported_again_after_a_setting_changes_their_units(line: str) -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -41,7 +41,7 @@ def test_a_setting_that_changes_what_offsets_look_like_has_them_shown_again(line
     bench.run(script())
 
 
-def test_what_a_startup_line_says_is_inside_its_echo() -> None:
+def test_output_of_a_startup_line_is_inside_its_echo() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -53,7 +53,7 @@ def test_what_a_startup_line_says_is_inside_its_echo() -> None:
     bench.run(script())
 
 
-def test_a_startup_line_that_moves_is_answered_when_it_has() -> None:
+def test_a_startup_line_with_motion_is_answered_after_the_motion() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -64,7 +64,7 @@ def test_a_startup_line_that_moves_is_answered_when_it_has() -> None:
     bench.run(script())
 
 
-def test_motors_that_stay_powered_are_so_right_after_a_reset() -> None:
+def test_permanently_enabled_motors_are_enabled_right_after_a_reset() -> None:
     bench = Bench({1: 255})
 
     def script() -> Script:
@@ -75,7 +75,7 @@ def test_motors_that_stay_powered_are_so_right_after_a_reset() -> None:
     bench.run(script())
 
 
-def test_an_override_of_the_spindle_shows_while_it_moves() -> None:
+def test_a_spindle_override_is_reported_during_motion() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -89,7 +89,7 @@ def test_an_override_of_the_spindle_shows_while_it_moves() -> None:
 
 @pytest.mark.parametrize("stop", ["!", "\x84"])
 @pytest.mark.parametrize(("mode", "at_rest"), [("M3", "0,500"), ("M4", "0,0")])
-def test_a_laser_comes_back_with_the_motion(stop: str, mode: str, at_rest: str) -> None:
+def test_a_laser_is_on_again_when_motion_resumes(stop: str, mode: str, at_rest: str) -> None:
     bench = Bench({32: 1})
 
     def script() -> Script:
@@ -106,7 +106,7 @@ def test_a_laser_comes_back_with_the_motion(stop: str, mode: str, at_rest: str) 
     bench.run(script())
 
 
-def test_homing_leaves_the_spindle_off_and_says_so() -> None:
+def test_the_spindle_is_off_and_reported_off_after_homing() -> None:
     bench = Bench({22: 1})
 
     def script() -> Script:
@@ -115,13 +115,13 @@ def test_homing_leaves_the_spindle_off_and_says_so() -> None:
         assert (yield from status(bench))["FS"] == "0,500"
         yield from bench.say("$H\n")
         assert (yield from status(bench))["FS"] == "0,0" and not bench.port.spindle_pwm
-        yield from bench.say("M3S500\n")  # nothing new: nothing is switched
+        yield from bench.say("M3S500\n")  # the mode is unchanged: nothing is switched
         assert not bench.port.spindle_pwm
 
     bench.run(script())
 
 
-def test_requests_in_one_burst_with_empty_lines_are_answered_before_these() -> None:
+def test_status_requests_in_a_burst_are_answered_before_empty_lines() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -150,8 +150,8 @@ def test_each_byte_of_a_burst_of_overrides_counts(many: int, where: str) -> None
 
 
 @pytest.mark.parametrize("sent", ["G1X1F500\n", "$X\n", "?", "$$\n"])
-def test_what_comes_right_after_an_alarm_is_not_executed(sent: str) -> None:
-    """Half a second long nothing is answered, and the reset forgets it."""
+def test_bytes_right_after_an_alarm_are_discarded(sent: str) -> None:
+    """Nothing is answered for half a second, and the reset discards it."""
     bench = Bench({})
 
     def script() -> Script:
@@ -166,7 +166,7 @@ def test_what_comes_right_after_an_alarm_is_not_executed(sent: str) -> None:
     bench.run(script())
 
 
-def test_a_probe_that_finds_nothing_says_so_in_this_order() -> None:
+def test_a_probe_without_contact_reports_in_this_order() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -177,7 +177,7 @@ def test_a_probe_that_finds_nothing_says_so_in_this_order() -> None:
     bench.run(script())
 
 
-def test_a_reset_while_the_alarm_of_a_probe_is_reported_comes_after_it() -> None:
+def test_a_reset_during_a_probe_alarm_acts_after_its_report() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -208,7 +208,7 @@ def test_a_probe_ends_at_its_contact_with_either_polarity(level: int) -> None:
     bench.run(script())
 
 
-def test_a_dwell_hears_a_hold_at_its_next_tick() -> None:
+def test_a_dwell_reacts_to_a_hold_at_its_next_tick() -> None:
     bench = Bench({})
 
     def script() -> Script:
@@ -221,8 +221,8 @@ def test_a_dwell_hears_a_hold_at_its_next_tick() -> None:
     bench.run(script())
 
 
-def test_no_laser_that_follows_the_speed_is_lit_at_rest() -> None:
-    """Moves of all lengths: it stayed on behind one of sixty."""
+def test_an_m4_laser_is_off_at_rest() -> None:
+    """Moves of all lengths: it once stayed on after one of sixty."""
     bench = Bench({32: 1})
 
     def script() -> Script:
@@ -234,7 +234,7 @@ def test_no_laser_that_follows_the_speed_is_lit_at_rest() -> None:
     bench.run(script())
 
 
-def test_what_a_reset_has_cut_short_is_kept_at_rest() -> None:
+def test_offsets_are_stored_at_rest_if_a_reset_interrupts_the_store() -> None:
     bench = Bench({})
     written: list[bool] = []
 

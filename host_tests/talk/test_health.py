@@ -1,4 +1,4 @@
-"""`$I+`, which says how the board itself is, and the C stack's watermark that it tells of."""
+"""`$I+`, which reports the board's health, and the C stack's watermark in it."""
 
 import sys
 from array import array
@@ -20,11 +20,12 @@ _USED_BEFORE = 0x55
 # The command
 
 
-BUILD = "[MSG:Build: --------]"  # of sources
+BUILD = "[MSG:Build: --------]"  # of a build from sources
 
 
 def answers(health: "Callable[[], str] | None", *lines: str, fault: str = "") -> "list[list[str]]":
-    """What each line is answered with, at a board with that health, after that fault."""
+    """Return the answers to each line, on a board with that health function and that last
+    fault."""
     machine = Machine(watched=False)
     replies: list[list[str]] = []
 
@@ -38,25 +39,25 @@ def answers(health: "Callable[[], str] | None", *lines: str, fault: str = "") ->
     return [[line for line in said if not line.startswith("<")] for said in replies[1:]]
 
 
-def test_a_board_that_can_tell_answers_as_to_i_and_tells() -> None:
+def test_i_plus_adds_the_boards_health_to_i() -> None:
     plain, told = answers(lambda: "Stack: 4704 of 8192 bytes used", "$I", "$I+")
     assert plain[-1] == "ok" and len(plain) == 3
     assert told == [*plain[:-1], BUILD, "[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
 
 
-def test_a_board_that_cannot_tells_its_build_and_keeps_what_it_was() -> None:
+def test_i_plus_without_health_shows_only_the_build() -> None:
     named, before, told, after = answers(None, "$I=MILL", "$I", "$I+", "$I")
     assert named == ["ok"] and "MILL" in before[0]
     assert told == [*before[:-1], BUILD, "ok"] and after == before
 
 
-def test_the_last_fault_is_reported_until_power_goes() -> None:
+def test_the_last_fault_is_reported_until_power_off() -> None:
     told = answers(None, "$I+", "$I+", fault="ValueErr: 5 (1a2b3c4d)")
     assert [said[-2] for said in told] == ["[MSG:Last fault: ValueErr: 5 (1a2b3c4d)]"] * 2
 
 
 @pytest.mark.parametrize("line", ["$I+1", "$I++", "$I-"])
-def test_what_looks_like_it_is_refused_and_not_asked_for(line: str) -> None:
+def test_similar_commands_are_refused_without_asking_for_health(line: str) -> None:
     asked: list[int] = []
 
     def health() -> str:
@@ -67,7 +68,7 @@ def test_what_looks_like_it_is_refused_and_not_asked_for(line: str) -> None:
 
 
 class Wire:
-    """A link: what is read, a piece at a time, and what is written."""
+    """A link that reads these pieces one at a time, and records its output."""
 
     def __init__(self, *pieces: bytes) -> None:
         self.written = b""
@@ -82,12 +83,12 @@ class Wire:
         return len(piece)
 
 
-def test_what_is_reported_a_fault_is_no_answer_and_has_a_space_for_each_odd_letter() -> None:
+def test_a_reported_fault_contains_no_answer_and_only_plain_letters() -> None:
     told = faults.sanitize("añb error [x] ok \ud800 z\n")
     assert told == "a b Err  x  o-k   z "
 
 
-def test_a_fault_is_reported_again_to_who_asks_and_kept_for_afterwards(
+def test_a_fault_is_reported_again_on_request_and_kept_for_later(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     text = 'Traceback\n  File "talk.lines", line 1, in feed\nIndexError: [1]'
@@ -107,19 +108,20 @@ def test_a_fault_is_reported_again_to_who_asks_and_kept_for_afterwards(
     assert machine.state.run == ALARM
 
 
-# The watermark, in memory of our own
+# The watermark, in a fake stack
 
 
 @pytest.fixture
 def memory(monkeypatch: pytest.MonkeyPatch) -> "Iterator[array[int]]":
-    """The whole stack, its bottom first: all of it has been used, and 1000 bytes are in use."""
+    """Return the whole stack, its bottom first: all of it was used before, and 1000 bytes are in
+    use."""
     words = array("i", [_USED_BEFORE] * _WORDS)
     monkeypatch.setattr(stack, "_bottom", lambda: words)
     monkeypatch.setattr(stack.micropython, "stack_use", lambda: 1000)
     yield words
 
 
-def test_what_lies_below_the_present_depth_is_painted_and_nothing_above(
+def test_paint_covers_only_the_unused_part_of_the_stack(
     memory: "array[int]",
 ) -> None:
     assert stack.used() == stack.SIZE
@@ -130,7 +132,7 @@ def test_what_lies_below_the_present_depth_is_painted_and_nothing_above(
 
 
 @pytest.mark.parametrize("depth", [1600, 4704, 8188, 8192])
-def test_the_deepest_use_is_what_has_been_touched(memory: "array[int]", depth: int) -> None:
+def test_the_watermark_is_the_deepest_touched_word(memory: "array[int]", depth: int) -> None:
     tell = stack.watch()
     memory[_WORDS - depth // 4] = 7
     assert stack.used() == depth
@@ -139,7 +141,7 @@ def test_the_deepest_use_is_what_has_been_touched(memory: "array[int]", depth: i
     assert tell() == f"Stack: {depth} of 8192 bytes used"
 
 
-def test_painting_begins_anew(memory: "array[int]") -> None:
+def test_painting_restarts_the_measurement(memory: "array[int]") -> None:
     stack.paint()
     memory[10] = 7
     stack.paint()
@@ -153,7 +155,7 @@ def test_painting_begins_anew(memory: "array[int]") -> None:
         ("Raspberry Pi Pico 2 with RP2350", 0x20080000),
     ],
 )
-def test_each_chip_has_it_at_the_top_of_its_memory(
+def test_the_stack_is_at_the_top_of_each_chips_memory(
     monkeypatch: pytest.MonkeyPatch, machine: str, bottom: int
 ) -> None:
     implementation = SimpleNamespace(_machine=machine)

@@ -1,4 +1,4 @@
-"""The loop, at its edges: what is read, and what is dropped."""
+"""The protocol loop in corner cases: which bytes are read, and which are dropped."""
 
 import itertools
 from collections.abc import Iterator
@@ -18,15 +18,15 @@ from ugrbl.sim.sender import Sender
 
 
 class Off(Exception):
-    """The power goes."""
+    """Power is off."""
 
 
 class Loop:
-    """A protocol that is restarted so many times, and then goes off."""
+    """A protocol that restarts `restarts` times, and then powers off."""
 
     def __init__(self, unread: bytes, restarts: int = 0, by_pin: bool = False) -> None:
         self.link, self.fed = FakeLink(unread), b""
-        self.seen: "list[bytes]" = []  # what was unread at each start
+        self.seen: "list[bytes]" = []  # unread bytes at each start
         self.motor_control: Any = SimpleNamespace(by_pin=by_pin)
         self._restarts = restarts
         reader: Any = SimpleNamespace(
@@ -63,26 +63,26 @@ class Loop:
         raise Abort
 
 
-def test_what_has_come_is_read_piece_by_piece_of_half_the_ring() -> None:
+def test_received_bytes_are_read_in_pieces_of_half_the_ring() -> None:
     loop = Loop(b"G1X1F100\n" * 20)
     loop.protocol.pump()
     assert loop.fed == (b"G1X1F100\n" * 20)[:127] and len(loop.link.unread) == 180 - 127
 
 
-def test_after_the_reset_of_a_pin_what_was_sent_before_is_dropped() -> None:
+def test_bytes_sent_before_a_reset_by_pin_are_dropped() -> None:
     loop = Loop(b"G1X1\n", by_pin=True)
     with pytest.raises(Off):
         loop.protocol.run()
     assert loop.seen == [b""] and not loop.motor_control.by_pin
 
 
-def test_after_other_resets_the_next_line_is_kept_also_where_a_fault_came_in_between() -> None:
-    """A loop that a fault has ended is begun anew; $RST= then ends with an Abort of its own."""
+def test_the_next_line_is_kept_after_other_resets_even_after_a_fault() -> None:
+    """After a fault the loop starts again; $RST= then ends with its own Abort."""
     loop = Loop(b"", restarts=1, by_pin=True)
     kept = loop.protocol.restart
 
     def restart() -> None:
-        loop.link.unread = b"G1X1\n"  # sent right behind the ok
+        loop.link.unread = b"G1X1\n"  # sent right after the ok
         kept()
 
     loop.protocol.restart = restart
@@ -92,7 +92,7 @@ def test_after_other_resets_the_next_line_is_kept_also_where_a_fault_came_in_bet
 
 
 class FastLink(SimLink):
-    """All that is sent is there at once, and waits, as USB has it. reads: how often that was."""
+    """A link on which all bytes arrive at once and wait, as over USB. reads: number of reads."""
 
     def __init__(self, rig: Rig) -> None:
         super().__init__(rig, 10 * rig.engine.tick_hz, 10 * rig.engine.tick_hz)
@@ -104,8 +104,9 @@ class FastLink(SimLink):
 
 
 class Turns:
-    """A simulated machine that notes at each turn of the loop how many lines had been answered and
-    how often the link had been read."""
+    """A simulated machine that records at each turn of the loop the number of lines answered and
+    the
+    number of reads."""
 
     def __init__(self) -> None:
         self.at: "list[int]" = []
@@ -129,7 +130,7 @@ class Turns:
         realtime.handle_events = events  # type: ignore[method-assign]
 
     def play(self, text: str) -> None:
-        """Have it all answered, as fast as it can be sent, in check mode."""
+        """Answer all lines in check mode, as fast as they can be sent."""
 
         def script() -> "Iterator[Any]":
             yield from self.sender.wait("banner", "")
@@ -143,7 +144,7 @@ class Turns:
 
 
 def most(counts: "list[int]") -> int:
-    """From one turn to the next."""
+    """Return the largest increase from one turn to the next."""
     return max(b - a for a, b in itertools.pairwise(counts))
 
 
@@ -158,20 +159,20 @@ def most(counts: "list[int]") -> int:
         *[([f"X{k}" for k in range(count)] + ["T1"]) * 40 for count in (1, 2, 5, 14, 15)],
     ],
 )
-def test_the_loop_has_its_turns_whatever_lines_are_streamed(lines: "list[str]") -> None:
+def test_the_loop_turns_regularly_whatever_lines_are_streamed(lines: "list[str]") -> None:
     machine = Turns()
     machine.play("".join(line + "\n" for line in ["G1X1F3000", *lines]))
     assert machine.answers == ["ok"] * (len(lines) + 1)
-    assert most(machine.at) <= 18, "lines without a look at what else there is"
+    assert most(machine.at) <= 18, "too many lines without a turn of the loop"
 
 
-def test_quick_lines_are_not_one_by_one_the_loops() -> None:
+def test_move_only_lines_do_not_need_a_turn_each() -> None:
     machine = Turns()
     machine.play("G1X1F3000\n" + "X1\nX2\n" * 300)
     assert len(machine.at) < 200
 
 
-def test_the_loop_has_its_turns_among_bytes_that_end_no_line() -> None:
+def test_the_loop_turns_regularly_during_an_endless_line() -> None:
     machine = Turns()
     machine.play("G1X1F3000\n(" + "x" * 20_000 + ")\n")
     assert machine.answers == ["ok"] * 2
@@ -179,8 +180,8 @@ def test_the_loop_has_its_turns_among_bytes_that_end_no_line() -> None:
 
 
 @pytest.mark.parametrize("line", ["G90", "F600", "(nothing)", "X50"])
-def test_a_laser_is_dark_in_a_hold_whatever_lines_come(line: str) -> None:
-    """Behind the 25 ms of $1, as without any."""
+def test_a_laser_is_off_in_a_hold_whatever_lines_come(line: str) -> None:
+    """After the 25 ms of $1, as without any line."""
     machine = Turns()
     sender, rig = machine.sender, machine.rig
     lit_ms: "list[float]" = []
@@ -201,7 +202,7 @@ def test_a_laser_is_dark_in_a_hold_whatever_lines_come(line: str) -> None:
 
 
 class Miscounting:
-    """cncjs 1.11: 120 bytes under way as it counts; each resume counts as an answer."""
+    """cncjs 1.11: it allows 120 unanswered bytes, but counts each resume as an answer."""
 
     def __init__(self, machine: Turns, lines: "list[str]") -> None:
         self.link, self.sender = machine.rig.link, machine.sender
@@ -210,7 +211,7 @@ class Miscounting:
         self.sent = self.heard = self.most = 0
 
     def go_on(self) -> None:
-        """An answer has come, or it has resumed."""
+        """Count an answer, and send more."""
         del self.under_way[:1]
         while self.sent < len(self.lines):
             line = self.lines[self.sent]
@@ -223,7 +224,7 @@ class Miscounting:
         self.most = max(self.most, sum(map(len, waiting)))
 
     def turn(self) -> bool:
-        """Take in what has come. Whether all is answered."""
+        """Read the answers; return whether all lines are answered."""
         self.sender.poll()
         for _ in range(self.sender.answers - self.heard):
             self.go_on()
@@ -253,5 +254,5 @@ def test_a_sender_that_counts_a_resume_as_an_answer_loses_no_line() -> None:
         machine.answers = sender.take()
 
     rig.run(script())
-    assert cncjs.most > 150, "bytes under way"
+    assert cncjs.most > 150, "unanswered bytes"
     assert machine.answers == ["ok"] * len(lines)

@@ -1,4 +1,5 @@
-"""Status reports: digits, singles and segments' rate against plain arithmetic; no memory taken."""
+"""Status reports: digits, single precision and segment rate against plain arithmetic; no memory is
+allocated."""
 
 import struct
 from array import array
@@ -19,18 +20,18 @@ from ugrbl.paths import FIRMWARE
 
 steps = some.integers(1 - 2**30, 2**30 - 1)
 resolutions = some.floats(2.0**-20, 1e8, width=32)
-# Less than 2**-125 has no sign of its own.
+# Below 2**-125 a number has no sign of its own.
 places = some.floats(-1e9, 1e9, width=32).map(lambda x: x if abs(x) > 1e-37 else 0.0)
 
 
 def bits(x: float) -> int:
-    """The word that a float is in memory."""
+    """Return a float's bits as a word."""
     word: int = struct.unpack("i", struct.pack("f", x))[0]
     return word
 
 
 def written(form: bytes, values: "list[int]", singles: "list[float]") -> str:
-    """What write() makes of that, behind an `a`."""
+    """Return write()'s output for these values, after an `a`."""
     out = bytearray(b"a" + bytes(200))
     ints = array("i", [1, *values, 0])
     end = write(form, out, ints, array("f", [*singles, 0.0]))
@@ -49,20 +50,20 @@ def written(form: bytes, values: "list[int]", singles: "list[float]") -> str:
 @example(1 - 2**30, 250.0)
 @example(-1, 1e8)
 @example(0, 250.0)
-def test_steps_are_divided_as_floats_are(number: int, resolution: float) -> None:
+def test_steps_are_divided_like_floats(number: int, resolution: float) -> None:
     quotients = vector(2)
     divide(array("i", [7, number]), array("f", [9, 1, resolution]), 1, quotients, 2)
     assert list(quotients) == [7, f32(f32(number) / resolution)]
 
 
-def test_what_no_float_can_hold_is_infinite() -> None:
+def test_a_quotient_too_large_for_a_float_is_infinite() -> None:
     quotients = vector(1)
     divide(array("i", [1 - 2**30]), array("f", [1e-37]), 0, quotients, 1)
     assert quotients[0] == float("-inf")
 
 
 @given(some.lists(some.tuples(places, places), min_size=1, max_size=4))
-def test_offsets_are_added_and_taken_away(pairs: "list[tuple[float, float]]") -> None:
+def test_offsets_are_added_and_subtracted(pairs: "list[tuple[float, float]]") -> None:
     a, b = (array("f", column) for column in zip(*pairs, strict=True))
     add(a, 0, b, len(pairs))
     assert list(b) == [f32(x + y) for x, y in pairs]
@@ -70,7 +71,7 @@ def test_offsets_are_added_and_taken_away(pairs: "list[tuple[float, float]]") ->
     assert list(b) == [f32(f32(x + y) - x) for x, y in pairs]
 
 
-def test_what_is_infinite_stays_so() -> None:
+def test_infinity_stays_infinite() -> None:
     total = array("f", [float("inf")])
     add(array("f", [float("inf")]), 0, total, 1)
     add(array("f", [1.0]), MINUS, total, 1)
@@ -81,7 +82,7 @@ def test_what_is_infinite_stays_so() -> None:
 
 
 @given(places, some.integers(0, 4))
-def test_a_single_is_written_as_by_grbl(x: float, decimals: int) -> None:
+def test_a_single_is_written_like_grbl(x: float, decimals: int) -> None:
     assert written(b"#%d\0" % decimals, [], [x]) == printed(x, decimals)
 
 
@@ -96,27 +97,27 @@ def test_a_single_is_written_as_by_grbl(x: float, decimals: int) -> None:
         (1.5, "1.500"),
     ],
 )
-def test_edges_of_what_can_be_written(x: float, text: str) -> None:
+def test_limits_of_the_number_format(x: float, text: str) -> None:
     assert written(b"#3\0", [], [x]) == text
 
 
-def test_what_leaves_31_bits_is_reported() -> None:
+def test_a_value_beyond_31_bits_is_reported() -> None:
     assert scaled(array("f", [2147483648.0]), 0, 0) == -1
     assert scaled(array("f", [2147483520.0]), 0, 0) == 2147483520
 
 
 @given(some.integers(0, 2**31 - 1), some.integers(0, 1000))
-def test_whole_numbers_are_written_in_their_order(first: int, second: int) -> None:
+def test_integers_are_written_in_order(first: int, second: int) -> None:
     assert written(b"|Bf:%,%\0", [first, second], []) == f"|Bf:{first},{second}"
 
 
 @given(some.integers(0, 15))
-def test_letters_are_those_of_the_bits_that_are_set(mask: int) -> None:
+def test_letters_are_written_for_set_bits(mask: int) -> None:
     letters = "".join(c for i, c in enumerate("SCFM") if mask >> i & 1)
     assert written(b"|A:?S?C?F?M\0", [mask], []) == "|A:" + letters
 
 
-def test_a_form_may_hold_all_of_it() -> None:
+def test_a_form_may_contain_all_kinds_of_fields() -> None:
     assert VALUES == 1
     text = written(b"<Door:%|#3,#0|?P?X>\r\n\0", [3, 2], [-1.25, 999.5])
     assert text == "<Door:3|-1.250,1000|X>\r\n"
@@ -128,7 +129,7 @@ def test_a_form_may_hold_all_of_it() -> None:
 @given(some.integers(0, 2**30 - 1), some.integers(1, 2**15))
 @example(0, 1)
 @example(minifloat.real(1e17), 1)
-def test_a_rate_is_rounded_as_it_was_printed(carry: int, now: int) -> None:
+def test_a_rate_is_rounded_like_printed_floats(carry: int, now: int) -> None:
     carry = carry % (100 << 15) | 0x4000 if carry else 0
     planner = Planner(3, 4, None, State())
     segments = Segments(planner)
@@ -231,7 +232,7 @@ print(taken(5, 5), bytes(machine.text[:machine.length]).decode().strip())
 
 
 @needs_micropython
-def test_a_report_takes_no_memory() -> None:
+def test_a_report_allocates_no_memory() -> None:
     said = run_micropython(_BENCH, paths=[FIRMWARE]).splitlines()
     rate = round(0x4321 * 60 / 256)
     moved = "MPos:4.936,-709.875,0.000"

@@ -1,6 +1,6 @@
-"""Make the standard library as mypy sees it: CPython's, with MicroPython's additions appended.
+"""Make the standard library for mypy: CPython's stubs, with MicroPython's additions appended.
 
-Usage: merge.py OUTPUT. Each .pyi file beside this one extends the stub of the same name.
+Usage: merge.py OUTPUT. Each .pyi file in this folder extends the stub of the same name.
 """
 
 import shutil
