@@ -1,8 +1,8 @@
-"""CPython and MicroPython differ in nothing: vectors give the same integers, lines the same
+"""CPython and MicroPython give equal results: vectors give the same integers, lines the same
 answers.
 
-Integers are checked for 32 bits under CPython. MicroPython has 64 of them on a computer, and reads
-words of arrays without their sign: what goes below 0 in a kernel is found here.
+Integers are checked for 32 bits under CPython. MicroPython has 64-bit integers on a computer, and
+reads words of arrays without their sign: a kernel's value below 0 is found here.
 """
 
 import subprocess
@@ -27,7 +27,7 @@ VECTORS = HERE / "vectors.py"
 
 
 def cpython(*arguments: object) -> str:
-    """What the vectors print here, in a fresh process as there."""
+    """Return the vectors' output here, in a fresh process as under MicroPython."""
     paths = [str(STANDINS), *map(str, PATHS)]
     start = f"import sys; sys.path[:0] = {paths}; sys.argv[1:] = {[*map(str, arguments)]}; "
     command = [sys.executable, "-c", start + "import vectors; vectors.main()"]
@@ -46,7 +46,7 @@ def test_both_pythons_compute_the_same_integers(part: str) -> None:
 
 # Lines of words and settings
 
-# What a float, an integer of 30 or 32 bits or a sender's habit may fall over.
+# Numbers that may break floats or integers of 30 or 32 bits, or that senders write.
 _ODD = (
     " 0 -0 +0 .5 5. 1 -1 2 20 1e3 1E-3 -.0 . - + --1 1-1 1..2 1.0000001 0.0000001 0.00000001 1e9"
     " 0.0005 1000000 9999999 10000000 16777217 100000000 99999999 1073741824 2147483648 4294967295"
@@ -97,17 +97,17 @@ _AT_THE_END = ("?", "\x18", "$X\n", "$$\n", "$#\n", "$G\n", "$N\n", "?")
 
 @pytest.fixture(scope="module")
 def pythons() -> "Iterator[list[Any]]":
-    """A machine under each."""
+    """Start a machine under each Python."""
     with ExitStack() as stack:
         yield [stack.enter_context(replayer(python)) for python in ("cpython", "micropython")]
 
 
 @needs_micropython
 @given(_LINES, some.sampled_from(_BOARDS))
-@example(["$110=0", "$112=0", "G0X5", "?", "G1Z1F100"], "sim")  # limits of nothing
+@example(["$110=0", "$112=0", "G0X5", "?", "G1Z1F100"], "sim")  # rate limits of 0
 @example(["$120=0", "$121=0", "G1X0.004Y5F100", "G93X1F.0001"], "sim")
 @example(["N-0", "N-0G1X1F9", "N4294967296", "G99999999", "M-1", "F1e3"], "sim")
-def test_both_pythons_answer_and_move_alike(
+def test_both_pythons_give_the_same_answers_and_motion(
     pythons: "list[Any]", lines: "list[str]", board: str
 ) -> None:
     sent = [line if line in ("?", "~") else line + "\n" for line in lines]

@@ -1,4 +1,5 @@
-"""Bytes of a sender's that are no text end nothing: each line has Grbl's answer, and jobs go on.
+"""Bytes of a sender that are not text stop nothing: each line gets Grbl's answer, and jobs
+continue.
 
 UGRBL_TORTURE tries every byte in every place.
 """
@@ -15,14 +16,14 @@ from ports.storage.job_files import JobFiles
 from ugrbl.paths import FIRMWARE
 from ugrbl.run.board_modules import complete
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 _ROOT = Path(__file__).parents[2]
 _SUPPORT = _ROOT / "host_tests" / "support"
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 
-# What the simulator's modules are found by, under MicroPython.
+# Module search path of the simulator under MicroPython.
 PATHS = [_SUPPORT, FIRMWARE, _ROOT, _ROOT / "tools"]
 
 
@@ -34,7 +35,7 @@ def test_any_byte_in_any_place_is_answered(
     monkeypatch.chdir(tmp_path)
     folder = str(tmp_path / "board")
     furnish(folder)
-    # As a board has it: a simulator that another test has made has put its own in this place.
+    # As on a board: a simulator made by another test has replaced this function.
     monkeypatch.setattr(dialect_hal, "texts", lambda: open(f"{folder}/{dialect_hal.FILE}", "rb"))
     assert talk(board, folder, sum(board.encode()), None if _EVERY else 2) > 150
 
@@ -46,13 +47,13 @@ def test_micropython_answers_any_byte_in_any_place(tmp_path: Path) -> None:
     assert [line.rpartition(" ")[0] for line in said.splitlines()] == [*MICROPYTHONS]
 
 
-def test_text_is_what_can_be_printed_and_nothing_else_vanishes() -> None:
+def test_text_keeps_printable_characters_and_replaces_all_others() -> None:
     assert text_of(b"G1 X~") == "G1 X~"
     assert text_of(bytearray(b"\x00A\tB\x7f\x80\xc3\xa9\xff")) == " A B?????"
     assert all(text_of(bytes([byte])).isprintable() for byte in range(256))
 
 
-def test_files_that_are_no_jobs_are_left_alone(tmp_path: Path) -> None:
+def test_files_that_are_not_jobs_are_left_alone(tmp_path: Path) -> None:
     strange = [b"\xff~NEW", b"\xe9.NC", b"small~NEW", b"~NEW", b"\x80~WHOLE", b"two words~NEW"]
     for name in strange:
         Path(os.fsdecode(os.path.join(os.fsencode(tmp_path), name))).write_bytes(b"G21\n")
@@ -64,4 +65,4 @@ def test_files_that_are_no_jobs_are_left_alone(tmp_path: Path) -> None:
     files.append(file, b"G20\n")
     files.drop("A.NC", file)
     left = set(os.listdir(os.fsencode(tmp_path)))
-    assert left == set(strange) - {b"small~NEW"}, "that is one of ours, whatever its capitals"
+    assert left == set(strange) - {b"small~NEW"}, "this name is one of ours, in any case"

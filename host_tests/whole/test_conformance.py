@@ -1,4 +1,4 @@
-"""The same conversations with real Grbl, recorded, and with ours (MicroPython: test_prepared)."""
+"""Conversations recorded from real Grbl, replayed on ugrbl (MicroPython: test_prepared)."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from ugrbl.replay.conformance import Results, run_folder
 
 _HERE = Path(__file__).resolve().parents[1]
 _SHARED = _HERE.parents[1] / "shared"
-# Our own, and those recorded from Grbl.
+# Our own conversations, and those recorded from Grbl.
 FOLDERS = (
     _HERE / "conversations",
     _SHARED / "conformance",
@@ -33,8 +33,8 @@ _PARTS = {
     "conformance-options": 3,
     "conformance-0.9": 2,
 }
-# Whole days; and of these those in which a poll falls on another block, the AVR's planner starves,
-# or motion is too slow for it: see docs/conformance.md.
+# Recordings of whole days. _DRIFT names those in which a poll falls on another block, the AVR's
+# planner starves, or motion is too slow for it: see docs/conformance.md.
 _DAYS = _SHARED / "conformance-3"
 _DRIFT = {
     "connect_jog_zero": {"6"},
@@ -50,10 +50,10 @@ _DRIFT = {
     "soft_limits": {"1", "2", "4", "6", "10"},
     "stop_resume": {"p_93 3", "p_93 6", "p_inch 13", "p_arcs 17"},
 }
-# Of each worker, where there are several.
+# Processes per worker.
 PROCESSES = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
-# Minimal cases of faults found, a file each; and those that differ from Grbl, by file: all named
-# in docs/conformance.md.
+# Minimal cases of faults found, one file each; _DIFFER names those that differ from Grbl, by file:
+# all are explained in docs/conformance.md.
 _CLUSTERS = _SHARED / "conformance-3" / "clusters"
 _DIFFER = {
     "coolant_byte_while_a_line_waits": {"S line waits"},
@@ -63,7 +63,7 @@ _DIFFER = {
 
 
 def summary(results: Results) -> str:
-    """What is wrong, in short."""
+    """Return a short description of the failures."""
     lines = [f"{name}: {good} of {all_}" for name, (good, all_) in results.categories().items()]
     for outcome in results.failures()[:20]:
         lines.append(f"{outcome.category}: {outcome.name}: {outcome.wrong[0]}")
@@ -71,7 +71,8 @@ def summary(results: Results) -> str:
 
 
 def parts(folder: Path) -> "list[Any]":
-    """The cases of a folder in parts of some seconds each; of one the first ring takes some."""
+    """Split a folder's cases into parts of some seconds each; the first ring runs a sample of
+    each."""
     count = _PARTS.get(folder.name, 1)
     return [
         pytest.param(folder, k, count, id=f"{folder.name} {k + 1}/{count}") for k in range(count)
@@ -101,7 +102,7 @@ def test_clusters_of_faults_are_answered_as_recorded(file: str) -> None:
     assert failed == _DIFFER.get(file, set()), summary(results)
 
 
-# What the judge says of machines with a fault
+# The judge detects machines with a fault
 
 
 def _has(of_step: "Callable[[Any], object]") -> "Callable[[Any], bool]":
@@ -124,7 +125,7 @@ _FAULTS: "dict[str, Callable[[Any], bool]]" = {
     "turns_no_spindle": _has(lambda step: step.get("out", {}).get("spindle_pwm")),
     "says_nothing": _has(lambda step: any(line.startswith("<") for line in step["expect"])),
     "is_off_after_a_hold": _is_held_in_motion,
-    # No feed override for homing and probes; and moves may be too short to come to their feed.
+    # Homing and probes have no feed override; moves may be too short to reach their feed.
     "takes_three_times": lambda case: not re.search("prob|homing|triangle", case["name"]),
 }
 
@@ -132,7 +133,7 @@ _FAULTS: "dict[str, Callable[[Any], bool]]" = {
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("fault", _FAULTS)
 def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever excuses a recording has."""
+    """In spite of any tolerance of a recording."""
     folder = _SHARED / "conformance-2"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
@@ -140,7 +141,7 @@ def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatc
 
     def choose(rows: list[Any]) -> list[Any]:
         shown = rings.sample([row for row in rows if _FAULTS[fault](row[1])], 4, 4)
-        return shown[:: max(1, len(shown) // 20)]  # for a machine that says nothing is waited for
+        return shown[:: max(1, len(shown) // 20)]  # without answers each case waits long
 
     folder = folder / "motion" if fault == "takes_three_times" else folder
     program = _HERE / "support" / "wrong_machine.py"
@@ -150,7 +151,7 @@ def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatc
     assert not passed
 
 
-# What the judge says of the motors' enable pin
+# The judge checks the motors' enable pin
 
 _STOPS = {"send": "G1X1F500\n", "wait": "idle", "t_ms": 1, "expect": ["ok"], "moved": [250, 0, 0]}
 _WAITS = {"send": "", "wait": "ms 100", "t_ms": 100, "expect": []}
@@ -211,7 +212,7 @@ def test_motors_are_on_as_recorded(
         ("$H\n", (True, True, True), None, [0, 1, 2]),
     ],
 )
-def test_motors_stay_on_while_motion_slower_than_grbls_goes_on(
+def test_motors_stay_on_during_motion_slower_than_grbls(
     line: str, moving: "tuple[bool, ...]", motors_off: "int | None", wrong: list[int]
 ) -> None:
     made = {"setup": [], "steps": [{**_WAITS, "send": line}, _WAITS, _WAITS]}
@@ -224,13 +225,13 @@ def test_motors_stay_on_while_motion_slower_than_grbls_goes_on(
     assert ("slow motion" in names) == ("F7" in line or "G93" in line)
 
 
-def test_motors_on_before_the_slow_line_are_wrong() -> None:
+def test_motors_on_before_the_slow_line_are_a_failure() -> None:
     made = {"setup": [], "steps": [_WAITS, {**_WAITS, "send": "G1X0.01F7\n"}, _WAITS]}
     got = [{"out": out, "unpowered": False, "moving": True} for out in (_ON, {}, {})]
     assert judge_motors(made, {"steps": got}, []) == ["step 0: motors"]
 
 
-# Which machine a recording is replayed on
+# The machine of a recording
 
 
 def case(*lines: str) -> dict[str, Any]:
@@ -239,7 +240,7 @@ def case(*lines: str) -> dict[str, Any]:
 
 
 def boards(folder: Path, **files: dict[str, Any]) -> dict[str, str]:
-    """The board of each file."""
+    """Return the board of each file."""
     for name, content in files.items():
         (folder / f"{name}.json").write_text(json.dumps([content]))
     return {found.category: found.board for found in recordings.load(folder, None, None)}
@@ -248,7 +249,7 @@ def boards(folder: Path, **files: dict[str, Any]) -> dict[str, str]:
 _OLD = case("Grbl 0.9j ['$' for help]")
 
 
-def test_the_dialect_is_that_of_the_welcome_whatever_the_name(tmp_path: Path) -> None:
+def test_the_dialect_follows_the_welcome_not_the_file_name(tmp_path: Path) -> None:
     found = boards(
         tmp_path,
         mine=_OLD,
@@ -270,12 +271,12 @@ def test_the_dialect_is_that_of_the_welcome_whatever_the_name(tmp_path: Path) ->
     }
 
 
-def test_a_file_that_does_not_say_is_as_the_rest_of_its_folder(tmp_path: Path) -> None:
+def test_a_file_without_a_welcome_uses_the_dialect_of_its_folder(tmp_path: Path) -> None:
     assert boards(tmp_path, a=_OLD, b=case("ok"))["b"] == "sim_09j"
 
 
 @pytest.mark.parametrize("text", ["Grbl 0.8c ['$' for help]", "[0.9j.20150717:]\nGrbl 1.1h ["])
-def test_what_nothing_speaks_as_is_refused(tmp_path: Path, text: str) -> None:
+def test_an_unknown_or_mixed_dialect_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(ValueError, match=r"of Grbl 0\.8c|several Grbls: 0\.9j, 1\.1"):
         boards(tmp_path, a=case(*text.split("\n")))
 
@@ -299,7 +300,7 @@ def test_recordings_of_0_9_under_other_names_conform(tmp_path: Path) -> None:
         (["--json", "FOLDER"], "is a folder"),
     ],
 )
-def test_what_cannot_be_replayed_says_why(tmp_path: Path, words: list[str], why: str) -> None:
+def test_an_impossible_replay_is_explained(tmp_path: Path, words: list[str], why: str) -> None:
     boards(tmp_path, a=case("ok"))
     words = [word.replace("FOLDER", str(tmp_path)) for word in words]
     done = CliRunner().invoke(app, ["conformance", str(tmp_path), *words])
@@ -312,7 +313,7 @@ def test_without_a_folder_our_own_conversations_are_replayed() -> None:
     assert done.exit_code == 0 and "7 of 7 conform" in done.output
 
 
-def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_recording_is_named(tmp_path: Path) -> None:
     (tmp_path / "half.json").write_text('[{"name": ')
     done = CliRunner().invoke(app, ["conformance", str(tmp_path)])
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)

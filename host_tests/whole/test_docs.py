@@ -1,4 +1,4 @@
-"""What the documents say is true: tables, names, commands, links, quotes, pictures."""
+"""The documents are true: tables, names, commands, links, quotes, pictures."""
 
 import ast
 import re
@@ -30,7 +30,7 @@ _CODE = re.compile(r"`([^`\n]+)`|^ {4}(\S.*)$", re.MULTILINE)
 _PATH = re.compile(r"(?<![\w/])(?:firmware|host_tests|tools|docs|examples|boards)/[\w./-]*")
 _RELEASE = re.compile(r"^## \[(Unreleased|[^]]+\] - \d{4}-\d{2}-\d{2})", re.MULTILINE)
 
-# Files that whoever follows a page writes, and that are not in the tree.
+# Files that a reader writes when following a page; they are not in the tree.
 _WRITTEN_BY_READERS = {"boards/mine.py", "boards/my_router.py"}
 
 
@@ -54,7 +54,7 @@ def test_the_tables_are_up_to_date():
         assert pages.update(text_of(page)) == text_of(page), f"{page.name}: make docs"
 
 
-def test_every_table_has_its_place():
+def test_every_table_has_exactly_one_place():
     text = "".join(map(text_of, pages.PAGES))
     for name in pages.TABLES:
         assert text.count(f"<!-- begin: {name} -->") == 1
@@ -99,7 +99,7 @@ def test_every_error_and_alarm_is_in_the_reference():
     assert missing([f"ALARM:{number}" for number in alarms()], reference()) == []
 
 
-def test_every_board_is_in_its_page():
+def test_every_board_is_in_the_page_of_boards():
     files = [path.name for path in (_ROOT / "boards").glob("[!_]*.py")]
     assert missing(files, text_of(_ROOT / "docs" / "boards.md")) == []
 
@@ -127,7 +127,7 @@ def test_the_readme_counts_the_lines_of_the_example():
     assert f"({len(lines)} lines)" in text_of(_README)
 
 
-def test_the_contents_lead_to_every_page_once():
+def test_the_contents_link_every_page_once():
     links = [link for link in _LINK.findall(text_of(_CONTENTS)) if not link.startswith("..")]
     assert sorted(links) == [page.name for page in _DOCS if page != _CONTENTS]
 
@@ -141,7 +141,7 @@ def anchors(page):
 
 
 @_each_page
-def test_every_link_leads_somewhere(page):
+def test_every_link_has_a_target(page):
     for link in _LINK.findall(text_of(page)):
         if "://" not in link:
             path, _, anchor = link.partition("#")
@@ -154,18 +154,18 @@ def test_every_link_leads_somewhere(page):
 
 
 def codes(page):
-    """What stands as code in a page: in the text, and in lines that are indented."""
+    """Return the code of a page: inline, and in indented lines."""
     return [one or other for one, other in _CODE.findall(_FENCE.sub("", text_of(page)))]
 
 
 @_each_page
-def test_every_file_that_is_named_is_there(page):
+def test_every_named_file_exists(page):
     named = {path for code in codes(page) for path in _PATH.findall(code)} - _WRITTEN_BY_READERS
     assert [name for name in named if not (_ROOT / name).exists()] == []
 
 
 def known_commands():
-    """Words behind `ugrbl` with the options they take."""
+    """Return commands (the words after `ugrbl`) with their options."""
     import typer
 
     found = {}
@@ -185,7 +185,7 @@ _TARGETS = set(re.findall(r"^([a-z-]+):", text_of(_ROOT / "Makefile"), re.MULTIL
 
 
 def wrong_words(line):
-    """What is wrong with the commands in a line of code; such words do not exist."""
+    """Yield the commands and options in a line of code that do not exist."""
     for tail in re.findall(r"(?:^|\s|/)ugrbl +([a-z][^|·]*)", line):
         parts = tail.split()
         name = " ".join(parts[:2]) if " ".join(parts[:2]) in _COMMANDS else parts[0]
@@ -199,7 +199,7 @@ def wrong_words(line):
             yield f"make {target}"
 
 
-def test_words_that_do_not_exist_are_found():
+def test_unknown_words_are_found():
     assert list(wrong_words("ugrbl bench")) == ["ugrbl bench"]
     assert list(wrong_words(".venv/bin/ugrbl run x.nc --chek")) == ["run --chek"]
     assert list(wrong_words("ugrbl settings pull router.settings --force")) == []
@@ -211,7 +211,7 @@ def test_every_command_exists(page):
     assert [wrong for code in codes(page) for wrong in wrong_words(code)] == []
 
 
-def test_every_command_has_its_place_in_the_command_line():
+def test_every_command_has_a_section_in_command_line():
     text = text_of(_ROOT / "docs" / "command-line.md")
     table = re.findall(r"`ugrbl ([a-z0-9-]+)`\]\(#", text)
     sections = dict(re.findall(r"^## (.+)\n((?:(?!## ).*\n)*)", text, re.MULTILINE))
@@ -224,7 +224,7 @@ def test_every_command_has_its_place_in_the_command_line():
 
 
 @pytest.mark.parametrize("name", ["test", "release"])
-def test_what_the_workflows_call_exists(name):
+def test_commands_of_the_workflows_exist(name):
     text = text_of(_ROOT / ".github" / "workflows" / f"{name}.yml")
     lines = [line.strip().removeprefix("- ").removeprefix("run: ") for line in text.splitlines()]
     called = [line for line in lines if re.match(r"(ugrbl|make|\.venv/bin/ugrbl) ", line)]
@@ -232,7 +232,7 @@ def test_what_the_workflows_call_exists(name):
     assert [wrong for line in called for wrong in wrong_words(line)] == []
 
 
-# Quotes: what tools say, as troubleshooting has it, with … for what varies
+# Quotes of tool messages in troubleshooting.md, with … for variable parts
 
 
 def quotes(heading):
@@ -246,7 +246,7 @@ def quotes(heading):
 
 
 def said_in(*folders):
-    """Every text in these modules, joined as it is told; what varies is …"""
+    """Return every text in these modules as it is shown; variable parts become …."""
     texts = []
     for path in sorted(file for folder in folders for file in (_ROOT / folder).rglob("*.py")):
         for node in ast.walk(ast.parse(text_of(path))):
@@ -260,7 +260,7 @@ def said_in(*folders):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("heading", ["Deploying", "What the doctor says"])
-def test_what_tools_are_quoted_with_they_say(heading):
+def test_quoted_messages_exist_in_the_tools(heading):
     found = quotes(heading)
     assert len(found) >= 8
     texts = said_in("tools", "firmware")
@@ -274,7 +274,7 @@ def test_what_tools_are_quoted_with_they_say(heading):
 
 
 def members(body):
-    """Every name that statements define, methods and attributes of objects as Class.name."""
+    """Yield every name that statements define; methods and attributes of objects as Class.name."""
     for node in body:
         if isinstance(node, ast.FunctionDef):
             yield node.name
@@ -296,7 +296,7 @@ def attributes(tree):
 
 
 def module_path(name):
-    """A module by what stands behind its folder, `reals`, or with it, `pio.engine`."""
+    """Return a module's path from its name, `minifloat`, or with its folder, `pio.engine`."""
     inside = name.replace(".", "/") + ".py"
     found = [
         path for path in (_FIRMWARE / inside, *_FIRMWARE.glob(f"*/**/{inside}")) if path.exists()
@@ -314,19 +314,19 @@ def exists(name):
 
 
 def stories():
-    """What architecture.md tells, by the heading of each story."""
+    """Return the stories of architecture.md by their headings."""
     text = text_of(_ROOT / "docs" / "architecture.md")
     parts = re.split(r"^## (The life of .*)$", text, flags=re.MULTILINE)[1:]
     return dict(zip(parts[::2], (part.split("\n## ")[0] for part in parts[1::2]), strict=True))
 
 
 _NAME = re.compile(r"`([a-z_]\w*(?:\.\w+)+)`")
-# The way of a line through the firmware: whoever reads of it must meet all of these.
+# The path of a line through the firmware: the story must name all of these modules.
 _STATIONS = set("protocol lines interpreter words block checks canon planner segments".split())
 _STATIONS |= {"plan_kernel", "segment_kernel"}
 
 
-def test_names_are_looked_up():
+def test_names_are_looked_up_in_the_firmware():
     assert exists("state.State.pending")
     assert exists("segment_kernel.fill")
     assert exists("pio.engine.PioEngine.stop")
@@ -334,7 +334,7 @@ def test_names_are_looked_up():
     assert not exists("nobody.knows")
 
 
-def test_five_lives_are_reported():
+def test_architecture_has_five_stories():
     assert len(stories()) == 5
 
 
@@ -345,7 +345,7 @@ def test_every_name_in_a_story_exists():
         assert [name for name in names if not exists(name)] == [], title
 
 
-def test_the_life_of_a_g1_meets_everybody():
+def test_the_story_of_a_g1_names_every_module_on_its_path():
     names = _NAME.findall(stories()["The life of a G1"])
     assert {name.partition(".")[0] for name in names} >= _STATIONS
 
@@ -362,9 +362,9 @@ def test_every_decision_has_its_three_parts_and_is_short():
         assert 6 <= len(lines) <= 12, decision
 
 
-# The house, as it is drawn
+# The module graph as drawn
 
-# Imports for mypy only, against the arrows. This set is to become empty, and not to grow.
+# Imports for mypy only, against the arrows. The set must become empty, and must not grow.
 
 
 def drawn_arrows():
@@ -374,7 +374,7 @@ def drawn_arrows():
 
 
 def reachable(arrows):
-    """Every pair that a way of arrows leads along."""
+    """Return all pairs connected by a chain of arrows."""
     pairs = set(arrows)
     while True:
         more = {(a, d) for a, b in pairs for c, d in pairs if b == c} - pairs
@@ -383,24 +383,24 @@ def reachable(arrows):
         pairs |= more
 
 
-def test_the_drawing_of_the_house_is_what_imports_whom():
+def test_the_drawn_graph_matches_the_imports():
     drawn, real = drawn_arrows(), house.imports()
     assert {name for pair in drawn for name in pair} == set(house.FOLDERS)
-    assert drawn - real == set(), "an arrow that no import follows"
-    assert real - reachable(drawn) == set(), "an import that no arrows lead along"
+    assert drawn - real == set(), "an arrow without an import"
+    assert real - reachable(drawn) == set(), "an import without a chain of arrows"
 
 
-def test_no_arrow_is_drawn_that_others_lead_along():
+def test_no_redundant_arrow_is_drawn():
     drawn = drawn_arrows()
     assert [arrow for arrow in drawn if arrow in reachable(drawn - {arrow})] == []
 
 
-def test_the_house_has_no_circle():
+def test_the_imports_have_no_cycle():
     pairs = reachable(house.imports())
     assert [pair for pair in pairs if pair[0] == pair[1]] == []
 
 
-def test_every_folder_of_the_firmware_is_in_the_house():
+def test_every_folder_of_the_firmware_is_in_the_graph():
     folders = {path.parent.name for path in _FIRMWARE.glob("*/*.py")}
     assert folders == set(house.FOLDERS)
 
@@ -412,24 +412,24 @@ _PICTURES = [*(picture.name for picture in pictures.PICTURES), *pictures.OF_THE_
 
 
 @pytest.mark.parametrize("name", _PICTURES)
-def test_a_picture_is_small_and_shown(name):
+def test_a_picture_is_small_and_used(name):
     assert (pictures.FOLDER / name).stat().st_size < pictures.MOST_BYTES
     assert any(f"pictures/{name}" in text_of(page) for page in _ALL)
 
 
 @pytest.mark.sampled(0, 8)
 @pytest.mark.parametrize("picture", pictures.PICTURES, ids=lambda picture: picture.name)
-def test_a_picture_is_what_the_tool_draws(picture, tmp_path):
+def test_a_picture_is_up_to_date(picture, tmp_path):
     fresh = tmp_path / picture.name
     pictures.draw(picture, fresh)
     assert pictures.same(fresh, pictures.FOLDER / picture.name), "make pictures"
 
 
-def test_no_other_pictures_are_kept():
+def test_there_are_no_other_pictures():
     assert {path.name for path in pictures.FOLDER.iterdir()} == set(_PICTURES)
 
 
-def test_docs_say_what_they_did():
+def test_docs_reports_its_result():
     done = subprocess.run(
         [sys.executable, "-m", "ugrbl.docs"], capture_output=True, text=True, check=True
     )
@@ -439,22 +439,22 @@ def test_docs_say_what_they_did():
 # The changelog
 
 
-def test_the_changelog_has_sections_of_the_usual_kinds():
+def test_the_changelog_has_only_standard_sections():
     text = text_of(_ROOT / "CHANGELOG.md")
     assert _RELEASE.search(text)
     kinds = set(re.findall(r"^### (\w+)", text, re.MULTILINE))
     assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 
 
-# Words that senders look for
+# Words that senders search for
 
-# Answers that consist of these words; nothing else may contain them.
+# Answers that consist of these words; no other text may contain them.
 _ANSWERS = ("OK", "_ERROR")
 _TAKEN = re.compile("ok|error", re.IGNORECASE)
 
 
 def strings(tree):
-    """Every text in a module but its docstrings and the answers themselves."""
+    """Yield every text in a module except docstrings and the answers themselves."""
     hidden = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
@@ -469,7 +469,7 @@ def strings(tree):
 
 
 def annotations(tree):
-    """Texts that are types."""
+    """Yield annotations written as text."""
     for node in ast.walk(tree):
         for part in (getattr(node, "annotation", None), getattr(node, "returns", None)):
             if isinstance(part, ast.Constant):
@@ -477,7 +477,8 @@ def annotations(tree):
 
 
 def sent_texts(module):
-    """What a module may send as it stands: report's texts, and whatever goes into a message."""
+    """Yield texts that a module may send unchanged: report's texts, and all arguments of
+    messages."""
     tree = ast.parse(text_of(_FIRMWARE / module))
     if module == "talk/report.py":
         types = set(annotations(tree))
@@ -498,7 +499,7 @@ def test_no_message_contains_an_answer():
     assert [text for text in texts if _TAKEN.search(text)] == []
 
 
-def test_build_info_names_grbl_and_no_other():
+def test_build_info_names_grbl_and_no_other_firmware():
     result, _ = run_program(split_lines(b"$I"))
     answer = "".join(text for _, text in result.other_output)
     assert "Grbl" in answer

@@ -1,4 +1,4 @@
-"""How engines stop, rest and fail, and what the ESP32's do with hardware that is not at once."""
+"""How engines stop, rest and fail, and how the ESP32's handle slow hardware."""
 
 import random
 import sys
@@ -10,7 +10,7 @@ from esp_bench import RMT_STEP, clock, esp32, esp_machine
 from laws import Limits
 from test_engines import _PULSE_US, ESP, WHOLE, Made, make, of_axis, planned
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 
@@ -29,7 +29,7 @@ def test_rest_is_reported_once_and_after_the_last_power(engine: str, move: str) 
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_rest_is_not_told_of_a_stop(engine: str) -> None:
+def test_rest_is_not_reported_after_a_stop(engine: str) -> None:
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)
@@ -39,7 +39,7 @@ def test_rest_is_not_told_of_a_stop(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_a_stopped_engine_stays_so_until_it_is_armed(engine: str) -> None:
+def test_a_stopped_engine_stays_stopped_until_it_is_armed(engine: str) -> None:
     made = make(engine, "fast")
     made.engine.stop()
     for _ in range(3):
@@ -52,7 +52,8 @@ def test_a_stopped_engine_stays_so_until_it_is_armed(engine: str) -> None:
 
 
 def lines_of_start(made: Made, at_line: int = -1) -> int:
-    """Start the engine, and stop it as line number at_line is reached. Returns how many lines."""
+    """Start the engine, and stop it when line number at_line is reached. Return the number of
+    lines."""
     count = 0
 
     def trace(frame: Any, event: str, _: Any) -> Any:
@@ -67,7 +68,7 @@ def lines_of_start(made: Made, at_line: int = -1) -> int:
             count += 1
         return trace
 
-    getattr(made.engine.real, "flash_written", int)()  # a longer way to start
+    getattr(made.engine.real, "flash_written", int)()  # makes the start longer
     sys.settrace(trace)
     try:
         made.engine.real.start()
@@ -78,7 +79,7 @@ def lines_of_start(made: Made, at_line: int = -1) -> int:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("engine", ESP)
-def test_a_stop_that_comes_into_the_start_wins(engine: str) -> None:
+def test_a_stop_during_the_start_wins(engine: str) -> None:
     for line in range(lines_of_start(make(engine, "fast"))):
         made = make(engine, "fast")
         lines_of_start(made, line)
@@ -91,7 +92,7 @@ def test_a_stop_that_comes_into_the_start_wins(engine: str) -> None:
 
 @pytest.mark.parametrize("after_ms", [3, 77, 180])
 @pytest.mark.parametrize("engine", ESP)
-def test_a_turn_that_fails_stops_the_tool_then_the_motors_and_is_reported(
+def test_a_failing_turn_stops_the_tool_then_the_motors_and_is_reported(
     engine: str, after_ms: float
 ) -> None:
     made = make(engine, "fast")
@@ -125,7 +126,7 @@ def test_a_turn_that_fails_stops_the_tool_then_the_motors_and_is_reported(
 
 @pytest.mark.parametrize("engine", ESP)
 def test_the_engine_works_again_long_after_a_fault(engine: str) -> None:
-    """Longer than the difference between two of its times can be."""
+    """Longer than the largest difference between two of its times."""
     made = make(engine, "diagonal")
     made.engine.real._fail(ValueError())
     made.engine.real._timer.deinit()
@@ -141,7 +142,7 @@ def test_the_engine_works_again_long_after_a_fault(engine: str) -> None:
 
 @pytest.mark.parametrize("what_fails", ["on_fault", "_halt"])
 @pytest.mark.parametrize("engine", ESP)
-def test_what_fails_while_a_fault_is_mended_keeps_nothing_from_stopping(
+def test_a_failure_during_fault_handling_does_not_prevent_the_stop(
     engine: str, what_fails: str
 ) -> None:
     made = make(engine, "fast")
@@ -164,7 +165,7 @@ def test_what_fails_while_a_fault_is_mended_keeps_nothing_from_stopping(
 
 @pytest.mark.parametrize("before_us", range(10_000, 600_000, 59_000))
 @pytest.mark.parametrize("engine", ESP)
-def test_motion_begins_at_once_also_right_before_the_clock_wraps(
+def test_motion_begins_at_once_even_right_before_the_clock_wraps(
     engine: str, before_us: int
 ) -> None:
     clock.us += -(clock.us + before_us) & 0x3FFFFFFF
@@ -175,7 +176,7 @@ def test_motion_begins_at_once_also_right_before_the_clock_wraps(
 
 
 @pytest.mark.parametrize("engine", ESP)
-def test_motion_that_does_not_go_on_is_a_fault(engine: str) -> None:
+def test_motion_that_does_not_continue_is_a_fault(engine: str) -> None:
     made = make(engine, "diagonal")
     made.engine.start()
     made.run(100)
@@ -191,7 +192,7 @@ def test_motion_that_does_not_go_on_is_a_fault(engine: str) -> None:
 
 @pytest.mark.parametrize("away_ms", [12, 60, 250])
 @pytest.mark.parametrize("engine", ESP)
-def test_what_waited_for_a_collection_comes_late_and_loses_nothing(
+def test_interrupts_delayed_by_a_collection_come_late_and_lose_nothing(
     engine: str, away_ms: int
 ) -> None:
     made = make(engine, "diagonal")
@@ -223,11 +224,11 @@ def test_rmt_never_plays_more_than_a_channel_holds(engine: str) -> None:
         most = max(len(durations) for _, _, durations, _ in channel.trains)
         assert most <= 2 * (channel.symbols - 1)
     most = max(len(train[2]) for train in esp32.RMT.channels[0].trains)
-    assert most > channel.symbols, "trains are as long as they may be"
+    assert most > channel.symbols, "trains should be as long as allowed"
 
 
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
-def test_rmt_takes_the_pins_away_while_the_channels_play_on(engine: str) -> None:
+def test_rmt_disconnects_the_pins_while_the_channels_continue(engine: str) -> None:
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)
@@ -239,7 +240,7 @@ def test_rmt_takes_the_pins_away_while_the_channels_play_on(engine: str) -> None
 
 
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
-def test_rmt_waits_for_what_is_played_to_nobody(engine: str) -> None:
+def test_rmt_waits_for_the_end_of_disconnected_trains(engine: str) -> None:
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)
@@ -257,7 +258,7 @@ def test_rmt_waits_for_what_is_played_to_nobody(engine: str) -> None:
     assert [b - a for a, b in zip(before, made.places(), strict=True)] == [160, 160, 160]
 
 
-def test_rmt_inverts_steps_in_the_pins_words() -> None:
+def test_rmt_inverts_steps_in_the_pin_registers() -> None:
     made = make("rmt", "reversals")
     made.engine.configure(_PULSE_US, 0b010, 0)
     assert [word >> 9 & 1 for word in words_of_pins()] == [0, 1, 0]
@@ -269,7 +270,7 @@ def test_rmt_inverts_steps_in_the_pins_words() -> None:
 
 
 def words_of_pins() -> "list[int]":
-    """Of the step pins, in the GPIO matrix."""
+    """Return the GPIO matrix words of the step pins."""
     return [esp_machine.mem32.log[pin][-1][1] for pin in RMT_STEP[:3]]
 
 
@@ -301,9 +302,9 @@ def test_i2s_begins_a_new_stream_after_a_flash_write(told: bool) -> None:
         )
         for steps, there in zip(due, real, strict=True)
     )
-    assert as_planned is told, "buffers in a wrong order are seen, unless there is a new stream"
+    assert as_planned is told, "a wrong order of buffers must show, unless there is a new stream"
 
 
 def gaps(real: Any, due: Any) -> Any:
-    """Of an axis: steps and those behind them, as they came and as planned."""
+    """Pair each step of an axis with its successor, as made and as planned."""
     return zip(real, real[1:], due, due[1:], strict=False)

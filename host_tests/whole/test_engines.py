@@ -1,4 +1,4 @@
-"""The laws that every pulse engine keeps: what it hands to hardware, turned back into steps.
+"""The laws that every pulse engine keeps: its output to hardware, turned back into steps.
 
 sim: the simulator's engine. pio: the words of firmware/pio, played by the timing that
 programs.py states. i2s, rmt: the whole engines on stand-ins of the ESP32's hardware.
@@ -23,7 +23,7 @@ from ugrbl.sim import replay
 from ugrbl.sim import rig as sim_rig
 from ugrbl.sim.engine import SimEngine, step_tick
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(2)
 
 _SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -32,14 +32,14 @@ _PULSE_US = 10
 
 @dataclass
 class Stated:
-    """What an engine says of itself, in us: the README and the board files say the same."""
+    """An engine's stated tolerances, in us: README and board files state the same."""
 
-    early: float  # how much earlier than planned a step may come after the one before,
-    late: float  # or later, where motion does not stand still
-    gap: float  # for how long it may stand still, at the ends of trains
+    early: float  # how much earlier than planned a step may come after the one before
+    late: float  # the same for later, unless motion pauses
+    gap: float  # longest pause, at the ends of trains
     apart: float  # how far axes may drift against each other
-    hold_ms: float  # how much motion is handed over, and a hold has to wait for
-    lock_ms: float = 0.0  # for how long a locked axis runs on
+    hold_ms: float  # motion already handed over, which delays a hold
+    lock_ms: float = 0.0  # how long a locked axis continues
 
 
 STATED = {
@@ -49,15 +49,15 @@ STATED = {
     "rmt": Stated(60, 60, 600, 100, 50),
     "rmt_s3": Stated(60, 60, 600, 100, 50),
 }
-_TURN_US = 14  # what a reversal may make all axes wait for, besides
+_TURN_US = 14  # additional delay of all axes for a reversal
 ENGINES = ("sim", "i2s", "rmt", "rmt_s3", "pio")
-WHOLE = ("sim", "i2s", "rmt", "rmt_s3")  # those whose hardware is modelled too
+WHOLE = ("sim", "i2s", "rmt", "rmt_s3")  # engines whose hardware is modelled too
 ESP = ("i2s", "rmt", "rmt_s3")
 MOST_MOTORS = {"rmt": 4, "rmt_s3": 4, "i2s": 6}
 
 
 class Made:
-    """A bench with an engine, and the steps that came out of it."""
+    """A bench with an engine, and the steps that it made."""
 
     def __init__(self, name: str, limits: Limits) -> None:
         self.name = name
@@ -85,7 +85,7 @@ class Made:
             self.engine.trace = self._trace
 
     def _rest(self) -> None:
-        assert self.engine.idle(), "rest is told of before it is"
+        assert self.engine.idle(), "rest is reported too early"
         self.rests += 1
 
     def _trace(self, start: int, row: "array[int]") -> None:
@@ -99,7 +99,7 @@ class Made:
         self.steps += [(ns / 1000, axis, sign) for ns, axis, sign in sorted(steps)]  # type: ignore[misc]
 
     def run(self, milliseconds: float = 60_000) -> None:
-        """Let the engine work until it is idle, or for so long."""
+        """Run the engine until it is idle, or for this time."""
         if self.name == "pio":
             self.steps += _play_words(self.bench, self.us)
             return
@@ -108,28 +108,28 @@ class Made:
             self.engine.advance(min(self.engine.now + int(500 / self.us), end))
 
     def go(self) -> "Made":
-        """All that is planned happens."""
+        """Execute everything planned."""
         if self.name != "pio":
             self.engine.start()
         self.run()
         return self
 
     def places(self) -> "list[int]":
-        """Where the steps have led to."""
+        """Return the position given by the steps made."""
         found = [0] * self.bench.planner.motors
         for _, axis, sign in self.steps:
             found[axis] += sign
         return found
 
     def position(self) -> "list[int]":
-        """Where the engine says that the motors are."""
+        """Return the motors' position as the engine reports it."""
         steps = array("i", [0] * self.bench.planner.motors)
         self.engine.position(steps)
         return list(steps)
 
 
 def _play_words(bench: Bench, us: float) -> "list[Step]":
-    """Segments as words for the PIO, and the words as steps, by the timing in programs.py."""
+    """Convert segments to words for the PIO, and words to steps by the timing in programs.py."""
     axes = bench.planner.motors
     timing = array("i", [0] * pulses.TIMING_LENGTH)
     timing[pulses.AXES] = axes
@@ -168,7 +168,7 @@ def _play_words(bench: Bench, us: float) -> "list[Step]":
 
 
 def moves() -> "dict[str, tuple[Limits, list[tuple[tuple[float, ...], float]]]]":
-    """Lines to places in mm at mm/s, by what is remarkable about them."""
+    """Return lines (places in mm, speed in mm/s) by their special property."""
     slow = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
     fast = Limits((80.0, 80.0, 400.0), (6000.0, 6000.0, 600.0), (500.0, 500.0, 200.0))
     ring = [(0.0, 0.0), (1.0, 0.1), (1.9, 0.5), (2.4, 1.2), (2.5, 2.0), (2.1, 2.8), (1.2, 3.2)]
@@ -193,7 +193,8 @@ def moves() -> "dict[str, tuple[Limits, list[tuple[tuple[float, ...], float]]]]"
 def _of_axes(
     axes: int, twice: "tuple[int, ...]" = ()
 ) -> "tuple[Limits, list[tuple[tuple[float, ...], float]]]":
-    """All go, and come back one after the other. twice: those that have a second motor."""
+    """Return moves of all axes: all go, and come back one by one. twice: axes with a second
+    motor."""
     limits = Limits((250.0,) * axes, (3000.0,) * axes, (200.0,) * axes)
     if twice:
         limits.moves = [1 << axis for axis in (*range(axes), *twice)]
@@ -224,7 +225,7 @@ Planned = "list[list[tuple[float, int]]]"
 
 
 def planned(made: Made) -> "list[list[tuple[float, int]]]":
-    """Per axis, (us, sign) of the steps that the engine was told to make."""
+    """Return (us, sign) of the requested steps per axis."""
     found: list[list[tuple[float, int]]] = [[] for _ in range(made.bench.planner.motors)]
     for segment in made.bench.watch.made:
         for axis, steps in enumerate(found):
@@ -242,7 +243,7 @@ def of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
 @pytest.mark.sampled(20)
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ENGINES)
-def test_steps_are_those_planned_in_their_order(engine: str, move: str) -> None:
+def test_steps_are_those_planned_in_order(engine: str, move: str) -> None:
     made = make(engine, move).go()
     for axis, steps in enumerate(planned(made)):
         assert [sign for _, sign in of_axis(made.steps, axis)] == [sign for _, sign in steps]
@@ -251,7 +252,7 @@ def test_steps_are_those_planned_in_their_order(engine: str, move: str) -> None:
 @pytest.mark.sampled(20)
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ENGINES)
-def test_steps_come_when_they_are_due_within_what_is_stated(engine: str, move: str) -> None:
+def test_steps_come_within_the_stated_tolerance(engine: str, move: str) -> None:
     made = make(engine, move).go()
     stated = STATED[engine]
     tracks = []
@@ -270,10 +271,10 @@ def test_steps_come_when_they_are_due_within_what_is_stated(engine: str, move: s
 
 @pytest.mark.parametrize("slow", [0, 1])
 @pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
-def test_a_train_that_begins_late_shortens_no_interval(
+def test_a_late_train_shortens_no_interval(
     engine: str, slow: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The motor waits, and does not hurry, where flash or a radio is in the way of a start."""
+    """The motor waits and does not catch up when flash or a radio delays a start."""
     write = esp32.RMT.write_pulses
 
     def hindered(channel: esp32.RMT, durations: "list[int]", data: object = True) -> None:
@@ -293,7 +294,7 @@ def test_a_train_that_begins_late_shortens_no_interval(
 def _check_together(
     a: "list[tuple[float, float]]", b: "list[tuple[float, float]]", allowed: float
 ) -> None:
-    """Axes are late together, if at all: the path is the one planned."""
+    """Check that axes are late together: the path is the planned one."""
     k = 0
     for due, late in b:
         while k + 1 < len(a) and a[k + 1][0] <= due:
@@ -315,12 +316,12 @@ def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_position_is_where_the_steps_have_led_to_at_any_time(engine: str) -> None:
+def test_position_matches_the_steps_at_any_time(engine: str) -> None:
     made = make(engine, "reversals")
     made.engine.start()
     while not made.engine.idle():
         made.run(3.7)
-        if engine != "sim":  # its trace tells of whole segments
+        if engine != "sim":  # its trace shows whole segments only
             off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
             assert max(off) <= 1
     assert made.position() == made.places()
@@ -328,7 +329,7 @@ def test_position_is_where_the_steps_have_led_to_at_any_time(engine: str) -> Non
 
 @pytest.mark.parametrize("after_ms", [15, 90, 160, 233])
 @pytest.mark.parametrize("engine", WHOLE)
-def test_stop_is_at_once_and_leaves_a_position(engine: str, after_ms: float) -> None:
+def test_a_stop_is_immediate_and_leaves_a_position(engine: str, after_ms: float) -> None:
     made = make(engine, "fast")
     made.engine.start()
     made.run(after_ms)
@@ -342,7 +343,7 @@ def test_stop_is_at_once_and_leaves_a_position(engine: str, after_ms: float) -> 
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_motion_goes_on_after_a_stop(engine: str) -> None:
+def test_motion_continues_after_a_stop(engine: str) -> None:
     made = make(engine, "fast")
     made.engine.start()
     made.run(100)
@@ -375,7 +376,7 @@ def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
     assert made.places()[0] == locked
     total = [sum(sign for _, sign in steps) for steps in planned(made)]
     assert made.places()[1:] == made.position()[1:] == total[1:]
-    # Where it has run on, it goes back before the next motion: it ends where it was locked.
+    # If the axis continued, it moves back before the next motion: it ends where it was locked.
     made.engine.stop()
     made.engine.arm()
     assert made.position()[0] == at
@@ -387,7 +388,7 @@ def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_a_motor_locked_at_rest_stays_and_keeps_the_name_of_its_place(engine: str) -> None:
+def test_a_motor_locked_at_rest_stays_and_keeps_its_position(engine: str) -> None:
     made = make(engine, "two on Y")
     made.engine.lock(0b0010)
     made.engine.set_position(array("i", [70, 80, 90, 100]))
@@ -405,11 +406,11 @@ def test_a_motor_locked_at_rest_stays_and_keeps_the_name_of_its_place(engine: st
     made.bench.line((2.0, 2.0, 2.0), 600.0)
     made.go()
     gone = [at - was for at, was in zip(made.places(), before, strict=True)]
-    assert gone[1] == gone[3] and gone[1], "alive again"
+    assert gone[1] == gone[3] and gone[1], "the motor must move again"
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_a_hold_comes_to_rest_within_what_is_stated_and_loses_nothing(engine: str) -> None:
+def test_a_hold_comes_to_rest_within_the_stated_time_and_loses_nothing(engine: str) -> None:
     made = make(engine, "diagonal")
     made.engine.start()
     made.run(250)
@@ -418,7 +419,7 @@ def test_a_hold_comes_to_rest_within_what_is_stated_and_loses_nothing(engine: st
     made.run()
     rest = made.places()
     assert made.position() == rest
-    brake_ms = 15.0 / 200.0 * 1000  # its speed by its acceleration
+    brake_ms = 15.0 / 200.0 * 1000  # speed / acceleration
     last = max(us for us, *_ in made.steps)
     assert last - asked <= (brake_ms * 1.6 + STATED[engine].hold_ms) * 1000
     made.bench.segments.hold(False)
@@ -445,8 +446,8 @@ def test_power_is_reported_with_the_segments(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", WHOLE)
-def test_power_at_rest_is_the_last_segments(engine: str) -> None:
-    """A laser that follows the speed is off then, or at the least of its power."""
+def test_power_after_motion_is_the_last_segments(engine: str) -> None:
+    """An M4 laser is off then, or at its lowest power."""
     for length in (0.1, 0.5, 1.5, 3.0):
         made = Made(engine, Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3))
         made.bench.line((length, 0.0, 0.0), 1200.0)
@@ -492,7 +493,7 @@ def test_no_power_is_reported_after_a_stop(engine: str, after_ms: float) -> None
 
 
 def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
-    """Rows that no planner makes: steps on their very edges, reversals at full speed."""
+    """Return rows that no planner makes: steps on their edges, reversals at full speed."""
     chance = random.Random(seed)
     rows = []
     for _ in range(count):
@@ -511,7 +512,7 @@ def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("engine", ESP)
-def test_awkward_segments_are_made_whole_and_in_order(engine: str, seed: int) -> None:
+def test_awkward_segments_are_complete_and_in_order(engine: str, seed: int) -> None:
     made = Made(engine, Limits())
     rows = awkward_rows(seed, made.engine.tick_hz, 60)
     waiting = list(rows)
@@ -537,7 +538,7 @@ def test_awkward_segments_are_made_whole_and_in_order(engine: str, seed: int) ->
 
 
 @pytest.mark.parametrize("late_us", range(30_000, 60_000, 7000))
-def test_i2s_sets_directions_up_after_it_has_run_dry(late_us: int) -> None:
+def test_i2s_keeps_the_setup_time_after_it_has_run_empty(late_us: int) -> None:
     made = Made("i2s", Limits())
 
     def next_segment(row: "array[int]") -> int:
@@ -559,7 +560,7 @@ def test_i2s_sets_directions_up_after_it_has_run_dry(late_us: int) -> None:
     assert all(sign < 0 for _, _, sign in made.steps)
 
 
-def test_i2s_loses_nothing_where_it_comes_too_late() -> None:
+def test_i2s_loses_nothing_after_an_underrun() -> None:
     made = make("i2s", "diagonal")
     made.engine.start()
     made.run(200)
@@ -572,8 +573,8 @@ def test_i2s_loses_nothing_where_it_comes_too_late() -> None:
         assert levels.shortest_pulse >= 8
 
 
-def test_i2s_says_when_the_motors_are_to_be_powered() -> None:
-    """At each of several drivers' enables."""
+def test_i2s_drives_the_motors_enable_outputs() -> None:
+    """The enable outputs of several drivers."""
     made = Made("i2s", Limits())
     enables = sum(1 << output for output in I2S_ENABLE)
     made.engine.real.enable(1)
@@ -584,7 +585,7 @@ def test_i2s_says_when_the_motors_are_to_be_powered() -> None:
     assert made.engine.pins.outputs() & enables == 0
 
 
-def test_i2s_keeps_its_highest_rate() -> None:
+def test_i2s_reaches_its_highest_rate() -> None:
     """A step every three frames: nothing is late, nothing is lost."""
     limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)
     made = Made("i2s", limits)
@@ -598,7 +599,7 @@ def test_i2s_keeps_its_highest_rate() -> None:
 
 
 def test_rmt_hides_its_gap_below_the_stated_rate() -> None:
-    """One axis at 2000 steps a second: no train is late."""
+    """One axis at 2000 steps/s: no train is late."""
     limits = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
     made = Made("rmt", limits)
     made.bench.line((6.0, 0.0, 0.0), 480.0)
@@ -609,7 +610,7 @@ def test_rmt_hides_its_gap_below_the_stated_rate() -> None:
 
 @pytest.mark.parametrize("invert", [0b000, 0b101])
 @pytest.mark.parametrize("engine", ESP)
-def test_directions_are_inverted_on_demand(engine: str, invert: int) -> None:
+def test_directions_are_inverted_on_request(engine: str, invert: int) -> None:
     made = make(engine, "reversals")
     made.engine.configure(_PULSE_US, 0, invert)
     for i, levels in enumerate(made.engine.pins.levels):
@@ -621,13 +622,13 @@ def test_directions_are_inverted_on_demand(engine: str, invert: int) -> None:
 # Recorded motion of real Grbl
 
 _RECORDS = sorted((_SHARED / "conformance" / "motion").glob("*.json"))
-# A peak rate is taken over 16 steps: among them may be the end of a train.
+# A peak rate is averaged over 16 steps, which may include the end of a train.
 _PEAK = {"i2s": 0.02, "rmt": 0.06}
 
 
 @pytest.fixture
 def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Rigs have this engine instead of the simulator's."""
+    """Make Rigs use this engine instead of the simulator's."""
     name: str = request.param
 
     class Engine:
@@ -653,7 +654,7 @@ def test_recorded_motion_is_repeated(path: Path, on_engine: str) -> None:
     wrong = judge_motion(record, observed, [])
     stops = bool(record.get("events_ms_after_first_step") or record.get("switches"))
     if stops:
-        # How soon an engine hears of something is its own: Grbl takes 45 ms.
+        # The reaction time depends on the engine: Grbl's is 45 ms.
         unheard = ("duration", "peak rate", "not at rest", "net_steps", "pulses", "final")
         wrong = [text for text in wrong if not text.startswith(unheard) and " at " not in text]
     assert not [text for text in wrong if not _near_peak(text, _PEAK[on_engine])]

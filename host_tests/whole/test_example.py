@@ -1,4 +1,4 @@
-"""The example program: what its generator makes, and what Grbl would make of it."""
+"""The example program: its generator's output, and how Grbl would accept it."""
 
 import re
 import runpy
@@ -25,7 +25,7 @@ def test_the_generator_makes_the_committed_program(text: str) -> None:
     assert "\n".join(made) + "\n" == text
 
 
-def test_it_is_as_long_as_a_real_job(text: str) -> None:
+def test_the_example_is_as_long_as_a_real_job(text: str) -> None:
     assert len(text.splitlines()) >= 2000
 
 
@@ -49,17 +49,17 @@ def test_every_line_fits_grbls_line_buffer(text: str) -> None:
         r"^\(.*\)$",
     ],
 )
-def test_it_has_what_cam_writes(text: str, pattern: str) -> None:
+def test_the_example_has_typical_cam_lines(text: str, pattern: str) -> None:
     assert re.search(pattern, text, re.MULTILINE)
 
 
-def test_grbl_refuses_none_of_it() -> None:
+def test_grbl_accepts_every_line() -> None:
     result, _ = run_program(read_lines(_PROGRAM), check=True)
     assert (result.errors, result.stopped) == ([], "")
 
 
 @pytest.mark.thorough
-def test_all_its_steps_are_made_within_a_small_machine() -> None:
+def test_all_steps_are_made_within_a_small_machine() -> None:
     lines = read_lines(_PROGRAM)
     result, _ = run_program(lines, settings=_FAST)
     totals = result.totals

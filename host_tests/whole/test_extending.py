@@ -1,4 +1,4 @@
-"""What docs/extending.md tells a newcomer to do, done: its changes in a copy of the tree."""
+"""The instructions of docs/extending.md, executed: its changes in a copy of the tree."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 
-# Each in a tree of its own: half a minute.
+# Each in its own tree: half a minute.
 pytestmark = pytest.mark.thorough
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -33,7 +33,7 @@ class Change(NamedTuple):
 
 
 def changes(title):
-    """What a section of the page changes."""
+    """Return the changes of a section of the page."""
     parts = _SECTION.split(_PAGE.read_text(encoding="utf-8"))
     section = dict(zip(parts[1::2], parts[2::2], strict=True))[title]
     for kind, path, text in _BLOCK.findall(section):
@@ -42,12 +42,12 @@ def changes(title):
             assert head.startswith("--- ")
             yield Change(head[4:], kind, diff)
         else:
-            assert path, f"{title}: a block says of which file it is"
+            assert path, f"{title}: a block must name its file"
             yield Change(path, kind, text)
 
 
 def apply(text, diff):
-    """The text with the changes; each has to fit in one place."""
+    """Return the text with the changes; each must fit in exactly one place."""
     for hunk in re.split(r"^@@.*\n", diff, flags=re.MULTILINE):
         lines = [line if line.strip() else " \n" for line in hunk.splitlines(keepends=True)]
         old = "".join(line[1:] for line in lines if line[0] in " -")
@@ -59,7 +59,7 @@ def apply(text, diff):
 
 
 class Tree:
-    """A copy of what is needed of the tree, with what a section of the page changes."""
+    """A copy of the needed parts of the tree, with the changes of a section of the page."""
 
     def __init__(self, folder, title):
         self.folder = folder
@@ -71,7 +71,7 @@ class Tree:
                 shutil.copy(source, folder / name)
         (folder / "ugrbl").symlink_to(folder / "tools")
         (folder / "build").mkdir()
-        # By what it was made from: of the change it has nothing, of the rest all.
+        # A cache entry is named after its sources: changed files miss it, all others hit.
         (_ROOT / "build" / "cache").mkdir(parents=True, exist_ok=True)
         (folder / "build" / "cache").symlink_to(_ROOT / "build" / "cache")
         self.written = set()
@@ -86,7 +86,7 @@ class Tree:
             self.written.add(change.path)
 
     def python(self, *words):
-        """Run that Python, with this tree in the place of ours; returns what it printed."""
+        """Run this Python with this tree instead of ours; return its output."""
         done = subprocess.run(
             [sys.executable, *words],
             cwd=self.folder,
@@ -99,12 +99,12 @@ class Tree:
         return done.stdout
 
     def ugrbl(self, line):
-        """Run a command as the page has it."""
+        """Run a command of the page."""
         assert f"    ugrbl {line}\n" in _PAGE.read_text(encoding="utf-8")
         return self.python("-m", "ugrbl.cli", *line.split())
 
     def make_docs(self):
-        """Returns the files that it has brought up to date."""
+        """Update the docs; return the changed files."""
         told = self.python("-m", "ugrbl.docs")
         return set(re.findall(r"^(\S+) has been brought up to date$", told, re.MULTILINE))
 
@@ -119,12 +119,12 @@ def in_section(title):
 
 
 def files_named(what):
-    """How many files the page says are to be written, and brought up to date."""
+    """Return how many files the page says are to be written, and updated."""
     rows = {row[0]: (int(row[1]), int(row[2])) for row in _ROW.findall(_PAGE.read_text())}
     return rows[what]
 
 
-def test_a_change_has_to_fit_in_one_place():
+def test_a_change_must_fit_in_one_place():
     assert apply("a\nb\nc\n", " a\n+x\n b\n@@\n-c\n+d\n") == "a\nx\nb\nd\n"
     with pytest.raises(AssertionError, match="2 places"):
         apply("ab\na\na\n", " a\n+x\n")
@@ -245,7 +245,7 @@ def test_an_extra(tree):
 
 
 @in_section("An extra")
-def test_a_pin_of_an_extra_that_is_taken_is_named(tree):
+def test_a_conflicting_pin_of_an_extra_is_named(tree):
     board = tree.folder / "router.py"
     board.write_text(board.read_text().replace("VACUUM = 20", "VACUUM = 8"))
     with pytest.raises(AssertionError, match="VACUUM"):
@@ -305,4 +305,4 @@ def test_a_transform_follows_the_grid(tree):
     (tree.folder / "heights.csv").write_text("0,1,2\n0,2,4\n0,0,0\n")
     tree.ugrbl("build --board uneven_mill.py")
     told = [[float(mm) for mm in line.split()] for line in tree.python("-c", _UNEVEN).splitlines()]
-    assert told == [[0, 0, 0], [20, 0, 1], [30, 10, 2.252], [30, 10, 1.252]]  # to the step
+    assert told == [[0, 0, 0], [20, 0, 1], [30, 10, 2.252], [30, 10, 1.252]]  # exact to the step

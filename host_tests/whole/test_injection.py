@@ -1,8 +1,8 @@
-"""Whatever comes, and whenever it comes: nothing moves and nothing turns behind it.
+"""After a stop at any moment nothing moves and no output is on.
 
 A scenario is played again and again on the simulated machine; each time, at another bytecode of
-the functions in question, a switch closes, a button is pressed, a reset arrives. `make torture`
-takes every bytecode, `make test` some of each.
+the tested functions, a switch closes, a button is pressed, or a reset arrives. `make torture`
+takes every bytecode, `make test` a sample.
 """
 
 import os
@@ -28,19 +28,19 @@ from talk.controller import Controller
 from ugrbl.sim.engine import SimEngine, Switch
 from ugrbl.sim.port import SimPort
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 _SAMPLES = 40
-_BEFORE_MS = 600  # how long a scenario is looked at
+_BEFORE_MS = 600  # how long a scenario may take
 _PINS = ("limit_x", "reset", "hold", "probe")
 _STOPS = ("limit_x", "reset", "\x18")
 _FAST = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
 
 
 class Injector:
-    """Calls action at bytecode number `at` of these functions; counts them where at is -1."""
+    """Call action at bytecode number `at` of these functions; count the bytecodes if at is -1."""
 
     def __init__(
         self, functions: "tuple[Any, ...]", at: int = -1, action: Callable[[], None] = lambda: None
@@ -74,7 +74,7 @@ class Injector:
 
 @dataclass
 class Scenario:
-    """Lines that are sent, and the functions that are interrupted meanwhile."""
+    """Lines to send, and the functions that are interrupted meanwhile."""
 
     name: str
     lines: str
@@ -156,7 +156,7 @@ SCENARIOS = (
 
 
 class Trial:
-    """One play of a scenario. act: what happens at bytecode `at` of its functions."""
+    """One run of a scenario. act: the event at bytecode `at` of its functions."""
 
     def __init__(self, scenario: Scenario, at: int, act: str) -> None:
         self._scenario = scenario
@@ -168,11 +168,11 @@ class Trial:
         self._outputs: "list[str]" = []
 
     def run(self) -> None:
-        """Play, look whether the laws hold, and put the machine to work again."""
+        """Run the scenario, check the laws, and check that the machine works again."""
         self.machine.run(self._script())
 
     def _inject(self) -> None:
-        """This is where an interrupt would come."""
+        """Act as an interrupt would."""
         rig = self.machine.rig
         if self._act in _PINS:
             rig.port.push({self._act: True})
@@ -182,7 +182,7 @@ class Trial:
         self._outputs = self._on()
 
     def _on(self) -> "list[str]":
-        """Outputs that are on."""
+        """Return the outputs that are on."""
         port = self.machine.rig.port
         names = ("spindle_on", "spindle_pwm", "flood", "mist")
         return [name for name in names if getattr(port, name)]
@@ -198,7 +198,7 @@ class Trial:
             yield from self._ask("$X")
         with self._injector:
             for line in scenario.lines.split():
-                # What comes behind a reset is for the machine to do.
+                # Lines after a reset would be executed.
                 if self.place is None or self._act not in _STOPS:
                     rig.link.send(line.encode() + b"\n")
                 yield rig.ms(20)
@@ -216,10 +216,12 @@ class Trial:
             yield from machine.rest()
 
     def _check(self) -> Iterator[Any]:
-        """Not one step more, all outputs off; and the reset that follows makes it work again."""
+        """Check that no further step is made and all outputs are off, and that the machine works
+        after a
+        reset."""
         machine = self.machine
         rig, port = machine.rig, machine.rig.port
-        yield rig.ms(600)  # an alarm is deaf for 500
+        yield rig.ms(600)  # an alarm ignores input for 500
         where = f"{self._scenario.name}, {self._act}, bytecode {self._injector.count}"
         assert machine.physical() == self.place, f"it moved on: {where}"
         assert not self._outputs, f"outputs are on: {where}"
@@ -251,14 +253,15 @@ class Trial:
 
 
 def some(total: int, phase: int) -> range:
-    """Which of so many bytecodes are tried: another phase for each, so that all see more."""
+    """Return the bytecodes to try: the phase differs per test, so that together they cover
+    more."""
     assert total > _SAMPLES, "the functions are not called"
     step = 1 if _EVERY else max(1, total // _SAMPLES)
     return range(0 if _EVERY else phase % step, total, step)
 
 
 def bytecodes(scenario: Scenario) -> int:
-    """How many of them there are to come in between."""
+    """Return the number of bytecodes of a scenario's functions."""
     trial = Trial(scenario, -1, "")
     trial.run()
     return trial.bytecodes
@@ -287,7 +290,7 @@ def test_a_hold_at_any_moment_costs_no_step(name: str, act: str) -> None:
         assert trial.machine.physical() == undisturbed.machine.physical(), f"bytecode {at}"
 
 
-def test_a_probe_s_contact_at_any_moment_is_noted_to_the_step() -> None:
+def test_a_probe_contact_at_any_moment_is_recorded_to_the_step() -> None:
     scenario = next(scenario for scenario in SCENARIOS if scenario.name == "probing")
     for at in some(bytecodes(scenario), 3):
         trial = Trial(scenario, at, "probe")
@@ -301,8 +304,8 @@ def test_a_probe_s_contact_at_any_moment_is_noted_to_the_step() -> None:
             assert "ALARM:4" in said or found or trial.place is None, f"bytecode {at}: {said}"
 
 
-def test_a_stop_that_does_not_hold_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What this file is worth: the machine as it was."""
+def test_a_stop_without_effect_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Proof that the check works, with the fault of an earlier version."""
     start = SimEngine.start
 
     def start_anyway(engine: SimEngine) -> None:
@@ -315,7 +318,7 @@ def test_a_stop_that_does_not_hold_is_found(monkeypatch: pytest.MonkeyPatch) -> 
             Trial(SCENARIOS[0], at, "limit_x").run()
 
 
-def test_a_tool_that_is_not_killed_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tool_that_stays_on_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SimPort, "kill", lambda _port: None)
     scenario = SCENARIOS[1]
     with pytest.raises(AssertionError, match="outputs are on"):

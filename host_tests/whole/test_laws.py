@@ -22,11 +22,11 @@ from motion.kinematics import COREXY
 from rig_bench import Machine
 from ugrbl.sim.engine import Switch
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(4)
 
 SECOND_Y = (0x001, 0x002, 0x004, 0x200)
-EIGHT_MOTORS = (*(1 << axis for axis in range(6)), 0x001, 0x200)  # a second Y turns round
+EIGHT_MOTORS = (*(1 << axis for axis in range(6)), 0x001, 0x200)  # the second Y is reversed
 fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
 
 
@@ -136,7 +136,7 @@ def test_an_override_too_late_to_brake_for_keeps_every_law() -> None:
 
 
 def cruising(bench: Bench, axis: int) -> "list[int]":
-    """Ticks of the middle half of an axis' pulses."""
+    """Return the ticks of the middle half of an axis' pulses."""
     bench.finish()
     rows = [(segment.start, segment.row) for segment in bench.watch.made]
     ticks = [tick for tick, _ in pulses(rows, axis)]
@@ -214,14 +214,14 @@ def test_random_programs_keep_every_law(axes: int, data) -> None:
     bench.check()
 
 
-# Far ahead
+# Lookahead
 
 steps = st.floats(-0.3, 0.3).map(lambda x: round(x, 3))
 ways = st.lists(st.tuples(steps, steps, st.sampled_from([300.0, 6000.0, 0.0])), max_size=60)
 
 
 def walk(way):
-    """Where moves of these lengths lead."""
+    """Yield the positions after moves of these lengths."""
     x = y = 0.0
     for dx, dy, feed in way:
         x, y = x + dx, y + dy
@@ -230,7 +230,7 @@ def walk(way):
 
 @some(20)
 @given(ways)
-def test_what_is_planned_several_at_once_is_what_is_planned_one_by_one(way) -> None:
+def test_planning_several_lines_at_once_equals_planning_one_by_one(way) -> None:
     at_once, singly = Bench(Limits(), 64), Bench(Limits(), 64)
     for place, feed in walk([(0.1, 0.0, 6000.0)] * 30 + way):
         at_once.line(place, feed)
@@ -243,7 +243,7 @@ def test_what_is_planned_several_at_once_is_what_is_planned_one_by_one(way) -> N
 
 @some(20)
 @given(ways, st.integers(1, 40))
-def test_a_long_ring_that_is_filled_as_it_empties_keeps_every_law(way, each: int) -> None:
+def test_a_long_ring_filled_while_it_empties_keeps_every_law(way, each: int) -> None:
     bench = Bench(Limits(), 64)
     for i, (place, feed) in enumerate(walk([(0.1, 0.0, 6000.0)] * 40 + way)):
         bench.line(place, feed)
@@ -253,8 +253,8 @@ def test_a_long_ring_that_is_filled_as_it_empties_keeps_every_law(way, each: int
     bench.check()
 
 
-def test_a_long_ring_is_not_gone_back_over_for_each_line() -> None:
-    """While speeding up, each new line would change all entries behind it."""
+def test_a_long_ring_is_not_replanned_for_each_line() -> None:
+    """While speeding up, each new line would change all earlier entries."""
     bench = Bench(Limits(), 64)
     passes = 0
     for place, feed in walk([(0.1, 0.0, 6000.0)] * 60):
@@ -298,7 +298,7 @@ def events(bytes_: st.SearchStrategy) -> st.SearchStrategy:
 
 
 def check_position(machine: Machine) -> None:
-    """The report says where the motors are, and the trace how they came there."""
+    """Check that the report agrees with the motors, and the trace with both."""
     physical = machine.physical()
     for i, place in enumerate(machine.reported()):
         assert sum(sign for _, sign in pulses(machine.rows, i)) == physical[i]
@@ -345,14 +345,14 @@ def test_position_is_known_through_jog_cancels(settings_, lines, bytes_) -> None
 
 @pytest.mark.parametrize("at_ms", range(600, 1200, 31))
 @pytest.mark.parametrize("stop", ("\x85", "!"))
-def test_motion_stopped_while_it_brakes_anyway_ends_at_rest(stop: str, at_ms: int) -> None:
+def test_a_stop_during_braking_ends_at_rest(stop: str, at_ms: int) -> None:
     machine = Machine({100: 320.0, 110: 3000.0, 120: 5.0})
     machine.play(["$J=G91X2F2000"], [(at_ms, stop)])
     check_segments(machine.watch)
     check_position(machine)
 
 
-def test_a_program_goes_where_it_should() -> None:
+def test_a_program_ends_at_its_target() -> None:
     machine = Machine({110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0})
     machine.play(["G90G1X3Y4F2000", "G2X5Y4I1", "G0X0Y0"], [(120, "!"), (900, "~")])
     check_pulses(machine.watch, machine.rows)
@@ -360,15 +360,15 @@ def test_a_program_goes_where_it_should() -> None:
     assert max(abs(n) for n in machine.physical()) == 0
 
 
-def test_a_reset_in_motion_keeps_what_was_made() -> None:
+def test_a_reset_in_motion_keeps_the_steps_made() -> None:
     machine = Machine({110: 3000.0, 120: 200.0})
     machine.play(["G1X20F2000"], [(400, "\x18")])
     assert 0 < machine.physical()[0] < 5000
     check_position(machine)
 
 
-def test_a_reset_takes_overrides_back() -> None:
-    waiting = ["G4P9", "(" + 118 * "-" + ")"]  # what follows is not sent before the reset
+def test_a_reset_restores_overrides() -> None:
+    waiting = ["G4P9", "(" + 118 * "-" + ")"]  # the next lines are not sent before the reset
     spans = []
     for before, events in ((waiting, [(100, "\x92\x92\x92\x97"), (300, "\x18")]), ([], [])):
         machine = Machine({110: 6000.0, 120: 1000.0})
@@ -381,7 +381,7 @@ def test_a_reset_takes_overrides_back() -> None:
 # The machine model
 
 
-def test_homing_with_bouncing_switches_ends_where_clean_ones_end() -> None:
+def test_homing_with_bouncing_switches_ends_like_clean_ones() -> None:
     places = []
     for bounces in (0, 3):
         machine = Machine({22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0})

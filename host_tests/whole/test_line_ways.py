@@ -1,4 +1,4 @@
-"""The way of a line through the firmware is as docs/architecture.md has it."""
+"""A line's path through the firmware agrees with docs/architecture.md."""
 
 import subprocess
 import sys
@@ -18,20 +18,20 @@ def printed(*lines: str) -> "list[str]":
 
 
 @pytest.mark.thorough
-def test_the_table_is_that_of_the_docs() -> None:
+def test_the_table_matches_the_docs() -> None:
     assert "\n".join(printed()) in _PAGE.read_text("utf-8")
 
 
-def test_a_word_of_the_users_goes_to_its_handler() -> None:
-    """By custom_codes.py, when motion has ended."""
+def test_a_custom_word_goes_to_its_handler() -> None:
+    """Through custom_codes.py, after motion has ended."""
     found = printed("M100")
     order = ["custom_codes.py: execute", "canon.py: synchronise", "runner.py: run"]
     places = [next(i for i, row in enumerate(found) if row.endswith(name)) for name in order]
     assert places == sorted(places)
 
 
-def test_a_line_that_only_moves_runs_no_python() -> None:
-    """All of these are kernels."""
+def test_a_move_only_line_runs_no_python() -> None:
+    """All of its functions are kernels."""
     found = printed("T1 G90 G1 X4 F600")
     assert not [row for row in found if "interpreter" in row or "protocol" in row]
     assert sum(row.endswith(": scan") for row in found) == 1

@@ -174,7 +174,7 @@ print(allocates(make), flow[layout.TAIL] > 5)
 """
 
 
-def test_what_allocates_is_found() -> None:
+def test_an_allocation_is_found() -> None:
     control = 'x = 1.0\nprint(allocates(lambda: x + 1.5), allocates(lambda: "%d" % 7))'
     assert run_micropython(_BENCH + control, paths=[FIRMWARE]).split() == ["True", "True"]
 
@@ -189,5 +189,5 @@ def test_segments_are_made_without_allocating_through_blocks_and_holds() -> None
     assert run_micropython(_BENCH + _SEGMENTS, paths=[FIRMWARE]).split() == ["False", "True"]
 
 
-def test_segments_are_made_without_allocating_where_jerk_is_limited() -> None:
+def test_segments_are_made_without_allocating_with_jerk_limited() -> None:
     assert run_micropython(_BENCH + _JERK, paths=[FIRMWARE]).split() == ["False", "True"]

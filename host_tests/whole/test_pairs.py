@@ -1,4 +1,5 @@
-"""Extras of ours by twos: a pair is refused in words, or talks, moves and stops as one alone."""
+"""Our extras in pairs: a pair is refused with a message, or answers, moves and stops like one
+alone."""
 
 import itertools
 import re
@@ -23,13 +24,13 @@ from ugrbl.sim.sender import Sender
 _BAD = re.compile(r"ALARM|error|\[MSG:.*Err")
 _EXAMPLES = paths.EXAMPLES / "kinematics"
 _PER_MM = 250
-_UP = 2  # a punch is pulled up
-_SLACK_MM, _SKEW = 0.04, 0.01  # $160; $780 as a share
+_UP = 2  # a punch has a pull-up
+_SLACK_MM, _SKEW = 0.04, 0.01  # $160; $780 as a fraction
 _CUSTOM = "pairs_custom"
 _PLOTTER = load(_EXAMPLES / "my_plotter.py")
 _BRISK = {**dict.fromkeys((110, 111, 112), 2000.0), **dict.fromkeys((120, 121, 122), 500.0)}
 
-# What a board file says for each extra, by its module. axes: more letters; second: motors.
+# A board file's options for each extra, by its module. axes: more letters; second: motors.
 _ASKED: "dict[str, dict[str, Any]]" = {
     "net.net_access": {"LINK": "wifi"},
     "dialects.dialect_09": {"DIALECT": "0.9j"},
@@ -64,7 +65,7 @@ _PUNCH = {
 
 
 def _go_together(pair: "tuple[str, str]") -> bool:
-    """No option is asked to be two things."""
+    """Return whether no option needs two different values."""
     one, other = (_ASKED[name] for name in pair)
     return all(one[word] == other[word] for word in one.keys() & other.keys() - {"defaults"})
 
@@ -73,7 +74,7 @@ _PAIRS = [pair for pair in itertools.combinations(_ASKED, 2) if _go_together(pai
 
 
 def board(*extras: str) -> ModuleType:
-    """The simulator's, with these."""
+    """Return the simulator's board with these extras."""
     words: "dict[str, Any]" = {"defaults": dict(_BRISK)}
     for extra in extras:
         defaults = {**words["defaults"], **_ASKED[extra].get("defaults", {})}
@@ -99,7 +100,7 @@ def board(*extras: str) -> ModuleType:
 
 
 class Bench:
-    """A machine with these extras, and what comes of a short conversation."""
+    """A machine with these extras, and the results of a short conversation."""
 
     def __init__(self, patch: pytest.MonkeyPatch, *extras: str) -> None:
         made = board(*extras)
@@ -170,7 +171,8 @@ def _on_network(rig: Rig) -> RigLink:
 
 
 def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
-    """Of each motor, 1 mm along X, 2 mm along Y, and half of X back, where its slack begins."""
+    """Return each motor's steps for 1 mm along X, 2 mm along Y, and half of X back with its
+    backlash."""
     x, y, z = 0.5, 2.0, 0.0
     if "motors.backlash" in extras:
         x -= _SLACK_MM
@@ -184,7 +186,7 @@ def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
     return [round(each * _PER_MM) for each in mm + [0.0] * (motors - len(mm))]
 
 
-def test_every_extra_of_ours_is_here() -> None:
+def test_every_extra_is_tested_here() -> None:
     ours = {module for _, module in select_extras._ORDER if module}
     ours |= {
         module for words in select_extras.WORDS.values() for module in words.values() if module
@@ -205,7 +207,7 @@ def place_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.sampled(12)
 @pytest.mark.parametrize("pair", _PAIRS, ids=lambda pair: "-".join(n.split(".")[-1] for n in pair))
-def test_two_extras_are_refused_in_words_or_work_together(
+def test_two_extras_are_refused_with_a_message_or_work_together(
     pair: "tuple[str, str]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     try:

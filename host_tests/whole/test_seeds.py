@@ -1,4 +1,4 @@
-"""What the guides of ../shared/seeds promise, one promise after the other: see docs/seeds.md.
+"""The promises of the guides in ../shared/seeds, one by one: see docs/seeds.md.
 
 A promise is a conversation. Its board is the one whose Grbl the document describes.
 """
@@ -15,7 +15,7 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(15)
 
 _TABLE = Path(__file__).parents[2] / "docs" / "seeds.md"
@@ -27,12 +27,12 @@ _FAST = ("$110=6000", "$111=6000", "$112=6000", "$120=500", "$121=500", "$122=50
 _ZERO = "0.000,0.000,0.000"
 _SYSTEMS = [f"[G{n}:{_ZERO}]" for n in (*range(54, 60), 28, 30, 92)]
 
-# Sent, and what comes back; None: nothing that is looked at.
+# Text sent, and the expected answer; None: any answer.
 Said = tuple[str, list[str] | None]
 
 
 class Promise(NamedTuple):
-    """name: as in docs/seeds.md, behind the document's number."""
+    """name: as in docs/seeds.md, after the document's number."""
 
     name: str
     talk: tuple[Said, ...]
@@ -42,7 +42,7 @@ class Promise(NamedTuple):
 
 
 def each(lines: "str", reply: "list[str]" = _OK) -> "tuple[Said, ...]":
-    """Lines, parted by spaces, that all get the same reply."""
+    """Return lines, separated by spaces, that all get the same reply."""
     return tuple((line, reply) for line in lines.split())
 
 
@@ -515,7 +515,7 @@ def _talk(promise: Promise, rig: Rig) -> "Iterator[Any]":
     for text, reply in promise.talk:
         yield from _say(rig, sender, text)
         if reply and "[MSG:Reset to continue]" in reply:
-            yield from sender.wait("ms 600", "")  # half a second behind the alarm
+            yield from sender.wait("ms 600", "")  # half a second after the alarm
         got = sender.take()
         if reply is not None:
             assert len(got) == len(reply), f"{text!r}: {got}"
@@ -541,7 +541,7 @@ def _say(rig: Rig, sender: Sender, text: str) -> "Iterator[Any]":
 
 
 def keep(promise: Promise) -> Rig:
-    """Have the conversation; what is not as promised raises AssertionError."""
+    """Run the conversation; raise AssertionError if an answer differs from the promise."""
     module = load_board(promise.board)
     store = factory_store(module)
     file = next(name for name in store.files if name.startswith("settings"))
@@ -571,7 +571,7 @@ def _named(name: str) -> Promise:
     return next(promise for promise in _PROMISES if promise.name == name)
 
 
-def test_a_dwell_takes_as_long_as_it_says() -> None:
+def test_a_dwell_takes_its_time() -> None:
     for name, least in (
         ("000 a dwell may be longer than 6 s", 6500),
         ("003 G4 in seconds, and not less than none", 2500),
@@ -580,18 +580,18 @@ def test_a_dwell_takes_as_long_as_it_says() -> None:
         assert least < rig.now / rig.ticks_per_ms < least + 500
 
 
-def test_a_feed_is_cut_to_the_highest_rate() -> None:
+def test_a_feed_is_limited_to_the_highest_rate() -> None:
     """A millimetre at 500 mm/min and 10 mm/s2 takes 0.63 s, at any F."""
     slow = _named("000 F above the highest rate is cut to it")._replace(settings=("$120=500",))
     rig = keep(slow)
     assert rig.now / rig.ticks_per_ms > 60_000 / 500
 
 
-def test_a_jog_is_reported_as_one_and_a_hold_forgets_those_that_wait() -> None:
+def test_a_jog_is_reported_and_a_hold_discards_waiting_jogs() -> None:
     rig = keep(_named("004 only at rest or in a jog, and not mixed with G-code"))
     assert rig.controller.state.run in (st.IDLE, st.RUN)
 
 
-def test_the_table_of_the_documents_has_them_all() -> None:
+def test_the_documents_table_lists_all_promises() -> None:
     text = _TABLE.read_text(encoding="utf-8")
     assert [promise.name for promise in _PROMISES if promise.name[4:] not in text] == []

@@ -1,8 +1,8 @@
-"""What the code of senders demands of a Grbl, sender by sender, on the rig in virtual time.
+"""What the code of senders requires of a Grbl, sender by sender, on the rig in virtual time.
 
-These senders cannot run here. What they do with each line is known from their sources and from
-what they were seen to send and take at a real Grbl 1.1h; the patterns below are theirs. Those
-that can run here are tested for real: `make test-senders`.
+These senders cannot run here. Their handling of each line is known from their sources, and from
+what they sent to and read from a real Grbl 1.1h; the patterns below are theirs. Senders that can
+run here are tested for real: `make test-senders`.
 """
 
 import re
@@ -36,13 +36,13 @@ class Talk:
         self.lines: list[str] = []
 
     def send(self, data: str, wait: str = "ok") -> Steps:
-        """Send, wait as conversations do; what came is in `lines`."""
+        """Send, wait as conversations do; the lines received are in `lines`."""
         self.sender.allow(_PATIENCE_MS)
         yield from self.sender.wait(wait, data)
         self.lines = [line for line in self.sender.take() if line]
 
     def after(self, milliseconds: float) -> Steps:
-        """What has come when so much time has passed."""
+        """Wait this time, and collect the lines received."""
         yield self.rig.ms(milliseconds)
         self.lines = [line for line in self.sender.take() if line]
 
@@ -55,12 +55,12 @@ class Talk:
             yield self.rig.ms(50)
 
     def report(self) -> str:
-        """The last status report."""
+        """Return the last status report."""
         return [line for line in self.lines if line.startswith("<")][-1]
 
 
 def converse(steps: Callable[[Talk], Steps], **settings: float) -> None:
-    """Switch a machine on, wait for its banner, and talk. settings: `S22=1`."""
+    """Switch a machine on, wait for its banner, and run the steps. settings: `S22=1`."""
     store = factory_store(_BOARD)
     kept = dict(line.split("=") for line in store.files["settings"])
     kept |= {f"${name[1:]}": f"{value:g}" for name, value in settings.items()}
@@ -85,7 +85,7 @@ _LONG = "G91 G1 X40 F600\n"  # four seconds of motion
 # UGS: GrblUtils, GrblCommunicator, GrblControllerInitializer
 
 
-def test_ugs_gets_a_banner_it_takes_for_grbl() -> None:
+def test_ugs_recognises_the_banner() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("\x18", "banner")
         assert talk.lines[0].startswith("Grbl ")
@@ -103,13 +103,13 @@ def test_ugs_gets_a_status_report_before_anything_else() -> None:
 
 
 @pytest.mark.parametrize("state", ["Alarm", "Hold:0"])
-def test_ugs_gets_an_answer_to_an_empty_line_in_any_state_it_may_find(state: str) -> None:
+def test_ugs_gets_an_answer_to_an_empty_line_in_any_initial_state(state: str) -> None:
     def steps(talk: Talk) -> Steps:
         if state == "Hold:0":
             yield from talk.send("!", "ms 100")
         yield from talk.send("?", "report")
         assert talk.report().startswith(f"<{state}|")
-        if state == "Alarm":  # held, a machine answers no lines: there it sends a reset
+        if state == "Alarm":  # a held machine answers no lines: UGS sends a reset there
             yield from talk.send("\n")
             assert talk.lines == ["ok"]
         else:
@@ -145,7 +145,7 @@ def test_ugs_can_start_up_from_version_settings_and_modes() -> None:
     converse(steps)
 
 
-def test_ugs_can_keep_128_bytes_under_way() -> None:
+def test_ugs_can_keep_128_bytes_unanswered() -> None:
     line = "G1X1.25Y2.5F600\n"
     count = 128 // len(line)
 
@@ -159,7 +159,7 @@ def test_ugs_can_keep_128_bytes_under_way() -> None:
 # gSender: src/server/lib/Connection.js
 
 
-def test_gsender_finds_grbl_and_not_grblhal_in_what_it_hears_first() -> None:
+def test_gsender_recognises_grbl_and_not_grblhal() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$I\n")
         text = "\n".join(talk.lines)
@@ -169,7 +169,7 @@ def test_gsender_finds_grbl_and_not_grblhal_in_what_it_hears_first() -> None:
     converse(steps)
 
 
-def test_gsender_finds_a_machine_that_greeted_before_it_came() -> None:
+def test_gsender_recognises_a_machine_that_has_greeted_before() -> None:
     """It asks for $I five times, 800 ms apart; each is answered with an ok."""
 
     def steps(talk: Talk) -> Steps:
@@ -182,7 +182,7 @@ def test_gsender_finds_a_machine_that_greeted_before_it_came() -> None:
     converse(steps)
 
 
-def test_gsender_gets_a_banner_for_its_reset_of_a_locked_machine() -> None:
+def test_gsender_gets_a_banner_after_resetting_a_locked_machine() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("\x18", "banner")
         assert talk.lines[0] == _BANNER
@@ -193,7 +193,7 @@ def test_gsender_gets_a_banner_for_its_reset_of_a_locked_machine() -> None:
     converse(steps, S22=1)
 
 
-def test_gsender_can_follow_the_free_bytes_of_reports() -> None:
+def test_gsender_can_rely_on_the_free_bytes_of_reports() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("?", "report")
         free = re.search(r"\|Bf:(\d+),(\d+)", talk.report())
@@ -210,7 +210,7 @@ def test_gsender_can_follow_the_free_bytes_of_reports() -> None:
 # LightBurn
 
 
-def test_lightburn_gets_the_banner_and_the_settings_it_reads_its_bed_from() -> None:
+def test_lightburn_gets_the_banner_and_the_settings_of_its_bed() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("\x18", "banner")
         assert talk.lines[0] == _BANNER
@@ -224,13 +224,13 @@ def test_lightburn_gets_the_banner_and_the_settings_it_reads_its_bed_from() -> N
     converse(steps)
 
 
-def test_lightburn_can_fire_with_m4_at_a_power_that_follows_the_speed() -> None:
+def test_lightburn_can_burn_with_m4_at_speed_dependent_power() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("M4 S500\nG91 G1 X20 F1200\n", "ms 400")
         assert answers(talk.lines) == ["ok", "ok"]
         assert 0 < talk.rig.port.spindle_pwm < 200
         yield from talk.settle()
-        assert talk.rig.port.spindle_pwm == 0  # dark when at rest
+        assert talk.rig.port.spindle_pwm == 0  # off at rest
 
     converse(steps, S32=1, **_FAST)
 
@@ -263,7 +263,7 @@ def test_lightburn_streams_a_raster_by_character_counting() -> None:
 # LaserGRBL: LaserGRBL/Core/GrblCore.cs
 
 
-def test_lasergrbl_reads_the_version_from_fixed_places_after_its_reset() -> None:
+def test_lasergrbl_reads_the_version_at_fixed_columns_after_its_reset() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("\x18", "banner")
         banner = talk.lines[0]
@@ -273,7 +273,7 @@ def test_lasergrbl_reads_the_version_from_fixed_places_after_its_reset() -> None
     converse(steps)
 
 
-def test_lasergrbl_may_use_the_receive_buffer_to_the_last_byte_it_is_told_of() -> None:
+def test_lasergrbl_may_fill_the_reported_receive_buffer_to_the_last_byte() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$I\n")
         size = int(re.search(r"\[OPT:.*,(\d+)]", "\n".join(talk.lines))[1])
@@ -290,8 +290,8 @@ def test_lasergrbl_may_use_the_receive_buffer_to_the_last_byte_it_is_told_of() -
 
 
 @pytest.mark.parametrize("source", ["firmware/base/errors.py", "firmware/talk/report.py"])
-def test_lasergrbl_and_candle_find_no_ok_in_anything_but_an_answer(source: str) -> None:
-    """For both, a line with "ok" in it answers a command; case does not matter to the first."""
+def test_lasergrbl_and_candle_find_ok_only_in_answers(source: str) -> None:
+    """For both, a line with "ok" in it answers a command; LaserGRBL ignores case."""
     text = (paths.FIRMWARE.parent / source).read_text(encoding="utf-8")
     messages = re.findall(r'^MSG_\w+ = "([^"]*)"', text, re.MULTILINE)
     messages += re.findall(r'b"(\[[^"]*|\\r\\nGrbl[^"]*)"', text)
@@ -300,7 +300,7 @@ def test_lasergrbl_and_candle_find_no_ok_in_anything_but_an_answer(source: str) 
         assert "ok" not in message.lower() and "error" not in message.lower(), message
 
 
-def test_lasergrbl_and_candle_find_no_ok_in_what_a_machine_says_unasked() -> None:
+def test_lasergrbl_and_candle_find_no_ok_in_unsolicited_lines() -> None:
     def steps(talk: Talk) -> Steps:
         heard: list[str] = []
         for data, wait in (
@@ -332,7 +332,7 @@ def test_lasergrbl_accepts_the_buffer_state_of_reports() -> None:
     converse(steps, S10=3)
 
 
-def test_lasergrbl_may_resend_a_line_that_was_refused() -> None:
+def test_lasergrbl_may_resend_a_refused_line() -> None:
     def steps(talk: Talk) -> Steps:
         for _ in range(3):
             yield from talk.send("G1 X1\n")  # no feed rate yet
@@ -346,7 +346,7 @@ def test_lasergrbl_may_resend_a_line_that_was_refused() -> None:
 # Candle: frmmain.cpp, serialportconnection.cpp
 
 
-def test_candle_may_end_lines_with_a_carriage_return_alone() -> None:
+def test_candle_may_end_lines_with_only_a_carriage_return() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$G\rG91\rG0X1\r")
         assert answers(talk.lines) == ["ok"] * 3
@@ -354,8 +354,8 @@ def test_candle_may_end_lines_with_a_carriage_return_alone() -> None:
     converse(steps)
 
 
-def test_candle_always_hears_the_banner_after_a_reset() -> None:
-    """It ignores everything until then, so the banner comes in every state."""
+def test_candle_always_gets_the_banner_after_a_reset() -> None:
+    """It ignores everything until then, so the banner must come in every state."""
     reset = re.compile(r"^GRBL|GCARVIN\s\d\.\d.")
 
     def steps(talk: Talk) -> Steps:
@@ -380,7 +380,7 @@ def test_candle_reads_settings_joined_with_semicolons() -> None:
     converse(steps)
 
 
-def test_candle_may_keep_127_bytes_under_way() -> None:
+def test_candle_may_keep_127_bytes_unanswered() -> None:
     line = "G1X1.25Y2.50F600\r"
     count = 127 // len(line)
 
@@ -394,7 +394,7 @@ def test_candle_may_keep_127_bytes_under_way() -> None:
 # ioSender
 
 
-def test_iosender_finds_nothing_of_grblhal_in_the_build_info() -> None:
+def test_iosender_finds_no_trace_of_grblhal_in_the_build_info() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$I\n")
         assert not any("FIRMWARE" in line or "NEWOPT" in line for line in talk.lines)
@@ -402,7 +402,7 @@ def test_iosender_finds_nothing_of_grblhal_in_the_build_info() -> None:
     converse(steps)
 
 
-def test_iosender_may_use_nine_tenths_of_the_buffer_it_is_told_of() -> None:
+def test_iosender_may_use_nine_tenths_of_the_reported_buffer() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$I\n")
         size = int(talk.lines[1].rstrip("]").split(",")[2])
@@ -414,12 +414,12 @@ def test_iosender_may_use_nine_tenths_of_the_buffer_it_is_told_of() -> None:
     converse(steps)
 
 
-# What they all demand: PLATFORM.md D1 and D3, and what was seen on the wire
+# Requirements of all senders: PLATFORM.md D1 and D3, and observations on the wire
 
 
-def test_every_sender_gets_one_ok_for_each_line_end_as_from_grbl() -> None:
+def test_every_sender_gets_one_ok_for_each_line_end_like_from_grbl() -> None:
     def steps(talk: Talk) -> Steps:
-        yield from talk.send("\r\n\r\n")  # stream.py opens with this, and takes four
+        yield from talk.send("\r\n\r\n")  # stream.py begins with this, and reads four
         assert talk.lines == ["ok"] * 4
         yield from talk.send("\n")
         assert talk.lines == ["ok"]
@@ -440,8 +440,8 @@ def test_every_sender_gets_its_status_within_50_ms(before: str) -> None:
     converse(steps, **_FAST)
 
 
-def test_every_sender_gets_its_status_when_homing_ends_at_the_latest() -> None:
-    """Grbl itself is silent while it homes."""
+def test_every_sender_gets_its_status_at_the_end_of_homing_at_the_latest() -> None:
+    """Grbl itself is silent while homing."""
 
     def steps(talk: Talk) -> Steps:
         for letter, axis in zip("xyz", range(3)):
@@ -469,7 +469,7 @@ def test_every_sender_finds_its_work_offset_in_the_first_ten_reports() -> None:
     converse(steps)
 
 
-def test_cncjs_finds_no_more_than_six_numbers_in_a_field() -> None:
+def test_cncjs_finds_at_most_six_numbers_in_a_field() -> None:
     def steps(talk: Talk) -> Steps:
         for _ in range(12):
             yield from talk.send("?", "report")
@@ -479,7 +479,7 @@ def test_cncjs_finds_no_more_than_six_numbers_in_a_field() -> None:
     converse(steps, S10=3)
 
 
-def test_every_sender_may_write_settings_at_rest_and_never_in_motion() -> None:
+def test_every_sender_may_write_settings_while_idle_and_never_in_motion() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$110=2000\n")
         assert talk.lines == ["ok"]
@@ -490,8 +490,9 @@ def test_every_sender_may_write_settings_at_rest_and_never_in_motion() -> None:
     converse(steps, **_FAST)
 
 
-def test_a_sender_that_connects_in_motion_learns_all_it_asks_for() -> None:
-    """UGS, gSender and OpenBuilds ask for these, and take a refusal for another controller."""
+def test_a_sender_that_connects_in_motion_gets_all_its_answers() -> None:
+    """UGS, gSender and OpenBuilds ask for these; after a refusal they assume another
+    controller."""
 
     def steps(talk: Talk) -> Steps:
         for line, begins in (("$I", "[VER:"), ("$$", "$0="), ("$#", "[G54:"), ("$N", "$N0=")):
@@ -520,18 +521,18 @@ def test_bcnc_and_cncjs_may_send_overrides_as_utf8() -> None:
     converse(steps)
 
 
-def test_every_realtime_byte_leaves_the_line_it_falls_into_alone() -> None:
+def test_every_realtime_byte_leaves_the_surrounding_line_intact() -> None:
     def steps(talk: Talk) -> Steps:
         for byte in range(0x80, 0x100):
-            if byte != 0x84:  # the door, after which nothing is answered
+            if byte != 0x84:  # the door: nothing is answered after it
                 yield from talk.send(f"G9{chr(byte)}0\n")
                 assert talk.lines == ["ok"], hex(byte)
 
     converse(steps)
 
 
-def test_bcnc_sees_no_start_button_that_is_not_pressed() -> None:
-    """It begins to stream at an S in Pn: while idle."""
+def test_bcnc_sees_the_start_button_only_while_pressed() -> None:
+    """While idle, bCNC begins to stream if there is an S in Pn:."""
 
     def steps(talk: Talk) -> Steps:
         for _ in range(12):
@@ -544,7 +545,7 @@ def test_bcnc_sees_no_start_button_that_is_not_pressed() -> None:
     converse(steps)
 
 
-def test_bcnc_may_jog_faster_than_the_machine_can() -> None:
+def test_bcnc_may_jog_with_a_feed_above_the_machines() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("$J=G91 X5Y5 F100000\n")
         assert talk.lines == ["ok"]
@@ -571,7 +572,7 @@ def test_bcnc_may_begin_with_empty_lines_and_end_with_a_purge() -> None:
     converse(steps, **_FAST)
 
 
-def test_grbl_streamer_may_put_149_bytes_under_way_while_the_machine_takes_them() -> None:
+def test_grbl_streamer_may_send_149_bytes_while_the_machine_reads() -> None:
     line = "G1X0.5F600\n"
 
     def steps(talk: Talk) -> Steps:
@@ -581,8 +582,8 @@ def test_grbl_streamer_may_put_149_bytes_under_way_while_the_machine_takes_them(
     converse(steps, **_FAST)
 
 
-def test_simple_stream_gets_no_line_it_has_not_asked_for() -> None:
-    """It takes whatever line comes for the answer."""
+def test_simple_stream_gets_no_unsolicited_line() -> None:
+    """It takes any line for the answer."""
 
     def steps(talk: Talk) -> Steps:
         for line in ("G21", "G91", "G0 X1", "M3 S100", "G1 Y1 F500", "M5", "G4 P0.1", "G90"):

@@ -1,10 +1,9 @@
-"""The beginning of a day with UGS and with Candle, over TCP, as far as their code tells of it.
+"""The beginning of a day with UGS and with Candle over TCP, according to their code.
 
 Neither is installed by these tests: UGS is not in the registries of CNCjs and bCNC, and Candle is
-a program with a window. What they send, how long they wait, and what they make of what comes is
-known from their sources (UGS: GrblController, GrblControllerInitializer, GrblUtils; Candle:
-frmmain, telnetconnection), and of Candle from what it was seen to say; what is here is written
-anew.
+a program with a window. What they send, how long they wait, and how they parse is known from their
+sources (UGS: GrblController, GrblControllerInitializer, GrblUtils; Candle: frmmain,
+telnetconnection), and for Candle also from observation; the code here is our own.
 """
 
 import re
@@ -19,14 +18,14 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 
-# Real processes in real time: the first ring takes one.
+# Real processes in real time: the first ring runs one.
 pytestmark = pytest.mark.thorough
 
 _BANNER = re.compile(r"Grbl \d\.\d[a-z]")
 
 
 class Wire:
-    """A TCP connection to a simulator of its own, with all that has come by line and time."""
+    """A TCP connection to its own simulator, with all lines received and their times."""
 
     def __init__(self, folder: Path, settings: str) -> None:
         file = folder / "machine.settings"
@@ -51,7 +50,7 @@ class Wire:
         self._socket.sendall(data)
 
     def listen(self, seconds: float, done: Callable[..., bool] = lambda: False) -> bool:
-        """Take in what comes, for so long, or until it is done; returns whether it is."""
+        """Read for this time, or until it is done; return whether it is."""
         until = time.monotonic() + seconds
         while not done():
             left = until - time.monotonic()
@@ -68,18 +67,18 @@ class Wire:
         return True
 
     def ask(self, line: bytes, seconds: float) -> list[str]:
-        """What comes for a line, its answer last; within so many seconds."""
+        """Send a line; return what comes up to its answer, within this time."""
         before = len(self.lines)
         self.send(line)
         assert self.listen(seconds, lambda: self.lines[before:][-1:] in (["ok"], ["error:9"]))
         return self.lines[before:]
 
     def banners(self) -> list[float]:
-        """When a welcome came, each time."""
+        """Return the times of all welcomes."""
         return [at for at, line in zip(self.times, self.lines) if _BANNER.match(line)]
 
     def forget(self) -> None:
-        """Lets go of the lines that have come."""
+        """Discard the lines received."""
         self.lines.clear()
         self.times.clear()
 
@@ -99,21 +98,23 @@ def wire(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Wire]:
 @pytest.mark.parametrize(
     ("wire", "state"), [("$110=3000\n", "Idle"), ("$22=1\n", "Alarm")], indirect=["wire"]
 )
-def test_ugs_begins_once_and_learns_all_it_needs(wire: Wire, state: str) -> None:
-    """A welcome makes it begin, unless it has noted that it has: by itself, soon after opening.
-    Then it is silent for 2 s, asks for the state ten times at most, is silent for 2 s, and takes
-    no more than 2 s for each answer.
+def test_ugs_initialises_once_and_gets_all_its_answers(wire: Wire, state: str) -> None:
+    """UGS initialises after a welcome, unless it has already done so by itself soon after opening.
+
+    Then it is silent for 2 s, asks for the state at most ten times, is silent for 2 s, and waits
+    at
+    most 2 s for each answer.
     """
     wire.listen(2.0)
     asked = 0
     while not (reports := [line for line in wire.lines if line.startswith("<")]):
-        assert asked < 10, "it gives up"
+        assert asked < 10, "UGS gives up"
         wire.send(b"?")
         asked += 1
         wire.listen(1.0, lambda: any(line.startswith("<") for line in wire.lines))
     assert re.match(rf"<{state}\|MPos:[-\d.,]+\|FS:\d+,\d+", reports[0])
     if state == "Alarm":
-        assert wire.ask(b"\n", 2.0)[-1] == "ok", "or it would reset the machine and begin anew"
+        assert wire.ask(b"\n", 2.0)[-1] == "ok", "or UGS would reset the machine and start again"
     wire.listen(2.0)
     version = wire.ask(b"$I\n", 2.0)
     assert re.match(r"\[VER:1\.1h\.\d{8}:", version[0]) and version[1].startswith("[OPT:V")
@@ -121,14 +122,16 @@ def test_ugs_begins_once_and_learns_all_it_needs(wire: Wire, state: str) -> None
     assert len(settings) == 34 and all(re.match(r"\$\d+=[\d.]+$", line) for line in settings)
     assert wire.ask(b"$G\n", 2.0)[0].startswith("[GC:G0 G54 ")
     (welcomed,) = wire.banners()
-    assert 0.2 < welcomed < 2.0, "after it has begun, and before it asks"
+    assert 0.2 < welcomed < 2.0, "after UGS has opened the port, and before it asks"
     assert not [line for line in wire.lines if line.startswith("error")]
 
 
 def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
-    """It asks for reports at once, each when the last has been answered. A second after it has
-    connected it resets, and ignores all but the welcome until then. Of a line's reply it makes
-    one text, which ends where "ok" or "error" stands. So it was seen to do: version 11.6.
+    """Candle asks for reports at once, each after the answer to the last.
+
+    A second after connecting it resets, and ignores everything except the welcome until then. It
+    joins
+    the lines of a reply into one text, which ends at "ok" or "error". Observed with version 11.6.
     """
     for count in range(10):
         wire.send(b"?")
@@ -138,7 +141,7 @@ def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
     wire.forget()
     wire.send(b"\x18")
     assert wire.listen(3.0, lambda: bool(wire.banners()))
-    wire.forget()  # also what the reset came too late for
+    wire.forget()  # also output from before the reset
     wire.send(b"$$\n$#\n")  # in one piece
     assert wire.listen(2.0, lambda: wire.lines.count("ok") == 2)
     settings, offsets, _ = "; ".join(wire.lines).split("ok")
@@ -151,11 +154,11 @@ def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
     wire.send(b"?")
     wire.listen(1.0, lambda: wire.lines[-1].startswith("<"))
     assert re.search(r"MPos:([^,]*),([^,]*),([^,>|]*)", wire.lines[-1])
-    assert not wire.banners(), "the one behind the reset was the last"
+    assert not wire.banners(), "the welcome after the reset was the last"
 
 
 def _stream(wire: Wire, lines: list[bytes]) -> None:
-    """Lines with no more than 127 bytes under way, and reports between their answers."""
+    """Send lines with at most 127 bytes unanswered, and ask for reports in between."""
     under_way: deque[int] = deque()
     sent = answered = looked = 0
     asked = time.monotonic()
@@ -168,7 +171,7 @@ def _stream(wire: Wire, lines: list[bytes]) -> None:
         if time.monotonic() - asked > 0.04:
             asked = time.monotonic()
             wire.send(b"?")
-        assert wire.listen(5.0, lambda seen=looked: len(wire.lines) > seen), "it stands still"
+        assert wire.listen(5.0, lambda seen=looked: len(wire.lines) > seen), "no answer comes"
         for line in wire.lines[looked:]:
             assert line.startswith("<") or line == "ok", line
             if line == "ok":

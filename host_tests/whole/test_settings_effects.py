@@ -1,7 +1,7 @@
 """Every setting by its effect: as shipped, after $n=, reset, power-up, $RST=$ and $RST=*.
 
-A row of _EFFECTS says how a setting is seen on the simulated machine, what is seen of its default
-and what of another value. A row of the settings table without one is a failure.
+A row of _EFFECTS gives the observation on the simulated machine, the result for the default, and
+the result for another value. A row of the settings table without one is a failure.
 """
 
 import math
@@ -28,8 +28,8 @@ pytestmark = pytest.mark.usefixtures("each_ms")
 _AXES = "XYZ"
 _PER_MM = 250
 _TICKS_PER_MS = 13_107.2
-_ENDS_STEPS = 500  # limit switches, from where the machine is switched on
-# The board's defaults: Grbl's, but for tests that need not wait.
+_ENDS_STEPS = 500  # limit switches, from the position at power-up
+# The board's defaults: Grbl's, except for shorter waits.
 _BRISK = {120: 500, 121: 500, 122: 500, 130: 10, 131: 10, 132: 10}
 _HOMED = {22: 1}
 
@@ -38,7 +38,7 @@ Row = tuple[int, float, dict[int, float], Look, object, object]
 
 
 class Bench:
-    """A simulated machine with its own defaults, and someone who talks to it."""
+    """A simulated machine with its own defaults, and a sender."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class Bench:
         self._drive(levels)
 
     def run(self, script: "Iterator[Any]") -> None:
-        """Run it; what fails in the script is raised here."""
+        """Run the script; raise its exception here."""
         failed: list[BaseException] = []
 
         def guarded() -> Iterator[Any]:
@@ -104,34 +104,34 @@ class Bench:
             assert (yield from self.say(what + "\n")) == ["ok"]
 
     def unlock(self) -> "Iterator[Any]":
-        """Ready for G-code."""
+        """Make the machine accept G-code."""
         assert (yield from self.say("$X\n"))[-1] == "ok"
 
     def recover(self) -> "Iterator[Any]":
-        """After an alarm."""
-        yield self.rig.ms(600)  # an alarm is deaf for 500
+        """Reset and unlock after an alarm."""
+        yield self.rig.ms(600)  # an alarm ignores input for 500
         yield from self.say("\x18", "banner")
         yield from self.unlock()
 
     def report(self) -> "Iterator[Any]":
-        """The fields of a status report, by name."""
+        """Return the fields of a status report, by name."""
         fields = (yield from self.say("?", "report"))[-1][1:-1].split("|")[1:]
         return dict(field.split(":") for field in fields)
 
     def place(self) -> "list[int]":
-        """Where the motors are, in steps."""
+        """Return the motors' position, in steps."""
         self.rig.engine.physical(self.rig.scratch)
         return list(self.rig.scratch)
 
     def move(self, *lines: str) -> "Iterator[Any]":
-        """Make these moves and come to rest; self.rows has the segments they were made of."""
+        """Make these moves and come to rest; self.rows then has their segments."""
         self.rows.clear()
         for line in lines[:-1]:
             assert (yield from self.say(line + "\n", "ok")) == ["ok"]
         return (yield from self.say(lines[-1] + "\n"))
 
     def speed_mm_min(self, rows: "Sequence[tuple[int, array[int]]]", axis: int) -> int:
-        """The speed that an axis has for most of the time, to 5 mm/min."""
+        """Return the speed that an axis has for most of the time, to 5 mm/min."""
         base = ROW_AXES + ROW_STRIDE * axis
         rates = sorted(
             (row[base] / row[ROW_TICKS], row[ROW_TICKS]) for _, row in rows if row[ROW_TICKS]
@@ -144,7 +144,7 @@ class Bench:
         return 5 * round(per_tick * _TICKS_PER_MS * 60_000 / _PER_MM / 5)
 
     def legs(self) -> "list[list[tuple[int, array[int]]]]":
-        """The segments, cut where the machine stood still."""
+        """Return the segments, split where the machine stood still."""
         legs: list[list[tuple[int, array[int]]]] = []
         end = -1
         for start, row in self.rows:
@@ -155,11 +155,11 @@ class Bench:
         return legs
 
 
-# How settings are seen
+# Observations of settings
 
 
 def _handed(which: int) -> Look:
-    """What the engine has been told: its own tests show what comes of it at the pins."""
+    """Return a value given to the engine: its own tests show the effect at the pins."""
 
     def look(bench: Bench) -> Iterator[Any]:
         yield bench.rig.now
@@ -169,7 +169,7 @@ def _handed(which: int) -> Look:
 
 
 def _ways(bench: Bench) -> Iterator[Any]:
-    """Where the motors go."""
+    """Return the motors' directions."""
     before = bench.place()
     yield from bench.move("G91G0X0.1Y0.1Z0.1")
     moved = [now - then for now, then in zip(bench.place(), before, strict=True)]
@@ -178,7 +178,7 @@ def _ways(bench: Bench) -> Iterator[Any]:
 
 
 def _released_ms(bench: Bench) -> Iterator[Any]:
-    """How long motors are powered after a motion, to 5 ms."""
+    """Return how long motors stay enabled after a motion, to 5 ms."""
     yield from bench.say("G91G0Z0.1\n", "ok")
     yield bench.rig.moving
     yield lambda: not bench.rig.moving()
@@ -202,7 +202,7 @@ def _pins(bench: Bench) -> Iterator[Any]:
 
 
 def _probing(bench: Bench) -> Iterator[Any]:
-    """Probing, with nothing there: alarm, and the steps made."""
+    """Probe without contact; return the alarm and the steps made."""
     before = bench.place()[2]
     lines = yield from bench.say("G91G38.3Z0.2F300\n")
     alarm = lines[0] if lines[0].startswith("ALARM") else ""
@@ -214,7 +214,7 @@ def _probing(bench: Bench) -> Iterator[Any]:
 
 
 def _fields(bench: Bench) -> Iterator[Any]:
-    """The form of a status report, without what is only there now and then."""
+    """Return the fields of a status report, without occasional ones."""
     report = yield from bench.report()
     return " ".join(name for name in report if name not in ("WCO", "Ov"))
 
@@ -230,7 +230,7 @@ def _decimals(bench: Bench) -> Iterator[Any]:
 
 
 def _corners_ms(bench: Bench) -> Iterator[Any]:
-    """How long a staircase takes, to 100 ms."""
+    """Return the duration of a staircase, to 100 ms."""
     stairs = ["G91G1X0.2F500", "Y0.2", "X-0.2", "Y-0.2"] * 3
     yield from bench.move(*stairs)
     (start, _), (last, row) = bench.rows[0], bench.rows[-1]
@@ -238,7 +238,7 @@ def _corners_ms(bench: Bench) -> Iterator[Any]:
 
 
 def _roundness_mm(bench: Bench) -> Iterator[Any]:
-    """How near to its centre a circle of 1 mm comes."""
+    """Return how near to its centre a circle of 1 mm comes."""
     yield from bench.move("G91G2X0Y0I1F500")
     x = y = 0.0
     nearest = 1.0
@@ -255,7 +255,7 @@ def _made(row: "array[int]", axis: int) -> int:
 
 
 def _soft_limit(bench: Bench) -> Iterator[Any]:
-    """What comes of a short line out of the machine's travel, behind others of its kind."""
+    """Return the answer to a short line out of the machine's travel, after others of its kind."""
     lines = yield from bench.say("X0.5\n", "ms 300")
     if lines[0].startswith("ALARM"):
         yield from bench.recover()
@@ -282,7 +282,7 @@ def _homed_at(bench: Bench) -> Iterator[Any]:
 
 
 def _homing(leg: int) -> Look:
-    """Speed of a leg of homing, counted from the last one: it goes off, to, off, to …"""
+    """Return a homing leg's speed. leg: counted from the last one: off, to, off, to …"""
 
     def look(bench: Bench) -> Iterator[Any]:
         yield from bench.move("$H")
@@ -292,7 +292,7 @@ def _homing(leg: int) -> Look:
 
 
 def _homing_rest_ms(bench: Bench) -> Iterator[Any]:
-    """The rest between the last two legs of homing, to 10 ms."""
+    """Return the pause between the last two legs of homing, to 10 ms."""
     yield from bench.move("$H")
     before, last = bench.legs()[-2:]
     start, row = before[-1]
@@ -300,7 +300,7 @@ def _homing_rest_ms(bench: Bench) -> Iterator[Any]:
 
 
 def _power_of(line: str) -> Look:
-    """Power of the spindle at rest."""
+    """Return the spindle's power at rest after a line."""
 
     def look(bench: Bench) -> Iterator[Any]:
         yield from bench.say(line + "\n")
@@ -333,7 +333,7 @@ def _rapid_mm_min(axis: int) -> Look:
 
 
 def _rapid_ms(axis: int) -> Look:
-    """How long a short move takes, to 10 ms."""
+    """Return the duration of a short move, to 10 ms."""
 
     def look(bench: Bench) -> Iterator[Any]:
         yield from bench.move(f"G91G0{_AXES[axis]}0.5")
@@ -345,7 +345,7 @@ def _rapid_ms(axis: int) -> Look:
 
 
 def _reaches(axis: int) -> Look:
-    """The answer to a jog of 1.5 mm into the travel."""
+    """Return the answer to a jog of 1.5 mm into the travel."""
 
     def look(bench: Bench) -> Iterator[Any]:
         (answer,) = yield from bench.say(f"$J=G91{_AXES[axis]}-1.5F500\n")
@@ -363,13 +363,14 @@ def _punch(bench: Bench) -> Iterator[Any]:
 
 
 def _pwm_hz(bench: Bench) -> Iterator[Any]:
-    """What the port has been told: its own tests show what comes of it at the pin."""
+    """Return the port's frequency: its own tests show the effect at the pin."""
     yield bench.rig.now
     return bench.port.pwm.freq()
 
 
 _EFFECTS: "list[Row]" = [
-    # number, another value, defaults besides, how it is seen, the default's effect, the other's
+    # number, other value, changed defaults, observation, result for the default, for the other
+    # value
     (0, 7, {}, _handed(0), 10, 7),
     (1, 100, {}, _released_ms, 25, 100),
     (2, 3, {}, _handed(1), 0, 3),
@@ -402,7 +403,7 @@ for _axis in range(3):
     ]
 
 
-# Of a machine with a punch: levels of the actuators' pins at rest, and whether it is seen up.
+# A machine with a punch: levels of the actuators' pins at rest, and whether it is sensed up.
 _PUNCH_EFFECTS: "list[Row]" = [
     (30, 1, {}, _punch, (0, 1, True), (1, 1, True)),
     (31, 1, {}, _punch, (0, 1, True), (0, 0, True)),
@@ -410,11 +411,11 @@ _PUNCH_EFFECTS: "list[Row]" = [
     (33, 1, {}, _punch, (0, 1, True), (0, 1, False)),
 ]
 
-# Of a laser.
+# A laser.
 _LASER_EFFECTS: "list[Row]" = [(33, 20000, {}, _pwm_hz, 5000, 20000)]
 
 
-def test_every_setting_is_seen() -> None:
+def test_every_setting_has_an_observation() -> None:
     table = [
         number + axis
         for number, _, kind, *_ in _TABLE
@@ -427,7 +428,7 @@ def test_every_setting_is_seen() -> None:
 
 
 def _tell(bench: Bench, row: "Row") -> None:
-    """The story of a setting."""
+    """Check a setting's effect after each kind of change."""
     number, value, _, look, by_default, by_value = row
     change = f"${number}={value}"
     story = [
@@ -453,30 +454,30 @@ def _tell(bench: Bench, row: "Row") -> None:
 
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("row", _EFFECTS, ids=[f"${row[0]}" for row in _EFFECTS])
-def test_a_setting_has_its_effect_whatever_has_set_it(row: "Row") -> None:
+def test_a_setting_has_its_effect_after_any_kind_of_change(row: "Row") -> None:
     _tell(Bench(row[2]), row)
 
 
 @pytest.mark.parametrize("row", _PUNCH_EFFECTS, ids=[f"${row[0]}" for row in _PUNCH_EFFECTS])
-def test_so_has_one_of_a_punch(row: "Row") -> None:
+def test_a_setting_of_a_punch_has_its_effect(row: "Row") -> None:
     _tell(Bench({}, "sim_punch"), row)
 
 
 @pytest.mark.parametrize("row", _LASER_EFFECTS, ids=[f"${row[0]}" for row in _LASER_EFFECTS])
-def test_so_has_one_of_a_laser(row: "Row") -> None:
+def test_a_setting_of_a_laser_has_its_effect(row: "Row") -> None:
     _tell(Bench({}, "sim_laser"), row)
 
 
-def test_so_has_the_form_of_reports_of_grbl_09() -> None:
+def test_the_report_setting_of_grbl_09_has_its_effect() -> None:
     ((number, *_),) = settings_09
     _tell(Bench({}, "sim_09j"), (number, 6, {}, _fields_09, "MPos WPos", "WPos Buf"))
 
 
-# What the table cannot say
+# Effects outside the table
 
 
 class FullStore(MemoryStore):
-    """Nothing more can be kept, once it is full."""
+    """A store that refuses to save when it is full."""
 
     full = False
 
@@ -486,7 +487,7 @@ class FullStore(MemoryStore):
         super().save(name, lines)
 
 
-def test_what_cannot_be_kept_has_its_effect_until_power_off() -> None:
+def test_an_unsaved_setting_has_its_effect_until_power_off() -> None:
     store = FullStore()
     bench = Bench({}, store=store)
     look = _steps_per_mm(0)
@@ -507,7 +508,7 @@ def test_what_cannot_be_kept_has_its_effect_until_power_off() -> None:
 
 
 @pytest.mark.parametrize("change", ["$100=80", "$110=100", "$110=50000", "$120=20", "$11=1"])
-def test_what_is_planned_is_made_as_it_was_planned(change: str) -> None:
+def test_planned_motion_is_not_changed_by_settings(change: str) -> None:
     def segments(text: str) -> "list[array[int]]":
         bench = Bench({})
 
@@ -523,7 +524,7 @@ def test_what_is_planned_is_made_as_it_was_planned(change: str) -> None:
 
 
 @pytest.mark.parametrize("change", ["$30=1000", "$31=0"])
-def test_a_new_range_of_speeds_stops_the_spindle(change: str) -> None:
+def test_a_new_speed_range_stops_the_spindle(change: str) -> None:
     bench = Bench({})
 
     def script() -> Iterator[Any]:
@@ -536,7 +537,7 @@ def test_a_new_range_of_speeds_stops_the_spindle(change: str) -> None:
 
 
 @pytest.mark.parametrize(("change", "asks"), [("$13=1", True), ("$10=3", False)])
-def test_inches_and_nothing_else_ask_for_the_work_offset(change: str, asks: bool) -> None:
+def test_only_inches_cause_a_report_of_the_work_offset(change: str, asks: bool) -> None:
     bench = Bench({})
 
     def script() -> Iterator[Any]:
@@ -549,7 +550,7 @@ def test_inches_and_nothing_else_ask_for_the_work_offset(change: str, asks: bool
     bench.run(script())
 
 
-def test_lines_that_only_move_do_nothing_from_check_mode_on() -> None:
+def test_move_only_lines_do_nothing_in_check_mode() -> None:
     bench = Bench({})
 
     def script() -> Iterator[Any]:
@@ -562,7 +563,7 @@ def test_lines_that_only_move_do_nothing_from_check_mode_on() -> None:
     bench.run(script())
 
 
-def test_motors_that_are_to_stay_powered_are_so_without_a_motion() -> None:
+def test_permanently_enabled_motors_are_enabled_after_reset_and_power_up() -> None:
     bench = Bench({})
 
     def script() -> Iterator[Any]:

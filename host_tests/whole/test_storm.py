@@ -1,7 +1,7 @@
-"""A storm of edges on any pin that interrupts starves nothing, and nobody is deaf after it.
+"""A storm of edges on any interrupting pin starves nothing, and later edges still interrupt.
 
-Pins are those that Pin.irq() has been called for, on every board there is and with every extra
-that has inputs: who adds one has it tried here.
+The pins are those for which Pin.irq() was called, on every board and with every extra that has
+inputs: a new one is tested here automatically.
 """
 
 from array import array
@@ -22,7 +22,7 @@ from ugrbl.paths import FIRMWARE
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 
-# Many cases of each: the first ring takes some.
+# Many cases of each: the first ring runs a sample.
 pytestmark = pytest.mark.sampled(5)
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
@@ -41,18 +41,18 @@ EXTRAS: "dict[str, tuple[str, dict[str, Any]]]" = {
     "debounced": ("rpi_pico", {"LIMIT_DEBOUNCE_MS": 3, "CONTROL_DEBOUNCE_MS": 20, "ESTOP": 20}),
     "shared": ("rpi_pico", {"LIMIT": (9, 9, 9), "HOMING": ("Z", "X", "Y")}),
 }
-# Open and closed for so long, in us. The last two are over before anybody looks at the pin.
+# Duration of open and closed, in us. The last two are over before the handler reads the pin.
 STORMS = ((5, 5), (20, 20), (25, 25), (50, 50), (17, 3), (47, 3))
 STORM_US = 8_000
 PEACE_US = 2_000
-# In that time: of a Pico's main loop, which has 52 in a calm; of an ESP32's engine, which has 8.
+# In STORM_US: turns of a Pico's main loop, 52 without a storm; of an ESP32's engine, 8.
 FEWEST_TURNS = {"pio": 48, "i2s": 7, "rmt": 7}
-# Of interrupts of one pin. An ESP32's have eight places to wait in, and then as many are called.
+# Interrupts of one pin. An ESP32's have eight places to wait in, and then all eight are called.
 MOST_A_MS = {"pio": 4, "i2s": 10, "rmt": 10}
 
 
 class Machine:
-    """A whole machine on a board's own pins. act: done once it has been welcomed."""
+    """A whole machine on a board's own pins."""
 
     def __init__(self, board: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
         self.engine: str = board.ENGINE
@@ -87,7 +87,7 @@ class Machine:
         return int(self.rig.now / self.rig.ticks_per_ms)
 
     def run(self, act: "Callable[[], object]") -> None:
-        """Power up, and do that."""
+        """Power up, and call act after the welcome."""
 
         def script() -> Iterator[Any]:
             yield lambda: b"Grbl " in self.rig.link.received
@@ -97,7 +97,7 @@ class Machine:
         self.rig.run(script())
 
     def pins(self) -> "list[Any]":
-        """All that interrupt, open."""
+        """Return all pins that interrupt, open."""
         found = [pin for pin in self._pins.values() if pin.handler]
         for pin in found:
             pin.drive(1)
@@ -105,11 +105,11 @@ class Machine:
         return found
 
     def touch(self) -> None:
-        """The probe's contact."""
+        """Count a contact of the probe."""
         self.contacts += 1
 
     def listen(self) -> None:
-        """Whatever may interrupt does."""
+        """Enable all optional interrupts."""
         self.port.enable_limits(True)
         self.port.watch_probe(self.touch, True)
 
@@ -131,7 +131,7 @@ def made(
 
 
 def most_a_ms(calls: "list[int]") -> int:
-    """The most interrupts in any millisecond."""
+    """Return the largest number of interrupts in any millisecond."""
     return max(
         (sum(at <= other < at + 1000 for other in calls[i:]) for i, at in enumerate(calls)),
         default=0,
@@ -139,7 +139,7 @@ def most_a_ms(calls: "list[int]") -> int:
 
 
 def weather(made: Machine, pin: Any, shape: "tuple[int, int]") -> "dict[str, Any]":
-    """A storm on one pin, and what it has done."""
+    """Run a storm on one pin; return its effects."""
     cpu = made.cpu
     made.listen()
     armed, contacts = bool(pin.trigger), made.contacts
@@ -153,7 +153,7 @@ def weather(made: Machine, pin: Any, shape: "tuple[int, int]") -> "dict[str, Any
     return seen | {"late us": cpu.late_us, "turns": turns}
 
 
-def test_a_storm_on_any_pin_that_interrupts_starves_nothing(made: Machine) -> None:
+def test_a_storm_on_any_interrupting_pin_starves_nothing(made: Machine) -> None:
     found: list[Any] = []
 
     def act() -> None:
@@ -170,29 +170,29 @@ def test_a_storm_on_any_pin_that_interrupts_starves_nothing(made: Machine) -> No
         assert seen["turns"] >= FEWEST_TURNS[made.engine], (pin, shape, seen)
 
 
-def test_pins_are_asked_to_interrupt_in_one_place_only() -> None:
-    """What extras and ports do elsewhere would not be tried here. A PIO's is no pin's."""
+def test_pin_interrupts_are_set_up_in_one_place_only() -> None:
+    """Others would not be tested here. The PIO's interrupt is not a pin's."""
     asks = {path.name for path in FIRMWARE.rglob("*.py") if ".irq(" in path.read_text()}
     assert asks == {"input_pins.py", "engine.py"}
 
 
 @pytest.fixture
 def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
-    """With all kinds of inputs."""
+    """Return a Pico with all kinds of inputs."""
     (tmp_path / "stormy.py").write_text(CUSTOM)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     return Machine(changed(*EXTRAS["inputs"]), monkeypatch)
 
 
-def test_the_watch_stops_a_main_loop_that_hangs_in_a_storm(
+def test_the_supervisor_stops_a_main_loop_hanging_in_a_storm(
     pico: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="rp2"))
     stopped: dict[int, tuple[int, int, int]] = {}
 
     def hang(pin: Any) -> "tuple[int, int, int]":
-        """For how long it was away when stopped; the beam's output before that and after."""
+        """Return how long the loop was away when stopped; the laser's output before and after."""
         link: Any = SimpleNamespace(shared=array("i", [0, 0, 0]), poll_reset=None)
         watch = supervisor.Supervisor(link, pico.rig.engine, pico.port, 250)
         watch.start(None, lambda alarm: None)
@@ -215,7 +215,7 @@ def test_the_watch_stops_a_main_loop_that_hangs_in_a_storm(
 
 
 class Noted:
-    """Hears of inputs, and notes when."""
+    """Record the times of events of inputs."""
 
     def __init__(self, made: Machine) -> None:
         self._made = made
@@ -247,7 +247,7 @@ PINS = {"limits": (9, 10), "start": (15, 14), "part": (20, 21), "probe": (12, No
 
 
 @pytest.mark.parametrize("name", PINS)
-def test_what_lasts_is_heard_two_ms_after_a_storm_and_at_once_beside_it(
+def test_a_lasting_change_is_reported_2_ms_after_a_storm_and_at_once_on_other_pins(
     pico: Machine, name: str
 ) -> None:
     noted = Noted(pico)
@@ -256,7 +256,7 @@ def test_what_lasts_is_heard_two_ms_after_a_storm_and_at_once_beside_it(
     pin, other = PINS[name]
 
     def closes() -> int:
-        """How long after it has closed the pin is heard of."""
+        """Return the delay between closing the pin and its event."""
         heard = getattr(noted, name)
         heard.clear()
         closed = pico.cpu.us
@@ -285,8 +285,8 @@ def test_what_lasts_is_heard_two_ms_after_a_storm_and_at_once_beside_it(
     assert max(beside, default=0) <= 50, beside
 
 
-def test_a_contact_that_bounces_is_heard_at_the_first_touch_that_lasts(pico: Machine) -> None:
-    """Three are over before the probe is looked at."""
+def test_a_bouncing_contact_is_reported_at_its_first_lasting_touch(pico: Machine) -> None:
+    """Three touches are over before the probe is read."""
     noted = Noted(pico)
 
     def act() -> None:

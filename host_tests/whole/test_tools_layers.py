@@ -1,4 +1,5 @@
-"""The rooms of tools/: each imports only from lower ones, nothing leads back, all stays short."""
+"""The packages of tools/: each imports only from lower ones, there is no cycle, all stays
+short."""
 
 import ast
 import re
@@ -9,7 +10,7 @@ from test_layers import circles, too_long
 
 TOOLS = Path(__file__).parents[2] / "tools"
 
-# Who may import whom, what only mypy reads included. Everybody may import paths.
+# Allowed imports of each package, including those for mypy only. All may import paths.
 ROOMS: "dict[str, tuple[str, ...]]" = {
     "grbl": (),
     "sim": (),
@@ -25,13 +26,13 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
 }
 ROOMS["cli"] = tuple(ROOMS)
 GROUND = ("", "paths")  # the package itself, for its version
-# What draws on a terminal and ends a command. `make docs` is one, too; kernels asks typer where
-# a user's files lie.
+# Modules for terminals and exit. `make docs` is a command, too; kernels asks typer for the user's
+# folder.
 SCREEN = ("typer", "rich", "prompt_toolkit")
 SCREENS = ("cli", "docs.__main__", "compiling.kernels")
 
-# Modules that write otherwise than by paths.write(): into a folder that is temporary or made once,
-# a disk's image, or our docs.
+# Modules that write without paths.write(): into a temporary or new folder, a disk's image, or our
+# docs.
 WRITERS = {
     "compiling.compilers",
     "compiling.kernels",
@@ -43,7 +44,7 @@ WRITERS = {
 }
 _WRITING = ("write_text", "write_bytes")
 
-# What a CPython reads in the place of a board's modules: no package, see test_stubs.py.
+# Modules that replace a board's under CPython: not a package, see test_stubs.py.
 STANDINS = TOOLS / "sim" / "standins"
 FILES = sorted(
     path
@@ -59,7 +60,7 @@ def trees():
 
 
 def module_name(path: Path) -> str:
-    """`draw.page`; a package by its own name, and "" is the whole."""
+    """Return a module's name, `draw.page`; a package's own name; "" for the whole."""
     parts = path.relative_to(TOOLS).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
@@ -68,7 +69,7 @@ MODULES = {module_name(path): path for path in FILES}
 
 
 def base(node: ast.ImportFrom, path: Path) -> "str | None":
-    """The module or package that something is imported from; None for a stranger's."""
+    """Return the module or package that something is imported from; None for foreign ones."""
     if not node.level:
         assert not re.match(r"(ugrbl|tools)\b", node.module or ""), "import it from . or .."
         return None
@@ -78,7 +79,7 @@ def base(node: ast.ImportFrom, path: Path) -> "str | None":
 
 
 def imports(path: Path) -> set[str]:
-    """Every module of tools/ that one imports, those that only mypy reads too."""
+    """Return every module of tools/ that a file imports, including imports for mypy only."""
     found = set()
     for node in ast.walk(trees()[path]):
         if isinstance(node, ast.ImportFrom) and (start := base(node, path)) is not None:
@@ -89,7 +90,7 @@ def imports(path: Path) -> set[str]:
 
 
 def strangers(path: Path) -> set[str]:
-    """Packages that are not ours."""
+    """Return the foreign packages that a file imports."""
     found = set()
     for node in ast.walk(trees()[path]):
         if isinstance(node, ast.Import):
@@ -114,11 +115,11 @@ def may_import(module: str, used: str) -> bool:
     return room(used) in ROOMS.get(room(module), ())
 
 
-def test_every_module_has_a_room() -> None:
+def test_every_module_is_in_a_package() -> None:
     assert {room(module) for module in MODULES} - set(GROUND) == set(ROOMS)
 
 
-def test_a_module_imports_only_from_lower_rooms() -> None:
+def test_a_module_imports_only_from_lower_packages() -> None:
     unknown = {name: used - MODULES.keys() for name, used in all_imports().items()}
     assert not any(unknown.values()), {name: used for name, used in unknown.items() if used}
     refused = {
@@ -129,11 +130,11 @@ def test_a_module_imports_only_from_lower_rooms() -> None:
     assert not refused
 
 
-def test_a_room_imports_only_what_is_lower() -> None:
+def test_a_package_imports_only_lower_packages() -> None:
     assert not circles({name: set(lower) for name, lower in ROOMS.items()})
 
 
-def test_a_room_uses_all_that_it_may() -> None:
+def test_a_package_uses_all_its_allowed_imports() -> None:
     used = {name: set() for name in ROOMS}
     for module, others in all_imports().items():
         if room(module) in used:
@@ -142,26 +143,26 @@ def test_a_room_uses_all_that_it_may() -> None:
     assert {name: used[name] for name in allowed} == allowed
 
 
-def test_no_import_leads_back_to_where_it_began() -> None:
+def test_imports_have_no_cycle() -> None:
     assert not circles(all_imports()), "these import one another, or one that does"
 
 
-def test_a_room_says_what_it_is_for_and_what_it_may_import() -> None:
+def test_a_package_documents_its_purpose_and_its_imports() -> None:
     for name, lower in ROOMS.items():
         words = ast.get_docstring(trees()[TOOLS / name / "__init__.py"])
-        assert words and words.partition("\n\n")[2], f"{name}: what for, and who is imported"
+        assert words and words.partition("\n\n")[2], f"{name}: purpose and imports"
         if name != "cli":  # which imports all of them
             last = words.rpartition("\n\n")[2]
             assert {other for other in ROOMS if re.search(rf"`{other}`", last)} == set(lower), name
 
 
-def test_only_commands_know_the_screen() -> None:
+def test_only_commands_use_the_screen() -> None:
     others = [name for name in MODULES if room(name) not in SCREENS and name not in SCREENS]
     assert not [name for name in others if strangers(MODULES[name]).intersection(SCREEN)]
 
 
 def writes(path: Path) -> bool:
-    """Whether a module opens files for writing; what is said to a board's Python is text."""
+    """Return whether a module opens files for writing; code for a board's Python is text here."""
     for node in ast.walk(trees()[path]):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             modes = [one.value for one in node.args if isinstance(one, ast.Constant)]
@@ -171,7 +172,7 @@ def writes(path: Path) -> bool:
     return False
 
 
-def test_files_are_written_by_one_function_that_leaves_no_half_ones() -> None:
+def test_only_the_atomic_writer_writes_files() -> None:
     on_board = TOOLS / "device" / "selftest" / "on_board"
     found = {name for name, path in MODULES.items() if on_board not in path.parents}
     assert {name for name in found if writes(MODULES[name])} == WRITERS

@@ -1,7 +1,7 @@
-"""Torture: random lines, real-time bytes anywhere in them, pins pushed, power cut.
+"""Torture: random lines, real-time bytes anywhere in them, pins set, power cut.
 
-Laws: one answer per line; where the machine says it is, the motors are; and whatever has happened,
-Ctrl-X and $X bring it back. UGRBL_TORTURE says with how many seeds (`make torture`).
+The laws: one answer per line; the reported position is the motors'; and after anything, Ctrl-X and
+$X make the machine work again. UGRBL_TORTURE sets the number of seeds (`make torture`).
 """
 
 import os
@@ -20,26 +20,26 @@ from ugrbl.sim import rig as sim_rig
 
 _ASKED = int(os.environ.get("UGRBL_TORTURE") or 0)
 _SEEDS = _ASKED or 4
-# The axis of each motor, and who makes the pulses. An ESP32's RMT has four motors. The PIO has its
-# sessions on an emulated Pico (host_tests/emulator): tick by tick they would last for hours.
+# The axis of each motor, and the engine. An ESP32's RMT has four motors. The PIO's sessions run on
+# an emulated Pico (host_tests/emulator): tick by tick they would last for hours.
 _MACHINES = [
     ("XYZ", "sim"),
     *((motors, "sim") for motors in ("XYZA", "XYZY", "XYZAB", "XYZAY", "XYZABC", "XYZXYZ")),
     *((motors, "i2s") for motors in ("XYZ", "XYZY", "XYZAB", "XYZABC", "XYZAYZ")),
     *((motors, "rmt") for motors in ("XYZ", "XYZA", "XYZY")),
 ]
-# All seeds for all of them where it is asked for; else one for each behind the first.
+# All seeds for all machines if requested; otherwise one seed for each except the first.
 _SESSIONS = [
     (seed, motors, engine)
     for k, (motors, engine) in enumerate(_MACHINES)
     for seed in (range(_SEEDS) if _ASKED or k == 0 else (k % 2,))
 ]
-# An ESP32's engines may make a step that has begun when they are stopped, and be one off.
+# An ESP32's engine may finish a step that has begun when it is stopped, and be one off.
 _LOOSE = 1
 _ROUNDS = 12
 _WINDOW = 127
 _PATIENCE_MS = 120_000
-_DEAF_MS = 600  # an alarm is followed by half a second in which nothing is heard
+_DEAF_MS = 600  # an alarm is followed by half a second in which input is ignored
 _FAST = {
     **dict.fromkeys(range(110, 116), 6000),
     **dict.fromkeys(range(120, 126), 800),
@@ -62,11 +62,12 @@ _OF_MORE_AXES = "A.5 A-1 B.3 B-.7 C1 C-.2 A1e3".split()
 
 
 class Torture:
-    """One machine and its torturer. motors: the axis of each; loose: steps off behind a stop."""
+    """One machine under torture. motors: the axis of each; loose: allowed position error after a
+    stop."""
 
     def __init__(self, seed: int, motors: str, loose: int) -> None:
         self._loose = loose
-        self._stopped = False  # since places were compared
+        self._stopped = False  # since positions were compared
         self._random = random.Random(seed)
         self._axes = motor_names.count_axes(motors)
         self._axis_of = [motor_names.AXIS_LETTERS.index(letter) for letter in motors]
@@ -77,7 +78,7 @@ class Torture:
         self._rig = self.machine.rig
         self._log: deque[str] = deque(maxlen=40)
         self._answers = 0
-        self._offset: "list[int] | None" = None  # of what is reported against the motors
+        self._offset: "list[int] | None" = None  # of the reported position against the motors
         self._turned = 0  # $3 at that time
 
     def run(self) -> None:
@@ -91,7 +92,7 @@ class Torture:
             yield from act()
             yield from self._compare()
 
-    # What is done to it
+    # Random actions
 
     def _line(self) -> str:
         roll = self._random.random()
@@ -107,7 +108,7 @@ class Torture:
         return self._random.choice(("", " ")).join(words)
 
     def _talk(self) -> Iterator[Any]:
-        """Every line has one answer, whatever real-time bytes stand in it."""
+        """Check that every line has one answer, whatever real-time bytes it contains."""
         lines = [self._line() for _ in range(self._random.randint(3, 20))]
         yield from self._stream(lines, "\n")
         until = self._rig.ms(_PATIENCE_MS)
@@ -119,7 +120,7 @@ class Torture:
         assert self._answers == len(lines), self._tell("one answer per line")
 
     def _stream(self, lines: "list[str]", end: str) -> Iterator[Any]:
-        """Send them by counting characters."""
+        """Send lines with character counting."""
         self._hear()
         self._answers = 0
         lengths: "list[int]" = []
@@ -137,7 +138,7 @@ class Torture:
             self._rig.link.send(line.encode("latin-1"))
 
     def _stop(self) -> Iterator[Any]:
-        """Something stops it in the middle: nothing moves on, nothing stays on."""
+        """Stop in the middle: check that nothing moves and no output stays on."""
         way = self._random.choice(("\x18", "reset", "limit_x", "limit_z"))
         hard = self._rig.controller.settings.hard_limits
         if way.startswith("limit") and not hard:
@@ -163,7 +164,7 @@ class Torture:
         yield from self._recover()
 
     def _cut(self) -> Iterator[Any]:
-        """The power goes, in whatever it is doing."""
+        """Cut the power at any moment."""
         yield from self._stream([self._line() for _ in range(4)], "\n")
         yield self._rig.ms(self._random.uniform(0, 200))
         self._rig.cycle_power()
@@ -171,10 +172,10 @@ class Torture:
         yield self._rig.ms(50)
         yield from self._recover()
 
-    # What it has to do then
+    # Recovery and checks
 
     def _recover(self) -> Iterator[Any]:
-        """Ctrl-X and $X bring it back."""
+        """Recover with Ctrl-X and $X."""
         yield self._rig.ms(_DEAF_MS)
         self._hear()
         self._rig.link.send(b"\x18")
@@ -193,7 +194,7 @@ class Torture:
             yield self._rig.ms(5)
 
     def _compare(self) -> Iterator[Any]:
-        """Where it says it is, the motors are; it can be told to go on."""
+        """Check that the reported position is the motors', and that the machine accepts lines."""
         controller: Any = self._rig.controller
         if controller.state.run == st.ALARM:
             self._rig.link.send(b"$X\n")
@@ -211,7 +212,7 @@ class Torture:
         offset = [reported[axis] - steps for axis, steps in made]
         if self._offset is not None and turned == self._turned:
             off = _most_apart(offset, self._offset)
-            assert off <= self._loose * self._stopped, self._tell("it is not where it says")
+            assert off <= self._loose * self._stopped, self._tell("the reported position is wrong")
         self._offset, self._turned, self._stopped = offset, turned, False
         assert controller.state.run == st.IDLE, self._tell("it is not idle")
 
@@ -230,7 +231,7 @@ class Torture:
 
 
 def _board(motors: str) -> ModuleType:
-    """The simulator's, with these motors."""
+    """Return the simulator's board with these motors."""
     board = ModuleType("torture")
     vars(board).update(vars(load_board("sim")))
     vars(board).update(STEP=tuple(range(len(motors))), LIMIT=tuple(range(len(motors))))
@@ -245,7 +246,7 @@ def _most_apart(one: "list[int]", other: "list[int]") -> int:
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(("seed", "motors", "engine"), _SESSIONS)
-def test_a_tortured_machine_answers_knows_its_place_and_comes_back(
+def test_a_tortured_machine_answers_keeps_its_position_and_recovers(
     seed: int, motors: str, engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if engine != "sim":
@@ -254,8 +255,8 @@ def test_a_tortured_machine_answers_knows_its_place_and_comes_back(
 
 
 def _have_engine(name: str, patch: pytest.MonkeyPatch) -> None:
-    """Rigs have this engine instead of the simulator's."""
-    made = pytest.importorskip("esp_bench").EspEngine  # it is not where test_prepared runs this
+    """Make Rigs use this engine instead of the simulator's."""
+    made = pytest.importorskip("esp_bench").EspEngine  # absent where test_prepared runs this
 
     class Engine:
         tick_hz = made(name).tick_hz
