@@ -2,7 +2,7 @@
 """The geometry of an arc: from its ends and its centre to a course (arcs.py).
 
 In single precision, as Grbl's, but on the bits of floats (base/float32_math.py), so that nothing
-is left on the heap. An arc's numbers are an array, r: what is known of it, scratch places,
+is left on the heap. An arc's numbers are an array, r: the arc's own, scratch places,
 constants. A function names the places of its results; A, B and C may be lost.
 """
 
@@ -58,7 +58,7 @@ _NO_SWEEP = const(0x350637BD)
 _SAME = const(0x3851B717)
 _FLAT = const(0x3ED413CD)
 _TWICE = const(0x800000)  # added to the bits of a float, doubles it
-# Radians: what has wider chords, smaller than the tolerance, gets more of them. In 2**-16, 1.5.
+# Radians: an arc with wider chords gets more of them, also within the tolerance. In 2**-16, 1.5.
 _WIDEST = const(98304)
 _FEW = const(5)  # so many cannot be as wide
 _FINEST = const(27)  # so many units, as a power of two, are a step at the most

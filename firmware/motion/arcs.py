@@ -19,7 +19,7 @@ from motion.plan_kernel import FULL, OUTSIDE, full, plan
 # Units of places: so many reach as far as an arc does.
 FARTHEST = 268435456.0
 
-NOWHERE = const(4)  # beside OUTSIDE and FULL
+NOWHERE = const(4)  # a third result, with OUTSIDE and FULL
 SOME = const(7)  # so many chords, and one, are planned without a look at the link: a mask
 
 # A course: chords still to be made, all but the last; whether the place of the next is known;

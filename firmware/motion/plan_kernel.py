@@ -246,7 +246,7 @@ def compute_profile(table: ptr32, ring: ptr32, at: int) -> int:
 
 @micropython.viper
 def step_ratios(ring: ptr32, at: int, motors: int) -> int:
-    """Compute each motor's steps / EVENTS, from 0 to 1 in 2**-29, behind its steps in the row.
+    """Compute each motor's steps / EVENTS, from 0 to 1 in 2**-29, after the steps in the row.
 
     Long division, as many bits at once as a remainder below EVENTS leaves room for in 31.
     """
@@ -360,7 +360,7 @@ def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
     """Raise entry speeds to what the machine can brake from by the end of the newest block.
 
     entry**2 = min(MAX_ENTRY_SQR, entry of the next block**2 + DELTA_SQR), from the newest back. It
-    ends at the first block, behind the new ones, where nothing changes, because nothing changes
+    ends at the first block, before the new ones, where nothing changes, because nothing changes
     before that either; with everything set it goes on (an override has changed them all). The
     block at TAIL is being executed, so its entry is past. There is no forward pass: the interrupt
     accelerates as it can, and a promised speed that is not reached is a limit, no more. Returns

@@ -208,7 +208,7 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
 @micropython.viper
 def add_piece(flow: ptr32, part: int) -> int:
     """Add the piece that ends at NOW after WAY to the segment; part: its time. Returns 0 where the
-    block has nothing left: its whole steps and fraction, less WAY, are what is still to go."""
+    block has nothing left: its whole steps and fraction, less WAY, are still to go."""
     if part > flow[LEFT]:
         part = flow[LEFT]
     flow[LEFT] = flow[LEFT] - part

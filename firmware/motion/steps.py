@@ -1,7 +1,7 @@
 # mypy: disable-error-code=arg-type
 """Steps: from a target in mm to the steps of each motor, and the length of their way.
 
-Viper, for plan_kernel.py. What stands where is told in layout.py.
+Viper, for plan_kernel.py. layout.py has the places in ring and table.
 """
 
 import micropython
