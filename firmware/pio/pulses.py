@@ -96,19 +96,20 @@ def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
     return (head + 1) & RING_MASK
 
 
+# The words that convert() makes of a row, for a lane:
+#
+#     first step    delay = CARRY + late + its tick - _FETCH
+#     n gaps        span = last tick - first tick: gaps of span // n, and span % n of them one
+#                   longer, ordered by leading(); delay = gap - PULSE - _BETWEEN, at least 0
+#     rest          no steps, until KEEP before the end of the segment, if that is longer
+#
+# CARRY loses what each word takes and gains the row's ticks, so no rounding adds up. A delay has
+# 19 bits: from 2**18 on the word is negative here, so 2**19 is subtracted, with the same bits.
 @micropython.viper
 def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     """Add a segment's words to the lanes' rings. Returns by how many ticks all axes begin late.
 
-    All wait if one would step or reverse too soon after its last step. A lane's words are
-
-        first step    delay = CARRY + late + its tick - _FETCH
-        n gaps        span = last tick - first tick: gaps of span // n, and span % n of them one
-                      longer, ordered by leading(); delay = gap - PULSE - _BETWEEN, at least 0
-        rest          no steps, until KEEP before the end of the segment, if that is longer
-
-    CARRY loses what each word takes and gains the row's ticks, so no rounding adds up. A delay has
-    19 bits: from 2**18 on the word is negative here, so 2**19 is subtracted, with the same bits.
+    All wait if one would step or reverse too soon after its last step.
     """
     late = 0
     for i in range(timing[AXES]):
