@@ -1,4 +1,4 @@
-"""Single precision on the desktop: rounded as a board rounds."""
+"""Test single precision on the desktop: it rounds as a board rounds."""
 
 import struct
 
@@ -9,12 +9,12 @@ from talk.digits import number
 
 
 def single(x: float) -> float:
-    """X rounded to single precision."""
+    """Return x rounded to single precision."""
     return struct.unpack("f", struct.pack("f", x))[0]
 
 
 def printed(x: float, decimals: int) -> str:
-    """Grbl's printFloat, step by step in single precision."""
+    """Follow Grbl's printFloat step by step in single precision."""
     minus = x < 0
     x = -x if minus else x
     for _ in range(decimals // 2):
@@ -27,7 +27,7 @@ def printed(x: float, decimals: int) -> str:
     return "-" * minus + digits
 
 
-# Less than 2**-125 is printed without a sign.
+# A number below 2**-125 is printed without a sign.
 singles = st.floats(-1e9, 1e9, width=32).map(lambda x: x if abs(x) > 1e-37 else 0.0)
 
 
@@ -42,7 +42,7 @@ def test_constants_are_single_precision() -> None:
     assert single(INCH_PER_MM) == INCH_PER_MM
 
 
-def test_a_vector_holds_single_precision() -> None:
+def test_vector_holds_single_precision() -> None:
     values = vector(3)
     values[1] = 0.1
     assert list(values) == [0.0, single(0.1), 0.0]
@@ -54,6 +54,6 @@ def test_numbers_are_printed_as_by_grbl(x: float, decimals: int) -> None:
 
 
 @given(st.integers(-(10**6), 10**6))
-def test_what_three_decimals_can_say_is_printed_as_it_is(thousandths: int) -> None:
+def test_number_with_three_decimals_is_printed_unchanged(thousandths: int) -> None:
     text = number(single(thousandths / 1000), 3)
     assert abs(float(text) - thousandths / 1000) < 0.0006

@@ -1,4 +1,4 @@
-"""Singles: what is done in integers is to the bit what single precision makes of it."""
+"""Test that the integer routines give exactly the bits of single-precision arithmetic."""
 
 import math
 import struct
@@ -9,7 +9,7 @@ from base.float32 import f32
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-# A board has no numbers as small as those that lack bits, and nothing is told apart behind 3.4e38.
+# A board has no subnormal numbers, and everything above 3.4e38 counts as infinite.
 _SMALLEST = 2.0**-126
 _BEYOND = 2.0**128
 
@@ -20,12 +20,12 @@ any_numbers = st.floats(allow_nan=False, allow_infinity=False, width=32).map(
 
 
 def bits(x: float) -> int:
-    """Those of a float, in which 0 has no sign."""
+    """Return the bits of a float; 0 has no sign."""
     return struct.unpack("<I", struct.pack("<f", x))[0] if x else 0
 
 
 def single(x: float) -> float:
-    """A double in single precision; 0 where it is too small for a board."""
+    """Round a double to single precision; return 0 where it is too small for a board."""
     if abs(x) >= _BEYOND:
         return math.copysign(math.inf, x)
     rounded = f32(x)
@@ -35,7 +35,7 @@ def single(x: float) -> float:
 @given(any_numbers, any_numbers)
 @example(0.0, -2.5)
 @example(3.4e38, 1.1)
-def test_a_product_is_that_of_single_precision(a: float, b: float) -> None:
+def test_product_matches_single_precision(a: float, b: float) -> None:
     values = array("f", (a, b))
     float32_math.multiply(values, 0, values, 1)
     assert bits(values[0]) == bits(single(a * b))
@@ -45,7 +45,7 @@ def test_a_product_is_that_of_single_precision(a: float, b: float) -> None:
 
 
 @given(any_numbers, any_numbers.filter(bool))
-def test_a_quotient_is_that_of_single_precision(a: float, b: float) -> None:
+def test_quotient_matches_single_precision(a: float, b: float) -> None:
     values = array("f", (a, b))
     float32_math.quotient(values, 0, values, 1)
     assert bits(values[0]) == bits(single(a / b))
@@ -55,7 +55,7 @@ def test_a_quotient_is_that_of_single_precision(a: float, b: float) -> None:
 @example(3.4e38, 3.4e38)
 @example(1.5e-38, -1.6e-38)
 @example(7.0, -7.0)
-def test_a_sum_is_that_of_single_precision(a: float, b: float) -> None:
+def test_sum_matches_single_precision(a: float, b: float) -> None:
     values = array("f", (a, b))
     float32_math.add_single(values, 0, values, 1)
     assert bits(values[1]) == bits(single(a + b))
@@ -63,14 +63,14 @@ def test_a_sum_is_that_of_single_precision(a: float, b: float) -> None:
 
 @given(any_numbers)
 @example(0.0)
-def test_a_root_is_that_of_single_precision(a: float) -> None:
+def test_root_matches_single_precision(a: float) -> None:
     values = array("f", (abs(a),))
     float32_math.root(values, 0)
     assert bits(values[0]) == bits(f32(math.sqrt(abs(a))))
 
 
 @given(numbers, st.integers(-60, 60))
-def test_a_whole_part_goes_towards_0_and_has_thirty_bits(a: float, power: int) -> None:
+def test_whole_part_rounds_towards_0_and_has_30_bits(a: float, power: int) -> None:
     whole = int(a * 2.0**power)
     found = float32_math.whole_part(array("f", (a,)), 0, power)
     assert found == (whole if abs(whole) < 1 << 30 else 0)

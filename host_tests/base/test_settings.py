@@ -1,4 +1,4 @@
-"""Settings: the table says everything once, and what is kept comes back."""
+"""Test the settings: the table is the only source, and stored values come back."""
 
 import ast
 import inspect
@@ -17,7 +17,7 @@ SOURCE = inspect.getsource(module)
 
 
 def fresh(store: "MemoryStore | None" = None, **board) -> Settings:
-    """Settings as a start finds them."""
+    """Return settings as they are at a start."""
     settings = Settings(store or MemoryStore(), 3, board.get("defaults", {}))
     settings.max_step_hz = board.get("max_step_hz", 0)
     settings.load()
@@ -60,24 +60,24 @@ def test_numbers_rise_and_are_used_once() -> None:
     assert NUMBERS == [number for number, *_ in fresh().each()]
 
 
-def test_defaults_are_values_that_may_be_set() -> None:
+def test_defaults_are_allowed_values() -> None:
     settings = fresh()
     for number, value in shown(settings).items():
         settings.set(number, value)
 
 
-def test_a_board_may_have_its_own_defaults() -> None:
+def test_board_may_have_its_own_defaults() -> None:
     assert shown(fresh(defaults={101: 80.0}))[101] == 80
 
 
-# Keeping
+# Storing
 
 amounts = st.integers(0, 2_000_000).map(lambda n: n / 1000)
 changes = st.lists(st.tuples(st.sampled_from(NUMBERS), amounts), max_size=12)
 
 
 @given(changes)
-def test_what_is_set_comes_back(changes: "list[tuple[int, float]]") -> None:
+def test_stored_value_comes_back(changes: "list[tuple[int, float]]") -> None:
     store = MemoryStore()
     settings = fresh(store)
     for number, amount in changes:
@@ -91,7 +91,7 @@ def test_what_is_set_comes_back(changes: "list[tuple[int, float]]") -> None:
     assert shown(again) == shown(settings)
 
 
-def test_fine_resolution_comes_back_with_the_slow_rate_it_needs() -> None:
+def test_fine_resolution_is_loaded_with_the_slow_rate_it_needs() -> None:
     store = MemoryStore()
     settings = fresh(store, max_step_hz=30_000)
     settings.set(110, 60)
@@ -99,7 +99,7 @@ def test_fine_resolution_comes_back_with_the_slow_rate_it_needs() -> None:
     assert shown(fresh(store, max_step_hz=30_000))[100] == 5000
 
 
-def test_soft_limits_come_back_with_the_homing_they_need() -> None:
+def test_soft_limits_are_loaded_with_the_homing_they_need() -> None:
     store = MemoryStore()
     settings = fresh(store)
     settings.set(22, 1)
@@ -117,24 +117,24 @@ def test_lines_of_another_firmware_are_kept() -> None:
     assert shown(fresh(store))[110] == 700
 
 
-def test_restoring_forgets_what_was_set() -> None:
+def test_restore_removes_changed_values() -> None:
     settings = fresh()
     settings.set(110, 700)
     settings.restore()
     assert shown(settings) == shown(fresh())
 
 
-# Announcing
+# Notification
 
 
 def heard(settings: Settings) -> "list[int]":
-    """What a subscriber is told from now on."""
+    """Return the list in which the numbers of later changes are collected."""
     numbers: list[int] = []
     settings.on_change(lambda: numbers.append(settings.changed))
     return numbers
 
 
-def test_anyone_who_subscribes_hears_of_every_change() -> None:
+def test_every_subscriber_is_notified_of_every_change() -> None:
     settings = fresh()
     first, second = heard(settings), heard(settings)
     settings.set(110, 700)
@@ -144,7 +144,7 @@ def test_anyone_who_subscribes_hears_of_every_change() -> None:
     assert first == second == [110, 112, ALL, ALL]
 
 
-def test_it_is_reported_once_the_values_are_there_and_before_they_are_kept() -> None:
+def test_subscriber_is_notified_after_the_change_and_before_it_is_stored() -> None:
     store = MemoryStore()
     settings = fresh(store)
     seen: list[object] = []
@@ -156,7 +156,7 @@ def test_it_is_reported_once_the_values_are_there_and_before_they_are_kept() -> 
 
 
 @pytest.mark.parametrize(("number", "amount"), [(0, 2), (20, 1), (40, 1), (110, -1)])
-def test_a_refused_change_is_not_announced(number: int, amount: float) -> None:
+def test_refused_change_is_not_notified(number: int, amount: float) -> None:
     settings = fresh()
     numbers = heard(settings)
     with pytest.raises(GrblError):
@@ -165,7 +165,7 @@ def test_a_refused_change_is_not_announced(number: int, amount: float) -> None:
 
 
 @pytest.mark.parametrize("kept", [None, ["$110=5x0"]])
-def test_defaults_in_place_of_what_cannot_be_read_are_announced_once(kept: object) -> None:
+def test_defaults_after_unreadable_settings_are_notified_once(kept: object) -> None:
     store: Any = MemoryStore()
     if kept:
         store.files["settings"] = kept
@@ -179,7 +179,7 @@ def test_defaults_in_place_of_what_cannot_be_read_are_announced_once(kept: objec
 
 
 def boot(machine: Machine) -> "list[str]":
-    """What the machine says when power comes on."""
+    """Switch the machine on and return its output."""
     machine.run(machine.start())
     return machine.received
 
@@ -216,20 +216,20 @@ def test_damaged_settings_are_restored_and_reported(damage: "list[str] | None") 
 
 
 @given(st.lists(st.text("$=0123456789.eE-+ inf\x00\xff", max_size=20), max_size=8))
-def test_any_damage_to_what_is_kept_ends_in_a_start(lines: "list[str]") -> None:
+def test_machine_starts_after_any_damage_to_stored_settings(lines: "list[str]") -> None:
     machine = Machine(watched=False)
     machine.rig.store.files["settings"] = lines
     assert any(line.startswith("Grbl 1.1h") for line in boot(machine))
 
 
 class NewStore(MemoryStore):
-    """Nothing has ever been kept: no copy is spoilt, there is none."""
+    """A store in which nothing was ever stored: no copy exists, so none is damaged."""
 
     def load(self, name: str) -> "list[str] | None":
         return self.files.get(name, [])
 
 
-def test_a_new_board_has_the_factorys_settings_and_says_so_once_after_its_welcome() -> None:
+def test_new_board_stores_factory_settings_and_reports_them_once_after_the_welcome() -> None:
     machine = Machine(watched=False)
     machine.rig.store = store = NewStore()
     told = "[MSG:First start: factory settings]"
@@ -240,25 +240,25 @@ def test_a_new_board_has_the_factorys_settings_and_says_so_once_after_its_welcom
     assert boot(machine) == ["", "Grbl 1.1h ['$' for help]"]
 
 
-def test_a_reset_does_not_say_again_that_a_board_is_new() -> None:
+def test_reset_does_not_repeat_the_first_start_message() -> None:
     machine = Machine(watched=False)
     machine.rig.store = NewStore()
     machine.play(["$I", "\x18"])
     assert sum("First start" in line for line in machine.received) == 1
 
 
-def test_intact_settings_are_not_spoken_of() -> None:
+def test_intact_settings_are_not_reported() -> None:
     assert boot(Machine({110: 700})) == ["", "Grbl 1.1h ['$' for help]"]
 
 
 class FullStore(MemoryStore):
-    """Nothing can be kept."""
+    """A store that refuses every write."""
 
     def save(self, name: str, lines: object) -> None:
         raise OSError(28)
 
 
-def test_a_machine_whose_flash_is_full_starts_with_defaults_and_says_so() -> None:
+def test_machine_with_full_flash_starts_with_defaults_and_reports_it() -> None:
     machine = Machine(watched=False)
     machine.rig.store = FullStore()
     machine.play(["G91", "G1X1F300", "$110=600"])

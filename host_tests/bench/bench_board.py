@@ -1,13 +1,13 @@
-"""`make bench-board`: what a board can do, as a table. UGRBL_UF2 names an image, or PORT a board.
+"""`make bench-board`: measure a board and print a table. UGRBL_UF2 names an image, PORT a board.
 
     bench_board.py [--columns plain,cache] [PART]...        all parts, or those named
 
-Emulated times are those of the emulated chip; on hardware those of a sender are this computer's,
-USB included. An emulated board is measured twice: as the emulator is, in which flash takes no
-time, and with a model of the chip's flash cache (host_tests/emulator/xip.py), by which the core
-waits for what is not in it. A real board is given the benchmark's commands at its prompt, and
-gets its program and settings back; it moves its axes, so motors are better off. What has to be
-looked at from power-up on or at the pins is left out there.
+Emulated times are those of the emulated chip. On hardware a sender's times are this computer's,
+USB included. An emulated board is measured twice: with the plain emulator, in which reads of flash
+take no time, and with a model of the chip's flash cache (host_tests/emulator/xip.py), in which the
+core waits after a miss. A real board gets the benchmark's commands at its prompt; its program and
+settings are restored at the end. It moves its axes, so switch the motors off. Rows that need
+power-up or the pins are left out there.
 """
 
 import argparse
@@ -61,7 +61,7 @@ _PLAIN, _CACHE = "plain", "cache"
 
 
 def _benches(port: str, uf2: str, columns: "Sequence[str]") -> "list[Bench]":
-    """One for each column. Exits where there can be none."""
+    """Return one bench for each column; exit if a column is impossible."""
     if port:
         return [Bench(port=port)]
     if not uf2:
@@ -73,7 +73,7 @@ def _benches(port: str, uf2: str, columns: "Sequence[str]") -> "list[Bench]":
 
 
 def _measure(name: str, benches: "list[Bench]") -> "Iterator[Sequence[Row]]":
-    """A part's rows, and what its columns waited for flash."""
+    """Return a part's rows, and the cycles that its columns waited for flash."""
     before = [bench.counts() for bench in benches]
     yield from zip(*(_PARTS[name](bench) for bench in benches), strict=True)
     if any(bench.cache for bench in benches):
@@ -100,7 +100,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Print rows as they come."""
+    """Print rows as soon as they are measured."""
     asked = _arguments()
     port = os.environ.get("PORT", "")
     benches = _benches(port, os.environ.get(CHIP.image, ""), asked.columns.split(","))

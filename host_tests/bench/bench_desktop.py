@@ -1,8 +1,8 @@
 """`make bench`: how fast the firmware runs on this desktop, as ratios within one run.
 
-Times of a shared machine mean little by themselves; so a plain Python loop is timed before and
-after, and figures are told beside it: a line costs so many turns of that loop. Kernels
-are compiled where there is a C compiler; UGRBL_VIPER=fast runs them as Python.
+Times of a shared machine mean little by themselves. So a plain Python loop is timed before and
+after, and each figure is also given in turns of that loop. Kernels are compiled if there is a C
+compiler; UGRBL_VIPER=fast runs them as Python.
 """
 
 from statistics import median
@@ -18,12 +18,12 @@ _SHORT = [
     b"G91 F1200",
     *(b"G1X0.0%dY0.0%d" % (3 + i % 5, 6 - i % 5) for i in range(50_000)),
 ]
-# A new feed rate on each of them.
+# Each line has a new feed rate.
 _FEEDS = [line + b"F12%02d" % (i % 100) for i, line in enumerate(_SHORT[1:6001])]
 
 
 def _loop_s() -> float:
-    """Seconds for a turn of a plain Python loop."""
+    """Return the seconds for one turn of a plain Python loop."""
     since = perf_counter()
     total = 0
     for i in range(_LOOPS):

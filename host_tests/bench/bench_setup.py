@@ -1,4 +1,4 @@
-"""The board that is measured: started anew, or given other commands, where a part wants that."""
+"""Set up the board that is measured: restart it, or load other commands, as a part needs it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from wire import EmulatedWire, SerialWire, Talk
 
 
 class Counts(NamedTuple):
-    """Reads of flash, and cycles of the core: waiting, and all together."""
+    """Count reads of flash, and cycles of the core: those spent waiting, and all."""
 
     hits: int
     misses: int
@@ -22,25 +22,28 @@ class Counts(NamedTuple):
 
 @dataclass
 class Bench:
-    """uf2: the image for an emulated Pico, or port: where a real board is. cache: with the model
-    of the flash cache (host_tests/emulator/xip.py)."""
+    """Give access to the board that is measured.
+
+    uf2: the image for an emulated Pico, or port: the serial port of a real board. cache: use the
+    model of the flash cache (host_tests/emulator/xip.py).
+    """
 
     uf2: "Path | None" = None
     port: str = ""
     cache: bool = False
     _talks: "dict[bytes, Talk]" = field(default_factory=dict)
     _wire: "SerialWire | None" = None
-    _runs: bool = True  # a real board's firmware; else it is at the prompt
+    _runs: bool = True  # a real board runs its firmware; False: it is at the prompt
     _settings: "list[str]" = field(default_factory=list)
     _caches: "list[Any]" = field(default_factory=list)
 
     @property
     def emulated(self) -> bool:
-        """Whether time is the chip's, and pins can be looked at."""
+        """Return whether the board is emulated: its clock is exact and its pins can be read."""
         return self.uf2 is not None
 
     def board(self, changes: "Mapping[str, bytes | None] | None" = None) -> Board:
-        """A new emulated board with the firmware as it is, but for the changes; not started."""
+        """Create a new emulated board with our firmware and these changes; it is not started."""
         assert self.uf2
         board = Board(self.uf2, changes, self.cache)
         if self.cache:
@@ -48,11 +51,11 @@ class Bench:
         return board
 
     def counts(self) -> "Counts":
-        """What all caches have counted."""
+        """Return the sums of the counters of all caches."""
         return Counts(*(sum(getattr(x, name) for x in self._caches) for name in Counts._fields))
 
     def talk(self, main: bytes) -> Talk:
-        """A board with these commands, set up and at rest."""
+        """Return a conversation with a board that has these commands, is set up and is idle."""
         if main not in self._talks:
             talk = self._emulated(main) if self.uf2 else self._real(main)
             self._talks = {main: talk}
@@ -60,13 +63,13 @@ class Bench:
         return self._talks[main]
 
     def pico(self, main: bytes) -> Board:
-        """The same, where it is emulated."""
+        """Return the emulated board that has these commands, set up and idle."""
         wire = self.talk(main).wire
         assert isinstance(wire, EmulatedWire)
         return wire.board
 
     def bare(self) -> Talk:
-        """At MicroPython's raw prompt, emulated: without our firmware."""
+        """Return a conversation at MicroPython's raw prompt; an emulated board has no firmware."""
         if self.uf2:
             board = self.board(dict.fromkeys(firmware()))
             assert board.pico.run_until(lambda: board.pico.usb.connected > 0, 3_000_000)
@@ -76,7 +79,7 @@ class Bench:
         return self._at_prompt()
 
     def close(self) -> None:
-        """Leave a real board as it was: its own program, its own settings."""
+        """Restore a real board: its own program and its own settings."""
         if self._wire:
             talk = self._at_prompt()
             prompt.restart(talk)
@@ -109,14 +112,14 @@ class Bench:
 
 
 def set_up(talk: Talk) -> None:
-    """The settings of all rows, but for those that say otherwise; at X10 Y10."""
+    """Apply the settings common to all rows (a row may change them) and move to X10 Y10."""
     for line in (*SETTINGS, "G90", "G0X10Y10"):
         talk.ask(line)
     idle(talk)
 
 
 def reset(talk: Talk) -> None:
-    """A soft reset; whatever was planned is forgotten."""
+    """Send a soft reset, which discards all planned moves, and unlock."""
     talk.wire.received.clear()
     talk.wire.send(b"\x18")
     talk.wait(b"Grbl")
@@ -125,7 +128,7 @@ def reset(talk: Talk) -> None:
 
 
 def inside(talk: Talk, command: str) -> "list[int]":
-    """The numbers that a command of our own (on_board.py) answers with."""
+    """Return the numbers with which one of our own commands (on_board.py) answers."""
     talk.wire.received.clear()
     talk.wire.send(command.encode() + b"\n")
     talk.wait(b".]\r\nok\r\n")

@@ -1,28 +1,29 @@
-"""The emulated clock against figures that others have published of real boards.
+"""Compare the emulated clock with figures that others have published of real boards.
 
 A few lines of our own do the same operations as theirs, at MicroPython's prompt without our
-firmware, and `measured / published` is told: below 1 the emulator is faster than a real chip. All
-boards are RP2040 at 125 MHz. Their MicroPython is older than 1.28, in which interpreter and memory
-management run from flash because of an error in a linker script, and from RAM in those before and
-after (LINKER). So with 1.28 and the model of the flash cache (host_tests/emulator/xip.py) ratios
-have to be above 1: the loops 1.14 to 1.54. With an image of 1.23.0, SHAO's, built here, they are
-0.93 to 0.99 with the model and without, for a loop whose interpreter is in RAM hardly misses.
+firmware. The row is `measured / published`: below 1 the emulator is faster than a real chip. All
+boards are RP2040 at 125 MHz. Their MicroPython is older than 1.28. In 1.28 interpreter and memory
+management run from flash because of a fault in a linker script; before and after it they run
+from RAM (LINKER). So with 1.28 and the model of the flash cache (host_tests/emulator/xip.py)
+ratios have to be above 1: the loops have 1.14 to 1.54. With an image of 1.23.0 (SHAO's version,
+built here) they are 0.93 to 0.99 with and without the model, because a loop hardly misses the
+cache when its interpreter is in RAM.
 
-So the loops do not tell what a miss costs; LINKER does. Twelve programs of tests/perf_bench become
-faster on a Pico W when the interpreter goes to RAM: by 13 % in the mean, 29 % at most. With the
-model and two images of 1.28 that differ in that line alone they do by 13 % at 30 cycles a miss, by
-17 % at 40 and 21 % at 50; at 40 each is 9 % beside its real figure (root mean square), for which
-code shares a line of the cache is another matter in each image. NANO's score of bm_chaos, with
-the interpreter in flash, is 154; with the model 171, 154 and 140. Which way is given up makes no
-difference (random: 17 %). Of viper code we know no published figure; it lies in RAM, and its
-instructions are counted by the emulator as those of the interpreter are.
+So the loops do not show the cost of a miss; LINKER does. Twelve programs of tests/perf_bench
+become faster on a Pico W when the interpreter moves to RAM: 13 % in the mean, 29 % at most. With
+the model and two images of 1.28 that differ in that line alone, the mean is 13 % at 30 cycles a
+miss, 17 % at 40 and 21 % at 50. At 40 each program is 9 % away from its real figure (root mean
+square), because each image places other code in the same line of the cache. NANO's score of
+bm_chaos, with the interpreter in flash, is 154; the model gives 171, 154 and 140. The choice of
+the way that is replaced makes no difference (random: 17 %). We know no published figure of viper
+code; it lies in RAM, and the emulator counts its instructions like those of the interpreter.
 
     SHAO    github.com/shaoziyang/micropython_benchmarks, README.md at 46c413b (2025-06-25), row
             RP2040, MicroPython v1.23.0, 125 MHz: ms for 10000 turns of `C = p[1] + p[2]` and the
             like, by kind of number. Ours: fewer turns.
     GEORGE  github.com/micropython/micropython/pull/12846, comment of 2023-11-09, a Pico with 1.22
             in the making, after that change: scores of tests/perf_bench with N=100 M=100; a score
-            is 1e6 * count / us. bm_float 3769.89, count 250: so many objects made, scaled to unit
+            is 1e6 * count / us. bm_float 3769.89, count 250: so many objects, scaled to unit
             length and compared (sine, cosine, root, methods). core_locals 28.30, count 8: as many
             objects, 8 rounds of getattr and setattr each, with 141 names of which 83 differ. Ours:
             250, and 1 object.
@@ -95,7 +96,7 @@ _WORDS = [f"n{(k * (k // 83 + 1) % 83) * 7919 % 9973}" for k in range(141)]
 
 
 class _Figure(NamedTuple):
-    """us: what was published for as much work as the code does."""
+    """Yield the ratios measured / published (see the module's docstring)."""
 
     name: str
     us: float

@@ -1,13 +1,14 @@
-"""What the benchmark runs on the board: its own commands, in MAIN, in front of the firmware's.
+"""Define what the benchmark runs on the board: MAIN adds commands to the firmware.
 
-A board that is emulated has it for its main.py; a real one is given it at its prompt (prompt.py)
-and keeps nothing of it. Objects of the firmware are got hold of as they pass by in a method.
+An emulated board has this text as its main.py. A real board gets it at its prompt (prompt.py) and
+stores nothing of it. Methods of the firmware are wrapped, which gives access to its objects when
+they are called.
 
-`$STAGE` times the stages of a line, each in a loop with ticks_us, less the same loop with a
-function that does nothing; a figure is in 0.1 us: its words read and checked, what is then left to
-do but for planning, and that. Planning fills the ring with 12 short moves, three times over. A
-line with more words is read and checked, too: "G90G1X10.04Y10.03F9000T1". The machine is in check
-mode meanwhile, and reset afterwards.
+`$STAGE` times the stages of a line. Each stage runs in a loop timed by ticks_us; the time of the
+same loop with an empty function is subtracted. Figures are in units of 0.1 us: reading and
+checking the words; the remaining work without planning; planning. Planning fills the ring with 12
+short moves, three times. A line with more words is also read and checked:
+"G90G1X10.04Y10.03F9000T1". The machine is in check mode during this, and is reset afterwards.
 """
 
 from base.state import CHECK
@@ -19,7 +20,7 @@ _START = """
 machine = power_up.run_machine(power_up.build())
 """
 
-# Commands: `$NAME=number` answers with numbers in a message, if there are any.
+# Our commands: `$NAME=number` answers with a message of numbers, if it has any.
 _COMMANDS = """
 import gc
 import time
@@ -63,8 +64,9 @@ keep(planner.Planner, "configure")
 commands.Commands.find_command = whose
 """
 
-# $FREE; $COLLECT=n: mean and longest of n collections, us; $ALLOC: bytes on the heap; $GC=0 or 1:
-# collections off or on; $COUNT=us: turns of a loop; $LATER=us: the same once a block is through.
+# $FREE: free bytes; $COLLECT=n: mean and longest of n collections, us; $ALLOC: bytes on the heap;
+# $GC=0 or 1: collections off or on; $COUNT=us: turns of a loop in this time; $LATER=us: the same
+# after a block has finished.
 _COUNTS = """
 def collect(times):
     took = []
@@ -105,7 +107,7 @@ acts[b"COUNT"] = count
 acts[b"LATER"] = later
 """
 
-# $STAGE: see above.
+# $STAGE: see the module's docstring.
 _STAGES = (
     """
 from language import interpreter
@@ -207,8 +209,8 @@ acts[b"STAGE"] = stages
     % CHECK
 )
 
-# $GAP: the longest time from one look at the link to the next since it was asked last, us; no
-# collection falls in where less than the heap is used until then, but for $COLLECT.
+# $GAP: longest time between two reads of the link since the last $GAP, us. $GAP and $COLLECT
+# collect garbage, so no other collection runs until the heap is used up.
 _GAPS = """
 import board
 
@@ -249,7 +251,7 @@ acts[b"COLLECT"] = lambda _: gc.collect()  # which has no answer
 """
 
 _BEGIN = _FIRST + _COMMANDS
-PLAIN = (_FIRST + _START).encode()  # none of our commands
+PLAIN = (_FIRST + _START).encode()  # without our commands
 MAIN = (_BEGIN + _COUNTS + _START).encode()
 STAGES = (_BEGIN + _STAGES + _START).encode()
 GAPS = (_BEGIN + _GAPS + _START).encode()

@@ -1,5 +1,7 @@
-"""Rows for which one has to look at the pins, or at what an interrupt takes: emulated boards only,
-but for the interrupt's share."""
+"""Measure rows that need the pins of an emulated board, and the interrupt's share.
+
+The interrupt's share can be measured on a real board, too.
+"""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -11,7 +13,7 @@ from rows import Row
 from streaming import figures, idle
 from wire import Talk
 
-# Moves that go on for longer than they are looked at.
+# These moves take longer than they are measured.
 _LONG = {
     "1 axis, 1 kHz": ("G91 G1 X100 F240",),
     "1 axis, 100 kHz": ("G91 G1 X100 F24000",),
@@ -37,9 +39,12 @@ _FAST_MM = 46
 
 
 def share(bench: Bench) -> Iterator[Row]:
-    """What the pulse engine's interrupt takes of the processor: a loop on the board counts for
-    0.1 s at rest and while a move goes on; for short blocks for most of the time that 13 of them
-    take, which are planned while a longer one runs."""
+    """Yield the pulse engine's interrupt's share of the processor.
+
+    A loop on the board counts its turns for 0.1 s, first idle and then during a move. With short
+    blocks it counts for most of the time that 13 of them take; they are planned while a longer
+    block runs.
+    """
     talk = bench.talk(MAIN)
     idle(talk)
     (at_rest,) = inside(talk, f"$COUNT={_LOOKED_US}")
@@ -59,7 +64,7 @@ def share(bench: Bench) -> Iterator[Row]:
 
 
 def _count_short(talk: Talk, rate: int, looked_us: int) -> int:
-    """Turns of the loop while short blocks run at that rate."""
+    """Return the turns of the loop while short blocks run at that rate."""
     feed = _BLOCK_MM * rate
     talk.ask(f"G91 G1 X{0.1 * feed:.2f} F{60 * feed:.0f}")  # lasts 0.1 s
     short = f"X{0.8 * _BLOCK_MM:.3f}Y{0.6 * _BLOCK_MM:.3f}"
@@ -76,7 +81,7 @@ def _stop(talk: Talk) -> None:
 
 
 def _recorded(bench: Bench) -> "tuple[Talk, Board]":
-    """A board whose motor pins are recorded."""
+    """Return a conversation and its board, with the motor pins recorded."""
     talk, board = bench.talk(MAIN), bench.pico(MAIN)
     if not hasattr(board, "is_recorded"):
         board.is_recorded = True
@@ -85,8 +90,11 @@ def _recorded(bench: Bench) -> "tuple[Talk, Board]":
 
 
 def hold(bench: Bench) -> Iterator[Row]:
-    """From `!` to the first step that comes more than 2 % late, one axis at 10 kHz, at different
-    phases of segments and main loop."""
+    """Yield the time from `!` to the first late step.
+
+    Late is an interval more than 2 % longer. One axis moves at 10 kHz; holds start at different
+    phases of segments and main loop.
+    """
     talk, board = _recorded(bench)
     found = []
     for phase_us in _PHASES_US:
@@ -104,15 +112,18 @@ def hold(bench: Bench) -> Iterator[Row]:
 
 
 def _first_late(board: Board) -> float:
-    """When the first step comes that is late, in us."""
+    """Return the time of the first late step, in us."""
     rises = [us for us, _ in steps(board.pico.edges, 0)]
     allowed = _SLOWER * 1e6 / _HELD_HZ
     return next(b for a, b in pairwise(rises) if b - a > allowed)
 
 
 def rates(bench: Bench) -> Iterator[Row]:
-    """The rate that comes of a feed no motor could follow: mean of 10 ms in the middle of a move,
-    its shortest interval, and whether steps, pins and reported position agree. $0=3."""
+    """Yield the step rate for a feed that no motor could follow, with $0=3.
+
+    The rate is the mean of 10 ms in the middle of a move. Also: its shortest interval, and whether
+    steps, pins and reported position agree.
+    """
     talk, board = _recorded(bench)
     for line in _FASTEST:
         talk.ask(line)
@@ -142,6 +153,6 @@ def rates(bench: Bench) -> Iterator[Row]:
 
 
 def _position(board: Board) -> "list[float]":
-    # A ? that comes right behind the answer to another is taken for answered with it.
+    # A ? right after the answer to another one would count as answered by it.
     board.pico.run_us(2_000)
     return [float(x) for x in board.status()["MPos"].split(",")]

@@ -1,4 +1,4 @@
-"""MicroPython's raw prompt over a Wire: it gives a real board our commands, and runs code."""
+"""Use MicroPython's raw prompt over a Wire: load our commands on a real board, run code."""
 
 from wire import Talk
 
@@ -7,7 +7,7 @@ _CODE_US = 20_000_000
 
 
 def leave_firmware(talk: Talk) -> None:
-    """From the machine at rest to the raw prompt; its objects are still there."""
+    """Go from the idle machine to the raw prompt; the firmware's objects stay in memory."""
     talk.wire.received.clear()
     talk.wire.send(b"\x03\x03\x03")
     talk.wait(b"Here is the REPL")
@@ -15,7 +15,7 @@ def leave_firmware(talk: Talk) -> None:
 
 
 def begin_bare(talk: Talk) -> None:
-    """To the raw prompt of a board that has no program."""
+    """Go to the raw prompt of a board that has no program."""
     talk.pause_us(50_000)
     talk.wire.send(b"\r\x03")
     talk.wait(b">>> ")
@@ -29,7 +29,7 @@ def _raw(talk: Talk) -> None:
 
 
 def run(talk: Talk, code: str) -> str:
-    """Run code at the raw prompt; returns what it prints. RuntimeError if it raises."""
+    """Run code at the raw prompt and return its output; raise RuntimeError if it raises."""
     talk.wire.received.clear()
     talk.wire.send(code.encode() + b"\x04")
     talk.wait(b"\x04>", _CODE_US)
@@ -40,7 +40,7 @@ def run(talk: Talk, code: str) -> str:
 
 
 def start_firmware(talk: Talk, main: bytes) -> None:
-    """A soft reset, and the firmware with this program in place of main.py, kept nowhere."""
+    """Reset, then run the firmware with this program instead of main.py; store nothing."""
     talk.wire.received.clear()
     talk.wire.send(b"\x04")
     talk.wait(_RAW)
@@ -51,7 +51,7 @@ def start_firmware(talk: Talk, main: bytes) -> None:
 
 
 def restart(talk: Talk) -> None:
-    """From the raw prompt back to the firmware as it is on the board."""
+    """Go from the raw prompt back to the firmware stored on the board."""
     talk.wire.received.clear()
     talk.wire.send(b"\x02\x04")
     talk.wait(b"Grbl 1.1h")

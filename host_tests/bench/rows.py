@@ -1,4 +1,4 @@
-"""Rows of the table, and what Grbl 1.1h does on its own chip beside them."""
+"""Rows of the table, and the figures of Grbl 1.1h on its own chip for comparison."""
 
 import json
 from collections.abc import Sequence
@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 _RECORDED = Path(__file__).resolve().parents[3] / "shared" / "grbl-performance.json"
 
-# Recorded cycle by cycle on an emulated ATmega328P at 16 MHz: where it is in grbl-performance.json
-# (in the project's shared folder), what it says there, unit.
+# Recorded cycle by cycle on an emulated ATmega328P at 16 MHz: path in grbl-performance.json (in
+# the project's shared folder), its figure, unit.
 _GRBL: "dict[str, tuple[tuple[str, ...], Any, str]]" = {
     "streamed": (("b_lines_per_second", "xy_22_chars_115200"), 350, "lines/s"),
     "checked": (("b_lines_per_second", "check_mode_g1_22_chars_fast_serial"), 1330, "lines/s"),
@@ -33,7 +33,7 @@ _GRBL: "dict[str, tuple[tuple[str, ...], Any, str]]" = {
 
 
 class Row(NamedTuple):
-    """One figure of the table. grbl: a key of the figures above, if there is one."""
+    """One figure of the table; grbl is a key of the figures above, or empty."""
 
     name: str
     figure: float
@@ -42,7 +42,7 @@ class Row(NamedTuple):
 
 
 def text(rows: "Sequence[Row]") -> str:
-    """What was measured in one way or more, as a line of the table."""
+    """Return a line of the table: one row as measured in each column."""
     first = rows[0]
     figures = "".join(f"{_figure(row):>9}" for row in rows)
     beside = f"Grbl {grbl(first.grbl)}" if first.grbl else ""
@@ -50,7 +50,7 @@ def text(rows: "Sequence[Row]") -> str:
 
 
 def head(columns: "Sequence[str]") -> str:
-    """What stands above them."""
+    """Return the heading of the columns."""
     return " " * 48 + "".join(f"{column:>9}" for column in columns)
 
 
@@ -59,7 +59,7 @@ def _figure(row: Row) -> str:
 
 
 def grbl(key: str) -> str:
-    """Grbl's figure: from its record where that is at hand, or as we have noted it."""
+    """Return Grbl's figure: from the recorded file if it exists, else from the table above."""
     path, noted, unit = _GRBL[key]
     figure = noted
     if _RECORDED.is_file():

@@ -1,4 +1,4 @@
-"""What a sender sees: lines per second, and how long answers take."""
+"""Measure as a sender does: lines per second, and how long answers take."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from statistics import mean
 
 from wire import Talk
 
-WINDOW = 255  # bytes under way, as [OPT:…] says
+WINDOW = 255  # bytes sent and not yet answered, as [OPT:…] allows
 SETTINGS = (
     *("$0=3", "$1=255", "$10=3", "$100=250", "$101=250", "$102=250"),
     *("$110=30000", "$111=30000", "$112=30000", "$120=5000", "$121=5000", "$122=5000"),
@@ -18,9 +18,9 @@ _MOVE_MM = 0.05
 
 
 def short_moves(count: int, lines_s: float = 3000) -> "Iterator[str]":
-    """Lines of 22 characters, moves of 0.05 mm, with a feed that makes so many a second of them.
+    """Yield lines of 22 characters, moves of 0.05 mm, whose feed asks for lines_s lines a second.
 
-    They go round on a circle of 20 mm: no corner makes the machine slow down.
+    They go round a circle of 20 mm radius, so no corner slows the machine down.
     """
     for k in range(1, count + 1):
         angle = _MOVE_MM * k / 20
@@ -29,7 +29,7 @@ def short_moves(count: int, lines_s: float = 3000) -> "Iterator[str]":
 
 
 def in_all_axes(letters: str, count: int, lines_s: float) -> "Iterator[str]":
-    """Such moves, in which every axis has a word and goes its way: the others gently."""
+    """Yield such moves with a word for every axis; axes after the second move slowly."""
     for k in range(1, count + 1):
         angle = _MOVE_MM * k / 20
         places = [30 - 20 * cos(angle), 10 + 20 * sin(angle)]
@@ -39,13 +39,13 @@ def in_all_axes(letters: str, count: int, lines_s: float) -> "Iterator[str]":
 
 
 def new_feeds(count: int) -> "Iterator[str]":
-    """Short moves, each with another feed rate than the one before."""
+    """Yield short moves, each with a feed rate different from the one before."""
     for k, line in enumerate(short_moves(count)):
         yield f"{line[:-4]}{9000 - k % 2}"
 
 
 def raster(count: int) -> "Iterator[str]":
-    """A laser's line of an image: 0.1 mm per dot."""
+    """Yield lines of a laser image: 0.1 mm per dot."""
     for k in range(count):
         yield f"G1X{10 + 0.1 * (k + 1):.1f}S{100 + 37 * (k % 9)}"
 
@@ -55,38 +55,41 @@ CLUSTERS = ("$30=1000", "$32=1", "$110=30000", "$120=5000")
 
 
 def clusters(count: int) -> "Iterator[str]":
-    """A laser's line of an image: dots of 0.01 mm, 16 of them in a line of text."""
+    """Yield lines of a laser image: 16 dots of 0.01 mm in one line of text."""
     for k in range(count):
         powers = ":".join(str(100 + 53 * (k + i) % 900) for i in range(CLUSTER))
         yield f"X0.16S{powers}"
 
 
 def arcs(count: int) -> "Iterator[str]":
-    """Half circles of 1 mm radius, twelve chords or more each."""
+    """Yield half circles of 1 mm radius, twelve chords or more each."""
     for k in range(count):
         yield f"G2X{12 + 2 * k}Y10I1J0F9000"
 
 
-# So many chords does a circle of 5 mm take with this tolerance, and such an acceleration lets the
-# machine go through them faster than they can be planned.
+# A circle of 5 mm takes CIRCLE_CHORDS chords with this tolerance. The machine follows them faster
+# than they can be planned with this acceleration.
 CIRCLE = ("$12=0.00005", "$120=50000", "$121=50000")
 CIRCLE_CHORDS = 702
 
 
 def circles(count: int) -> "list[str]":
-    """Whole circles of 5 mm radius; CIRCLE_CHORDS chords each, where the settings are CIRCLE."""
+    """Return circles of 5 mm radius; with the settings CIRCLE each has CIRCLE_CHORDS chords."""
     return ["G2X10Y10I5J0F30000"] * count
 
 
 def comments(count: int) -> "Iterator[str]":
-    """Lines of 22 characters, their end counted, that say nothing: what any line costs."""
+    """Yield comments of 22 characters, line end included: they show the fixed cost of a line."""
     return (f"({k:05}: say nothing.)" for k in range(count))
 
 
 @dataclass
 class Streamed:
-    """What came of it. first_us, query_us: from `?` to the first and to the last byte of its
-    answer; waiting: blocks in the planner when asked, the least of all times."""
+    """Figures of a stream.
+
+    first_us, query_us: from `?` to the first and to the last byte of its answer; waiting: blocks
+    in the planner when `?` was answered, the smallest number.
+    """
 
     lines_s: float
     first_us: "list[float]"
@@ -95,7 +98,7 @@ class Streamed:
 
 
 def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 0) -> Streamed:
-    """Send lines by character counting; those with which the planner fills up are not counted."""
+    """Send lines by character counting; the lines that fill the planner are not counted."""
     wire = talk.wire
     under_way: deque[int] = deque()
     answered = sent = 0
@@ -141,7 +144,7 @@ def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 
 
 
 def query_idle_us(talk: Talk, times: int = 20) -> "tuple[list[float], list[float]]":
-    """From `?` to the first and to the last byte of the report, at rest."""
+    """Return the times from `?` to the first and to the last byte of the report, while idle."""
     first, whole = [], []
     for k in range(times):
         talk.pause_us(3_000 + 370 * k)
@@ -154,7 +157,7 @@ def query_idle_us(talk: Talk, times: int = 20) -> "tuple[list[float], list[float
 
 
 def idle(talk: Talk) -> None:
-    """Wait until the machine stands still."""
+    """Wait until the machine is idle."""
     while True:
         talk.wire.received.clear()
         talk.wire.send(b"?")
@@ -165,5 +168,5 @@ def idle(talk: Talk) -> None:
 
 
 def figures(values: "list[float]") -> "tuple[float, float]":
-    """Mean and worst, in ms."""
+    """Return mean and worst, in ms."""
     return mean(values) / 1000, max(values) / 1000

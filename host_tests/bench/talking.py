@@ -1,4 +1,4 @@
-"""Rows that a sender can measure, and those that our own commands tell from inside."""
+"""Measure rows as a sender, and with our own commands on the board."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,9 +35,9 @@ from ugrbl.sim import motor_names
 from wire import EmulatedWire, Talk
 
 _ASKED = 700  # short moves per second
-_TOO_MUCH = 2400  # the same where the firmware is to be the limit
+_TOO_MUCH = 2400  # the same; the firmware is the limit
 _BLOCKS = 63
-# 40 ms, but not as long as a whole number of lines: a report is to come at any time within one.
+# About 40 ms, but no whole number of lines: reports shall fall on any phase of a line.
 _QUERY_US = 39_700
 
 
@@ -51,7 +51,7 @@ def _boards_of_axes() -> "Iterator[tuple[str, tuple[int, str]]]":
         yield f"{word} axes", (count, f"{six}\nSTEP, DIR, LIMIT = {cut}\n")
 
 
-# How many axes, and the text of the board file.
+# Number of axes, and the text of the board file.
 OF_AXES = dict(_boards_of_axes())
 
 
@@ -62,7 +62,7 @@ def _at_start(talk: Talk) -> None:
 
 
 def boot(bench: Bench) -> Iterator[Row]:
-    """Power-up to the welcome's last byte; memory is asked for at the prompt after Ctrl-C."""
+    """Time power-up to the welcome's last byte; read free memory at the prompt after Ctrl-C."""
     first = bench.board().boot(until="for help]\r\n")
     yield Row("power-up to welcome, first start", first.pico.us / 1000, "ms", "first start")
     first.settled()
@@ -78,8 +78,10 @@ def boot(bench: Bench) -> Iterator[Row]:
 
 
 def memory(bench: Bench) -> Iterator[Row]:
-    """Heap while the machine runs, with the benchmark's commands on it. The first collection has
-    the garbage of lines that left some, the others have none."""
+    """Measure the heap while the machine runs, with the benchmark's commands loaded.
+
+    The first collection removes the garbage of the lines before it; the others find none.
+    """
     talk = bench.talk(MAIN)
     _at_start(talk)
     stream(talk, [f"G1G90X{10 + k % 9}F9000" for k in range(12)], _BLOCKS)
@@ -92,9 +94,11 @@ def memory(bench: Bench) -> Iterator[Row]:
 
 
 def heap(bench: Bench) -> Iterator[Row]:
-    """Bytes that a line leaves on the heap, collections off: the difference of a longer and a
-    shorter stream of the same kind, so that what comes before and after does not count, but for
-    some blocks of 16; a difference below 0 is shown as none."""
+    """Measure the bytes that a line leaves on the heap, with collections off.
+
+    A longer and a shorter stream of the same kind are compared, so the cost of start and end
+    cancels, except for some blocks of 16 bytes. A difference below 0 is shown as 0.
+    """
     talk = bench.talk(MAIN)
     talk.ask("$32=1")
     kinds = {
@@ -117,7 +121,7 @@ def heap(bench: Bench) -> Iterator[Row]:
 
 
 def _left(talk: Talk, sent: "list[str]") -> int:
-    """Bytes that these lines leave, and the way there and back."""
+    """Return the bytes that these lines leave, with those of starting and ending the stream."""
     idle(talk)
     inside(talk, "$COLLECT=1")
     inside(talk, "$GC=0")
@@ -129,7 +133,7 @@ def _left(talk: Talk, sent: "list[str]") -> int:
 
 
 def queries(bench: Bench) -> Iterator[Row]:
-    """Status reports at rest: from `?` to the first byte of the answer, and to its last."""
+    """Time status reports while idle: from `?` to the first and to the last byte of the answer."""
     talk = bench.talk(MAIN)
     first, whole = query_idle_us(talk, 8)
     yield Row("? at rest, to the first byte, mean", figures(first)[0], "ms", "asked at rest")
@@ -138,7 +142,7 @@ def queries(bench: Bench) -> Iterator[Row]:
 
 
 def lines(bench: Bench) -> Iterator[Row]:
-    """Streams of short moves, by character counting."""
+    """Time streams of short moves, sent by character counting."""
     talk = bench.talk(MAIN)
     _at_start(talk)
     made = stream(talk, list(short_moves(1000, _ASKED)), _BLOCKS, query_every_us=_QUERY_US)
@@ -155,7 +159,7 @@ def lines(bench: Bench) -> Iterator[Row]:
     _leave_check(talk)
 
 
-_FIT = 60  # moves that the planner takes without waiting for any
+_FIT = 60  # moves that fit in the planner without waiting
 _OTHER_PLANES = ("G18G1X10.04Y10.03", "G17G1X10Y10")
 _LONG = (
     ("a tool and a move", ["T1G1X10.04Y10.03F9000", "T2G1X10Y10F9000"]),
@@ -175,8 +179,10 @@ _ASKED_FOR = ("$J=G91X0.01F3000", "$G", "$#", "$$")
 
 
 def long_lines(bench: Bench) -> Iterator[Row]:
-    """Lines with modes, streamed: milliseconds for each; and how long until an answer to a line
-    that asks for something has come whole."""
+    """Time lines with modes: ms for each in a stream.
+
+    Also: the time until the answer to a line that asks for something is complete.
+    """
     talk = bench.talk(MAIN)
     for name, lines in (*_LONG, _TWO_CHORDS):
         _at_start(talk)
@@ -184,7 +190,7 @@ def long_lines(bench: Bench) -> Iterator[Row]:
         made = stream(talk, lines * (moves // len(lines)), _BLOCKS)
         yield Row(f"a line with {name}", 1000 / made.lines_s, "ms a line")
         idle(talk)
-    talk = bench.talk(PLAIN)  # our commands look at every line that begins with $
+    talk = bench.talk(PLAIN)  # our commands read every line that begins with $
     for line in _ASKED_FOR:
         times = []
         for _ in range(5):
@@ -204,7 +210,7 @@ def _leave_check(talk: Talk) -> None:
 
 
 def _queried(made: Streamed) -> Iterator[Row]:
-    """How long status reports took in a stream."""
+    """Yield the times of status reports in a stream."""
     first, whole = figures(made.first_us), figures(made.query_us)
     yield Row("? while streaming, to the first byte, mean", first[0], "ms", "asked")
     yield Row("? while streaming, to the first byte, worst", first[1], "ms")
@@ -213,9 +219,9 @@ def _queried(made: Streamed) -> Iterator[Row]:
 
 
 def special_lines(bench: Bench) -> Iterator[Row]:
-    """A laser's raster, moves with a new feed rate each, and arcs."""
+    """Time a laser's raster, moves with a new feed rate each, and arcs."""
     talk = bench.talk(MAIN)
-    for line in ("$32=1", "$120=20000", "M4S0", "G90G1X10Y10F15000"):  # 2500 dots/s, soon
+    for line in ("$32=1", "$120=20000", "M4S0", "G90G1X10Y10F15000"):  # reaches 2500 dots/s
         talk.ask(line)
     idle(talk)
     made = stream(talk, list(raster(300)), _BLOCKS)
@@ -234,7 +240,7 @@ def special_lines(bench: Bench) -> Iterator[Row]:
 
 
 def clusters(bench: Bench) -> Iterator[Row]:
-    """A laser's dots, 16 in a line: a board of its own, which asks for them."""
+    """Time a laser's dots, 16 in a line, on an emulated board of its own that supports them."""
     if not bench.emulated:
         return
     talk = Talk(EmulatedWire(bench.board(files_of("pico_laser")).boot().settled()))
@@ -246,8 +252,11 @@ def clusters(bench: Bench) -> Iterator[Row]:
 
 
 def axes(bench: Bench) -> Iterator[Row]:
-    """Short moves in which all axes go, and free memory: boards of their own. Of three axes as the
-    default board, with a skew as well; of more the first motors of pico_six.py."""
+    """Time short moves in all axes, and read free memory, on emulated boards of their own.
+
+    Boards of three axes are as the default board, and one has a skew; boards of more axes have the
+    first motors of pico_six.py.
+    """
     if not bench.emulated:
         return
     for name in OF_AXES:
@@ -255,7 +264,7 @@ def axes(bench: Bench) -> Iterator[Row]:
 
 
 def of_axes(bench: Bench, name: str) -> Iterator[Row]:
-    """The rows of one of these boards, emulated."""
+    """Yield the rows of one of these boards, emulated."""
     count, text = OF_AXES[name]
     letters = motor_names.AXIS_LETTERS[:count]
     with TemporaryDirectory() as folder:
@@ -282,7 +291,7 @@ def of_axes(bench: Bench, name: str) -> Iterator[Row]:
 
 
 def chords(bench: Bench) -> Iterator[Row]:
-    """Circles of many chords, which only the firmware limits; and arcs in check mode."""
+    """Time circles of many chords, which only the firmware limits, and arcs in check mode."""
     talk = bench.talk(MAIN)
     for line in CIRCLE:
         talk.ask(line)
@@ -299,9 +308,11 @@ def chords(bench: Bench) -> Iterator[Row]:
 
 
 def stages(bench: Bench) -> Iterator[Row]:
-    """Microseconds of a line's stages, as on_board.py says. Receive and answer: USB, the link, the
-    ring and the loop, which is what a comment costs from end to end less its cleaning. The sum
-    without planning is to be held against a line in check mode."""
+    """Time the stages of a line in us (see on_board.py).
+
+    Receive and answer is USB, the link, the ring and the loop: the time of a comment from end to
+    end, less its cleaning. Compare the sum without planning with a line in check mode.
+    """
     talk = bench.talk(STAGES)
     total_us = 1e6 / stream(talk, list(comments(150)), _BLOCKS).lines_s
     idle(talk)
@@ -320,8 +331,10 @@ def stages(bench: Bench) -> Iterator[Row]:
 
 
 def gaps(bench: Bench) -> Iterator[Row]:
-    """The longest time from one look at the link to the next, while lines stream: without a
-    collection, and with one in the midst of arcs."""
+    """Measure the longest time between two reads of the link while lines stream.
+
+    Once without a collection, and once with a collection in the middle of arcs.
+    """
     talk = bench.talk(GAPS)
     collecting = list(arcs(16))
     collecting.insert(8, "$COLLECT")

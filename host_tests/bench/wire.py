@@ -1,4 +1,4 @@
-"""A board to measure: the emulated Pico, whose clock is exact, or a real one on a serial port."""
+"""A board to measure: the emulated Pico with its exact clock, or a real one on a serial port."""
 
 import time
 from typing import Protocol
@@ -8,19 +8,19 @@ from emulated import Board
 
 
 class Wire(Protocol):
-    """A line to a board and a clock."""
+    """A connection to a board, and a clock."""
 
     kind: str  # "emulated" or "on hardware"
     received: bytearray
 
     def now_us(self) -> float:
-        """The time."""
+        """Return the time, in us."""
 
     def send(self, data: bytes) -> None:
-        """Give bytes to the line."""
+        """Send bytes to the board."""
 
     def turn(self) -> None:
-        """Let a little time pass and take in what has come."""
+        """Let a short time pass and store the received bytes."""
 
 
 class EmulatedWire:
@@ -41,7 +41,7 @@ class EmulatedWire:
 
 
 class SerialWire:
-    """A Wire to a board on a serial port. Times are those of this computer."""
+    """A Wire to a board on a serial port; times are those of this computer."""
 
     kind = "on hardware"
 
@@ -60,13 +60,13 @@ class SerialWire:
 
 
 class Talk:
-    """Conversation over a Wire."""
+    """A conversation over a Wire."""
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
 
     def wait(self, text: bytes, limit_us: float = 5_000_000) -> float:
-        """Until the text has come; returns when that was, in us."""
+        """Wait until the text is received; return the time, in us. Raise TimeoutError."""
         end = self.wire.now_us() + limit_us
         while text not in self.wire.received:
             if self.wire.now_us() > end:
@@ -75,7 +75,7 @@ class Talk:
         return self.wire.now_us()
 
     def ask(self, line: str) -> str:
-        """The answer to a line."""
+        """Send a line and return its answer; raise RuntimeError if the line is refused."""
         self.wire.received.clear()
         self.wire.send(line.encode() + b"\n")
         self.wait(b"\r\n")

@@ -1,4 +1,4 @@
-"""Board files: every one there is is good, and every mistake is named."""
+"""Test board files: every existing one is valid, and every mistake is named."""
 
 from pathlib import Path
 from types import ModuleType
@@ -54,12 +54,12 @@ def board(**changes: Any) -> ModuleType:
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_every_board_there_is_is_good(name: str) -> None:
+def test_every_existing_board_is_valid(name: str) -> None:
     assert problems(load_board(name)) == []
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_a_board_says_what_it_is(name: str) -> None:
+def test_board_has_a_description_and_the_arch_of_its_chip(name: str) -> None:
     found: Any = load_board(name)
     assert found.__doc__ and found.__doc__.strip().endswith(".")
     assert not hasattr(found, "CHIP") or CHIPS[found.CHIP].mpy_arch == found.MPY_ARCH
@@ -67,7 +67,7 @@ def test_a_board_says_what_it_is(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["rpi_pico_w", "rpi_pico2"])
 def test_all_picos_are_wired_alike(name: str) -> None:
-    """Each file is alone on its board, so the wiring is in each of them."""
+    """A board file cannot import another one, so the wiring is repeated in each."""
     pico, other = vars(load_board("rpi_pico")), vars(load_board(name))
     names = {key for key in (*pico, *other) if key.isupper()} - {
         "CHIP",
@@ -78,7 +78,7 @@ def test_all_picos_are_wired_alike(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_a_board_is_data_only(name: str) -> None:
+def test_board_is_data_only(name: str) -> None:
     found = load_board(name)
     values = {key: value for key, value in vars(found).items() if not key.startswith("_")}
     allowed = (int, float, str, tuple, dict, bool)
@@ -164,7 +164,7 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"EXTRAS": ("nowhere",)}, "EXTRAS: No module named 'nowhere'"),
     ],
 )
-def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
+def test_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
     found = problems(board(**changes))
     assert (said in found[0] and len(found) == 1) if said else found == []
 
@@ -178,7 +178,7 @@ def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
         ({"SKEW": True, "DEFAULTS": {780: -1.5}}, ""),
     ],
 )
-def test_defaults_are_of_settings_that_the_board_has(
+def test_defaults_are_only_for_settings_of_the_board(
     options: "dict[str, Any]", refused: str
 ) -> None:
     said = problems(board(**options))
@@ -186,7 +186,7 @@ def test_defaults_are_of_settings_that_the_board_has(
 
 
 @pytest.mark.parametrize("text", ["def install(cnc:\n", "1 / 0\n"])
-def test_an_extra_that_fails_is_reported(
+def test_extra_that_fails_is_reported(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "broken.py").write_text(text)
@@ -197,7 +197,7 @@ def test_an_extra_that_fails_is_reported(
     )
 
 
-def test_an_extra_that_reaches_into_the_firmware_is_refused(
+def test_extra_that_imports_the_firmware_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "greedy.py").write_text(
@@ -210,7 +210,7 @@ def test_an_extra_that_reaches_into_the_firmware_is_refused(
     ]
 
 
-def test_an_extra_and_the_users_own_module_have_names_of_their_own(
+def test_extra_and_custom_module_need_different_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "mine.py").write_text("def install(cnc): pass\n")
@@ -221,7 +221,7 @@ def test_an_extra_and_the_users_own_module_have_names_of_their_own(
     assert not problems(board(EXTRAS=("mine",)))
 
 
-def test_pins_that_have_a_say_at_start_are_reported() -> None:
+def test_pins_that_affect_the_start_are_reported() -> None:
     uno = ModuleType("board")
     shield = {"STEP": (26, 25, 17), "DIR": (16, 27, 14)}
     uno.__dict__.update({**vars(load_board("esp32_devkit")), **shield})
@@ -238,14 +238,14 @@ def test_pins_that_have_a_say_at_start_are_reported() -> None:
     assert not any("pin 0 " in text or "pin 5 " in text for text in notes(load_board("mks_dlc32")))
 
 
-def test_two_boards_of_one_name_start_with_their_own_settings() -> None:
+def test_two_boards_with_one_name_start_with_their_own_settings() -> None:
     for steps in (100.0, 80.0):
         board = ModuleType("board")
         board.__dict__.update({**vars(load_board("sim")), "DEFAULTS": {100: steps}})
         assert f"$100={steps:g}" in factory_store(board).files["settings"]
 
 
-def test_a_machine_of_the_simulator_may_be_a_file_of_ones_own(tmp_path: Path) -> None:
+def test_simulator_accepts_a_users_board_file(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text((BOARDS / "sim.py").read_text("utf-8"), "utf-8")
     assert is_simulated(load_board(str(file)))
@@ -253,6 +253,6 @@ def test_a_machine_of_the_simulator_may_be_a_file_of_ones_own(tmp_path: Path) ->
         load_for_build(file)
 
 
-def test_an_engine_is_what_its_board_needs() -> None:
+def test_missing_option_of_an_engine_is_named() -> None:
     made = board(STEP=None)
     assert problems(made) == ["STEP is missing"]

@@ -1,4 +1,4 @@
-"""`ugrbl new-board`: what it writes, and what it refuses."""
+"""Test `ugrbl new-board`: the files it writes, and the input it refuses."""
 
 import json
 import os
@@ -28,7 +28,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "router.py"
 
 
-def test_a_board_made_of_options_is_one_the_firmware_takes(file: Path) -> None:
+def test_board_made_of_options_is_accepted_by_the_firmware(file: Path) -> None:
     done = ugrbl(
         "router",
         *_PICO,
@@ -58,7 +58,7 @@ def test_the_firmware_reads_its_options_from_the_file(file: Path) -> None:
     assert options.axes == 3 and options.defaults == {110: 3000}
 
 
-def test_inputs_and_what_comes_with_them_are_as_in_the_boards_there_are(file: Path) -> None:
+def test_inputs_and_dependent_options_match_the_existing_boards(file: Path) -> None:
     words = ("--chip", "esp32", "--pin", "step=26,25,17", "--pin", "dir=16,27,14")
     controls = ("--pin", "hold=4", "--pin", "door=35", "--pin", "probe=39", "--pin", "mist_pin=18")
     assert ugrbl("router", *words, *controls, "-o", file).exit_code == 0
@@ -69,7 +69,7 @@ def test_inputs_and_what_comes_with_them_are_as_in_the_boards_there_are(file: Pa
     assert (board.ENGINE, board.LINK, board.MAX_STEP_RATE_HZ) == ("rmt", "uart", 5000)
 
 
-def test_a_board_there_is_can_be_made_anew(file: Path) -> None:
+def test_existing_board_can_be_made_again(file: Path) -> None:
     there: Any = load_board("esp32_devkit")
     words = [f"step={there.STEP}", f"dir={there.DIR}", f"limit={there.LIMIT}"]
     words += [f"enable={there.ENABLE}", f"probe={there.PROBE}", "hold=4", "start=35"]
@@ -89,8 +89,8 @@ def test_four_axes_are_possible(file: Path) -> None:
     assert len(load(file).STEP) == 4
 
 
-def test_eight_motors_are_asked_what_they_move(file: Path) -> None:
-    """And pins above 31 are for what does not hurry; the file says which chip has them."""
+def test_eight_motors_need_an_axis_for_each(file: Path) -> None:
+    """Pins above 31 are only for slow outputs; the file says which chip has them."""
     pins = ("--chip", "rp2350b", "--pin", "step=0,1,2,3,4,5,6,7")
     words = (*pins, "--pin", "dir=8,9,10,11,12,13,14,15")
     done = ugrbl("router", *words, "-o", file)
@@ -109,7 +109,7 @@ def test_eight_motors_are_asked_what_they_move(file: Path) -> None:
     assert "DIR: pin 32 cannot do it" in done.output
 
 
-def test_an_axis_that_turns_is_asked_for(file: Path) -> None:
+def test_rotary_axis_is_asked_for(file: Path) -> None:
     pins = ("--chip", "rp2040", "--pin", "step=0,1,2,3")
     answers = ["", "X", "a", "4 5 6 7", *[""] * 13]
     done = ugrbl("router", *pins, "--ask", "-o", file, answers="\n".join(answers) + "\n")
@@ -119,8 +119,8 @@ def test_an_axis_that_turns_is_asked_for(file: Path) -> None:
     assert board.ROTARY == "A"
 
 
-def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
-    """As a user does, on a terminal."""
+def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
+    """The test answers on a terminal, as a user does."""
     answers = ["pico", "2 3 99", "2 3 4", "4 5 6", "5 6 7", "8", *[""] * 13]
     master, slave = pty.openpty()
     command = [sys.executable, "-m", "ugrbl.cli", "new-board", "router", "-o", str(file)]
@@ -175,7 +175,7 @@ def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_refused_with_the_reason(
+def test_impossible_input_is_refused_with_a_reason(
     file: Path, words: tuple[str, ...], why: str
 ) -> None:
     done = ugrbl("router", *words, "-o", file)
@@ -184,7 +184,7 @@ def test_what_cannot_be_is_refused_with_the_reason(
     assert not file.exists()
 
 
-def test_a_file_is_not_replaced_unasked(file: Path) -> None:
+def test_existing_file_is_not_replaced_without_force(file: Path) -> None:
     file.write_text("mine")
     done = ugrbl("router", *_PICO, "-o", file)
     assert done.exit_code == 1 and "--force" in done.output
@@ -192,7 +192,7 @@ def test_a_file_is_not_replaced_unasked(file: Path) -> None:
     assert ugrbl("router", *_PICO, "-o", file, "--force").exit_code == 0
 
 
-def test_a_file_that_is_none_of_pythons_is_refused_and_stays(tmp_path: Path) -> None:
+def test_file_that_does_not_end_in_py_is_refused_and_kept(tmp_path: Path) -> None:
     kept = tmp_path / "keep.txt"
     kept.write_text("G0 X1\n")
     done = ugrbl("router", *_PICO, "-o", kept, "--force")
@@ -200,20 +200,22 @@ def test_a_file_that_is_none_of_pythons_is_refused_and_stays(tmp_path: Path) -> 
     assert kept.read_text() == "G0 X1\n"
 
 
-def test_a_name_without_an_ending_is_a_folder_that_is_made(tmp_path: Path) -> None:
+def test_name_without_an_ending_is_created_as_a_folder(tmp_path: Path) -> None:
     done = ugrbl("router", *_PICO, "-o", tmp_path / "new")
     assert done.exit_code == 0, done.output
     assert load(tmp_path / "new" / "router.py").STEP == (2, 3, 4)
 
 
-def test_it_is_written_where_one_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_is_written_to_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     done = ugrbl("router", *_PICO)
     assert done.exit_code == 0 and "written: router.py" in done.output
     assert load(Path("router.py")).STEP == (2, 3, 4)
 
 
-def test_a_folder_gets_a_file_of_that_name(tmp_path: Path) -> None:
+def test_file_in_a_folder_has_the_name_of_the_board(tmp_path: Path) -> None:
     done = ugrbl("router", *_PICO, "-o", tmp_path)
     assert done.exit_code == 0, done.output
     assert load(tmp_path / "router.py").STEP == (2, 3, 4)
@@ -222,7 +224,9 @@ def test_a_folder_gets_a_file_of_that_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("words", [["-o", "FILE/x.py"], ["--json", "FOLDER"]])
-def test_where_nothing_can_be_written_it_says_so_first(tmp_path: Path, words: list[str]) -> None:
+def test_place_that_cannot_be_written_is_reported_before_any_file_is_written(
+    tmp_path: Path, words: list[str]
+) -> None:
     (tmp_path / "file").write_text("")
     there = {"FILE": tmp_path / "file", "FOLDER": tmp_path}
     for name, place in there.items():
@@ -232,11 +236,11 @@ def test_where_nothing_can_be_written_it_says_so_first(tmp_path: Path, words: li
     assert "folder" in done.output and not (tmp_path / "new.py").exists()
 
 
-def test_a_name_that_cannot_be_imported_is_refused() -> None:
+def test_name_that_cannot_be_imported_is_refused() -> None:
     assert "make a name" in ugrbl("my-router", *_PICO).output
 
 
-def test_pins_that_are_odd_are_reported(file: Path) -> None:
+def test_pins_with_side_effects_are_reported(file: Path) -> None:
     words = ("--chip", "esp32", "--pin", "step=12,13,14", "--pin", "dir=25,26,27")
     done = ugrbl("router", *words, "--pin", "limit=34,35,36", "-o", file)
     assert done.exit_code == 0, done.output
@@ -245,13 +249,13 @@ def test_pins_that_are_odd_are_reported(file: Path) -> None:
     assert "pin 34 (limit switches X) has no pull-up" in said
 
 
-def test_the_pins_as_json(file: Path) -> None:
+def test_pins_are_printed_as_json(file: Path) -> None:
     done = ugrbl("router", *_PICO, "-o", file, "--json", "-")
     found = json.loads(done.stdout)
     assert found["pins"]["STEP"] == [2, 3, 4] and found["file"] == str(file)
 
 
-def test_a_file_that_the_projects_check_refuses_is_taken_away(
+def test_file_refused_by_board_check_is_removed(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(board_check, "problems", lambda board: ["the engine wants more"])
@@ -261,7 +265,7 @@ def test_a_file_that_the_projects_check_refuses_is_taken_away(
 
 
 @pytest.mark.parametrize("text", ["2 3 4", "2,3,4", "GP2, GP3, GP4", "gpio2 gpio3 io4"])
-def test_pins_are_read_as_people_write_them(text: str) -> None:
+def test_pins_are_read_in_common_notations(text: str) -> None:
     assert read_pins(text) == (2, 3, 4)
 
 
@@ -274,7 +278,7 @@ def test_pins_are_read_as_people_write_them(text: str) -> None:
         ("esp32s3", [], "uart", False),
     ],
 )
-def test_a_radio_is_used_and_the_page_served_where_that_is_said(
+def test_radio_and_page_are_used_when_asked_for(
     file: Path, chip: str, words: "list[str]", link: str, page: bool
 ) -> None:
     pins = ("--pin", "step=4,5,12", "--pin", "dir=7,15,16")
@@ -293,19 +297,17 @@ def test_a_radio_is_used_and_the_page_served_where_that_is_said(
         ("pico_w", "--page", "less than 40 kB of memory left with it: take the page from `ugrbl"),
     ],
 )
-def test_where_there_is_no_radio_or_no_memory_it_says_what_there_is(
-    file: Path, chip: str, word: str, why: str
-) -> None:
+def test_missing_radio_or_memory_is_reported(file: Path, chip: str, word: str, why: str) -> None:
     done = ugrbl("router", "--chip", chip, *_PICO[2:], word, "-o", file)
     assert done.exit_code == 1 and why in " ".join(done.output.split())
     assert not file.exists()
 
 
-def test_every_chip_says_what_it_is() -> None:
+def test_chip_data_names_only_pins_of_the_chip() -> None:
     for chip in CHIPS.values():
         assert chip.inputs_only <= chip.pins and set(chip.odd) <= chip.pins
 
 
-def test_no_text_is_taken_for_a_pin() -> None:
+def test_word_is_not_read_as_a_pin() -> None:
     with pytest.raises(BoardError):
         read_pins("two")

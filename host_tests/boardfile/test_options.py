@@ -1,4 +1,4 @@
-"""The table of board options: whoever reads one reads a row of it, with that default."""
+"""Test the table of board options: code reads only options of the table, with its defaults."""
 
 import ast
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ _NOTHING = (None, "", (), 0)
 
 
 class Read(NamedTuple):
-    """An option that is read. default: None where there is none."""
+    """An option that code reads; default is None where the code gives none."""
 
     name: str
     default: "ast.expr | None"
@@ -51,8 +51,11 @@ def is_board(node: ast.expr) -> bool:
 
 
 def reads(tree: ast.AST) -> Iterator[Read]:
-    """option("X", 1), getattr(board, "X", 1), hasattr(…), board.X, board.__dict__["X"]; and
-    the table of extras."""
+    """Yield the options that a module reads.
+
+    The forms are option("X", 1), getattr(board, "X", 1), hasattr(…), board.X, board.__dict__["X"],
+    and the table of extras.
+    """
     for node in ast.walk(tree):
         match node:
             case ast.Call(ast.Name("option"), [ast.Constant(str(name)), *rest]):
@@ -77,7 +80,7 @@ def reads(tree: ast.AST) -> Iterator[Read]:
 
 
 def value(node: ast.expr, tree: ast.Module) -> Any:
-    """A default, which may be a constant of its module."""
+    """Return a default; it may be a constant of its module."""
     for statement in tree.body:
         match node, statement:
             case ast.Name(name), ast.Assign([ast.Name(defined)], given) if name == defined:
@@ -98,7 +101,7 @@ def everywhere() -> "list[tuple[str, Read, ast.Module]]":
     return [row for folder in folders for row in read_in(folder)]
 
 
-def test_all_ways_to_read_are_seen() -> None:
+def test_all_forms_of_reading_an_option_are_found() -> None:
     text = (
         'option("A", 1)\ngetattr(board, "B", 2)\nrig.board.C\nboard.__dict__["D"]\n'
         'hasattr(self.board, "E")\nboard.__dict__.get("F", 6)\nPINS = ("G",)\n'
@@ -109,15 +112,15 @@ def test_all_ways_to_read_are_seen() -> None:
     assert {name for name, default in found.items() if default} == set("ABF")
 
 
-def test_every_option_that_is_read_is_a_row_and_every_row_is_read() -> None:
+def test_options_read_by_code_are_the_rows_of_the_table() -> None:
     read = {read.name for _, read, _ in everywhere()}
-    assert set(BY_NAME) - read == {"CHIP"}  # for tools
+    assert set(BY_NAME) - read == {"CHIP"}  # only tools read it
     assert read - set(BY_NAME) == set()
     assert len(BY_NAME) == len(OPTIONS)
 
 
-def test_what_holds_where_a_board_file_says_nothing() -> None:
-    """NEEDED is refused by board_check, and what is read there is nothing."""
+def test_defaults_in_code_match_the_table() -> None:
+    """The code's default of a NEEDED option is empty, because board_check requires the option."""
     for file, read, tree in everywhere():
         if not read.default:
             continue
@@ -129,14 +132,14 @@ def test_what_holds_where_a_board_file_says_nothing() -> None:
 
 
 @pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)
-def test_a_row_is_whole(option: Option) -> None:
+def test_row_is_complete(option: Option) -> None:
     assert option.meaning.endswith((".", "?"))
     if option.default not in (NEEDED, None):
         assert option.problem(option.default) == ""
     assert option.kind is COUNT or (option.low, option.high) == (0, None)
 
 
-def test_what_is_checked_to_be_a_pin_is_one_in_the_table() -> None:
+def test_options_checked_as_pins_are_pins_in_the_table() -> None:
     kinds = (PIN, PINS, PIN_OR_PINS, NAMED_PINS)
     pins = {option.name for option in OPTIONS if option.kind in kinds} - {"NO_PULL_UP"}
     named = {name for engine in engines.engines().values() for name in engine.pins}
@@ -148,13 +151,13 @@ def test_what_is_checked_to_be_a_pin_is_one_in_the_table() -> None:
 # Engines, links and chips
 
 
-def test_an_engine_is_whole() -> None:
+def test_engine_is_complete() -> None:
     for name, engine in engines.engines().items():
         assert {*engine.needed, *engine.pins} <= set(BY_NAME), name
         assert engine.most_hz > 0 and engine.oldest
 
 
-def test_the_rate_of_an_engine_is_what_it_says_of_itself_with_its_shortest_pulse() -> None:
+def test_engine_rate_matches_the_rate_at_its_shortest_pulse() -> None:
     known, nobody = engines.engines(), cast("Any", None)
     assert known["pio"].most_hz == PioEngine.max_step_hz(nobody, 3)
     frames = SimpleNamespace(_rate_hz=125_000, _frames_of=lambda us: 2)  # 16 us
@@ -165,7 +168,7 @@ def test_the_rate_of_an_engine_is_what_it_says_of_itself_with_its_shortest_pulse
     assert {known["rmt"].most_hz} == rates, "its trains have gaps beyond: see esp32_devkit.py"
 
 
-def test_a_chip_names_an_engine_that_runs_on_it_and_a_link_there_is() -> None:
+def test_chip_names_an_engine_that_runs_on_it_and_an_existing_link() -> None:
     known = engines.engines()
     for name, chip in CHIPS.items():
         assert known[chip.engine].runs_on(chip.processor), name
@@ -173,28 +176,28 @@ def test_a_chip_names_an_engine_that_runs_on_it_and_a_link_there_is() -> None:
         assert set(chip.inputs_only) | set(chip.odd) <= chip.pins
 
 
-def test_every_engine_has_a_chip_and_every_arch_one_on_its_own() -> None:
+def test_every_engine_has_a_chip_and_every_arch_a_chip() -> None:
     for name, engine in engines.engines().items():
         assert any(engine.runs_on(chip.processor) for chip in CHIPS.values()), name
     for arch in chips.ARCHS:
         assert {chip.processor for chip in chips.on_their_own(arch)} == set(chips.processors(arch))
 
 
-def test_who_makes_an_engine_or_a_link_bears_its_name() -> None:
-    """A build leaves out the imports of the others: see compiling/build.py."""
+def test_maker_has_the_name_of_its_engine_or_link() -> None:
+    """A build leaves out the imports of other engines and links: see compiling/build.py."""
     made = {name: row[0] for name, row in parts._ENGINES.items()}
     assert not made.keys() & parts._LINKS.keys()
     for name, maker in {**made, **parts._LINKS}.items():
         assert maker.__name__ == name
 
 
-def test_the_self_test_knows_every_processor() -> None:
+def test_self_test_knows_every_processor() -> None:
     for chip in CHIPS.values():
         about = About(0, "1.28.0", f"Some module with {chip.processor}")
         assert session._chip(about)
 
 
-def test_a_new_board_can_have_any_chip_there_is() -> None:
+def test_new_board_accepts_every_chip() -> None:
     shown = CliRunner().invoke(app, ["new-board", "--help"], env={"COLUMNS": "200"}).output
     for name in CHIPS:
         assert name in shown

@@ -1,4 +1,4 @@
-"""What a board forgets once the machine is built is not asked for later."""
+"""Test that makers, which a board removes from memory after building, are not called later."""
 
 import ast
 from collections.abc import Iterator
@@ -7,12 +7,12 @@ from functools import cache
 from boot import parts
 from ugrbl.compiling import build
 
-# Here all is done while the machine is built; a stream for the prompt is no part of the machine,
-# nor is what handlers of custom.py are given, nor what a card that is put in is read by, nor a
-# browser's call.
+# The modules in which the machine is built. Classes apart: a stream for the prompt is not part of
+# the machine; objects for handlers of custom.py, the reader of an inserted card and a browser's
+# connection are created when they are needed.
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher", "ModalState", "Position", "SdBlocks", "WebSocket"}
-# What extras ask for then, and what options.py does.
+# Called by extras while they are installed, and by options.py.
 INSTALLING = {"add_pins", "of_board", "beside", "add_cycle"}
 
 
@@ -23,7 +23,7 @@ def trees() -> "dict[str, ast.Module]":
 
 @cache
 def classes() -> "dict[str, set[str]]":
-    """The bases of each."""
+    """Return the base classes of each class."""
     return {
         node.name: {ast.unparse(base) for base in node.bases}
         for tree in trees().values()
@@ -37,17 +37,17 @@ def is_maker(name: str) -> bool:
 
 
 def is_building(name: str) -> bool:
-    """Whether a function of that name runs only while the machine is built."""
+    """Return whether a function of that name runs only while the machine is built."""
     return is_maker(name) or name in INSTALLING
 
 
 def is_fault(kind: str) -> bool:
-    """Whether this is an exception, or a class that we do not have."""
+    """Return whether this is an exception, or a class that is not ours."""
     return kind not in classes() or any(base == "Exception" for base in classes()[kind])
 
 
 def calls(node: ast.AST) -> Iterator[str]:
-    """What is called while the machine runs: outside of modules, classes and makers."""
+    """Yield the calls made while the machine runs: not those of modules, classes and makers."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.FunctionDef) and is_building(child.name):
             continue
@@ -64,10 +64,10 @@ def later() -> Iterator[tuple[str, str]]:
                     yield from ((module, name) for name in calls(node))
 
 
-def test_no_maker_is_called_when_the_machine_runs() -> None:
+def test_no_maker_is_called_while_the_machine_runs() -> None:
     assert [(module, name) for module, name in later() if is_maker(name)] == []
 
 
-def test_no_object_is_made_when_the_machine_runs() -> None:
+def test_no_object_is_created_while_the_machine_runs() -> None:
     made = {name for _, name in later() if not is_fault(name)}
     assert made - APART == set()

@@ -1,4 +1,4 @@
-"""The table of engines: what each wants of the board file and of MicroPython, at start."""
+"""Test the table of engines: what each needs from the board file and MicroPython at a start."""
 
 import sys
 from types import ModuleType, SimpleNamespace
@@ -16,7 +16,7 @@ from boot import parts
         ("i2s", "Generic ESP32 module with ESP32", (1, 27)),
     ],
 )
-def test_an_engine_is_refused_below_its_version_and_not_from_there_on(
+def test_engine_is_refused_only_below_its_oldest_version(
     engine: str, machine: str, oldest: "tuple[int, int]"
 ) -> None:
     assert parts.too_old(engine, machine, oldest) == ""
@@ -35,12 +35,12 @@ def board(engine: str, *left_out: str) -> ModuleType:
     return made
 
 
-def test_the_firmware_refuses_to_start_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_firmware_refuses_to_start_and_names_the_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     old = SimpleNamespace(version=(1, 25, 0, ""), _machine="Raspberry Pi Pico with RP2040")
     monkeypatch.setattr(parts, "sys", SimpleNamespace(implementation=old))
     with pytest.raises(ValueError, match=r"MicroPython 1\.25 is too old"):
         parts._check_engine(board("pio"))
-    parts._check_engine(board("i2s"))  # which is none of this chip's: somebody else says so
+    parts._check_engine(board("i2s"))  # not an engine of this chip: another check refuses it
     monkeypatch.setattr(parts, "sys", sys)
     parts._check_engine(board("pio"))
 
@@ -53,13 +53,13 @@ def test_the_firmware_refuses_to_start_and_says_why(monkeypatch: pytest.MonkeyPa
         ("i2s", ("I2S", "ENABLE"), "ENGINE = i2s: the board file names no ENABLE, I2S"),
     ],
 )
-def test_what_a_board_file_lacks_is_named(
+def test_missing_options_of_the_board_file_are_named(
     engine: str, left_out: "tuple[str, ...]", said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
         parts._check_engine(board(engine, *left_out))
 
 
-def test_a_link_that_is_not_there_is_named() -> None:
+def test_unknown_link_is_named() -> None:
     with pytest.raises(ValueError, match="LINK pigeon is not one there is"):
         parts._link("pigeon")
