@@ -1,4 +1,4 @@
-"""`ugrbl console`: what lines and keys do at the simulator, and the terminal itself."""
+"""Test `ugrbl console`: lines and keys at the simulator, and the terminal itself."""
 
 import fcntl
 import os
@@ -18,7 +18,7 @@ from ugrbl.cli import terminal
 from ugrbl.cli.session import JOG_CANCEL, Session, explained
 from ugrbl.device.connection import Connection
 
-# Real processes in real time: the first ring takes one.
+# Real processes in real time: the first ring runs one.
 pytestmark = pytest.mark.thorough
 
 _PATIENCE_S = 60.0
@@ -33,7 +33,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 
 class Person:
-    """Somebody at a desk, with all that was said to them."""
+    """A user at the console, with all output so far."""
 
     def __init__(self, bench: Bench) -> None:
         self.connection = Connection(str(bench.port))
@@ -50,7 +50,7 @@ class Person:
             self.desk.poll()
 
     def hold_key(self, key: str, seconds: float) -> None:
-        """As a keyboard repeats it."""
+        """Press a key as often as a keyboard repeats it."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
             self.desk.press(key)
@@ -58,7 +58,7 @@ class Person:
             time.sleep(0.03)
 
     def wait_idle(self) -> list[float]:
-        """Where the machine stands, by two reports."""
+        """Wait for two reports of Idle; return the position."""
         self.connection.status = ""
         self.wait(lambda: self.connection.state() == "Idle")
         self.connection.status = ""
@@ -74,7 +74,7 @@ def person(bench: Bench) -> Iterator[Person]:
 
 
 @pytest.mark.sampled(1)
-def test_settings_and_errors_come_with_their_meaning(person: Person) -> None:
+def test_settings_and_errors_are_shown_with_their_meaning(person: Person) -> None:
     person.desk.enter("$$")
     person.wait(lambda: any(line.startswith("$132=") for line in person.heard))
     (rate,) = [line for line in person.heard if line.startswith("$110=")]
@@ -90,7 +90,7 @@ def test_many_lines_at_once_do_not_overfill_the_buffer(bench: Bench, person: Per
     assert not any(line.startswith("error") for line in person.heard)
 
 
-def test_bytes_that_act_at_once_are_not_sent_within_lines(bench: Bench, person: Person) -> None:
+def test_realtime_bytes_are_not_sent_within_lines(bench: Bench, person: Person) -> None:
     person.desk.enter("G0 X1 Ö")
     assert "not sent" in person.heard[-1]
     person.desk.enter("G4 P0 (Ö)")
@@ -98,7 +98,7 @@ def test_bytes_that_act_at_once_are_not_sent_within_lines(bench: Bench, person: 
     assert bench.wire(">").isascii()
 
 
-def test_a_tap_jogs_a_step_and_modes_stay(person: Person) -> None:
+def test_key_press_jogs_one_step_and_keeps_the_modes(person: Person) -> None:
     for key in ("right", "up", "]", "pageup"):
         person.desk.press(key)
         person.wait_idle()
@@ -107,23 +107,23 @@ def test_a_tap_jogs_a_step_and_modes_stay(person: Person) -> None:
     person.wait(lambda: any("G90" in line for line in person.heard))
 
 
-def test_a_held_key_jogs_until_it_is_released(bench: Bench, person: Person) -> None:
+def test_held_key_jogs_until_it_is_released(bench: Bench, person: Person) -> None:
     person.hold_key("right", 1.0)
     person.wait(lambda: JOG_CANCEL in bench.wire(">"))
     x = person.wait_idle()[0]
-    assert 3 < x < 12  # a step, and then 500 mm/min for as long as the key was down
+    assert 3 < x < 12  # a step, and then 500 mm/min while the key was down
     assert person.wait_idle()[0] == x
-    assert person.heard.count("ok") == 1  # that to $X: pieces of a jog are not worth a line
+    assert person.heard.count("ok") == 1  # to $X: parts of a jog are not shown
 
 
-def test_leaving_ends_a_jog(bench: Bench, person: Person) -> None:
+def test_leaving_the_console_ends_a_jog(bench: Bench, person: Person) -> None:
     person.hold_key("left", 0.5)
     person.desk.leave()
     person.connection.wait_for(lambda line: line.startswith("<Idle"), 5)
     assert bench.wire(">").rstrip(b"?").endswith(JOG_CANCEL)
 
 
-def test_keys_zero_hold_go_on_and_change_the_feed(bench: Bench, person: Person) -> None:
+def test_keys_set_zero_hold_resume_and_change_the_feed(bench: Bench, person: Person) -> None:
     person.desk.press("right")
     person.wait_idle()
     person.desk.press("x")
@@ -141,7 +141,7 @@ def test_keys_zero_hold_go_on_and_change_the_feed(bench: Bench, person: Person) 
     assert person.wait_idle()[0] == 4.0
 
 
-def test_a_reset_forgets_what_was_waiting(person: Person) -> None:
+def test_reset_discards_waiting_lines(person: Person) -> None:
     person.desk.enter("G4 P5")
     for _ in range(40):
         person.desk.enter("G0 X1")
@@ -151,7 +151,7 @@ def test_a_reset_forgets_what_was_waiting(person: Person) -> None:
     assert person.wait_idle()[0] == 0.0
 
 
-def test_after_a_limit_switch_the_console_can_reset(bench: Bench, person: Person) -> None:
+def test_console_can_reset_after_a_limit_switch(bench: Bench, person: Person) -> None:
     person.desk.enter("$21=1")
     person.desk.enter("G1 X30 F2000")  # the bench's switch is at 20 mm
     person.wait(lambda: any(line.startswith("ALARM:1: ") for line in person.heard))
@@ -183,25 +183,25 @@ def test_grbl_0_9_has_no_jogging_and_no_overrides(tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("columns", [80, 40, 200])
-def test_the_keys_fit_the_terminal_and_none_is_left_out(columns: int) -> None:
+def test_all_keys_are_listed_within_the_terminals_width(columns: int) -> None:
     lines = terminal.wrapped(terminal._KEY_HELP, columns)
     assert max(map(len, lines)) <= columns
     assert "   ".join(lines) == terminal._KEY_HELP
 
 
 @pytest.mark.sampled(1)
-def test_a_history_that_cannot_be_written_ends_nothing(tmp_path: Path) -> None:
+def test_unwritable_history_is_ignored(tmp_path: Path) -> None:
     terminal._History(str(tmp_path / "nowhere" / "history")).store_string("$X")
 
 
-def test_meanings() -> None:
+def test_meanings_are_shown() -> None:
     assert explained("$110=500.000").startswith("$110=500.000 ")
     assert explained("[GC:G0 G54]") == "[GC:G0 G54]"
     assert explained("ALARM:1").startswith("ALARM:1: ")
     assert "custom.py" in explained("error:3", "T2 M6") and "$" in explained("error:3", "$Y")
 
 
-def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> None:
+def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "ugrbl.cli", "console", "--port", str(bench.port)]
     environment = as_users(HOME=str(tmp_path), TERM="xterm")
     pid, master = pty.fork()
@@ -217,7 +217,7 @@ def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -
             assert time.monotonic() < until, text
             if select.select([master], [], [], 0.1)[0]:
                 text += os.read(master, 4096)
-                if b"\x1b[6n" in text:  # where is the cursor?
+                if b"\x1b[6n" in text:  # the terminal is asked for the cursor's position
                     text = text.replace(b"\x1b[6n", b"")
                     os.write(master, b"\x1b[1;1R")
 
@@ -233,7 +233,7 @@ def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -
     wait(b"step 1 mm, 500 mm/min")
     wait(b"* / = spindle")
     os.write(master, b"\x1b[C")
-    # Of what changes on the screen, a place say, only the figures that do are sent.
+    # When a position changes on the screen, only the changed digits are sent.
     wait_until(lambda: b"$J=G91 G21 X1.000 F500" in bench.wire(">"))
     os.write(master, b"\t\x04")
     until = time.monotonic() + _PATIENCE_S

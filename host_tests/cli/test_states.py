@@ -1,4 +1,4 @@
-"""What send, settings and doctor say of a machine that cannot answer, and of Grbl 0.9."""
+"""Test send, settings and doctor at a machine that cannot answer, and at a Grbl 0.9."""
 
 import json
 import os
@@ -12,10 +12,10 @@ from ugrbl.cli import ports
 from ugrbl.cli.app import app
 from ugrbl.device.connection import Connection
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(1)
 
-# State, what brings it about, and what is to be done about it.
+# State, the command that causes it, and the remedy in the message.
 STATES = [
     ("Hold:0", b"!", "resume (~) or reset (Ctrl-X) it"),
     ("Door:0", b"\x84", "close the safety door and resume (~)"),
@@ -33,7 +33,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 @pytest.fixture
 def old(tmp_path: Path) -> Iterator[Bench]:
-    """A Grbl 0.9j."""
+    """Start a Grbl 0.9j."""
     running = Bench(tmp_path, "--speed", "max", "--board", "sim_09j")
     yield running
     running.kill()
@@ -53,7 +53,7 @@ def ugrbl(*words: object) -> Result:
 
 
 @pytest.mark.parametrize(("state", "command", "todo"), STATES)
-def test_each_command_says_state_and_way_out(
+def test_each_command_names_state_and_remedy(
     bench: Bench, tmp_path: Path, state: str, command: bytes, todo: str
 ) -> None:
     put(bench, state, command)
@@ -96,7 +96,7 @@ def test_send_doctor_and_settings_understand_grbl_0_9(old: Bench, tmp_path: Path
 # Files
 
 
-def test_settings_go_to_stdout_and_come_from_stdin(bench: Bench) -> None:
+def test_settings_are_written_to_stdout_and_read_from_stdin(bench: Bench) -> None:
     pulled = ugrbl("settings", "pull", "-", "--port", bench.port)
     assert pulled.exit_code == 0 and "$110=" in pulled.stdout
     words = ["settings", "push", "-", "--port", str(bench.port)]
@@ -107,7 +107,7 @@ def test_settings_go_to_stdout_and_come_from_stdin(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("name", ["file/kept", "."])
-def test_where_a_file_cannot_be_nothing_is_asked(bench: Bench, tmp_path: Path, name: str) -> None:
+def test_impossible_output_file_is_reported_first(bench: Bench, tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("")
     done = ugrbl("settings", "pull", tmp_path / name, "--port", bench.port, "--force")
     assert done.exit_code == 1 and not isinstance(done.exception, OSError)
@@ -115,14 +115,14 @@ def test_where_a_file_cannot_be_nothing_is_asked(bench: Bench, tmp_path: Path, n
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
-def test_a_full_disk_is_reported_in_words(bench: Bench) -> None:
+def test_full_disk_is_reported_in_words(bench: Bench) -> None:
     done = ugrbl("settings", "pull", "/dev/full", "--force", "--port", bench.port)
     assert done.exit_code == 1 and "cannot be written: the disk is full; make room" in done.output
     done = ugrbl("doctor", "--port", bench.port, "--json", "/dev/full", "--no-move", "--pins", "0")
     assert done.exit_code == 1 and "cannot be written: the disk is full; make room" in done.output
 
 
-def test_a_file_that_is_replaced_is_whole_or_as_it_was(
+def test_replaced_file_is_complete_or_unchanged(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "kept"
@@ -139,7 +139,7 @@ def test_a_file_that_is_replaced_is_whole_or_as_it_was(
 # Ports
 
 
-def test_ports_lists_what_is_plugged_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ports_lists_connected_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "find", lambda: [ports.Found("/dev/ttyACM0", "a Pico")])
     assert ugrbl("ports").output == "/dev/ttyACM0: a Pico\n"
     assert json.loads(ugrbl("ports", "--json").output) == [

@@ -1,4 +1,4 @@
-"""What a newcomer gives the commands: each says what is wrong and what to do, and ends with 1."""
+"""Test wrong input of a newcomer: each command names cause and remedy, and exits with 1."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from ugrbl.cli import screen
 from ugrbl.cli.app import app
 from ugrbl.grbl.gcode_file import NotText, check_text
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
 _GOOD = "G21 G90\nG1 X1 F300\n"
@@ -24,7 +24,7 @@ _JPEG = b"\xff\xd8\xff\xe0\x01\x02hello\n"
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Files of a newcomer."""
+    """Create a newcomer's files."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     (tmp_path / "good.nc").write_text(_GOOD)
@@ -90,7 +90,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("words", "why"), WRONG, ids=[words for words, _ in WRONG])
-def test_what_is_wrong_is_said_in_words(words: str, why: str, folder: Path) -> None:
+def test_wrong_input_is_reported_in_words(words: str, why: str, folder: Path) -> None:
     recordings = folder / "recordings"
     if "RECORDINGS" in words:
         recordings.mkdir()
@@ -132,7 +132,7 @@ def test_no_text_of_the_system_reaches_a_user(command: str, folder: Path) -> Non
         "run good.nc --board x.py",
     ],
 )
-def test_what_is_no_text_is_reported_without_words_of_pythons(
+def test_file_that_is_not_text_is_reported_without_pythons_words(
     words: str, data: bytes, folder: Path
 ) -> None:
     (folder / "x.py").write_bytes(data)
@@ -144,7 +144,7 @@ def test_what_is_no_text_is_reported_without_words_of_pythons(
 
 
 @pytest.mark.parametrize("data", [b"hello\n", b"", _JPEG])
-def test_what_is_no_recording_is_named(data: bytes, folder: Path) -> None:
+def test_file_that_is_not_a_recording_is_named(data: bytes, folder: Path) -> None:
     (folder / "recordings").mkdir()
     (folder / "recordings" / "x.json").write_bytes(data)
     done = ugrbl("conformance", "recordings")
@@ -153,7 +153,7 @@ def test_what_is_no_recording_is_named(data: bytes, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "plot"])
-def test_a_file_of_settings_with_a_zero_is_taken_and_reported(command: str, folder: Path) -> None:
+def test_settings_file_with_a_zero_is_accepted_and_reported(command: str, folder: Path) -> None:
     (folder / "zero.settings").write_text("$102=0\n$110=600\n$13=0\n")
     done = ugrbl(command, "good.nc", "--settings", "zero.settings")
     assert done.exit_code == 0
@@ -162,13 +162,13 @@ def test_a_file_of_settings_with_a_zero_is_taken_and_reported(command: str, fold
 
 
 @pytest.mark.parametrize("command", ["run", "plot"])
-def test_where_a_setting_is_refused_only_that_is_said(command: str) -> None:
+def test_refused_setting_is_the_only_message(command: str) -> None:
     done = ugrbl(command, "good.nc", "--set", "0=1")
     assert done.exit_code == 1 and "$0=1 was refused with error:6" in done.output
     assert "lines" not in done.output and "│" not in done.output
 
 
-def test_check_mode_is_named_where_a_setting_is_refused_for_it(folder: Path) -> None:
+def test_check_mode_is_named_when_a_setting_is_refused_because_of_it(folder: Path) -> None:
     (folder / "set.nc").write_text("$110=500\nG1 X1 F300\n")
     done = ugrbl("run", "set.nc", "--check")
     assert done.exit_code == 1 and "error:8: " in done.output
@@ -184,7 +184,7 @@ def test_check_mode_is_named_where_a_setting_is_refused_for_it(folder: Path) -> 
     ],
 )
 @pytest.mark.parametrize("lenient", [(), ("--lenient",)])
-def test_the_language_of_a_machine_that_is_no_grbls_kind_is_named(
+def test_program_in_another_machines_language_is_named(
     program: str, whose: str, lenient: tuple[str, ...], folder: Path
 ) -> None:
     (folder / "theirs.nc").write_text(program)
@@ -193,14 +193,14 @@ def test_the_language_of_a_machine_that_is_no_grbls_kind_is_named(
     assert "LENIENT" not in said
 
 
-def test_control_characters_of_paper_tape_are_text_and_others_are_not() -> None:
+def test_only_control_characters_of_paper_tape_count_as_text() -> None:
     check_text([b"\x12%\x14", b"G0 X1\x1a", b"\x18"], "tape.nc")
     for byte in b"\0\x01\x08\x0e\x1b\x1f":
         with pytest.raises(NotText, match=r"tape.nc is no G-code: line 2"):
             check_text([b"G21", b"G0" + bytes([byte])], "tape.nc")
 
 
-def test_a_very_long_line_is_not_shown_whole(folder: Path) -> None:
+def test_very_long_line_is_shown_in_part(folder: Path) -> None:
     (folder / "long.nc").write_text("G21\nG1 X" + "1" * 5000 + "\n")
     done = ugrbl("run", "long.nc")
     assert "line 2: G1 X111" in done.output and "error:11" in done.output
@@ -208,7 +208,7 @@ def test_a_very_long_line_is_not_shown_whole(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "plot"])
-def test_a_program_comes_on_stdin_and_what_came_of_it_goes_to_stdout(
+def test_program_is_read_from_stdin_and_result_written_to_stdout(
     command: str, folder: Path
 ) -> None:
     done = ugrbl(command, "-", "--json", "-", stdin=_GOOD)
@@ -221,13 +221,13 @@ def test_a_program_comes_on_stdin_and_what_came_of_it_goes_to_stdout(
     assert not (folder / "-").exists() and not (folder / "-.html").exists()
 
 
-def test_a_page_goes_to_stdout(folder: Path) -> None:
+def test_page_is_written_to_stdout(folder: Path) -> None:
     done = ugrbl("plot", "good.nc", "-o", "-")
     assert done.exit_code == 0 and done.stdout.startswith("<!") and done.stdout.count("<html") == 1
     assert not (folder / "-").exists()
 
 
-def test_a_simulator_that_moved_nothing_draws_and_reports_all_the_same(folder: Path) -> None:
+def test_simulator_without_motion_still_draws_and_reports(folder: Path) -> None:
     command = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--report", "-"]
     done = subprocess.run(
         [*command, "--plot", "p.html"],
@@ -244,7 +244,7 @@ def test_a_simulator_that_moved_nothing_draws_and_reports_all_the_same(folder: P
     assert not (folder / "-").exists()
 
 
-def test_a_file_of_windows_with_a_mark_is_settings_and_stays_so(folder: Path) -> None:
+def test_settings_file_with_a_byte_order_mark_is_read_and_updated(folder: Path) -> None:
     file = folder / "win.settings"
     file.write_bytes(b"\xef\xbb\xbf$110=1000\r\n$120=50 ; mine\r\n")
     done = ugrbl("run", "good.nc", "--settings", "win.settings", "--json", "-")
@@ -264,7 +264,7 @@ def test_a_file_of_windows_with_a_mark_is_settings_and_stays_so(folder: Path) ->
 
 
 def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
-    """A command in a process of its own, with that descriptor as its output."""
+    """Run a command in a process of its own, with that descriptor as its output."""
     return subprocess.run(
         [sys.executable, "-m", "ugrbl.cli", *words.split()],
         stdin=subprocess.DEVNULL,
@@ -279,7 +279,7 @@ def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("words", ["run good.nc", "plot good.nc", "run good.nc --json -"])
-def test_a_full_disk_is_reported_in_words(words: str) -> None:
+def test_full_disk_is_reported_in_words(words: str) -> None:
     with Path("/dev/full").open("w") as full:
         done = writing_to(full.fileno(), words)
     assert done.returncode == 1
@@ -289,7 +289,7 @@ def test_a_full_disk_is_reported_in_words(words: str) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("name", ["full.html", "full.png", "full.json"])
-def test_a_full_disk_is_reported_with_the_file(name: str, folder: Path) -> None:
+def test_full_disk_is_reported_with_the_file(name: str, folder: Path) -> None:
     (folder / name).symlink_to("/dev/full")
     done = ugrbl("run", "good.nc", "--json" if name.endswith("json") else "--plot", name)
     assert done.exit_code == 1 and f"{name} cannot be written: the disk is full" in done.output
@@ -299,8 +299,8 @@ def test_a_full_disk_is_reported_with_the_file(name: str, folder: Path) -> None:
     "words",
     ["--help", "--version", "run good.nc", "run good.nc --json -", "plot good.nc -o -", "run -"],
 )
-def test_a_reader_that_has_gone_is_no_words_worth(words: str) -> None:
-    """As `| head` does."""
+def test_closed_output_pipe_is_not_reported(words: str) -> None:
+    """The same happens with `| head`."""
     read, write = os.pipe()
     os.close(read)
     done = writing_to(write, words)
@@ -312,8 +312,10 @@ def test_a_reader_that_has_gone_is_no_words_worth(words: str) -> None:
 
 @pytest.fixture
 def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Files end after 100 bytes, as on a disk that is full by then; Python would keep halves of
-    what it compiles."""
+    """Limit files to 100 bytes, as if the disk were full then.
+
+    Python writes no bytecode, because it would keep incomplete files.
+    """
     resource = pytest.importorskip("resource")
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -338,7 +340,7 @@ WRITERS = [
 @pytest.mark.parametrize("is_there", [False, True])
 @pytest.mark.parametrize(("words", "name"), WRITERS)
 @pytest.mark.usefixtures("full_disk")
-def test_a_full_disk_leaves_no_half_of_a_file(
+def test_full_disk_leaves_no_incomplete_file(
     words: str, name: str, is_there: bool, folder: Path
 ) -> None:
     if is_there:
@@ -349,7 +351,7 @@ def test_a_full_disk_leaves_no_half_of_a_file(
     assert files_in(folder) == before
 
 
-def test_a_file_that_is_replaced_stays_a_link_and_keeps_who_may_read_it(folder: Path) -> None:
+def test_replaced_file_stays_a_link_and_keeps_its_permissions(folder: Path) -> None:
     (folder / "x.json").write_text("old")
     (folder / "x.json").chmod(0o600)
     (folder / "link.json").symlink_to("x.json")
@@ -359,7 +361,7 @@ def test_a_file_that_is_replaced_stays_a_link_and_keeps_who_may_read_it(folder: 
 
 
 @pytest.mark.parametrize("words", ["run good.nc", "run good.nc --check", "plot good.nc"])
-def test_what_ctrl_c_ends_says_so_and_writes_nothing(
+def test_ctrl_c_is_reported_and_writes_nothing(
     words: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: object) -> None:
@@ -372,7 +374,7 @@ def test_what_ctrl_c_ends_says_so_and_writes_nothing(
     assert files_in(folder) == before
 
 
-# Whoever runs the tests, root too, can make no file in these.
+# No user, not even root, can create a file in these.
 NOWHERE = [place for place in ("/proc/x", "/sys/x") if Path(place).parent.is_dir()]
 
 
@@ -401,7 +403,7 @@ NOWHERE = [place for place in ("/proc/x", "/sys/x") if Path(place).parent.is_dir
         "deploy --json {} --port /dev/nowhere --board rpi_pico",
     ],
 )
-def test_where_no_file_can_be_is_said_before_the_work(
+def test_impossible_output_file_is_reported_before_the_work(
     words: str, place: str, folder: Path
 ) -> None:
     (folder / "locked").mkdir(mode=0o500)
@@ -418,15 +420,15 @@ def test_where_no_file_can_be_is_said_before_the_work(
     assert files_in(folder) == before
 
 
-def test_the_version_is_reported() -> None:
+def test_version_is_reported() -> None:
     done = ugrbl("--version")
     assert done.exit_code == 0 and done.output.startswith("ugrbl ")
     assert "Grbl 1.1h" in done.output
 
 
-def test_where_there_are_no_terminals_as_on_windows_programs_run() -> None:
+def test_programs_run_without_terminal_modules_as_on_windows() -> None:
     code = (
-        "import sys, serial, serial.rfc2217;"  # theirs is another there
+        "import sys, serial, serial.rfc2217;"  # Windows has other versions of these
         "sys.modules.update(termios=None, tty=None, pty=None, fcntl=None);"
         "from ugrbl.cli.app import app; app(sys.argv[1:])"
     )
@@ -443,6 +445,6 @@ def test_where_there_are_no_terminals_as_on_windows_programs_run() -> None:
     assert "use --tcp" in done.stderr
 
 
-def test_a_program_on_stdin_may_begin_with_a_mark() -> None:
+def test_program_on_stdin_may_begin_with_a_byte_order_mark() -> None:
     done = CliRunner().invoke(app, ["run", "-"], input=b"\xef\xbb\xbfG0 X1\r\n")
     assert done.exit_code == 0 and "errors" in done.output and "error:" not in done.output

@@ -1,4 +1,4 @@
-"""What only an RP2350 has is left out of an RP2040's firmware, and of no other's."""
+"""Test that code for the RP2350 only is left out of an RP2040's firmware, and of no other."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ _LAYOUT = "pio.hub_layout"
     ("arch", "stays"),
     [("armv6m", False), ("armv7emsp", True), ("xtensawin", False), ("x64", False)],
 )
-def test_the_constant_says_whether_the_chip_may_be_one(arch: str, stays: bool) -> None:
+def test_constant_says_whether_the_chip_may_be_an_rp2350(arch: str, stays: bool) -> None:
     texts = build.texts()
     made = for_chip(texts, arch)
     assert ("\nRP2350 = const(1)\n" in made[_LAYOUT]) is stays
@@ -22,15 +22,15 @@ def test_the_constant_says_whether_the_chip_may_be_one(arch: str, stays: bool) -
     assert {name for name in texts if made[name] != texts[name]} <= {_LAYOUT}
 
 
-def test_sources_that_say_nothing_are_refused() -> None:
+def test_sources_without_the_constant_are_refused() -> None:
     with pytest.raises(ValueError, match="does not say whether the chip may be an RP2350"):
         for_chip({_LAYOUT: "RP2350 = const(2)\n"}, "armv6m")
 
 
 @pytest.mark.thorough  # compiles all, twice
 @pytest.mark.parametrize(("name", "there"), [("rpi_pico", False), ("rpi_pico2", True)])
-def test_a_board_has_what_it_takes_on_an_rp2350_alone(name: str, there: bool) -> None:
-    """Of the third PIO, and what is refused of 48 pins."""
+def test_board_contains_rp2350_code_only_on_an_rp2350(name: str, there: bool) -> None:
+    """The text looked for belongs to the third PIO, and to the checks of 48 pins."""
     board: Any = load_board(name)
     made = build.compile_all(board.MPY_ARCH, board).files["pio/engine.mpy"]
     assert (b"only pins 0 to 31 make pulses" in made) is there

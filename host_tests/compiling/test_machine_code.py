@@ -1,4 +1,4 @@
-"""Machine code of kernels does what the same functions do as Python, wherever it lies."""
+"""Test that machine code of kernels does the same as the Python functions, at any address."""
 
 import subprocess
 import sys
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.xdist_group("machine code"), pytest.mark.thorough]
 
 @pytest.fixture(scope="module")
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Path]":
-    """All that a board has, as arm_model.kernels_of() says, in a file for each processor."""
+    """Write a file for each processor, with all kernels of a board (arm_model.kernels_of())."""
     files = {arch: tmp_path_factory.mktemp("kernels") / arch for arch in machine_code.PROCESSORS}
     for arch, file in files.items():
         file.write_text(repr(kernels_of(arch)))
@@ -29,7 +29,7 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Path]":
 
 
 def computed(part: str, arch: str = "", file: "Path | None" = None) -> str:
-    """What vectors.py prints of that part; by the kernels of a file, if there is one."""
+    """Return the output of vectors.py for this part; the kernels are those of a file if given."""
     start = f"""\
 import sys
 sys.path[:0] = {[str(STANDINS), *map(str, PATHS)]}
@@ -106,11 +106,11 @@ def none() -> int:
 
 @pytest.fixture(scope="module", params=[*machine_code.PROCESSORS])
 def made(request: pytest.FixtureRequest) -> Board:
-    """Made-up kernels."""
+    """Load the test kernels."""
     return Board(*c_of(_MADE), request.param)
 
 
-def test_what_viper_can_is_the_same_as_machine_code(made: Board) -> None:
+def test_machine_code_matches_viper(made: Board) -> None:
     for a, b, due in ((7, 2, 1003), (-7, 2, 996), (7, -2, -1004), (-7, -2, -997)):
         assert made.call(("made", "share"), a, b) == due
     a, b = 0x12345678, -0x7654321
@@ -122,13 +122,13 @@ def test_what_viper_can_is_the_same_as_machine_code(made: Board) -> None:
     assert made.call(("made", "none")) == 0x7FFFFFFF
 
 
-def test_an_address_may_be_handed_for_a_pointer(made: Board) -> None:
+def test_address_may_be_passed_as_a_pointer(made: Board) -> None:
     words = array("i", [1, 2, 3])
     assert made.call(("made", "through"), words, 1) == 13 + 1 + 1003
     assert list(words) == [1, 3, 3 + 3 | -1 << 16]
 
 
-def test_an_object_is_called_with_objects(made: Board) -> None:
+def test_object_is_called_with_objects(made: Board) -> None:
     heard: list[tuple[int, ...]] = []
 
     def who(*arguments: int) -> int:
@@ -139,20 +139,20 @@ def test_an_object_is_called_with_objects(made: Board) -> None:
     assert heard == [(-(1 << 30) - 5, 5), ()]
 
 
-def test_none_is_no_object_that_is_there(made: Board) -> None:
+def test_none_differs_from_an_existing_object(made: Board) -> None:
     assert made.call(("made", "is_there"), None, 5) == 0
     assert made.call(("made", "is_there"), print, 5) == 5
 
 
 @pytest.mark.parametrize("arch", machine_code.PROCESSORS)
-def test_it_may_lie_anywhere(arch: str) -> None:
+def test_machine_code_runs_at_any_address(arch: str) -> None:
     for moved in (16, 0x12340):
         board = Board(*c_of(_MADE), arch, moved)
         assert all(code >= CODE + moved for code in board.functions.values())
         assert board.call(("made", "share"), 7, 2) == 1003
 
 
-def test_only_what_is_asked_for_is_there() -> None:
+def test_only_requested_kernels_are_linked() -> None:
     c, keys = kernels_of("armv6m")
     fill = ("motion.segment_kernel", "fill")
     part, whole = (len(machine_code.linked(c, "armv6m", tuple(each))) for each in ([fill], keys))
@@ -160,6 +160,6 @@ def test_only_what_is_asked_for_is_there() -> None:
     assert list(Board(c, [fill]).functions) == [fill]
 
 
-def test_what_the_compiler_refuses_is_reported() -> None:
+def test_compiler_refusal_is_reported() -> None:
     with pytest.raises(machine_code.CompilerError, match="share"):
         machine_code.compiled("int share(void) { return missing; }", "armv6m")

@@ -1,5 +1,7 @@
-"""Kernels compiled for the desktop do what the same functions do as Python, and raise where they
-do; without a C compiler nothing is missing."""
+"""Test kernels compiled for the desktop: same results and exceptions as in Python.
+
+Without a C compiler the firmware runs them as Python.
+"""
 
 import json
 import os
@@ -17,7 +19,7 @@ from ugrbl.compiling import build, kernels, native
 from ugrbl.compiling.c_text import NotForC
 from ugrbl.paths import EXAMPLES
 
-# Passes of the build, and what they make: the first ring takes a few.
+# Passes of the build and their output: the first ring runs a few.
 pytestmark = pytest.mark.thorough
 
 needs_compiler = pytest.mark.skipif(
@@ -25,7 +27,7 @@ needs_compiler = pytest.mark.skipif(
     reason="no C compiler",
 )
 
-# Segments of a program, every one, and what was answered.
+# A hash of all segments of a program, and its result.
 _TRACE = """
 import hashlib, json, sys
 from ugrbl.run.program import watch_program
@@ -62,7 +64,7 @@ G38.2 X1
 
 
 def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str, list[str]]":
-    """What comes of it in a process of its own: the result, its segments, names of kernels."""
+    """Run a program in its own process; return its result, hash of segments, kernel names."""
     done = subprocess.run(
         [sys.executable, "-c", _TRACE],
         input=program,
@@ -77,7 +79,7 @@ def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str,
 
 @pytest.fixture(scope="session")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the library; made by the first run."""
+    """Return the folder of the library, which a first run compiles."""
     folder = tmp_path_factory.mktemp("native")
     run(b"G0X1\n", folder)
     return folder
@@ -125,7 +127,7 @@ vectors.main()
 
 
 def library(folder: Path, text: str) -> "dict[tuple[str, str], kernels.Kernel]":
-    """Kernels of a made-up module."""
+    """Compile the kernels of a test module."""
     c, made = folder / "made.c", folder / "made.so"
     c.write_text(native.in_c({"base.made": "import micropython\n" + text}))
     command = [os.environ.get("CC", "cc"), *kernels._FLAGS, "-o", str(made), str(c)]
@@ -184,7 +186,7 @@ def mixed(p: ptr32, k: int, a: int) -> int:
 
 
 @needs_compiler
-def test_what_would_go_wrong_in_silence_raises(tmp_path: Path) -> None:
+def test_kernel_raises_where_a_fault_would_be_silent(tmp_path: Path) -> None:
     made = {name: kernel for (_, name), kernel in library(tmp_path, _FAULTS).items()}
     words, halves = array("i", [5, 6]), array("H", [0, 0])
     assert made["at"](words, 1) == 6
@@ -215,7 +217,7 @@ def test_what_would_go_wrong_in_silence_raises(tmp_path: Path) -> None:
     assert given == [words, 0xFFFF, words]
     assert made["parts"]((words, halves, None, 5)) == 5
     for wrong, error in (
-        (None, SystemError),  # as no tuple
+        (None, SystemError),  # not a tuple
         ((words, halves, None), ValueError),
         ((words, halves, None, "five"), TypeError),
         ((words, halves, {}.fromkeys, 5), TypeError),
@@ -230,10 +232,10 @@ def test_what_would_go_wrong_in_silence_raises(tmp_path: Path) -> None:
 
 
 @needs_compiler
-def test_a_view_of_what_cannot_be_written_is_read_as_it_is(tmp_path: Path) -> None:
+def test_read_only_view_is_read_unchanged(tmp_path: Path) -> None:
     text = "@micropython.viper\ndef at(p: ptr8, i: int) -> int:\n    return p[i]\n"
     (read,) = library(tmp_path, text).values()
-    for byte in range(256):  # a copy that is let go of too soon soon holds something else
+    for byte in range(256):  # the memory of a copy freed too early would soon hold other bytes
         assert [read(memoryview(bytes([byte]) * 8), i) for i in range(8)] == [byte] * 8
 
 
@@ -244,25 +246,25 @@ def test_every_kernel_is_translated() -> None:
     assert len(listed) > 120
 
 
-def test_a_form_that_is_not_known_is_refused() -> None:
+def test_unknown_form_is_refused() -> None:
     text = "@micropython.viper\ndef f(a: int) -> int:\n    return strange(a)\n"
     with pytest.raises(NotForC, match=r"strange\(a\)"):
         native.in_c({"base.made": text})
 
 
-def test_without_a_compiler_the_same_runs_as_python(tmp_path: Path) -> None:
+def test_missing_compiler_leaves_the_kernels_as_python(tmp_path: Path) -> None:
     assert run(b"G0X1\n", tmp_path, CC="no-such-compiler")[2] == _PYTHON
     assert not (tmp_path / "kernels").exists()
 
 
-def test_without_a_place_to_keep_it_the_same_runs_as_python(tmp_path: Path) -> None:
+def test_missing_cache_folder_leaves_the_kernels_as_python(tmp_path: Path) -> None:
     (tmp_path / "kernels").write_text("a file where the folder would be")
     assert run(b"G0X1\n", tmp_path)[2] == _PYTHON
 
 
 @pytest.mark.thorough
 @needs_compiler
-def test_a_library_that_is_none_is_left_alone(tmp_path: Path) -> None:
+def test_invalid_library_is_not_used(tmp_path: Path) -> None:
     run(b"G0X1\n", tmp_path)
     (library,) = (tmp_path / "kernels").glob("*.so")
     library.write_bytes(b"cut short")
@@ -270,7 +272,7 @@ def test_a_library_that_is_none_is_left_alone(tmp_path: Path) -> None:
 
 
 @needs_compiler
-def test_a_compiler_that_fails_is_asked_once(tmp_path: Path) -> None:
+def test_failing_compiler_is_run_once(tmp_path: Path) -> None:
     failing = tmp_path / "cc"
     failing.write_text(f"#!/bin/sh\necho >> {tmp_path}/asked\necho no headers >&2\nexit 1\n")
     failing.chmod(0o755)

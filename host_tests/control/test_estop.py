@@ -1,4 +1,4 @@
-"""The emergency stop: it stops everything, and nothing unlocks the machine while it is pressed."""
+"""Test the emergency stop: it stops everything, and prevents unlocking while it is pressed."""
 
 from collections.abc import Callable, Iterator
 from types import ModuleType
@@ -26,8 +26,8 @@ class Machine(Rig):
         return bytes(self.link.received).decode()
 
     def ask(self, line: str, until: str = "\r\n") -> Iterator[Any]:
-        """Send a line, wait for its answer; what was said before is forgotten."""
-        yield self.ms(20)  # for the end of what is being said
+        """Send a line and wait for its answer; earlier output is discarded."""
+        yield self.ms(20)  # so that pending output arrives first
         self.link.received.clear()
         self.link.send(line.encode("latin-1"))
         yield lambda: until.encode() in self.link.received
@@ -41,7 +41,7 @@ class Machine(Rig):
         return list(self.scratch)
 
     def play(self, script: "Callable[[], Iterator[Any]]") -> None:
-        """Run the script from the banner on; what it asserts holds here."""
+        """Run the script after the banner."""
         failed: list[Exception] = []
 
         def guarded() -> Iterator[Any]:
@@ -77,7 +77,7 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
         yield from machine.ask("$X\n", "error:9\r\n")
         assert machine.said() == LOCKED
         yield from machine.ask("\x18", "unlock]\r\n")
-        assert "ALARM" not in machine.said()  # told once
+        assert "ALARM" not in machine.said()  # reported once
         yield from machine.ask("$X\n", "error:9\r\n")
         assert machine.said() == LOCKED
         yield from machine.ask("G1 X1\n")
@@ -96,8 +96,8 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
     machine.play(script)
 
 
-def test_pressed_in_an_alarm_and_released_it_is_unlocked_as_usual() -> None:
-    """It stands still already: no reset is due that would bring motors and tool back."""
+def test_machine_unlocks_normally_after_estop_in_an_alarm_is_released() -> None:
+    """The machine is stopped already: no reset follows that would revive motors and tool."""
     machine = Machine(s22=1)
 
     def script() -> Iterator[Any]:
@@ -113,7 +113,7 @@ def test_pressed_in_an_alarm_and_released_it_is_unlocked_as_usual() -> None:
     machine.play(script)
 
 
-def test_a_machine_that_starts_with_it_pressed_is_locked() -> None:
+def test_machine_that_starts_with_estop_pressed_is_locked() -> None:
     machine = Machine()
     machine.port.push(PRESSED)
 
@@ -126,7 +126,7 @@ def test_a_machine_that_starts_with_it_pressed_is_locked() -> None:
     machine.play(script)
 
 
-def test_there_is_no_homing_while_it_is_pressed() -> None:
+def test_homing_is_refused_while_estop_is_pressed() -> None:
     machine = Machine(_22=1)
     machine.port.push(PRESSED)
 
@@ -169,10 +169,10 @@ def dwell(machine: Machine) -> Iterator[Any]:
 
 @pytest.mark.parametrize("heard", [True, False], ids=["interrupt", "level"])
 @pytest.mark.parametrize("prepare", [hold, jog, home, check, sleep, dwell])
-def test_it_is_heard_in_every_state(
+def test_estop_works_in_every_state(
     prepare: "Callable[[Machine], Iterator[Any]]", heard: bool
 ) -> None:
-    """Also where its interrupt is lost: the main loop looks at its level."""
+    """Also when its interrupt is lost, because the main loop polls its level."""
     machine = Machine(_22=1)
 
     def script() -> Iterator[Any]:
@@ -193,9 +193,7 @@ def test_it_is_heard_in_every_state(
 @pytest.mark.parametrize(
     ("pushed", "said"), [({"limit_x": True}, "ALARM:1\r\n"), (PRESSED, "ALARM:17\r\n")]
 )
-def test_an_alarm_that_comes_after_the_look_for_one_is_reported(
-    pushed: "dict[str, bool]", said: str
-) -> None:
+def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", said: str) -> None:
     machine = Machine(_21=1)
     look = machine.engine.fault
 
@@ -216,7 +214,7 @@ def test_an_alarm_that_comes_after_the_look_for_one_is_reported(
     machine.play(script)
 
 
-def test_a_callback_that_fails_is_an_alarm_that_says_so() -> None:
+def test_failing_callback_is_an_alarm_with_its_cause() -> None:
     machine = Machine()
 
     def script() -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""kill() between any two bytecodes of whatever switches a tool: it is off, and stays so."""
+"""Test kill() between any two bytecodes that switch a tool: it goes off, and stays off."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -13,14 +13,14 @@ from test_pio_pins import board
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.rig import Rig
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(5)
 
 OUTPUTS = {"SPINDLE_PWM": 16, "SPINDLE_DIR": 17, "FLOOD": 18, "SPINDLE_ON": 19, "MIST_PIN": 20}
 ENABLES = {"SPINDLE_ENABLE_PIN": True}
 POLARITIES = [(), ("SPINDLE_PWM",), ("SPINDLE_ON", "MIST_PIN"), tuple(OUTPUTS)]
 
-# What a machine does with its tools, on a port.
+# What the machine does with its tools, on a port.
 WORK: "dict[str, Callable[[Any], object]]" = {
     "spindle": lambda port: port.spindle(True, 700),
     "coolant": lambda port: port.coolant(3),
@@ -30,7 +30,7 @@ WORK: "dict[str, Callable[[Any], object]]" = {
 
 
 class Bench:
-    """A port of a chip, and what comes out of its pins: name by name, 0 is off."""
+    """A port of a chip, and the outputs of its pins by name; 0 is off."""
 
     def __init__(self, chip: str, inverted: "tuple[str, ...]") -> None:
         self.inverted = inverted
@@ -47,7 +47,7 @@ class Bench:
         self.port.rest(2)
 
     def outputs(self) -> "dict[str, int]":
-        """How far from off each of them is."""
+        """Return for each output its difference from off."""
         port = self.port
         if self.chip == "sim":
             names = ("spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
@@ -58,7 +58,7 @@ class Bench:
         return {**found, "PUNCH_UP": self.level(22) ^ 0xFFFF}
 
     def level(self, number: int) -> int:
-        """What comes out of a pin, as a share of time."""
+        """Return the output of a pin as a share of time, 0 to 65535."""
         if self.chip == "rp2":
             return machine.Pin(number).pad()
         pin = esp_bench.esp_machine.Pin(number)
@@ -69,7 +69,7 @@ class Bench:
 
 
 def let_pass(us: int) -> None:
-    """Time on the stand-in of an RP2."""
+    """Let time pass on the stand-in of an RP2."""
     for output in machine.PWM.outputs.values():
         if us * output.frequency >= 1_000_000:
             output.wrap()
@@ -88,7 +88,7 @@ def new_chips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def interrupted(work: "Callable[[], object]", at: int, interrupt: "Callable[[], object]") -> bool:
-    """Do work, with an interrupt before its bytecode number `at`; whether it had so many."""
+    """Do work with an interrupt before bytecode `at`; return whether it had so many bytecodes."""
     count = 0
 
     def trace(frame: FrameType, event: str, _argument: object) -> Any:
@@ -110,19 +110,19 @@ def interrupted(work: "Callable[[], object]", at: int, interrupt: "Callable[[], 
 
 
 def work_of(what: str) -> "Callable[[Any], object]":
-    """That, or pulses at an output of an extra."""
+    """Return this work, or pulses at an output of an extra."""
     return WORK[what] if what in WORK else lambda port: port.pulse(0, 5000, 30000)
 
 
 def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]") -> int:
-    """How many places there were; after each the tools are off, and on again when revived."""
+    """Interrupt work before each bytecode and check the outputs; return their number."""
     at = 0
     while True:
         made = bench()
         port = made.port
         if not interrupted(lambda: work(port), at, port.kill):  # noqa: B023
             let_pass(200)
-            assert any(made.outputs().values())  # nobody has killed it: it is on
+            assert any(made.outputs().values())  # not killed: it is on
             return at
         assert not any(made.outputs().values()), at
         work(port)
@@ -139,20 +139,20 @@ def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]
 @pytest.mark.parametrize("inverted", POLARITIES, ids=len)
 @pytest.mark.parametrize("what", [*WORK, "pulse"])
 @pytest.mark.parametrize("chip", ["rp2", "esp"])
-def test_nothing_that_is_interrupted_switches_a_tool_on(
+def test_interrupted_work_never_switches_a_tool_on(
     chip: str, what: str, inverted: "tuple[str, ...]"
 ) -> None:
     assert kill_everywhere(lambda: Bench(chip, inverted), work_of(what)) > 20
 
 
 @pytest.mark.parametrize("what", WORK)
-def test_nor_does_it_in_the_simulator(what: str) -> None:
+def test_interrupted_work_never_switches_a_tool_on_in_the_simulator(what: str) -> None:
     assert kill_everywhere(lambda: Bench("sim", ()), WORK[what]) > 10
 
 
 @pytest.mark.parametrize("chip", ["rp2", "esp", "sim"])
-def test_reviving_what_is_not_dead_changes_nothing(chip: str) -> None:
-    """Homing revives, and a spindle that turns goes on."""
+def test_revive_without_kill_changes_nothing(chip: str) -> None:
+    """Homing calls revive, and a running spindle must continue."""
     bench = Bench(chip, ())
     bench.port.spindle(True, 700)
     let_pass(200)
@@ -165,11 +165,11 @@ def test_reviving_what_is_not_dead_changes_nothing(chip: str) -> None:
 @pytest.mark.parametrize("chip", ["rp2", "esp"])
 def test_every_output_is_off_from_the_start(chip: str, inverted: "tuple[str, ...]") -> None:
     found = Bench(chip, inverted).outputs()
-    del found["PUNCH_UP"]  # it is Punch that moves it
+    del found["PUNCH_UP"]  # Punch moves it
     assert not any(found.values())
 
 
-def test_a_punch_that_is_wired_the_other_way_round_is_brought_up() -> None:
+def test_punch_with_inverted_wiring_is_raised() -> None:
     bench = Bench("rp2", ())
     bench.port.drive(2)
     bench.port.rest(1)
@@ -179,7 +179,7 @@ def test_a_punch_that_is_wired_the_other_way_round_is_brought_up() -> None:
     assert machine.mem32[0x40014004 + 8 * 21] >> 8 & 3 == 0
 
 
-def test_a_direction_that_enables_nothing_is_left_alone() -> None:
+def test_direction_pin_that_enables_nothing_is_unchanged() -> None:
     port = gpio.GpioPort(board())
     port.direction(1)
     port.kill()
@@ -189,10 +189,10 @@ def test_a_direction_that_enables_nothing_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("chip", "control", "shift"), [("RP2040", 0x40014004, 8), ("RP2350", 0x40028004, 12)]
 )
-def test_pads_are_held_by_the_registers_of_the_chip(
+def test_pads_are_forced_off_by_registers_of_the_chip(
     chip: str, control: int, shift: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By GPIOn_CTRL.OUTOVER: 2 is low, 3 is high, whatever the pin's peripheral says."""
+    """GPIOn_CTRL.OUTOVER: 2 is low, 3 is high, whatever the pin's peripheral outputs."""
     monkeypatch.setattr(gpio, "_is_rp2350", lambda: chip == "RP2350")
     port = gpio.GpioPort(board(**OUTPUTS, INVERT=("FLOOD",)))
     others = {pin: machine.mem32[control + 8 * pin] for pin in range(30)}
@@ -204,7 +204,7 @@ def test_pads_are_held_by_the_registers_of_the_chip(
     assert {pin: machine.mem32[control + 8 * pin] for pin in range(30)} == others
 
 
-def test_a_board_with_many_outputs_holds_them_all() -> None:
+def test_kill_holds_all_outputs_of_a_board_with_many() -> None:
     port = gpio.GpioPort(board(**OUTPUTS))
     pins = (0, 1, 21, 22, 26, 27)
     port.add_pins(pins, ())
@@ -216,7 +216,7 @@ def test_a_board_with_many_outputs_holds_them_all() -> None:
     assert [machine.Pin(pin).pad() for pin in pins] == [0, 0xFFFF, 0, 0, 0, 0]
 
 
-def test_a_slow_pulse_is_over_when_its_output_obeys_again() -> None:
+def test_slow_pulse_has_ended_when_its_output_is_revived() -> None:
     port = gpio.GpioPort(board(**OUTPUTS))
     port.add_pins((21,), ())
     port.rest(0)
@@ -234,13 +234,13 @@ def test_a_slow_pulse_is_over_when_its_output_obeys_again() -> None:
         (20, 21, 50, True),  # both of slice 2
         (20, 21, 60, False),
         (20, 22, 60, True),
-        (4, 20, 50, False),  # one and the same output of a slice
-        (17, None, 50, False),  # the neighbour of the spindle's
+        (4, 20, 50, False),  # the same output of one slice
+        (17, None, 50, False),  # the other output of the spindle's slice
         (17, None, 5000, True),
         (0, None, 5000, False),
     ],
 )
-def test_pins_that_share_pulses_are_reported(
+def test_conflicting_pwm_pins_are_reported(
     pin: int, other: "int | None", hz: int, can_be: bool
 ) -> None:
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
@@ -260,10 +260,10 @@ def test_pins_that_share_pulses_are_reported(
     ("pin", "other", "can_be"),
     [(36, 4, True), (34, 2, True), (33, 40, False), (33, 34, True), (32, 40, False)],
 )
-def test_pins_above_31_share_pulses_with_each_other_only(
+def test_pins_above_31_share_slices_only_with_each_other(
     pin: int, other: int, can_be: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An RP2350B's: 32 and 40 are one output of slice 8, 33 and 41 the other."""
+    """On an RP2350B, 32 and 40 are one output of slice 8, 33 and 41 the other."""
     monkeypatch.setattr(sys.implementation, "_machine", "a board with RP2350", raising=False)
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
     port.add_pins((pin, other), ())
@@ -276,7 +276,7 @@ def test_pins_above_31_share_pulses_with_each_other_only(
             port.pulse(0, 60, 200)
 
 
-def test_inputs_that_are_looked_at_at_once_are_pins_up_to_31(
+def test_fast_inputs_must_be_pins_up_to_31(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(sys.implementation, "_machine", "a board with RP2350", raising=False)
@@ -284,7 +284,7 @@ def test_inputs_that_are_looked_at_at_once_are_pins_up_to_31(
         gpio.GpioPort(board(LIMIT=(9, 33, None)))
 
 
-def test_pulses_that_the_chip_meets_nearly_are_shared_all_the_same() -> None:
+def test_slice_is_shared_when_the_chip_rounds_the_frequency() -> None:
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
     port.add_pins((20, 21), ())
     port.rest(0)
@@ -297,12 +297,12 @@ def test_pulses_that_the_chip_meets_nearly_are_shared_all_the_same() -> None:
 
 
 def listener(heard: "Callable[..., Any]", on_fault: "Callable[[], Any]") -> Any:
-    """One that is called for limits and controls alike."""
+    """Return a listener with the same function for limits and controls."""
     return SimpleNamespace(on_limits=heard, on_controls=heard, on_fault=on_fault)
 
 
 def made(chip: str) -> "tuple[Any, Any, list[str]]":
-    """A port whose callbacks all fail, its pins, and what it has said of that."""
+    """Return a port whose callbacks all fail, its pins, and the faults it has reported."""
     changes: "dict[str, Any]" = {**OUTPUTS, "ESTOP": 28}
     pins: Any = machine.Pin if chip == "rp2" else esp_bench.esp_machine.Pin
     make = gpio.GpioPort if chip == "rp2" else esp_bench.gpio_esp.EspPort
@@ -321,7 +321,7 @@ def made(chip: str) -> "tuple[Any, Any, list[str]]":
 
 @pytest.mark.parametrize("pin", [9, 13, 12, 26, 28])
 @pytest.mark.parametrize("chip", ["rp2", "esp"])
-def test_a_callback_that_fails_kills_the_tool_and_tells(chip: str, pin: int) -> None:
+def test_failing_callback_kills_the_tool_and_is_reported(chip: str, pin: int) -> None:
     port, pins, told = made(chip)
     if pin == 12:
         port.watch_probe(lambda: 1 // 0, True)
@@ -332,7 +332,7 @@ def test_a_callback_that_fails_kills_the_tool_and_tells(chip: str, pin: int) -> 
     assert (machine.Pin(16).pad() if chip == "rp2" else port.pwm.duty) == 0
 
 
-def test_a_timer_s_callback_that_fails_tells_too() -> None:
+def test_failing_timer_callback_is_reported() -> None:
     port, pins, told = made("rp2")
     failing, tell = port._listener, port._listener.on_fault
     port._listener = listener(lambda *_: None, tell)
@@ -349,7 +349,7 @@ def test_a_timer_s_callback_that_fails_tells_too() -> None:
 
 
 @pytest.mark.parametrize("pin", [9, 13])
-def test_an_input_whose_callback_has_failed_is_heard_again(pin: int) -> None:
+def test_input_is_read_again_after_its_callback_failed(pin: int) -> None:
     port, pins, told = made("rp2")
     pins(pin).drive(0)
     port._look_timer.expire()
@@ -360,7 +360,7 @@ def test_an_input_whose_callback_has_failed_is_heard_again(pin: int) -> None:
     assert told and heard == [pin]
 
 
-def test_where_stopping_fails_too_nothing_leaves_the_interrupt() -> None:
+def test_failing_stop_does_not_leave_the_interrupt() -> None:
     port = gpio.GpioPort(board())
     port.attach(listener(*2 * (lambda *_: 1 // 0,)))
     port.enable_limits(True)

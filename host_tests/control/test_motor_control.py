@@ -1,4 +1,4 @@
-"""The drive: whatever stops the machine switches the tool off first, then stops the motors."""
+"""Test the motor control: every stop switches the tool off first, then stops the motors."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +16,7 @@ _STOPPED = ["kill", "stop"]
 
 
 class Bench:
-    """A drive between fakes, which have one list. fails: see FakePort."""
+    """A motor control between fakes that share one list of calls; for fails see FakePort."""
 
     def __init__(self, fails: str = "") -> None:
         self.asked: Asked = []
@@ -50,7 +50,7 @@ class Bench:
     ],
     ids=["reset", "limit", "reset button", "emergency stop", "emergency, seen late", "fault"],
 )
-def test_the_tool_goes_off_before_motors_stop(stop: Any, alarm: int, by_pin: bool) -> None:
+def test_tool_is_switched_off_before_motors_stop(stop: Any, alarm: int, by_pin: bool) -> None:
     bench = Bench()
     stop(bench.drive)
     assert bench.asked == _STOPPED
@@ -58,21 +58,21 @@ def test_the_tool_goes_off_before_motors_stop(stop: Any, alarm: int, by_pin: boo
     assert (bench.state.alarm, bench.drive.by_pin) == (alarm, by_pin)
 
 
-def test_motors_stop_also_where_switching_the_tool_off_fails() -> None:
+def test_motors_stop_even_when_switching_the_tool_off_fails() -> None:
     bench = Bench(fails="kill")
     with pytest.raises(OSError):
         bench.drive.reset()
     assert bench.asked == _STOPPED
 
 
-def test_a_limit_that_does_not_count_stops_nothing() -> None:
+def test_disabled_limit_stops_nothing() -> None:
     bench = Bench()
     bench.settings.hard_limits = 0
     bench.drive.on_limits()
     assert bench.asked == [] and not bench.state.pending[st.ANY]
 
 
-def test_a_stop_that_comes_while_the_machine_is_armed_holds() -> None:
+def test_stop_stays_in_effect_when_the_machine_is_armed_again() -> None:
     bench = Bench()
     bench.drive.arm()
     assert bench.asked == ["arm", "revive"]
@@ -82,7 +82,7 @@ def test_a_stop_that_comes_while_the_machine_is_armed_holds() -> None:
     assert bench.asked == ["arm", "revive", *_STOPPED]
 
 
-def test_motors_are_powered_before_they_move_and_released_a_while_after() -> None:
+def test_motors_are_powered_before_they_move_and_released_later() -> None:
     bench = Bench()
     bench.drive.start(st.RUN)
     assert bench.asked == ["enable 0", "start"] and bench.state.run == st.RUN
@@ -97,7 +97,7 @@ def test_motors_are_powered_before_they_move_and_released_a_while_after() -> Non
     assert bench.state.pending[st.CYCLE_STOP]
 
 
-def test_a_fault_of_the_engine_is_raised_and_one_of_the_port_is_reported() -> None:
+def test_engine_fault_is_raised_and_port_fault_is_reported() -> None:
     bench = Bench()
     bench.drive.start(st.RUN)
     bench.engine.told_fault = "motion is late"

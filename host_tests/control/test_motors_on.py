@@ -1,4 +1,4 @@
-"""With $1=255 motors stay powered whatever stops the machine, so that a heavy Z does not fall."""
+"""Test that motors stay powered at every stop with $1=255, so that a heavy Z does not fall."""
 
 from collections.abc import Callable, Iterator
 from types import ModuleType
@@ -18,7 +18,7 @@ Script = Iterator[Any]
 
 
 class Bench(Machine):
-    """A machine with an emergency stop, that notes each level of its enable pin."""
+    """A machine with an emergency stop that records each level of its enable pin."""
 
     def __init__(self, settings: "dict[int, float]") -> None:
         board = ModuleType("board")
@@ -33,7 +33,7 @@ class Bench(Machine):
         self._enable(level)
 
     def say(self, text: str, ms: float = _AFTER_MS) -> Script:
-        """Send, and let time pass; return what was said meanwhile."""
+        """Send text and let time pass; return the output meanwhile."""
         self.take()
         yield from self.sender.wait(f"ms {ms}", text)
         return self.take()
@@ -43,12 +43,12 @@ class Bench(Machine):
         return self.say("")
 
     def switch(self, steps: int, bounces: int = 0) -> None:
-        """Limit switches that close there, on the way down."""
+        """Add limit switches that close there, on the way down."""
         for axis, letter in enumerate("xyz"):
             self.rig.engine.switches.append(Switch(f"limit_{letter}", axis, False, steps, bounces))
 
 
-# Ways of stopping: what each says at last.
+# Ways of stopping, and the last message of each.
 
 
 def end_of_a_move(bench: Bench) -> Script:
@@ -224,7 +224,7 @@ def test_motors_are_on_from_power_up(homing: int) -> None:
 
 
 def test_sleep_releases_motors_until_they_move_again() -> None:
-    """As Grbl: who puts the machine to sleep wants them released."""
+    """As in Grbl: a user who puts the machine to sleep wants the motors released."""
     bench = Bench({})
 
     def script() -> Script:
@@ -242,7 +242,7 @@ def test_sleep_releases_motors_until_they_move_again() -> None:
 
 @pytest.mark.parametrize("stop", [end_of_a_move, reset_in_motion, probe_finds_nothing])
 def test_motors_with_a_delay_are_released(stop: "Callable[[Bench], Script]") -> None:
-    """What this file is worth."""
+    """This shows that the other tests of the file can fail."""
     bench = Bench({1: 25})
 
     def script() -> Script:

@@ -1,7 +1,8 @@
-"""A probe that touches around a hold: after the contact no step but those of braking.
+"""Test a probe that touches around a hold: only braking steps follow the contact.
 
-A phase is one probing move, with a hold and a contact so many ms after its start. It stops where
-the braking ends that began first, which is compared with that of a move stopped only once.
+A phase is one probing move with a hold and a contact, each at a time in ms after its start. The
+move ends where the braking that began first ends; that place is compared with a move that is
+stopped only once.
 """
 
 from collections.abc import Iterator
@@ -11,23 +12,26 @@ from typing import Any
 import pytest
 from rig_bench import Machine
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(4)
 
 _FAST = {110: 3000, 111: 3000, 112: 3000, 120: 200, 121: 200, 122: 200}
 _PER_MM = 250
 _Z = 2
 _HOLD, _DOOR, _TILDE = "!", "\x84", "~"
-# Of `G38.n Z-3 F600`: it moves at 10 mm/s after 50 ms, and brakes in as many.
+# For `G38.n Z-3 F600`: it reaches 10 mm/s in 50 ms, and brakes in the same time.
 _LINE, _END_STEPS = "G38.%d Z-3 F600", -3 * _PER_MM
-_BRAKES_MS = 80  # with what the engine has been given already
+_BRAKES_MS = 80  # includes the segments that the engine has already
 
 Script = Iterator[Any]
 
 
 @dataclass
 class Stop:
-    """A way to hold. send: bytes; pin: an input; parks: the machine is homed, below Z-5."""
+    """A way to hold.
+
+    send: bytes; pin: an input; parks: the machine is homed and below Z-5.
+    """
 
     name: str
     board: str = "sim"
@@ -46,7 +50,7 @@ STOPS = (
 
 
 class Bench(Machine):
-    """A machine that probes again and again from the same place."""
+    """A machine that probes repeatedly from the same place."""
 
     def __init__(self, stop: Stop) -> None:
         settings = {**_FAST, 22: 1} if stop.parks else _FAST
@@ -66,7 +70,7 @@ class Bench(Machine):
         return self.take()
 
     def z(self) -> int:
-        """Steps from where each probing move begins."""
+        """Return the steps since the start of the probing move."""
         return self.physical()[_Z] - self.top
 
     def touch(self, touches: bool) -> None:
@@ -78,8 +82,8 @@ class Bench(Machine):
         self.rig.link.send(self.stop.send.encode("latin-1"))
 
     def go_on(self) -> Script:
-        """Close the door, and resume; wait until nothing moves any more."""
-        yield self.rig.ms(40)  # of the delay before the hold is complete ($1)
+        """Close the door and resume; wait until the machine stops."""
+        yield self.rig.ms(40)  # the delay before the hold is complete ($1)
         if self.stop.pin:
             self.rig.port.push({self.stop.pin: False})
             yield self.rig.ms(30)
@@ -87,7 +91,7 @@ class Bench(Machine):
         yield self.idle
 
     def probe(self, word: int, events: "dict[float, Any]") -> Script:
-        """Begin G38.`word`; do things at their ms after the first step; see braking end."""
+        """Start G38.`word`, run events at their ms after the first step, wait until it stops."""
         away = word > 3
         self.touch(away)
         yield from self.say("G90 G0 Z%g\n" % (self.top / _PER_MM))
@@ -107,7 +111,7 @@ class Bench(Machine):
         return said[-1][1:].split("|")[0].split(":")[0]
 
     def rests(self, word: int, how: str, instants: "list[int]") -> Script:
-        """Where each move comes to rest that is only held, or only touches, at that ms."""
+        """Return where moves stop that are only held, or only touch, at these ms."""
         found = {}
         for ms in instants:
             if how == "hold":
@@ -122,7 +126,7 @@ class Bench(Machine):
         return found
 
     def free(self) -> Script:
-        """Out of the alarm of a probe that has found nothing."""
+        """Leave the alarm of a probe without contact."""
         yield self.rig.ms(30)
         if (yield from self.state()) == "Alarm":
             yield self.rig.ms(600)
@@ -130,14 +134,14 @@ class Bench(Machine):
 
 
 def found(said: "list[str]") -> "tuple[int, int]":
-    """Of [PRB:…]: Z in steps, and whether it has succeeded."""
+    """Return the result in [PRB:…]: Z in steps, and whether the probe succeeded."""
     prb = next(line for line in said if line.startswith("[PRB:"))
     places, success = prb[5:-1].split(":")
     return round(float(places.split(",")[_Z]) * _PER_MM), int(success)
 
 
 def phase(bench: Bench, word: int, hold_ms: float, contact_ms: float, rest: int) -> Script:
-    """Hold and touch in this order and with this distance: what must hold whatever the order."""
+    """Hold and touch at these times, and check the laws that hold in any order."""
     touched: list[int] = []
 
     def touch(touches: bool) -> None:
@@ -157,7 +161,10 @@ def phase(bench: Bench, word: int, hold_ms: float, contact_ms: float, rest: int)
     bench.take()
     said = bench.received[said_before:]
     assert found(said) == (bench.top + touched[0], 1), at
-    assert said.count("ok") == 2, (said, at)  # of this line, and of that which leads to its start
+    assert said.count("ok") == 2, (
+        said,
+        at,
+    )  # this line, and the one that moves to its start
     report = [float(n) for n in said[-1].split("MPos:")[1].split("|")[0].split(",")]
     assert round(report[_Z] * _PER_MM) == bench.top + rest, at
     yield from bench.say("G91 G0 Z1\n")
@@ -166,10 +173,10 @@ def phase(bench: Bench, word: int, hold_ms: float, contact_ms: float, rest: int)
 
 @pytest.mark.parametrize("word", [2, 3, 4, 5])
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
-def test_after_contact_no_step_but_those_of_braking(stop: Stop, word: int) -> None:
-    """Contacts from the byte of a hold to long after its braking."""
+def test_only_braking_steps_follow_the_contact(stop: Stop, word: int) -> None:
+    """Contacts come from the byte of a hold until long after its braking."""
     bench = Bench(stop)
-    phases_ms = range((4 * STOPS.index(stop) + word) % 14, 140, 14)  # together each millisecond
+    phases_ms = range((4 * STOPS.index(stop) + word) % 14, 140, 14)  # together every ms
 
     def script() -> Script:
         yield from bench.begin()
@@ -182,7 +189,7 @@ def test_after_contact_no_step_but_those_of_braking(stop: Stop, word: int) -> No
 
 @pytest.mark.parametrize("word", [2, 5])
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
-def test_a_hold_after_the_contact_changes_nothing(stop: Stop, word: int) -> None:
+def test_hold_after_the_contact_changes_nothing(stop: Stop, word: int) -> None:
     bench = Bench(stop)
 
     def script() -> Script:
@@ -195,8 +202,8 @@ def test_a_hold_after_the_contact_changes_nothing(stop: Stop, word: int) -> None
 
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
-def test_a_contact_that_ends_before_motion_goes_on_is_none(stop: Stop) -> None:
-    """A probe that is tried out by hand in a hold goes on, and finds the work."""
+def test_contact_that_ends_before_motion_resumes_is_ignored(stop: Stop) -> None:
+    """A probe touched by hand during a hold still finds the work afterwards."""
     bench = Bench(stop)
 
     def script() -> Script:
@@ -224,7 +231,7 @@ def test_a_contact_that_ends_before_motion_goes_on_is_none(stop: Stop) -> None:
     bench.run(script())
 
 
-def test_a_jog_cancel_does_not_end_a_probe() -> None:
+def test_jog_cancel_does_not_end_a_probe() -> None:
     bench = Bench(STOPS[0])
 
     def script() -> Script:
@@ -238,8 +245,8 @@ def test_a_jog_cancel_does_not_end_a_probe() -> None:
     bench.run(script())
 
 
-def test_a_machine_does_not_park_while_it_probes() -> None:
-    """Back from there it would go through what has touched the probe."""
+def test_machine_does_not_park_while_it_probes() -> None:
+    """The way back would run into the object that the probe has touched."""
     bench = Bench(STOPS[-1])
 
     def script() -> Script:
@@ -255,7 +262,7 @@ def test_a_machine_does_not_park_while_it_probes() -> None:
 
 
 @pytest.mark.parametrize("touches", [False, True])
-def test_after_a_reset_in_the_hold_of_a_probe_motion_is_free(touches: bool) -> None:
+def test_motion_is_free_after_a_reset_in_the_hold_of_a_probe(touches: bool) -> None:
     bench = Bench(STOPS[0])
 
     def script() -> Script:

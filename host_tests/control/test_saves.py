@@ -1,11 +1,11 @@
-"""Saves: nothing is written before the loop says so, and what fails does not keep the rest."""
+"""Test saves: written only when the loop asks for it; a failed one does not stop the rest."""
 
 import pytest
 from control.saves import Saves
 from fakes import FakeStore
 
 
-def test_what_is_saved_is_written_when_the_loop_says_so_the_newest_only() -> None:
+def test_newest_save_is_written_when_the_loop_asks_for_it() -> None:
     store = FakeStore()
     saves = Saves(store)
     saves.save("settings", ["$0=1"])
@@ -15,7 +15,7 @@ def test_what_is_saved_is_written_when_the_loop_says_so_the_newest_only() -> Non
     assert store.files == {"settings": ["$0=2"]} and saves.load("settings") == ["$0=2"]
 
 
-def test_where_one_finds_no_room_the_others_are_kept_and_it_is_not_tried_again() -> None:
+def test_failed_save_is_dropped_and_the_others_are_written() -> None:
     store = FakeStore("settings")
     saves = Saves(store)
     for name in ("coords", "settings", "startup"):

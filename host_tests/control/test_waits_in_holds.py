@@ -1,8 +1,8 @@
-"""A hold in front of a command that waits for motion to end: the command waits for `~`, too.
+"""Test a hold before a command that waits for motion to end: it also waits for `~`.
 
-Kinds of motion are followed by commands that wait, and `!` comes in the last 200 ms of the motion.
-In the hold nothing of the command has been done; after `~` pins, reports, modes, position and what
-is stored are as without a hold. Each motion is tried with some commands at some instants;
+A motion is followed by such a command, and `!` comes in the last 200 ms of the motion. During the
+hold no part of the command is executed; after `~` pins, reports, modes, position and stored data
+are the same as without a hold. Each motion is tried with some commands at some instants;
 UGRBL_TORTURE=1 tries each with all of them at every millisecond.
 """
 
@@ -21,10 +21,10 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
-_COMMANDS = 4  # that each motion is tried with
+_COMMANDS = 4  # tried with each motion
 _LAST_MS = 200
-_RISKY_MS = 60  # before the end of motion: its last segments are made, or under way
-_AFTER_MS = 25  # $1: after it what stands still is idle
+_RISKY_MS = 60  # before the end of motion: its last segments are planned or sent
+_AFTER_MS = 25  # $1: after this delay a stopped machine is idle
 _FAST = {110: 6000, 111: 6000, 112: 6000, 120: 500, 121: 500, 122: 500, 22: 1, 23: 7}
 _FAST |= {24: 600, 25: 3000, 26: 5, 27: 1}
 _LASER = {32: 1}
@@ -33,7 +33,7 @@ _PATIENCE_MS = 20_000
 
 
 class Motion(NamedTuple):
-    """Lines that set the tool before, and those that move."""
+    """Lines that set the tool first, and lines that move."""
 
     before: Sequence[str]
     lines: Sequence[str]
@@ -108,10 +108,11 @@ COMMANDS = (
 )
 
 
-# After these the place has another name, or another measure.
+# These change the coordinates or the unit of the position.
 _NEW_PLACES = ("$H", "$100=200")
 
-# What went wrong first: the laser burned on, the spindle stood still, flash was written in motion.
+# The faults found first: the laser burned on, the spindle stopped, flash was written during
+# motion.
 KNOWN = (
     ("laser M3", "M5"),
     ("laser M3", "M2"),
@@ -132,8 +133,10 @@ def _board(options: "Mapping[str, Any]") -> ModuleType:
 
 
 class Trial:
-    """A motion, and a command after it. hold_ms: when `!` comes, or None. held: what is sent in
-    the hold."""
+    """A motion and a command after it.
+
+    hold_ms: when `!` is sent, or None. held: bytes sent during the hold.
+    """
 
     def __init__(
         self, motion: Motion, command: str, hold_ms: "float | None" = None, held: str = ""
@@ -153,7 +156,7 @@ class Trial:
         self.at_last: "dict[str, Any]" = {}
 
     def run(self) -> "Trial":
-        """Play it to its end."""
+        """Run it to its end."""
         self.machine.run(self._script())
         return self
 
@@ -193,7 +196,7 @@ class Trial:
             rig.link.send(b"~")
 
     def _see(self, seen: "dict[str, Any]") -> Iterator[Any]:
-        """What is so, and what is said."""
+        """Record the state of the machine, and its reports."""
         machine, port = self.rig.controller, self.rig.port
         seen["stored"] = {name: list(lines) for name, lines in self.rig.store.files.items()}
         seen["steps"] = self.machine.physical()
@@ -214,17 +217,17 @@ class Trial:
 
 @cache
 def without_hold(name: str, command: str) -> Trial:
-    """What the end is to be like."""
+    """Return the trial without a hold: its end state is required of all others."""
     return Trial(MOTIONS[name], command).run()
 
 
 def _tool(seen: "dict[str, Any]") -> "list[str]":
-    """Spindle and coolant, as `$G` has them."""
+    """Return the modes of spindle and coolant in `$G`."""
     return re.findall(r"\bM[345789]\b", seen["modes"])
 
 
 def check_agreement(seen: "dict[str, Any]", is_laser: bool, where: str) -> None:
-    """What is wanted, what is said and what is so are the same."""
+    """Check that modes, reports and pins agree."""
     on, pwm, flood, mist = seen["pins"]
     tool = _tool(seen)
     assert (flood, mist) == ("M8" in tool, "M7" in tool), f"coolant: {where}"
@@ -237,18 +240,18 @@ def check_agreement(seen: "dict[str, Any]", is_laser: bool, where: str) -> None:
 
 
 def check(name: str, command: str, hold_ms: float, held: str = "") -> None:
-    """Play it with a hold, and compare."""
+    """Run it with a hold, and compare with the trial without one."""
     where = f"{name}, {command!r}, hold after {hold_ms:.1f} ms"
     trial = Trial(MOTIONS[name], command, hold_ms, held).run()
     wanted, is_laser = without_hold(name, command), 32 in MOTIONS[name].settings
     in_hold, at_last = trial.in_hold, trial.at_last
     if in_hold["run"] == st.HOLD:
         check_agreement(in_hold, is_laser, f"held: {where}")
-        if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # motion is left
+        if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # motion was left
             assert in_hold["stored"] == trial.before["stored"], f"stored in the hold: {where}"
             assert _tool(in_hold) == _tool(trial.before), f"done in the hold: {where}"
     for seen in (in_hold, at_last):
-        if command not in _NEW_PLACES and name != "backlash":  # no report knows of that
+        if command not in _NEW_PLACES and name != "backlash":  # no report includes these
             assert seen["reported steps"] == seen["steps"], f"place: {where}"
     check_agreement(at_last, is_laser, where)
     for what in at_last:
@@ -257,7 +260,7 @@ def check(name: str, command: str, hold_ms: float, held: str = "") -> None:
 
 
 def instants(name: str, chance: random.Random, count: int) -> "list[float]":
-    """When `!` comes: once in all of the last 200 ms, else where most can go wrong."""
+    """Return times of `!`: one in the last 200 ms, the rest in the last, risky part of it."""
     alone = without_hold(name, "")
     last = alone.moved_ms + _AFTER_MS
     before: Sequence[float] = range(_LAST_MS)
@@ -268,7 +271,7 @@ def instants(name: str, chance: random.Random, count: int) -> "list[float]":
 
 @pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", MOTIONS)
-def test_hold_in_front_of_waiting_command_changes_nothing(name: str) -> None:
+def test_hold_before_a_waiting_command_changes_nothing(name: str) -> None:
     chance = random.Random(name)
     first = list(MOTIONS).index(name) * _COMMANDS
     few = [COMMANDS[(first + i) % len(COMMANDS)] for i in range(_COMMANDS)]
@@ -299,7 +302,7 @@ def test_reset_in_hold_aborts_waiting_command(command: str) -> None:
     assert trial.at_last["pins"] == (False, 0, 0, 0)
 
 
-def test_soft_limit_met_while_slowing_down_comes_to_rest_first() -> None:
+def test_soft_limit_alarm_comes_after_slowing_down() -> None:
     machine = Machine({**_FAST, 20: 1}, watched=False)
     rig = machine.rig
     stopped_in_motion = []
