@@ -1,4 +1,4 @@
-"""`ugrbl build` and `ugrbl deploy`: what belongs on which board, and every way it can go wrong."""
+"""Test `ugrbl build` and `ugrbl deploy`: the files of each board, and every failure."""
 
 import ast
 import contextlib
@@ -26,14 +26,14 @@ from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, de
 from ugrbl.image import contents
 from ugrbl.paths import TOOLS
 
-# But for one of each kind: it builds firmware for boards.
+# It builds firmware for boards: the first ring runs one test of each kind.
 pytestmark = pytest.mark.thorough
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
-# As deploy_device.py looks for them.
+# The endings that deploy_device.py looks for.
 _LOOKED_AT = ("py", LIST, *page_files.names())
-_OTHER = b"M\x06\x00\x1f"  # how a compiled file for any processor begins
+_OTHER = b"M\x06\x00\x1f"  # start of a compiled file for any processor
 SETTINGS = {"settings.txt": b"$0=10", "settings.old": b"$0=5", "offsets.new": b"", "log.txt": b"1"}
 
 
@@ -47,7 +47,7 @@ def made() -> build.Build:
 
 
 class FakeBoard:
-    """A Device that is a dict. room: bytes that it takes. Logs what is done to it."""
+    """A Device whose files are a dict. room: its capacity in bytes. It logs every action."""
 
     def __init__(self, about: About = PICO, room: int = 1_000_000) -> None:
         self.disk: dict[str, bytes] = dict(SETTINGS)
@@ -99,7 +99,7 @@ class FakeBoard:
 
 
 class Silent:
-    """A View that counts."""
+    """A View that counts bytes."""
 
     def __init__(self) -> None:
         self.total = self.done = 0
@@ -120,24 +120,26 @@ def put(board: FakeBoard, made: build.Build, **options: Any) -> Any:
 
 
 def changed(made: build.Build, *paths: str) -> build.Build:
-    """The same with these files changed, or more."""
+    """Return the same build with these files changed or added."""
     other = {path: _OTHER + path.encode() for path in paths}
     return build.Build(made.arch, {**made.files, **other})
 
 
-# What belongs on which board
+# Files of a board
 
 
 @pytest.fixture(scope="module")
 def texts() -> "dict[str, str]":
-    """All modules, constants in place."""
+    """Return the sources of all modules, with constants inlined."""
     return pruned(inline(build.texts()))
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", REAL)
-def test_a_board_gets_every_module_its_modules_import(name: str, texts: "dict[str, str]") -> None:
-    """At their top level; inside functions a module imports what its board may not need."""
+def test_board_gets_every_module_that_its_modules_import(
+    name: str, texts: "dict[str, str]"
+) -> None:
+    """Only imports at top level: those inside functions may not be needed by the board."""
     there = set(build.modules_of(load_board(name)))
     for each in there:
         for node in ast.parse(texts[each]).body:
@@ -153,7 +155,7 @@ def needed(**words: "str | bool") -> set[str]:
     return {f"{name.replace('.', '/')}.py" for name in build.modules_of(made)}
 
 
-def test_a_board_gets_what_it_can_use() -> None:
+def test_board_gets_only_modules_that_it_can_use() -> None:
     pico, i2s, rmt = needed(), needed(ENGINE="i2s", LINK="uart"), needed(ENGINE="rmt")
     assert {"main.py", "pio/pins.py", "ports/usb/usb_link.py", "pio/engine.py"} < pico
     assert not any(name.startswith(("esp", "ports/uart", "extras")) for name in pico)
@@ -176,7 +178,7 @@ def test_a_board_gets_what_it_can_use() -> None:
     } < rmt and "esp_chip/i2s.py" not in rmt
     api = {"extras/api.py", "extras/cycles.py", "extras/custom_codes.py"}
     assert needed(TOOL="punch") - pico == {"extras/tools/punch.py", *api}
-    custom = needed(CUSTOM="custom") - pico  # which is the default
+    custom = needed(CUSTOM="custom") - pico  # the default
     assert {"extras/custom/user_modules.py", "extras/custom/machine_api.py", *api} < custom
     assert {name for name in custom if not name.startswith("extras/")} == {"base/axes.py"}
     laser = needed(TOOL="laser") - pico
@@ -196,7 +198,7 @@ def test_a_board_gets_what_it_can_use() -> None:
     assert needed(DIALECT="0.9") - pico == {"extras/dialects/dialect_09.py", *api}
 
 
-def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
+def test_every_choice_is_an_existing_module_and_used_by_some_board() -> None:
     assert {*build._SWITCHED, *build._PARTS} <= {build.module(one) for one in build.sources()}
     every: set[str] = set()
     for engine in engines.engines():
@@ -211,10 +213,10 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in pruned(inline(build.texts())).values()]
     assert not any(left.intersection(build._imported(tree, ())) for tree in trees)
-    assert "pio.hub_layout" in left  # which has nothing but constants
+    assert "pio.hub_layout" in left  # it has only constants
 
 
-def test_main_and_the_board_file_stay_as_they_are(made: build.Build) -> None:
+def test_main_and_board_file_are_not_compiled(made: build.Build) -> None:
     assert made.files["main.py"] == (build.paths.FIRMWARE / "main.py").read_bytes()
     assert made.files["board.py"] == files.board_file("rpi_pico").read_bytes()
     others = set(made.files) - {"main.py", "board.py"}
@@ -242,7 +244,7 @@ def test_build_without_a_board_compiles_everything(tmp_path: Path) -> None:
         assert f" {source}" in done.output.replace(".mpy", ".py")
 
 
-def test_what_was_built_before_and_is_no_more_goes(tmp_path: Path) -> None:
+def test_files_of_an_earlier_build_are_removed(tmp_path: Path) -> None:
     (tmp_path / "pio").mkdir()
     gone, mine = tmp_path / "pio" / "gone.mpy", tmp_path / "mine.py"
     gone.write_bytes(b"M")
@@ -258,7 +260,7 @@ def board_file(folder: Path, more: str, name: str = "mine") -> Path:
 
 
 @pytest.mark.parametrize("command", ["build", "deploy"])
-def test_a_punch_without_pins_is_refused(tmp_path: Path, command: str) -> None:
+def test_punch_without_pins_is_refused(tmp_path: Path, command: str) -> None:
     done = ugrbl(command, "--board", board_file(tmp_path, 'TOOL = "punch"\nPUNCH_UP = 20\n'))
     assert done.exit_code == 1
     missing = "PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_SENSOR"
@@ -291,18 +293,18 @@ def test_every_problem_has_a_line_and_nothing_is_built(tmp_path: Path) -> None:
         ('MPY_ARCH = "armv6m"', "ENGINE is missing"),
     ],
 )
-def test_a_file_that_is_no_board_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_file_that_is_not_a_board_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "mine.py").write_text(text)
     with pytest.raises(BoardFileError, match=said):
         build.for_board(files.board_file(str(tmp_path / "mine.py")))
 
 
-def test_a_board_file_that_imports_another_is_refused(tmp_path: Path) -> None:
+def test_board_file_that_imports_another_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BoardFileError, match=r"imports boards\.sim, and is alone on the board"):
         files.load_for_build(board_file(tmp_path, "from boards.sim import RX_BYTES\n"))
 
 
-def test_names_that_are_no_board_are_told_which_there_are() -> None:
+def test_unknown_board_name_is_answered_with_the_known_ones() -> None:
     file = Path(__file__)
     done = ugrbl("build", "--board", "rpi_pico", "-o", file)
     assert done.exit_code == 1 and "is no folder" in done.output.replace("\n", " ")
@@ -311,10 +313,10 @@ def test_names_that_are_no_board_are_told_which_there_are() -> None:
     assert "there is no file nowhere.py" in ugrbl("build", "--board", "nowhere.py").output
 
 
-# What is copied
+# Copied files
 
 
-def test_a_new_board_gets_all_and_main_comes_last(made: build.Build) -> None:
+def test_new_board_gets_all_files_and_main_last(made: build.Build) -> None:
     board, view = FakeBoard(), Silent()
     result = deploy(board, made, view)
     assert sorted(result.copied) == sorted(made.files) and result.removed == []
@@ -325,7 +327,7 @@ def test_a_new_board_gets_all_and_main_comes_last(made: build.Build) -> None:
     assert result.free_bytes == 60_000 and result.build == "1.1h.20261121:"
 
 
-def test_a_board_that_has_all_is_left_alone_and_started(made: build.Build) -> None:
+def test_up_to_date_board_is_only_started(made: build.Build) -> None:
     board = FakeBoard()
     put(board, made)
     result = put(board, made)
@@ -333,7 +335,7 @@ def test_a_board_that_has_all_is_left_alone_and_started(made: build.Build) -> No
     assert (result.copied, result.removed, result.unchanged) == ([], [], len(made.files))
 
 
-def test_only_what_has_changed_is_copied_and_never_beside_a_main(made: build.Build) -> None:
+def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(made: build.Build) -> None:
     board = FakeBoard()
     put(board, made)
     result = put(board, changed(made, "language/words.mpy"))
@@ -344,7 +346,7 @@ def test_only_what_has_changed_is_copied_and_never_beside_a_main(made: build.Bui
     ]
 
 
-def test_settings_and_files_of_the_user_stay(made: build.Build) -> None:
+def test_settings_and_user_files_stay(made: build.Build) -> None:
     board = FakeBoard()
     mine = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
     board.disk.update(mine)
@@ -353,8 +355,8 @@ def test_settings_and_files_of_the_user_stay(made: build.Build) -> None:
     assert {**SETTINGS, **mine}.items() <= board.disk.items()
 
 
-def test_sources_that_would_hide_compiled_files_go(made: build.Build) -> None:
-    """As `mpremote cp -r firmware/. :/` puts them there."""
+def test_sources_that_would_hide_compiled_files_are_removed(made: build.Build) -> None:
+    """`mpremote cp -r firmware/. :/` leaves such sources."""
     board = FakeBoard()
     for source in build.sources():
         board.disk[source] = (build.paths.FIRMWARE / source).read_bytes()
@@ -363,26 +365,26 @@ def test_sources_that_would_hide_compiled_files_go(made: build.Build) -> None:
     assert set(board.disk) == {*made.files, *SETTINGS, LIST}
 
 
-def test_packages_of_one_file_that_another_board_had_go(made: build.Build) -> None:
+def test_package_file_of_another_board_is_removed(made: build.Build) -> None:
     board = FakeBoard()
     board.disk["esp_chip/__init__.mpy"] = b"M"
     assert put(board, made).removed == ["esp_chip/__init__.mpy"]
 
 
-def test_kernels_that_another_board_had_go_though_no_list_names_them(made: build.Build) -> None:
+def test_kernels_of_another_board_are_removed_without_a_list(made: build.Build) -> None:
     board = FakeBoard()
     others = ["kernels/__init__.mpy", "kernels/extras_motors_jerk_kernel.mpy"]
     board.disk.update(dict.fromkeys(others, b"M"))
     assert put(board, made).removed == others
 
 
-def test_what_another_board_had_goes(made: build.Build) -> None:
+def test_files_of_another_board_are_removed(made: build.Build) -> None:
     board = FakeBoard()
     put(board, changed(made, "esp_chip/rmt.mpy", "extras/tools/punch.mpy"))
     assert put(board, made).removed == ["esp_chip/rmt.mpy", "extras/tools/punch.mpy"]
 
 
-def test_a_module_of_older_firmware_goes_unless_it_was_changed(made: build.Build) -> None:
+def test_module_of_older_firmware_is_removed_unless_it_was_changed(made: build.Build) -> None:
     board = FakeBoard()
     put(board, changed(made, "once.mpy", "twice.mpy"))
     board.disk["twice.mpy"] = b"mine now"
@@ -390,7 +392,7 @@ def test_a_module_of_older_firmware_goes_unless_it_was_changed(made: build.Build
     assert board.disk["twice.mpy"] == b"mine now"
 
 
-def test_a_list_of_rubbish_is_no_reason_to_remove_anything(made: build.Build) -> None:
+def test_unreadable_list_removes_nothing(made: build.Build) -> None:
     board = FakeBoard()
     board.disk.update({LIST: b"\xff rubbish\n\n", "mine.py": b""})
     assert put(board, made).removed == []
@@ -407,7 +409,7 @@ def with_page() -> build.Build:
     return build.for_board(files.board_file("pico2_w_page"))
 
 
-def test_a_board_that_serves_the_page_has_it_and_no_other_has(
+def test_only_a_board_that_serves_the_page_has_its_files(
     made: build.Build, with_page: build.Build
 ) -> None:
     page = page_files.made()
@@ -418,7 +420,7 @@ def test_a_board_that_serves_the_page_has_it_and_no_other_has(
     assert {"ports/net/page.mpy", "ports/net/web_socket.mpy"} <= {*with_page.files}
 
 
-def test_a_page_that_has_changed_is_brought_up_to_date_and_goes_where_it_is_not_served(
+def test_changed_page_is_updated_and_removed_when_not_served(
     with_page: build.Build, tmp_path: Path
 ) -> None:
     file = tmp_path / "board.py"
@@ -435,14 +437,14 @@ def test_a_page_that_has_changed_is_brought_up_to_date_and_goes_where_it_is_not_
     assert {*put(board, without).removed} == gone > {*page_files.names()}
 
 
-def test_beside_frozen_firmware_lies_the_page(with_page: build.Build) -> None:
+def test_page_is_copied_next_to_frozen_firmware(with_page: build.Build) -> None:
     frozen = freeze.Frozen(with_page.id)
     board = FakeBoard(PICO2_W._replace(frozen=frozen))
     put(board, with_page)
     assert board.writes() == ["board.py", *sorted(page_files.names()), LIST]
 
 
-def test_a_uf2_file_has_the_page_too(with_page: build.Build) -> None:
+def test_uf2_file_contains_the_page(with_page: build.Build) -> None:
     found = contents.files(with_page, {})
     assert page_files.made().items() <= found.items()
     frozen = freeze.Frozen(with_page.id)
@@ -453,7 +455,7 @@ def test_a_uf2_file_has_the_page_too(with_page: build.Build) -> None:
 # The board's own board.py
 
 
-def test_a_board_file_changed_on_the_board_is_not_lost(made: build.Build) -> None:
+def test_board_file_changed_on_the_board_is_not_lost(made: build.Build) -> None:
     board = FakeBoard()
     put(board, made)
     board.disk["board.py"] += b"PROBE = 28\n"
@@ -463,7 +465,7 @@ def test_a_board_file_changed_on_the_board_is_not_lost(made: build.Build) -> Non
     assert put(board, made, replace=True).copied == ["board.py"]
 
 
-def test_a_main_of_somebody_else_is_not_lost(made: build.Build) -> None:
+def test_foreign_main_is_not_lost(made: build.Build) -> None:
     board = FakeBoard()
     board.disk["main.py"] = b"print('blink')"
     with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
@@ -473,7 +475,7 @@ def test_a_main_of_somebody_else_is_not_lost(made: build.Build) -> None:
     assert board.disk["main.py"] == made.files["main.py"]
 
 
-def test_another_board_file_is_put_in_the_place_of_one_that_was_deployed(
+def test_deployed_board_file_is_replaced_by_another(
     made: build.Build,
 ) -> None:
     board = FakeBoard()
@@ -481,7 +483,7 @@ def test_another_board_file_is_put_in_the_place_of_one_that_was_deployed(
     assert put(board, changed(made, "board.py")).copied == ["board.py"]
 
 
-# What goes wrong
+# Failures
 
 
 @pytest.mark.parametrize(
@@ -494,7 +496,7 @@ def test_another_board_file_is_put_in_the_place_of_one_that_was_deployed(
         (PICO._replace(mpy=0), "takes no compiled files", "official MicroPython"),
     ],
 )
-def test_a_board_that_cannot_run_it_is_not_touched(
+def test_board_that_cannot_run_the_build_is_not_touched(
     made: build.Build, about: About, said: str, todo: str
 ) -> None:
     board = FakeBoard(about)
@@ -504,11 +506,11 @@ def test_a_board_that_cannot_run_it_is_not_touched(
     assert board.log == ["enter"] and board.disk == SETTINGS
 
 
-def test_the_right_board_fits(made: build.Build) -> None:
+def test_matching_board_is_accepted(made: build.Build) -> None:
     check_fit(PICO, made)
 
 
-def test_a_micropython_that_is_too_old_is_refused_before_anything_is_copied(
+def test_old_micropython_is_refused_before_anything_is_copied(
     made: build.Build,
 ) -> None:
     board = FakeBoard(PICO._replace(version="1.25.0"))
@@ -520,7 +522,7 @@ def test_a_micropython_that_is_too_old_is_refused_before_anything_is_copied(
     check_fit(PICO._replace(version="1.26.0"), made)
 
 
-def test_a_full_board_says_so_and_does_not_start_half_of_it(made: build.Build) -> None:
+def test_full_board_is_reported_and_not_started(made: build.Build) -> None:
     board = FakeBoard(room=made.bytes // 2)
     with pytest.raises(DeployError, match=r"flash is full, at \w+") as refused:
         put(board, made)
@@ -528,7 +530,7 @@ def test_a_full_board_says_so_and_does_not_start_half_of_it(made: build.Build) -
     assert "main.py" not in board.disk and "restart" not in board.log
 
 
-def test_what_was_left_half_way_is_finished(made: build.Build) -> None:
+def test_incomplete_deployment_is_completed(made: build.Build) -> None:
     board = FakeBoard(room=made.bytes // 2)
     with pytest.raises(DeployError):
         put(board, made)
@@ -542,7 +544,7 @@ def test_what_was_left_half_way_is_finished(made: build.Build) -> None:
 
 @pytest.fixture
 def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
-    """A board that `ugrbl deploy` finds, with what has been compiled already."""
+    """Let `ugrbl deploy` find this board, and use a finished build."""
     from ugrbl.device import deploy_device
 
     board = FakeBoard()
@@ -552,7 +554,7 @@ def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
     return board
 
 
-def test_deploy_says_what_it_has_done(plugged: FakeBoard) -> None:
+def test_deploy_reports_what_it_has_done(plugged: FakeBoard) -> None:
     said = " ".join(ugrbl("deploy", "--board", "rpi_pico").output.replace("│", " ").split())
     for part in ("at /dev/ttyACM7", "Grbl 1.1h ['$' for help]", "1.1h.20261121", "60000 bytes"):
         assert part in said
@@ -560,14 +562,14 @@ def test_deploy_says_what_it_has_done(plugged: FakeBoard) -> None:
     assert "copied │ 0 files, 0 bytes" in again
 
 
-def test_deploy_as_json(plugged: FakeBoard) -> None:
+def test_deploy_is_reported_as_json(plugged: FakeBoard) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", "COM3", "--json", "-")
     found = json.loads(done.stdout)
     assert (found["board"], found["port"], found["free_bytes"]) == ("rpi_pico", "COM3", 60_000)
     assert "language/words.mpy" in found["copied"] and found["unchanged"] == 0
 
 
-def test_a_failure_as_json(plugged: FakeBoard) -> None:
+def test_failure_is_reported_as_json(plugged: FakeBoard) -> None:
     plugged._about = PICO._replace(mpy=0x1F06)
     done = ugrbl("deploy", "--board", "rpi_pico", "--json", "-")
     assert done.exit_code == 1
@@ -576,7 +578,9 @@ def test_a_failure_as_json(plugged: FakeBoard) -> None:
     assert "RP2350" in done.stderr and "->" in done.stderr
 
 
-def test_ctrl_c_says_what_it_has_left(plugged: FakeBoard, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_reports_the_state_it_leaves(
+    plugged: FakeBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(*words: object) -> None:
         raise KeyboardInterrupt
 
@@ -585,13 +589,13 @@ def test_ctrl_c_says_what_it_has_left(plugged: FakeBoard, monkeypatch: pytest.Mo
     assert done.exit_code == 1 and "deploy again" in done.output
 
 
-def test_a_port_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_port_is_reported(tmp_path: Path) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", tmp_path / "nothing")
     assert done.exit_code == 1
     assert "no such port" in done.output and "-> is it written right" in done.output
 
 
-def test_no_board_plugged_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_board_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "find", list)
     done = ugrbl("deploy", "--board", "rpi_pico")
     assert done.exit_code == 1 and "no controller is plugged in" in done.output
@@ -603,12 +607,12 @@ def test_help_has_examples(command: str) -> None:
     assert deploy_cli.EXAMPLES
 
 
-# Who is on the port
+# Devices on the port
 
 
 @pytest.fixture
 def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., str]]:
-    """What deploy says of a port where bytes are answered by a table; None: it goes away."""
+    """Deploy to a port that answers bytes by a table; None closes it. Return the message."""
     from ugrbl.device import deploy_device
 
     for name in ("_STATUS_S", "_PROMPT_S", "_RAW_S"):
@@ -636,15 +640,15 @@ def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[.
         return " ".join(done.output.split())
 
     yield deploy_there
-    os.close(slave)  # which ends the thread
+    os.close(slave)  # ends the thread
 
 
-def test_a_machine_that_moves_is_not_disturbed(talk: Callable[..., str]) -> None:
+def test_moving_machine_is_not_disturbed(talk: Callable[..., str]) -> None:
     said = talk({b"?": b"<Run|MPos:1.000,0.000,0.000|FS:100,0>\r\n"})
     assert "is in Run, and is not disturbed -> wait until the job has ended" in said
 
 
-def test_a_held_machine_says_how_to_go_on(talk: Callable[..., str]) -> None:
+def test_held_machine_is_reported_with_the_remedy(talk: Callable[..., str]) -> None:
     said = talk({b"?": b"<Hold:0|MPos:1.000,0.000,0.000|FS:0,0>\r\n"})
     assert "is in Hold" in said and "resume (~) or reset (Ctrl-X) it, then deploy again" in said
 
@@ -652,30 +656,28 @@ def test_a_held_machine_says_how_to_go_on(talk: Callable[..., str]) -> None:
 _IDLE: "dict[bytes, bytes | None]" = {b"?": b"<Idle|MPos:1.000,0.000,0.000|FS:0,0>\r\n"}
 
 
-def test_the_simulator_is_said_to_be_one(talk: Callable[..., str]) -> None:
+def test_simulator_is_reported(talk: Callable[..., str]) -> None:
     assert "it is the simulator that answers" in talk(_IDLE)
 
 
-def test_a_grbl_that_is_not_ours(
-    talk: Callable[..., str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_grbl_is_reported(talk: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.device.deploy_device.is_simulator", lambda port: False)
     assert "does not give way to MicroPython's prompt -> is it ours?" in talk(_IDLE)
 
 
-def test_nobody_there(talk: Callable[..., str]) -> None:
+def test_silent_port_is_reported(talk: Callable[..., str]) -> None:
     said = talk({})
     assert "no MicroPython answers on" in said and "hold BOOTSEL" in said
 
 
-def test_a_cable_that_is_pulled(talk: Callable[..., str]) -> None:
+def test_unplugged_cable_is_reported(talk: Callable[..., str]) -> None:
     assert "the connection broke" in talk({b"?": None})
 
 
 # package.json
 
 
-def test_mip_finds_every_file_of_a_build_and_its_place(tmp_path: Path) -> None:
+def test_package_json_lists_every_file_of_a_build_and_its_path(tmp_path: Path) -> None:
     made = build.for_board(build.paths.BOARDS / "rpi_pico.py")
     save(made, tmp_path)
     listed = json.loads((tmp_path / "package.json").read_text())["urls"]

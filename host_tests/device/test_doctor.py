@@ -1,4 +1,4 @@
-"""`ugrbl doctor`: at the simulator, at ports with somebody else, and its judgement by itself."""
+"""Test `ugrbl doctor`: at the simulator, at ports with other devices, and its judgement."""
 
 import json
 import os
@@ -24,7 +24,7 @@ from ugrbl.grbl.settings_file import Firmware
 OLD_PICO = b"\r\n|rp2|Raspberry Pi Pico with RP2040|1.25.0|183000|False|\r\n>>> "
 OURS = Firmware("1.1", "h", "20261121", "Grbl", "V,15,128")
 GRBL = Firmware("1.1", "h", "20190830", "", "V,15,128")
-# A machine nothing can be said against.
+# Settings of a machine without any finding.
 GOOD: dict[int, float] = {
     **dict.fromkeys((5, 6, 13, 20, 31, 32), 0),
     **dict.fromkeys((21, 22), 1),
@@ -43,7 +43,7 @@ GOOD: dict[int, float] = {
 
 
 def examine(port: object, *words: str) -> Any:
-    """Exit code, findings by what they are about, everything said."""
+    """Run the doctor; return exit code, findings by subject, and the verdict."""
     command = ["doctor", "--port", str(port), "--json", "-", *words]
     done = CliRunner().invoke(app, command)
     found = json.loads(done.stdout)
@@ -63,7 +63,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 # At the simulator
 
 
-def test_a_machine_from_the_factory_can_move_and_has_settings_to_make(bench: Bench) -> None:
+def test_machine_with_factory_settings_can_move_and_needs_settings(bench: Bench) -> None:
     code, found, verdict = examine(bench.port, "--move", "--pins", "0")
     assert code == 0
     assert found["port"][0]["verdict"] == OK
@@ -76,14 +76,14 @@ def test_a_machine_from_the_factory_can_move_and_has_settings_to_make(bench: Ben
     assert bench.stop() == [0, 0, 0]  # there and back
 
 
-def test_nothing_moves_unasked(bench: Bench) -> None:
+def test_nothing_moves_without_consent(bench: Bench) -> None:
     _, found, _ = examine(bench.port)
     assert not any(name.startswith("move") for name in found)
     assert b"$J" not in bench.wire(">")
 
 
 @pytest.mark.thorough
-def test_switches_are_seen_as_they_are_pressed(bench: Bench) -> None:
+def test_pressed_switches_are_seen(bench: Bench) -> None:
     def press() -> None:
         for pin in ("limit_x", "probe"):
             time.sleep(1.2)
@@ -99,7 +99,7 @@ def test_switches_are_seen_as_they_are_pressed(bench: Bench) -> None:
     assert found["switches"][0]["text"] == "seen: limit switch X (1×), probe (1×)"
 
 
-def test_an_input_active_at_rest_is_named_with_its_setting(tmp_path: Path) -> None:
+def test_input_active_while_idle_is_named_with_its_setting(tmp_path: Path) -> None:
     bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
     bench.push("limit_y")
     bench.push("probe")
@@ -111,7 +111,7 @@ def test_an_input_active_at_rest_is_named_with_its_setting(tmp_path: Path) -> No
     assert "$5=1" in found["limits"][0]["todo"] and "$6=1" in found["probe"][0]["todo"]
 
 
-def test_a_locked_machine_is_told_the_way_out_and_does_not_move(tmp_path: Path) -> None:
+def test_locked_machine_is_reported_with_the_remedy_and_does_not_move(tmp_path: Path) -> None:
     bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
     code, found, _ = examine(bench.port, "--move", "--pins", "0")
     bench.kill()
@@ -120,7 +120,7 @@ def test_a_locked_machine_is_told_the_way_out_and_does_not_move(tmp_path: Path) 
     assert found["move X"][0]["text"] == "not tried: the machine is in Alarm"
 
 
-def test_a_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
+def test_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
     connection = sync.connect(str(bench.port))
     near = SWITCH_STEPS / STEPS_PER_MM - 0.5
     for line in ("$21=1", f"$J=G91 X{near} F500"):
@@ -133,11 +133,11 @@ def test_a_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
     assert "move Y" not in found
 
 
-# At ports with somebody else
+# At ports with other devices
 
 
 class Impostor(threading.Thread):
-    """Answers whatever comes with a text of its own."""
+    """A device that answers everything with texts of its own."""
 
     def __init__(self, answers: dict[bytes, bytes], always: bytes = b"") -> None:
         super().__init__(daemon=True)
@@ -191,7 +191,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         ({}, b"\xff\xfe\x80\x9c\xe0", "firmware", "bytes come, but no text"),
     ],
 )
-def test_who_is_there_instead_is_reported(
+def test_other_device_is_reported(
     monkeypatch: pytest.MonkeyPatch,
     answers: dict[bytes, bytes],
     always: bytes,
@@ -209,7 +209,9 @@ def test_who_is_there_instead_is_reported(
     assert found["firmware"][0]["todo"]
 
 
-def test_a_board_at_its_prompt_tells_its_free_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_board_at_its_prompt_is_reported_with_its_free_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(connection, "_START_S", 0.5)
     answer = b"\r\n|rp2|Raspberry Pi Pico|1.28.0|183000|True|\r\n>>> "
     impostor = Impostor({b"\x03": b"\r\n>>> ", b"import": answer})
@@ -221,7 +223,7 @@ def test_a_board_at_its_prompt_tells_its_free_memory(monkeypatch: pytest.MonkeyP
     assert "main.py has ended" in found["firmware"][0]["todo"]
 
 
-def test_a_ctrl_x_that_is_heard_late_is_reported() -> None:
+def test_slow_ctrl_x_is_reported() -> None:
     (finding,) = checkup.link(replace(OURS, name="Grbl pio 100000Hz slow-reset SHED"))
     assert finding.verdict == NOTE and "Ctrl-X" in finding.text and "1.28" in finding.todo
     assert checkup.link(replace(OURS, name="Grbl pio 100000Hz SHED")) == []
@@ -229,16 +231,14 @@ def test_a_ctrl_x_that_is_heard_late_is_reported() -> None:
 
 
 @pytest.mark.parametrize(("used", "verdict"), [(4704, OK), (7168, OK), (7169, NOTE), (8192, NOTE)])
-def test_a_c_stack_that_is_nearly_full_is_reported_with_the_next_step(
-    used: int, verdict: str
-) -> None:
+def test_nearly_full_c_stack_is_reported_with_the_next_step(used: int, verdict: str) -> None:
     replies = ["[VER:1.1h.20261121:]", f"[MSG:Stack: {used} of 8192 bytes used]", "ok"]
     (finding,) = checkup.stack(replies)
     assert finding.verdict == verdict and f"{used} of 8192 bytes" in finding.text
     assert ("report it" in finding.todo) == (verdict == NOTE)
 
 
-def test_who_says_nothing_of_a_stack_gets_no_row() -> None:
+def test_board_without_a_stack_figure_gets_no_row() -> None:
     assert checkup.stack(["error:3"]) == []
     assert checkup.stack(["[VER:1.1h.20261121:]", "[MSG:Stack: ]", "ok"]) == []
 
@@ -251,7 +251,7 @@ def test_who_says_nothing_of_a_stack_gets_no_row() -> None:
         ("12", NOTE, "motion stopped 12 times for want of lines"),
     ],
 )
-def test_programs_that_were_held_up_are_reported_with_the_next_step(
+def test_underruns_of_programs_are_reported_with_the_next_step(
     told: str, verdict: str, words: str
 ) -> None:
     (finding,) = checkup.drains(["[VER:1.1h.20261121:]", f"[MSG:Drains: {told}]", "ok"])
@@ -261,7 +261,7 @@ def test_programs_that_were_held_up_are_reported_with_the_next_step(
 
 
 class Asked:
-    """A connection that refuses, and remembers what it was asked."""
+    """A connection that records its requests and gives these replies."""
 
     def __init__(self, *replies: str) -> None:
         self.lines: list[str] = []
@@ -272,16 +272,14 @@ class Asked:
         return self._replies
 
 
-def test_only_ours_is_asked_for_its_stack() -> None:
+def test_only_our_firmware_is_asked_for_its_stack() -> None:
     told = ["[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
     ours, other = Asked(*told), Asked("error:3")
     assert doctor._health(cast("Any", ours), OURS) == told and ours.lines == ["$I+"]
     assert doctor._health(cast("Any", other), GRBL) == [] and other.lines == []
 
 
-def test_a_board_that_tells_its_stack_gets_a_row_and_the_simulator_none(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stack_figure_of_a_board_gets_a_row(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
     assert code == 0 and "C stack" not in found
     ask = Connection.ask
@@ -300,38 +298,38 @@ def test_a_board_that_tells_its_stack_gets_a_row_and_the_simulator_none(
 
 @pytest.fixture
 def fault() -> str:
-    """As a board tells it that has the firmware that is here."""
+    """Return a fault message as this version of the firmware sends it."""
     return '[MSG:IndexErr: list index File "talk.report", line 31, in status (01234567)]'
 
 
 _REPORT = b"<Alarm|MPos:0.000,0.000,0.000|FS:0,0>\r\n"
 
 
-def test_a_board_that_stands_in_a_fault_is_asked_for_it(fault: str) -> None:
+def test_board_in_a_fault_alarm_is_asked_for_the_fault(fault: str) -> None:
     impostor = Impostor({b"?": _REPORT, b"$": fault.encode() + b"\r\n"})
     impostor.start()
     code, found, _ = examine(impostor.port)
     impostor.over.set()
-    assert code == 1 and "firmware" not in found  # it hears nothing else
+    assert code == 1 and "firmware" not in found  # it answers nothing else
     assert 'list index File "talk.report", line 31, in status' in found["fault"][0]["text"]
     assert "Ctrl-X" in found["fault"][0]["todo"]
 
 
-def test_a_board_that_cannot_start_says_why_in_names(fault: str) -> None:
+def test_board_that_cannot_start_reports_the_cause_by_name(fault: str) -> None:
     impostor = Impostor({}, fault.encode() + b"\r\n")
     (found,) = judged(impostor)
     assert found.what == "fault" and "talk.report" in found.text
 
 
 def judged(impostor: Impostor) -> "list[Finding]":
-    """What is said of one who is no Grbl."""
+    """Return the findings about a device that is not a Grbl."""
     impostor.start()
     found = board_under_test.stranger(impostor.port)
     impostor.over.set()
     return found
 
 
-def test_the_last_fault_is_reported_though_the_machine_works_again(
+def test_last_fault_is_reported_after_the_machine_works_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
     ask = Connection.ask
@@ -346,7 +344,7 @@ def test_the_last_fault_is_reported_though_the_machine_works_again(
     assert found["fault"][0]["text"].startswith("[MSG:Last fault: IndexError: list index")
 
 
-def test_an_alarm_that_is_no_fault_is_none(tmp_path: Path) -> None:
+def test_alarm_without_a_fault_is_not_reported_as_one(tmp_path: Path) -> None:
     bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
     connection = sync.connect(str(bench.port))
     assert connection.state() == "Alarm" and board_under_test.fault(connection) == ""
@@ -354,13 +352,13 @@ def test_an_alarm_that_is_no_fault_is_none(tmp_path: Path) -> None:
     bench.kill()
 
 
-def test_a_port_that_is_not_there_is_named() -> None:
+def test_missing_port_is_named() -> None:
     code, found, verdict = examine("/dev/nowhere")
     assert code == 1 and verdict == "1 wrong"
     assert "/dev/nowhere" in found["port"][0]["text"] and "cable" in found["port"][0]["text"]
 
 
-def test_the_only_port_is_chosen_and_one_of_several_is_not(
+def test_only_port_is_chosen_and_none_of_several(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Usb:
@@ -379,14 +377,14 @@ def test_the_only_port_is_chosen_and_one_of_several_is_not(
         ports.choose(None)
 
 
-# The judgement by itself
+# The judgement
 
 
 def wrong(found: list[Finding]) -> list[tuple[str, str]]:
     return [(finding.what, finding.verdict) for finding in found if finding.verdict != OK]
 
 
-def test_good_settings_are_good() -> None:
+def test_good_settings_have_no_finding() -> None:
     assert wrong(checkup.settings(GOOD, OURS)) == []
 
 
@@ -411,7 +409,7 @@ def test_good_settings_are_good() -> None:
         ({13: 1}, "settings", NOTE, "inches"),
     ],
 )
-def test_what_is_wrong_with_settings_is_reported_with_the_way_out(
+def test_bad_settings_are_reported_with_the_remedy(
     values: dict[int, float], what: str, verdict: str, says: str
 ) -> None:
     found = checkup.settings({**GOOD, **values}, OURS)
@@ -420,7 +418,7 @@ def test_what_is_wrong_with_settings_is_reported_with_the_way_out(
     assert says in " ".join(finding.text + finding.todo for finding in hits)
 
 
-def test_a_real_grbl_makes_fewer_steps() -> None:
+def test_real_grbl_has_a_lower_step_limit() -> None:
     fast = {**GOOD, 110: 30000.0}  # 40 kHz
     assert ("step rate", BAD) in wrong(checkup.settings(fast, GRBL))
     assert ("step rate", BAD) not in wrong(checkup.settings(fast, OURS))
@@ -439,12 +437,12 @@ def test_a_real_grbl_makes_fewer_steps() -> None:
         ("my mill", 30_000),
     ],
 )
-def test_anyone_who_makes_the_pulses_sets_the_limit(name: str, most: int) -> None:
+def test_step_limit_depends_on_the_pulse_engine(name: str, most: int) -> None:
     found = Firmware("1.1", "h", "20261121", name, "V,15,128")
     assert int(checkup.most_hz(found, 10)) == most
 
 
-def test_short_pulses_leave_room_for_as_many_as_the_engine_makes() -> None:
+def test_short_pulses_allow_the_highest_rate_of_the_engine() -> None:
     names = {"Grbl pio": 250_000, "Grbl sim": 100_000, "Grbl rmt": 5000}
     for name, most in names.items():
         assert checkup.most_hz(replace(OURS, name=name), 3) == most
@@ -465,7 +463,7 @@ def test_versions_are_judged(found: Firmware, verdict: str) -> None:
     assert checkup.firmware(found, "20261121").verdict == verdict
 
 
-def test_a_switch_that_homing_needs_and_that_was_never_seen_is_reported() -> None:
+def test_switch_needed_for_homing_but_never_seen_is_reported() -> None:
     found = checkup.pins_pressed({"X": 1, "Y": 12}, GOOD, 3)
     assert [finding.text for finding in found[1:]] == [
         "never seen, though homing ($22) needs them: Z",

@@ -1,4 +1,4 @@
-"""`ugrbl job`, at a simulator on a pseudo-terminal."""
+"""Test `ugrbl job` at a simulator on a pseudo-terminal."""
 
 import os
 import re
@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 from ugrbl.cli.app import app
 from ugrbl.paths import BOARDS
 
-# Real processes in real time: the first ring takes one.
+# Real processes in real time: the first ring runs one.
 pytestmark = pytest.mark.thorough
 
 _PROGRAM = "G21 G91\nG1 X1 F600\n; done? not yet!\nG1 X-1\n"
@@ -20,7 +20,7 @@ _PROGRAM = "G21 G91\nG1 X1 F600\n; done? not yet!\nG1 X-1\n"
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """A machine that keeps jobs."""
+    """Start a machine that stores jobs."""
     folder = tmp_path_factory.mktemp("sim")
     board = folder / "my.py"
     board.write_text((BOARDS / "rpi_pico.py").read_text() + f'\nJOBS = "{folder / "jobs"}"\n')
@@ -49,7 +49,7 @@ def ugrbl(bench: Bench, *words: object, answer: str = "") -> Result:
 
 
 @pytest.mark.sampled(1)
-def test_a_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path) -> None:
+def test_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path) -> None:
     assert ugrbl(bench, "push", file).exit_code == 0
     assert f"PART.NC  {len(_PROGRAM)} " in ugrbl(bench, "list").output
     assert ugrbl(bench, "show", "part.nc").output == _PROGRAM
@@ -63,7 +63,7 @@ def test_a_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path
     assert "PART.NC" not in ugrbl(bench, "list").output
 
 
-def test_a_program_that_is_refused_at_once_is_reported(bench: Bench, tmp_path: Path) -> None:
+def test_program_refused_at_once_is_reported(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "bad.nc").write_text("G21\nG5 X1\n")
     assert ugrbl(bench, "push", tmp_path / "bad.nc").exit_code == 0
     done = ugrbl(bench, "run", "BAD.NC")
@@ -71,7 +71,7 @@ def test_a_program_that_is_refused_at_once_is_reported(bench: Bench, tmp_path: P
     assert "Job BAD.NC: line 2 is refused with 20: " in done.output
 
 
-def test_what_is_no_program_is_not_put_on_a_board(bench: Bench, tmp_path: Path) -> None:
+def test_file_that_is_not_a_program_is_not_sent(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "a.nc").write_bytes(os.urandom(5000))
     done = ugrbl(bench, "push", tmp_path / "a.nc")
     assert done.exit_code == 1 and "a.nc is no G-code" in done.output
@@ -81,7 +81,7 @@ def test_what_is_no_program_is_not_put_on_a_board(bench: Bench, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("end", "there"), [(b"\r", "\n"), (b"\r\r\n", "\n"), (b"\r\n", "\r\n")])
-def test_a_program_of_any_line_ends_has_its_lines_on_the_board(
+def test_program_with_any_line_ends_keeps_its_lines(
     bench: Bench, tmp_path: Path, end: bytes, there: str
 ) -> None:
     (tmp_path / "mac.nc").write_bytes(end.join([b"G21", b"(one)", b"", b"G0 X0", b""]))
@@ -96,7 +96,7 @@ def test_a_program_of_any_line_ends_has_its_lines_on_the_board(
         assert time.monotonic() < until
 
 
-def test_a_big_program_comes_whole(bench: Bench, tmp_path: Path) -> None:
+def test_big_program_is_sent_completely(bench: Bench, tmp_path: Path) -> None:
     big = tmp_path / "big.nc"
     big.write_bytes(b"(" + os.urandom(4500).hex().encode() + b")\nG0X1\n" * 1000)
     assert ugrbl(bench, "push", big, "--name", "b-1.nc").exit_code == 0
@@ -117,36 +117,42 @@ def test_a_big_program_comes_whole(bench: Bench, tmp_path: Path) -> None:
         (("push", "/etc/hostname", "--name", "x" * 33), "is no name for a job"),
     ],
 )
-def test_what_cannot_be_is_a_sentence(bench: Bench, words: "tuple[str, ...]", why: str) -> None:
+def test_impossible_request_is_answered_with_a_reason(
+    bench: Bench, words: "tuple[str, ...]", why: str
+) -> None:
     done = ugrbl(bench, *words)
     assert done.exit_code != 0 and why in done.output
 
 
-def test_an_empty_file_is_no_job(bench: Bench, tmp_path: Path) -> None:
+def test_empty_file_is_refused(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "a.nc").touch()
     done = ugrbl(bench, "push", tmp_path / "a.nc")
     assert done.exit_code == 1 and "a.nc is empty" in done.output
 
 
 @pytest.mark.parametrize("words", [("list",), ("run", "A.NC"), ("delete", "A.NC", "--yes")])
-def test_a_machine_without_jobs_says_what_it_wants(plain: Bench, words: "tuple[str, ...]") -> None:
+def test_machine_without_jobs_is_reported_with_the_option(
+    plain: Bench, words: "tuple[str, ...]"
+) -> None:
     done = ugrbl(plain, *words)
     assert done.exit_code == 1 and 'JOBS = "jobs"' in done.output
 
 
 @pytest.mark.parametrize("words", [("delete", "A.NC"), ("resume", "A.NC"), ("resume",)])
-def test_nothing_is_asked_where_there_are_no_jobs(plain: Bench, words: "tuple[str, ...]") -> None:
+def test_nothing_is_asked_when_the_machine_has_no_jobs(
+    plain: Bench, words: "tuple[str, ...]"
+) -> None:
     done = ugrbl(plain, *words, answer="y\n")
     assert done.exit_code == 1 and 'JOBS = "jobs"' in done.output and "?" not in done.output
 
 
 @pytest.mark.parametrize("verb", ["delete", "resume"])
-def test_nothing_is_asked_of_a_job_that_is_not_there(bench: Bench, verb: str) -> None:
+def test_nothing_is_asked_when_the_job_does_not_exist(bench: Bench, verb: str) -> None:
     done = ugrbl(bench, verb, "NONE.NC", answer="y\n")
     assert done.exit_code == 1 and "?" not in done.output
     assert "There is no job NONE.NC: `ugrbl job list` shows what there is" in done.output
 
 
-def test_a_program_is_pushed_to_no_machine_without_jobs(plain: Bench, file: Path) -> None:
+def test_no_program_is_sent_to_a_machine_without_jobs(plain: Bench, file: Path) -> None:
     done = ugrbl(plain, "push", file)
     assert done.exit_code == 1 and 'JOBS = "jobs"' in done.output

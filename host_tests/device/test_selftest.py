@@ -1,4 +1,4 @@
-"""`ugrbl selftest`: what is judged how, at a board that says what it is told to say."""
+"""Test the judgement of `ugrbl selftest` with a board that gives scripted answers."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -15,7 +15,7 @@ from ugrbl.device.deploy import About, DeployError
 from ugrbl.device.selftest.judge import duty_percent, falls, highs, judge, rises
 from ugrbl.device.selftest.session import Wiring
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(4)
 
 PICO = About(0x1F06, "1.28.0", "Raspberry Pi Pico with RP2040")
@@ -25,14 +25,14 @@ WIRED_ESP = Wiring("rmt", 12, 23, True)
 
 
 def train(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
-    """Edges of so many pulses of that length."""
+    """Return the edges of this many pulses of this length."""
     gap = 12_500_000 // hz
     return [0, *(begin + k * gap + edge for k in range(count) for edge in (0, ticks))]
 
 
 STILL = [0]
 PULSES = {"hz": 50_000, "us": 10, "steps": [train(50_000, 125, 9)] * 3, "dirs": [STILL] * 3}
-# At 100 and 400 DIR changes, 30 ticks behind a pulse, 70 ahead of the next.
+# DIR changes at 100 and 400: 30 ticks after a pulse, 70 before the next.
 TURNS = {
     "hold_us": 2,
     "setup_us": 5,
@@ -105,7 +105,7 @@ def lines(facts: "Iterable[tuple[str, Any]]") -> "list[str]":
 
 
 class Fake:
-    """A Board that says these lines."""
+    """A Board that prints these lines."""
 
     def __init__(self, **changes: Any) -> None:
         self.facts = list(GOOD)
@@ -145,14 +145,14 @@ class Fake:
 
 
 def with_fact(what: str, **changes: Any) -> "list[tuple[str, Any]]":
-    """All facts, that one changed."""
+    """Return all facts, with this one changed."""
     return [(name, {**fact, **changes} if name == what else fact) for name, fact in GOOD]
 
 
 @pytest.fixture
 def selftest(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Any]":
     def run(board: Fake, *words: str) -> "tuple[int, dict[str, Any], str]":
-        """Exit code, checks by name, everything said."""
+        """Run the self-test; return exit code, checks by name, and the whole output."""
         monkeypatch.setattr(selftest_cli, "_open", lambda port: board)
         command = ["selftest", "--port", "there", "--json", "-", *words]
         done = CliRunner().invoke(app, command)
@@ -162,7 +162,7 @@ def selftest(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Any]":
     return run
 
 
-def test_a_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
+def test_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
     board = Fake()
     code, rows, said = selftest(board, "--yes")
     assert {row["passed"] for row in rows.values()} == {True}, rows
@@ -177,7 +177,7 @@ def test_a_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None
 
 
 def late(ticks: int) -> "dict[str, Any]":
-    """Pulses of which the second axis is late."""
+    """Return pulses whose second axis is late."""
     return {"steps": [train(50_000, 125, 9), train(50_000, 125, 9, 100 + ticks), STILL]}
 
 
@@ -210,9 +210,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_fails_its_check_and_the_command(
-    selftest: "Callable[..., Any]", fault: str
-) -> None:
+def test_fault_fails_its_check_and_the_command(selftest: "Callable[..., Any]", fault: str) -> None:
     what, changes, row = FAULTS[fault]
     code, rows, said = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
     assert rows[row]["passed"] is False, rows[row]
@@ -228,14 +226,14 @@ def test_a_fault_fails_its_check_and_the_command(
         ({"used_stack": 7000}, "C stack: deepest use"),
     ],
 )
-def test_a_hang_that_does_harm_fails(
+def test_harmful_hang_fails(
     selftest: "Callable[..., Any]", changes: "dict[str, Any]", row: str
 ) -> None:
     code, rows, _ = selftest(Fake(hang={**HANG, **changes}), "--yes")
     assert (code, rows[row]["passed"]) == (1, False)
 
 
-def test_a_board_that_does_not_come_back_fails(selftest: "Callable[..., Any]") -> None:
+def test_board_that_does_not_return_fails(selftest: "Callable[..., Any]") -> None:
     code, rows, _ = selftest(Fake(comes_back=False), "--yes")
     assert (code, rows["hang on purpose: watchdog"]["passed"]) == (1, False)
 
@@ -249,7 +247,7 @@ def test_a_board_that_does_not_come_back_fails(selftest: "Callable[..., Any]") -
         ("save", {"longest_us": 1100}, "settings save: interrupts off"),
     ],
 )
-def test_what_cannot_be_shown_has_not_passed(
+def test_check_that_cannot_be_shown_has_not_passed(
     selftest: "Callable[..., Any]", what: str, changes: "dict[str, Any]", row: str
 ) -> None:
     code, rows, said = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
@@ -257,7 +255,7 @@ def test_what_cannot_be_shown_has_not_passed(
     assert code == 0 and "not looked at" in said
 
 
-def test_a_program_that_fails_on_the_board_is_reported_with_its_last_line(
+def test_failing_program_is_reported_with_its_last_line(
     selftest: "Callable[..., Any]",
 ) -> None:
     wrong = "Traceback (most recent call last):\r\n  File …\r\nMemoryError: no room\r\n"
@@ -266,7 +264,7 @@ def test_a_program_that_fails_on_the_board_is_reported_with_its_last_line(
     assert rows["all checks were made"]["text"] == "MemoryError: no room"
 
 
-def test_the_spindle_is_left_alone_unless_allowed(selftest: "Callable[..., Any]") -> None:
+def test_spindle_is_unused_without_permission(selftest: "Callable[..., Any]") -> None:
     board = Fake()
     selftest(board)
     assert all("'pwm': False" in script for script in board.scripts)
@@ -307,7 +305,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("why", REFUSED)
-def test_who_cannot_be_tested_is_told_why_and_left_as_it_was(
+def test_board_that_cannot_be_tested_is_reported_and_unchanged(
     selftest: "Callable[..., Any]", why: str
 ) -> None:
     changes, words = REFUSED[why]
@@ -317,14 +315,14 @@ def test_who_cannot_be_tested_is_told_why_and_left_as_it_was(
     assert board.scripts == [] and board.started == 1
 
 
-def test_a_machine_that_moves_is_not_disturbed(selftest: "Callable[..., Any]") -> None:
+def test_moving_machine_is_not_disturbed(selftest: "Callable[..., Any]") -> None:
     board = Fake(moving=True)
     code, rows, _ = selftest(board)
     assert code == 1 and "is in Run" in rows["the board"]["text"]
     assert board.scripts == [] and board.started == 0
 
 
-def test_ctrl_c_says_how_the_board_comes_back(selftest: "Callable[..., Any]") -> None:
+def test_ctrl_c_reports_how_to_restart_the_board(selftest: "Callable[..., Any]") -> None:
     class Stopped(Fake):
         def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
             raise KeyboardInterrupt
@@ -333,7 +331,7 @@ def test_ctrl_c_says_how_the_board_comes_back(selftest: "Callable[..., Any]") ->
     assert code == 1 and "unplug it" in rows["the board"]["text"]
 
 
-def test_a_connection_that_breaks_is_reported_and_the_firmware_started(
+def test_broken_connection_is_reported_and_the_firmware_started(
     selftest: "Callable[..., Any]",
 ) -> None:
     class Broken(Fake):
@@ -346,9 +344,7 @@ def test_a_connection_that_breaks_is_reported_and_the_firmware_started(
     assert rows["the board"]["text"] == "the connection broke; plug it in"
 
 
-def test_a_wrong_port_is_reported_in_words(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_wrong_port_is_reported_in_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["selftest", "--port", str(tmp_path / "nothing")])
     assert done.exit_code == 1 and "cannot open" in done.output
 
@@ -369,6 +365,6 @@ def test_edges_are_read_from_either_level() -> None:
     assert duty_percent([1, 10, 40, 50, 80, 90]) == 25
 
 
-def test_facts_without_figures_are_not_judged_as_good() -> None:
+def test_facts_without_figures_do_not_pass() -> None:
     rows = list(judge([{"what": "pulses", "hz": 1000, "us": 10, "steps": [STILL], "dirs": []}]))
     assert [row.passed for row in rows] == [False]

@@ -1,4 +1,4 @@
-"""The self-test's way to a board, over an mpremote that says what it is told to say."""
+"""Test the self-test's access to a board, with a scripted stand-in for mpremote."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ from ugrbl.device.selftest.session import Wiring
 
 
 class Wire:
-    """A serial port: pieces that come, one at a time, then it breaks."""
+    """A serial port that delivers these pieces one at a time, then breaks."""
 
     def __init__(self, *pieces: bytes) -> None:
         self._pieces = list(pieces)
@@ -33,7 +33,7 @@ class Wire:
 
 
 class Transport:
-    """mpremote's, as far as it is used."""
+    """The part of mpremote's transport that is used."""
 
     def __init__(self, said: bytes = b"", wrong: bytes = b"", wire: "Wire | None" = None) -> None:
         self.serial = wire or Wire()
@@ -61,13 +61,13 @@ class Transport:
 
 
 def board(transport: Transport) -> PromptBoard:
-    """At that transport."""
+    """Return a board at that transport."""
     made = PromptBoard.__new__(PromptBoard)
     made._transport, made._where = transport, "there"
     return made
 
 
-def test_lines_are_reported_as_they_come_and_what_went_wrong_after_them() -> None:
+def test_lines_are_reported_as_they_arrive_and_the_exception_after_them() -> None:
     heard: "list[str]" = []
     transport = Transport(b"= board {}\r\nand more\r\n\x04", b"Traceback\r\nMemoryError: \r\n")
     assert board(transport).run("script", heard.append, 1) == "Traceback\r\nMemoryError: \r\n"
@@ -78,7 +78,7 @@ def test_lines_are_reported_as_they_come_and_what_went_wrong_after_them() -> Non
     ("error", "words"),
     [(TransportError("no EOF"), "no EOF"), (OSError(5, "unplugged"), "the connection broke: ")],
 )
-def test_a_board_that_goes_away_is_reported_in_words(error: Exception, words: str) -> None:
+def test_lost_board_is_reported_in_words(error: Exception, words: str) -> None:
     class Broken(Transport):
         def follow(self, *_: Any) -> "tuple[bytes, bytes]":
             raise error
@@ -90,17 +90,17 @@ def test_a_board_that_goes_away_is_reported_in_words(error: Exception, words: st
 
 
 class Back:
-    """A connection to what has come back."""
+    """A connection to firmware that answers again."""
 
     def answers(self) -> bool:
-        """It does."""
+        """Return True."""
         return True
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Close nothing: nothing is open."""
 
 
-def test_the_watchdog_takes_usb_away_and_the_firmware_answers_then(
+def test_firmware_answers_after_the_watchdog_has_disconnected_usb(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tried: "list[str]" = []
@@ -119,12 +119,12 @@ def test_the_watchdog_takes_usb_away_and_the_firmware_answers_then(
     assert transport.is_closed
 
 
-def test_a_board_that_never_hung_was_not_started_by_the_watchdog() -> None:
+def test_board_that_never_hung_was_not_restarted_by_the_watchdog() -> None:
     transport = Transport(wire=Wire(b"Traceback\r\n"))
     assert not board(transport).until_restart("hang", print, 5)
 
 
-def test_a_board_that_stays_away_has_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_board_that_does_not_return_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def open_port(port: str) -> Back:
         raise SendError("not there")
 
@@ -133,5 +133,5 @@ def test_a_board_that_stays_away_has_not_come_back(monkeypatch: pytest.MonkeyPat
     assert not board(Transport(wire=Wire(b"= hang {}\r\n"))).until_restart("hang", print, 5)
 
 
-def test_the_board_file_is_asked_on_the_board() -> None:
+def test_board_file_is_read_on_the_board() -> None:
     assert board(Transport()).wiring() == Wiring("pio", 8, None)

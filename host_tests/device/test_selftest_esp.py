@@ -1,4 +1,4 @@
-"""`ugrbl selftest` of an ESP32: what is sent runs on its stand-ins, and finds what is wrong."""
+"""Test `ugrbl selftest` of an ESP32: the program runs on stand-ins, and finds faults."""
 
 import json
 import subprocess
@@ -19,7 +19,7 @@ from ugrbl.device.selftest import program
 from ugrbl.device.selftest.row import Row
 from ugrbl.device.selftest.session import WIRING, Hearer
 
-# A whole board in a model: the first ring takes one check.
+# A whole board in a model: the first ring runs one check.
 pytestmark = pytest.mark.thorough
 
 _CHIPS = {
@@ -28,11 +28,11 @@ _CHIPS = {
 }
 _AMOUNTS = replace(program.ESP_QUICK, run_ms=100, stops=12, starts=8)
 _BOOT = Path(__file__).parents[1] / "support" / "esp_boot.py"
-_ASKING_US = 6  # what a turn of a loop takes that asks for the time
+_ASKING_US = 6  # one turn of a loop that reads the time
 
 
 def _pass(us: int) -> None:
-    """Time, with callbacks in it where they can come."""
+    """Let time pass, with callbacks where they can run."""
     if clock._inside:
         clock.work(us)
     else:
@@ -59,7 +59,7 @@ _TIME = SimpleNamespace(
 
 
 def heard(said: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
-    """The rows that are in these lines, by their names, and whether all have come."""
+    """Return the rows in these lines by name, and whether the end was received."""
     rows: dict[str, Row] = {}
     hearer = Hearer(lambda row: rows.update({row.what: row}))
     for line in said:
@@ -69,14 +69,14 @@ def heard(said: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
 
 
 class Bench:
-    """Runs what is sent to a board of that name."""
+    """Runs the self-test's program on a board of that name."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
         self._file = folder / "sent.py"
         chip, self.chip = _CHIPS[name]
         reset_stand_ins(chip)
         self.board: Any = load_board(name)
-        monkeypatch.setattr(self.board, "ENABLE", self.board.ENABLE)  # the program changes them
+        monkeypatch.setattr(self.board, "ENABLE", self.board.ENABLE)  # the program changes it
         for changed in ("ESTOP", "CONTROL_INVERT", "LIMIT_DEBOUNCE_MS", "DEFAULTS"):
             monkeypatch.setattr(self.board, changed, None, raising=False)
             monkeypatch.delattr(self.board, changed)
@@ -93,7 +93,7 @@ class Bench:
         self.ended = False
 
     def run(self, pwm: bool = True, seed: int = 7) -> "dict[str, Row]":
-        """All checks but the hang."""
+        """Run all checks except the hang."""
         self._file.write_text(program.checks(self.chip, _AMOUNTS, pwm, seed))
         with redirect_stdout(StringIO()) as said:
             exec(compile(self._file.read_text(), str(self._file), "exec"), {})
@@ -112,7 +112,9 @@ def failed(rows: "Iterable[Row]") -> "list[str]":
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", list(_CHIPS))
-def test_a_good_board_passes_what_can_be_shown(bench: "Callable[[str], Bench]", name: str) -> None:
+def test_good_board_passes_every_check_that_can_be_shown(
+    bench: "Callable[[str], Bench]", name: str
+) -> None:
     board = bench(name)
     rows = board.run()
     assert board.ended and failed(rows.values()) == []
@@ -125,7 +127,7 @@ def test_a_good_board_passes_what_can_be_shown(bench: "Callable[[str], Bench]", 
     assert abs(rows["spindle PWM, 50 %"].figures["edges"] - 500) <= 1  # in 100 ms at 5 kHz
 
 
-def test_the_board_is_asked_for_its_counters(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_board_is_asked_for_its_counters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(
         sys.modules, "board", SimpleNamespace(ENGINE="rmt", ENABLE=12, STEP=(1, 2, 3))
     )
@@ -136,7 +138,7 @@ def test_the_board_is_asked_for_its_counters(monkeypatch: pytest.MonkeyPatch) ->
         assert names["wiring"]() == ["rmt", 12, None, found, 3]
 
 
-def test_the_highest_rate_is_what_the_board_file_allows(
+def test_highest_rate_is_that_of_the_board_file(
     bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     board = bench()
@@ -163,11 +165,11 @@ def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
     assert rows["steps at the highest, all axes"].passed
 
 
-# What is wrong is found
+# Faults are found
 
 
 def lose_pulses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every ninth train lacks its last step."""
+    """Drop the last step of every ninth train."""
     usual = esp32.RMT.write_pulses
     count = [0]
 
@@ -179,17 +181,17 @@ def lose_pulses(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def count_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One step in 150 makes no edge at the counter."""
+    """Lose one step in 150 at the counter."""
     monkeypatch.setattr(esp32.PCNT, "lose", 150)
 
 
 def stop_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stop leaves the pins to the trains."""
+    """Leave the pins connected to the trains after a stop."""
     monkeypatch.setattr(rmt.RmtEngine, "_cut_off", lambda self, axes: None)
 
 
 def stop_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is left of a train is forgotten."""
+    """Forget the steps of an unfinished train."""
 
     def forget(lanes: Any, axis: int, playing: Any, now: int) -> int:
         return int(lanes[rmt._LANE * axis])
@@ -198,22 +200,22 @@ def stop_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def never_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The engine does not notice its own end."""
+    """Never report the engine as idle."""
     monkeypatch.setattr(rmt.RmtEngine, "idle", lambda self: False)
 
 
 def hear_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody is called."""
+    """Never call the limit's callback."""
     monkeypatch.setattr(gpio_esp.EspPort, "enable_limits", lambda self, on: None)
 
 
 def burn_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What has been killed obeys again."""
+    """Let the output work again after a kill."""
     monkeypatch.setattr(gpio_esp.EspPort, "kill", lambda self: None)
 
 
 def burn_half(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half the power there should be."""
+    """Output half the power."""
     usual = esp_machine.PWM.duty_u16
     monkeypatch.setattr(esp_machine.PWM, "duty_u16", lambda self, duty: usual(self, duty // 2))
 
@@ -232,7 +234,7 @@ def burn_half(monkeypatch: pytest.MonkeyPatch) -> None:
         (burn_half, ["spindle PWM, 50 %", "spindle PWM, 100 %"]),
     ],
 )
-def test_a_fault_is_found(
+def test_fault_is_found(
     bench: "Callable[[str], Bench]",
     monkeypatch: pytest.MonkeyPatch,
     fault: "Callable[[pytest.MonkeyPatch], None]",
@@ -244,7 +246,7 @@ def test_a_fault_is_found(
     assert set(rows) <= set(found), found
 
 
-def test_pins_that_are_not_given_back_are_not_seen_and_nothing_passes(
+def test_nothing_passes_when_counters_cannot_see_the_pins(
     bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     board = bench("esp32_devkit")
@@ -255,7 +257,7 @@ def test_pins_that_are_not_given_back_are_not_seen_and_nothing_passes(
     assert row.passed is None and row.text.startswith("not shown here: PCNT counted [0, 0]")
 
 
-def test_a_limit_input_that_something_else_keeps_high_is_not_shown(
+def test_limit_input_kept_high_by_something_else_is_reported_as_not_shown(
     bench: "Callable[[str], Bench]",
 ) -> None:
     board = bench("esp32_devkit")
@@ -274,9 +276,7 @@ def test_limits_without_pull_ups_are_left_out(
     assert row.passed is None and row.text.startswith("left out")
 
 
-def test_the_same_seed_gives_the_same_stops(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_same_seed_gives_the_same_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stops(seed: int) -> "list[int]":
         made: list[int] = []
         usual = rmt.RmtEngine.stop
@@ -295,7 +295,7 @@ def test_the_same_seed_gives_the_same_stops(
     assert stops(7) == stops(7) != stops(8)
 
 
-# The counters' stand-in refuses what MicroPython refuses, and loses what the chip loses
+# The counters' stand-in has the limits of MicroPython and of the chip
 
 
 @pytest.fixture
@@ -317,7 +317,7 @@ def pins() -> "tuple[Any, Any]":
         {"pin": True, "rising": 1, "mode_high": 3},
     ],
 )
-def test_a_counter_refuses_what_micropython_refuses(
+def test_counter_refuses_what_micropython_refuses(
     pins: "tuple[Any, Any]", arguments: "dict[str, Any]"
 ) -> None:
     named = {key: pins[0] if value is True else value for key, value in arguments.items()}
@@ -330,7 +330,7 @@ def test_a_counter_refuses_what_micropython_refuses(
         esp32.PCNT(4)
 
 
-def test_a_counter_takes_the_pin_from_its_output_and_counts_from_its_start(
+def test_counter_turns_its_pin_into_an_input_and_counts_after_start(
     pins: "tuple[Any, Any]",
 ) -> None:
     step, direction = pins
@@ -366,7 +366,7 @@ def test_a_counter_takes_the_pin_from_its_output_and_counts_from_its_start(
 
 
 def run_python(*arguments: object) -> str:
-    """What a program says under CPython."""
+    """Run a program under CPython; return its output."""
     command = [sys.executable, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -377,7 +377,7 @@ def run_python(*arguments: object) -> str:
 @pytest.mark.parametrize(
     "run", [run_python, pytest.param(run_micropython, marks=needs_micropython)]
 )
-def test_a_hang_ends_by_the_watchdog_and_steps_have_ended_long_before(
+def test_hang_is_ended_by_the_watchdog_long_after_the_last_step(
     run: "Callable[..., str]", tmp_path: Path
 ) -> None:
     sent = tmp_path / "sent.py"

@@ -1,4 +1,4 @@
-"""`ugrbl selftest`: the programs that go to the board."""
+"""Test the programs that `ugrbl selftest` sends to the board."""
 
 import ast
 import subprocess
@@ -21,9 +21,7 @@ from ugrbl.device.selftest import program
         (program.ESP32_S3, "xtensawin"),
     ],
 )
-def test_what_is_sent_is_what_the_board_can_compile(
-    chip: program.AnyChip, arch: str, tmp_path: Path
-) -> None:
+def test_programs_compile_for_the_board(chip: program.AnyChip, arch: str, tmp_path: Path) -> None:
     for text in (program.checks(chip, program.QUICK, True, 7), program.hang(chip, True)):
         assert "from ." not in text and '"""' not in text
         source = tmp_path / "sent.py"
@@ -35,7 +33,7 @@ def test_what_is_sent_is_what_the_board_can_compile(
 @pytest.mark.parametrize(
     "parts", [program.CHECKS, program.HANG, program.ESP_CHECKS, program.ESP_HANG]
 )
-def test_no_name_has_two_meanings_in_what_is_sent_as_one_text(parts: "tuple[str, ...]") -> None:
+def test_names_are_unique_in_parts_sent_as_one_text(parts: "tuple[str, ...]") -> None:
     names: "list[str]" = []
     for part in parts:
         for node in ast.parse(program._part(part)).body:
@@ -49,7 +47,7 @@ def test_no_name_has_two_meanings_in_what_is_sent_as_one_text(parts: "tuple[str,
 @pytest.fixture
 def function(tmp_path: Path) -> "Callable[[str, str], Callable[..., int]]":
     def find(part: str, name: str) -> "Callable[..., int]":
-        """A function of a file for the board; its viper raises where a board would wrap."""
+        """Return a function of a file for the board; its viper raises on overflow."""
         import micropython
 
         body = ast.parse(program._part(part)).body
@@ -64,7 +62,7 @@ def function(tmp_path: Path) -> "Callable[[str, str], Callable[..., int]]":
     return find
 
 
-def test_edges_are_found_in_samples_and_the_last_ones_kept(
+def test_last_edges_in_samples_are_kept(
     function: "Callable[[str, str], Callable[..., int]]",
 ) -> None:
     find = function("watch", "find_edges")

@@ -1,4 +1,4 @@
-"""`ugrbl send`, against a small stand-in for Grbl on a real pseudo-terminal."""
+"""Test `ugrbl send` against a small stand-in for Grbl on a real pseudo-terminal."""
 
 import errno
 import io
@@ -29,7 +29,7 @@ _ANSWER_S = 0.002
 class FakeGrbl(threading.Thread):
     """Answers each line after a moment: G64 with error:20, G38 with an alarm, others with ok.
 
-    old: it talks as Grbl 0.9 does, and slows down for three reports before it stands in a hold.
+    old: it talks like Grbl 0.9, and slows down for three reports before its hold is complete.
     """
 
     def __init__(self, options: str = "V,15,128", state: str = "Idle", old: bool = False) -> None:
@@ -42,8 +42,8 @@ class FakeGrbl(threading.Thread):
         self.state = state
         self.old = old
         self._braking = 0
-        self.drains: list[int] = []  # of the reports to come; the last one stays
-        self.reports_after_answers = False  # in one piece with the next answer
+        self.drains: list[int] = []  # in the next reports; the last one stays
+        self.reports_after_answers = False  # in one write with the next answer
         self._report_due = ""
         self.lines: list[bytes] = []
         self.realtime = b""
@@ -125,7 +125,7 @@ class FakeGrbl(threading.Thread):
 
 
 class Watcher:
-    """A View that notes what it is shown; `answers` are what it says when asked what next."""
+    """A View that records what it is shown; `answers` are its answers to questions."""
 
     def __init__(self) -> None:
         self.messages: list[str] = []
@@ -183,14 +183,14 @@ def ready_program(count: int) -> Ready:
 
 
 @pytest.mark.parametrize(("told", "drains"), [([], 0), ([4], 0), ([4, 5, 7], 3), ([0, 1], 1)])
-def test_stops_for_want_of_lines_are_those_of_this_program(
+def test_underruns_caused_by_this_program_are_counted(
     grbl: FakeGrbl, connection: Connection, view: Watcher, told: list[int], drains: int
 ) -> None:
     grbl.drains = told
     assert Stream(connection, ready_program(300), view).run().drains == drains
 
 
-def test_a_report_that_comes_together_with_an_answer_counts_no_stop_of_before(
+def test_report_sent_together_with_an_answer_counts_no_earlier_underrun(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     grbl.drains = [4]
@@ -214,7 +214,7 @@ def test_counting_keeps_the_buffer_full_and_never_overfills_it(
     assert 100 < grbl.most_bytes <= 127
 
 
-def test_line_by_line_has_one_line_under_way(
+def test_mode_line_has_one_unanswered_line(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     Stream(connection, ready_program(20), view, by_line=True).run()
@@ -222,7 +222,7 @@ def test_line_by_line_has_one_line_under_way(
     assert grbl.most_waiting == 1
 
 
-def test_a_larger_buffer_is_made_use_of(view: Watcher) -> None:
+def test_larger_buffer_is_used(view: Watcher) -> None:
     grbl = FakeGrbl(options="V,15,512")
     grbl.start()
     connection = Connection(grbl.port)
@@ -233,7 +233,7 @@ def test_a_larger_buffer_is_made_use_of(view: Watcher) -> None:
     assert 400 < grbl.most_bytes <= 511
 
 
-def test_an_error_names_its_line_and_meaning_and_holds_and_asks(
+def test_refused_line_is_named_with_meaning_holds_and_asks(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     view.answers = [Choice.RESUME]
@@ -244,7 +244,7 @@ def test_an_error_names_its_line_and_meaning_and_holds_and_asks(
     assert grbl.realtime == FEED_HOLD + CYCLE_START
 
 
-def test_after_a_refused_line_that_leads_up_to_a_program_none_has_gone_out(
+def test_lines_after_a_refused_lead_line_are_not_sent(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     view.answers = [Choice.ABORT]
@@ -253,36 +253,36 @@ def test_after_a_refused_line_that_leads_up_to_a_program_none_has_gone_out(
     assert report.stopped and grbl.lines == [b"G21", b"G64"]
 
 
-def test_after_an_error_nothing_more_is_made_unless_the_user_says_so(
+def test_program_stops_after_a_refused_line_unless_the_user_continues(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     view.answers = [Choice.ABORT]
     report = Stream(connection, listing(b"G64", *program(50)), view).run()
     assert report.stopped == "line 1 was refused"
     assert grbl.realtime == FEED_HOLD + RESET
-    assert len(grbl.lines) < 10  # what was on its way when the answer came
+    assert len(grbl.lines) < 10  # those sent before the answer arrived
 
 
-def test_keep_going_asks_no_more(grbl: FakeGrbl, connection: Connection, view: Watcher) -> None:
+def test_keep_going_asks_only_once(grbl: FakeGrbl, connection: Connection, view: Watcher) -> None:
     view.answers = [Choice.KEEP_GOING]
     report = Stream(connection, listing(b"G64", b"G64", b"G64"), view).run()
     assert len(view.questions) == 1 and len(report.errors) == 3 and not report.stopped
 
 
-def test_with_keep_going_an_error_holds_nothing(
+def test_refused_line_does_not_hold_with_keep_going(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     report = Stream(connection, listing(b"G64", b"G0 X1"), view, keep_going=True).run()
     assert len(report.errors) == 1 and grbl.realtime == b"" and len(grbl.lines) == 2
 
 
-def test_an_alarm_stops_it_and_says_why(connection: Connection, view: Watcher) -> None:
+def test_alarm_stops_the_program_with_its_cause(connection: Connection, view: Watcher) -> None:
     report = Stream(connection, listing(b"G21", b"G38.2 Z-1 F10", *program(50)), view).run()
     assert report.stopped == f"ALARM:4: {meaning('ALARM:4')}"
     assert report.answered < 50
 
 
-def test_a_controller_that_resets_stops_it(
+def test_reset_of_the_controller_stops_the_program(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     threading.Timer(0.05, grbl.say, ["Grbl 1.1h ['$' for help]"]).start()
@@ -296,7 +296,7 @@ def test_messages_and_states_are_shown(connection: Connection, view: Watcher) ->
     assert view.states[-1].startswith("<Idle|MPos:1.000,2.000,3.000")
 
 
-def test_ctrl_c_holds_and_resume_finishes(
+def test_program_finishes_after_ctrl_c_and_resume(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     view.answers = [Choice.RESUME]
@@ -308,22 +308,22 @@ def test_ctrl_c_holds_and_resume_finishes(
     assert (report.answered, report.stopped) == (30, "")
 
 
-def test_who_thinks_about_a_question_is_not_told_that_the_machine_is_silent(
+def test_waiting_for_the_users_answer_is_not_reported_as_silence(
     connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def think(why: str) -> Choice:
-        time.sleep(0.3)  # reports of the hold come meanwhile
+        time.sleep(0.3)  # reports of the hold arrive meanwhile
         connection.heard -= 3600
         return Choice.RESUME
 
     monkeypatch.setattr(view, "ask", think)
-    connection.heard -= 3600  # as while the simulator checked the program
+    connection.heard -= 3600  # as if the simulator had checked the program for an hour
     stream = Stream(connection, ready_program(50), view)
     stream.interrupt()
     assert stream.run().ok() and view.messages == []
 
 
-def test_the_clock_goes_on_until_motion_ends() -> None:
+def test_clock_runs_until_motion_ends() -> None:
     now = 0.0
     console = Console(file=io.StringIO(), get_time=lambda: now, width=100)
     with Screen(console, "job.nc", 1) as screen:
@@ -333,7 +333,7 @@ def test_the_clock_goes_on_until_motion_ends() -> None:
     assert "1/1 lines 0:01:05" in console.file.getvalue()
 
 
-def test_only_a_command_is_said_to_be_one_when_it_is_refused() -> None:
+def test_refused_line_is_called_a_command_only_when_it_is_one() -> None:
     assert "'$' command" in meaning("error:3", "$X1") and "'$' command" in meaning("error:3")
     assert "custom.py" in meaning("error:3", "T2 M6") and "$" not in meaning("error:3", "T2 M6")
     assert meaning("error:20", "T2 M6") == meaning("error:20")
@@ -342,17 +342,17 @@ def test_only_a_command_is_said_to_be_one_when_it_is_refused() -> None:
 @pytest.mark.parametrize(
     ("reply", "line"), [("error:1", "G1 X10,5"), ("error:2", "X,5"), ("error:3", "$110=1,5")]
 )
-def test_a_decimal_comma_is_named_where_a_line_is_refused(reply: str, line: str) -> None:
+def test_decimal_comma_is_named_when_a_line_is_refused(reply: str, line: str) -> None:
     assert "decimal point, not a comma" in meaning(reply, line)
     assert "comma" not in meaning(reply, line.replace(",", ".") + " (1,5)")
 
 
-def test_a_refused_setting_is_said_to_be_one() -> None:
+def test_refused_setting_is_called_a_setting() -> None:
     assert meaning("error:3", "$999=1").startswith("There is no setting $999 here, or")
     assert "'$' command" in meaning("error:3", "$H=")
 
 
-def test_ctrl_c_and_abort_resets_once_the_machine_is_at_rest(
+def test_ctrl_c_and_abort_reset_after_the_machine_has_stopped(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     view.answers = [Choice.ABORT]
@@ -365,7 +365,7 @@ def test_ctrl_c_and_abort_resets_once_the_machine_is_at_rest(
     assert len(grbl.lines) < 30
 
 
-def test_a_locked_machine_is_refused() -> None:
+def test_locked_machine_is_refused() -> None:
     grbl = FakeGrbl(state="Alarm")
     grbl.start()
     connection = Connection(grbl.port)
@@ -375,7 +375,7 @@ def test_a_locked_machine_is_refused() -> None:
     grbl.stop()
 
 
-def test_a_port_without_grbl_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_port_without_grbl_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_module, "_START_S", 0.2)
     master, slave = os.openpty()
     connection = Connection(os.ttyname(slave))
@@ -386,12 +386,12 @@ def test_a_port_without_grbl_is_refused(monkeypatch: pytest.MonkeyPatch) -> None
     os.close(slave)
 
 
-def test_a_port_that_is_not_there_is_named() -> None:
+def test_missing_port_is_named() -> None:
     with pytest.raises(SendError, match="/dev/nowhere"):
         Connection("/dev/nowhere")
 
 
-def test_the_command_tells_errors_and_fails(grbl: FakeGrbl, tmp_path: Path) -> None:
+def test_command_reports_refused_lines_and_fails(grbl: FakeGrbl, tmp_path: Path) -> None:
     file = tmp_path / "program.nc"
     file.write_text("G21\nG64\n")
     done = CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, "--no-check"])
@@ -399,7 +399,7 @@ def test_the_command_tells_errors_and_fails(grbl: FakeGrbl, tmp_path: Path) -> N
     assert "line 2: G64: error:20" in done.output and "line 2 was refused" in done.output
 
 
-def test_the_command_succeeds_line_by_line(grbl: FakeGrbl, tmp_path: Path) -> None:
+def test_command_succeeds_in_mode_line(grbl: FakeGrbl, tmp_path: Path) -> None:
     file = tmp_path / "program.nc"
     file.write_text("G21\nG0 X1\n")
     done = CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, "--mode", "line"])
@@ -407,7 +407,7 @@ def test_the_command_succeeds_line_by_line(grbl: FakeGrbl, tmp_path: Path) -> No
     assert grbl.lines == [b"$I", b"$$", b"$#", b"$G", b"G21", b"G0 X1"]
 
 
-# What is sent, and what is not
+# Bytes that are sent, and bytes that are not
 
 
 def send_file(grbl: FakeGrbl, folder: Path, text: str, *words: str) -> Result:
@@ -416,9 +416,7 @@ def send_file(grbl: FakeGrbl, folder: Path, text: str, *words: str) -> Result:
     return CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, *words])
 
 
-def test_letters_in_comments_arrive_as_ascii_and_nothing_acts(
-    grbl: FakeGrbl, tmp_path: Path
-) -> None:
+def test_comments_are_sent_as_ascii_without_realtime_bytes(grbl: FakeGrbl, tmp_path: Path) -> None:
     done = send_file(grbl, tmp_path, "(Ä Ö à!)\nG0 X1 ; Größe?\n")
     assert done.exit_code == 0, done.output
     assert grbl.lines[-2:] == [b"(A O a.)", b"G0 X1 ; Grosse."]
@@ -426,24 +424,20 @@ def test_letters_in_comments_arrive_as_ascii_and_nothing_acts(
     assert "line 1: 'Ä'" in done.output
 
 
-def test_stops_for_want_of_lines_are_reported_with_what_to_do(
-    grbl: FakeGrbl, tmp_path: Path
-) -> None:
+def test_underruns_are_reported_with_the_remedy(grbl: FakeGrbl, tmp_path: Path) -> None:
     grbl.drains = list(range(1000))
     done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
     words = " ".join(done.output.split())
     assert "for want of lines meanwhile: `ugrbl run FILE --board NAME` names lines" in words
 
 
-def test_the_percent_signs_at_the_ends_of_a_file_are_not_sent(
-    grbl: FakeGrbl, tmp_path: Path
-) -> None:
+def test_percent_signs_at_the_ends_of_a_file_are_not_sent(grbl: FakeGrbl, tmp_path: Path) -> None:
     done = send_file(grbl, tmp_path, "%\nG0 X1\n%\n", "--no-check")
     assert done.exit_code == 0, done.output
     assert b"G0 X1" in grbl.lines and b"%" not in grbl.lines
 
 
-def test_a_byte_that_acts_outside_of_comments_is_refused_before_anything_is_sent(
+def test_realtime_byte_outside_a_comment_is_refused_before_sending(
     grbl: FakeGrbl, tmp_path: Path
 ) -> None:
     done = send_file(grbl, tmp_path, "G0 X1\nG0 X2°\n\x18\n")
@@ -452,13 +446,13 @@ def test_a_byte_that_acts_outside_of_comments_is_refused_before_anything_is_sent
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "PK\0\3"])
-def test_what_is_no_program_is_refused(grbl: FakeGrbl, tmp_path: Path, text: str) -> None:
+def test_file_that_is_not_a_program_is_refused(grbl: FakeGrbl, tmp_path: Path, text: str) -> None:
     done = send_file(grbl, tmp_path, text)
     assert done.exit_code == 1 and grbl.lines == []
     assert "program.nc is" in done.output
 
 
-def test_what_the_simulator_refuses_is_not_sent(grbl: FakeGrbl, tmp_path: Path) -> None:
+def test_program_refused_by_the_simulator_is_not_sent(grbl: FakeGrbl, tmp_path: Path) -> None:
     done = send_file(grbl, tmp_path, "G0 X1\nT1 M6\n")
     assert done.exit_code == 1 and b"G0 X1" not in grbl.lines
     assert "line 2" in done.output and "--no-check" in done.output
@@ -468,7 +462,7 @@ def test_what_the_simulator_refuses_is_not_sent(grbl: FakeGrbl, tmp_path: Path) 
     ("options", "word", "sent"),
     [("V", "M7", False), ("VM", "M7", True), ("V", "M56", False), ("VR", "M56", True)],
 )
-def test_the_check_knows_what_the_machine_was_built_with(
+def test_check_uses_the_build_options_of_the_machine(
     options: str, word: str, sent: bool, tmp_path: Path
 ) -> None:
     grbl = FakeGrbl(options=f"{options},15,128")
@@ -479,7 +473,7 @@ def test_the_check_knows_what_the_machine_was_built_with(
     assert done.exit_code == (0 if sent else 1)
 
 
-def test_keep_going_sends_what_the_simulator_refuses(grbl: FakeGrbl, tmp_path: Path) -> None:
+def test_keep_going_sends_lines_that_the_simulator_refuses(grbl: FakeGrbl, tmp_path: Path) -> None:
     done = send_file(grbl, tmp_path, "G0 X1\nG64\nG0 X2\n", "--keep-going")
     assert done.exit_code == 1 and grbl.lines[-1] == b"G0 X2"
 
@@ -497,7 +491,7 @@ def test_keep_going_sends_what_the_simulator_refuses(grbl: FakeGrbl, tmp_path: P
         ("Alarm", "$X"),
     ],
 )
-def test_a_machine_that_cannot_work_says_why_and_what_to_do(state: str, todo: str) -> None:
+def test_machine_that_cannot_run_is_reported_with_the_remedy(state: str, todo: str) -> None:
     grbl = FakeGrbl(state=state)
     grbl.start()
     connection = Connection(grbl.port)
@@ -508,7 +502,7 @@ def test_a_machine_that_cannot_work_says_why_and_what_to_do(state: str, todo: st
     assert state.partition(":")[0] in str(raised.value) and todo in str(raised.value)
 
 
-def test_a_question_in_a_hold_is_told_to_be_one(
+def test_unanswered_request_names_the_hold_as_cause(
     grbl: FakeGrbl, connection: Connection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connection_module, "_START_S", 0.5)
@@ -529,7 +523,7 @@ def test_grbl_0_9_is_understood(view: Watcher) -> None:
     assert (report.answered, report.state, report.ok()) == (20, "Idle", True)
 
 
-def test_grbl_0_9_is_reset_when_it_stands_and_not_before(view: Watcher) -> None:
+def test_grbl_0_9_is_reset_only_after_it_has_stopped(view: Watcher) -> None:
     grbl = FakeGrbl(old=True)
     grbl.start()
     connection = Connection(grbl.port)
@@ -543,7 +537,7 @@ def test_grbl_0_9_is_reset_when_it_stands_and_not_before(view: Watcher) -> None:
     assert grbl.place_at_reset == 0
 
 
-def test_overrides_by_keys_go_to_grbl_1_1_only(grbl: FakeGrbl, view: Watcher) -> None:
+def test_override_keys_are_sent_only_to_grbl_1_1(grbl: FakeGrbl, view: Watcher) -> None:
     for old, sent in ((False, b"\x91!~"), (True, b"!~")):
         grbl = FakeGrbl(old=old)
         grbl.start()
@@ -556,13 +550,13 @@ def test_overrides_by_keys_go_to_grbl_1_1_only(grbl: FakeGrbl, view: Watcher) ->
         assert grbl.realtime == sent
 
 
-def test_keys_of_arrows_are_no_commands() -> None:
+def test_arrow_keys_are_not_commands() -> None:
     assert keys.commands("\x1b[A+\x1bOB-\x1b") == b"\x91\x92"
     assert keys.commands(" ~q") == b"!~"
 
 
 class WindowsConsole:
-    """msvcrt: a key at a time, and two reads for arrows and function keys."""
+    """Stands in for msvcrt: one key per read, two reads for arrows and function keys."""
 
     def __init__(self, pressed: str) -> None:
         self.pressed = list(pressed)
@@ -579,7 +573,7 @@ class WindowsConsole:
     [(" +", b"!\x91"), ("\xe0H\xe0M", b""), ("\0<\0=\0>-", b"\x92"), ("\r", b"~"), ("", b"")],
 )
 def test_keys_on_windows(pressed: str, sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    """F2 to F4 are a zero and then < = >, which alone are commands."""
+    """F2 to F4 are a zero and then < = >; these would be commands without the zero."""
     monkeypatch.setattr(keys.sys, "platform", "win32")
     monkeypatch.setattr(keys.sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setitem(sys.modules, "msvcrt", WindowsConsole(pressed))
@@ -590,7 +584,7 @@ def test_keys_on_windows(pressed: str, sent: bytes, monkeypatch: pytest.MonkeyPa
         assert deaf.commands() == b""
 
 
-def test_a_machine_that_goes_to_sleep_ends_it(
+def test_sleep_of_the_machine_ends_the_program(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     def sleep() -> None:
@@ -601,7 +595,7 @@ def test_a_machine_that_goes_to_sleep_ends_it(
     assert "gone to sleep" in report.stopped
 
 
-def test_an_opened_door_is_reported_once_and_the_job_goes_on(
+def test_opened_door_is_reported_once_and_the_job_continues(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     def door(state: str) -> None:
@@ -617,7 +611,7 @@ def test_an_opened_door_is_reported_once_and_the_job_goes_on(
 # Ends
 
 
-def test_an_unplugged_cable_is_reported_with_the_line(grbl: FakeGrbl, view: Watcher) -> None:
+def test_unplugged_cable_is_reported_with_the_line(grbl: FakeGrbl, view: Watcher) -> None:
     master, slave = os.openpty()
     connection = Connection(os.ttyname(slave))
     os.close(slave)
@@ -627,7 +621,7 @@ def test_an_unplugged_cable_is_reported_with_the_line(grbl: FakeGrbl, view: Watc
     assert report.lost and report.stopped == "the connection broke: has the simulator ended?"
 
 
-def test_whatever_goes_wrong_here_holds_the_machine_first(
+def test_internal_fault_holds_the_machine_first(
     grbl: FakeGrbl, connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(answered: int, status: str) -> None:
@@ -640,7 +634,7 @@ def test_whatever_goes_wrong_here_holds_the_machine_first(
     assert grbl.realtime == FEED_HOLD
 
 
-def test_a_full_disk_ends_it_as_an_abort_does(
+def test_full_disk_ends_the_program_like_an_abort(
     grbl: FakeGrbl, connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(answered: int, status: str) -> None:
@@ -652,13 +646,13 @@ def test_a_full_disk_ends_it_as_an_abort_does(
     assert grbl.realtime == FEED_HOLD + RESET
 
 
-def test_a_port_in_use_is_told_to_be(grbl: FakeGrbl, connection: Connection) -> None:
+def test_port_in_use_is_reported(grbl: FakeGrbl, connection: Connection) -> None:
     with pytest.raises(SendError, match="another program has it"):
         Connection(grbl.port)
 
 
 def refused(number: int, text: str) -> Callable[..., None]:
-    """As pyserial refuses to open a port."""
+    """Return an open_port that raises what pyserial raises."""
 
     def open_port(*_: object, **__: object) -> None:
         raise serial.SerialException(number, text) if number else serial.SerialException(text)
@@ -677,7 +671,7 @@ def refused(number: int, text: str) -> Callable[..., None]:
         ("foo://x", "a port is a device, or socket://HOST:PORT"),
     ],
 )
-def test_a_port_that_cannot_be_opened_says_why_in_our_words(port: str, words: str) -> None:
+def test_port_that_cannot_be_opened_is_reported_in_our_words(port: str, words: str) -> None:
     with pytest.raises(SendError) as raised:
         Connection(port)
     text = str(raised.value)
@@ -700,7 +694,7 @@ def test_a_port_that_cannot_be_opened_says_why_in_our_words(port: str, words: st
         (0, "something new", "unplug it, plug it in, and try again"),
     ],
 )
-def test_what_the_system_refuses_is_said_in_our_words(
+def test_refusal_by_the_system_is_reported_in_our_words(
     monkeypatch: pytest.MonkeyPatch, number: int, theirs: str, words: str
 ) -> None:
     monkeypatch.setattr(serial, "serial_for_url", refused(number, theirs))
@@ -709,7 +703,7 @@ def test_what_the_system_refuses_is_said_in_our_words(
     assert theirs not in str(raised.value)
 
 
-def test_a_baud_rate_that_cannot_be_is_named(grbl: FakeGrbl) -> None:
+def test_impossible_baud_rate_is_named(grbl: FakeGrbl) -> None:
     with pytest.raises(SendError, match=r"cannot have -1 baud; Grbl 1[.]1 has 115200"):
         Connection(grbl.port, -1)
 
@@ -723,11 +717,11 @@ def test_a_baud_rate_that_cannot_be_is_named(grbl: FakeGrbl) -> None:
         ("some/link", "the simulator ended"),
     ],
 )
-def test_a_broken_connection_says_where_to_look(port: str, look: str) -> None:
+def test_broken_connection_names_the_likely_cause(port: str, look: str) -> None:
     assert look in broke(port)
 
 
-def test_a_file_is_no_port(tmp_path: Path) -> None:
+def test_file_is_not_accepted_as_a_port(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(SendError, match="no serial port"):

@@ -1,4 +1,4 @@
-"""`ugrbl send` in a process of its own, at the simulator: how it ends, and how it goes on."""
+"""Test `ugrbl send` as a process at the simulator: how it ends, and how it continues."""
 
 import os
 import pty
@@ -18,13 +18,13 @@ from typer.testing import CliRunner
 from ugrbl.cli.app import app
 from ugrbl.device.connection import Connection
 
-# Real processes in real time: the first ring takes one.
+# Real processes in real time: the first ring runs one.
 pytestmark = pytest.mark.thorough
 
 _PATIENCE_S = 60.0
-# Short enough that the planner's 15 blocks are no long way, slow enough for a finger.
+# Fast enough that the planner's 15 blocks pass quickly, slow enough to press a key meanwhile.
 SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
-# Line n ends at X n/2: 15 mm a second.
+# Line n ends at X n/2; the speed is 15 mm/s.
 STAIRS = ["G21 G90 F900", *(f"G1 X{n / 2:g}" for n in range(2, 400))]
 
 
@@ -41,7 +41,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 
 def unlock(bench: Bench) -> None:
-    """Where settings are kept but no offsets are, it may begin with an alarm."""
+    """Unlock the machine: with stored settings but no offsets it may start in an alarm."""
     connection = Connection(str(bench.port))
     assert connection.answers()
     connection.ask("$X")
@@ -49,7 +49,7 @@ def unlock(bench: Bench) -> None:
 
 
 class Send:
-    """A running `ugrbl send`. terminal: it has one, and this is the person at it."""
+    """A running `ugrbl send`. terminal: it has a terminal, which the test uses."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class Send:
         os.write(self.master, keys.encode())
 
     def wait_text(self, what: str) -> str:
-        """Read from the terminal until a text comes."""
+        """Read from the terminal until a text arrives."""
         until = time.monotonic() + _PATIENCE_S
         while what not in self.text:
             assert time.monotonic() < until, self.text
@@ -94,7 +94,7 @@ class Send:
         return self.text
 
     def end(self) -> tuple[int, str]:
-        """Exit code, and everything said."""
+        """Return exit code and the whole output."""
         if self.master < 0:
             text, _ = self.process.communicate(timeout=_PATIENCE_S)
             return self.process.returncode, text
@@ -109,7 +109,7 @@ class Send:
         return os.waitstatus_to_exitcode(status), self.text
 
     def _read(self) -> None:
-        """What the terminal shows; after the command's end, that is an error."""
+        """Read the terminal's output; after the end of the command reading raises OSError."""
         while select.select([self.master], [], [], 0.1)[0]:
             try:
                 self.text += os.read(self.master, 4096).decode(errors="replace")
@@ -118,7 +118,7 @@ class Send:
 
 
 def wait_until_at(bench: Bench, mm: float) -> None:
-    """The status reports on the wire are past that X."""
+    """Wait until a status report on the wire has passed this X."""
     until = time.monotonic() + _PATIENCE_S
     while time.monotonic() < until:
         places = re.findall(rb"<Run\|MPos:([\d.]+)", bench.wire("<"))
@@ -129,12 +129,12 @@ def wait_until_at(bench: Bench, mm: float) -> None:
 
 
 def place_reported(bench: Bench) -> float:
-    """X, by the last report on the wire."""
+    """Return X of the last report on the wire."""
     return float(re.findall(rb"MPos:(-?[\d.]+)", bench.wire("<"))[-1])
 
 
 def place(bench: Bench) -> tuple[str, list[float]]:
-    """State and place, asked for anew."""
+    """Ask for state and position."""
     connection = Connection(str(bench.port))
     assert connection.answers()
     connection.close()
@@ -148,7 +148,7 @@ def line_made(text: str) -> int:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_holds_resets_and_tells_the_line(
+def test_signal_holds_resets_and_names_the_line(
     bench: Bench, tmp_path: Path, number: signal.Signals
 ) -> None:
     send = Send(bench, tmp_path, STAIRS)
@@ -165,7 +165,9 @@ def test_a_signal_holds_resets_and_tells_the_line(
 
 
 @pytest.mark.parametrize("answer", ["r", "a"])
-def test_ctrl_c_holds_and_asks_whether_to_go_on(bench: Bench, tmp_path: Path, answer: str) -> None:
+def test_ctrl_c_holds_and_asks_whether_to_continue(
+    bench: Bench, tmp_path: Path, answer: str
+) -> None:
     send = Send(bench, tmp_path, STAIRS[:60], terminal=True)
     wait_until_at(bench, 5)
     send.press("\x03")
@@ -180,7 +182,7 @@ def test_ctrl_c_holds_and_asks_whether_to_go_on(bench: Bench, tmp_path: Path, an
     assert (x == 30.0) == ("being made" not in text) == (answer == "r")
 
 
-def test_a_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
+def test_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
     send = Send(bench, tmp_path, STAIRS, terminal=True)
     send.wait_text("keys:")
     wait_until_at(bench, 5)
@@ -194,9 +196,7 @@ def test_a_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
 
 
 @pytest.mark.sampled(1)
-def test_without_a_terminal_a_refused_line_ends_it_where_it_is(
-    bench: Bench, tmp_path: Path
-) -> None:
+def test_refused_line_ends_the_program_without_a_terminal(bench: Bench, tmp_path: Path) -> None:
     lines = [*STAIRS[:20], "T1 M6", *STAIRS[20:]]
     send = Send(bench, tmp_path, lines, "--no-check")
     code, text = send.end()
@@ -206,7 +206,7 @@ def test_without_a_terminal_a_refused_line_ends_it_where_it_is(
 
 
 @pytest.mark.parametrize("mode", ["count", "line"])
-def test_where_a_line_is_refused_no_other_is_named_as_the_last(
+def test_only_the_refused_line_is_named_as_the_last_one(
     bench: Bench, tmp_path: Path, mode: str
 ) -> None:
     lines = ["%", "O1000", "(one)", "", "N10 G21 G90", "N20 G1 X1 F900", "N30 T1 M6", "%"]
@@ -216,7 +216,7 @@ def test_where_a_line_is_refused_no_other_is_named_as_the_last(
     assert ("line 2 was answered last" in text) == (mode == "line")
 
 
-def test_a_refused_line_asks_and_can_be_passed(bench: Bench, tmp_path: Path) -> None:
+def test_refused_line_asks_and_can_be_skipped(bench: Bench, tmp_path: Path) -> None:
     lines = ["G21 G90 F900", "G1 X1", "T1 M6", "G1 X2", "G64", "G1 X3"]
     send = Send(bench, tmp_path, lines, "--no-check", terminal=True)
     send.wait_text("keep going")
@@ -226,7 +226,7 @@ def test_a_refused_line_asks_and_can_be_passed(bench: Bench, tmp_path: Path) -> 
     assert place(bench) == ("Idle", [3.0, 0.0, 0.0])
 
 
-def test_keys_hold_and_go_on_and_m0_says_its_comment(bench: Bench, tmp_path: Path) -> None:
+def test_keys_hold_and_resume_and_m0_shows_its_comment(bench: Bench, tmp_path: Path) -> None:
     lines = ["G21 G90 F900", "G1 X8", "M0 (Fräser 3 mm)", "G1 X9"]
     send = Send(bench, tmp_path, lines, terminal=True)
     wait_until_at(bench, 1)
@@ -240,7 +240,7 @@ def test_keys_hold_and_go_on_and_m0_says_its_comment(bench: Bench, tmp_path: Pat
     assert place(bench)[1][0] == 9.0
 
 
-def test_soft_limits_are_those_of_the_machine(bench: Bench, tmp_path: Path) -> None:
+def test_soft_limits_of_the_machine_are_used(bench: Bench, tmp_path: Path) -> None:
     connection = Connection(str(bench.port))
     assert connection.answers()
     for setting in ("$22=1", "$20=1", "$130=100"):
@@ -252,7 +252,7 @@ def test_soft_limits_are_those_of_the_machine(bench: Bench, tmp_path: Path) -> N
     assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
-def test_an_alarm_tells_the_line_that_was_being_made(bench: Bench, tmp_path: Path) -> None:
+def test_alarm_names_the_line_being_executed(bench: Bench, tmp_path: Path) -> None:
     connection = Connection(str(bench.port))
     assert connection.answers()
     assert connection.ask("$21=1")[-1] == "ok"  # the bench's switch is at 20 mm
@@ -263,7 +263,7 @@ def test_an_alarm_tells_the_line_that_was_being_made(bench: Bench, tmp_path: Pat
     assert "the machine is in Alarm: reset it (Ctrl-X), then home it" in text
 
 
-def test_from_a_line_on_modes_tool_and_place_are_rebuilt(bench: Bench, tmp_path: Path) -> None:
+def test_from_line_restores_modes_tool_and_position(bench: Bench, tmp_path: Path) -> None:
     lines = ["G20 G91.1 G90", "M3 S1000", "G0 Z0.2", "G0 X0.4", "G1 Z-0.1 F20", "X0.8", "Z0.2"]
     send = Send(bench, tmp_path, lines, "--from-line", "6", "--yes")
     code, text = send.end()
@@ -278,7 +278,7 @@ def test_from_a_line_on_modes_tool_and_place_are_rebuilt(bench: Bench, tmp_path:
     assert sent[-2:] == [b"X0.8", b"Z0.2"]
 
 
-def test_from_a_line_on_g93_and_large_numbers_are_sent_so_that_grbl_takes_them(
+def test_from_line_sends_g93_and_large_numbers_in_a_form_that_grbl_accepts(
     bench: Bench, tmp_path: Path
 ) -> None:
     lines = ["G21 G90 S2000000", "G10 P1 L20 X0", "G1 X1 F2000000", "G93", "X2 F60", "G1 X3 F60"]
@@ -289,10 +289,8 @@ def test_from_a_line_on_g93_and_large_numbers_are_sent_so_that_grbl_takes_them(
     assert sent[-4:-1] == [b"G1 G54 G17 G21 G90 S2000000", b"G93", b"G1 X3 F60"]
 
 
-def test_from_a_line_on_a_laser_that_burns_at_rest_is_dark_until_it_moves(
-    bench: Bench, tmp_path: Path
-) -> None:
-    """M3 with G1 in force is a dot burnt into the work."""
+def test_from_line_keeps_a_laser_dark_until_it_moves(bench: Bench, tmp_path: Path) -> None:
+    """M3 with G1 in force would burn a dot into the work."""
     connection = Connection(str(bench.port))
     assert connection.answers() and connection.ask("$32=1")[-1] == "ok"
     connection.close()
@@ -330,7 +328,7 @@ OWN_CUTS = [
 
 @pytest.fixture
 def own_bench(tmp_path: Path) -> Iterator[Bench]:
-    """A machine with Python of its own, which lies in mine.py."""
+    """Start a machine with its own Python in mine.py."""
     (tmp_path / "mine.py").write_text(OWN)
     running = Bench(tmp_path, "--custom", str(tmp_path / "mine.py"), settings=SETTINGS)
     unlock(running)
@@ -338,7 +336,7 @@ def own_bench(tmp_path: Path) -> Iterator[Bench]:
     running.kill()
 
 
-def test_the_machines_own_words_are_not_known_here_and_no_refusal(
+def test_user_words_unknown_to_the_simulator_are_not_refusals(
     own_bench: Bench, tmp_path: Path
 ) -> None:
     code, text = Send(own_bench, tmp_path, OWN_CUTS).end()
@@ -347,7 +345,7 @@ def test_the_machines_own_words_are_not_known_here_and_no_refusal(
     assert place(own_bench)[1] == [6.0, 4.0, 5.0]
 
 
-def test_a_line_that_no_machine_has_is_refused_beside_its_own_words(
+def test_line_unknown_to_the_machine_is_refused_in_spite_of_user_words(
     own_bench: Bench, tmp_path: Path
 ) -> None:
     code, text = Send(own_bench, tmp_path, [*OWN_CUTS, "M102"]).end()
@@ -355,15 +353,13 @@ def test_a_line_that_no_machine_has_is_refused_beside_its_own_words(
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
-def test_the_machines_own_words_are_rehearsed_with_their_file(
-    own_bench: Bench, tmp_path: Path
-) -> None:
+def test_user_words_are_rehearsed_with_their_file(own_bench: Bench, tmp_path: Path) -> None:
     code, text = Send(own_bench, tmp_path, OWN_CUTS, "--custom", str(tmp_path / "mine.py")).end()
     assert code == 0 and "not known" not in text, text
 
 
 @pytest.mark.parametrize("check", ["--check", "--no-check"])
-def test_from_a_line_on_nothing_begins_where_own_words_may_have_moved(
+def test_from_line_refuses_to_start_after_user_words_that_may_have_moved(
     own_bench: Bench, tmp_path: Path, check: str
 ) -> None:
     words = (check, "--from-line", "9", "--yes")
@@ -374,7 +370,7 @@ def test_from_a_line_on_nothing_begins_where_own_words_may_have_moved(
     assert b"G53" not in own_bench.wire(">")
 
 
-def test_from_a_line_on_own_words_lead_where_their_file_says(
+def test_from_line_follows_the_moves_of_user_words_in_their_file(
     own_bench: Bench, tmp_path: Path
 ) -> None:
     words = ("--from-line", "9", "--yes", "--custom", str(tmp_path / "mine.py"))
@@ -386,7 +382,7 @@ def test_from_a_line_on_own_words_lead_where_their_file_says(
 
 
 @pytest.mark.parametrize("words", [[], ["--no-check", "--from-line", "4", "--yes"]])
-def test_a_file_that_is_not_the_machines_is_not_rehearsed_for_it(
+def test_file_that_differs_from_the_machines_is_refused(
     own_bench: Bench, tmp_path: Path, words: list[str]
 ) -> None:
     other = tmp_path / "other.py"
@@ -397,7 +393,7 @@ def test_a_file_that_is_not_the_machines_is_not_rehearsed_for_it(
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
-def test_from_a_line_on_nothing_begins_after_a_refused_line(bench: Bench, tmp_path: Path) -> None:
+def test_from_line_refuses_to_start_after_a_refused_line(bench: Bench, tmp_path: Path) -> None:
     lines = [*STAIRS[:5], "G64", *STAIRS[5:9]]
     words = ("--no-check", "--from-line", "8", "--yes")
     code, text = Send(bench, tmp_path, lines, *words).end()
@@ -405,28 +401,28 @@ def test_from_a_line_on_nothing_begins_after_a_refused_line(bench: Bench, tmp_pa
     assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
-def test_a_file_of_ones_own_that_cannot_be_read_is_reported_before_the_machine_is_asked(
+def test_unreadable_custom_file_is_reported_before_the_machine_is_asked(
     bench: Bench, tmp_path: Path
 ) -> None:
     code, text = Send(bench, tmp_path, STAIRS, "--custom", str(tmp_path / "none.py")).end()
     assert code == 1 and "none.py cannot be read" in text and "Traceback" not in text
 
 
-def test_from_a_line_on_nothing_moves_unasked(bench: Bench, tmp_path: Path) -> None:
+def test_from_line_moves_nothing_without_consent(bench: Bench, tmp_path: Path) -> None:
     code, text = Send(bench, tmp_path, STAIRS, "--from", "50").end()
     assert code == 1 and "--yes" in text
     assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
-def test_time_left_comes_from_the_simulation(bench: Bench, tmp_path: Path) -> None:
+def test_remaining_time_comes_from_the_simulation(bench: Bench, tmp_path: Path) -> None:
     send = Send(bench, tmp_path, STAIRS[:160], terminal=True, dumb=False)
     text = send.wait_text(" left")
     found = re.search(r"0:00:(\d\d) left", text)
-    assert found and 1 <= int(found[1]) <= 6  # 80 mm at 15 mm/s, some of it gone
+    assert found and 1 <= int(found[1]) <= 6  # 80 mm at 15 mm/s, less the time that has passed
     assert send.end()[0] == 0
 
 
-def test_a_program_from_stdin(bench: Bench, tmp_path: Path) -> None:
+def test_program_is_read_from_stdin(bench: Bench, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "ugrbl.cli", "send", "-", "--port", str(bench.port)]
     done = subprocess.run(
         command,
@@ -440,7 +436,7 @@ def test_a_program_from_stdin(bench: Bench, tmp_path: Path) -> None:
     assert place(bench)[1][0] == 2.0
 
 
-def test_reports_of_work_positions_do_as_well(bench: Bench, tmp_path: Path) -> None:
+def test_line_is_named_from_reports_of_work_positions(bench: Bench, tmp_path: Path) -> None:
     connection = Connection(str(bench.port))
     assert connection.answers()
     for line in ("$10=2", "G10 L2 P1 Y-30"):
@@ -463,7 +459,7 @@ def test_reports_of_work_positions_do_as_well(bench: Bench, tmp_path: Path) -> N
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
 @pytest.mark.parametrize(("words", "x"), [([], 0.0), (["--no-check"], 20.0)])
-def test_a_full_disk_begins_no_job_and_ends_none(
+def test_full_disk_starts_no_job_and_ends_none(
     bench: Bench, tmp_path: Path, words: list[str], x: float
 ) -> None:
     file = tmp_path / "job.nc"
@@ -483,7 +479,7 @@ def test_a_full_disk_begins_no_job_and_ends_none(
     assert (done.returncode == 0) == ("40 lines, 0 errors" in done.stderr) == (x > 0)
 
 
-def test_a_reader_that_has_gone_ends_no_job(bench: Bench, tmp_path: Path) -> None:
+def test_closed_output_pipe_ends_no_job(bench: Bench, tmp_path: Path) -> None:
     file = tmp_path / "job.nc"
     file.write_text("\n".join(STAIRS[:40]))
     command = [sys.executable, "-m", "ugrbl.cli", "send", str(file), "--port", str(bench.port)]
@@ -503,7 +499,7 @@ def test_a_reader_that_has_gone_ends_no_job(bench: Bench, tmp_path: Path) -> Non
     assert place(bench) == ("Idle", [20.0, 0.0, 0.0])
 
 
-def test_what_wants_a_board_says_that_it_is_the_simulator(
+def test_command_that_needs_a_board_reports_the_simulator(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -513,7 +509,7 @@ def test_what_wants_a_board_says_that_it_is_the_simulator(
     assert "Grbl sim: it is the simulator" in CliRunner().invoke(app, words).output
 
 
-def test_an_unplugged_cable_is_reported_with_line_and_state(bench: Bench, tmp_path: Path) -> None:
+def test_unplugged_cable_is_reported_with_line_and_state(bench: Bench, tmp_path: Path) -> None:
     send = Send(bench, tmp_path, STAIRS)
     wait_until_at(bench, 5)
     bench.kill()

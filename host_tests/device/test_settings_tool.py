@@ -1,4 +1,4 @@
-"""`ugrbl settings`, at a simulator on a pseudo-terminal."""
+"""Test `ugrbl settings` at a simulator on a pseudo-terminal."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +39,7 @@ def ugrbl(bench: Bench, *words: object, answer: str = "") -> Result:
 
 @pytest.fixture
 def pulled(bench: Bench, tmp_path: Path) -> Path:
-    """A file fresh from the machine, which has its factory's settings."""
+    """Pull a file from a machine with factory settings."""
     file = tmp_path / "router.settings"
     done = ugrbl(bench, "pull", file)
     assert done.exit_code == 0, done.output
@@ -57,7 +57,7 @@ def edit(file: Path, **values: str) -> None:
 # Pull
 
 
-def test_a_pulled_file_says_what_each_setting_is(pulled: Path) -> None:
+def test_pulled_file_explains_each_setting(pulled: Path) -> None:
     text = pulled.read_text()
     lines = [line for line in text.splitlines() if line.startswith("$")]
     assert len(lines) == 34
@@ -67,7 +67,7 @@ def test_a_pulled_file_says_what_each_setting_is(pulled: Path) -> None:
     assert all("; " in line for line in lines)
 
 
-def test_a_pulled_file_can_be_streamed_by_any_sender(bench: Bench, pulled: Path) -> None:
+def test_pulled_file_can_be_streamed_by_any_sender(bench: Bench, pulled: Path) -> None:
     done = CliRunner().invoke(
         app, ["send", str(pulled), "--port", str(bench.port), "--mode", "line"]
     )
@@ -75,13 +75,13 @@ def test_a_pulled_file_can_be_streamed_by_any_sender(bench: Bench, pulled: Path)
     assert not set(pulled.read_text()) & set("?!~") and pulled.read_text().isascii()
 
 
-def test_a_pulled_file_reads_back_as_it_was(pulled: Path) -> None:
+def test_pulled_file_is_read_back_unchanged(pulled: Path) -> None:
     settings = Settings.read(pulled.read_text())
     assert Settings.read(settings.text()) == settings
     assert settings.firmware.version == "1.1" and settings.firmware.options == "V,15,128"
 
 
-def test_a_file_is_not_overwritten_unasked(bench: Bench, pulled: Path) -> None:
+def test_existing_file_is_not_overwritten_without_force(bench: Bench, pulled: Path) -> None:
     done = ugrbl(bench, "pull", pulled)
     assert done.exit_code == 1 and "--force" in done.output
     assert ugrbl(bench, "pull", pulled, "--force").exit_code == 0
@@ -91,13 +91,13 @@ _CASES = Path(__file__).parents[3] / "shared" / "cases"
 
 
 @pytest.mark.parametrize("file", sorted(_CASES.glob("L_settings_*")), ids=lambda file: file.stem)
-def test_files_of_others_are_read(file: Path) -> None:
-    """Of senders, consoles and editors."""
+def test_files_of_other_programs_are_read(file: Path) -> None:
+    """Files of senders, consoles and editors."""
     assert read_settings(file).values[100] in ("80.000", "80.00000")
 
 
 @pytest.mark.parametrize("line", ["error:20", "$N0=G54", "hello", "$100"])
-def test_what_is_neither_a_setting_nor_beside_one_is_named(tmp_path: Path, line: str) -> None:
+def test_line_that_is_neither_setting_nor_comment_is_named(tmp_path: Path, line: str) -> None:
     file = tmp_path / "mine.settings"
     file.write_text(f"$100=80\n{line}\n")
     with pytest.raises(SettingsError, match="line 2 is no setting"):
@@ -107,12 +107,12 @@ def test_what_is_neither_a_setting_nor_beside_one_is_named(tmp_path: Path, line:
 # Compare
 
 
-def test_no_difference_is_exit_code_0(bench: Bench, pulled: Path) -> None:
+def test_equal_settings_exit_with_0(bench: Bench, pulled: Path) -> None:
     done = ugrbl(bench, "diff", pulled)
     assert done.exit_code == 0 and "nothing would change" in done.output
 
 
-def test_a_difference_is_shown_with_name_and_unit(bench: Bench, pulled: Path) -> None:
+def test_difference_is_shown_with_name_and_unit(bench: Bench, pulled: Path) -> None:
     edit(pulled, s110="6000", s11="0.01")  # the second is the same number
     done = ugrbl(bench, "diff", pulled)
     assert done.exit_code == 1
@@ -120,7 +120,7 @@ def test_a_difference_is_shown_with_name_and_unit(bench: Bench, pulled: Path) ->
     assert "$11 " not in done.output
 
 
-def test_a_difference_as_json(bench: Bench, pulled: Path) -> None:
+def test_difference_is_printed_as_json(bench: Bench, pulled: Path) -> None:
     edit(pulled, s110="6000")
     done = ugrbl(bench, "diff", pulled, "--json", "-")
     found = json.loads(done.stdout)
@@ -139,7 +139,7 @@ def test_a_difference_as_json(bench: Bench, pulled: Path) -> None:
 # Push and restore
 
 
-def test_push_shows_asks_changes_and_keeps_what_was(bench: Bench, pulled: Path) -> None:
+def test_push_shows_asks_changes_and_saves_the_old_values(bench: Bench, pulled: Path) -> None:
     edit(pulled, s120="500", s20="1", s22="1")  # $20 is refused until $22 is set
     done = ugrbl(bench, "push", pulled, answer="n\n")
     assert done.exit_code == 1 and "nothing has been changed" in done.output
@@ -157,7 +157,7 @@ def test_push_shows_asks_changes_and_keeps_what_was(bench: Bench, pulled: Path) 
     assert ugrbl(bench, "diff", before).exit_code == 0
 
 
-def test_a_refused_value_is_reported_and_the_rest_is_done(bench: Bench, pulled: Path) -> None:
+def test_refused_value_is_reported_and_the_rest_is_pushed(bench: Bench, pulled: Path) -> None:
     before = pulled.with_name("before")
     before.write_text(pulled.read_text())
     edit(pulled, s0="1", s1="99")
@@ -172,7 +172,7 @@ def test_a_refused_value_is_reported_and_the_rest_is_done(bench: Bench, pulled: 
 
 
 @pytest.mark.parametrize("end", [SendError("the connection broke"), KeyboardInterrupt()])
-def test_a_push_that_breaks_off_says_how_far_it_came_and_how_to_go_back(
+def test_interrupted_push_reports_its_progress_and_the_way_back(
     bench: Bench, pulled: Path, monkeypatch: pytest.MonkeyPatch, end: BaseException
 ) -> None:
     def breaks_off(
@@ -189,7 +189,7 @@ def test_a_push_that_breaks_off_says_how_far_it_came_and_how_to_go_back(
     assert f"1 of 3 settings changed; to go back: {back}" in " ".join(done.output.split())
 
 
-def test_where_all_is_refused_there_is_nothing_to_go_back_from(bench: Bench, pulled: Path) -> None:
+def test_push_with_all_values_refused_offers_no_way_back(bench: Bench, pulled: Path) -> None:
     edit(pulled, s0="1")
     done = ugrbl(bench, "push", pulled, "--yes")
     assert done.exit_code == 1 and "0 of 1 setting changed" in done.output
@@ -204,7 +204,7 @@ def test_where_all_is_refused_there_is_nothing_to_go_back_from(bench: Bench, pul
         ("$122=0", "an acceleration of 0 for Z"),
     ],
 )
-def test_a_zero_with_which_an_axis_does_not_move_is_reported_before_the_question(
+def test_zero_that_stops_an_axis_is_reported_before_the_question(
     bench: Bench, tmp_path: Path, line: str, what: str
 ) -> None:
     file = tmp_path / "zero"
@@ -216,18 +216,18 @@ def test_a_zero_with_which_an_axis_does_not_move_is_reported_before_the_question
     assert "note: " in ugrbl(bench, "diff", file).output
 
 
-def test_a_pull_that_cannot_be_leaves_no_folders(tmp_path: Path) -> None:
+def test_failed_pull_leaves_no_folders(tmp_path: Path) -> None:
     file = tmp_path / "a" / "b" / "c"
     done = CliRunner().invoke(app, ["settings", "pull", str(file), "--port", "/dev/nowhere"])
     assert done.exit_code == 1 and not (tmp_path / "a").exists()
 
 
-def test_a_pull_makes_the_folders_of_its_file(bench: Bench, tmp_path: Path) -> None:
+def test_pull_creates_the_folders_of_its_file(bench: Bench, tmp_path: Path) -> None:
     file = tmp_path / "a" / "b" / "c"
     assert ugrbl(bench, "pull", file).exit_code == 0 and file.exists()
 
 
-def test_a_push_leaves_what_the_file_does_not_name(bench: Bench, pulled: Path) -> None:
+def test_push_leaves_settings_not_in_the_file_unchanged(bench: Bench, pulled: Path) -> None:
     part = pulled.with_name("part")
     part.write_text("; [VER:1.1f.20170801:]\n$27=2.5 (my switches)\n")
     assert ugrbl(bench, "push", part, "--yes").exit_code == 0
@@ -237,7 +237,7 @@ def test_a_push_leaves_what_the_file_does_not_name(bench: Bench, pulled: Path) -
     assert done.exit_code == 1 and "the file does not say $0, $1" in done.output
 
 
-def test_the_factory_settings_come_back(
+def test_factory_settings_are_restored(
     bench: Bench, pulled: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(pulled.parent)
@@ -249,7 +249,7 @@ def test_the_factory_settings_come_back(
     assert "$130=777.000" in Path("factory.before").read_text()
 
 
-# What does not fit
+# Files that do not fit
 
 
 @pytest.mark.parametrize(
@@ -260,7 +260,7 @@ def test_the_factory_settings_come_back(
         ("; [VER:1.1h.20190830:]\n$103=250\n", "the machine has no $103"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused(
+def test_file_that_does_not_fit_is_refused(
     bench: Bench, tmp_path: Path, text: str, why: str
 ) -> None:
     file = tmp_path / "file"
@@ -269,7 +269,7 @@ def test_a_file_that_does_not_fit_is_refused(
     assert done.exit_code == 1 and why in " ".join(done.output.split())
 
 
-def test_a_file_of_unknown_origin_can_be_pushed_on_demand(bench: Bench, tmp_path: Path) -> None:
+def test_file_of_unknown_origin_is_pushed_with_any_version(bench: Bench, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("$0=10\n")
     assert ugrbl(bench, "push", file, "--yes", "--any-version").exit_code == 0
@@ -297,22 +297,22 @@ def test_skew_may_be_negative(number: int) -> None:
         ("$0=1\n$0=1\n", "line 2: $0 is there twice"),
     ],
 )
-def test_a_damaged_file_is_refused_with_the_line(text: str, why: str) -> None:
+def test_damaged_file_is_refused_with_the_line(text: str, why: str) -> None:
     with pytest.raises(SettingsError) as refused:
         Settings.read(text)
     assert why in str(refused.value)
 
 
-def test_a_port_without_a_machine_is_named(tmp_path: Path) -> None:
+def test_port_without_a_machine_is_named(tmp_path: Path) -> None:
     file = tmp_path / "file"
     done = CliRunner().invoke(app, ["settings", "pull", str(file), "--port", "/dev/nowhere"])
     assert done.exit_code == 1 and "/dev/nowhere" in done.output
 
 
-# The file by itself
+# The file format
 
 
-def test_formats_of_older_files_are_read() -> None:
+def test_older_file_formats_are_read() -> None:
     settings = Settings.read(
         "[0.9j.20160303:]\n$0=10 (step pulse, usec)\n\n(mine)\n$110 = 500.000\n"
     )
@@ -320,7 +320,7 @@ def test_formats_of_older_files_are_read() -> None:
     assert str(settings.firmware) == "Grbl 0.9j (20160303)"
 
 
-def test_numbers_are_compared_as_grbl_shows_them() -> None:
+def test_numbers_are_compared_as_grbl_prints_them() -> None:
     machine = {11: "0.010", 100: "1234567.875", 0: "10"}
     assert changes(machine, {11: "0.0104", 100: "1234568", 0: "10.0"}) == []
     assert [c.number for c in changes(machine, {11: "0.011", 100: "1234600"})] == [11, 100]
@@ -332,7 +332,7 @@ def test_every_setting_of_the_firmware_has_a_meaning() -> None:
     assert meaning(999) == settings_file.Meaning("", "", "")
 
 
-def test_letters_of_a_version_do_not_part_what_fits() -> None:
+def test_letter_of_a_version_does_not_matter() -> None:
     ours = Settings(Firmware.read(GRBL), {0: "10"})
     theirs = Settings(Firmware.read(["; [VER:1.1f.20170801:mine]"]), {0: "12"})
     check_fit(theirs, ours, any_version=False, complete=True)
