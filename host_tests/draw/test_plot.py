@@ -1,4 +1,4 @@
-"""`ugrbl plot`: the curves' numbers, the files, and the page in a real browser."""
+"""Test `ugrbl plot`: the figures of the curves, the files, and the page in a real browser."""
 
 import html
 import json
@@ -24,7 +24,7 @@ from ugrbl.draw.job import run_job, short
 from ugrbl.draw.motion_trace import Motion, trace_program
 from ugrbl.grbl.lines import split_lines
 
-# Drawing is slow: the first ring takes a few.
+# Drawing is slow: the first ring runs a few.
 pytestmark = pytest.mark.thorough
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -51,7 +51,7 @@ def program(tmp_path: Path) -> Path:
 
 
 def test_speed_and_acceleration_are_those_of_the_trapezoid() -> None:
-    # 600 mm/min = 10 mm/s, reached and lost at 10 mm/s2.
+    # 600 mm/min = 10 mm/s; speeding up and braking at 10 mm/s2.
     motion = trace("G1 X20 F600\n", "$110=1000")
     assert max(motion.speed_mm_s) == pytest.approx(10, rel=0.001)
     ramp = [a for a, t in zip(motion.acceleration(0), motion.time_s) if 0.1 < t < 0.9]
@@ -61,13 +61,13 @@ def test_speed_and_acceleration_are_those_of_the_trapezoid() -> None:
     assert motion.time_s[-1] == pytest.approx(3, rel=0.01)
 
 
-def test_acceleration_drawn_is_no_third_above_its_limit() -> None:
+def test_acceleration_drawn_is_less_than_34_percent_above_its_limit() -> None:
     motion = trace_program(lettering(), settings=["$122=40"])[1].motion
     for axis, limit in enumerate((10, 10, 40)):
         assert limit <= max(motion.acceleration(axis)) < 1.34 * limit
 
 
-def test_step_rates_are_per_axis_and_by_its_resolution() -> None:
+def test_step_rates_are_per_axis_and_use_its_resolution() -> None:
     motion = trace(
         "G1 X30 Y40 F600\n", "$110=1000", "$111=1000", "$101=100", "$120=100", "$121=100"
     )
@@ -83,19 +83,19 @@ def test_motors_of_a_corexy_step_for_both_axes() -> None:
     assert max(motion.acceleration(0)) == pytest.approx(max(motion.acceleration(1)))
 
 
-def test_a_dwell_is_rest() -> None:
+def test_dwell_is_drawn_as_rest() -> None:
     motion = trace("G1 X1 F300\nG4 P2\nG1 X2\n", "$120=100")
     rest = [dt for dt, v in zip(motion.seconds, motion.speed_mm_s) if v == 0]
     assert max(rest) == pytest.approx(2, abs=0.1)
     assert sum(motion.seconds) == pytest.approx(motion.time_s[-1], rel=1e-6)
 
 
-def test_the_path_ends_where_the_program_does() -> None:
+def test_path_ends_where_the_program_ends() -> None:
     motion = trace(_SQUARE)
     assert [column[-1] for column in motion.place] == pytest.approx([5, 5, 2])
 
 
-def test_an_envelope_keeps_the_peaks() -> None:
+def test_envelope_keeps_the_peaks() -> None:
     values = np.zeros(10_001)
     values[7777], values[1234], values[10_000] = 9.0, -4.0, 11.0
     times, kept = drawing.envelope(np.arange(10_001.0), values, 500)
@@ -103,25 +103,25 @@ def test_an_envelope_keeps_the_peaks() -> None:
     assert list(times) == sorted(times)
 
 
-def test_each_segment_knows_its_line_and_whether_it_is_a_rapid() -> None:
+def test_each_segment_has_its_line_and_whether_it_is_a_rapid() -> None:
     motion = trace("G0 X1\n(nothing)\nG1 X2 F300\nG4 P1\nG2 X4 Y0 R1\nG0 Z1\n")
     found = {line: bool(rapid) for line, rapid in zip(motion.lines, motion.rapids) if line}
     assert found == {1: True, 3: False, 5: False, 6: True}
     assert 0 in motion.lines  # at rest
 
 
-def test_the_tools_power_is_known() -> None:
+def test_power_of_the_tool_is_recorded() -> None:
     motion = trace("M3 S500\nG1 X2 F300\nM5\nG0 X4\n")
     cut, rapid = motion.lines == 2, motion.lines == 4
     power = np.array(motion.power)
     assert power[cut] == pytest.approx(0.5, abs=0.01) and not power[rapid].any()
 
 
-# What is drawn
+# The drawing
 
 
 def lettering() -> list[bytes]:
-    """Small letters with rapids between them, and a hole that no line may cross."""
+    """Return lines of small letters with rapids between them, and a hole that no line crosses."""
     lines = ["G21 G90", "M3 S1000"]
     for letter in range(40):
         x, y = 4 * (letter % 8), 5 * (letter // 8)
@@ -131,13 +131,13 @@ def lettering() -> list[bytes]:
     return [line.encode() for line in lines]
 
 
-# A path's sides in mm: even, flat, long in one direction, and along one axis only.
+# A path's sides in mm: equal, flat, long in one direction, and along one axis only.
 _SHAPES = [(10, 10, 10), (27, 82, 16), (200, 10, 1), (7, 35, 0), (0, 0, 10), (1990, 1500, 3)]
 _FAST = ["$110=5000", "$111=5000", "$112=3000", "$120=500", "$121=500", "$122=500"]
 
 
 def away(points: Any, rows: Any) -> float:
-    """How far the points are from the line through those of the rows."""
+    """Return the distance of the points from the line through those of the rows."""
     worst = 0.0
     for begin, end in pairwise(rows):
         part = points[begin : end + 1].astype(float)
@@ -157,7 +157,7 @@ def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch:
     assert coarse.seconds == pytest.approx(fine.seconds, rel=1e-4)
     for totals in (one.result.totals for one in (fine, coarse)):
         assert totals.steps_made == totals.steps_planned == fine.result.totals.steps_planned
-    # Every point of the fine path lies on the coarse one, at its own place in the program.
+    # Every point of the fine path lies on the coarse one, in the same line of the program.
     moves = [(one.motion.lines, one.motion.points) for one in (fine, coarse)]
     for line in range(1, len(lines) + 1, 7):
         (of_fine,), (of_coarse,) = (np.nonzero(found == line) for found, _ in moves)
@@ -167,7 +167,7 @@ def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch:
 
 
 def beside(point: Any, path: Any) -> float:
-    """How far a point is from a polyline."""
+    """Return the distance of a point from a polyline."""
     nearest = math.inf
     for begin, end in pairwise(path.astype(float)):
         way = end - begin
@@ -177,7 +177,7 @@ def beside(point: Any, path: Any) -> float:
 
 
 @pytest.mark.parametrize("most", [600_000, 900])
-def test_what_is_drawn_is_nowhere_further_from_the_path_than_it_says(most: int) -> None:
+def test_drawing_is_within_its_stated_tolerance_of_the_path(most: int) -> None:
     job = run_job("", lettering(), _FAST)
     drawn = drawing.draw(job, most)
     assert (drawn.tolerance_mm > drawing.TOLERANCE_MM) == (most == 900)
@@ -186,11 +186,11 @@ def test_what_is_drawn_is_nowhere_further_from_the_path_than_it_says(most: int) 
     assert len(rows) < len(job.motion) / 2
 
 
-def test_cuts_drawn_are_cuts_and_rapids_are_rapids() -> None:
+def test_drawn_cuts_are_cuts_and_drawn_rapids_are_rapids() -> None:
     job = run_job("", lettering(), _FAST)
     drawn = drawing.draw(job, 600_000)
     cuts, rapids = drawn.strokes(False), drawn.strokes(True)
-    # Nothing is cut but circles of 1 mm and the ways down to them.
+    # Only circles of 1 mm are cut, and the moves down to them.
     middle = (cuts[:, 0] + cuts[:, 1]) / 2
     x, y = (middle[:, 0] + 1) % 4, middle[:, 1] % 5
     radius = np.hypot(np.where(x > 2, x - 4, x), np.where(y > 2.5, y - 5, y))
@@ -200,10 +200,10 @@ def test_cuts_drawn_are_cuts_and_rapids_are_rapids() -> None:
 
 
 @pytest.mark.thorough
-def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
+def test_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     file, out = tmp_path / "long.nc", tmp_path / "long.html"
     file.write_bytes(b"\n".join(lettering() * 12) + b"\n")  # 21,000 lines
-    # What ru_maxrss says of a process begins with what its parent had.
+    # ru_maxrss of a process includes the memory of its parent before the start.
     code = (
         "import re, sys; from ugrbl.cli.app import app;"
         "app(sys.argv[1:], standalone_mode=False);"
@@ -211,13 +211,13 @@ def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     )
     words = [sys.executable, "-c", code, "plot", str(file), "-o", str(out)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
-    # 200,000 lines have to do with 500 MB; what does not grow with the job is 100.
+    # 200,000 lines must fit in 500 MB; the part that does not grow with the job is 100.
     assert int(done.stdout.split()[-1]) / 1024 < 140
     assert out.stat().st_size < 8_000_000
 
 
 def texts_drawn(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
-    """Every text of a picture, and its box in dots: where it is drawn is known then only."""
+    """Return every text of a picture with its box in dots, which is known after drawing."""
     drawn = []
 
     def noted(text: Any, renderer: Any) -> None:
@@ -236,7 +236,7 @@ def texts_drawn(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str,
 @pytest.mark.sampled(1, 4)
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("x, y, z", _SHAPES)
-def test_no_text_of_a_picture_is_cut_or_lies_on_another(
+def test_texts_of_a_picture_are_complete_and_do_not_overlap(
     x: float, y: float, z: float, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     corners = ((0, 0, -z), (x, 0, -z), (x, y, 0), (0, y, 0), (0, 0, 0))
@@ -252,18 +252,18 @@ def test_no_text_of_a_picture_is_cut_or_lies_on_another(
     assert not on_others
 
 
-# The words
+# Messages
 
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [(0.25, "0.25 s"), (42.04, "42.0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")],
 )
-def test_times_are_said_as_people_do(seconds: float, words: str) -> None:
+def test_times_are_written_in_common_units(seconds: float, words: str) -> None:
     assert short(seconds) == words
 
 
-def test_what_if_tells_the_time_saved(program: Path) -> None:
+def test_what_if_reports_the_time_saved(program: Path) -> None:
     out = program.with_name("out.svg")
     done = ugrbl(program, "-o", out, "--set", "120=200", "--set", "$121=200")
     assert done.exit_code == 0, done.output
@@ -272,7 +272,7 @@ def test_what_if_tells_the_time_saved(program: Path) -> None:
     assert re.search(r"[\d.]+ s instead of [\d.]+ s: [\d.]+ s saved \(\d+ %\)", words)
 
 
-def test_a_slower_machine_is_reported_as_well(program: Path) -> None:
+def test_slower_machine_is_reported(program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.png"), "--set", "110=100")
     assert re.search(r"s more\s+\(\d+ %\)", done.output)
 
@@ -289,14 +289,14 @@ def test_a_slower_machine_is_reported_as_well(program: Path) -> None:
         pytest.param(".html", b"<!DOCTYPE html>", marks=needs_plotly),
     ],
 )
-def test_each_format_is_what_it_says(program: Path, suffix: str, start: bytes) -> None:
+def test_each_format_has_its_file_signature(program: Path, suffix: str, start: bytes) -> None:
     out = program.with_name("out" + suffix)
     done = ugrbl(program, "-o", out)
     assert done.exit_code == 0, done.output
     assert out.read_bytes().startswith(start)
 
 
-def test_the_figures_as_json(program: Path) -> None:
+def test_figures_are_written_as_json(program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.png"), "--set", "110=1000", "--json", "-")
     found = json.loads(done.stdout)
     assert [job["lines"] for job in found["jobs"]] == [8, 8]
@@ -304,9 +304,9 @@ def test_the_figures_as_json(program: Path) -> None:
     assert "instead of" in found["verdict"]
 
 
-def test_a_pulled_settings_file_is_the_machine_as_it_is(program: Path) -> None:
+def test_pulled_settings_file_describes_the_machine(program: Path) -> None:
     settings = program.with_name("my.settings")
-    # Switches and homing are left out: a job on paper begins at once.
+    # Switches and homing are ignored: a simulated job starts at once.
     settings.write_text("; [VER:1.1h.20190830:]\n$20=1\n$21=1\n$22=1\n$110=1000\n$120=100\n")
     out, json_file = program.with_name("out.png"), program.with_name("out.json")
     done = ugrbl(program, "-o", out, "--settings", settings, "--json", json_file)
@@ -330,7 +330,9 @@ def test_a_pulled_settings_file_is_the_machine_as_it_is(program: Path) -> None:
         (["--board", "nowhere.py"], "there is no file nowhere.py"),
     ],
 )
-def test_what_cannot_be_drawn_says_why(program: Path, words: list[str], why: str) -> None:
+def test_impossible_drawing_is_refused_with_the_reason(
+    program: Path, words: list[str], why: str
+) -> None:
     folder = program.with_name("folder.png")
     folder.mkdir()
     words = [w.replace("FOLDER", str(folder)).replace("FILE", str(program)) for w in words]
@@ -343,7 +345,7 @@ def test_what_cannot_be_drawn_says_why(program: Path, words: list[str], why: str
 
 
 @needs_plotly
-def test_a_page_that_it_has_not_made_is_replaced_where_it_is_named_only(
+def test_foreign_page_is_replaced_only_when_named(
     program: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(program.parent)
@@ -354,12 +356,12 @@ def test_a_page_that_it_has_not_made_is_replaced_where_it_is_named_only(
         done.output.split()
     )
     assert "of the CAM" in page.read_text() and "Drawing" not in done.output
-    for words in ["-o", page], []:  # then it is its own
+    for words in ["-o", page], []:  # then it is plot's own page
         assert ugrbl(program, *words).exit_code == 0
         assert "of the CAM" not in page.read_text()
 
 
-def test_errors_are_a_failure_and_the_rest_is_drawn(program: Path) -> None:
+def test_refused_line_is_a_failure_and_the_rest_is_drawn(program: Path) -> None:
     program.write_text("G0 X1\nG64\nG0 X2\n")
     out = program.with_name("out.png")
     done = ugrbl(program, "-o", out)
@@ -368,14 +370,14 @@ def test_errors_are_a_failure_and_the_rest_is_drawn(program: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\n \n", b"\x89PNG\r\n\x1a\n\0\0"])
-def test_what_is_no_program_is_not_drawn(program: Path, data: bytes) -> None:
+def test_file_that_is_not_a_program_is_not_drawn(program: Path, data: bytes) -> None:
     program.write_bytes(data)
     done = ugrbl(program, "-o", program.with_name("out.png"))
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
     assert program.name in done.output
 
 
-def test_a_program_that_moves_nothing_is_drawn(program: Path) -> None:
+def test_program_without_motion_is_drawn(program: Path) -> None:
     program.write_text("G21\n")
     for suffix in (".png", ".html"):
         assert ugrbl(program, "-o", program.with_name("out" + suffix)).exit_code == 0
@@ -383,12 +385,12 @@ def test_a_program_that_moves_nothing_is_drawn(program: Path) -> None:
 
 @pytest.mark.sampled(1, 5)
 @pytest.mark.parametrize("name", boards())
-def test_every_board_can_be_drawn_for(name: str, program: Path) -> None:
+def test_jobs_can_be_drawn_for_every_board(name: str, program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.svg"), "--board", name)
     assert done.exit_code == 0, done.output
 
 
-def test_a_program_that_ends_in_an_alarm_is_not_drawn(program: Path) -> None:
+def test_program_that_ends_in_an_alarm_is_not_drawn(program: Path) -> None:
     program.write_text("G38.2 Z-5 F100\n")
     done = ugrbl(program, "-o", program.with_name("out.png"))
     assert done.exit_code == 1 and "could not finish: ALARM:5" in done.output
@@ -430,7 +432,7 @@ const until = setInterval(async () => {
 
 
 def browse(page: Path) -> Any:
-    """What the probe has seen in a browser; skipped where there is none."""
+    """Return the probe's results in a browser; skip if there is none."""
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
     if browser is None:
         pytest.skip(f"no browser here: none of {', '.join(_BROWSERS)}")
@@ -450,7 +452,7 @@ def browse(page: Path) -> Any:
 
 
 @needs_plotly
-def test_the_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None:
+def test_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None:
     page = program.with_name("page.html")
     done = ugrbl(program, "-o", page, "--set", "120=200")
     assert done.exit_code == 0, done.output
@@ -465,7 +467,7 @@ def test_the_page_draws_itself_in_a_browser_without_a_network(program: Path) -> 
     assert "saved" in seen["words"]
     assert "X0.000 to 10.000 mm: 10.000 of 200 ($130)" in seen["tables"]
     assert "nowhere more than 0.01 mm beside the path" in seen["tables"]
-    # The slider's end is the program's, and what is hovered over is told with its line.
+    # The slider ends where the program ends, and a point under the cursor is shown with its line.
     assert "X 5.000   Y 5.000   Z 2.000" in seen["last"]
     assert "line 8: G2 X5 Y5 R5" in seen["hovered"]
     assert seen["spot"] == pytest.approx([5, 5], abs=0.2)

@@ -1,4 +1,4 @@
-"""Polylines in fewer points: within the tolerance everywhere, and no more points than needed."""
+"""Test polylines in fewer points: within the tolerance everywhere, and no more than needed."""
 
 import math
 from itertools import pairwise
@@ -14,7 +14,7 @@ _path = st.lists(st.tuples(_number, _number, _number), min_size=1, max_size=60)
 
 
 def away(points: "np.ndarray", rows: "np.ndarray") -> float:
-    """How far the path strays from what is drawn of it, by a plain look at every point."""
+    """Return the largest distance of the path from its drawing, checked at every point."""
     worst = 0.0
     for begin, end in pairwise(rows):
         a, way = points[begin], points[end] - points[begin]
@@ -25,7 +25,7 @@ def away(points: "np.ndarray", rows: "np.ndarray") -> float:
 
 
 @given(_path, st.sampled_from([0.01, 1.0, 30.0]), st.sets(st.integers(0, 59)))
-def test_the_path_is_within_the_tolerance_everywhere(path, tolerance, keep) -> None:
+def test_path_is_within_the_tolerance_everywhere(path, tolerance, keep) -> None:
     points = np.array(path, float)
     kept = sorted(row for row in keep if row < len(path))
     rows = simplify(points, tolerance, kept)
@@ -34,17 +34,17 @@ def test_the_path_is_within_the_tolerance_everywhere(path, tolerance, keep) -> N
     assert away(points, rows) <= tolerance * (1 + 1e-9) + 1e-9
 
 
-def test_of_a_straight_line_next_to_nothing_is_left() -> None:
+def test_straight_line_keeps_few_points() -> None:
     points = np.column_stack([np.linspace(0, 1, 1000)] * 3)
     assert simplify(points, 1e-6).tolist() == [0, 256, 512, 768, 999]
 
 
-def test_a_way_there_and_back_is_not_lost() -> None:
+def test_path_there_and_back_is_kept() -> None:
     points = np.array([[0, 0], [5, 0], [10, 0], [5, 0], [0, 0.0]])
     assert simplify(points, 0.1).tolist() == [0, 2, 4]
 
 
-def test_a_circle_has_as_many_points_as_its_tolerance_asks_for() -> None:
+def test_circle_has_the_points_that_its_tolerance_needs() -> None:
     angle = np.linspace(0, 2 * math.pi, 1001)
     points = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle)])
     rows = simplify(points, 0.01)
@@ -54,7 +54,7 @@ def test_a_circle_has_as_many_points_as_its_tolerance_asks_for() -> None:
 
 
 @pytest.mark.parametrize("most", [50, 300])
-def test_a_tolerance_is_widened_until_it_fits_and_reported(most: int) -> None:
+def test_tolerance_is_widened_until_it_fits_and_reported(most: int) -> None:
     angle = np.linspace(0, 60, 20_000)
     points = np.column_stack([angle * np.cos(angle), angle * np.sin(angle)])
     rows, tolerance = fitted(points, 0.001, [0, 10_000], most)
@@ -64,7 +64,7 @@ def test_a_tolerance_is_widened_until_it_fits_and_reported(most: int) -> None:
 
 
 @pytest.mark.thorough
-def test_two_million_points_are_a_matter_of_seconds() -> None:
+def test_two_million_points_take_seconds() -> None:
     import time
 
     angle = np.linspace(0, 20_000, 2_000_000)
@@ -75,5 +75,5 @@ def test_two_million_points_are_a_matter_of_seconds() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_very_little_stays_as_it_is(count: int) -> None:
+def test_very_short_path_is_unchanged(count: int) -> None:
     assert len(simplify(np.zeros((count, 3)), 1.0)) == count

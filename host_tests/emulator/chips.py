@@ -1,9 +1,8 @@
-"""The chips that tests can run on, emulated: what differs between them stands in one table.
+"""Define the emulated chips that tests can run on: one table has their differences.
 
-UGRBL_CHIP names one (`make test-emulator CHIP=rp2350`); a Pico's RP2040 where it does not. A bench
-is the chip with what surrounds it: pico.py has that of the RP2040, pico2.py that of the RP2350,
-and what tests use of either is the same. An "esp32" has a bench and tests of its own:
-qemu_esp32.py.
+UGRBL_CHIP names one (`make test-emulator CHIP=rp2350`); the default is a Pico's RP2040. A bench is
+the chip and its surroundings: pico.py is the RP2040's, pico2.py the RP2350's, and both have the
+same interface for tests. An "esp32" has a bench and tests of its own: qemu_esp32.py.
 """
 
 import os
@@ -21,7 +20,7 @@ BLOCK = 4096  # of flash, and of its file system
 
 
 class Edge(NamedTuple):
-    """A pin has changed."""
+    """A change of a pin."""
 
     ns: float
     pin: int
@@ -29,22 +28,22 @@ class Edge(NamedTuple):
 
 
 class Chip(NamedTuple):
-    """One of them."""
+    """A chip, its image and its memory."""
 
     name: str
-    board: str  # of ours, in boards/: the usual pins
-    image: str  # variable of the environment that names MicroPython's image
+    board: str  # our board in boards/ with the common pins
+    image: str  # environment variable that names MicroPython's image
     download: str  # its name at micropython.org/download
     mhz: int
-    file_system: int  # where in flash MicroPython 1.28 keeps it
-    blocks: int  # that it has
+    file_system: int  # place in flash, in MicroPython 1.28
+    blocks: int  # size of the file system
     stack_top: int
-    family: int  # of its blocks in UF2 files
-    irqs: tuple[int, int, int]  # of the timer, of the engine's PIO 1, and of the pins
+    family: int  # family id of its UF2 blocks
+    irqs: tuple[int, int, int]  # timer, the engine's PIO 1, and pins
 
     @property
     def flash(self) -> int:
-        """Bytes of flash on the board."""
+        """Return the bytes of flash on the board."""
         return self.file_system + BLOCK * self.blocks
 
 
@@ -66,7 +65,7 @@ CHIP = CHIPS.get(NAME, CHIPS["rp2040"])
 
 
 def file_system(files: "Mapping[str, bytes]") -> bytes:
-    """A littlefs image for the board with these files, by path. Uf2Error where they do not fit."""
+    """Return a littlefs image with these files, by path. Raise Uf2Error if they do not fit."""
     image = bytearray(b"\xff" * (BLOCK * CHIP.blocks))
     for place, sector in sectors_of(files, len(image)).items():
         image[place : place + len(sector)] = sector
@@ -74,7 +73,7 @@ def file_system(files: "Mapping[str, bytes]") -> bytes:
 
 
 def power_up(uf2: Path, files: "Mapping[str, bytes] | None" = None, cache: bool = False) -> "Pico":
-    """A bench of the chip, as pico.py describes it; a Pico2 has the same but for its cache."""
+    """Return a bench of the chip, as in pico.py; a Pico2 has the same except for its cache."""
     if CHIP.name == "rp2350":
         from pico2 import Pico2
 
@@ -86,7 +85,7 @@ def power_up(uf2: Path, files: "Mapping[str, bytes] | None" = None, cache: bool 
 
 
 class Bench:
-    """What both benches have in common. us, run_us() and the flash are each one's own."""
+    """Common part of both benches; us, run_us() and access to flash are their own."""
 
     us: float  # emulated microseconds since power-up
     run_us: "Callable[[float], None]"
@@ -94,7 +93,7 @@ class Bench:
     write_flash: "Callable[[int, bytes], None]"
 
     def run_until(self, done: "Callable[[], bool]", limit_us: float, step_us: float = 500) -> bool:
-        """Let the chip run until done() says so; returns False where it never does."""
+        """Let the chip run until done() is true; return False after limit_us."""
         end = self.us + limit_us
         while not done():
             if self.us >= end:
@@ -107,5 +106,5 @@ class Bench:
         self.write_flash(CHIP.file_system, image)
 
     def flash_image(self) -> bytes:
-        """The file system as it is now."""
+        """Return the content of the file system."""
         return self.read_flash(CHIP.file_system, BLOCK * CHIP.blocks)

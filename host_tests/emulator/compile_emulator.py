@@ -1,9 +1,9 @@
-"""Compile rp2040py for this Python alone: three times as fast as it is installed.
+"""Compile rp2040py for this Python alone: it is three times as fast as the installed one.
 
-Usage: compile_emulator.py OUTPUT. The libraries in its wheel fit every Python, and pay for that at
-every call; their C sources lie beside them. The model of the flash cache (xip_cache.pyx), which
-is built on their declarations, is compiled beside them. Where there is no C compiler all stays as
-it is, and the tests say in their first lines which of the two runs.
+Usage: compile_emulator.py OUTPUT. The libraries in its wheel fit every Python, which makes every
+call slower; the wheel also has their C sources. The model of the flash cache (xip_cache.pyx) uses
+their declarations and is compiled with them. Without a C compiler nothing changes. The header of
+a test run says which of the two runs.
 """
 
 import shlex
@@ -20,7 +20,7 @@ _CACHE = Path(__file__).with_name("xip_cache.pyx")
 
 
 def _compile(source: Path) -> None:
-    """The library of one module, beside it. Raises OSError or CalledProcessError."""
+    """Compile a module to a library in its folder. Raise OSError or CalledProcessError."""
     options = ("LDSHARED", "CFLAGS", "CCSHARED")
     command = [word for name in options for word in shlex.split(sysconfig.get_config_var(name))]
     library = source.with_suffix(sysconfig.get_config_var("EXT_SUFFIX"))
@@ -31,7 +31,7 @@ def _compile(source: Path) -> None:
 
 
 def _translate(output: Path) -> Path:
-    """The model of the cache as C. Raises CalledProcessError."""
+    """Translate the model of the cache to C. Raise CalledProcessError."""
     source = output / _CACHE.with_suffix(".c").name
     command = [sys.executable, "-m", "cython", "-I", str(output), str(_CACHE), "-o", str(source)]
     subprocess.run(command, check=True)
@@ -39,7 +39,7 @@ def _translate(output: Path) -> Path:
 
 
 def main(output: Path) -> None:
-    """A copy of the package there, and the cache; none where they cannot be compiled."""
+    """Copy the package and compile it with the cache; leave no copy if that fails."""
     copy = output / _PACKAGE
     shutil.rmtree(copy, ignore_errors=True)
     output.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,7 @@
-"""Tests on an emulated board want an emulator and MicroPython's image: chips.py says of what."""
+"""Set up tests on an emulated board, which need an emulator and MicroPython's image.
+
+See chips.py for the images.
+"""
 
 import os
 import sys
@@ -10,21 +13,23 @@ import pytest
 import qemu_esp32
 from chips import CHIP, CHIPS, NAME
 
-# What compile_emulator.py has made is three times as fast.
+# The output of compile_emulator.py, which is three times as fast.
 _COMPILED = Path(sys.prefix) / "emulator"
 _IS_COMPILED = (_COMPILED / "rp2040py").is_dir()
 if _IS_COMPILED:
     sys.path.insert(0, str(_COMPILED))
 
 _HAS_EMULATOR = find_spec("rp2040py") is not None
-# What is of the RP2040, or of its emulator, by its nature.
+# Tests of one chip or of its emulator only.
 _OF_ESP32 = "test_esp32_emulated.py"
 _OF_RP2040 = ("test_pico_card.py", "test_pico_drivers.py", "test_pico_speed.py", "test_xip.py")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """These run when asked for by name (`make test-emulator`), and cannot even be imported
-    without the emulator."""
+    """Collect these tests only when named (`make test-emulator`).
+
+    Without the emulator they cannot even be imported.
+    """
     asked = any("emulator" in argument for argument in config.args)
     if NAME not in (*CHIPS, "esp32"):
         raise pytest.UsageError(f"CHIP={NAME}: the chips are {', '.join(CHIPS)} and esp32")
@@ -36,7 +41,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_report_header() -> str:
-    """Why there is nothing to see, or why it takes so long."""
+    """Return why the tests are left out, or why they are slow."""
     if NAME == "esp32":
         return f"emulated ESP32: {qemu_esp32.lacks() or 'QEMU'}"
     if NAME == "rp2350":
@@ -47,7 +52,7 @@ def pytest_report_header() -> str:
 
 
 def pytest_collection_modifyitems(items: "list[pytest.Item]") -> None:
-    """A second of the board's takes a minute here, and some tests want many."""
+    """Remove the time limit: a second of the board's time takes a minute here."""
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.timeout(0))
@@ -55,7 +60,7 @@ def pytest_collection_modifyitems(items: "list[pytest.Item]") -> None:
 
 @pytest.fixture(scope="session")
 def uf2() -> Path:
-    """MicroPython for the chip."""
+    """Return the MicroPython image for the chip."""
     why = pico2.lacks() if CHIP.name == "rp2350" else ""
     if why:
         pytest.skip(why)

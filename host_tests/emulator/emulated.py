@@ -1,4 +1,4 @@
-"""The whole firmware on an emulated board, and a sender at its other end."""
+"""Run the whole firmware on an emulated board, with a sender at the other end."""
 
 import re
 from abc import ABC, abstractmethod
@@ -24,7 +24,7 @@ from ugrbl.sim.engine import step_tick
 if TYPE_CHECKING:
     from pico import Pico
 
-# The usual board of the chip that tests run on.
+# The common board of the chip that tests run on.
 BOARD_FILE = BOARDS / f"{CHIP.board}.py"
 
 STEP = (2, 3, 4)
@@ -34,7 +34,7 @@ LIMIT = (9, 10, 11)
 PROBE = 12
 RESET, HOLD, START = 13, 14, 15
 SPINDLE_PWM = 16
-# No board is wired to its inputs: they have pull-ups, which the emulator does not know.
+# The inputs are not wired. The emulator does not model their pull-ups, so tests drive them high.
 INPUTS = (*LIMIT, PROBE, RESET, HOLD, START, 22)
 
 _BOOT_US = 3_000_000
@@ -43,23 +43,26 @@ _ANSWER_US = 2_000_000
 
 @cache
 def firmware(frozen: "Frozen | None" = None) -> "Mapping[str, bytes]":
-    """What `ugrbl deploy` puts on a Pico, by path. frozen: what its MicroPython has of it."""
+    """Return the files that `ugrbl deploy` copies to a Pico, by path.
+
+    frozen: the part that its MicroPython contains.
+    """
     return freeze.beside(build.for_board(BOARD_FILE), frozen).files
 
 
 @cache
 def frozen_in(uf2: Path) -> "Frozen | None":
-    """Our firmware in that image."""
+    """Return our firmware that is frozen in that image."""
     return contents.read(uf2).frozen
 
 
 def build_id() -> str:
-    """What the firmware of the usual board tells of its build."""
+    """Return the build id that the firmware of the common board reports."""
     return build.id_of(load_board(CHIP.board).MPY_ARCH)
 
 
 def for_this_chip(board: Path, more: str = "") -> Path:
-    """One of our boards with the chip that tests run on in place of its own, and more lines."""
+    """Return one of our board files for the chip that tests run on, with these lines added."""
     chip = re.findall(r"^(?:CHIP|MPY_ARCH) = .*$", BOARD_FILE.read_text("utf-8"), re.MULTILINE)
     made = Path(mkdtemp()) / board.name
     made.write_text("\n".join((board.read_text("utf-8"), *chip, more)), "utf-8")
@@ -68,13 +71,13 @@ def for_this_chip(board: Path, more: str = "") -> Path:
 
 @cache
 def files_of(board: str) -> "Mapping[str, bytes | None]":
-    """What makes one of our boards of what is on a Pico: changes for Board()."""
+    """Return the changes for Board() that turn a Pico into one of our boards."""
     files = build.for_board(for_this_chip(BOARDS / f"{board}.py")).files
     return {**dict.fromkeys(firmware()), **files}
 
 
 def altered(old: str, new: str) -> "Mapping[str, bytes]":
-    """The same, where one text in one of its sources reads otherwise."""
+    """Return the files of the firmware with one text replaced in exactly one of its sources."""
     read = build._text
     found = set()
 
@@ -91,24 +94,24 @@ def altered(old: str, new: str) -> "Mapping[str, bytes]":
 
 
 class Sender(ABC):
-    """A sender at an emulated board, which runs while something is waited for."""
+    """A sender at an emulated board, which runs while the sender waits."""
 
     @property
     @abstractmethod
     def said(self) -> str:
-        """All that the board has said since it was cleared last."""
+        """Return the board's output since it was cleared."""
 
     @abstractmethod
     def forget(self) -> None:
-        """Clear what has been said."""
+        """Clear the output."""
 
     @abstractmethod
     def wait_for(self, text: str, limit_us: float = _ANSWER_US) -> str:
-        """Let the chip run until it has said the text; returns all it has said."""
+        """Let the chip run until its output contains the text; return the output."""
 
     @abstractmethod
     def send(self, text: "str | bytes") -> None:
-        """Bytes from the sender."""
+        """Send bytes to the board."""
 
     def ask(self, line: str, until: str = "ok\r\n", limit_us: float = _ANSWER_US) -> str:
         """Send a line and return its answer."""
@@ -117,7 +120,7 @@ class Sender(ABC):
         return self.wait_for(until, limit_us)
 
     def status(self) -> "dict[str, str]":
-        """The fields of a status report; the state under "state"."""
+        """Return the fields of a status report; the state is under "state"."""
         self.forget()
         self.send("?")
         report = self.wait_for(">\r\n").partition("<")[2].partition(">")[0]
@@ -125,7 +128,7 @@ class Sender(ABC):
         return {"state": state, **dict(field.split(":", 1) for field in fields)}
 
     def python(self, code: str, prompt: str = "Here is the REPL") -> str:
-        """Ask for MicroPython's prompt and run code in it; returns what it prints."""
+        """Go to MicroPython's prompt, run code and return its output."""
         self.send("\x03\x03\x03")
         self.wait_for(prompt)
         self.send("\x01")
@@ -133,7 +136,7 @@ class Sender(ABC):
         return self.python_again(code)
 
     def python_again(self, code: str) -> str:
-        """The same at the prompt."""
+        """Run more code at the prompt and return its output."""
         self.forget()
         self.send(code + "\x04")
         self.wait_for("\x04>", 10_000_000)
@@ -141,8 +144,11 @@ class Sender(ABC):
 
 
 class Board(Sender):
-    """A Pico with the firmware on it. changes: files in place of, or besides, the usual ones.
-    cache: with the model of the flash cache (xip.py)."""
+    """A Pico with the firmware on it.
+
+    changes: files that replace or extend the common ones. cache: use the model of the flash cache
+    (xip.py).
+    """
 
     def __init__(
         self,
@@ -157,38 +163,41 @@ class Board(Sender):
             self.pico.drive(pin, 1)
 
     def boot(self, until: str = "Grbl 1.1h") -> "Board":
-        """Run until the welcome; returns self."""
+        """Run until the welcome; return self."""
         self.wait_for(until, _BOOT_US)
         return self
 
     def settled(self) -> "Board":
-        """Run until a first start is through; returns self."""
+        """Run until a first start is complete; return self."""
         self.wait_for("[MSG:First start: factory settings]\r\n")
         self.ask("")
         return self
 
     @property
     def said(self) -> str:
-        """All that has come over USB since it was cleared last."""
+        """Return the bytes received over USB since they were cleared, as text."""
         return self.pico.usb.received.decode("latin-1")
 
     def forget(self) -> None:
-        """Clear what has been said."""
+        """Clear the output."""
         self.pico.usb.received.clear()
 
     def wait_for(self, text: str, limit_us: float = _ANSWER_US) -> str:
-        """Let the chip run until it has said the text; returns all it has said."""
+        """Let the chip run until its output contains the text; return the output."""
         found = self.pico.run_until(lambda: text in self.said, limit_us)
         assert found, f"no {text!r} in {self.said!r}"
         return self.said
 
     def send(self, text: "str | bytes") -> None:
-        """Bytes from the sender."""
+        """Send bytes to the board."""
         self.pico.usb.send(text.encode() if isinstance(text, str) else text)
 
     def until_idle(self, limit_us: float = 10_000_000) -> None:
-        """Let the machine finish. As with Grbl, a ? right behind an answer may be ahead of the
-        start of what the line has planned, so there is a pause before the first."""
+        """Wait until the machine is idle.
+
+        As with Grbl, a ? right after an answer may be handled before the motion of that line
+        starts, so there is a pause before the first one.
+        """
         end = self.pico.us + limit_us
         self.pico.run_us(5_000)
         while self.status()["state"] != "Idle":
@@ -197,7 +206,7 @@ class Board(Sender):
 
 
 def steps(edges: "list[Edge]", axis: int) -> "list[tuple[float, int]]":
-    """(us, +1 or -1) of every step of an axis in recorded edges."""
+    """Return (us, +1 or -1) for every step of an axis in recorded edges."""
     found = []
     sign = 1
     for edge in edges:
@@ -209,7 +218,7 @@ def steps(edges: "list[Edge]", axis: int) -> "list[tuple[float, int]]":
 
 
 class Odometer:
-    """Steps made by every motor since then, out of the recorded edges and the levels of DIR."""
+    """Count the steps of every motor, from the recorded edges and the levels of DIR."""
 
     def __init__(
         self, pico: "Pico", step: "tuple[int, ...]" = STEP, direction: "tuple[int, ...]" = DIR
@@ -220,7 +229,7 @@ class Odometer:
         self._steps = [0 for _ in step]
 
     def read(self) -> "list[int]":
-        """Take in the edges there are, and clear them."""
+        """Count the new edges and clear them; return the steps."""
         for edge in self._pico.edges:
             if edge.pin in self._direction:
                 self._signs[self._direction.index(edge.pin)] = -1 if edge.level else 1
@@ -234,7 +243,7 @@ class Odometer:
 def planned(
     lines: "Sequence[str]", settings: "Sequence[str]", board: str = "sim"
 ) -> "list[list[tuple[float, int]]]":
-    """The same of a program in the simulator."""
+    """Return the steps of a program in the simulator, in the form of steps()."""
 
     def script(link: ProgramLink) -> "Iterator[tuple[int, bytes] | None]":
         for setting in settings:

@@ -1,7 +1,7 @@
-"""Many futures of one emulated machine: each is played in a process forked from this one.
+"""Run many futures of one emulated machine, each in a process forked from this one.
 
-A fork is a snapshot for nothing: what went before (power-up, settings, a program on its way) is
-emulated once and shared by all. What a future finds comes back as a line of JSON in a pipe.
+A fork is a free snapshot: the common past (power-up, settings, a program on its way) is emulated
+once and shared by all. The result of a future is sent as a line of JSON in a pipe.
 """
 
 import json
@@ -14,20 +14,20 @@ from typing import Any
 
 from chips import CHIP
 
-# An RP2350 is emulated in another process, which a fork does not double.
+# An RP2350 is emulated in another process, which a fork does not copy.
 HAVE_FORK = hasattr(os, "fork") and CHIP.name == "rp2040"
 
 _PATIENCE_S = 3600
 
 
 def forked(do: "Callable[[], None]") -> int:
-    """Do it in a process of its own, which ends with it. Returns the number of the process."""
+    """Run do() in a process of its own, which ends afterwards; return its process id."""
     process = os.fork()
     if process:
         return process
     status = 1
     try:
-        signal.alarm(_PATIENCE_S)  # a process that hangs is ended, and has not told anything
+        signal.alarm(_PATIENCE_S)  # a hanging process is ended and has no result
         do()
         status = 0
     except BaseException:
@@ -37,12 +37,11 @@ def forked(do: "Callable[[], None]") -> int:
 
 
 def told(tell: "Callable[[Callable[[Any], None]], None]") -> "tuple[list[Any], bool]":
-    """All that a forked process, and those it forks, hand to the function it is given; and
-    whether it has come to its end."""
+    """Return all results of a forked process and its children, and whether it succeeded."""
     reader, writer = os.pipe()
 
     def hand_over(found: "Any") -> None:
-        os.write(writer, json.dumps(found).encode() + b"\n")  # short enough to go in one piece
+        os.write(writer, json.dumps(found).encode() + b"\n")  # short enough for one write
 
     process = forked(lambda: tell(hand_over))
     os.close(writer)
@@ -53,8 +52,10 @@ def told(tell: "Callable[[Callable[[Any], None]], None]") -> "tuple[list[Any], b
 
 @contextmanager
 def futures() -> "Iterator[Callable[[Callable[[], None]], None]]":
-    """A function that plays a future in a process of its own, as many at once as there are
-    processors. At its end all have come to theirs."""
+    """Yield a function that runs a future in its own process, at most one per processor.
+
+    At the end all processes have ended.
+    """
     alive: list[int] = []
 
     def play(do: "Callable[[], None]") -> None:

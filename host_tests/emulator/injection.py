@@ -1,7 +1,7 @@
-"""A life of the emulated Pico, and what may come into it at a random instant.
+"""Stop or hold the emulated Pico at a random instant, and check the result.
 
-A life is a program streamed from rest. A trial is a stop or a hold at one instant of it, and what
-must follow. Lives and trials are what their numbers make them, so one can be played again.
+A life is a program streamed from rest. A trial is a stop or a hold at one instant of it, and the
+check of its result. Numbers determine lives and trials, so they can be repeated.
 """
 
 from random import Random
@@ -10,11 +10,11 @@ from typing import NamedTuple
 import pytest
 from emulated import DIR, HOLD, LIMIT, RESET, SPINDLE_PWM, STEP, Board, Odometer
 
-# How long edges may come behind a stop: docs/faults.md. All buttons are looked at before one acts.
-# A hold slows down first, and is looked at otherwise.
+# Longest time from a stop to the last edge, us: docs/faults.md. All buttons are read before one of
+# them acts. A hold slows down first, and is checked in another way.
 LATENCY_US = {"limit": 200, "button": 400, "Ctrl-X": 7_000}
 ACTS = (*LATENCY_US, "hold button", "!")
-# What is sent once, and what is sent again and again: it ends where it begins.
+# Lines sent once, and lines sent in a loop that ends where it begins.
 PROGRAMS = (
     ("G91", ("G2X0.5Y0I0.25J0F3000", "G3X-0.5Y0I-0.25J0")),
     ("G91M3S300", ("G1X0.16Y0.08Z-0.04F3000", "X-0.16Y-0.08Z0.04")),
@@ -25,22 +25,22 @@ SETTINGS = (
     *("$110=3000", "$111=3000", "$112=3000"),
     *("$120=4000", "$121=4000", "$122=4000"),
 )
-# Behind an alarm half a second of silence costs more than all the rest of a trial.
+# Half a second of silence after an alarm would cost more than the rest of a trial.
 SILENCE = ("_DEAF_MS = const(500)", "_DEAF_MS = const(20)")
 STEPS_PER_MM = 250
 TRIALS_PER_LIFE = 15
 
-_REST_US = 10_000  # at most, that timers stand elsewhere at every start
+_REST_US = 10_000  # at most; varies the phase of the timers at every start
 _WITHIN_US = 90_000
-_SENDER_US = 200  # between two looks of the sender at what has been answered
-_WATCHED_US = 15_000  # behind a stop
+_SENDER_US = 200  # between two checks of the sender for answers
+_WATCHED_US = 15_000  # after a stop
 _SETTLED_US = 600_000
 _IDLE_US = 1_500_000  # 64 blocks that each begin and end at rest
 _RX_BYTES = 64
 
 
 class Outcome(NamedTuple):
-    """What has come of a trial. trouble: empty where all laws hold."""
+    """Result of a trial; trouble is empty if all laws hold."""
 
     seed: int
     act: str
@@ -49,7 +49,7 @@ class Outcome(NamedTuple):
 
 
 class Life:
-    """A machine that streams a program, and starts from rest. It remembers all edges since."""
+    """A machine that streams a program from rest, with all edges since the start."""
 
     def __init__(self, machine: Board, odometer: Odometer, number: int) -> None:
         self.machine = machine
@@ -59,7 +59,7 @@ class Life:
         self._sent: list[str] = []
 
     def start(self) -> None:
-        """From rest; what was done so far is forgotten."""
+        """Start from rest, and discard the earlier records."""
         pico = self.machine.pico
         pico.run_us(self._rest_us)
         self.machine.ask(self.begin)
@@ -68,7 +68,7 @@ class Life:
         self._start_us = self._due_us = pico.us
 
     def run_to(self, after_us: float) -> None:
-        """Stream until so long behind the start. The sender counts characters, as most do."""
+        """Stream until this time after the start, counting characters as most senders do."""
         pico = self.machine.pico
         while pico.us < self._start_us + after_us:
             if pico.us >= self._due_us:
@@ -77,7 +77,7 @@ class Life:
             pico.run_us(min(self._due_us, self._start_us + after_us) - pico.us)
 
     def end_round(self, limit_us: float) -> None:
-        """Send what is left of a round, which ends where it began, and wait for all answers."""
+        """Send the rest of a round, which ends where it began, and wait for all answers."""
         rounds = -(-len(self._sent) // len(self._lines))
         lines = rounds * len(self._lines)
 
@@ -113,7 +113,7 @@ class Trial:
         self.latency_us = 0.0
 
     def outcome(self, life: Life) -> Outcome:
-        """Play it now, and see whether the laws hold."""
+        """Run the trial now, and check the laws."""
         trouble = ""
         try:
             self.play(life)
@@ -123,7 +123,7 @@ class Trial:
         return Outcome(self.seed, self.act, self.latency_us, trouble)
 
     def play(self, life: Life) -> None:
-        """The same; raises AssertionError. Behind it the machine is at rest and can be used."""
+        """Run the trial; raise AssertionError. Afterwards the machine is idle and can be used."""
         self._life = life
         self._machine, self._pico = life.machine, life.machine.pico
         self._injected_us = self._pico.us
@@ -135,7 +135,7 @@ class Trial:
         self._check_move()
 
     def make_usable(self, machine: Board) -> None:
-        """Whatever has come of it, the next one can begin."""
+        """Prepare the machine for the next trial, whatever the result was."""
         machine.pico.run_us(_SETTLED_US)
         self._release(machine)
         machine.forget()
@@ -160,7 +160,7 @@ class Trial:
     # A stop
 
     def _check_stop(self) -> None:
-        """No edge behind the time there is, all off, an alarm where it moved, and a reset."""
+        """Check the last edge, all outputs off, the alarm if it moved, and the reset."""
         self._pico.run_us(_WATCHED_US)
         edges = [edge for edge in self._pico.edges if edge.pin not in DIR]
         self.latency_us = self._since_injected_us(max((edge.ns for edge in edges), default=0.0))
@@ -172,7 +172,7 @@ class Trial:
         assert not late, f"it stirs up to the end of the reset: {late[:3]}"
 
     def _check_reset(self, moved: bool) -> None:
-        """What is told, and the reset that follows a limit, and is the others."""
+        """Check the messages, and the reset, which must be sent after a limit."""
         if self.act == "limit":
             self._machine.wait_for("ALARM:1\r\n")
             self._machine.wait_for("Reset to continue")
@@ -191,7 +191,7 @@ class Trial:
     # A hold
 
     def _check_hold(self) -> None:
-        """At rest it is at rest; told to go on, it makes what was left to the step."""
+        """Check that it stops, stays stopped, and after `~` makes the remaining steps."""
         self._pico.run_us(3_000)
         self._release(self._machine)
         assert self._pico.run_until(self._is_held, 200_000), "it does not hold"
@@ -213,7 +213,7 @@ class Trial:
     # Both
 
     def _check_move(self) -> None:
-        """All motors work, and the machine is where they are."""
+        """Check that all motors work, and that the reported position is that of the motors."""
         machine, odometer = self._machine, self._life.odometer
         before = odometer.read()
         machine.ask("G91G1X0.1Y-0.08Z0.04F3000")

@@ -1,8 +1,8 @@
-"""A Raspberry Pi Pico in the emulator rp2040py, running a real MicroPython image.
+"""Run a real MicroPython image on a Raspberry Pi Pico in the emulator rp2040py.
 
-Synchronous and deterministic: nothing happens unless run_us() or run_until() is called, and time
-is the emulated chip's. Four faults of rp2040py 0.3.6 are mended here, see _Usb, _Pio,
-_read_back() and _override_interrupts(); what its times are worth is said in the README.
+Synchronous and deterministic: the chip runs only in run_us() and run_until(), and time is the
+emulated chip's. Four faults of rp2040py 0.3.6 are corrected here: see _Usb, _Pio, _read_back() and
+_override_interrupts(). The README says how exact its times are.
 """
 
 import ctypes
@@ -27,18 +27,18 @@ _LAYOUT = FlashLayout(_CHIP.file_system, _CHIP.blocks, BLOCK)
 
 _NS_PER_US = 1000
 _NS_PER_CYCLE = 8
-_OUT_PACKET_US = 1  # how long after a byte has been queued the host sends it
+_OUT_PACKET_US = 1  # the host sends a byte so long after it was queued
 _NAP_NS = 80  # a tick of our pulse engine
 _BEAT_NS = 4_000
 _PIO_STEP = 8  # processor cycles
 
-# Commands of a flash chip, and what its status says.
+# Commands of a flash chip, and the busy bit of its status.
 _READ_STATUS = 0x05
 _ERASES = (b"\x20", b"\xd8")
 _WRITES = (b"\x02", *_ERASES)
 _BUSY = 1
 
-# Control registers of the pins, and IRQOVER in them; IRQTOPROC of their status; edges noted.
+# Control registers of the pins; IRQOVER in them; IRQTOPROC of their status; edge bits.
 _IO_BANK0 = 0x40014000
 _LAST_CONTROL = 0xEC
 _OVERRIDE_SHIFT = 28
@@ -51,7 +51,7 @@ class _Usb:
     """The host's end of the serial line over USB.
 
     rp2040py answers every empty OUT poll with a zero-length packet at once, which costs the chip
-    two thirds of its time; a real host keeps silent. So polls wait here until there are bytes.
+    two thirds of its time; a real host stays silent. So polls wait here until there are bytes.
     """
 
     def __init__(self, pico: "Pico") -> None:
@@ -77,18 +77,18 @@ class _Usb:
         self._alarm.schedule(_OUT_PACKET_US * _NS_PER_US)
 
     def open_port(self, is_open: bool) -> None:
-        """A program opens or closes the port: its DTR tells."""
+        """Open or close the port as a program does, which sets DTR."""
         self._cdc._cdc_set_control_line_state(3 if is_open else 0)
 
     def ask(self, line_state: int | None) -> None:
-        """One control request: SET_CONTROL_LINE_STATE (1: DTR, 2: RTS), or SET_LINE_CODING."""
+        """Send a control request: SET_CONTROL_LINE_STATE (1: DTR, 2: RTS), or SET_LINE_CODING."""
         if line_state is None:
             self._cdc.set_line_coding(115200)
         else:
             self._cdc._cdc_set_control_line_state(line_state)
 
     def read(self, on: bool) -> None:
-        """The host takes what the chip sends, or lets it wait."""
+        """Let the host read the chip's output, or leave it unread."""
         self._reads = on
         if on:
             sent, self._unread = self._unread, []
@@ -96,14 +96,14 @@ class _Usb:
                 self._tell_sent(endpoint, False)
 
     def _sent(self, endpoint: int, out: bool) -> None:
-        """A buffer is ready for the chip: bytes that have come, or room for more to go."""
+        """Signal a buffer to the chip: received bytes, or space for output if the host reads."""
         if out or self._reads or endpoint != self._cdc._in_endpoint:
             self._tell_sent(endpoint, out)
         else:
             self._unread.append(endpoint)
 
     def waiting(self) -> int:
-        """Bytes the chip has not taken yet."""
+        """Return the number of bytes that the chip has not read yet."""
         return len(self._pending) + self._cdc.tx_fifo.item_count
 
     def _on_connected(self) -> None:
@@ -134,8 +134,8 @@ class _Usb:
 class _Pio(RPPIO):
     """A PIO block that keeps its time.
 
-    rp2040py lets each machine take one step per processor instruction, and where that has lasted
-    long the time missed is written off: the waveform drifts. Here long instructions are cut up.
+    rp2040py lets each machine take one step per processor instruction. After a long instruction
+    the missed time is dropped, and the waveform drifts. Here long instructions are cut up.
     """
 
     def advance(self, cycles: int) -> None:
@@ -146,9 +146,9 @@ class _Pio(RPPIO):
 
 
 def _never_write_off() -> bool:
-    """The same at half the cost: raise the limit beyond which time is written off.
+    """Get the same at half the cost: raise the limit beyond which missed time is dropped.
 
-    It is a static variable of the compiled module, known by its neighbour. Returns False where
+    The limit is a static variable of the compiled module, found by its neighbour. Returns False if
     it is not found. A machine then catches up later, so the processor must not sleep.
     """
     limit, neighbour = struct.pack("<q", 8 << 8), struct.pack("<q", 1 << 62)
@@ -180,8 +180,11 @@ def _make_device(uf2: Path, cache: bool) -> MicroPythonDevice:
 
 
 class Pico(Bench):
-    """The board. files: what is on its file system at first power-up, by path. cache: flash that
-    is not in the chip's cache takes time (xip.py)."""
+    """An emulated Pico.
+
+    files: its file system at first power-up, by path. cache: flash that is not in the chip's cache
+    takes time (xip.py).
+    """
 
     def __init__(
         self, uf2: Path, files: Mapping[str, bytes] | None = None, cache: bool = False
@@ -194,7 +197,7 @@ class Pico(Bench):
         self.edges: list[Edge] = []
         self.on_erase: Callable[[], None] = lambda: None  # a sector of flash
         self._erase_ns = self._busy_until = 0.0
-        self._written_in_motion: list[float] = []  # when, in us
+        self._written_in_motion: list[float] = []  # times, in us
         self._watch_flash()
         self._stop = self.clock.create_alarm(self._on_stop)
         self._beat = self.clock.create_alarm(self._on_beat)
@@ -209,11 +212,11 @@ class Pico(Bench):
 
     @property
     def us(self) -> float:
-        """Emulated microseconds since power-up."""
+        """Return the emulated microseconds since power-up."""
         return float(self.clock.nanos) / _NS_PER_US
 
     def run_us(self, us: float) -> None:
-        """Let the chip run so long."""
+        """Let the chip run for this time."""
         self._stop.schedule(us * _NS_PER_US)
         self.simulator.stopped = False
         while not self.simulator.stopped:
@@ -221,14 +224,14 @@ class Pico(Bench):
         assert not self._written_in_motion, "flash is written while motors turn"
 
     def at_us(self, delay_us: float, action: Callable[[], None]) -> None:
-        """Call action when that much more time has passed."""
+        """Call action after this time."""
         self.clock.create_alarm(action).schedule(delay_us * _NS_PER_US)
 
     def _on_stop(self) -> None:
         self.simulator.stopped = True
 
     def pio_lag_ns(self) -> float:
-        """How far the PIO blocks are behind the clock: what edges may be late by."""
+        """Return by how much the PIO blocks lag the clock: edges may be late by this time."""
         due = (
             (pio.cycle_fp - machine.next_due_fp) / 256
             for pio in self.mcu.pio
@@ -240,7 +243,7 @@ class Pico(Bench):
     # Pins
 
     def record(self, pins: list[int]) -> None:
-        """Log the edges of these pins, from now on, in self.edges."""
+        """Log the edges of these pins from now on in self.edges."""
         for pin in pins:
             self.mcu.gpio[pin].add_listener(self._listener(pin))
         self._on_beat()
@@ -249,13 +252,13 @@ class Pico(Bench):
         edges, clock = self.edges, self.clock
 
         def on_change(new: object, old: object) -> None:
-            if old.name in ("LOW", "HIGH"):  # else it has only become an output
+            if old.name in ("LOW", "HIGH"):  # otherwise the pin has only become an output
                 edges.append(Edge(clock.nanos, pin, 1 if new.name == "HIGH" else 0))
 
         return on_change
 
     def _on_beat(self) -> None:
-        """PIO advances once per instruction, or once per nap of the processor: keep naps short."""
+        """Keep naps short: PIO advances once per instruction, or once per nap of the processor."""
         moving = any(not pio.stopped for pio in self.mcu.pio)
         self._beat.schedule(_NAP_NS if moving and self.mcu.core.waiting else _BEAT_NS)
 
@@ -268,11 +271,11 @@ class Pico(Bench):
             gpio.set_input_value(bool(level))
 
     def level(self, pin: int) -> int | None:
-        """What comes out of a pin; None where it is no output."""
+        """Return the level of an output; None if the pin is not an output."""
         return {"LOW": 0, "HIGH": 1}.get(self.mcu.gpio[pin].value.name)
 
     def watch_power(self, pin: int) -> list[tuple[float, int]]:
-        """(us, level) of all that is written from now on to where the pin's PWM compares."""
+        """Return a list that collects (us, level) of writes to the pin's PWM compare register."""
         written: list[tuple[float, int]] = []
         (pwm,) = (part for part in vars(self.mcu).values() if isinstance(part, RPPWM))
         channel = pwm.channels[pin // 2 & 7]
@@ -289,12 +292,14 @@ class Pico(Bench):
     # Flash
 
     def erase_takes_us(self, us: float) -> None:
-        """From now on every sector erased takes the chip so long: rp2040py does it in no time."""
+        """Let every later erasure of a sector take this time: rp2040py takes none."""
         self._erase_ns = us * _NS_PER_US
 
     def _watch_flash(self) -> None:
-        """Erasing takes its time, and no motor turns while flash is written: the processor stands
-        still, and would be late for the next segment. run_us() raises where one does."""
+        """Let erasing take time, and find flash written while motors turn; run_us() raises then.
+
+        The processor stands still during a write, and would be late for the next segment.
+        """
         ssi, clock = self.mcu.ssi, self.clock
         shift, apply = type(ssi)._shift_byte, type(ssi)._apply_command
 
@@ -316,35 +321,35 @@ class Pico(Bench):
         ssi._shift_byte, ssi._apply_command = shift_byte, apply_command
 
     def moving(self) -> bool:
-        """A PIO machine has something to do: all of ours wait for a word while motors stand."""
+        """Return whether a PIO machine is busy: all of ours wait for a word while motors stand."""
         machines = [machine for pio in self.mcu.pio for machine in pio.machines]
         return any(machine.enabled and not machine.waiting for machine in machines)
 
     # Memory
 
     def read_flash(self, at: int, size: int) -> bytes:
-        """Flash as it is now."""
+        """Return the content of flash."""
         return bytes(self.mcu.flash[at : at + size])
 
     def write_flash(self, at: int, data: bytes) -> None:
-        """As a programmer does it, without the chip's doing."""
+        """Write flash as a programmer does, without the chip."""
         self.mcu.flash[at : at + len(data)] = data
 
     def read_word(self, address: int) -> int:
-        """Of the chip's memory or registers."""
+        """Read a word of the chip's memory or registers."""
         return int(self.mcu.read_uint32(address))
 
     def write_word(self, address: int, value: int) -> None:
-        """The same, written."""
+        """Write a word of the chip's memory or registers."""
         self.mcu.write_uint32(address, value)
 
     def stack(self) -> tuple[int, int]:
-        """The stack pointer, and the number of the interrupt that is served, or 0."""
+        """Return the stack pointer, and the number of the running interrupt, or 0."""
         return self.mcu.core.sp, self.mcu.core.ipsr
 
 
 def _read_back(pin: object) -> None:
-    """Output pins read as what they drive: rp2040py keeps the two apart."""
+    """Let an output pin read as its own level: rp2040py keeps the two apart."""
 
     def on_change(new: object, _old: object) -> None:
         if new.name in ("LOW", "HIGH"):
@@ -356,8 +361,11 @@ def _read_back(pin: object) -> None:
 
 
 def _override_interrupts(mcu: object) -> None:
-    """IRQOVER acts between a pad and the detection of its edges, as the data sheet's STATUS says
-    (IRQFROMPAD, IRQTOPROC): rp2040py turns the finished interrupt round, and tells nobody."""
+    """Let IRQOVER act between a pad and its edge detection.
+
+    So the data sheet's STATUS says (IRQFROMPAD, IRQTOPROC). rp2040py inverts the final interrupt
+    instead, and does not signal the change.
+    """
     io = mcu.find_peripheral(_IO_BANK0)
     overrides: dict[int, int] = {}
     read, write = io.read_uint32, io.write_uint32

@@ -1,13 +1,13 @@
-"""A Raspberry Pi Pico 2 in the emulator rp2350js, running a real MicroPython image.
+"""Run a real MicroPython image on a Raspberry Pi Pico 2 in the emulator rp2350js.
 
-The emulator is a process (rp2350_bench.js) that is given a command a line, so this is as
-synchronous and deterministic as pico.py. UGRBL_RP2350JS names its folder: a copy without the
-faults of 2.0.1, in which ADD with PC and a high register is 2 off, registers of the pins'
-interrupts and instructions of the GPIO coprocessor are decoded wrongly, edges are noted that were
-none, flash cannot be written, core 1 cannot be started anew, pads have no pull-ups, the watchdog's
-clock is twice as fast and its reset leaves the peripherals as they are. Cores and PIO are stepped
-at 150 MHz; flash takes no time and has no cache, so counts, order and PIO's times can be trusted,
-lines/s less.
+The emulator is a process (rp2350_bench.js) that reads one command a line, so this is as
+synchronous and deterministic as pico.py. UGRBL_RP2350JS names its folder: a copy in which these
+faults of 2.0.1 are corrected. ADD with PC and a high register is 2 off; registers of the pins'
+interrupts and instructions of the GPIO coprocessor are decoded wrongly; edges are recorded that
+did not occur; flash cannot be written; core 1 cannot be restarted; pads have no pull-ups; the
+watchdog's clock is twice as fast, and its reset leaves the peripherals unchanged. Cores and PIO
+are stepped at 150 MHz. Flash takes no time and has no cache, so counts, order and PIO's times are
+exact, lines/s less so.
 """
 
 import json
@@ -28,7 +28,7 @@ _DTR_RTS = 3
 
 
 def lacks() -> str:
-    """Why the emulator cannot be run here, or nothing."""
+    """Return why the emulator cannot run here, or an empty text."""
     folder = os.environ.get(_FOLDER, "")
     if not folder:
         return f"{_FOLDER} names no folder: a built rp2350js, as told in pico2.py"
@@ -40,14 +40,14 @@ def lacks() -> str:
 
 
 class _Process:
-    """The emulator. Commands are in rp2350_bench.js."""
+    """The emulator's process. Its commands are in rp2350_bench.js."""
 
     def __init__(self, uf2: Path) -> None:
         command = ["node", str(_BENCH), os.environ[_FOLDER], str(uf2)]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def ask(self, *command: object) -> Any:
-        """Its answer to a command."""
+        """Send a command and return its answer."""
         assert self._process.stdin and self._process.stdout
         self._process.stdin.write(json.dumps(command).encode() + b"\n")
         self._process.stdin.flush()
@@ -74,27 +74,27 @@ class _Usb:
         self.queued += len(data)
 
     def open_port(self, is_open: bool) -> None:
-        """A program opens or closes the port: its DTR tells."""
+        """Open or close the port as a program does, which sets DTR."""
         self._ask("line_state", _DTR_RTS if is_open else 0)
 
     def ask(self, line_state: "int | None") -> None:
-        """One control request: SET_CONTROL_LINE_STATE (1: DTR, 2: RTS), or SET_LINE_CODING."""
+        """Send a control request: SET_CONTROL_LINE_STATE (1: DTR, 2: RTS), or SET_LINE_CODING."""
         if line_state is None:
             self._ask("line_coding")
         else:
             self._ask("line_state", line_state)
 
     def read(self, on: bool) -> None:
-        """The host takes what the chip sends, or lets it wait."""
+        """Let the host read the chip's output, or leave it unread."""
         self._ask("read", on)
 
     def waiting(self) -> int:
-        """Bytes the chip has not taken yet."""
+        """Return the number of bytes that the chip has not read yet."""
         return self.queued
 
 
 class Pico2(Bench):
-    """The board. files: what is on its file system at first power-up, by path."""
+    """An emulated Pico 2. files: its file system at first power-up, by path."""
 
     def __init__(self, uf2: Path, files: "Mapping[str, bytes] | None" = None) -> None:
         self.ask = _Process(uf2).ask
@@ -111,11 +111,11 @@ class Pico2(Bench):
 
     @property
     def us(self) -> float:
-        """Emulated microseconds since power-up."""
+        """Return the emulated microseconds since power-up."""
         return self._ns / 1000
 
     def run_us(self, us: float) -> None:
-        """Let the chip run so long."""
+        """Let the chip run for this time."""
         end = self._ns + us * 1000
         while self._ns < end:
             self._run_to(min(end, self._actions[0][0]) if self._actions else end)
@@ -123,7 +123,7 @@ class Pico2(Bench):
                 heappop(self._actions)[2]()
 
     def _run_to(self, ns: float) -> None:
-        """That far, or to the next sector that is erased."""
+        """Run to this time, or to the next erasure of a sector."""
         done = self.ask("run", ns)
         self._ns = done["nanos"]
         self.usb.received += b64decode(done["said"])
@@ -135,14 +135,14 @@ class Pico2(Bench):
         assert not done["writtenInMotion"], "flash is written while motors turn"
 
     def at_us(self, delay_us: float, action: "Callable[[], None]") -> None:
-        """Call action when that much more time has passed."""
+        """Call action after this time."""
         due = self._ns + delay_us * 1000
         heappush(self._actions, (due, len(self._actions), action))
 
     # Pins
 
     def record(self, pins: "list[int]") -> None:
-        """Log the edges of these pins, from now on, in self.edges."""
+        """Log the edges of these pins from now on in self.edges."""
         for pin in pins:
             self.ask("record", pin)
 
@@ -151,42 +151,42 @@ class Pico2(Bench):
         self.ask("drive", pin, level)
 
     def level(self, pin: int) -> "int | None":
-        """What comes out of a pin; None where it is no output."""
+        """Return the level of an output; None if the pin is not an output."""
         level: int | None = self.ask("level", pin)
         return level
 
     def watch_power(self, pin: int) -> "list[tuple[float, int]]":
-        """(us, level) of all that is written from now on to where the pin's PWM compares."""
+        """Return a list that collects (us, level) of writes to the pin's PWM compare register."""
         self.ask("watch_power", pin)
         return self.power_writes
 
     def moving(self) -> bool:
-        """A PIO machine has something to do: all of ours wait for a word while motors stand."""
+        """Return whether a PIO machine is busy: all of ours wait for a word while motors stand."""
         return bool(self.ask("moving"))
 
     # Memory
 
     def erase_takes_us(self, us: float) -> None:
-        """From now on every sector erased takes the chip so long: the emulator does it at once."""
+        """Let every later erasure of a sector take this time: the emulator takes none."""
         self.ask("erase_takes", us * 1000)
 
     def read_flash(self, at: int, size: int) -> bytes:
-        """Flash as it is now."""
+        """Return the content of flash."""
         return b64decode(self.ask("read_flash", at, size))
 
     def write_flash(self, at: int, data: bytes) -> None:
-        """As a programmer does it, without the chip's doing."""
+        """Write flash as a programmer does, without the chip."""
         self.ask("write_flash", at, b64encode(data).decode())
 
     def read_word(self, address: int) -> int:
-        """Of the chip's memory or registers."""
+        """Read a word of the chip's memory or registers."""
         return int(self.ask("read_word", address))
 
     def write_word(self, address: int, value: int) -> None:
-        """The same, written."""
+        """Write a word of the chip's memory or registers."""
         self.ask("write_word", address, value)
 
     def stack(self) -> "tuple[int, int]":
-        """The stack pointer, and the number of the interrupt that is served, or 0."""
+        """Return the stack pointer, and the number of the running interrupt, or 0."""
         pointer, number = self.ask("core")
         return pointer, number

@@ -1,10 +1,10 @@
-"""An emulated Pico on a pseudo-terminal, for programs that want a serial port.
+"""Connect an emulated Pico to a pseudo-terminal, for programs that need a serial port.
 
     python host_tests/emulator/pty_bridge.py RPI_PICO.uf2 /tmp/pico [FOLDER]
     ugrbl deploy --board rpi_pico --port /tmp/pico
 
 Its flash holds the files of the folder, if one is named, and is lost at the end. Its time is
-never ahead of the wall's, and falls behind where it computes.
+never ahead of real time, and lags while it computes.
 """
 
 import signal
@@ -21,16 +21,16 @@ from ugrbl.run.pty_link import Pty
 if TYPE_CHECKING:
     from pico import Pico
 
-# With pull-ups, which the emulator does not know: all that rpi_pico.py has as inputs.
+# Pins with pull-ups, which the emulator does not model: all inputs of rpi_pico.py.
 _INPUTS = (9, 10, 11, 12, 13, 14, 15, 22)
 _TURN_US = 2000
-# What may wait for the chip to take it. A real host's queue is not much longer.
+# Limit of bytes that wait for the chip; a real host's queue is not much longer.
 _MOST_WAITING = 512
 _NAP_S = 0.002
 
 
 class _Port(Pty):
-    """Tells the chip whether somebody has it open."""
+    """A pseudo-terminal that signals to the chip whether a program has it open."""
 
     def __init__(self, pico: "Pico") -> None:
         super().__init__()
@@ -45,7 +45,7 @@ class _Port(Pty):
 
 
 class Bridge:
-    """The two and what goes between them."""
+    """A pseudo-terminal connected to an emulated Pico."""
 
     def __init__(self, pico: "Pico", link: Path) -> None:
         self.stopping = False
@@ -54,7 +54,7 @@ class Bridge:
         self._port.link(link)
 
     def run(self) -> None:
-        """Until stopping is set."""
+        """Run until stopping is set."""
         pico, port = self._pico, self._port
         begun = time.monotonic()
         while not self.stopping:
@@ -77,7 +77,7 @@ def _files(folder: Path) -> "Iterator[tuple[str, bytes]]":
 
 
 def main() -> None:
-    """Run until a signal comes."""
+    """Run until a signal arrives."""
     image, link, *folders = (Path(word) for word in sys.argv[1:])
     pico = power_up(image, {name: data for folder in folders for name, data in _files(folder)})
     for pin in _INPUTS:

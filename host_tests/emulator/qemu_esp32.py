@@ -1,12 +1,12 @@
-"""An ESP32 in QEMU, running a real MicroPython image.
+"""Run a real MicroPython image on an ESP32 in QEMU.
 
-The emulator is a process, and its time that of the instructions it has executed: what happens does
-not depend on how busy this computer is. UGRBL_QEMU_ESP32 names it: qemu-system-xtensa of
-lcgamboa/qemu without the faults that it comes with: inputs are low in spite of their pull-ups, RMT
-does not take the time that its pulses take, its cores take turns of milliseconds, each core has a
-PSRAM of its own, and all flash is read anew after each access. It also has to write what pins do
-to the file that UGRBL_PINS names: "G ns changed levels" for pins 0 to 31, "R ns channel word
-divider" where a channel begins to send. There is no I2S and no PCNT.
+The emulator is a process. Its time is that of the executed instructions, so the result does not
+depend on how busy this computer is. UGRBL_QEMU_ESP32 names it: qemu-system-xtensa of
+lcgamboa/qemu, with these faults corrected: inputs are low in spite of their pull-ups, RMT does not
+take the time of its pulses, its cores take turns of milliseconds, each core has a PSRAM of its
+own, and all flash is read again after each access. It also has to write the changes of pins to
+the file that UGRBL_PINS names: "G ns changed levels" for pins 0 to 31, "R ns channel word
+divider" when a channel begins to send. There is no I2S and no PCNT.
 """
 
 import os
@@ -31,7 +31,7 @@ _CLOCK = "shift=2,align=off,sleep=off"
 
 
 def lacks() -> str:
-    """Why the emulator cannot be run here, or nothing."""
+    """Return why the emulator cannot run here, or an empty text."""
     named = os.environ.get(_QEMU, "")
     if not named:
         return f"{_QEMU} names no emulator: qemu-system-xtensa, as told in qemu_esp32.py"
@@ -44,7 +44,7 @@ def lacks() -> str:
 
 
 class Step(NamedTuple):
-    """A step pulse has begun, of this channel of RMT, while these pins (a mask) were high."""
+    """A step pulse begins on this channel of RMT while these pins (a mask) are high."""
 
     us: float
     channel: int
@@ -52,8 +52,10 @@ class Step(NamedTuple):
 
 
 class Esp32(Sender):
-    """The board. files: what is on its file system at first power-up, by path. psram: whether its
-    module has 4 MB of it. It is not on yet."""
+    """An emulated ESP32, not powered yet.
+
+    files: its file system at first power-up, by path. psram: whether its module has 4 MB of it.
+    """
 
     def __init__(self, image: Path, files: "Mapping[str, bytes]", psram: bool = True) -> None:
         self._folder = Path(mkdtemp())
@@ -71,7 +73,7 @@ class Esp32(Sender):
     # Power
 
     def power_on(self) -> "Esp32":
-        """Its UART is a terminal, as which pyserial has it. Returns self."""
+        """Start the emulator and open its UART, a pseudo-terminal, with pyserial; return self."""
         drive = f"file={self._folder / 'flash'},if=mtd,format=raw"
         memory = ("-m", "4M") if self._psram else ()
         command = [os.environ[_QEMU], "-machine", "esp32", *memory, "-icount", _CLOCK]
@@ -91,7 +93,7 @@ class Esp32(Sender):
         raise AssertionError("the emulator has ended")
 
     def power_off(self) -> None:
-        """At once."""
+        """Cut the power at once."""
         if self._process:
             self._process.kill()
             self._process.wait()
@@ -114,7 +116,7 @@ class Esp32(Sender):
         self.port.write(text.encode("latin-1") if isinstance(text, str) else text)
 
     def wait_for(self, text: str, limit_us: float = 0) -> str:
-        """As a Board's, with the patience of this computer's time: its own is not looked at."""
+        """Wait as a Board does, but with a limit in this computer's time; limit_us is ignored."""
         end = time.monotonic() + _PATIENCE_S
         while text not in self.said:
             assert time.monotonic() < end, f"no {text!r} in {self.said!r}"
@@ -122,13 +124,13 @@ class Esp32(Sender):
         return self.said
 
     def boot(self) -> "Esp32":
-        """Until it answers; at its first start, with the factory's settings kept. Returns self."""
+        """Run until it answers; a first start stores the factory settings. Return self."""
         self.wait_for("Grbl 1.1h")
         self.ask("")
         return self
 
     def comes_to(self, state: str) -> "dict[str, str]":
-        """Let the machine go on until it is in a state; returns the report that says so."""
+        """Let the machine run until it is in this state; return the report."""
         end = time.monotonic() + _PATIENCE_S
         while (report := self.status())["state"] != state:
             assert time.monotonic() < end, f"not {state}: {report}"
@@ -137,7 +139,7 @@ class Esp32(Sender):
     # Pins
 
     def steps(self) -> "list[Step]":
-        """What RMT has sent so far: its level rises."""
+        """Return the step pulses that RMT has sent so far: the rises of its level."""
         found = []
         levels = 0
         ends: dict[int, float] = {}

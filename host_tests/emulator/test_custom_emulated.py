@@ -1,4 +1,4 @@
-"""`ugrbl custom` at an emulated Pico: pushed, failing, told of by the doctor, removed."""
+"""Test `ugrbl custom` at an emulated Pico: push, failure, doctor's report, removal."""
 
 import json
 import os
@@ -32,7 +32,7 @@ def ugrbl(*words: object) -> "subprocess.CompletedProcess[str]":
     )
 
 
-def test_a_file_is_pushed_runs_fails_and_goes(uf2: Path, tmp_path: Path) -> None:
+def test_file_is_pushed_runs_fails_and_is_removed(uf2: Path, tmp_path: Path) -> None:
     board = tmp_path / "router.py"
     board.write_text(BOARD_FILE.read_text() + '\nOUTPUTS = {"vacuum": 20}\n')
     mine = tmp_path / "mine.py"
@@ -63,7 +63,7 @@ def test_a_file_is_pushed_runs_fails_and_goes(uf2: Path, tmp_path: Path) -> None
             assert "error:20" in ask(machine, "M100 P1")
 
 
-def test_a_folder_takes_the_place_of_a_file_and_of_a_folder(uf2: Path, tmp_path: Path) -> None:
+def test_folder_replaces_a_file_and_a_folder(uf2: Path, tmp_path: Path) -> None:
     made = build.for_board(BOARD_FILE)
     made.files["custom.py"] = b"1 / 0\n"
     mine = tmp_path / "mine"
@@ -86,7 +86,7 @@ def test_a_folder_takes_the_place_of_a_file_and_of_a_folder(uf2: Path, tmp_path:
         assert sorted(file.name for file in (tmp_path / "got").iterdir()) == ["a.py", "b.py"]
 
 
-def test_three_of_the_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
+def test_three_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
     board = tmp_path / "router.py"
     pins = 'OUTPUTS = {"air": 20, "lamp": 21, "fan": 26}\nINPUTS = {"part": 27, "door": 28}\n'
     board.write_text(BOARD_FILE.read_text() + "\n" + pins)

@@ -1,4 +1,4 @@
-"""`ugrbl deploy` and mpremote at an emulated Pico: the real tools, a real MicroPython."""
+"""Test `ugrbl deploy` and mpremote at an emulated Pico with a real MicroPython."""
 
 import json
 import os
@@ -21,17 +21,17 @@ from ugrbl.grbl.gcode_file import is_answer
 pytestmark = pytest.mark.xdist_group("pico deploy")
 
 _HERE = Path(__file__).parent
-# Twenty to fifty times as slow as the chip, and more on a busy computer: an ESP32 takes 19 s to
-# its welcome on two cores with three processes, and took more than 150 s with fifteen.
+# The emulator is 20 to 50 times slower than the chip, and more on a busy computer: an ESP32 takes
+# 19 s to its welcome on two cores with three processes, and took more than 150 s with fifteen.
 _PATIENCE = {"UGRBL_PATIENCE": "30"}
 _BOOT_S = 1000.0
-# The machine that is left has room for as much again as it takes from a program's lines.
+# The running machine must keep as much memory again as the lines of a program take.
 _FREE_BYTES = 30_000
 
 
 @contextmanager
 def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterator[Path]":
-    """The port of a board with these files on it."""
+    """Start a board with these files; yield its port."""
     link, there = folder / "pico", folder / "there"
     there.mkdir()
     if files:
@@ -50,7 +50,7 @@ def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterat
 
 
 def deploy(port: Path, board: Path = BOARD_FILE, *words: str) -> "tuple[int, Any]":
-    """Exit code and result."""
+    """Deploy; return exit code and result."""
     command = [sys.executable, "-m", "ugrbl.cli", "deploy", "--board", str(board)]
     command += ["--port", str(port), "--json", "-", *words]
     done = subprocess.run(
@@ -61,14 +61,14 @@ def deploy(port: Path, board: Path = BOARD_FILE, *words: str) -> "tuple[int, Any
 
 
 def mpremote(port: Path, *words: str) -> str:
-    """What it prints."""
+    """Run mpremote and return its output."""
     command = [sys.executable, "-m", "mpremote", "connect", str(port), *words]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 @contextmanager
 def grbl(port: Path) -> "Iterator[Connection]":
-    """The machine, once it has started."""
+    """Connect to the machine after it has started."""
     connection = Connection(str(port))
     try:
         assert connection.wait_for(lambda line: line.startswith("<"), _BOOT_S)
@@ -78,14 +78,14 @@ def grbl(port: Path) -> "Iterator[Connection]":
 
 
 def ask(machine: Connection, line: str) -> "list[str]":
-    """All that is answered, and status reports; a setting takes its time until it is in flash."""
+    """Return all answers and reports to a line; a setting takes time until it is in flash."""
     heard: list[str] = []
     machine.write(line.encode() + b"\n")
     assert machine.wait_for(lambda reply: heard.append(reply) or is_answer(reply), _BOOT_S)
     return heard
 
 
-def test_a_board_from_empty_to_up_to_date(uf2: Path, tmp_path: Path) -> None:
+def test_empty_board_is_deployed_and_updated(uf2: Path, tmp_path: Path) -> None:
     made = build.for_board(BOARD_FILE)
     with pico(uf2, tmp_path) as port:
         code, done = deploy(port)
@@ -110,7 +110,7 @@ def test_a_board_from_empty_to_up_to_date(uf2: Path, tmp_path: Path) -> None:
             assert "[OPT:V,11,255]" in ask(machine, "$I")
 
 
-def test_mpremote_gets_in_and_out_again(uf2: Path, tmp_path: Path) -> None:
+def test_mpremote_enters_and_leaves_the_prompt(uf2: Path, tmp_path: Path) -> None:
     with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port):
             pass
@@ -118,19 +118,19 @@ def test_mpremote_gets_in_and_out_again(uf2: Path, tmp_path: Path) -> None:
         assert "words.mpy" in mpremote(port, "fs", "ls", "language")
         with grbl_started_anew(port) as machine:
             assert "ok" in ask(machine, "$I")
-        assert mpremote(port, "exec", "print(6 * 7)") == "42\n"  # by way of a soft reset
+        assert mpremote(port, "exec", "print(6 * 7)") == "42\n"  # after a soft reset
 
 
 @contextmanager
 def grbl_started_anew(port: Path) -> "Iterator[Connection]":
-    """As Ctrl-D at the prompt does it, which a Connection would not send to a machine."""
+    """Restart with Ctrl-D at the prompt, which a Connection would not send to a machine."""
     with serial.Serial(str(port)) as line:
         line.write(b"\x04")
     with grbl(port) as machine:
         yield machine
 
 
-def test_a_machine_that_moves_is_not_disturbed(uf2: Path, tmp_path: Path) -> None:
+def test_moving_machine_is_not_disturbed(uf2: Path, tmp_path: Path) -> None:
     with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port) as machine:
             assert "ok" in ask(machine, "G91 G1 X100 F100")
@@ -141,8 +141,10 @@ def test_a_machine_that_moves_is_not_disturbed(uf2: Path, tmp_path: Path) -> Non
 
 
 def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
-    """What `mpremote cp -r firmware/. :` leaves would hide what is compiled. These two have
-    nothing but functions for others, and so work among compiled modules."""
+    """Sources that `mpremote cp -r firmware/. :` leaves would hide the compiled files.
+
+    These two have only functions for other modules, so they work among compiled modules.
+    """
     made = build.for_board(BOARD_FILE)
     sources = {
         name: (build.paths.FIRMWARE / name).read_bytes()

@@ -1,4 +1,4 @@
-"""The firmware as it is deployed, in MicroPython on an ESP32 in QEMU: qemu_esp32.py says which."""
+"""Test the deployed firmware in MicroPython on an ESP32 in QEMU (see qemu_esp32.py)."""
 
 import json
 import os
@@ -22,12 +22,12 @@ _BOARD = BOARDS / "esp32_devkit.py"
 _ARCH = "xtensawin"
 _CONVERSATIONS = Path(__file__).resolve().parents[3] / "shared" / "conformance"
 _SOME = 20  # conversations of a kind, at least
-_BLOCKS = 2  # of RMT's memory for each channel, which has the number of its first one
+_BLOCKS = 2  # of RMT's memory for each channel; a channel has the number of its first block
 
 
 @pytest.fixture(scope="module")
 def image() -> Path:
-    """MicroPython for the chip, whose MicroPython finds its PSRAM."""
+    """Return the MicroPython image for the chip, which must find its PSRAM."""
     if why := lacks():
         pytest.skip(why)
     return Path(os.environ[IMAGE])
@@ -35,7 +35,7 @@ def image() -> Path:
 
 @pytest.fixture(scope="module")
 def files() -> "dict[str, bytes]":
-    """What `ugrbl deploy` puts on it."""
+    """Return the files that `ugrbl deploy` copies to it."""
     return build.for_board(_BOARD).files
 
 
@@ -45,7 +45,7 @@ def machine(image: Path, files: "dict[str, bytes]") -> Esp32:
 
 
 def vectors_and_kernels() -> "dict[str, bytes]":
-    """vectors.py and what it imports, compiled for the chip."""
+    """Return vectors.py and its imports, compiled for the chip."""
     texts = pruned(inline({**build.texts(), "vectors": VECTORS.read_text("utf-8")}))
     found: dict[str, str] = {}
     left = ["vectors"]
@@ -59,7 +59,7 @@ def vectors_and_kernels() -> "dict[str, bytes]":
 
 
 def counted(steps: "list[Step]") -> "list[int]":
-    """Per axis, where they lead to."""
+    """Return the sum of the steps of each axis."""
     found = [0, 0, 0]
     direction = load_board("esp32_devkit").DIR
     for step in steps:
@@ -69,7 +69,7 @@ def counted(steps: "list[Step]") -> "list[int]":
 
 
 def test_compiled_kernels_compute_the_integers_of_the_desktop(image: Path) -> None:
-    """At the prompt of a board that has no firmware but those modules."""
+    """Run at the prompt of a board that has only those modules of the firmware."""
     board = Esp32(image, vectors_and_kernels()).power_on()
     board.python("import sys, vectors", ">>> ")
     for part in ("reals", "words", "blocks", "arcs"):
@@ -80,11 +80,9 @@ def test_compiled_kernels_compute_the_integers_of_the_desktop(image: Path) -> No
         assert len(here) == len(there) > 300, board.said[-500:]
 
 
-def test_a_board_is_deployed_to_from_empty_to_up_to_date(
-    image: Path, files: "dict[str, bytes]"
-) -> None:
+def test_empty_board_is_deployed_and_up_to_date(image: Path, files: "dict[str, bytes]") -> None:
     board = Esp32(image, {}).power_on()
-    board.wait_for(">>> ")  # while it starts it hears nothing
+    board.wait_for(">>> ")  # it reads nothing while it starts
     port = Path(board.port.port)
     code, done = deploy(port, _BOARD)
     assert code == 0, done
@@ -96,14 +94,14 @@ def test_a_board_is_deployed_to_from_empty_to_up_to_date(
     assert again["unchanged"] == len(files)
 
 
-def test_it_says_what_it_is_and_what_it_has(machine: Esp32) -> None:
+def test_build_info_and_status_name_board_and_state(machine: Esp32) -> None:
     said = machine.ask("$I")
     assert "Grbl rmt 5000Hz" in said and "[OPT:V,63,128]" in said
     report = machine.status()
     assert (report["state"], report["MPos"]) == ("Idle", "0.000,0.000,0.000")
 
 
-def test_a_setting_outlives_a_power_cut(machine: Esp32) -> None:
+def test_setting_survives_a_power_cut(machine: Esp32) -> None:
     assert machine.ask("$100=300").endswith("ok\r\n")
     machine.power_off()
     machine.power_on().boot()
@@ -111,7 +109,7 @@ def test_a_setting_outlives_a_power_cut(machine: Esp32) -> None:
     machine.ask("$100=250")
 
 
-def test_steps_are_as_many_as_asked_for_and_none_comes_early(machine: Esp32) -> None:
+def test_number_of_steps_is_exact_and_none_comes_early(machine: Esp32) -> None:
     before = len(machine.steps())
     for line in ("G91 G1 X4 F480", "G1 X-1 Y2 F400", "G1 X-3 Y-2 Z0.5 F300"):
         machine.ask(line)
@@ -125,7 +123,7 @@ def test_steps_are_as_many_as_asked_for_and_none_comes_early(machine: Esp32) -> 
     assert min(b - a for a, b in pairwise(of_x)) > 500 - 60  # 2000 a second, docs/esp32.md
 
 
-def test_a_hold_loses_no_step_and_a_reset_in_motion_says_that_it_may(machine: Esp32) -> None:
+def test_hold_loses_no_step_and_reset_in_motion_is_an_alarm(machine: Esp32) -> None:
     before = len(machine.steps())
     machine.ask("G91 G1 X3 F480")
     machine.comes_to("Run")
@@ -146,12 +144,12 @@ def test_a_hold_loses_no_step_and_a_reset_in_motion_says_that_it_may(machine: Es
 
 
 @pytest.mark.parametrize("category", ["errors", "gcode_words"])
-def test_lines_are_answered_as_real_grbl_has_answered_them(machine: Esp32, category: str) -> None:
-    """Those of recorded conversations that change nothing but modes."""
+def test_lines_are_answered_as_by_real_grbl(machine: Esp32, category: str) -> None:
+    """Recorded conversations that change only modes."""
     recorded = _CONVERSATIONS / f"{category}.json"
     if not recorded.is_file():
         pytest.skip(f"the recordings are not there: {recorded}")
-    machine.ask("G90 G53 G0 X0 Y0 Z0")  # where they begin
+    machine.ask("G90 G53 G0 X0 Y0 Z0")  # their start
     machine.comes_to("Idle")
     played = 0
     for case in json.loads(recorded.read_text("utf-8")):
@@ -173,11 +171,11 @@ def test_lines_are_answered_as_real_grbl_has_answered_them(machine: Esp32, categ
     assert played > _SOME
 
 
-def test_at_the_prompt_there_is_memory_left(machine: Esp32) -> None:
+def test_memory_is_free_at_the_prompt(machine: Esp32) -> None:
     free = machine.python("import gc; gc.collect(); print(gc.mem_free())")
     assert int(free) > 3_000_000
 
 
-def test_without_psram_it_says_what_it_wants(image: Path, files: "dict[str, bytes]") -> None:
+def test_missing_psram_is_reported_with_the_remedy(image: Path, files: "dict[str, bytes]") -> None:
     board = Esp32(image, files, psram=False).power_on()
     assert "take a module with PSRAM" in board.wait_for("]\r\n")

@@ -1,4 +1,4 @@
-"""Setting a board up in the page, at MicroPython itself: an emulated Pico with frozen firmware."""
+"""Test the set-up of a board in the page, with real MicroPython: a Pico with frozen firmware."""
 
 import sys
 import threading
@@ -18,7 +18,7 @@ from browser import Person, browser
 pytestmark = pytest.mark.xdist_group("frozen")
 __all__ = ["frozen_uf2"]
 
-# The emulated chip is twenty to fifty times as slow as silicon, and the page's patience is not.
+# The emulated chip is 20 to 50 times slower than silicon, so the page's timeouts are made longer.
 _SLOWER = """
 const soon = window.setTimeout;
 window.setTimeout = (act, ms, ...more) => soon(act, ms >= 1000 ? 40 * ms : ms, ...more);
@@ -26,7 +26,7 @@ window.setTimeout = (act, ms, ...more) => soon(act, ms >= 1000 ? 40 * ms : ms, .
 
 
 class Port:
-    """A serial port in the place of bridge.py's Machine."""
+    """A serial port with the interface of bridge.py's Machine."""
 
     def __init__(self, path: Path) -> None:
         self._port = serial.Serial(str(path), timeout=0.05)
@@ -73,7 +73,7 @@ def waits(person: Person, condition: str) -> None:
 
 
 @pytest.mark.timeout(3600)
-def test_from_an_empty_board_to_a_machine_and_back_to_its_file(person: Person) -> None:
+def test_empty_board_becomes_a_machine_and_its_file_is_read_back(person: Person) -> None:
     person.open_from_disk()
     person.click("#connect")
     waits(person, "$('setup-found').textContent.includes('with ugrbl and without a board file')")

@@ -1,7 +1,7 @@
-"""What the memory of an emulated RP2350 has space for: 256 blocks of look-ahead, and with them
-eight motors, jobs and the page at once. docs/speed.md has the figures that are printed here.
+"""Test the memory of an emulated RP2350: 256 blocks, eight motors, jobs and the page.
 
-The board has no radio, so the network is that of test_pico_network.py.
+All of them fit at once. docs/speed.md has the figures that are printed here. The board has no
+radio, so the network is that of test_pico_network.py.
 """
 
 from pathlib import Path
@@ -22,8 +22,8 @@ _BLOCKS = 256
 _HEAP_PLAIN, _HEAP_BLOCKS, _HEAP_ALL = 330_000, 310_000, 210_000
 _MORE = f"PLANNER_BLOCKS = {_BLOCKS}\n"
 _PAGE = 'CHIP, LINK, PAGE, JOBS = "pico2_w", "wifi", True, "jobs"\n'
-_PER_MM = 250  # of Grbl's own settings
-# What each axis counts through, in tenths of a millimetre.
+_PER_MM = 250  # Grbl's default
+# Length of the cycle of each axis's positions, in tenths of a millimetre.
 _TENTHS = (3, 2, 4, 5, 3, 2)
 _JOB = "".join(
     "G1" + "".join(f"{axis}.{k % n}" for axis, n in zip("XYZABC", _TENTHS, strict=True)) + "F500\n"
@@ -32,14 +32,14 @@ _JOB = "".join(
 
 
 def machine(uf2: Path, folder: Path, more: str, says: str = "") -> Board:
-    """The usual board with more lines in its file; says: what clients of the network do."""
+    """Start the common board with these lines in its file; says scripts network clients."""
     file = folder / "pico2_more.py"
     file.write_text(BOARD_FILE.read_text("utf-8") + more, "utf-8")
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     return started(uf2, {**files, "jobs/EIGHT.NC": _JOB.encode()}, says)
 
 
-def test_the_plain_board_leaves_two_thirds_of_its_memory(uf2: Path, tmp_path: Path) -> None:
+def test_plain_board_leaves_two_thirds_of_its_memory_free(uf2: Path, tmp_path: Path) -> None:
     assert free_bytes(machine(uf2, tmp_path, "")) >= _HEAP_PLAIN
 
 
@@ -56,7 +56,7 @@ def test_256_blocks_are_planned_ahead(uf2: Path, tmp_path: Path) -> None:
     assert board.status()["MPos"] == f"{0.2 + (_BLOCKS - 2) * 0.02:.3f},0.000,0.000"
 
 
-def test_eight_motors_jobs_and_the_page_go_together(uf2: Path, tmp_path: Path) -> None:
+def test_eight_motors_jobs_and_the_page_fit_together(uf2: Path, tmp_path: Path) -> None:
     motors = "XYZABCXY"
     limit = (19, 20, 21, 0, 1, 28)
     pins = PINS.format(motors=motors, step=STEP, dir=DIR, limit=limit)
@@ -68,8 +68,8 @@ def test_eight_motors_jobs_and_the_page_go_together(uf2: Path, tmp_path: Path) -
     board.pico.run_us(2_500_000)
     board.forget()
     board.send("?")
-    assert "MPos:3.000,0.000,0.000,0.000,0.000,0.000" in board.wait_for(">")  # the page has driven
-    board.pico.run_us(3_000_000)  # it is silent: the cable may drive
+    assert "MPos:3.000,0.000,0.000,0.000,0.000,0.000" in board.wait_for(">")  # moved by the page
+    board.pico.run_us(3_000_000)  # the page is silent: the cable may take control
     assert free_bytes(board) >= _HEAP_ALL
     board.ask("G90")
     board.forget()
@@ -78,4 +78,4 @@ def test_eight_motors_jobs_and_the_page_go_together(uf2: Path, tmp_path: Path) -
     board.until_idle()
     ends = [_PER_MM * (29 % n) // 10 for n in _TENTHS]
     assert odometer.read() == [*ends, *ends[:2]]
-    assert "Job EIGHT.NC: done" in board.ask("$U")  # the page has heard it, too
+    assert "Job EIGHT.NC: done" in board.ask("$U")  # the page has received it, too

@@ -1,4 +1,4 @@
-"""Four to eight motors on an emulated RP2350: PIO 0 and 1, and the clock of eight in PIO 2."""
+"""Test four to eight motors on an emulated RP2350: PIO 0 and 1, and PIO 2's clock for eight."""
 
 import random
 from itertools import pairwise
@@ -32,7 +32,7 @@ _FASTEST_KHZ = 249.97
 
 
 class Machine:
-    """The board with so many motors, set up, with their pins recorded."""
+    """The board with this number of motors, set up, with their pins recorded."""
 
     def __init__(self, uf2: Path, folder: Path, motors: int) -> None:
         self.motors = _MOTORS[:motors]
@@ -53,12 +53,12 @@ class Machine:
         self.odometer = Odometer(self.board.pico, STEP[:motors], DIR[:motors])
 
     def places(self) -> "list[float]":
-        """What the board reports of each motor's axis, in steps."""
+        """Return the reported position of each motor's axis, in steps."""
         mm = dict(zip(self.axes, self.board.status()["MPos"].split(","), strict=True))
         return [round(float(mm[axis]) * _PER_MM, 3) for axis in self.motors]
 
     def unlock(self) -> None:
-        """Work again after a stop."""
+        """Unlock the machine after a stop."""
         self.board.ask("$X")
 
 
@@ -68,7 +68,7 @@ def eight(uf2: Path, tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 def follows(machine: Machine, lines: int) -> None:
-    """Random lines are made to the step, and the board reports where motors have gone to."""
+    """Check that random lines are executed to the step, and that the position is reported."""
     chance = random.Random(len(machine.motors))
     board = machine.board
     made = machine.odometer.read()
@@ -115,7 +115,9 @@ def test_eight_motors_at_once_make_250_khz(eight: Machine) -> None:
 
 
 @pytest.mark.parametrize("ms", [3, 14.3, 26.1, 37.7])
-def test_a_reset_stops_all_eight_where_they_are_reported(eight: Machine, ms: float) -> None:
+def test_reset_stops_all_eight_motors_at_their_reported_position(
+    eight: Machine, ms: float
+) -> None:
     board = eight.board
     board.ask("G91 G1 F60000")
     board.forget()
@@ -133,7 +135,7 @@ def test_a_reset_stops_all_eight_where_they_are_reported(eight: Machine, ms: flo
 
 
 @pytest.mark.parametrize("axis", [0, 5])
-def test_a_limit_switch_stops_all_eight(eight: Machine, axis: int) -> None:
+def test_limit_switch_stops_all_eight_motors(eight: Machine, axis: int) -> None:
     board = eight.board
     board.ask("$21=1")
     board.ask("G91 G1 F6000")
@@ -153,7 +155,7 @@ def test_a_limit_switch_stops_all_eight(eight: Machine, axis: int) -> None:
 
 
 def rises(machine: Machine) -> "list[list[float]]":
-    """When each motor has stepped, us."""
+    """Return the times of each motor's steps, in us."""
     edges = machine.board.pico.edges
     return [
         [edge.ns / 1000 for edge in edges if edge.pin == pin and edge.level]

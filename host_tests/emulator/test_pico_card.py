@@ -1,4 +1,4 @@
-"""Jobs on an SD card, at a bus of the emulated Pico."""
+"""Test jobs on an SD card at an SPI bus of the emulated Pico."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,15 +18,15 @@ _BLOCKS = 8192
 _BUS, _PINS = 1, (26, 27, 28, 21)
 _SETTINGS = ("$100=100", "$101=100", "$110=6000", "$111=6000", "$120=500", "$121=500")
 _LINES = 150
-# Of the stack: MicroPython's FAT is deeper than what two kilobytes are left of, and how many
-# interrupts come upon it, and how deep, is a matter of the phase.
+# Stack reserve in bytes. MicroPython's FAT goes deeper than the 2 kB limit allows, and the number
+# and depth of interrupts on top of it depend on their phase.
 _RESERVE = 1536
 _TEXT = "".join(f"G1X{i % 7 * 0.3:.2f}Y{i % 5 * 0.4:.2f}F3000 (line {i})\n" for i in range(_LINES))
 _JOB = f"M3S500\n{_TEXT}M5\n".encode()
 
 
 def card_with(tmp_path: Path, files: "dict[str, bytes]") -> SdCard:
-    """As a computer leaves it."""
+    """Return a card with these files, as a computer formats it."""
     folder, image = tmp_path / "files", tmp_path / "card"
     folder.mkdir()
     for name, data in files.items():
@@ -36,7 +36,7 @@ def card_with(tmp_path: Path, files: "dict[str, bytes]") -> SdCard:
 
 
 def files_on(tmp_path: Path, card: SdCard) -> "dict[str, bytes]":
-    """What a computer finds there."""
+    """Return the files that a computer finds on the card."""
     folder, image = tmp_path / "found", tmp_path / "card"
     folder.mkdir()
     image.write_bytes(card.image)
@@ -45,7 +45,7 @@ def files_on(tmp_path: Path, card: SdCard) -> "dict[str, bytes]":
 
 
 def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
-    """A Pico with a holder, and that in it. A byte takes as long as its clock says."""
+    """Start a Pico with a card holder and this card; a byte takes the time of the bus clock."""
     file = tmp_path / "my.py"
     text = BOARD_FILE.read_text()
     file.write_text(f'{text}\nJOBS = "jobs"\nSD_CARD = {_PINS}\n')
@@ -74,7 +74,7 @@ def selects(card: SdCard) -> "Callable[[object, object], None]":
     return on_change
 
 
-def test_a_job_runs_from_a_card_as_its_lines_say(uf2: Path, tmp_path: Path) -> None:
+def test_job_runs_from_a_card(uf2: Path, tmp_path: Path) -> None:
     card = card_with(tmp_path, {"part.nc": _JOB, "a name.nc": b"", "other.txt": b"1"})
     machine = wired(uf2, tmp_path, card)
     said = machine.ask("$F")
@@ -91,7 +91,7 @@ def test_a_job_runs_from_a_card_as_its_lines_say(uf2: Path, tmp_path: Path) -> N
     assert stack.used() <= SIZE - _RESERVE
 
 
-def test_a_card_taken_out_stops_the_job_and_another_runs(uf2: Path, tmp_path: Path) -> None:
+def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: Path) -> None:
     card = card_with(tmp_path, {"part.nc": _JOB})
     machine = wired(uf2, tmp_path, card)
     machine.send("$F=part.nc\n")
@@ -110,15 +110,13 @@ def test_a_card_taken_out_stops_the_job_and_another_runs(uf2: Path, tmp_path: Pa
     assert "/part.nc" in machine.ask("$F")
 
 
-def test_a_file_that_comes_over_the_line_is_one_a_computer_reads(
-    uf2: Path, tmp_path: Path
-) -> None:
+def test_file_sent_over_the_line_is_readable_by_a_computer(uf2: Path, tmp_path: Path) -> None:
     card = card_with(tmp_path, {"part.nc": b"G4P0\n"})
     machine = wired(uf2, tmp_path, card)
     rate = len(_JOB) / push(machine, "PART.NC", _JOB) * 1000
     assert rate >= 15, "kB/s"
     card.damage = lambda block: bytes([block[0] ^ 16]) + block[1:] if card.read % 3 else block
-    assert files_on(tmp_path, card) == {"part.nc": _JOB}  # its capitals stay
+    assert files_on(tmp_path, card) == {"part.nc": _JOB}  # the name keeps its case
     machine.forget()
     machine.send("$C\n$F=PART.NC\n")
     machine.wait_for(f"done, {_LINES + 2} lines", 20_000_000)

@@ -1,4 +1,4 @@
-"""custom.py on the emulated Pico: put there as a file, and nothing it does can lose a step."""
+"""Test custom.py on the emulated Pico: it is a file there, and it can never lose a step."""
 
 import re
 import sys
@@ -95,7 +95,7 @@ def machine(uf2: Path) -> Board:
 
 @pytest.fixture
 def ready(machine: Board) -> "Board":
-    """In Idle, whatever was before."""
+    """Reset and unlock the machine, whatever its state was."""
     machine.forget()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
@@ -103,13 +103,13 @@ def ready(machine: Board) -> "Board":
     return machine
 
 
-def test_it_is_read_at_start_and_leaves_room(machine: Board) -> None:
+def test_custom_file_is_read_at_start_and_leaves_memory_free(machine: Board) -> None:
     said = machine.ask("$I")
     assert "[MSG:Custom: M100, M101, M102" in said and "on.report]" in said
     assert "8000 bytes" in machine.ask("M106"), "and there is room in one piece"
 
 
-def test_words_are_called_with_their_numbers_where_motion_has_ended(ready: Board) -> None:
+def test_words_are_called_with_their_numbers_after_motion_has_ended(ready: Board) -> None:
     ready.ask("G91 G1 X0.8 F600")
     said = ready.ask("M100 P1")
     assert re.search(r"\[MSG:P1 Q0 at \([\d.-]+, [\d.-]+, [\d.-]+\)\]\r\nok", said)
@@ -118,7 +118,7 @@ def test_words_are_called_with_their_numbers_where_motion_has_ended(ready: Board
     assert ready.ask("M100 X1", "error:36\r\n")
 
 
-def test_a_tool_change_is_kept_over_a_power_cut_and_shown(ready: Board, uf2: Path) -> None:
+def test_tool_change_is_stored_over_a_power_cut_and_reported(ready: Board, uf2: Path) -> None:
     before = [float(mm) for mm in ready.status()["MPos"].split(",")]
     ready.ask("G90")
     ready.ask("T7 M6")
@@ -136,7 +136,7 @@ def test_a_tool_change_is_kept_over_a_power_cut_and_shown(ready: Board, uf2: Pat
     assert second.status()["Tc"] == "7"
 
 
-def test_a_failure_loses_no_step_and_tells_file_and_line(ready: Board) -> None:
+def test_failing_word_loses_no_step_and_names_file_and_line(ready: Board) -> None:
     odometer = Odometer(ready.pico)
     before = odometer.read()
     said = ready.ask("M101", "Grbl 1.1h")
@@ -147,19 +147,19 @@ def test_a_failure_loses_no_step_and_tells_file_and_line(ready: Board) -> None:
 
 
 @pytest.mark.parametrize(("line", "name"), [("M103", "takes_memory"), ("M105", "calls_itself")])
-def test_memory_or_stack_used_up_is_a_failure_like_others(
+def test_exhausted_memory_or_stack_is_a_failure_like_others(
     ready: Board, line: str, name: str
 ) -> None:
     said = ready.ask(line, "Grbl 1.1h", 20_000_000)
     is_told = re.search(rf"\[MSG:{line}: custom.py, line \d+, in {name}: \w+", said)
-    # An interrupt may have come upon the full stack: MicroPython hangs as it tells of that, and
-    # the watchdog starts the chip anew.
+    # An interrupt may have hit the full stack. MicroPython hangs while it reports that, and the
+    # watchdog restarts the chip.
     assert is_told or (line == "M105" and "Uncaught exception in IRQ" in said)
     ready.ask("$X")
     assert "P1 Q0" in ready.ask("M100 P1")
 
 
-def test_a_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
+def test_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
     ready.forget()
     ready.send("M104\n")
     ready.pico.run_us(200_000)
@@ -167,7 +167,7 @@ def test_a_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
     ready.wait_for("Grbl 1.1h")
 
 
-def test_a_loop_is_stopped_and_ended_by_a_reset_and_reported(ready: Board) -> None:
+def test_endless_loop_is_stopped_ended_by_a_reset_and_reported(ready: Board) -> None:
     ready.ask("M3 S500")
     ready.forget()
     ready.send("M102\n")
@@ -182,7 +182,7 @@ def test_a_loop_is_stopped_and_ended_by_a_reset_and_reported(ready: Board) -> No
     ready.wait_for("Grbl 1.1h")
 
 
-def test_what_fails_during_arcs_that_are_streamed_comes_to_rest_and_loses_no_step(
+def test_failure_during_streamed_arcs_stops_smoothly_and_loses_no_step(
     uf2: Path,
 ) -> None:
     beside = b"""
@@ -212,7 +212,7 @@ def beside(m):
 
 
 def test_outputs_switch_and_make_pulses_until_a_reset(uf2: Path, tmp_path: Path) -> None:
-    """As many as a stack light has: all of them are held when the tool is."""
+    """There are as many outputs as a stack light has; kill() forces all of them off."""
     pins = {"red": 20, "lamp": 21, "fan": 26, "horn": 27}
     file = tmp_path / "light.py"
     file.write_text(BOARD_FILE.read_text() + f"\nOUTPUTS = {pins}\n")
@@ -270,11 +270,10 @@ def told(m):
 
 
 def streamed(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
-    """A board with such a custom.py, and how many short moves it has taken in a second, as fast as
-    it can take them."""
+    """Start a board with this custom.py; return it and its highest rate of short moves, 1/s."""
     talk = Talk(EmulatedWire(Board(uf2, {"custom.py": words}).boot().settled()))
     set_up(talk)
-    stream(talk, list(short_moves(300)), 63)  # what is made once is made
+    stream(talk, list(short_moves(300)), 63)  # objects that are created once exist now
     idle(talk)
     for line in ("G90", "G0X10Y10"):
         talk.ask(line)
@@ -282,12 +281,12 @@ def streamed(uf2: Path, words: "bytes | None") -> "tuple[Talk, float]":
     return talk, stream(talk, list(short_moves(800)), 63).lines_s
 
 
-def test_what_is_not_used_costs_little_and_a_handler_its_time(uf2: Path) -> None:
+def test_unused_word_costs_little_and_a_timer_its_own_time(uf2: Path) -> None:
     _, plain = streamed(uf2, None)
     _, word = streamed(uf2, _WORD)
     assert word > 0.98 * plain
     talk, timer = streamed(uf2, _TIMER)
-    assert timer > 0.9 * word  # 20 calls a second of 1 ms; to look at the time and to call it
+    assert timer > 0.9 * word  # 20 calls a second of 1 ms, and the overhead
     before = calls(talk)
     stream(talk, list(short_moves(800)), 63)
     ms = 800 / timer * 1000

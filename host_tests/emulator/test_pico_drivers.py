@@ -1,4 +1,4 @@
-"""TMC2209 drivers on the UART of an emulated SKR Pico: set up, looked after, in nobody's way."""
+"""Test TMC2209 drivers on the UART of an emulated SKR Pico: set-up, polling, no delay."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from ugrbl.sim import tmc2209 as model
 pytestmark = pytest.mark.xdist_group("pico drivers")
 
 _BOARD = load_board("btt_skr_pico")
-_UART = 1  # that of TMC_UART's pins
+_UART = 1  # the UART of TMC_UART's pins
 _BIT_US = 1e6 / 115200
 _DELAY_BITS = 24
 _RECEIVED = 1 << 4  # in the UART's mask of interrupts
@@ -26,7 +26,7 @@ _HEAP = 58_000
 
 
 class Wire:
-    """Models at the UART: bytes come when a wire of 115200 baud has brought them."""
+    """Driver models at the UART; bytes take the time of a wire at 115200 baud."""
 
     def __init__(self, pico: Pico) -> None:
         self.bus = model.DriverBus(_BOARD.TMC2209, lambda: True)
@@ -37,7 +37,7 @@ class Wire:
         self._uart.check_interrupts = self._check_interrupts
 
     def _check_interrupts(self) -> None:
-        """The emulator's transmitter, always empty, would interrupt for ever."""
+        """Mask the transmit interrupt, which never ends: the emulator's buffer is always empty."""
         uart = self._uart
         uart._interrupt_status &= _RECEIVED
         uart.rp2040.set_interrupt(uart.irq, bool(uart._interrupt_status & uart._interrupt_mask))
@@ -61,7 +61,7 @@ class Wire:
 
 
 class Machine:
-    """The board with its drivers, and ends of axes that they feel."""
+    """The board with its drivers."""
 
     def __init__(self, uf2: Path) -> None:
         self.board = Board(uf2, {**files_of("btt_skr_pico"), "main.py": MAIN})
@@ -89,12 +89,12 @@ def test_drivers_are_set_up_when_the_board_starts(machine: Machine) -> None:
         assert driver.registers[model.CHOPCONF] >> 24 & 15 == 4
 
 
-def test_the_report_is_what_the_models_say(machine: Machine) -> None:
+def test_report_has_the_values_of_the_models(machine: Machine) -> None:
     told = machine.board.ask("$TMC")
     assert told.count("|version:33|microsteps:16|mode:stealthChop|") == 3
 
 
-def test_steps_are_made_within_the_stack_there_is(machine: Machine) -> None:
+def test_steps_are_made_within_the_stack(machine: Machine) -> None:
     stack = Stack(machine.board)
     stack.paint()
     machine.odometer.read()
@@ -107,7 +107,7 @@ def test_steps_are_made_within_the_stack_there_is(machine: Machine) -> None:
     assert stack.used() <= SIZE - RESERVE
 
 
-def test_a_driver_that_falls_silent_is_an_alarm(machine: Machine) -> None:
+def test_silent_driver_is_an_alarm(machine: Machine) -> None:
     board = machine.board
     board.forget()
     machine.drivers()[1].has_supply = False
@@ -120,7 +120,7 @@ def test_a_driver_that_falls_silent_is_an_alarm(machine: Machine) -> None:
     assert board.status()["state"] == "Idle"
 
 
-def test_a_question_is_answered_while_drivers_are_looked_at(machine: Machine) -> None:
+def test_status_report_is_sent_in_time_while_drivers_are_polled(machine: Machine) -> None:
     pico = machine.board.pico
     waits = []
     for _ in range(60):
@@ -133,5 +133,5 @@ def test_a_question_is_answered_while_drivers_are_looked_at(machine: Machine) ->
     assert max(waits) < 15_000
 
 
-def test_heap_is_left(machine: Machine) -> None:
+def test_heap_is_free(machine: Machine) -> None:
     assert free(machine.board) >= _HEAP

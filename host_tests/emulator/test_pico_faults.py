@@ -1,4 +1,4 @@
-"""What goes wrong on the emulated Pico: it says so, in one line, and nothing moves or turns."""
+"""Test faults on the emulated Pico: one line reports the fault, and motors and tool are off."""
 
 from pathlib import Path
 
@@ -68,14 +68,14 @@ def machine(uf2: Path) -> Board:
 
 
 def still(machine: Board) -> None:
-    """Neither steps nor spindle pulses come any more."""
+    """Check that steps and spindle pulses have ended."""
     machine.pico.run_us(5_000)
     machine.pico.edges.clear()
     machine.pico.run_us(100_000)
     assert not [edge for edge in machine.pico.edges if edge.pin != ENABLE]
 
 
-def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board) -> None:
+def test_firmware_fault_is_an_alarm_and_a_reset_recovers(machine: Board) -> None:
     machine.ask("M3 S500")
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(200_000)
@@ -86,10 +86,10 @@ def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board)
     still(machine)
     assert machine.status()["state"] == "Alarm"
     machine.forget()
-    machine.send("G0 X1\n")  # nothing but a reset is heard
+    machine.send("G0 X1\n")  # only a reset is accepted
     machine.pico.run_us(50_000)
     assert machine.said == ""
-    machine.send("$")  # who asks is told again
+    machine.send("$")  # the fault is reported again on request
     machine.wait_for(f"({build_id()})]\r\n")
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
@@ -98,7 +98,7 @@ def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board)
     assert machine.ask("G90") == "ok\r\n"
 
 
-def test_an_exception_in_the_engines_interrupt_is_an_alarm_and_the_engine_lives(
+def test_exception_in_the_engines_interrupt_is_an_alarm_and_the_engine_recovers(
     machine: Board,
 ) -> None:
     machine.ask("$X")
@@ -121,7 +121,7 @@ def test_an_exception_in_the_engines_interrupt_is_an_alarm_and_the_engine_lives(
     assert len(steps(machine.pico.edges, 0)) == 250
 
 
-def test_ctrl_x_stops_motion_also_while_the_main_loop_is_busy(machine: Board) -> None:
+def test_ctrl_x_stops_motion_while_the_main_loop_is_busy(machine: Board) -> None:
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(100_000)
     machine.send("$BUSY\n")
@@ -137,7 +137,7 @@ def test_ctrl_x_stops_motion_also_while_the_main_loop_is_busy(machine: Board) ->
     assert machine.said.count("Grbl") == 1
 
 
-def test_a_main_loop_that_hangs_starts_the_chip_anew(machine: Board) -> None:
+def test_hanging_main_loop_restarts_the_chip(machine: Board) -> None:
     machine.ask("$X")
     machine.ask("M3 S500")
     machine.forget()
@@ -159,7 +159,7 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
         ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'extras"),
     ],
 )
-def test_a_machine_that_cannot_be_tells_anyone_who_asks(
+def test_machine_that_cannot_be_built_reports_the_cause_on_request(
     uf2: Path, changes: "dict[str, bytes | None]", said: str
 ) -> None:
     machine = Board(uf2, changes)
@@ -176,7 +176,7 @@ def test_a_machine_that_cannot_be_tells_anyone_who_asks(
 @pytest.mark.parametrize(
     ("board", "said"), [(None, "no module named 'board'"), (b"STEP = (2, 3, 4\n", "SyntaxErr")]
 )
-def test_without_a_board_there_is_a_line_and_the_prompt(
+def test_missing_board_file_is_reported_and_leads_to_the_prompt(
     uf2: Path, board: "bytes | None", said: str
 ) -> None:
     machine = Board(uf2, {"board.py": board})
@@ -186,13 +186,13 @@ def test_without_a_board_there_is_a_line_and_the_prompt(
     machine.wait_for("4\r\n")
 
 
-def test_a_spoilt_settings_file_is_said_and_the_factory_ones_hold(uf2: Path) -> None:
+def test_damaged_settings_file_is_reported_and_factory_settings_apply(uf2: Path) -> None:
     machine = Board(uf2, {"settings.txt": b"0=3\n110=99999\n#crc32=00000000\n"}).boot()
     assert "error:7" in machine.said and "$110=500.000" in machine.said
 
 
 def fillers() -> "dict[str, bytes]":
-    """Files that leave no room: one takes all blocks, others by their names the folder's."""
+    """Return files that leave no space: one takes all blocks, the others fill the folder."""
     files: dict[str, bytes] = {}
     for name, size in (("filler", BLOCK), ("0" * 240, 0), ("0" * 30, 0), ("0", 0)):
         fits, too_many = 0, CHIP.blocks
@@ -208,13 +208,13 @@ def fillers() -> "dict[str, bytes]":
 
 
 def _parts(name: str, size: int, count: int) -> "dict[str, bytes]":
-    """One file of so many times that size; or so many without content."""
+    """Return one file of count times this size; with size 0 return count empty files."""
     if size:
         return {name: bytes(size * count)}
     return {f"{name}{k}": b"" for k in range(count)}
 
 
-def test_a_full_flash_is_reported_and_what_is_set_holds_until_power_off(uf2: Path) -> None:
+def test_full_flash_is_reported_and_a_setting_holds_until_power_off(uf2: Path) -> None:
     machine = Board(uf2, fillers()).boot()
     assert machine.status()["state"] == "Idle"
     said = machine.ask("$110=600", "error:")

@@ -1,6 +1,6 @@
-"""A MicroPython with the firmware frozen in: UGRBL_FROZEN_UF2 says where that is.
+"""Test a MicroPython with frozen firmware: UGRBL_FROZEN_UF2 names its image.
 
-It is built with manifest.py (docs/boards.md) for boards/rpi_pico.py, of the sources here.
+It is built with manifest.py (docs/boards.md) for boards/rpi_pico.py, from these sources.
 """
 
 import os
@@ -20,7 +20,7 @@ from ugrbl.compiling.build import for_board
 pytestmark = pytest.mark.xdist_group("frozen")
 
 _FREE = "import gc\ngc.collect()\nprint(gc.mem_free())"
-# Modules that this chip has no use for have names that begin with these.
+# Names of modules that this chip does not use begin with these.
 _ELSEWHERE = ("esp_chip", "boot.parts_esp", "main")
 _IMPORT = """
 NETWORK = "no module named 'socket'", "no module named 'network'"  # a Pico W has them
@@ -56,11 +56,11 @@ def frozen_uf2() -> Path:
 
 
 def where(board: Board) -> str:
-    """What the firmware tells of itself."""
+    """Return the build that the firmware reports."""
     return board.ask("$I+").partition("[MSG:Build: ")[2].partition("]")[0]
 
 
-def test_it_starts_with_the_board_file_alone_and_takes_lines(frozen_uf2: Path) -> None:
+def test_firmware_starts_with_the_board_file_alone_and_moves(frozen_uf2: Path) -> None:
     board = Board(frozen_uf2).boot().settled()
     assert where(board).endswith(", frozen")
     board.pico.record([2, 5])
@@ -81,7 +81,7 @@ def test_every_module_of_every_board_can_be_imported(frozen_uf2: Path) -> None:
     assert board.python(f"NAMES = {names}\n{_IMPORT}").strip() == "[]"
 
 
-def test_a_limit_switch_stops_it(frozen_uf2: Path) -> None:
+def test_limit_switch_stops_the_machine(frozen_uf2: Path) -> None:
     board = Board(frozen_uf2).boot().settled()
     board.ask("$21=1")
     board.ask("G1X50F1200")
@@ -90,7 +90,7 @@ def test_a_limit_switch_stops_it(frozen_uf2: Path) -> None:
     board.wait_for("ALARM:1")
 
 
-def test_what_a_board_has_kept_outlives_an_update(frozen_uf2: Path, tmp_path: Path) -> None:
+def test_stored_data_survives_an_update(frozen_uf2: Path, tmp_path: Path) -> None:
     old = Board(frozen_uf2, {"custom.py": _CUSTOM}).boot().settled()
     old.ask("$110=4321")
     old.ask("G10L2P1X7")
@@ -101,7 +101,7 @@ def test_what_a_board_has_kept_outlives_an_update(frozen_uf2: Path, tmp_path: Pa
     assert done.returncode == 0, done.stderr
     flash = bytearray(old.pico.read_flash(0, 2 << 20))
     begin = flash.index(b"ugrbl frozen: ")
-    flash[begin : begin + 64] = bytes(64)  # it was an older one
+    flash[begin : begin + 64] = bytes(64)  # the id of an older build
     uf2_model.load(flash, out.read_bytes())
     new = Board(frozen_uf2)
     new.pico.write_flash(0, flash)
@@ -111,13 +111,13 @@ def test_what_a_board_has_kept_outlives_an_update(frozen_uf2: Path, tmp_path: Pa
     assert "[MSG:hello]" in new.ask("M100")
 
 
-def test_a_deployment_takes_firmware_away_that_lies_there_as_files(
+def test_deployment_removes_firmware_files_from_the_file_system(
     frozen_uf2: Path, tmp_path: Path
 ) -> None:
     made = for_board(BOARD_FILE)
     with pico(frozen_uf2, tmp_path, made) as port:
         with grbl(port):
-            pass  # while it starts it hears nothing
+            pass  # it reads nothing while it starts
         code, done = deploy(port)
     assert code == 0, done
     assert done["runs_frozen"] and done["copied"] == []
@@ -128,7 +128,7 @@ def test_a_deployment_takes_firmware_away_that_lies_there_as_files(
 @pytest.mark.parametrize(
     ("left", "is_frozen"), [(firmware(), False), ({"motion/planner.mpy": b"half"}, True)]
 )
-def test_files_run_in_its_place_where_a_deployment_was_whole(
+def test_files_run_instead_of_frozen_firmware_after_a_complete_deployment(
     frozen_uf2: Path, left: "Mapping[str, bytes]", is_frozen: bool
 ) -> None:
     board = Board(frozen_uf2, left).boot().settled()

@@ -1,4 +1,4 @@
-"""Two motors on an axis of the emulated Pico: squared at their switches, alive behind a stop."""
+"""Test two motors on an axis of the emulated Pico: squaring, and motion after a stop."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ _SETTINGS = (
     ],
     *("$22=1", "$23=0", "$24=100", "$25=1200", "$26=5", "$27=0.5", "$171=0.3"),
 )
-# Where the switches close, in steps from where the machine begins: the second of Y later.
+# Steps from the start to each switch; the second motor of Y has its switch later.
 _AT = (100, 100, 100, 160)
 _OFFSET = 30  # $171, in steps
 _HEAP = 68_000
@@ -28,7 +28,7 @@ _TICK_NS = 80
 
 
 class Gantry:
-    """The board, and switches that close where its motors are."""
+    """The board, with switches that close at positions of its motors."""
 
     def __init__(self, uf2: Path) -> None:
         files = {**files_of("pico_gantry"), "main.py": MAIN}
@@ -50,7 +50,7 @@ class Gantry:
         self.machine.pico.at_us(1_000, self._follow)
 
     def assert_alive(self) -> None:
-        """Every motor makes every step asked for."""
+        """Check that every motor makes every commanded step."""
         machine = self.machine
         machine.pico.run_us(2_000)
         before = self.odometer.read()
@@ -67,7 +67,7 @@ def gantry(uf2: Path) -> Gantry:
     return Gantry(uf2)
 
 
-def test_it_ends_square_at_its_two_switches(gantry: Gantry) -> None:
+def test_axis_is_squared_at_its_two_switches(gantry: Gantry) -> None:
     machine = gantry.machine
     stack = Stack(machine)
     stack.paint()
@@ -92,7 +92,7 @@ def test_both_motors_of_an_axis_step_at_the_same_time(gantry: Gantry) -> None:
 
 
 @pytest.mark.parametrize("ms", [150, 420, 700])
-def test_after_a_reset_in_the_middle_all_motors_are_alive(gantry: Gantry, ms: int) -> None:
+def test_all_motors_work_after_a_reset_during_homing(gantry: Gantry, ms: int) -> None:
     machine = gantry.machine
     machine.forget()
     machine.send("$H\n")

@@ -1,16 +1,16 @@
-"""Stops and holds of all kinds at random instants on the emulated Pico.
+"""Test stops and holds of all kinds at random instants on the emulated Pico.
 
-The machine is streaming, and at some instant a limit switch closes, the reset or the hold button
-is pressed, a Ctrl-X or a `!` arrives. Behind a stop there is no edge on a step pin nor on the
-spindle's later than docs/faults.md says, and the reset that follows ends in a machine that works
-and knows where it is, counted from the edges. A hold loses no step.
+The machine is streaming. At some instant a limit switch closes, the reset or the hold button is
+pressed, or a Ctrl-X or a `!` arrives. After a stop the last edge on a step pin or the spindle's
+pin comes within the time in docs/faults.md. The reset that follows ends in a machine that works
+and whose position is right, counted from the edges. A hold loses no step.
 
-A trial costs 2 CPU seconds, for it is a future of a machine that streams on. A thousand of
-them is `make torture-board`; what has failed is played again, alone, by the seed it names:
+A trial costs 2 CPU seconds, because it is a future of a machine that keeps streaming. A thousand
+of them is `make torture-board`. A failed trial is repeated alone by the seed that it names:
 
     UGRBL_INJECTION=137 .venv/bin/pytest -q host_tests/emulator/test_pico_injection.py
 
-Where processes cannot be forked (Windows), one trial comes behind the other, each with a life of
+Where processes cannot be forked (Windows), one trial runs after the other, each with a life of
 its own: the same laws, several times slower.
 """
 
@@ -46,7 +46,7 @@ def odometer(machine: Board) -> Odometer:
 
 @pytest.fixture(scope="module")
 def played() -> "Iterator[list[Outcome]]":
-    """All of them; pytest -s shows how many of each kind there were, and the slowest."""
+    """Collect all outcomes; pytest -s shows the number of each kind, and the slowest."""
     found: list[Outcome] = []
     yield found
     for act in ACTS:
@@ -58,7 +58,7 @@ def played() -> "Iterator[list[Outcome]]":
 
 
 def _trials(life: int) -> "list[Trial]":
-    """In the order in which they come."""
+    """Return the trials of a life, ordered by time."""
     first = life * TRIALS_PER_LIFE
     trials = map(Trial, range(first, first + TRIALS_PER_LIFE))
     return sorted(trials, key=lambda trial: trial.at_us)
@@ -67,7 +67,7 @@ def _trials(life: int) -> "list[Trial]":
 def _play_forked(
     life: Life, trials: "list[Trial]", seeds: "Collection[int]", tell: "Callable[[Outcome], None]"
 ) -> None:
-    """Stream past all instants, and play each trial that is wanted in a process of its own."""
+    """Stream past all instants, and run each chosen trial in a process of its own."""
     life.start()
     with futures() as play:
         for trial in trials:
@@ -77,7 +77,7 @@ def _play_forked(
 
 
 def _play_in_turn(life: Life, trial: Trial) -> Outcome:
-    """The same of one trial, here."""
+    """Run one trial in this process."""
     life.start()
     life.run_to(trial.at_us)
     outcome = trial.outcome(life)
@@ -89,7 +89,7 @@ def _play_in_turn(life: Life, trial: Trial) -> Outcome:
 def _outcomes(
     make_life: "Callable[[], Life]", trials: "list[Trial]", seeds: "Collection[int]"
 ) -> "list[Outcome]":
-    """Of the trials with these seeds; none is missing."""
+    """Return the outcomes of the trials with these seeds; raise if one is missing."""
     if not HAVE_FORK:
         return [_play_in_turn(make_life(), trial) for trial in trials if trial.seed in seeds]
     found, ended = told(lambda tell: _play_forked(make_life(), trials, seeds, tell))
@@ -100,7 +100,7 @@ def _outcomes(
 
 
 @pytest.mark.parametrize("number", _LIVES)
-def test_at_any_instant(
+def test_stop_or_hold_at_any_instant_keeps_all_laws(
     machine: Board, odometer: Odometer, played: "list[Outcome]", number: int
 ) -> None:
     trials = _trials(number)
@@ -111,10 +111,10 @@ def test_at_any_instant(
     assert not troubles, "\n".join(troubles)
 
 
-def test_a_stop_that_does_not_come_is_found(
+def test_missing_stop_is_found(
     machine: Board, odometer: Odometer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What this file is worth."""
+    """This shows that the other tests of the file can fail."""
     monkeypatch.setattr(Trial, "_inject", lambda trial: None)
     trial = Trial(2)
     (outcome,) = _outcomes(lambda: Life(machine, odometer, 1), [trial], {trial.seed})

@@ -1,4 +1,4 @@
-"""Switches, buttons and a probe at the emulated Pico, and what stops its motors."""
+"""Test switches, buttons and a probe at the emulated Pico, and stops of its motors."""
 
 from pathlib import Path
 
@@ -49,7 +49,7 @@ def position(machine: Board) -> "list[float]":
     return [float(mm) for mm in machine.status()["MPos"].split(",")]
 
 
-def test_hold_comes_to_rest_and_start_goes_on_to_the_step(machine: Board) -> None:
+def test_hold_button_stops_and_start_button_resumes_to_the_step(machine: Board) -> None:
     machine.pico.edges.clear()
     start = position(machine)[0]
     machine.ask("G91 G1 X12 F1800")
@@ -71,7 +71,7 @@ def test_hold_comes_to_rest_and_start_goes_on_to_the_step(machine: Board) -> Non
     assert position(machine)[0] == pytest.approx(start + 12, abs=0.001)
 
 
-def test_the_sender_holds_and_resumes(machine: Board) -> None:
+def test_sender_holds_and_resumes(machine: Board) -> None:
     machine.pico.edges.clear()
     machine.ask("G91 G1 X6 F1800")
     machine.pico.run_us(80_000)
@@ -84,7 +84,7 @@ def test_the_sender_holds_and_resumes(machine: Board) -> None:
 
 
 @pytest.mark.parametrize("how", ["ctrl-x", "button"])
-def test_a_reset_in_motion_stops_at_once_and_position_is_what_was_made(
+def test_reset_in_motion_stops_at_once_and_position_matches_the_steps(
     machine: Board, how: str
 ) -> None:
     start = position(machine)
@@ -106,7 +106,7 @@ def test_a_reset_in_motion_stops_at_once_and_position_is_what_was_made(
     assert position(machine) == pytest.approx([a + b for a, b in zip(start, made)], abs=0.001)
 
 
-def test_a_limit_switch_stops_all_axes_soon(machine: Board) -> None:
+def test_limit_switch_stops_all_axes_within_300_us(machine: Board) -> None:
     machine.ask("$21=1")
     machine.pico.edges.clear()
     machine.ask("G91 G1 X12 Y5 F1800")
@@ -124,7 +124,7 @@ def test_a_limit_switch_stops_all_axes_soon(machine: Board) -> None:
     machine.ask("$21=0")
 
 
-def test_an_emergency_stop_stops_all_and_locks_the_machine(machine: Board) -> None:
+def test_emergency_stop_stops_everything_and_locks_the_machine(machine: Board) -> None:
     machine.ask("M3 S500")
     machine.ask("G91 G1 X12 Y5 F1800")
     machine.pico.run_us(150_000)
@@ -139,7 +139,7 @@ def test_an_emergency_stop_stops_all_and_locks_the_machine(machine: Board) -> No
     machine.ask("$X")
 
 
-def test_a_probe_is_where_it_was_at_the_moment_of_contact(machine: Board) -> None:
+def test_probe_position_is_that_of_the_contact(machine: Board) -> None:
     z = position(machine)[2]
     machine.pico.edges.clear()
     contact: list[int] = []
@@ -156,7 +156,7 @@ def test_a_probe_is_where_it_was_at_the_moment_of_contact(machine: Board) -> Non
 
 
 def test_homing_finds_the_switches(machine: Board) -> None:
-    """Switches of X and Y 3 mm away, Z's 2 mm, closing and opening where the motors are."""
+    """Switches of X and Y are 3 mm away, Z's 2 mm; they follow the motors."""
     places = [240, 240, 160]
     for setting in ("$23=0", "$24=300", "$25=1200", "$27=1", "$26=5", "$22=1"):
         machine.ask(setting)
@@ -172,7 +172,7 @@ def test_homing_finds_the_switches(machine: Board) -> None:
     machine.pico.edges.clear()
     follow()
     machine.ask("$H", limit_us=12_000_000)
-    # Homed: the pull-off from where the switch closes.
+    # The home position is the pull-off from the place where the switch closes.
     assert position(machine) == pytest.approx([-1, -1, -1], abs=0.001)
     for axis in range(3):
         assert abs(at[axis] - (places[axis] - 80)) <= 3

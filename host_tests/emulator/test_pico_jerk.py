@@ -1,4 +1,4 @@
-"""A limit of jerk on the emulated Pico: the steps are those of the simulator, at their times."""
+"""Test the limit of jerk on the emulated Pico: the simulator's steps, at their times."""
 
 from pathlib import Path
 
@@ -31,9 +31,12 @@ def machine(uf2: Path, board_file: Path) -> Board:
 
 
 def test_steps_are_those_planned(machine: Board, board_file: Path) -> None:
-    """The simulator's segments are shorter by a twentieth, and its average is of as many. So is
-    each stop: times differ by that."""
-    made = moved(machine, [*PROGRAM, "G4P.01"])  # which waits for its end
+    """The times may differ by 6 %.
+
+    The simulator's segments are shorter by a twentieth, and its filter averages the same number of
+    them. So each stop is shorter by that part, too.
+    """
+    made = moved(machine, [*PROGRAM, "G4P.01"])  # waits for the end of motion
     planned = emulated.planned(PROGRAM, _LIMITS, str(board_file))
     for real, due in zip(made, planned, strict=True):
         assert [sign for _, sign in real] == [sign for _, sign in due]
@@ -44,8 +47,8 @@ def test_steps_are_those_planned(machine: Board, board_file: Path) -> None:
     assert took == pytest.approx(due_us, rel=0.06)
 
 
-def test_a_move_speeds_up_as_slowly_as_it_is_asked_to(machine: Board) -> None:
-    """In its first 50 ms, for acceleration grows by half of what is allowed: 10000 mm/s3."""
+def test_move_starts_within_the_limit_of_jerk(machine: Board) -> None:
+    """In the first 50 ms acceleration grows by half of the allowed jerk: 10000 mm/s3."""
     (track, _, _) = moved(machine, ["G91 G0 X20", "G4P.01"])
     start = track[0][0]
     for number, (us, _) in enumerate(track[:60]):
@@ -54,7 +57,7 @@ def test_a_move_speeds_up_as_slowly_as_it_is_asked_to(machine: Board) -> None:
             assert (number + 0.5) / 80 <= 10_000 * seconds**3 / 6 * 1.1
 
 
-def test_a_hold_and_a_reset_leave_it_where_its_steps_are(machine: Board) -> None:
+def test_position_matches_the_steps_after_a_hold_and_a_reset(machine: Board) -> None:
     machine.until_idle()
     before = [float(x) for x in machine.status()["MPos"].split(",")]
     machine.pico.edges.clear()

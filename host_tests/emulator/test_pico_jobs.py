@@ -1,5 +1,4 @@
-"""Jobs on the emulated Pico: from one file dragged there to a program that goes on behind a power
-cut."""
+"""Test jobs on the emulated Pico: from one dragged file to a job resumed after a power cut."""
 
 import math
 import subprocess
@@ -24,7 +23,7 @@ _SETTINGS = (
     *[f"${number + axis}=500" for axis in range(3) for number in (120, 130)],
     *("$22=1", "$23=0", "$24=100", "$25=3000", "$26=5", "$27=1"),
 )
-# Two turns up a spiral staircase, in the negative: homing has set its zero above.
+# A spiral staircase below zero, because homing sets its zero above.
 _JOB = (
     "G21 G90 G54",
     "M3 S1000",
@@ -38,7 +37,7 @@ _JOB = (
 
 
 def push(machine: Board, name: str, data: bytes) -> float:
-    """Send a file as `ugrbl job push` does. Returns how many us it takes."""
+    """Send a file as `ugrbl job push` does; return the time it takes, in us."""
     machine.forget()
     begun = machine.pico.us
     machine.send(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n")
@@ -50,7 +49,7 @@ def push(machine: Board, name: str, data: bytes) -> float:
 
 
 def home(machine: Board) -> Odometer:
-    """Its switches are 2 mm up and away from where it is now, from where the odometer counts."""
+    """Home to switches 2 mm above the current position, which is the odometer's origin."""
     odometer = Odometer(machine.pico)
     is_done: list[bool] = []
 
@@ -68,7 +67,7 @@ def home(machine: Board) -> Odometer:
 
 
 def made(tmp_path: Path, uf2: Path) -> bytes:
-    """Flash with what `ugrbl uf2` makes for a board with jobs, dragged onto something else."""
+    """Return flash with the file of `ugrbl uf2` for a board with jobs, dragged onto other data."""
     board, settings, file = (tmp_path / name for name in ("my.py", "my.settings", "all.uf2"))
     board.write_text(BOARD_FILE.read_text() + '\nJOBS = "jobs"\n')
     settings.write_text("".join(f"{line}\n" for line in _SETTINGS))
@@ -81,14 +80,14 @@ def made(tmp_path: Path, uf2: Path) -> bytes:
 
 
 def powered(uf2: Path, flash: bytes) -> Board:
-    """A Pico with that in its flash, as it says hello."""
+    """Start a Pico with this flash, and wait for its welcome."""
     machine = Board(uf2)
     machine.pico.write_flash(0, flash)
     machine.pico.record([*STEP, *DIR])
     return machine.boot()
 
 
-def test_from_a_dragged_file_to_a_job_that_goes_on_after_a_power_cut(
+def test_dragged_file_becomes_a_machine_whose_job_resumes_after_a_power_cut(
     uf2: Path, tmp_path: Path
 ) -> None:
     machine = powered(uf2, made(tmp_path, uf2))
@@ -102,7 +101,7 @@ def test_from_a_dragged_file_to_a_job_that_goes_on_after_a_power_cut(
     machine.pico.run_us(600_000)
     report = machine.status()
     assert report["state"] == "Run" and report["SD"].endswith(",/STAIRS.NC")
-    # The power goes: what watches it pulls the hold input, and there is a little left.
+    # The power fails: its supervisor pulls the hold input, and a little energy is left.
     machine.pico.drive(HOLD, 0)
     machine.pico.run_us(600_000)
     flash = machine.pico.read_flash(0, CHIP.flash)
@@ -123,11 +122,11 @@ def test_from_a_dragged_file_to_a_job_that_goes_on_after_a_power_cut(
 
 
 def place_of(line: str) -> list[float]:
-    """X and Y."""
+    """Return X and Y."""
     return [float(word[1:]) for word in line.split() if word[0] in "XY"]
 
 
-def test_a_file_comes_at_45_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
+def test_file_is_received_at_45_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
     machine = powered(uf2, made(tmp_path, uf2))
     turns = [i / 100 for i in range(1200)]
     lines = [f"G1X{50 * math.cos(at):.3f}Y{50 * math.sin(at):.3f}F1500" for at in turns]

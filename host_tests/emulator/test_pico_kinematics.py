@@ -1,4 +1,4 @@
-"""Kinematics of the user's own, slack that is taken up, and skew, on an emulated Pico."""
+"""Test user-defined kinematics, backlash and skew on an emulated Pico."""
 
 import math
 import shutil
@@ -18,12 +18,12 @@ pytestmark = pytest.mark.xdist_group("pico kinematics")
 
 _EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "kinematics"
 _HEAP = 60_000
-_CHORD_US = 16_000  # tried, and planned; 80 mm are 57 of them
+_CHORD_US = 16_000  # checked and planned; 80 mm are 57 chords
 _TOLERANCE = 0.05
 
 
 def live(uf2: Path, file: Path, *settings: str) -> Board:
-    """A Pico with that board file, its pins recorded."""
+    """Start a Pico with that board file and settings, and record its motor pins."""
     files = build.for_board(file).files
     made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files, "main.py": MAIN})
     made.boot().settled()
@@ -41,12 +41,12 @@ def scara(uf2: Path) -> Board:
 
 
 def arms() -> Any:
-    """examples/kinematics/scara.py."""
+    """Return the module examples/kinematics/scara.py."""
     load(_EXAMPLES / "my_scara.py")
     return sys.modules.get("scara") or __import__("scara")
 
 
-def test_a_line_is_straight_and_as_fast_as_it_is_asked_to_be(scara: Board) -> None:
+def test_line_is_straight_and_has_the_commanded_speed(scara: Board) -> None:
     scara.ask("G1X-40Y120F1200")
     scara.ask("G4P.01", limit_us=10_000_000)
     begin = [float(x) for x in scara.status()["MPos"].split(",")]
@@ -62,7 +62,7 @@ def test_a_line_is_straight_and_as_fast_as_it_is_asked_to_be(scara: Board) -> No
         (us, axis, way) for axis in range(3) for us, way in steps(scara.pico.edges, axis)
     )
     place = [0.0, 0.0, 0.0]
-    step_mm = 2 * math.radians(1 / per_degree) * 200  # of both arms, at the most
+    step_mm = 2 * math.radians(1 / per_degree) * 200  # of both arms, at most
     for _, axis, way in edges:
         at[axis] += way / (per_degree if axis < 2 else 400)
         model.forward(at, place)
@@ -72,14 +72,14 @@ def test_a_line_is_straight_and_as_fast_as_it_is_asked_to_be(scara: Board) -> No
     assert seconds == pytest.approx(80 / 20, rel=0.06)
 
 
-def test_what_is_out_of_reach_is_refused_there_too(scara: Board) -> None:
+def test_unreachable_target_is_refused(scara: Board) -> None:
     before = scara.status()["MPos"]
     assert "is out of reach]\r\nerror:33" in scara.ask("G1X0Y300F900", until="error:33\r\n")
     assert scara.status()["MPos"] == before
 
 
-def test_chords_are_made_in_so_many_milliseconds_and_memory_is_left(scara: Board) -> None:
-    """Said in docs/kinematics.md."""
+def test_chords_are_planned_in_time_and_heap_is_free(scara: Board) -> None:
+    """The figures are those of docs/kinematics.md."""
     left = free(scara)
     scara.ask("$12=0.002")
     scara.ask("G1X-40Y120F6000")
@@ -90,7 +90,7 @@ def test_chords_are_made_in_so_many_milliseconds_and_memory_is_left(scara: Board
     assert left >= _HEAP
 
 
-def test_slack_is_taken_up_to_the_step(uf2: Path, tmp_path: Path) -> None:
+def test_backlash_is_compensated_to_the_step(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "pico_backlash.py"
     file.write_text(BOARD_FILE.read_text() + "BACKLASH = True\n")
     machine = live(
@@ -123,7 +123,7 @@ def test_slack_is_taken_up_to_the_step(uf2: Path, tmp_path: Path) -> None:
     assert place == pytest.approx([1, -1, 0], abs=0.001)
 
 
-def test_motors_lean_to_the_step_as_in_the_simulator(uf2: Path, tmp_path: Path) -> None:
+def test_skewed_motors_make_the_simulators_steps(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "pico_skew.py"
     file.write_text(BOARD_FILE.read_text() + "SKEW = True\n")
     leaning = {110: 3000, 111: 3000, 112: 3000, 780: 100, 781: -50, 782: 30}

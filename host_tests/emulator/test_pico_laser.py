@@ -1,4 +1,4 @@
-"""The laser on the emulated Pico: what its pin does."""
+"""Test the laser's pin on the emulated Pico."""
 
 from bisect import bisect
 from itertools import pairwise
@@ -37,19 +37,17 @@ def machine(uf2: Path) -> Board:
 
 
 def pulses(machine: Board, us: float) -> "list[tuple[float, float]]":
-    """(from one to the next, length) of the pin's pulses, both in us, for so long."""
+    """Return (period, length) of the pin's pulses, both in us, recorded for this time."""
     machine.pico.edges.clear()
     machine.pico.run_us(us)
     edges = [edge for edge in machine.pico.edges if edge.pin == SPINDLE_PWM]
-    # The emulator's pin flickers for no time at all where a pulse's length has been set anew.
+    # The emulator's pin has a pulse of zero length when the compare register is written.
     highs = [(a.ns, b.ns - a.ns) for a, b in pairwise(edges) if a.level and b.ns > a.ns]
     return [((b - a) / 1000, high / 1000) for (a, high), (b, _) in pairwise(highs)]
 
 
 @pytest.mark.parametrize("hz", [5_000, 50_000, 100_000, 20_000])
-def test_the_frequency_is_that_of_the_pin_at_once_with_the_same_power(
-    machine: Board, hz: int
-) -> None:
+def test_pwm_frequency_changes_at_once_with_the_same_power(machine: Board, hz: int) -> None:
     machine.ask("M3 S250")
     machine.ask(f"$33={hz}")
     us = 1e6 / hz
@@ -61,7 +59,7 @@ def test_the_frequency_is_that_of_the_pin_at_once_with_the_same_power(
     machine.ask("M5")
 
 
-def test_it_is_kept_over_a_power_cut(machine: Board, uf2: Path) -> None:
+def test_pwm_frequency_survives_a_power_cut(machine: Board, uf2: Path) -> None:
     machine.ask("$33=40000")
     second = Board(uf2, files_of("pico_laser"))
     second.pico.put_file_system(machine.pico.flash_image())
@@ -73,11 +71,11 @@ def test_it_is_kept_over_a_power_cut(machine: Board, uf2: Path) -> None:
     assert len(seen) >= 9 and all(abs(period - 25) < 0.1 for period, _ in seen)
 
 
-# Power while it moves
+# Power in motion
 
 
 class Beam:
-    """What is written to where the PWM compares, and where the motors are then."""
+    """Record writes to the compare register of the PWM, with the motors' edges."""
 
     def __init__(self, machine: Board) -> None:
         self.changes = machine.pico.watch_power(SPINDLE_PWM)  # us, level
@@ -92,7 +90,7 @@ def beam(machine: Board) -> Beam:
 
 
 def places(machine: Board, beam: Beam) -> "list[tuple[float, int]]":
-    """(step of X, level): each change, counted in steps; a step is made half way."""
+    """Return (step of X, level) of each change; a step counts at half of its interval."""
     times = [us for us, _ in steps(machine.pico.edges, 0)]
     found = []
     for us, level in beam.changes:
@@ -103,7 +101,7 @@ def places(machine: Board, beam: Beam) -> "list[tuple[float, int]]":
 
 
 def fire(machine: Board, beam: Beam, *lines: str) -> None:
-    """Move, and note what changes."""
+    """Send lines with empty records."""
     machine.until_idle()
     machine.pico.edges.clear()
     beam.changes.clear()
@@ -116,14 +114,14 @@ def fire(machine: Board, beam: Beam, *lines: str) -> None:
 def test_power_changes_at_its_step_at_100_mm_s(
     machine: Board, beam: Beam, per_mm: int, mode: str
 ) -> None:
-    """The table of docs/laser.md: how far from its place, in steps, a change comes at the most."""
+    """The table of docs/laser.md has the largest distance of a change from its place, in steps."""
     far_from_its_place(machine, beam, per_mm, mode)
 
 
 def far_from_its_place(
     machine: Board, beam: Beam, per_mm: int, mode: str, others: str = ""
 ) -> None:
-    """others: what else moves in each line."""
+    """Check the distance of power changes from their places; others: words of other axes."""
     machine.ask(f"$100={per_mm}")
     machine.forget()
     machine.send("\x18")
@@ -154,8 +152,10 @@ LIMIT = LIMIT + (None,) * (len(STEP) - 3)
 
 
 @pytest.mark.parametrize(("motors", "others"), [(4, "A-.3"), (6, "A.3B-.2C.1")])
-def test_it_does_so_beside_four_and_six_motors(uf2: Path, motors: int, others: str) -> None:
-    """The beam's machine is one of PIO 1 then, and behind six motors the last there is."""
+def test_power_changes_at_its_step_with_four_and_six_motors(
+    uf2: Path, motors: int, others: str
+) -> None:
+    """The beam's machine is then one of PIO 1; with six motors it is the last free one."""
     file = for_this_chip(BOARDS / "pico_laser.py", _MORE % (motors - 3, motors - 3))
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     machine = Board(uf2, files).boot().settled()
@@ -181,7 +181,7 @@ def test_it_does_so_beside_four_and_six_motors(uf2: Path, motors: int, others: s
 
 
 def running(machine: Board, beam: Beam, mode: str) -> None:
-    """It burns, in the middle of clusters."""
+    """Start clusters, and wait until the beam burns in the middle of them."""
     machine.ask("$100=250")
     machine.forget()
     machine.send("\x18")
@@ -202,7 +202,7 @@ STOPS = {
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
 @pytest.mark.parametrize("stop", STOPS)
-def test_whatever_stops_it_the_beam_goes_out_and_stays_so(
+def test_any_stop_switches_the_beam_off_for_good(
     machine: Board, beam: Beam, stop: str, mode: str
 ) -> None:
     machine.ask("$21=1")
@@ -219,14 +219,14 @@ def test_whatever_stops_it_the_beam_goes_out_and_stays_so(
     machine.send("\x18")
     machine.pico.run_us(50_000)
     machine.ask("$21=0")
-    # Behind it dots are in step with motion as before.
+    # Afterwards dots are in step with motion again.
     running(machine, beam, mode)
     machine.until_idle()
     assert beam.changes[-1][1] == (0 if mode == "M4" else _HALF)
 
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
-def test_a_hold_is_dark_and_dots_go_on_after_it(machine: Board, beam: Beam, mode: str) -> None:
+def test_hold_is_dark_and_dots_continue_after_it(machine: Board, beam: Beam, mode: str) -> None:
     running(machine, beam, mode)
     machine.send("!")
     machine.pico.run_us(300_000)
@@ -243,7 +243,7 @@ def test_a_hold_is_dark_and_dots_go_on_after_it(machine: Board, beam: Beam, mode
 
 @pytest.fixture(scope="module")
 def other(uf2: Path) -> "tuple[Board, Beam]":
-    """One with commands of our own."""
+    """Start a machine with commands of our own."""
     machine = Board(uf2, {**files_of("pico_laser"), "main.py": MAIN}).boot().settled()
     machine.pico.record([SPINDLE_PWM, *STEP, *DIR])
     for setting in ("$0=3", "$110=6000", "$120=5000"):
@@ -251,10 +251,10 @@ def other(uf2: Path) -> "tuple[Board, Beam]":
     return machine, Beam(machine)
 
 
-def test_a_laser_that_is_put_out_in_motion_is_dark_and_the_motion_goes_on(
+def test_laser_switched_off_in_motion_is_dark_and_the_motion_continues(
     other: "tuple[Board, Beam]",
 ) -> None:
-    """As nothing of ours does it today."""
+    """No code of ours does this today."""
     machine, beam = other
     running(machine, beam, "M3")
     machine.ask("$OUT")
@@ -270,10 +270,8 @@ def test_a_laser_that_is_put_out_in_motion_is_dark_and_the_motion_goes_on(
 
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
-def test_where_the_interrupt_comes_too_late_no_dot_is_lost(
-    other: "tuple[Board, Beam]", mode: str
-) -> None:
-    """Motors and beam wait, together, and go on together; at rest M4 is dark."""
+def test_no_dot_is_lost_when_the_interrupt_is_late(other: "tuple[Board, Beam]", mode: str) -> None:
+    """Motors and beam wait and continue together; M4 is dark while idle."""
     machine, beam = other
     running(machine, beam, mode)
     machine.ask("$DEAF")

@@ -1,4 +1,4 @@
-"""A lenient board on the emulated Pico: a tool change and drilling, to the last step."""
+"""Test a lenient board on the emulated Pico: tool change and drilling, to the last step."""
 
 from itertools import accumulate
 from pathlib import Path
@@ -15,7 +15,7 @@ _HOLES = ("G98 G83 X1 Y1 Z-1 R1 Q.8 F1200", "X2", "X3Y2", "G80", "X.5")
 _SETTINGS = [f"${first + axis}={value}" for first, value in _FAST.items() for axis in range(3)]
 
 
-def test_a_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) -> None:
+def test_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "lenient.py"
     file.write_text(BOARD_FILE.read_text() + "\nLENIENT = True\n")
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files}).boot()

@@ -1,4 +1,4 @@
-"""Edges of step and direction pins on the emulated Pico: counted, timed, held to the plan."""
+"""Test edges of step and direction pins on the emulated Pico: number, time, plan."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -26,7 +26,7 @@ G1 X-2.5 Y-1 Z-0.5 F3000
 
 _PULSE_US = 3
 _TICK_US = 0.08
-# The emulator notes an edge up to some instructions late.
+# The emulator records an edge up to a few instructions late.
 _SEEN_US = 0.3
 _SETUP_US = 5
 _HOLD_US = 2
@@ -34,7 +34,7 @@ _HOLD_US = 2
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
-    """A machine that is set up, its motor pins being recorded."""
+    """Start and set up a machine, and record its motor pins."""
     made = Board(uf2, {"main.py": USER}).boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting).endswith("ok\r\n")
@@ -42,7 +42,7 @@ def machine(uf2: Path) -> Board:
     return made
 
 
-# A user's Python, which takes its time. It is in main.py, where users may do such things.
+# A user's slow Python code in main.py, where users may add such commands.
 USER = b"""
 import gc
 import time
@@ -77,7 +77,7 @@ power_up.run_machine(power_up.build())
 
 
 def moved(machine: Board, lines: "list[str]") -> "list[list[tuple[float, int]]]":
-    """Stream lines, wait until all is done; the steps of every axis."""
+    """Stream lines, wait until they are executed, and return the steps of every axis."""
     machine.until_idle()
     machine.pico.edges.clear()
     machine.forget()
@@ -97,21 +97,22 @@ def made(machine: Board) -> "list[list[tuple[float, int]]]":
 
 @pytest.fixture(scope="module")
 def planned() -> "list[list[tuple[float, int]]]":
-    """What the simulator makes of the same program."""
+    """Return the steps of the same program in the simulator."""
     return emulated.planned(PROGRAM, SETTINGS)
 
 
-def test_a_program_makes_exactly_the_steps_planned(
+def test_program_makes_exactly_the_planned_steps(
     made: "list[list[tuple[float, int]]]", planned: "list[list[tuple[float, int]]]"
 ) -> None:
     for axis, (real, due) in enumerate(zip(made, planned, strict=True)):
         assert [sign for _, sign in real] == [sign for _, sign in due], f"axis {axis}"
 
 
-def test_steps_come_when_the_plan_says(
+def test_steps_come_at_their_planned_times(
     made: "list[list[tuple[float, int]]]", planned: "list[list[tuple[float, int]]]"
 ) -> None:
-    # Segments begin at other times here, so speed changes up to one of them earlier or later.
+    # Segments begin at other times than in the simulator, so a speed change may come up to one
+    # segment earlier or later.
     start = min(axis[0][0] for axis in made if axis)
     start_due = min(axis[0][0] for axis in planned if axis)
     for real, due in zip(made, planned, strict=True):
@@ -119,7 +120,7 @@ def test_steps_come_when_the_plan_says(
         assert max(map(abs, late)) < 5_000
 
 
-def test_pulses_are_as_long_as_asked_and_directions_stand_still_around_them(
+def test_pulse_length_and_direction_setup_and_hold_are_kept(
     made: "list[list[tuple[float, int]]]", machine: Board
 ) -> None:
     assert made
@@ -139,14 +140,14 @@ def test_pulses_are_as_long_as_asked_and_directions_stand_still_around_them(
 
 
 def _intervals(track: "list[tuple[float, int]]", skip: int) -> "list[float]":
-    """Between steps at constant speed, so many at both ends left out."""
+    """Return the intervals between steps, without this number of steps at both ends."""
     times = [us for us, _ in track][skip:-skip]
     return [b - a for a, b in pairwise(times)]
 
 
 @pytest.mark.parametrize("command", ["$BLOCK", "$COLLECT", "$PRINT"])
-def test_planned_motion_is_smooth_while_python_is_busy(machine: Board, command: str) -> None:
-    # At 40 mm/s, 3200 steps/s, for 0.26 s; speeding up and slowing down take 128 steps each.
+def test_motion_is_smooth_while_python_is_busy(machine: Board, command: str) -> None:
+    # At 40 mm/s, 3200 steps/s, for 0.26 s; acceleration and braking take 128 steps each.
     machine.pico.edges.clear()
     machine.ask("G91 G1 X12 F2400")
     machine.pico.run_us(60_000)
@@ -169,7 +170,7 @@ def test_motors_are_powered_while_they_move_and_released_after(machine: Board) -
 
 
 def test_slow_steps_are_even(machine: Board) -> None:
-    # Slower ones take too long here; host_tests/pio/test_pio.py has them.
+    # Slower steps take too long here; host_tests/pio/test_pio.py has them.
     tracks = moved(machine, ["G91 G1 X0.5 F250"])
     gaps = _intervals(tracks[0], 6)
     assert len(gaps) == 27 and max(abs(gap - 3000) for gap in gaps) <= 30

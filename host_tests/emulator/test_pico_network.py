@@ -1,6 +1,7 @@
-"""The network's link on the emulated Pico, which has no radio: files stand in for MicroPython's
-network and socket. So nothing is said of Wi-Fi, lwIP and their interrupts. The page, too, which
-no Pico W serves, for it is the only board there is an emulator of.
+"""Test the network link on the emulated Pico, with files as MicroPython's network and socket.
+
+The emulated Pico has no radio, so Wi-Fi, lwIP and their interrupts are not tested. The page is
+tested here, too, although no Pico W serves it, because only this board has an emulator.
 """
 
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico network")
 
-_HEAP = 55_000  # of a Pico's, which has 41,672 bytes more of it than a Pico W
+_HEAP = 55_000  # of a Pico, which has 41,672 bytes more of it than a Pico W
 _HEAP_WITH_PAGE = 42_000
 
 _NETWORK = b"""
@@ -44,8 +45,8 @@ class WLAN:
         return ("192.168.1.7", "", "", "")
 """
 
-# Who calls says these lines, one behind the answer to the one before; what he hears is in `heard`.
-# Who comes for the page says each of his behind what stands beside it.
+# A caller sends each line of `says` after this number of answers; its received bytes are in
+# `heard`. A visitor of the page sends each item of `asks` after the text in front of it.
 _SOCKET = b"""
 import io
 
@@ -151,7 +152,7 @@ ASKS = [
 
 
 def started(uf2: Path, files: "Mapping[str, bytes | None]", says: str) -> Board:
-    """A Pico with these files, and who says what to it."""
+    """Start a Pico with these files; says is code that scripts its network clients."""
     main = _MAIN.replace(b"socket.SAYS", says.encode())
     stand_ins = {"no_network.py": _NETWORK, "no_socket.py": _SOCKET, "main.py": main}
     board = Board(uf2, {**files, **stand_ins}).boot()
@@ -172,7 +173,7 @@ def machine(uf2: Path) -> Board:
 
 @pytest.fixture
 def with_page(uf2: Path) -> Board:
-    """As no Pico W is let be."""
+    """Start a Pico W with the page, which board_check would refuse."""
     described: Any = load_board("pico_w_wifi")
     described.PAGE = True
     made = build.compile_all(described.MPY_ARCH, described)
@@ -181,8 +182,8 @@ def with_page(uf2: Path) -> Board:
     return started(uf2, files, f"socket.asks += {ASKS}")
 
 
-def test_who_calls_drives_with_the_key_and_memory_is_left(machine: Board) -> None:
-    """He says his lines, nobody else has; the cable may when he has been silent."""
+def test_caller_with_the_key_gains_control_and_heap_is_free(machine: Board) -> None:
+    """The caller sends lines while no other client does; the cable may after its silence."""
     machine.pico.run_us(1_300_000)
     machine.forget()
     machine.send("?")
@@ -191,7 +192,7 @@ def test_who_calls_drives_with_the_key_and_memory_is_left(machine: Board) -> Non
     assert free_bytes(machine) >= _HEAP
 
 
-def test_the_page_is_served_and_drives_and_what_memory_is_left(with_page: Board) -> None:
+def test_page_is_served_and_gains_control_and_heap_is_free(with_page: Board) -> None:
     with_page.pico.run_us(2_500_000)
     with_page.forget()
     with_page.send("?")

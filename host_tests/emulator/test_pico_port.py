@@ -1,7 +1,7 @@
-"""Pins that are not steps on the emulated Pico: its pads, and its hard interrupts.
+"""Test pins other than steps on the emulated Pico: its pads and its hard interrupts.
 
-Only the port is there, in MicroPython's prompt. What interrupts it cannot allocate there, for the
-heap is locked, so a callback that did would be told of as one that has failed.
+Only the port is there, at MicroPython's prompt. Its interrupts cannot allocate, because the heap
+is locked, so a callback that allocates would be reported as failed.
 """
 
 from functools import partial
@@ -49,7 +49,7 @@ def machine(uf2: Path) -> Board:
 
 
 def pads(machine: Board) -> "tuple[int | None, int | None]":
-    """What comes out: power, and flood coolant, which is on when low."""
+    """Return the outputs: power, and flood coolant, which is on when low."""
     machine.pico.run_us(1_000)
     return machine.pico.level(SPINDLE_PWM), machine.pico.level(FLOOD)
 
@@ -75,23 +75,23 @@ def test_killed_pads_stay_off_whatever_is_written_to_pin_and_pwm(machine: Board)
     assert pads(machine) == OFF
 
 
-def test_a_storm_on_a_limit_input_is_heard_once_in_a_while(machine: Board) -> None:
+def test_storm_on_a_limit_input_is_limited_to_one_call_in_2_ms(machine: Board) -> None:
     machine.python_again("heard[0] = 0\nimport time")
     for number in range(400):
         level = number & 1
         machine.pico.at_us(1_000 + 25 * number, partial(machine.pico.drive, LIMIT[0], level))
     machine.python_again("time.sleep_ms(20)")
     calls, _, failed, _ = machine.python_again("print(*heard)").split()
-    assert 1 <= int(calls) <= 11  # 10 ms, of which each call takes 2
+    assert 1 <= int(calls) <= 11  # 10 ms; there are at least 2 ms between calls
     assert failed == "0"
 
 
-def test_inputs_are_heard_in_hard_interrupts_that_allocate_nothing(machine: Board) -> None:
+def test_inputs_are_handled_in_hard_interrupts_that_allocate_nothing(machine: Board) -> None:
     machine.python_again("heard[:] = bytes(4)\nport.watch_probe(lambda: note(3), True)")
     for pin, level in ((LIMIT[1], 0), (RESET, 0), (PROBE, 0), (ESTOP, 1)):
         machine.pico.drive(pin, level)
         machine.pico.run_us(6_000)
-    # Once the limit, the button and the probe; the emergency stop is looked at again.
+    # One call each for limit, button and probe; the emergency stop is polled again.
     assert machine.python_again("print(*heard, port.estop())") == "1 3 0 1 True\r\n"
     for pin, level in ((LIMIT[1], 1), (RESET, 1), (PROBE, 1), (ESTOP, 0)):
         machine.pico.drive(pin, level)
@@ -100,11 +100,11 @@ def test_inputs_are_heard_in_hard_interrupts_that_allocate_nothing(machine: Boar
     assert (calls[0], calls[2:]) == ("2", ["0", "1", "False"])
 
 
-def test_limits_that_are_not_wanted_are_not_heard(machine: Board) -> None:
+def test_disabled_limits_are_ignored(machine: Board) -> None:
     machine.python_again("heard[:] = bytes(4)\nport.enable_limits(False)")
     machine.pico.drive(LIMIT[2], 0)
     machine.pico.run_us(6_000)
-    machine.pico.drive(RESET, 0)  # MicroPython looks at all pins then
+    machine.pico.drive(RESET, 0)  # MicroPython then reads all pins
     machine.pico.run_us(6_000)
     machine.pico.drive(LIMIT[2], 1)
     machine.pico.drive(RESET, 1)
@@ -121,7 +121,7 @@ def note(i):
 """
 
 
-def test_a_callback_that_fails_kills_the_tool_in_its_interrupt(machine: Board) -> None:
+def test_failing_callback_kills_the_tool_in_its_interrupt(machine: Board) -> None:
     machine.python_again("port.enable_limits(True)\n" + SWITCH_ON)
     assert pads(machine) == ON
     machine.python_again(FAILING)

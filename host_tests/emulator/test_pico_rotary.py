@@ -1,4 +1,4 @@
-"""An axis that turns, on an emulated Pico with four motors: its steps, its time, what it costs."""
+"""Test a rotary axis on an emulated Pico with four motors: steps, time, and cost."""
 
 import random
 from pathlib import Path
@@ -26,7 +26,7 @@ _HEAP = 65_000
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path, tmp_path_factory: pytest.TempPathFactory) -> Board:
-    """pico_gantry with a rotary axis in place of the second motor."""
+    """Start pico_gantry with a rotary axis in place of the second motor."""
     file = tmp_path_factory.mktemp("boards") / "pico_rotary.py"
     gantry = (BOARDS / "pico_gantry.py").read_text("utf-8")
     assert 'MOTORS = "XYZY"' in gantry
@@ -45,8 +45,8 @@ def odometer(machine: Board) -> Odometer:
     return Odometer(machine.pico, _GANTRY.STEP, _GANTRY.DIR)
 
 
-def test_a_line_takes_the_time_of_its_linear_axes(machine: Board, odometer: Odometer) -> None:
-    """10 mm at 10 mm/s, and 360 degrees meanwhile; the other way 45 degrees at 90 per second."""
+def test_line_takes_the_time_of_its_linear_axes(machine: Board, odometer: Odometer) -> None:
+    """10 mm at 10 mm/s with 360 degrees; then 45 degrees back at 90 degrees per second."""
     for line, seconds in (("G91 G1 X10 A360 F600", 1.0), ("A-45 F5400", 0.5)):
         odometer.read()
         machine.ask(line)
@@ -55,8 +55,8 @@ def test_a_line_takes_the_time_of_its_linear_axes(machine: Board, odometer: Odom
         assert (turned[-1] - turned[0]) / 1e9 == pytest.approx(seconds, rel=0.06)
 
 
-def test_every_step_is_made_within_the_stack_there_is(machine: Board, odometer: Odometer) -> None:
-    """Lines of the kernel and of the interpreter, helices, in mm and inches."""
+def test_every_step_is_made_within_the_stack(machine: Board, odometer: Odometer) -> None:
+    """Lines of the kernel and of the interpreter, and helices, with random steps."""
     chance = random.Random(19)
     made = odometer.read()
     stack = Stack(machine)

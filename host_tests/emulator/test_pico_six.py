@@ -1,4 +1,4 @@
-"""Six motors on an emulated Pico, two of them on PIO 1: steps, stops, rates, and their cost."""
+"""Test six motors on an emulated Pico, two of them on PIO 1: steps, stops, rates, cost."""
 
 import random
 import sys
@@ -37,16 +37,16 @@ _SETTINGS = (
 )
 _HEAP, _HEAP_OF_SIX = 62_000, 82_000
 _TICK_US = 0.08
-# The emulator notes an edge up to some instructions late.
+# The emulator records an edge up to a few instructions late.
 _SEEN_US = 0.3
 _MOVE_MM = 0.05
 _COUNTED_US = 35_000
-# What the interrupt of six motors may take of that of three.
+# Limit of the interrupt's share with six motors, relative to three motors.
 _DEARER = 1.5
 
 
 class Machine:
-    """The board, set up, with its motors' pins recorded."""
+    """The board, set up, with its motor pins recorded."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -56,11 +56,11 @@ class Machine:
         self.odometer = Odometer(board.pico, _SIX.STEP, _SIX.DIR)
 
     def rises(self, motor: int) -> "list[float]":
-        """When it has stepped, us."""
+        """Return the times of a motor's steps, in us."""
         return _rises(self.board.pico.edges, motor)
 
     def places(self) -> "list[float]":
-        """What the board reports, in steps."""
+        """Return the reported position, in steps."""
         return [round(float(mm) * _PER_MM, 3) for mm in self.board.status()["MPos"].split(",")]
 
 
@@ -81,7 +81,7 @@ def machine(uf2: Path) -> Machine:
 
 
 def test_every_motor_makes_every_step_of_random_lines(machine: Machine) -> None:
-    """Within the stack there is; the board reports the places that the pins have gone to."""
+    """It stays within the stack, and the board reports the positions of the motors."""
     chance = random.Random(6)
     board = machine.board
     made = machine.odometer.read()
@@ -99,7 +99,7 @@ def test_every_motor_makes_every_step_of_random_lines(machine: Machine) -> None:
 
 
 def test_motors_of_both_pios_step_in_the_same_tick(machine: Machine) -> None:
-    """First steps, last ones, and all between: the two blocks begin some cycles apart."""
+    """First steps, last steps and all between: the two blocks start a few cycles apart."""
     board = machine.board
     for _ in range(3):
         machine.odometer.read()
@@ -129,10 +129,10 @@ def test_six_motors_at_once_make_250_khz(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize("ms", [3, 14.3, 26.1, 37.7, 55])
-def test_a_reset_stops_all_six_for_good_and_knows_where_they_are(
+def test_reset_stops_all_six_motors_and_their_positions_are_known(
     machine: Machine, ms: float
 ) -> None:
-    """Wherever it falls; then all six are alive."""
+    """It may come at any time; all six work afterwards."""
     board = machine.board
     board.ask("G91 G1 F60000")
     board.forget()
@@ -153,7 +153,7 @@ def test_a_reset_stops_all_six_for_good_and_knows_where_they_are(
 
 
 @pytest.mark.parametrize("motor", [1, 3, 4, 5])
-def test_any_limit_switch_stops_all_six(machine: Machine, motor: int) -> None:
+def test_any_limit_switch_stops_all_six_motors(machine: Machine, motor: int) -> None:
     board = machine.board
     board.ask("$21=1")
     board.ask("G91 G1 F6000")
@@ -173,10 +173,10 @@ def test_any_limit_switch_stops_all_six(machine: Machine, motor: int) -> None:
     assert machine.places() == machine.odometer.read()
 
 
-def test_the_interrupt_of_six_takes_one_and_a_half_of_that_of_three(
+def test_interrupt_of_six_motors_takes_at_most_one_and_a_half_of_three(
     machine: Machine, uf2: Path
 ) -> None:
-    """300 short blocks a second in which every motor moves: what a loop on the board loses."""
+    """300 short blocks a second in which every motor moves: the time that a loop loses."""
     three = Board(uf2, {"main.py": MAIN}).boot().settled()
     for setting in _SETTINGS:
         if int(setting[1:].partition("=")[0]) % 10 < 3:
@@ -200,8 +200,8 @@ def _numbers(said: str) -> "list[int]":
     return [int(n) for n in said.partition("[MSG:")[2].partition(".]")[0].split()]
 
 
-def test_four_axis_lines_are_82_percent_of_three_axis_ones_per_second(uf2: Path) -> None:
-    """As docs/speed.md has them."""
+def test_four_axis_lines_reach_82_percent_of_the_three_axis_rate(uf2: Path) -> None:
+    """The figure is in docs/speed.md."""
     three, four = (next(of_axes(Bench(uf2), name)).figure for name in ("three axes", "four axes"))
     assert four >= 0.82 * three > 0
 

@@ -1,8 +1,8 @@
-"""The table "On a Pico" of docs/speed.md holds: each of its figures is measured again.
+"""Test the table "On a Pico" of docs/speed.md: each of its figures is measured again.
 
-The parts of `make bench-board` run in its order, for what is measured first leaves its traces in
-memory; what no row is made of is left out. Of the column with the flash cache only the streams
-are measured: with it the emulator takes twice as long.
+The parts of `make bench-board` run in its order, because the first parts leave traces in memory.
+Parts without a row are left out. Of the column with the flash cache only the streams are measured:
+the emulator takes twice as long with it.
 """
 
 import re
@@ -26,18 +26,18 @@ from wire import EmulatedWire, Talk  # noqa: E402
 
 _DOCUMENT = (_HOST_TESTS.parent / "docs" / "speed.md").read_text(encoding="utf-8")
 _WORSE = 0.1
-_BYTES = 16  # a block of memory: what a line leaves is the mean of some lines
-# Of bench_board.py, in its order: those that rows are made of.
+_BYTES = 16  # a block of memory: the figure of a line is the mean of some lines
+# Parts of bench_board.py, in its order, that have rows in the table.
 _PARTS = (
     *("boot", "memory", "heap", "queries", "lines", "special", "long", "chords"),
     *("share", "hold", "gaps"),
 )
-_FAR = ("rates", "clusters")  # on boards of their own: from where the others end it is far
+_FAR = ("rates", "clusters")  # on boards of their own, so their order does not matter
 _CACHED = ("lines", "special", "clusters", "chords")
 
 _LONG = [f"interrupt's share, {x}" for x in ("1 axis, 1 kHz", "1 axis, 100 kHz", "3 axes, 70 kHz")]
-# The rows of the table by their beginning, and what each of their figures is in the benchmark: in
-# its units times so much. "" is what was asked for.
+# The rows of the table by their beginning; the factor from the benchmark's unit, and the
+# benchmark's row for each figure. "" stands for a figure that was given and not measured.
 _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "step rate on one": (1, ["step rate, 1 axis", "step rate, 2 axes", "step rate, 3 axes"]),
     "short moves streamed": (
@@ -106,12 +106,12 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "a collection": (1, ["a collection, mean"]),
     "memory free": (1, ["memory free, nothing but the firmware"]),
 }
-# Measured elsewhere: make torture-board.
+# Measured by make torture-board.
 _NOT_HERE = ("a limit switch to the last edge",)
 
 
 def table() -> "dict[str, list[str]]":
-    """The cells behind the first of each row."""
+    """Return the cells after the first of each row."""
     _, _, behind = _DOCUMENT.partition("## On a Pico")
     lines = behind[behind.index("\n| ---") + 1 :].splitlines()[1:]
     end = next(i for i, line in enumerate(lines) if not line.startswith("|"))
@@ -123,7 +123,7 @@ TABLE = table()
 
 
 def figures(cell: str) -> "list[tuple[float, float]]":
-    """The numbers of a cell, each with half of its last digit."""
+    """Return the numbers of a cell, each with half of its last digit."""
     found = [
         text.replace(",", "") for text in re.findall(r"\d[\d,]*\d(?:\.\d+)?|\d(?:\.\d+)?", cell)
     ]
@@ -131,13 +131,13 @@ def figures(cell: str) -> "list[tuple[float, float]]":
 
 
 def measured(uf2: Path, parts: "Sequence[str]", cached: bool = False) -> "dict[str, float]":
-    """What the benchmark says."""
+    """Run parts of the benchmark; return its figures by row."""
     bench = Bench(uf2, cache=cached)
     return {row.name: row.figure for part in parts for row in bench_board._PARTS[part](bench)}
 
 
 def wrong(cell: str, row: str, found: "dict[str, float]", of: "Sequence[str]" = ()) -> "list[str]":
-    """What a cell says that is not so. of: what its figures are, if not all of the row's."""
+    """Return the wrong figures of a cell. of: benchmark rows, if not all of the table's row."""
     scale, names = _ROWS[row]
     names = of or names
     stated = figures(cell)
@@ -154,12 +154,12 @@ def wrong(cell: str, row: str, found: "dict[str, float]", of: "Sequence[str]" = 
 
 
 def of_row(row: str) -> str:
-    """How the row begins that a row of the table is."""
+    """Return the key in _ROWS of a row of the table."""
     (begin,) = [begin for begin in _ROWS if row.startswith(begin)]
     return begin
 
 
-def test_the_table_holds(uf2: Path) -> None:
+def test_figures_of_the_table_are_measured_again(uf2: Path) -> None:
     found = measured(uf2, _PARTS)
     found.update(measured(uf2, _FAR))
     long = [found[name] for name in _LONG]
@@ -180,7 +180,7 @@ _STREAMS = (
 )
 
 
-def test_streams_hold_with_the_flash_cache(uf2: Path) -> None:
+def test_figures_of_streams_hold_with_the_flash_cache(uf2: Path) -> None:
     if not xip.is_there():
         pytest.skip("the model of the flash cache is not compiled: make compiled-emulator")
     found = measured(uf2, _CACHED, cached=True)
@@ -188,12 +188,12 @@ def test_streams_hold_with_the_flash_cache(uf2: Path) -> None:
     for row in TABLE:
         if row.startswith(_STREAMS):
             _, names = _ROWS[of_row(row)]
-            asked = [name for name in names if name]  # which the first column alone repeats
+            asked = [name for name in names if name]  # only the first column repeats the others
             faults += wrong(TABLE[row][1], of_row(row), found, asked)
     assert not faults, "\n".join(faults)
 
 
-def test_what_is_stated_is_compared() -> None:
+def test_stated_figures_are_compared() -> None:
     assert figures("2610 and 23,000 chords/s") == [(2610, 0.5), (23000, 0.5)]
     assert figures("0, 67 and 2600 bytes") == [(0, 0.5), (67, 0.5), (2600, 0.5)]
     assert figures("1.9, 5.3 and 6.7 %")[1] == (5.3, pytest.approx(0.05))
@@ -206,12 +206,12 @@ def test_what_is_stated_is_compared() -> None:
     assert {of_row(row) for row in TABLE if row not in _NOT_HERE} == set(_ROWS)
 
 
-# Beside the table
+# Not in the table
 
 
 @pytest.fixture(scope="module")
 def circling(uf2: Path) -> "Iterator[Talk]":
-    """A board with the settings of circles."""
+    """Start a board with the settings of circles."""
     talk = Talk(EmulatedWire(Board(uf2, {"main.py": MAIN}).boot().settled()))
     set_up(talk)
     for line in (*CIRCLE, "G90G0X10Y10"):
@@ -221,7 +221,7 @@ def circling(uf2: Path) -> "Iterator[Talk]":
 
 
 def _left(talk: Talk, lines: "list[str]") -> int:
-    """Bytes of heap that lines leave."""
+    """Return the bytes that lines leave on the heap."""
     inside(talk, "$COLLECT=1")
     inside(talk, "$GC=0")
     (before,) = inside(talk, "$ALLOC")

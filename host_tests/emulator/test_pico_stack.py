@@ -1,10 +1,10 @@
-"""The C stack of the RP2040: main loop and all interrupts share 8 kB, and 2 kB are never touched.
+"""Test the C stack of the RP2040: main loop and all interrupts share 8 kB; 2 kB stay free.
 
-Two measures, both from outside. Watermark: what is free is painted, a scenario runs, and the
-lowest word that has changed is looked for. That sees what happened; the worst nesting is too rare
-for it. So the deepest main loop, the deepest interrupt of the engine and the deepest one of a pin
-are measured each by itself, by sampling the stack pointer, and their sum leaves as much, if all of
-them should ever meet.
+Two measures, both from outside. Watermark: free memory is painted, a scenario runs, and the lowest
+changed word is found. This shows the depth that occurred, but the worst nesting is too rare for
+it. So the deepest main loop, the deepest interrupt of the engine and the deepest one of a pin are
+measured separately, by sampling the stack pointer. Their sum leaves the reserve even if all of
+them occur together.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,22 +20,22 @@ pytestmark = pytest.mark.xdist_group("pico stack")
 TOP = CHIP.stack_top
 SIZE = 8192
 RESERVE = 2048
-_NESTED_RESERVE = 1792  # were the deepest of all to meet, which has not been seen
-_PATTERN = 0x2A2A2A2A  # firmware/pio/stack.py has the same: both look at one and the same paint
-_GUARD = 64  # bytes under the stack pointer that are not painted
+_NESTED_RESERVE = 1792  # if the deepest of all occurred together, which was never observed
+_PATTERN = 0x2A2A2A2A  # the pattern of firmware/pio/stack.py: both find the same paint
+_GUARD = 64  # bytes below the stack pointer that are not painted
 
-# Numbers in IPSR; no other interrupt is higher than any of the first three.
+# Numbers in IPSR; no other interrupt has a higher priority than the first three.
 _IRQ = 16
 TIMER, ENGINE, PIN = CHIP.irqs
-_SAMPLE_US = 0.1  # some instructions
-_PIO0 = 0x50200000  # its low bits: machines that run
+_SAMPLE_US = 0.1  # a few instructions
+_PIO0 = 0x50200000  # its low bits: running machines
 
 ARCS = ("G2X1Y0I0.5J0", "G3X-1Y0I-0.5J0")
 _RX_BYTES = 120
 
 
 class Watched(Board):
-    """A board whose complaint of an interrupt that found no room is never overheard."""
+    """A board that checks all output for the report of an interrupt without stack space."""
 
     def forget(self) -> None:
         assert "Uncaught" not in self.said, self.said[-300:]
@@ -43,22 +43,22 @@ class Watched(Board):
 
 
 class Stack:
-    """What is seen of the chip's stack from outside."""
+    """The chip's stack, measured from outside."""
 
     def __init__(self, board: Board) -> None:
         self._pico = board.pico
         self.main = {False: 0, True: 0}  # deepest, in bytes, by whether the engine runs
-        self.starts = 0  # deepest of the engine's interrupt that starts it, with what is below
+        self.starts = 0  # deepest of the engine's starting interrupt, with the stack below it
         self.irqs: dict[int, int] = {}  # deepest of each interrupt, by its number
         self.marks: dict[str, int] = {}  # used() by scenario
 
     def paint(self) -> None:
-        """Begin anew."""
+        """Fill the free stack with the pattern."""
         for address in range(TOP - SIZE, self._pico.stack()[0] - _GUARD, 4):
             self._pico.write_word(address, _PATTERN)
 
     def used(self) -> int:
-        """Bytes used at most since."""
+        """Return the largest number of bytes used since the paint."""
         for address in range(TOP - SIZE, TOP, 4):
             if self._pico.read_word(address) != _PATTERN:
                 return TOP - address
@@ -69,9 +69,9 @@ class Stack:
 
     @contextmanager
     def sampled(self) -> "Iterator[None]":
-        """Meanwhile main and irqs are kept. What an interrupt interrupts is not counted in."""
+        """Sample main and irqs meanwhile; irqs do not include the depth of interrupted code."""
         run_us = self._pico.run_us
-        # (interrupt, stack pointer it came upon, whether the engine was running)
+        # (interrupt, stack pointer at its start, whether the engine was running)
         nested: list[tuple[int, int, bool]] = []
         before, _ = self._pico.stack()
 
@@ -115,14 +115,14 @@ def machine(uf2: Path) -> Board:
 
 @pytest.fixture(scope="module")
 def stack(machine: Board) -> "Iterator[Stack]":
-    """pytest -s shows the figures."""
+    """Yield the measured stack; pytest -s shows the figures."""
     seen = Stack(machine)
     yield seen
     print("\nbytes used:", seen.marks, "main loop:", seen.main, "interrupts:", seen.irqs)
 
 
 def stream(machine: Board, lines: "tuple[str, ...]", rounds: int, query_ms: float) -> None:
-    """Count characters as senders do, ask for the status meanwhile, and let the machine finish."""
+    """Count characters as senders do, send ? regularly, and wait until the machine is idle."""
     pico = machine.pico
     machine.ask("G91")
     start = machine.status()["MPos"]
@@ -146,14 +146,14 @@ def stream(machine: Board, lines: "tuple[str, ...]", rounds: int, query_ms: floa
 
 
 def unlock(machine: Board) -> None:
-    """Work again after an alarm."""
+    """Release the inputs and unlock the machine after an alarm."""
     for pin in (LIMIT[0], RESET, HOLD):
         machine.pico.drive(pin, 1)
     machine.pico.run_us(30_000)  # a button has its own welcome
     machine.forget()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
-    machine.pico.run_us(60_000)  # that may have been the button's, half a second late
+    machine.pico.run_us(60_000)  # that may be the button's, half a second late
     machine.ask("$X")
 
 
@@ -206,7 +206,7 @@ def feed_hold(machine: Board) -> None:
 
 
 def door(machine: Board) -> None:
-    """Behind it the spindle is restored, which takes it 4 s."""
+    """The spindle is restored after the door, which takes 4 s."""
     machine.ask("M3S500")
     machine.ask("G91 G1 X3 F3000")
     machine.pico.run_us(30_000)
@@ -231,7 +231,7 @@ def probe(machine: Board) -> None:
 
 
 def homing(machine: Board) -> None:
-    """Switches 1 mm away on all axes, closing and opening where the motors are."""
+    """Home to switches 1 mm away on all axes, which follow the motors."""
     for setting in ("$23=0", "$24=300", "$25=1200", "$27=0.3", "$26=5", "$22=1"):
         machine.ask(setting)
     machine.ask("$X")
@@ -252,7 +252,7 @@ def homing(machine: Board) -> None:
 
 
 def in_arcs(machine: Board, query_ms: float, pin: int, answer: str) -> None:
-    """An input closes in the middle of arcs, right behind a request for the status."""
+    """Close an input in the middle of arcs, right after a request for the status."""
     machine.ask("G91 F3000")
     machine.forget()
     machine.send("\n".join(ARCS * 2) + "\n")
@@ -267,7 +267,7 @@ def in_arcs(machine: Board, query_ms: float, pin: int, answer: str) -> None:
 
 
 def stops(pin: int, answer: str) -> "Callable[[Board], None]":
-    """The scenario of an input that ends all, at several phases."""
+    """Return the scenario of an input that stops the machine, at several phases."""
 
     def scenario(machine: Board) -> None:
         for phase in (2.1, 5.3, 9.7):
@@ -308,18 +308,18 @@ SCENARIOS: "dict[str, Callable[[Board], None]]" = {
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_two_kilobytes_are_left(machine: Board, stack: Stack, name: str) -> None:
+def test_two_kilobytes_stay_free(machine: Board, stack: Stack, name: str) -> None:
     stack.paint()
     SCENARIOS[name](machine)
     stack.marks[name] = stack.used()
     assert stack.marks[name] <= SIZE - RESERVE
 
 
-# What used to run out of it within half a second; each begins at another phase of the others.
+# These once used up the stack within half a second; each has another phase of events.
 @pytest.mark.parametrize(
     ("feed", "query_ms"), [(3000, 100), (3000, 40), (3000, 23), (9000, 17), (9000, 17.3)]
 )
-def test_two_kilobytes_are_left_in_streams_of_arcs(
+def test_two_kilobytes_stay_free_in_streams_of_arcs(
     machine: Board, stack: Stack, feed: int, query_ms: float
 ) -> None:
     stack.paint()
@@ -328,14 +328,16 @@ def test_two_kilobytes_are_left_in_streams_of_arcs(
     assert stack.used() <= SIZE - RESERVE
 
 
-def test_the_firmware_says_what_is_seen_from_outside(machine: Board, stack: Stack) -> None:
+def test_firmware_reports_the_stack_use_measured_from_outside(
+    machine: Board, stack: Stack
+) -> None:
     stack.paint()
     stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
     said = machine.ask("$I+").partition("[MSG:Stack: ")[2].partition(" of 8192 bytes used]")[0]
     assert abs(int(said) - stack.used()) <= 64
 
 
-def test_most_would_be_left_were_the_deepest_of_all_nested(machine: Board, stack: Stack) -> None:
+def test_reserve_remains_if_the_deepest_of_all_are_nested(machine: Board, stack: Stack) -> None:
     with stack.sampled():
         stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
         talk(machine)

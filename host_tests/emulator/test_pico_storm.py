@@ -1,4 +1,4 @@
-"""Storms of edges on the inputs of the emulated Pico: no step is late, the watch acts."""
+"""Test storms of edges on inputs of the emulated Pico: steps are on time, the watch acts."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def machine(uf2: Path) -> Board:
 
 @pytest.fixture
 def ready(machine: Board) -> Board:
-    """In Idle, whatever was before, the beam in force."""
+    """Reset and unlock the machine, whatever its state was, and switch the beam on."""
     machine.forget()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
@@ -56,7 +56,7 @@ def ready(machine: Board) -> Board:
 
 
 class Storm:
-    """Edges on pins of the board, all at a time: open for so long, closed for so long, in us."""
+    """Edges on pins of the board, all together: open and closed for these times, in us."""
 
     def __init__(
         self, board: Board, pins: "tuple[int, ...]", open_us: int, closed_us: int
@@ -69,7 +69,7 @@ class Storm:
         self.began = 0.0
 
     def blow(self, delay_us: float, us: float) -> None:
-        """Begin so much later, and go on for so long; in the end the pins are open."""
+        """Begin after delay_us and continue for us; the pins are open at the end."""
         self.began = self._pico.us + delay_us
         self._end = self.began + us
         self._pico.at_us(delay_us, self._turn)
@@ -83,7 +83,7 @@ class Storm:
 
 
 def walk(board: Board) -> "list[float]":
-    """When each step of a move came, from the first on, in us."""
+    """Return the times of the steps of a move, relative to the first, in us."""
     board.ask(MOVE)
     board.until_idle()
     made = [us for us, _ in steps(board.pico.edges, 0)]
@@ -91,7 +91,7 @@ def walk(board: Board) -> "list[float]":
 
 
 def beam_is_dark(board: Board) -> bool:
-    """No pulse of the beam comes any more."""
+    """Return whether the beam has no pulses any more."""
     board.pico.edges.clear()
     board.pico.run_us(2_000)
     pulses = [edge for edge in board.pico.edges if edge.pin == SPINDLE_PWM]
@@ -120,7 +120,7 @@ def test_no_step_is_late_in_a_storm(
 
 
 @pytest.mark.parametrize("pins", [(PART,), (PART, DOOR)])
-def test_the_watch_acts_on_a_main_loop_that_hangs_in_a_storm(
+def test_watch_acts_on_a_hanging_main_loop_in_a_storm(
     ready: Board, pins: "tuple[int, ...]"
 ) -> None:
     ready.ask("G91 G1 X20 F1800 S500")
@@ -135,7 +135,7 @@ def test_the_watch_acts_on_a_main_loop_that_hangs_in_a_storm(
     assert beam_is_dark(ready)
 
 
-def test_a_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
+def test_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
     ready.ask("$21=1")
     ready.ask("G91 G1 X20 F1800 S500")
     storm = Storm(ready, LIMIT[:1], 20, 20)
@@ -146,10 +146,10 @@ def test_a_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
 
 
 @pytest.mark.parametrize(("after_us", "late_us"), [(200, 2_500), (20_000, 0)])
-def test_a_contact_after_pulses_too_short_to_be_seen_is_at_its_place(
+def test_contact_after_pulses_too_short_to_be_seen_has_its_right_place(
     ready: Board, after_us: int, late_us: int
 ) -> None:
-    """late_us: for how long the probe may still be left in peace."""
+    """late_us: how long the probe may still be ignored after the storm."""
     contact: list[int] = []
     z = float(ready.status()["MPos"].split(",")[2])
 

@@ -1,4 +1,4 @@
-"""A sender and the emulated Pico: welcome, conversation, settings, the prompt and back."""
+"""Test a sender at the emulated Pico: welcome, lines, settings, the prompt and back."""
 
 from pathlib import Path
 from statistics import median
@@ -8,7 +8,7 @@ from emulated import Board
 
 pytestmark = pytest.mark.xdist_group("pico talk")
 
-_BOOT_US = 1_500_000  # with settings kept, which make the root of its file system longer
+_BOOT_US = 1_500_000  # with stored settings, which make the root of its file system longer
 _HEAP = 85_000
 
 
@@ -17,7 +17,7 @@ def machine(uf2: Path) -> Board:
     return Board(uf2, {"main.py": MAIN}).boot().settled()
 
 
-# A user's command, in main.py: how much memory is free.
+# A user's command in main.py that reports the free memory.
 MAIN = b"""
 import gc
 
@@ -47,11 +47,11 @@ def test_eighty_five_kilobytes_of_heap_are_free(machine: Board) -> None:
 
 
 def free(machine: Board) -> int:
-    """Bytes of its heap."""
+    """Return the free bytes of its heap."""
     return int(machine.ask("$M").partition("free ")[2].partition(".")[0])
 
 
-def test_it_says_what_it_is(machine: Board) -> None:
+def test_build_info_names_the_firmware(machine: Board) -> None:
     said = machine.ask("$I")
     assert "[VER:1.1h." in said and "[OPT:V," in said
     assert "Grbl" in said and "grblHAL" not in said
@@ -62,14 +62,14 @@ def test_every_setting_is_shown(machine: Board) -> None:
     assert said.startswith("$0=10\r\n$1=25\r\n") and "$132=200.000\r\n" in said
 
 
-def test_lines_are_answered_in_their_order(machine: Board) -> None:
+def test_lines_are_answered_in_order(machine: Board) -> None:
     machine.forget()
     machine.send("G21\nG99\nG1 X1\n$G\nT1\n")
     said = machine.wait_for("[GC:")
     assert said.split("[GC:")[0] == "ok\r\nerror:20\r\nerror:22\r\n"
 
 
-def test_a_status_report_while_idle_comes_within_five_milliseconds(machine: Board) -> None:
+def test_status_report_while_idle_takes_at_most_five_milliseconds(machine: Board) -> None:
     took = []
     for k in range(9):
         machine.pico.run_us(7_300 + 410 * k)
@@ -82,29 +82,29 @@ def test_a_status_report_while_idle_comes_within_five_milliseconds(machine: Boar
     assert median(took) <= 5_000 and max(took) <= 20_000
 
 
-def test_a_ctrl_c_in_the_stream_kills_nothing(machine: Board) -> None:
+def test_ctrl_c_in_the_stream_stops_nothing(machine: Board) -> None:
     assert machine.ask("G90\x03") == "ok\r\n"
     machine.ask("G91 G1 X1 F600", limit_us=100_000)
-    machine.send("\x03\x03\x03\x03")  # not at rest: no way to the prompt
+    machine.send("\x03\x03\x03\x03")  # moving: no way to the prompt
     machine.until_idle()
     assert machine.status()["MPos"] == "1.000,0.000,0.000"
 
 
-def test_a_sender_that_opens_the_port_again_is_welcomed(machine: Board) -> None:
+def test_sender_that_opens_the_port_again_is_welcomed(machine: Board) -> None:
     machine.forget()
     machine.pico.usb.open_port(False)
     machine.pico.run_us(20_000)
     assert machine.said == ""
     machine.pico.usb.open_port(True)
     machine.pico.run_us(250_000)
-    assert machine.said == ""  # senders get ready first
+    assert machine.said == ""  # senders need time to get ready
     machine.wait_for("Grbl 1.1h ['$' for help]\r\n", 100_000)
     machine.pico.run_us(50_000)
     assert machine.said.count("Grbl") == 1
     assert machine.ask("G90") == "ok\r\n"
 
 
-def test_a_sender_that_says_something_at_once_is_welcomed_before_its_answer(
+def test_sender_that_sends_at_once_is_welcomed_before_its_answer(
     machine: Board,
 ) -> None:
     machine.forget()
@@ -116,9 +116,7 @@ def test_a_sender_that_says_something_at_once_is_welcomed_before_its_answer(
     assert said.index("Grbl 1.1h") < said.index("ok\r\n")
 
 
-def test_settings_survive_a_power_cut_and_the_welcome_comes_soon(
-    machine: Board, uf2: Path
-) -> None:
+def test_settings_survive_a_power_cut_and_the_start_is_fast(machine: Board, uf2: Path) -> None:
     for line in ("$110=1234.5", "G10 L2 P2 X-3.25", "$N0=G20", "$I=shed"):
         assert machine.ask(line) == "ok\r\n"
     second = Board(uf2)
@@ -134,12 +132,12 @@ def test_settings_survive_a_power_cut_and_the_welcome_comes_soon(
 
 
 def _prompt_and_back(machine: Board) -> None:
-    """The watchdog does not bite who is at the prompt, and the machine is left as it was."""
+    """Check that the watchdog does not act at the prompt, and that the machine is unchanged."""
     said = machine.python("print(machine.state.run, machine.planner.empty())")
     assert said == "0 True\r\n"
     said = machine.python_again("import time\ntime.sleep_ms(5500)\nprint(1 + 1)")
     assert said == "2\r\n"
     machine.forget()
     machine.send("\x02\x04")  # leave the raw prompt; a soft reset runs main.py
-    machine.wait_for(">G20:ok\r\n", 3_000_000)  # behind the welcome, the startup line
+    machine.wait_for(">G20:ok\r\n", 3_000_000)  # the startup line, after the welcome
     assert machine.ask("G90") == "ok\r\n"

@@ -1,4 +1,4 @@
-"""Watched on the emulated Pico: a main loop that hangs, a port that opens, flash, a deaf host."""
+"""Test the watch on the emulated Pico: hanging main loop, opened port, flash, deaf host."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +11,7 @@ pytestmark = pytest.mark.xdist_group("pico watch")
 _LIMIT_MS = 250  # how long the main loop may be away
 _BEAT_MS = 5
 
-# A user's commands, in main.py. How long they last: $BUSY=ms; for ever: $HANG.
+# A user's commands in main.py: $BUSY=ms blocks so long, $HANG blocks forever.
 _MAIN = b"""
 import time
 
@@ -48,7 +48,7 @@ def machine(uf2: Path) -> Board:
 
 
 def moving(machine: Board) -> None:
-    """A long move with the spindle on."""
+    """Start a long move with the spindle on."""
     machine.ask("M3 S500")
     machine.ask("G91 G1 X20 F500")
     machine.pico.run_us(100_000)
@@ -56,13 +56,13 @@ def moving(machine: Board) -> None:
 
 
 def last_ms(machine: Board, since_us: float) -> "tuple[float, float]":
-    """When the last step came, and the last edge of the spindle's PWM, in ms."""
+    """Return the times of the last step and of the last edge of the spindle's PWM, in ms."""
     step = steps(machine.pico.edges, 0)[-1][0]
     pwm = max(e.ns for e in machine.pico.edges if e.pin == SPINDLE_PWM) / 1000
     return (step - since_us) / 1000, (pwm - since_us) / 1000
 
 
-def test_a_main_loop_that_hangs_is_stopped_and_reported_when_it_is_back(machine: Board) -> None:
+def test_hanging_main_loop_is_stopped_and_reported_when_it_returns(machine: Board) -> None:
     moving(machine)
     since = machine.pico.us
     machine.send("$BUSY=400\n")
@@ -72,14 +72,14 @@ def test_a_main_loop_that_hangs_is_stopped_and_reported_when_it_is_back(machine:
         assert _LIMIT_MS - _BEAT_MS < stopped_ms <= _LIMIT_MS + 2 * _BEAT_MS + 2
     away = int(machine.said.split("away for ")[1].split(" ms")[0])
     assert 400 - 2 * _BEAT_MS <= away <= 400 + _BEAT_MS
-    assert machine.said.startswith("ok\r\nALARM:16\r\n")  # the line itself was no fault
+    assert machine.said.startswith("ok\r\nALARM:16\r\n")  # the line itself is accepted
     machine.forget()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     assert machine.ask("$X").endswith("ok\r\n")
 
 
-def test_it_works_again_after_that_and_a_shorter_time_is_no_fault(machine: Board) -> None:
+def test_machine_works_after_that_alarm_and_a_shorter_delay_is_no_fault(machine: Board) -> None:
     moving(machine)
     machine.ask("$BUSY=200")
     before = len(steps(machine.pico.edges, 0))
@@ -90,7 +90,7 @@ def test_it_works_again_after_that_and_a_shorter_time_is_no_fault(machine: Board
     machine.ask("$X")
 
 
-def test_a_host_that_does_not_read_stops_no_motion(machine: Board) -> None:
+def test_host_that_does_not_read_stops_no_motion(machine: Board) -> None:
     moving(machine)
     machine.pico.usb.read(False)
     machine.send("$$\n")
@@ -105,8 +105,8 @@ def test_a_host_that_does_not_read_stops_no_motion(machine: Board) -> None:
     machine.ask("$X")
 
 
-# What opens and closes a port, request by request: SET_LINE_CODING is None, others are levels of
-# DTR (1) and RTS (2). Linux: cdc-acm, which sends the coding first, then what pyserial sets anew.
+# The requests that close and open a port. None is SET_LINE_CODING, numbers are levels of DTR (1)
+# and RTS (2). Linux: cdc-acm sends the coding first, then pyserial sets it again.
 _REOPENED: "dict[str, tuple[list[int | None], list[int | None]]]" = {
     "Linux": ([0], [None, 3]),
     "Linux, pyserial": ([0], [None, 3, None, 3, None]),
@@ -118,28 +118,28 @@ _REOPENED: "dict[str, tuple[list[int | None], list[int | None]]]" = {
 
 
 def opens_again(machine: Board, closing: "list[int | None]", opening: "list[int | None]") -> int:
-    """How many welcomes there are for that."""
+    """Close and open the port; return the number of welcomes."""
     machine.forget()
     for requests in (closing, opening):
         for request in requests:
             machine.pico.usb.ask(request)
-            machine.pico.run_us(300)  # all within one look of the firmware's
+            machine.pico.run_us(300)  # all within one poll of the firmware
         machine.pico.run_us(20_000)
-    machine.pico.run_us(330_000)  # a sender that says nothing is greeted in a while
+    machine.pico.run_us(330_000)  # a silent sender is greeted after a delay
     return machine.said.count("Grbl 1.1h")
 
 
 @pytest.mark.parametrize("system", list(_REOPENED))
-def test_a_sender_is_welcomed_whatever_its_system_sends_first(machine: Board, system: str) -> None:
+def test_sender_is_welcomed_for_the_requests_of_every_system(machine: Board, system: str) -> None:
     assert opens_again(machine, *_REOPENED[system]) == 1
     assert machine.ask("G90") == "ok\r\n"
 
 
-def test_a_sender_that_sets_its_speed_anew_is_not_welcomed_again(machine: Board) -> None:
+def test_sender_that_changes_its_speed_is_not_welcomed_again(machine: Board) -> None:
     assert opens_again(machine, [None], [3, None]) == 0
 
 
-def test_a_sender_that_opens_the_port_in_motion_is_welcomed_too(machine: Board) -> None:
+def test_sender_that_opens_the_port_in_motion_is_welcomed(machine: Board) -> None:
     moving(machine)
     assert opens_again(machine, [0], [None, 3]) == 1
     assert machine.status()["state"] == "Run"
@@ -149,7 +149,7 @@ def test_a_sender_that_opens_the_port_in_motion_is_welcomed_too(machine: Board) 
 
 
 def pulses(machine: Board, since_us: float) -> "list[float]":
-    """When the spindle's PWM has risen."""
+    """Return the times of rising edges of the spindle's PWM, in us."""
     edges = (e for e in machine.pico.edges if e.pin == SPINDLE_PWM and e.level)
     return [e.ns / 1000 for e in edges if e.ns / 1000 > since_us]
 
@@ -158,8 +158,10 @@ _ERASE_US = 45_000
 
 
 def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float]":
-    """Save offsets until that is so; most saves find room in a sector erased before. Returns when
-    each erasure began."""
+    """Save offsets until the condition holds; return the times at which erasures began, in us.
+
+    Most saves fit into a sector that was erased before.
+    """
     begins: list[float] = []
     machine.pico.erase_takes_us(_ERASE_US)
     machine.pico.on_erase = lambda: begins.append(machine.pico.us)
@@ -176,13 +178,13 @@ def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float
     return begins
 
 
-def test_a_laser_is_off_while_flash_is_written_and_on_again_after_it(machine: Board) -> None:
+def test_laser_is_off_while_flash_is_written_and_on_again_afterwards(machine: Board) -> None:
     for line in ("$32=1", "G91", "M3 S500", "G1 X0.1 F600"):
         machine.ask(line)
     machine.until_idle()
     machine.pico.edges.clear()
     machine.pico.run_us(5_000)
-    assert pulses(machine, 0)  # it burns at rest, as M3 does
+    assert pulses(machine, 0)  # it burns while idle, as M3 requires
     begins = saves(machine, lambda begins: bool(begins) and "ok\r\n" in machine.said)
     behind = machine.pico.us
     machine.pico.run_us(5_000)
@@ -192,8 +194,8 @@ def test_a_laser_is_off_while_flash_is_written_and_on_again_after_it(machine: Bo
     machine.ask("M5")
 
 
-def test_what_comes_while_flash_is_erased_is_heard_after_it(machine: Board) -> None:
-    """A limit switch, with the spindle on; and a byte. Late, but not lost."""
+def test_events_during_a_flash_erasure_are_handled_afterwards(machine: Board) -> None:
+    """A limit switch with the spindle on, and a byte: late, but not lost."""
     for line in ("$32=0", "$21=1", "M3 S500"):
         machine.ask(line)
     (hit,) = saves(machine, bool)
@@ -202,7 +204,7 @@ def test_what_comes_while_flash_is_erased_is_heard_after_it(machine: Board) -> N
     machine.send("?")
     machine.wait_for("Reset to continue")
     machine.pico.run_us(20_000)
-    assert pulses(machine, hit)  # deaf so long
+    assert pulses(machine, hit)  # no reaction during the erasure
     assert pulses(machine, hit)[-1] - hit < _ERASE_US + 2_000
     machine.pico.drive(LIMIT[0], 1)
     machine.pico.erase_takes_us(0)
@@ -212,20 +214,20 @@ def test_what_comes_while_flash_is_erased_is_heard_after_it(machine: Board) -> N
     machine.ask("$21=0")
 
 
-# MicroPythons whose memory is another one.
+# MicroPython builds with another memory layout
 
 
-def test_without_the_control_lines_the_last_request_tells_of_a_port_that_opens(uf2: Path) -> None:
+def test_last_request_shows_an_opened_port_when_control_lines_are_unknown(uf2: Path) -> None:
     hidden = b"from boot import parts\nparts.find_line = lambda memory: 0\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     for orders in _REOPENED.values():
-        if orders[0][-1] == 0:  # or the last request says that it is open
+        if orders[0][-1] == 0:  # otherwise the last request says that it is open
             assert opens_again(machine, *orders) == 1
     assert opens_again(machine, [None], [3, None]) == 0
     assert "slow-reset" not in machine.ask("$I")
 
 
-def test_without_the_ring_it_talks_and_says_that_a_reset_is_heard_late(uf2: Path) -> None:
+def test_board_without_the_usb_ring_works_and_reports_a_slow_reset(uf2: Path) -> None:
     hidden = b"from boot import parts\nparts.find = lambda at, drain, take: None\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     assert "[VER:1.1h." in machine.ask("$I") and " slow-reset]" in machine.said

@@ -1,4 +1,4 @@
-"""`ugrbl selftest` at an emulated Pico: all checks pass, and they fail where they should."""
+"""Test `ugrbl selftest` at an emulated Pico: all checks pass, and faults make them fail."""
 
 import sys
 from collections.abc import Callable
@@ -19,19 +19,19 @@ pytestmark = pytest.mark.xdist_group("pico selftest")
 _CHIP = getattr(program, CHIP.name.upper())
 _RAW = "raw REPL; CTRL-B to exit\r\n>"
 _PIECE_US = 5_000
-_MOST_S = 15  # of emulated time: enough for any of this, and not hours where something hangs
-# The real one waits 5 s for a main loop that hangs; this one has no need to.
+_MOST_S = 15  # of emulated time: enough for any check, and a hang does not take hours
+# The default watchdog waits 5 s for a hanging main loop; a shorter time is enough here.
 _BOARD = {"board.py": firmware()["board.py"] + b"WATCHDOG_MS = 1500\n"}
 _ERASE_US = 45_000
 
 
 class Emulated:
-    """A Board of session.py."""
+    """A Board of session.py on an emulated chip."""
 
     def __init__(self, board: Board) -> None:
         self._board = board
         self._is_at_prompt = False
-        board.pico.record([STEP[0]])  # which lets PIO keep its time while the processor sleeps
+        board.pico.record([STEP[0]])  # lets PIO keep its time while the processor sleeps
 
     def enter(self) -> None:
         if not self._is_at_prompt:
@@ -78,7 +78,7 @@ class Emulated:
         self._board.pico.run_until(done, min(seconds, _MOST_S) * 1e6, _PIECE_US)
 
 
-def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
+def test_firmware_passes_all_checks_that_can_be_shown_here(uf2: Path) -> None:
     machine = Board(uf2, _BOARD).boot().settled()
     board = Emulated(machine)
     chip, wiring = look(board)
@@ -98,7 +98,7 @@ def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
 def test_five_and_six_motors_are_counted_in_turn(
     uf2: Path, motors: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They have machines of PIO 1 themselves: those that are left watch some of them at a time."""
+    """Their engine uses machines of PIO 1; the machines left count some motors at a time."""
     less = f"STEP, DIR, LIMIT = STEP[:{motors}], DIR[:{motors}], LIMIT[:{motors}]\n"
     file = for_this_chip(BOARDS / "pico_six.py", f"WATCHDOG_MS = 1500\n{less}")
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
@@ -120,7 +120,7 @@ def test_five_and_six_motors_are_counted_in_turn(
         assert rows[what].passed, what
 
 
-# An engine that makes pulses too short, leaves DIR no time, and is a step off.
+# An engine whose pulses are too short, that gives DIR no time, and that is one step off.
 _WORSE = """
 from pio import engine, pulses
 set_timing, position = pulses.set_timing, engine.PioEngine.position
@@ -134,7 +134,7 @@ _FEW = program.Amounts(1, (2, 1), 8192, 64, 1, 4, 2, 1, 1, 1)
 
 
 class Worse(Emulated):
-    """One with that engine."""
+    """A board with that engine."""
 
     def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
         return super().run(_WORSE + script, heard, seconds)
@@ -143,7 +143,7 @@ class Worse(Emulated):
         return False
 
 
-def test_an_engine_that_is_wrong_fails(uf2: Path) -> None:
+def test_wrong_engine_fails(uf2: Path) -> None:
     board = Worse(Board(uf2, {"main.py": b""}))
     board._is_at_prompt = True
     machine = board._board

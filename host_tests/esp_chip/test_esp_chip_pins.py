@@ -1,4 +1,4 @@
-"""Pins of the ESP32 on stand-ins."""
+"""Test the pins of the ESP32 on stand-ins."""
 
 from collections.abc import Iterator
 from types import ModuleType, SimpleNamespace
@@ -30,7 +30,7 @@ def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
-    """A port, and a list of what it has been heard of."""
+    """Return a port, and the list of its calls to the listener."""
     board = ModuleType("board")
     vars(board).update({**BOARD, **changes})
     for pin in board.NO_PULL_UP:
@@ -44,7 +44,7 @@ def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
     return port, heard
 
 
-def test_inputs_are_closed_when_pulled_to_ground_and_heard() -> None:
+def test_inputs_pulled_to_ground_are_closed_and_reported() -> None:
     port, heard = made()
     assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
     for pin in (5, 35, 39):
@@ -53,7 +53,7 @@ def test_inputs_are_closed_when_pulled_to_ground_and_heard() -> None:
     assert heard == ["limits", "controls"]
 
 
-def test_a_bouncing_button_is_heard_once() -> None:
+def test_bouncing_button_is_reported_once() -> None:
     _, heard = made(CONTROL_DEBOUNCE_MS=20)
     for level in (0, 1, 0, 1, 0):
         Pin(4).drive(level)
@@ -63,7 +63,7 @@ def test_a_bouncing_button_is_heard_once() -> None:
     assert heard == ["controls", "controls"]
 
 
-def test_the_probe_is_reported_once() -> None:
+def test_probe_is_reported_once() -> None:
     port, _ = made()
     contacts: list[bool] = []
     port.watch_probe(lambda: contacts.append(True), True)
@@ -86,7 +86,7 @@ def test_enable_may_be_an_output_of_the_engine() -> None:
     assert levels == [1] and 0 not in Pin.pins
 
 
-def test_safe_switches_all_off_that_could_do_harm() -> None:
+def test_safe_switches_all_tool_outputs_off() -> None:
     port, _ = made(MIST_PIN=21, SPINDLE_ON=19)
     port.spindle(True, 1000)
     port.coolant(3)
@@ -97,7 +97,7 @@ def test_safe_switches_all_off_that_could_do_harm() -> None:
     assert Pin(23).log[-1][1] == 0
 
 
-def test_an_extra_has_pins() -> None:
+def test_extra_has_pins() -> None:
     port, _ = made()
     port.add_pins((32, 33), (25, 26))
     changes: list[bool] = []
@@ -108,7 +108,7 @@ def test_an_extra_has_pins() -> None:
     assert (port.sense(), len(changes)) == (1, 1)
 
 
-def test_a_button_asks_for_the_prompt() -> None:
+def test_button_asks_for_the_prompt() -> None:
     port, _ = made()
     assert not port.held(None)
     assert not port.held(14)
@@ -116,7 +116,7 @@ def test_a_button_asks_for_the_prompt() -> None:
     assert port.held(14)
 
 
-def test_the_watchdog_waits_for_good_once_the_prompt_is_there() -> None:
+def test_watchdog_is_stopped_at_the_prompt() -> None:
     port, _ = made()
     feed = port.watch(5000)
     clock.work(4_000_000)
@@ -129,18 +129,18 @@ def test_the_watchdog_waits_for_good_once_the_prompt_is_there() -> None:
     assert esp_machine.WDT.timeout_ms >= 86_400_000
 
 
-# Edges that the scheduler has no place for
+# Edges lost because the scheduler is full
 
 
 def fill_the_scheduler() -> None:
-    """As an engine's timer does in eight milliseconds of a collection."""
+    """Fill the scheduler, as an engine's timer does during 8 ms of a collection."""
     clock.busy = True
     for _ in range(8):
         clock.call(lambda _: None, None)
 
 
 def deaf(change: Any) -> None:
-    """Something changes while the scheduler is full: nobody is called."""
+    """Make a change while the scheduler is full, so that no callback runs."""
     fill_the_scheduler()
     change()
     clock.busy = False
@@ -149,7 +149,7 @@ def deaf(change: Any) -> None:
 
 
 @pytest.mark.parametrize(("pin", "who"), [(5, "limits"), (4, "controls"), (35, "controls")])
-def test_an_edge_that_was_lost_is_found_at_the_next_look(pin: int, who: str) -> None:
+def test_lost_edge_is_found_at_the_next_poll(pin: int, who: str) -> None:
     port, heard = made()
     deaf(lambda: Pin(pin).drive(0))
     assert heard == []
@@ -164,7 +164,7 @@ def test_an_edge_that_was_lost_is_found_at_the_next_look(pin: int, who: str) -> 
     assert heard == [who, who]
 
 
-def test_an_edge_that_was_heard_is_not_found_again() -> None:
+def test_handled_edge_is_not_found_again() -> None:
     port, heard = made()
     Pin(5).drive(0)
     Pin(4).drive(0)
@@ -174,7 +174,7 @@ def test_an_edge_that_was_heard_is_not_found_again() -> None:
     assert heard == ["limits", "controls"]
 
 
-def test_limits_that_are_not_heard_are_not_found_either() -> None:
+def test_disabled_limits_are_not_found_by_polling() -> None:
     port, heard = made()
     port.enable_limits(False)
     Pin(5).drive(0)
@@ -184,7 +184,7 @@ def test_limits_that_are_not_heard_are_not_found_either() -> None:
     assert heard == []
 
 
-def test_a_debounced_limit_that_was_lost_counts_when_it_has_settled() -> None:
+def test_lost_debounced_limit_counts_after_it_has_settled() -> None:
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     deaf(lambda: Pin(5).drive(0))
     for _ in range(2):
@@ -197,7 +197,7 @@ def test_a_debounced_limit_that_was_lost_counts_when_it_has_settled() -> None:
     assert heard == ["limits"]
 
 
-def test_a_storm_on_one_limit_does_not_put_off_another_that_lasts() -> None:
+def test_storm_on_one_limit_does_not_delay_another_that_stays_closed() -> None:
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     Pin(5).drive(0)
     for level in (0, 1) * 3:
@@ -207,7 +207,7 @@ def test_a_storm_on_one_limit_does_not_put_off_another_that_lasts() -> None:
     assert "limits" in heard
 
 
-def test_a_contact_of_the_probe_that_was_lost_is_found() -> None:
+def test_lost_contact_of_the_probe_is_found() -> None:
     port, _ = made()
     contacts: list[bool] = []
     port.watch_probe(lambda: contacts.append(True), True)
@@ -218,7 +218,7 @@ def test_a_contact_of_the_probe_that_was_lost_is_found() -> None:
     assert contacts == [True]
 
 
-def test_an_emergency_stop_that_was_lost_is_found() -> None:
+def test_lost_emergency_stop_is_found() -> None:
     Pin(21, Pin.IN).drive(0)
     port, heard = made(ESTOP=21)
     deaf(lambda: Pin(21).drive(1))
@@ -227,7 +227,7 @@ def test_an_emergency_stop_that_was_lost_is_found() -> None:
     assert heard == ["controls"]
 
 
-def test_an_input_of_an_extra_that_was_lost_is_found() -> None:
+def test_lost_input_of_an_extra_is_found() -> None:
     port, _ = made()
     port.add_pins((32, 33), (25, 26))
     changes: list[bool] = []
