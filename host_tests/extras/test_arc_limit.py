@@ -1,4 +1,4 @@
-"""Arcs within the acceleration of their axes, where a board asks for it; as Grbl's elsewhere."""
+"""Test arcs limited to the acceleration of their axes, if the board asks for it."""
 
 from types import ModuleType
 
@@ -7,7 +7,8 @@ from laws import check_segments
 from rig_bench import Machine
 from ugrbl.boardfile.files import load_board
 
-# Corners may be taken five times as fast, by acceleration, as chords are off the arc.
+# The junction deviation ($11) is five times the arc tolerance ($12), so the corners of chords
+# allow five times the acceleration.
 _SETTINGS = {
     11: 0.01,
     12: 0.002,
@@ -21,7 +22,7 @@ _SETTINGS = {
 
 
 def highest(line: str, limited: bool, settings: "dict[int, float] | None" = None) -> float:
-    """The highest speed that a machine comes to in a line, in mm/s."""
+    """Return the highest speed of a machine in a line, in mm/s."""
     board = ModuleType("board")
     vars(board).update(vars(load_board("sim")), ARC_ACCELERATION=limited)
     machine = Machine({**_SETTINGS, **(settings or {})}, board)
@@ -32,17 +33,17 @@ def highest(line: str, limited: bool, settings: "dict[int, float] | None" = None
 
 @pytest.mark.parametrize("radius", [0.5, 2.0, 9.0])
 @pytest.mark.parametrize("words", ["G2", "G3", "G2Z-1", "G93G2"])
-def test_an_arc_pulls_no_more_than_its_axes(radius: float, words: str) -> None:
+def test_arc_keeps_the_acceleration_of_its_axes(radius: float, words: str) -> None:
     way = f"{words}X{2 * radius}I{radius}F9000"
     allowed = (200 * radius) ** 0.5
     assert highest(way, False) > 1.4 * allowed
     assert highest(way, True) == pytest.approx(allowed, rel=0.02)
 
 
-def test_the_weaker_axis_of_the_plane_counts() -> None:
+def test_weaker_axis_of_the_plane_limits_the_arc() -> None:
     assert highest("G19G2Y8J4F9000", True, {122: 50.0}) == pytest.approx(200**0.5, rel=0.02)
 
 
 @pytest.mark.parametrize("line", ["G2X8I4F600", "G1X30F3000", "G0X30"])
-def test_what_is_slow_or_straight_is_as_ever(line: str) -> None:
+def test_slow_or_straight_lines_are_unchanged(line: str) -> None:
     assert highest(line, True) == highest(line, False)

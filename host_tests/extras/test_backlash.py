@@ -1,4 +1,4 @@
-"""Backlash: what motors do beside what axes do, and that no report knows of it."""
+"""Test backlash: motors compensate it, and no report shows it."""
 
 import random
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
 _PER_MM = 250
@@ -35,23 +35,23 @@ _SETTINGS = {
 
 
 def board(**options: Any) -> ModuleType:
-    """sim_backlash with other options."""
+    """Return the board sim_backlash with other options."""
     made = ModuleType("board")
     made.__dict__.update({**vars(load_board("sim_backlash")), **options})
     return made
 
 
 def machine(settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
-    """That machine, whose table is followed: see Table."""
+    """Return that machine with a model of its table (see Table)."""
     made = Machine({**_SETTINGS, **(settings or {})}, board(**options), watched=False)
     made.table = Table(made)  # type: ignore[attr-defined]
     return made
 
 
 class Table:
-    """A table on a screw with slack: it goes along as soon as its motor has taken that up.
+    """A table on a screw with backlash: it moves after its motor has taken up the slack.
 
-    It stands at the lower end of its slack at first, as one that has been pushed up. at: steps.
+    It starts at the lower end of its slack, as if pushed up. at: steps.
     """
 
     def __init__(self, made: Machine, slack: Sequence[int] = _SLACK) -> None:
@@ -71,14 +71,15 @@ class Table:
         for i in range(3):
             count = row[ROW_AXES + ROW_STRIDE * i]
             self.motors[i] += -count if row[ROW_DIRS] >> i & 1 else count
-            # Slack is behind the table as it goes up, and before it as it goes down.
+            # Moved up, the table is at the position of the motor; moved down, it is above it
+            # by the slack.
             low, high = self.motors[i], self.motors[i] + self.slack[i]
             self.at[i] = min(max(self.at[i], low), high)
         self.places.append((self.at[0], self.at[1], self.at[2]))
 
 
 def table(made: Machine) -> "list[float]":
-    """Where the table is, in mm."""
+    """Return the table's position in mm."""
     return [n / _PER_MM for n in made.table.at]  # type: ignore[attr-defined]
 
 
@@ -88,23 +89,23 @@ def played(
     events: "Sequence[tuple[int, str]]" = (),
     **options: Any,
 ) -> Machine:
-    """A machine behind these lines."""
+    """Return a machine after these lines."""
     made = machine(settings, **options)
     made.play(lines, events)
     return made
 
 
-# What is up first: all axes, so that where they are in their slack is known, and so is the table.
+# First all axes move up, so that their side of the slack, and the table's position, are known.
 _UP = "G0X1Y1Z1"
 
 
 def reported(made: Machine) -> "list[list[float]]":
-    """MPos of each status report."""
+    """Return MPos of each status report."""
     found = [line.split("MPos:")[1].split("|")[0] for line in made.received if "MPos:" in line]
     return [[float(n) for n in text.split(",")] for text in found]
 
 
-def test_the_table_goes_where_the_program_says_whichever_way_it_came() -> None:
+def test_table_reaches_the_target_from_either_side() -> None:
     for end in ("X0.5", "X2", "X0.5Y0.2", "X0.5Y3Z-1", "X-3Y-3Z-3"):
         made = played([_UP, f"G1{end}F600"])
         assert table(made) == made.reported(), end
@@ -112,7 +113,7 @@ def test_the_table_goes_where_the_program_says_whichever_way_it_came() -> None:
         assert table(made) == made.reported(), end
 
 
-def test_motors_stand_beside_the_place_by_the_slack_of_the_last_way() -> None:
+def test_motors_differ_from_the_target_by_the_slack_of_the_last_direction() -> None:
     rng = random.Random(5)
     lines, last, at = [_UP], [1, 1, 1], [1.0, 1.0, 1.0]
     for _ in range(60):
@@ -133,7 +134,7 @@ def test_motors_stand_beside_the_place_by_the_slack_of_the_last_way() -> None:
     assert made.reported() == pytest.approx(table(made), abs=0.0005)
 
 
-def test_without_any_the_machine_moves_step_for_step_as_one_without_the_module() -> None:
+def test_zero_backlash_moves_step_for_step_like_a_machine_without_the_module() -> None:
     lines = [_UP, "G1X-2Y3F900", "G2X0Y0I3J-1", "G1Z-3", "$J=G91X3F900", "G0X0"]
     off = dict.fromkeys((160, 161, 162), 0.0)
     with_it = played(lines, off).rows
@@ -144,7 +145,7 @@ def test_without_any_the_machine_moves_step_for_step_as_one_without_the_module()
     ]
 
 
-def test_an_arc_stops_for_it_where_an_axis_turns_round() -> None:
+def test_arc_stops_for_the_slack_where_an_axis_reverses() -> None:
     made = played([_UP, "G1X10Y5F1500", "G2X10Y5I-5J0", "G3X10Y5I-5J0"])
     assert made.reported() == [10, 5, 1]
     assert table(made) == [10, 5, 1]
@@ -156,7 +157,7 @@ def test_an_arc_stops_for_it_where_an_axis_turns_round() -> None:
     assert max(inside[len(inside) // 4 :]) < 0.02
 
 
-def test_motors_take_it_up_alone_within_rate_and_acceleration() -> None:
+def test_slack_is_taken_up_alone_within_rate_and_acceleration() -> None:
     made = played([_UP, "G1X-5F3000"], {160: 2.0, 110: 900, 120: 100})
     steps = []
     for start, row in made.rows:
@@ -168,11 +169,11 @@ def test_motors_take_it_up_alone_within_rate_and_acceleration() -> None:
     assert (slack[100] - slack[0]) == pytest.approx((2 * 100 / _PER_MM / 100) ** 0.5, rel=0.1)
     gaps = [b - a for a, b in pairwise(slack)]
     assert min(gaps) >= 1 / (15 * _PER_MM) * 0.98
-    assert slack[-1] - slack[-100] > 0.08  # it comes to rest behind it
+    assert slack[-1] - slack[-100] > 0.08  # it stops at the end of the slack
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "?", "\x84"])
-def test_whatever_comes_in_the_middle_of_it_places_stay_true(byte: str) -> None:
+def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> None:
     settings = {162: 2.0, 122: 50}
     for ms in range(0, 900, 37):
         made = machine(settings)
@@ -200,7 +201,7 @@ def test_whatever_comes_in_the_middle_of_it_places_stay_true(byte: str) -> None:
 
 
 @pytest.mark.thorough
-def test_after_a_reset_in_the_middle_of_it_the_rest_of_it_is_taken_up() -> None:
+def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
     for ms in range(20, 900, 79):
         made = machine({162: 2.0, 122: 50})
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
@@ -223,7 +224,7 @@ def test_after_a_reset_in_the_middle_of_it_the_rest_of_it_is_taken_up() -> None:
         made.run(script())
 
 
-def test_a_jog_is_cancelled_in_the_middle_of_it_and_goes_nowhere() -> None:
+def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
     for ms in range(30, 800, 59):
         made = machine({162: 2.0, 122: 50})
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
@@ -247,7 +248,7 @@ def test_a_jog_is_cancelled_in_the_middle_of_it_and_goes_nowhere() -> None:
 
 
 @pytest.mark.parametrize("inverted", [0, 7])
-def test_after_homing_slack_is_taken_up_on_the_side_pulled_off_to(inverted: int) -> None:
+def test_slack_after_homing_is_on_the_side_of_the_pull_off(inverted: int) -> None:
     made = machine({22: 1, 23: inverted})
     above = not inverted
     for i, letter in enumerate("xyz"):
@@ -270,7 +271,7 @@ def test_after_homing_slack_is_taken_up_on_the_side_pulled_off_to(inverted: int)
         assert origin == pytest.approx(origins[0], abs=0.0025)
 
 
-def test_a_probe_says_where_the_table_is_and_so_it_does_after_a_turn() -> None:
+def test_probe_reports_the_tables_position_and_stays_right_after_a_reversal() -> None:
     made = machine()
 
     def look() -> None:
@@ -290,7 +291,7 @@ def test_a_probe_says_where_the_table_is_and_so_it_does_after_a_turn() -> None:
     assert table(made) == pytest.approx([1, 1, -1])
 
 
-def test_a_laser_is_dark_meanwhile_and_a_spindle_goes_on() -> None:
+def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
     for laser, kept in ((1, False), (0, True)):
         made = machine({32: laser, 30: 1000, 160: 0.4})
         powers: list[int] = []
@@ -308,14 +309,14 @@ def test_a_laser_is_dark_meanwhile_and_a_spindle_goes_on() -> None:
         assert powers and all(bool(power) == kept for power in powers[1:-1]), (laser, powers)
 
 
-def test_second_motors_take_it_up_too() -> None:
+def test_second_motors_take_up_the_slack() -> None:
     made = Machine({**_SETTINGS}, board(STEP=(0, 1, 2, 3), MOTORS="XYZY"), watched=False)
     made.play(["G0X1Y1Z1", "G1Y0F900"])
     assert made.physical() == [250, -10, 250, -10]
     assert made.reported() == [1, 0, 1]
 
 
-def test_soft_limits_and_check_mode_come_before_anything_of_it() -> None:
+def test_soft_limits_and_check_mode_act_before_the_slack() -> None:
     made = played(["$X", "G0X-1", "G4P0.1", "G0X0.5"], {20: 1, 22: 1, 130: 50}, [(4000, "\x18")])
     assert "ALARM:2" in made.received
     assert made.physical()[0] == -250
@@ -323,19 +324,19 @@ def test_soft_limits_and_check_mode_come_before_anything_of_it() -> None:
     assert made.physical() == [250, 250, 250]
 
 
-def test_settings_are_listed_and_kept_within_bounds() -> None:
+def test_settings_are_listed_and_bounded() -> None:
     made = played(["$161=0.05", "$160=6", "$$", "$I"])
     assert "error:3" in made.received
     assert "$161=0.050" in made.received and "$160=0.100" in made.received
 
 
 @pytest.mark.parametrize("word", ["COREXY", "JERK", "PARKING", "CLUSTERS"])
-def test_what_does_not_go_with_it_is_refused_in_words(word: str) -> None:
+def test_conflicting_option_is_refused_with_the_reason(word: str) -> None:
     with pytest.raises(ValueError, match=f"BACKLASH and {word} are not for the same machine"):
         machine(**{word: True}).play([])
 
 
-def test_a_run_tells_of_axes_and_counts_what_motors_do(tmp_path: Path) -> None:
+def test_run_reports_axes_and_counts_motor_steps(tmp_path: Path) -> None:
     file = tmp_path / "back.nc"
     file.write_text("G0X1\nG1X-2F900\nX0\n")
     asked = ["run", str(file), "--board", "sim_backlash", "--set", "160=0.1"]
@@ -345,7 +346,7 @@ def test_a_run_tells_of_axes_and_counts_what_motors_do(tmp_path: Path) -> None:
     assert "-2.000 to 1.000 mm" in said.output and "6.0 mm" in said.output
 
 
-def test_a_board_without_it_has_none_of_it() -> None:
+def test_board_without_backlash_has_none_of_the_modules() -> None:
     modules = build.modules_of(load_board("rpi_pico"))
     assert not {"extras.motors.backlash", "motion.kinematics"} & set(modules)
     made = ModuleType("board")

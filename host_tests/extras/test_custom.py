@@ -1,4 +1,4 @@
-"""custom.py: the user's own Python around a machine that cannot be brought out of step by it."""
+"""Test custom.py: the user's own Python, which can never make the machine lose its position."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -25,9 +25,11 @@ _PINS = {"OUTPUTS": {"vacuum": 20, "air": 21}, "INPUTS": {"sensor": 22}}
 
 
 class Bench:
-    """A machine with that text as custom.py, and someone who talks to it. heard: what its
-    handlers have put into the list of that name; mm: where the motors are in the end, by the
-    steps that were made; outputs, power: what is on."""
+    """A machine with this text as custom.py, and a sender.
+
+    heard: items that its handlers have added to the list of that name; mm: final position of the
+    motors, from the steps made; outputs, power: outputs that are on.
+    """
 
     def __init__(self, folder: Path, name: str, text: str) -> None:
         (folder / f"{name}.py").write_text(text)
@@ -44,7 +46,7 @@ class Bench:
         return list(sys.modules[self._name].heard)
 
     def say(self, *talk: "tuple[str, str] | Callable[[], object]") -> "list[list[str]]":
-        """What comes back of each text: (text, what to wait for); or something to do."""
+        """Send texts given as (text, what to wait for), or call functions; return the replies."""
         said: list[list[str]] = []
 
         def script() -> Iterator[Any]:
@@ -76,7 +78,7 @@ _count = iter(range(10**9))
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Callable[[str], Bench]":
-    """Makes one: each with a module of its own name."""
+    """Return a maker of benches, each with a module of its own name."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
 
@@ -90,10 +92,10 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Callable[[str], B
 Make = Callable[[str], Bench]
 
 
-# What is read
+# Reading
 
 
-def test_words_get_their_numbers_by_name_where_motion_has_ended(bench: Make) -> None:
+def test_words_get_their_numbers_by_name_after_motion_has_ended(bench: Make) -> None:
     made = bench(
         """
 @mcode(100, "Pq")
@@ -122,7 +124,7 @@ def g(m):
         ("import nowhere_at_all", "nowhere_at_all"),
     ],
 )
-def test_a_file_that_cannot_be_gives_the_plain_machine_and_says_why(
+def test_unreadable_file_is_left_out_and_reported_with_the_cause(
     bench: Make, text: str, reason: str
 ) -> None:
     made = bench("@mcode(199)\ndef first(m): heard.append(1)\n" + text)
@@ -134,7 +136,7 @@ def test_a_file_that_cannot_be_gives_the_plain_machine_and_says_why(
     assert "ok" not in told[0] and "error" not in told[0].lower()
 
 
-def test_check_mode_looks_at_words_and_runs_nothing(bench: Make) -> None:
+def test_check_mode_checks_words_and_runs_nothing(bench: Make) -> None:
     made = bench('@mcode(100, "P")\ndef a(m, P): heard.append(P)\n@on.spindle\ndef s(m, *_): 1/0')
     said = made.say(*lines("$C", "M100P1", "M3S100", "M100", "M101P1"))
     assert [answer[-1] for answer in said] == ["ok", "ok", "ok", "error:28", "error:20"]
@@ -142,7 +144,7 @@ def test_check_mode_looks_at_words_and_runs_nothing(bench: Make) -> None:
 
 
 @given(some.text("gGxX10.;() /$-\t", max_size=60))
-def test_a_handlers_line_is_read_as_a_senders(text: str) -> None:
+def test_line_of_a_handler_is_read_like_a_senders(text: str) -> None:
     reader = LineReader(128, 80, lambda _: None)
     reader.feed(bytearray(text.encode() + b"\n"), len(text) + 1)
     length = read_line(*reader.memory()) >> 2
@@ -152,7 +154,7 @@ def test_a_handlers_line_is_read_as_a_senders(text: str) -> None:
 # Events
 
 
-def test_pulses_are_as_wide_as_asked_for_and_end_with_a_reset(bench: Make) -> None:
+def test_pulses_have_the_given_width_and_end_with_a_reset(bench: Make) -> None:
     made = bench(
         "@mcode(100, 'P')\ndef share(m, P): m.pwm('vacuum', P, hz=500)\n"
         "@mcode(101, 'P')\ndef turn(m, P): m.servo('air', P); heard.append(m.is_on('air'))\n"
@@ -177,12 +179,12 @@ def test_pulses_are_as_wide_as_asked_for_and_end_with_a_reset(bench: Make) -> No
     )
     assert seen[0] == {0: (500, 32768), 1: (50, 4915)} and made.heard == [True, False]
     assert seen[1] == {0: (500, 65535), 1: (50, 0)}
-    assert seen[2] == {}, "what has failed leaves nothing on"
+    assert seen[2] == {}, "a failure leaves no output on"
     assert "a share from 0 to 1" in "".join(said[5]) and said[5][1] == "ALARM:34"
     assert seen[3] == {0: (500, 65535)} and made.outputs == 1
 
 
-def test_the_t_of_a_word_selects_no_tool(bench: Make) -> None:
+def test_t_of_a_custom_word_selects_no_tool(bench: Make) -> None:
     made = bench(
         '@mcode(100, "T")\ndef word(m, T): heard.append(("word", m.tool, T))\n'
         "@on.tool_select\ndef select(m, tool): heard.append(tool)\n"
@@ -192,7 +194,7 @@ def test_the_t_of_a_word_selects_no_tool(bench: Make) -> None:
     assert made.heard == [4, 5, ("change", 5), ("word", 5, 7.0), ("change", 5)]
 
 
-def test_every_event_is_heard_with_its_values(bench: Make) -> None:
+def test_every_event_has_its_values(bench: Make) -> None:
     names = (
         "startup after_reset after_unlock after_homing state_change tool_select tool_change "
         "probe_done spindle coolant program_paused program_done alarm"
@@ -237,7 +239,7 @@ def test_every_event_is_heard_with_its_values(bench: Make) -> None:
     assert ("state_change", "Idle", "Hold") in made.heard
 
 
-def test_a_handlers_line_may_have_own_words_and_is_heard_of(bench: Make) -> None:
+def test_handlers_may_use_custom_words_and_fire_events(bench: Make) -> None:
     made = bench(
         """
 @mcode(100, "P")
@@ -267,7 +269,7 @@ def homed(m): heard.append("homed")
     assert made.heard == [3.0, ("T", 2), 2, "M3", "behind", "homed", "home", 7.0]
 
 
-def test_a_line_waits_for_the_handlers_of_the_one_before(bench: Make) -> None:
+def test_line_waits_for_the_handlers_of_the_line_before(bench: Make) -> None:
     made = bench(
         """
 @on.spindle
@@ -280,7 +282,7 @@ def delay(m, word, rpm):
     assert made.heard == [("on", 1.0)] and made.mm[0] == 2
 
 
-def test_a_word_may_go_with_the_blocks_before_it_while_motion_goes_on(bench: Make) -> None:
+def test_word_may_run_with_the_motion_before_it(bench: Make) -> None:
     made = bench(
         """
 @mcode(62, "P", sync=False)
@@ -295,7 +297,7 @@ def on_(m, P):
     assert abs(at - 3) < 0.5 and made.mm[0] == 7 and made.outputs == 1
 
 
-def test_inputs_and_timers_are_heard_and_a_report_has_a_field(bench: Make) -> None:
+def test_inputs_and_timers_call_handlers_and_a_report_gets_a_field(bench: Make) -> None:
     made = bench(
         """
 @on.input("sensor")
@@ -324,7 +326,7 @@ def field(m):
     assert 18 <= int(said[-1][0].partition("Tk:")[2].rstrip(">")) <= 40
 
 
-# What fails
+# Failures
 
 
 def failing(kind: str) -> str:
@@ -345,7 +347,7 @@ def beside(m):
 @pytest.mark.parametrize(
     "kind", ["1 / 0", "raise ValueError('ok error')", "m.g('G1 X1 Y')", "heard[5]", "nothing()"]
 )
-def test_a_failing_word_lets_motion_end_and_alarms_with_file_and_line(
+def test_failing_word_lets_motion_end_and_alarms_with_file_and_line(
     bench: Make, kind: str
 ) -> None:
     made = bench(failing(kind))
@@ -355,7 +357,7 @@ def test_a_failing_word_lets_motion_end_and_alarms_with_file_and_line(
     assert not text
 
 
-def test_the_message_of_a_failure_is_no_answer_and_names_the_line(bench: Make) -> None:
+def test_failure_message_is_no_answer_and_names_the_line(bench: Make) -> None:
     made = bench(failing("raise ValueError('ok error')"))
     (said,) = made.say(("M100\n", "ms 3000"))
     (message,) = [line for line in said if line.startswith("[MSG:M100: custom_")]
@@ -364,7 +366,7 @@ def test_the_message_of_a_failure_is_no_answer_and_names_the_line(bench: Make) -
     assert "custom" in made.rig.store.files and "ValueError" in made.rig.store.files["custom"][-1]
 
 
-def test_a_failure_during_motion_comes_to_rest_and_loses_nothing(bench: Make) -> None:
+def test_failure_during_motion_stops_smoothly_and_loses_no_step(bench: Make) -> None:
     made = bench(failing("1 / 0"))
     said = made.say(("T9\n", "ok"), ("G1Y9F500\n", "ms 5000"), ("$X\n", "ok"), ("?", "ms 20"))
     assert "ALARM:34" in said[1] and 2 < made.mm[1] < 2 + _STOPPING_MM
@@ -373,25 +375,25 @@ def test_a_failure_during_motion_comes_to_rest_and_loses_nothing(bench: Make) ->
 
 
 @pytest.mark.parametrize("call", ['m.g("G0X1")', "m.wait(1)", 'm.ask("?")', "m.wait_motion()"])
-def test_who_runs_during_motion_may_neither_move_nor_wait(bench: Make, call: str) -> None:
+def test_handler_during_motion_may_neither_move_nor_wait(bench: Make, call: str) -> None:
     made = bench(f"@on.state_change\ndef s(m, old, new):\n    if new == 'Run':\n        {call}")
     (said,) = made.say(("G0X5\n", "ms 3000"))
     assert "ALARM:34" in said and any("neither move nor wait" in line for line in said)
 
 
-def test_a_refusal_refuses_its_line_and_nothing_else(bench: Make) -> None:
+def test_refusal_refuses_only_its_line(bench: Make) -> None:
     made = bench('@mcode(100)\ndef a(m): raise Refuse("close the door")')
     said = made.say(*lines("M100", "G0X1"))
     assert said == [["[MSG:close the door]", "error:3"], ["ok"]]
 
 
-def test_who_runs_during_motion_has_no_line_to_refuse(bench: Make) -> None:
+def test_handler_during_motion_has_no_line_to_refuse(bench: Make) -> None:
     made = bench('@every(10)\ndef a(m):\n    if m.position().x > 1: raise Refuse("no")')
     said = made.say(("G1X9F500\nG1X0\n", "ms 3000"))
     assert "ALARM:34" in said[0] and not [line for line in said[0] if "error" in line]
 
 
-def test_a_slow_handler_is_reported_once(bench: Make) -> None:
+def test_slow_handler_is_reported_once(bench: Make) -> None:
     made = bench(
         """
 @every(100)
@@ -415,7 +417,7 @@ def slow(m):
 
 
 @pytest.mark.parametrize("after_ms", [*range(0, 1500, 70)])
-def test_a_reset_ends_a_handler_wherever_it_is(bench: Make, after_ms: int) -> None:
+def test_reset_ends_a_handler_anywhere(bench: Make, after_ms: int) -> None:
     made = bench(
         """
 @mcode(100)
@@ -445,10 +447,10 @@ def long(m):
     assert said[3] == ["ok"] and -0.1 < report - 2 < 1.1
 
 
-# Kept
+# Persistent values
 
 
-def test_values_are_written_at_rest_and_survive_a_power_cut(bench: Make) -> None:
+def test_values_are_written_while_idle_and_survive_a_power_cut(bench: Make) -> None:
     made = bench(
         """
 @mcode(100, "P")
@@ -467,7 +469,7 @@ def tell(m):
     assert made.heard[-1] == (4.0, "a b", False, 5)
 
 
-def test_keep_takes_numbers_and_texts_only(bench: Make) -> None:
+def test_keep_accepts_only_numbers_and_texts(bench: Make) -> None:
     made = bench('@mcode(100)\ndef a(m): m.keep["x"] = [1]')
     (said,) = made.say(("M100\n", "ms 500"))
     assert any("neither a number nor a text" in line for line in said)

@@ -1,5 +1,7 @@
-"""docs/custom.md: what it shows works, what it lists is all there is; and names that custom.py
-uses are on a board, too."""
+"""Test docs/custom.md: its code works, its lists are complete.
+
+Names that custom.py uses also exist on a board.
+"""
 
 import ast
 import re
@@ -13,7 +15,7 @@ from typer.testing import CliRunner
 from ugrbl.cli.app import app
 from ugrbl.docs.custom import machine_api_methods
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -27,7 +29,7 @@ def blocks(kind: str, name: str = "") -> "list[str]":
 
 
 def shop(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str) -> Shop:
-    """A machine with that as its custom.py, and the pins that the page names."""
+    """Return a machine with this custom.py, and the pins that the page names."""
     pins: dict[str, Any] = {}
     exec(blocks("python", "board")[0], pins)
     made = Shop(monkeypatch, "custom", OUTPUTS=pins["OUTPUTS"], INPUTS=pins["INPUTS"])
@@ -38,7 +40,7 @@ def shop(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str) -> Shop:
 
 
 @pytest.mark.parametrize("text", blocks("python", "custom.py"), ids=("first", "saved"))
-def test_what_the_page_shows_is_taken_up(
+def test_code_of_the_page_is_accepted(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str
 ) -> None:
     made = shop(monkeypatch, tmp_path, text)
@@ -46,7 +48,7 @@ def test_what_the_page_shows_is_taken_up(
     assert any(line.startswith("Custom: ") for line in made.messages), made.messages
 
 
-def test_the_first_word_does_what_the_page_says(
+def test_first_word_does_what_the_page_says(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[0])
@@ -59,9 +61,7 @@ def test_the_first_word_does_what_the_page_says(
     assert made.messages == ["M100: P1 is on, P0 is off"]
 
 
-def test_the_tool_change_of_the_page_is_one(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_tool_change_of_the_page_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[1])
 
     def script() -> Any:
@@ -74,7 +74,7 @@ def test_the_tool_change_of_the_page_is_one(
     assert made.messages == ["Put in tool 3, then cycle start"] and made.answers == ["ok"] * 2
 
 
-def test_a_failure_is_reported_as_the_page_quotes_it(
+def test_failure_is_reported_as_the_page_quotes_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     head = "from ugrbl import mcode\n\n\n@mcode(100)\ndef fail(m):\n"
@@ -86,14 +86,14 @@ def test_a_failure_is_reported_as_the_page_quotes_it(
     assert "ALARM:34" in made.answers and made.place()[0] == 1
 
 
-def test_the_page_lists_every_event_and_who_may_move() -> None:
+def test_page_lists_every_event_and_if_it_may_move() -> None:
     told = dict(_EVENT.findall(_PAGE))
     moving = dict.fromkeys(handlers.MOVING, "yes")
     beside = dict.fromkeys((*handlers.DURING_MOTION, handlers.REPORT, handlers.INPUT), "no")
     assert told == {**moving, **beside}
 
 
-def test_the_page_lists_every_example() -> None:
+def test_page_lists_every_example() -> None:
     listed = re.findall(r"^\| `(\w+\.py)` \|", _PAGE, re.MULTILINE)
     assert sorted(listed) == sorted(f.name for f in (_ROOT / "examples" / "custom").glob("*.py"))
 
@@ -101,7 +101,7 @@ def test_the_page_lists_every_example() -> None:
 @pytest.mark.parametrize(
     "file", sorted((_ROOT / "examples" / "custom").glob("*.py")), ids=lambda file: file.stem
 )
-def test_every_example_is_well_by_the_command_at_its_head(
+def test_every_example_passes_the_command_at_its_head(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(file.parent)
@@ -116,7 +116,7 @@ def test_every_example_is_well_by_the_command_at_its_head(
 
 
 def public(text: str) -> "set[str]":
-    """Functions, classes and methods whose names do not begin with _."""
+    """Return functions, classes and methods whose names do not begin with _."""
     nodes = (node for node in ast.walk(ast.parse(text)) if isinstance(node, _NAMED))
     return {node.name for node in nodes if not node.name.startswith("_")}
 
@@ -124,15 +124,15 @@ def public(text: str) -> "set[str]":
 _NAMED = (ast.FunctionDef, ast.ClassDef)
 
 
-def test_every_call_says_what_it_does() -> None:
+def test_every_call_has_a_docstring() -> None:
     methods = list(machine_api_methods())
     assert len(methods) > 20 and all(map(ast.get_docstring, methods))
 
 
-def test_a_failure_during_motion_stops_it_at_once_also_where_no_line_ends(
+def test_failure_during_motion_stops_within_a_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """The loop waits for room in the planner, within a line."""
+    """The loop then waits for space in the planner, within a line."""
     text = "from ugrbl import on\n\n\n@on.input('part')\ndef fail(m, closed):\n    1 / 0\n"
     made = shop(monkeypatch, tmp_path, text)
 

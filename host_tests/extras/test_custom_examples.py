@@ -1,4 +1,4 @@
-"""examples/custom/: each is read by the machine as on a board, and what the machine does is seen.
+"""Test examples/custom/: each is read as on a board, and the machine's actions are checked.
 
 The simulated machine begins at 0, the upper end of its Z; 250 steps are a millimetre.
 """
@@ -18,7 +18,7 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender, is_answer
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(1)
 
 _EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
@@ -28,7 +28,7 @@ _LONGEST = {"rack": 120}
 
 
 class Solid(Switch):
-    """A body that the probe touches, told by whether it does at a place."""
+    """A body that the probe touches; `touched` says whether it does at a place."""
 
     def __init__(self, shop: "Shop", touched: "Callable[[float, float, float], bool]") -> None:
         super().__init__("probe", 0, True, 0)
@@ -39,12 +39,14 @@ class Solid(Switch):
         return self._touched(*self._shop.place()[:3])
 
     def crossing(self, start: int, end: int) -> int:
-        return 0  # it is looked at every 10 ms
+        return 0  # it is checked every 10 ms
 
 
 class Shop:
-    """A machine with one of the examples, someone who talks to it, and a book of what it does:
-    outputs as they change and contacts of the probe, each with the place in mm."""
+    """A machine with one of the examples, a sender, and a record of its actions.
+
+    The record has changes of outputs and contacts of the probe, each with the place in mm.
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str, **options: Any) -> None:
         monkeypatch.chdir(_EXAMPLES)
@@ -62,7 +64,7 @@ class Shop:
         self.power_up(factory_store(plain))
 
     def power_up(self, store: Any) -> None:
-        """A machine with what is kept there."""
+        """Start a machine with this store."""
         self.rig = Rig(self.board, store)
         self.sender = Sender(self.rig)
         self.sender.allow(600_000)
@@ -79,28 +81,28 @@ class Shop:
         return driven
 
     def is_on(self, name: str) -> bool:
-        """What the pin says."""
+        """Return whether the output is on."""
         return bool(self.rig.port.own_outputs >> self.outputs.index(name) & 1)
 
     def place(self) -> "tuple[float, ...]":
-        """Where the motors are, mm."""
+        """Return the motors' position, mm."""
         self.rig.engine.physical(self.rig.scratch)
         return tuple(round(steps / _STEPS, 3) for steps in self.rig.scratch)
 
     def close(self, name: str, closed: bool = True) -> None:
-        """An input of the board file's, by its name there."""
+        """Close or open an input by its name in the board file."""
         self.rig.port.push({"pin_%d" % self.board.INPUTS[name]: closed})
 
     def switch(self, axis: int, above: bool, mm: float) -> Switch:
-        """The probe touches where an axis has come so far."""
+        """Let the probe touch when an axis has reached a place."""
         made = Switch("probe", axis, above, round(mm * _STEPS))
         self.rig.engine.switches.append(made)
         return made
 
     def run(self, script: "Iterator[Any]") -> None:
-        """From the welcome on."""
+        """Run a script after the welcome."""
 
-        faults: "list[Exception]" = []  # of the script: no handler is to catch them
+        faults: "list[Exception]" = []  # of the script: no handler may catch them
 
         def whole() -> "Iterator[Any]":
             try:
@@ -115,12 +117,12 @@ class Shop:
             raise fault
 
     def send(self, text: str, how: str = "ok") -> "Iterator[Any]":
-        """Returns what comes back but for messages, which are kept."""
+        """Send a text; return the replies without messages, which are stored."""
         yield from self.sender.wait(how, text if how != "ok" else text + "\n")
         return self.heard()
 
     def start(self, line: str, how: str = "Hold") -> "Iterator[Any]":
-        """Send a line and wait until ? says that, without its answer."""
+        """Send a line and wait for a state, but not for the answer."""
         yield from self.send(line if line == "~" else line + "\n", "ms 10")
         yield from self.until(how)
 
@@ -131,11 +133,11 @@ class Shop:
         return [line for line in told if line and not line.startswith(("[MSG:", "Grbl "))]
 
     def state(self) -> str:
-        """What `?` says first."""
+        """Return the state as in a status report."""
         return STATES[self.rig.controller.state.run]
 
     def until(self, state: str) -> "Iterator[Any]":
-        """Wait until that is so, and stays so; a hold has come to rest then."""
+        """Wait until the machine stays in a state; in a hold it must have stopped."""
         since = self.rig.now
         while self.rig.now - since < self.rig.ticks_per_ms * 100:
             is_so = self.state() == state and (state != "Hold" or self.sender.at_rest())
@@ -146,7 +148,7 @@ class Shop:
         self.heard()
 
     def answered(self, count: int) -> "Iterator[Any]":
-        """Wait until there have been so many answers."""
+        """Wait for this number of answers."""
         while len(self.answers) < count:
             yield self.rig.ms(20)
             self.heard()
@@ -156,7 +158,7 @@ class Shop:
         return [line for line in told if line.startswith("<")]
 
     def told(self, line: str) -> "list[str]":
-        """What comes back of a line."""
+        """Return the reply to a line."""
         told: "list[str]" = []
 
         def script() -> "Iterator[Any]":
@@ -166,7 +168,7 @@ class Shop:
         return told
 
     def say(self, *lines: str) -> "list[str]":
-        """Send lines; returns their answers."""
+        """Send lines; return their answers."""
         answers: "list[str]" = []
 
         def script() -> "Iterator[Any]":
@@ -180,7 +182,7 @@ class Shop:
 
 
 def offset(shop: Shop, name: str) -> "tuple[float, ...]":
-    """A coordinate system's, as it is kept."""
+    """Return the stored offset of a coordinate system."""
     for line in shop.rig.store.files["coords"]:
         if line.startswith(name + "="):
             return tuple(float(mm) for mm in line.partition("=")[2].split(","))
@@ -198,7 +200,7 @@ Make = Callable[..., Shop]
 def test_every_example_is_short_and_has_its_test() -> None:
     here = Path(__file__).read_text(encoding="utf-8")
     for file in _EXAMPLES.glob("*.py"):
-        code = file.read_text(encoding="utf-8").split('"""', 2)[2]  # behind what it says of itself
+        code = file.read_text(encoding="utf-8").split('"""', 2)[2]  # after its docstring
         lines = [line for line in code.splitlines() if line.strip()]
         assert len(lines) <= _LONGEST.get(file.stem, 40), file.name
         assert f'shop("{file.stem}"' in here, file.name
@@ -208,13 +210,13 @@ def test_every_example_is_short_and_has_its_test() -> None:
 
 
 def changed(shop: Make, **more: Any) -> Shop:
-    """A machine whose sensor is touched 35 mm down."""
+    """Return a machine whose sensor is touched 35 mm down."""
     made = shop("tool_length", **more)
     made.switch(2, False, -35)
     return made
 
 
-def test_a_tool_is_changed_at_rest_with_all_off_and_measured(shop: Make) -> None:
+def test_tool_is_changed_with_everything_off_and_measured(shop: Make) -> None:
     made = changed(shop)
     seen: dict[str, Any] = {}
 
@@ -235,7 +237,7 @@ def test_a_tool_is_changed_at_rest_with_all_off_and_measured(shop: Make) -> None
     assert made.place() == (3.0, 139.0, -1.0)
 
 
-def test_a_length_holds_again_after_a_reset_and_power_off(shop: Make) -> None:
+def test_length_is_restored_after_a_reset_and_power_off(shop: Make) -> None:
     made = changed(shop)
     seen: list[Any] = []
 
@@ -252,7 +254,7 @@ def test_a_length_holds_again_after_a_reset_and_power_off(shop: Make) -> None:
     assert "[TLO:-35.000]" in made.told("$#")
 
 
-def test_a_sensor_that_is_pressed_is_reported_and_nothing_moves(shop: Make) -> None:
+def test_pressed_sensor_is_reported_and_nothing_moves(shop: Make) -> None:
     made = shop("tool_length")
     made.rig.port.push({"probe": True})
     assert made.say("M3 S1000", "T2 M6") == ["ok", "error:3"]
@@ -260,7 +262,7 @@ def test_a_sensor_that_is_pressed_is_reported_and_nothing_moves(shop: Make) -> N
     assert made.place() == (0, 0, 0)
 
 
-def test_a_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
+def test_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
     made = shop("tool_length")
     seen: list[Any] = []
 
@@ -276,7 +278,7 @@ def test_a_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
     assert made.place()[2] == -60
 
 
-def test_a_tool_that_was_selected_long_before_is_asked_for(shop: Make) -> None:
+def test_tool_selected_long_before_is_requested(shop: Make) -> None:
     made = changed(shop)
 
     def script() -> "Iterator[Any]":
@@ -288,7 +290,7 @@ def test_a_tool_that_was_selected_long_before_is_asked_for(shop: Make) -> None:
     assert "Put in tool 7, then cycle start" in made.messages
 
 
-def test_a_reset_while_a_tool_is_measured_stops_and_leaves_it_without_a_length(shop: Make) -> None:
+def test_reset_during_the_measurement_stops_and_leaves_no_length(shop: Make) -> None:
     made = changed(shop)
     seen: list[Any] = []
 
@@ -312,18 +314,18 @@ def test_a_reset_while_a_tool_is_measured_stops_and_leaves_it_without_a_length(s
 
 
 def plate(shop: Make) -> Shop:
-    """Work whose corner is 10 mm left of where it begins, 5 mm in front, 15 mm below."""
+    """Return a machine whose work has its corner 10 mm left, 5 mm in front and 15 mm below."""
     made = shop("touch_plate")
     made.rig.engine.switches.append(Solid(made, _on_plate))
     return made
 
 
 def _on_plate(x: float, y: float, z: float) -> bool:
-    """The plate, 12 mm thick on the work and 8 mm at its sides, and a tool 6 mm thick."""
+    """The plate is 12 mm thick on the work and 8 mm at its sides; the tool is 6 mm thick."""
     return x + 3 >= -10 - 8 and y + 3 >= -5 - 8 and z <= -15 + 12
 
 
-def test_a_touch_plate_finds_the_top_of_the_work(shop: Make) -> None:
+def test_touch_plate_finds_the_top_of_the_work(shop: Make) -> None:
     made = plate(shop)
     assert made.say("G20", "M110") == ["ok", "ok"]
     assert offset(made, "G54") == pytest.approx((0, 0, -15), abs=0.02)
@@ -331,14 +333,14 @@ def test_a_touch_plate_finds_the_top_of_the_work(shop: Make) -> None:
 
 
 @pytest.mark.parametrize("lines", [("M110 D6",), ("G20 G91", "M110 D0.23622")])
-def test_a_touch_plate_finds_the_corner(shop: Make, lines: "tuple[str, ...]") -> None:
+def test_touch_plate_finds_the_corner(shop: Make, lines: "tuple[str, ...]") -> None:
     made = plate(shop)
     assert set(made.say("G43.1 Z0.5", *lines)) == {"ok"}, made.messages
     assert offset(made, "G54")[:2] == pytest.approx((-10, -5), abs=0.02)
     assert offset(made, "G54")[2] == pytest.approx(-15 - 0.5, abs=0.02)
 
 
-def test_what_stands_in_the_way_of_a_touch_plate_is_not_run_into(shop: Make) -> None:
+def test_touch_plate_stops_at_an_obstacle_on_the_way(shop: Make) -> None:
     made = plate(shop)
     clamp = Solid(made, lambda x, y, z: x <= -24)
     made.rig.engine.switches.append(clamp)
@@ -348,7 +350,7 @@ def test_what_stands_in_the_way_of_a_touch_plate_is_not_run_into(shop: Make) -> 
     assert offset(made, "G54") == (0, 0, 0)
 
 
-def test_a_plate_is_not_touched_by_a_spindle_that_turns(shop: Make) -> None:
+def test_touch_plate_is_not_used_with_a_turning_spindle(shop: Make) -> None:
     made = plate(shop)
     assert made.say("M3 S1000", "M110") == ["ok", "error:3"]
     assert made.place() == (0, 0, 0) and made.messages == ["The spindle turns: M5 first"]
@@ -356,7 +358,7 @@ def test_a_plate_is_not_touched_by_a_spindle_that_turns(shop: Make) -> None:
     assert made.say("M110") == ["error:3"] and "clip off" in made.messages[-1]
 
 
-def test_a_plate_that_is_not_there_is_an_alarm_and_changes_no_offset(shop: Make) -> None:
+def test_missing_touch_plate_is_an_alarm_and_changes_no_offset(shop: Make) -> None:
     made = shop("touch_plate")
     made.say("M110")
     assert made.answers[:1] == ["ALARM:5"] and offset(made, "G54") == (0, 0, 0)
@@ -366,7 +368,7 @@ def test_a_plate_that_is_not_there_is_an_alarm_and_changes_no_offset(shop: Make)
 # The middle of a pocket
 
 
-def test_the_middle_of_a_pocket_is_found_and_named(shop: Make) -> None:
+def test_middle_of_a_pocket_is_found_and_reported(shop: Make) -> None:
     made = shop("pocket")
     made.rig.engine.switches.append(
         Solid(made, lambda x, y, z: not (-12 < x < 20 and -16 < y < 8))
@@ -378,7 +380,7 @@ def test_the_middle_of_a_pocket_is_found_and_named(shop: Make) -> None:
     assert "X 32.0" in made.messages[-1] and "Y 24.0" in made.messages[-1]
 
 
-def test_the_middle_of_a_hole_is_found_from_its_edge(shop: Make) -> None:
+def test_middle_of_a_hole_is_found_from_its_edge(shop: Make) -> None:
     made = shop("pocket")
     made.rig.engine.switches.append(
         Solid(made, lambda x, y, z: (x - 5) ** 2 + (y + 9) ** 2 >= 15**2)
@@ -391,13 +393,13 @@ def test_the_middle_of_a_hole_is_found_from_its_edge(shop: Make) -> None:
 @pytest.mark.parametrize(
     ("before", "line"), [("M3 S500", "M112 R30"), ("M5", "M112 R0"), ("M5", "M112 R-3")]
 )
-def test_a_pocket_is_refused_in_words(shop: Make, before: str, line: str) -> None:
+def test_impossible_pocket_is_refused_with_the_reason(shop: Make, before: str, line: str) -> None:
     made = shop("pocket")
     assert made.say(before, line) == ["ok", "error:3"]
     assert made.messages[-1].startswith("M112") and made.place() == (0, 0, 0)
 
 
-def test_a_pocket_without_a_wall_is_an_alarm(shop: Make) -> None:
+def test_pocket_without_a_wall_is_an_alarm(shop: Make) -> None:
     made = shop("pocket")
     made.say("M112 R10")
     assert made.answers[0] == "ALARM:5" and offset(made, "G54") == (0, 0, 0)
@@ -409,7 +411,7 @@ def test_a_pocket_without_a_wall_is_an_alarm(shop: Make) -> None:
 _VACUUM = {"OUTPUTS": {"vacuum": 20, "air": 21}}
 
 
-def test_the_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
+def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
     made = shop("vacuum", **_VACUUM)
     seen: list[Any] = []
 
@@ -435,7 +437,7 @@ def test_the_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
 
 
 @pytest.mark.parametrize("end", ["M2", "\x18"])
-def test_what_ends_a_program_ends_the_blast(shop: Make, end: str) -> None:
+def test_end_of_a_program_ends_the_air_blast(shop: Make, end: str) -> None:
     made = shop("vacuum", **_VACUUM)
     seen: list[bool] = []
 
@@ -449,7 +451,7 @@ def test_what_ends_a_program_ends_the_blast(shop: Make, end: str) -> None:
     assert seen == [False, end == "M2"]
 
 
-def test_a_laser_is_not_waited_for(shop: Make) -> None:
+def test_laser_is_not_waited_for(shop: Make) -> None:
     made = shop("vacuum", settings={32: 1}, **_VACUUM)
     since = made.rig.now
     made.say("M4 S100")
@@ -461,7 +463,7 @@ def test_a_laser_is_not_waited_for(shop: Make) -> None:
 _LIGHT = {"OUTPUTS": {"green": 18, "yellow": 19, "well": 20, "buzzer": 21}}
 
 
-def test_the_stack_light_tells_the_state(shop: Make) -> None:
+def test_stack_light_shows_the_state(shop: Make) -> None:
     made = shop("stack_light", **_LIGHT)
     seen: list[Any] = []
 
@@ -482,7 +484,7 @@ def test_the_stack_light_tells_the_state(shop: Make) -> None:
     assert seen == ["w", "gw", "yw", "gw", "", "w"]
 
 
-def test_the_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
+def test_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
     made = shop("stack_light", settings={22: 1}, **_LIGHT)
 
     def script() -> "Iterator[Any]":
@@ -528,7 +530,7 @@ def test_parts_are_counted_over_power_off(shop: Make) -> None:
     assert seen[1] == "3 parts are made: empty the box, then cycle start"
 
 
-def test_a_number_of_parts_is_one(shop: Make) -> None:
+def test_fractional_number_of_parts_is_refused(shop: Make) -> None:
     made = shop("counter")
     assert made.say("M120 Q-1", "M120 Q1.5", "M120") == ["error:3", "error:3", "error:28"]
     assert made.messages[0] == "M120: Q is a number of parts, not -1"
@@ -538,7 +540,7 @@ def test_a_number_of_parts_is_one(shop: Make) -> None:
 
 
 @pytest.mark.parametrize("line", ["G0 X50", "G1 X50 F1500", "$J=G91 X50 F1500"])
-def test_a_guarded_probe_stops_what_runs_into_something(shop: Make, line: str) -> None:
+def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
     made = shop("guard", settings={110: 1500})
     made.switch(0, True, 20)
     seen: list[Any] = []
@@ -546,7 +548,7 @@ def test_a_guarded_probe_stops_what_runs_into_something(shop: Make, line: str) -
     def script() -> "Iterator[Any]":
         yield from made.send("M114 P1")
         yield from made.send(line + "\n", "ms 1")
-        if line[0] == "G":  # lines behind it, of which none is made
+        if line[0] == "G":  # lines after it, which are not executed
             yield from made.send("G1 Y50 F1500\n" * 30, "ms 1")
         yield from made.until("Alarm")
         seen.append(made.place())
@@ -566,7 +568,7 @@ def test_a_guarded_probe_stops_what_runs_into_something(shop: Make, line: str) -
     assert "ALARM:34" in made.answers
 
 
-def test_a_guarded_probe_probes_and_is_pulled_back(shop: Make) -> None:
+def test_guarded_probe_can_probe_and_be_pulled_back(shop: Make) -> None:
     made = shop("guard")
     made.switch(0, True, 20)
     lines = ("M114 P1", "G0 X10", "G38.2 X50 F300", "G0 X5", "G38.2 X50 F300", "G0 X0", "M114 P0")
@@ -574,8 +576,8 @@ def test_a_guarded_probe_probes_and_is_pulled_back(shop: Make) -> None:
     assert made.place()[0] == 30 and "ALARM:34" not in made.answers
 
 
-def test_no_rapid_before_a_probing_move_is_unguarded(shop: Make) -> None:
-    """The probing line is read while the rapid before it is still under way."""
+def test_rapid_before_a_probing_move_is_guarded(shop: Make) -> None:
+    """The probing line is read while the rapid before it is still executed."""
     made = shop("guard", settings={110: 1500})
     made.switch(0, True, 20)
 
@@ -588,7 +590,7 @@ def test_no_rapid_before_a_probing_move_is_unguarded(shop: Make) -> None:
     assert "ALARM:34" in made.answers and 20 <= made.place()[0] < 25 and made.place()[2] == 0
 
 
-def test_a_spindle_does_not_turn_with_a_probe_in_it(shop: Make) -> None:
+def test_spindle_does_not_turn_with_a_probe_in_it(shop: Make) -> None:
     made = shop("guard")
     assert made.say("M3 S100", "M114 P1", "M5", "M114 P1", "M3") == ["ok", "error:3"] + ["ok"] * 3
     assert made.answers[-1] == "ok" and "ALARM:34" in made.answers
@@ -600,7 +602,7 @@ def test_a_spindle_does_not_turn_with_a_probe_in_it(shop: Make) -> None:
 _FEEDER = {"OUTPUTS": {"feeder": 20}, "INPUTS": {"part": 21, "jam": 22}}
 
 
-def test_the_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
+def test_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
     made = shop("feeder", **_FEEDER)
     seen: list[bool] = []
 
@@ -619,7 +621,7 @@ def test_the_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
     assert [place[0] for _, _, place in made.book] == [10, 10]
 
 
-def test_without_a_part_the_job_holds_until_somebody_comes(shop: Make) -> None:
+def test_job_holds_without_a_part_until_the_user_resumes(shop: Make) -> None:
     made = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
@@ -633,7 +635,7 @@ def test_without_a_part_the_job_holds_until_somebody_comes(shop: Make) -> None:
     assert made.messages[0].startswith("No part within 2 s") and made.answers == ["ok"]
 
 
-def test_a_reset_stops_the_feeder_and_a_jam_is_reported(shop: Make) -> None:
+def test_reset_stops_the_feeder_and_a_jam_is_reported(shop: Make) -> None:
     made = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
@@ -654,7 +656,7 @@ def test_a_reset_stops_the_feeder_and_a_jam_is_reported(shop: Make) -> None:
 _PICK = {"OUTPUTS": {"vacuum": 20, "blow": 21}, "INPUTS": {"gripped": 22}}
 
 
-def test_a_part_is_picked_and_placed(shop: Make) -> None:
+def test_part_is_picked_and_placed(shop: Make) -> None:
     made = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
@@ -681,7 +683,7 @@ def test_a_part_is_picked_and_placed(shop: Make) -> None:
     assert made.place() == pytest.approx((50.8, 0, 0), abs=0.01) and made.messages == []
 
 
-def test_no_part_is_asked_for_and_a_lost_one_holds(shop: Make) -> None:
+def test_missing_and_lost_parts_hold_the_job(shop: Make) -> None:
     made = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
@@ -704,7 +706,7 @@ def test_no_part_is_asked_for_and_a_lost_one_holds(shop: Make) -> None:
 # Pen
 
 
-def test_the_pen_is_down_before_the_machine_moves(shop: Make) -> None:
+def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
     from machine import PWM
 
     made = shop("pen")
@@ -734,7 +736,7 @@ _PENDANT = {"INPUTS": {**_WHEEL, "z": 12, "y": 13, "plus": 14, "minus": 15, "coa
 
 
 def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
-    """Both contacts of the wheel, as an encoder has them; an edge of wheel_a each."""
+    """Switch both contacts of the wheel as an encoder does, with edges of wheel_a."""
     a = b = False
     for _ in range(abs(edges)):
         for _ in range(2):
@@ -749,7 +751,7 @@ def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
 
 @pytest.mark.usefixtures("each_ms")
 @pytest.mark.parametrize(("edges", "coarse", "mm"), [(10, False, 0.1), (-10, True, -1.0)])
-def test_the_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float) -> None:
+def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float) -> None:
     made = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
@@ -763,7 +765,7 @@ def test_the_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: f
     assert made.place() == pytest.approx((0, mm, 0), abs=0.005)
 
 
-def test_a_button_jogs_as_long_as_it_is_held(shop: Make) -> None:
+def test_button_jogs_while_it_is_held(shop: Make) -> None:
     made = shop("pendant", **_PENDANT)
     seen: list[Any] = []
 
@@ -781,7 +783,7 @@ def test_a_button_jogs_as_long_as_it_is_held(shop: Make) -> None:
     assert -2.5 < seen[2] - seen[0] < 0
 
 
-def test_a_pendant_leaves_a_program_alone(shop: Make) -> None:
+def test_pendant_does_not_disturb_a_program(shop: Make) -> None:
     made = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
@@ -796,7 +798,7 @@ def test_a_pendant_leaves_a_program_alone(shop: Make) -> None:
     assert made.place() == (20, 0, 0)
 
 
-# A rack
+# A tool rack
 
 _RACK = {
     "OUTPUTS": {"drawbar": 20, "blow": 21},
@@ -805,8 +807,10 @@ _RACK = {
 
 
 class Rack:
-    """Pockets with tools, a cone and a drawbar, as they behave. stuck: the drawbar does not move;
-    lengths: where each tool touches the sensor."""
+    """Model pockets with tools, a cone and a drawbar.
+
+    stuck: the drawbar does not move; lengths: where each tool touches the sensor.
+    """
 
     def __init__(self, shop: Shop) -> None:
         self.shop = shop
@@ -830,12 +834,12 @@ class Rack:
         return driven
 
     def pocket(self) -> int:
-        """In which the cone stands; 0: in none."""
+        """Return the pocket in which the cone is, or 0."""
         x, y, z = self.shop.place()
         return round((x - 20) / 40) + 1 if y == 300 and z == -80 else 0
 
     def look(self) -> None:
-        """What the drawbar does with the tool."""
+        """Update the tool by the drawbar."""
         is_open = self.shop.is_on("drawbar") and not self.stuck
         pocket = self.pocket()
         if is_open and self.tool and pocket:
@@ -855,7 +859,7 @@ class Rack:
                 self.shop.close(name, closed)
 
 
-def test_tools_go_to_their_pockets_and_are_measured(shop: Make) -> None:
+def test_tools_return_to_their_pockets_and_are_measured(shop: Make) -> None:
     made = shop("rack", **_RACK)
     rack = Rack(made)
     seen: list[Any] = []
@@ -875,7 +879,7 @@ def test_tools_go_to_their_pockets_and_are_measured(shop: Make) -> None:
     assert [entry[0] for entry in made.book].count("drawbar") == 8
 
 
-def test_what_speaks_against_a_change_is_said_before_anything_moves(shop: Make) -> None:
+def test_impossible_tool_change_is_refused_before_anything_moves(shop: Make) -> None:
     made = shop("rack", **_RACK)
     Rack(made)
 
@@ -902,7 +906,7 @@ def test_what_speaks_against_a_change_is_said_before_anything_moves(shop: Make) 
     assert made.place() == (0, 0, 0) and made.book == []
 
 
-def test_a_drawbar_that_is_stuck_stops_the_change(shop: Make) -> None:
+def test_stuck_drawbar_stops_the_change(shop: Make) -> None:
     made = shop("rack", **_RACK)
     rack = Rack(made)
 
@@ -918,7 +922,7 @@ def test_a_drawbar_that_is_stuck_stops_the_change(shop: Make) -> None:
     assert rack.changes == ["+2"] and not made.is_on("drawbar") and made.place()[2] == -80
 
 
-def test_an_empty_pocket_and_a_broken_tool_are_reported(shop: Make) -> None:
+def test_empty_pocket_and_broken_tool_are_reported(shop: Make) -> None:
     made = shop("rack", **_RACK)
     rack = Rack(made)
 
@@ -939,7 +943,7 @@ def test_an_empty_pocket_and_a_broken_tool_are_reported(shop: Make) -> None:
 
 
 @pytest.mark.thorough
-def test_a_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
+def test_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
     for ms in range(200, 17_000, 1200):
         made = shop("rack", **_RACK)
         rack = Rack(made)
@@ -962,7 +966,7 @@ def test_a_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
         assert rack.tool == 1 and rack.pockets == set(range(2, 9)), (ms, rack.changes)
 
 
-def test_a_spindle_without_a_tool_does_not_turn(shop: Make) -> None:
+def test_spindle_without_a_tool_does_not_turn(shop: Make) -> None:
     made = shop("rack", **_RACK)
     Rack(made)
     made.say("M3 S100")
@@ -970,12 +974,14 @@ def test_a_spindle_without_a_tool_does_not_turn(shop: Make) -> None:
     assert not made.rig.port.spindle_on
 
 
-# An inverter
+# A frequency inverter
 
 
 class Inverter:
-    """machine.UART with an inverter behind it: 250 rpm more or less with each telegram. dumb: it
-    does not answer; slow: it does not come up to speed."""
+    """Stand in for machine.UART with an inverter: its speed changes by up to 240 rpm a telegram.
+
+    dumb: it does not answer; slow: it does not reach its speed.
+    """
 
     dumb = slow = False
 
@@ -1010,7 +1016,7 @@ class Inverter:
 
 
 def crc(frame: bytes) -> bytes:
-    """Of Modbus, by its table's definition: the polynomial 0x8005, reflected."""
+    """Return the Modbus CRC, from its definition: the polynomial 0x8005, reflected."""
     value = 0xFFFF
     for byte in frame:
         for bit in range(8):
@@ -1030,7 +1036,7 @@ def inverter(monkeypatch: pytest.MonkeyPatch, shop: Make) -> Shop:
     return shop("inverter", settings={30: 24000})
 
 
-def test_the_machine_waits_for_the_inverters_speed(inverter: Shop) -> None:
+def test_machine_waits_for_the_inverters_speed(inverter: Shop) -> None:
     seen: list[float] = []
 
     def script() -> "Iterator[Any]":
@@ -1044,7 +1050,7 @@ def test_the_machine_waits_for_the_inverters_speed(inverter: Shop) -> None:
     assert seen[4] == 0x22 and seen[5] == pytest.approx(6000, abs=150) and seen[6] == 1
 
 
-def test_an_inverter_that_falls_silent_stops_the_machine(inverter: Shop) -> None:
+def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
     def script() -> "Iterator[Any]":
         yield from inverter.send("M3 S12000")
         yield from inverter.send("G1 X100 F1000\n", "ms 500")
@@ -1059,7 +1065,7 @@ def test_an_inverter_that_falls_silent_stops_the_machine(inverter: Shop) -> None
     assert Inverter.last.word == 1, (inverter.messages, inverter.answers)
 
 
-def test_a_spindle_that_does_not_come_up_to_speed_stops_the_job(inverter: Shop) -> None:
+def test_spindle_that_does_not_reach_its_speed_stops_the_job(inverter: Shop) -> None:
     def script() -> "Iterator[Any]":
         Inverter.slow = True
         yield from inverter.send("M3 S12000\nG1 X100 F1000\n", "ms 1")
@@ -1070,7 +1076,7 @@ def test_a_spindle_that_does_not_come_up_to_speed_stops_the_job(inverter: Shop) 
     assert inverter.place() == (0, 0, 0)
 
 
-def test_a_reset_stops_the_inverter(inverter: Shop) -> None:
+def test_reset_stops_the_inverter(inverter: Shop) -> None:
     def script() -> "Iterator[Any]":
         yield from inverter.send("M3 S12000")
         yield from inverter.send("\x18", "banner")
@@ -1087,7 +1093,7 @@ _TURNING: "dict[str, Any]" = {"STEP": (0, 1, 2, 3), "settings": {113: 6000, 123:
 
 
 def cut(made: Shop, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
-    """A machine, what it cuts, and the places at the ends of all segments."""
+    """Run lines; return the machine and its position at the end of each segment."""
     way: "list[tuple[float, ...]]" = []
     made.rig.engine.trace = lambda start, row: way.append(made.place())
     assert made.say(*lines) == ["ok"] * len(lines), made.messages
@@ -1098,7 +1104,7 @@ def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
     return cut(shop("knife", **_TURNING), *lines)
 
 
-def test_the_blade_turns_the_way_it_cuts_and_lifts_at_corners(shop: Make) -> None:
+def test_blade_turns_along_its_cut_and_lifts_at_corners(shop: Make) -> None:
     _, way = knife(shop, "G0 Z5", "G101 X20 Y0", "G101 Y20", "G101 X0", "G100")
     down = [place for place in way if place[2] < 1.9]
     for (x, y, z, a), (x1, y1, z1, a1) in itertools.pairwise(down):
@@ -1110,7 +1116,7 @@ def test_the_blade_turns_the_way_it_cuts_and_lifts_at_corners(shop: Make) -> Non
     assert turning and all(place[2] >= 1.9 for place in turning)
 
 
-def test_a_curve_is_cut_without_stopping_and_without_a_lift(shop: Make) -> None:
+def test_curve_is_cut_without_stops_and_lifts(shop: Make) -> None:
     lines = ["G101 X%d Y%.3f" % (10 * i, i * i / 4) for i in range(1, 9)]
     made, way = knife(shop, "G0 Z5", *lines)
     cutting = way[next(i for i, place in enumerate(way) if place[2] == -1.5) :]
@@ -1118,7 +1124,7 @@ def test_a_curve_is_cut_without_stopping_and_without_a_lift(shop: Make) -> None:
     assert made.place()[3] == pytest.approx(20.56, abs=0.01)
 
 
-def test_a_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
+def test_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
     made, _ = knife(shop, "G20", "G101 X1", "G100")
     assert made.place()[0] == pytest.approx(25.4, abs=0.01)
     assert made.say("G91", "G101 X1") == ["ok", "error:3"]
@@ -1131,7 +1137,7 @@ def swinging(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
     return cut(shop("oscillating", OUTPUTS={"blade": 18}, **_TURNING), *lines)
 
 
-def test_a_blade_cuts_corners_whole_and_is_out_where_it_turns(shop: Make) -> None:
+def test_blade_cuts_corners_completely_and_is_out_while_it_turns(shop: Make) -> None:
     made, way = swinging(shop, "G0 Z5", "G0 X5 Y5", "G111 X25", "G111 Y15", "G110")
     down = [place for place in way if place[2] == -4]
     first = [x for x, y, z, a in down if a == 0]
@@ -1145,7 +1151,7 @@ def test_a_blade_cuts_corners_whole_and_is_out_where_it_turns(shop: Make) -> Non
     assert (is_on, is_off) == (True, False) and at[2] == 5 and out[2] == 3
 
 
-def test_a_straight_line_of_several_lifts_no_blade(shop: Make) -> None:
+def test_straight_sequence_of_lines_lifts_no_blade(shop: Make) -> None:
     lines = ["G111 X%d Y%.2f" % (10 * i, 0.2 * i) for i in range(1, 6)]
     made, way = swinging(shop, "G0 Z5", *lines)
     cutting = way[next(i for i, place in enumerate(way) if place[2] == -4) :]
@@ -1153,12 +1159,12 @@ def test_a_straight_line_of_several_lifts_no_blade(shop: Make) -> None:
     assert made.say("\x18", "$X") and not made.is_on("blade")
 
 
-def test_a_blade_refuses_relative_places(shop: Make) -> None:
+def test_blade_refuses_relative_places(shop: Make) -> None:
     made, _ = swinging(shop, "G90")
     assert made.say("G91", "G111 X1") == ["ok", "error:3"] and not made.is_on("blade")
 
 
-# Outputs and inputs by numbers
+# Outputs and inputs by number
 
 _NUMBERED = {
     "OUTPUTS": {"air": 18, "lamp": 19, "fan": 20},
@@ -1166,7 +1172,7 @@ _NUMBERED = {
 }
 
 
-def test_outputs_switch_with_the_motion_before_them_or_after_it(shop: Make) -> None:
+def test_outputs_switch_with_or_after_the_motion_before_them(shop: Make) -> None:
     made = shop("digital_io", **_NUMBERED)
     lines = ("G1 X5 F1500", "M62 P0", "X10", "M63 P0", "X15", "M64 P1", "X20", "M65 P1")
     assert made.say(*lines) == ["ok"] * 8
@@ -1182,14 +1188,14 @@ def test_outputs_switch_with_the_motion_before_them_or_after_it(shop: Make) -> N
     assert all(0 <= mm <= 0.01 * 25 for mm in late), "motion goes on"
 
 
-def test_an_input_is_waited_for_by_its_number(shop: Make) -> None:
+def test_input_is_waited_for_by_its_number(shop: Make) -> None:
     made = shop("digital_io", **_NUMBERED)
 
     def script() -> "Iterator[Any]":
         yield from made.send("M66 P0 L3 Q2\n", "ms 500")
         made.close("part")
         yield from made.answered(1)
-        yield from made.send("M66 P0 L1 Q1\n", "ms 100")  # closed already: it has to open first
+        yield from made.send("M66 P0 L1 Q1\n", "ms 100")  # closed already: it must open first
         made.close("part", False)
         yield made.rig.ms(100)
         made.close("part")
@@ -1202,7 +1208,7 @@ def test_an_input_is_waited_for_by_its_number(shop: Make) -> None:
     assert made.messages == ["M66 P0: 1", "M66 P0: 1", "M66 P1: 0", "M66 P1: nothing for 0.5 s"]
 
 
-def test_an_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     made = shop("digital_io", **_NUMBERED)
     read: list[object] = []
 
@@ -1220,7 +1226,7 @@ def test_an_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch
     assert made.messages[1:] == ["P and E go from 0 to 1", *["M66: P, or E with L0"] * 3]
 
 
-def test_widths_and_numbers_that_nobody_has(shop: Make) -> None:
+def test_pulse_widths_are_set_and_unknown_numbers_refused(shop: Make) -> None:
     made = shop("digital_io", **_NUMBERED)
     assert made.say("M68 E2 Q0.25") == ["ok"]
     assert made.rig.port.own_pulses == {2: (1000, 16384)}
@@ -1231,7 +1237,7 @@ def test_widths_and_numbers_that_nobody_has(shop: Make) -> None:
 # A tool table
 
 
-def test_lengths_are_entered_taken_and_kept(shop: Make) -> None:
+def test_tool_lengths_are_entered_used_and_stored(shop: Make) -> None:
     made = shop("tool_table")
     assert made.say("G10 L1 P2 Z-12.5", "G20", "G10 L1 P3 Z-1", "G21", "G4 P0.1") == ["ok"] * 5
     made.power_up(made.rig.store)
@@ -1245,7 +1251,7 @@ def test_lengths_are_entered_taken_and_kept(shop: Make) -> None:
     assert made.messages[0] == "tool 4 has no length: G10 L1 P4 Z and the length"
 
 
-def test_a_tool_is_put_in_once_and_its_length_holds(shop: Make) -> None:
+def test_tool_is_changed_once_and_its_length_is_used(shop: Make) -> None:
     made = shop("tool_table")
     told: "list[str]" = []
 
@@ -1255,7 +1261,7 @@ def test_a_tool_is_put_in_once_and_its_length_holds(shop: Make) -> None:
         yield from made.start("T2 M6")
         assert made.place() == (3, 3, -1) and made.rig.port.spindle_pwm == 0
         yield from made.send("~", "ms 100")
-        yield from made.send("T2 M6")  # it is in
+        yield from made.send("T2 M6")  # it is in the spindle already
         yield from made.send("G53 G0 Z-3")
         yield from made.send("T3 M6")
         told.extend((yield from made.send("$#")))
@@ -1273,11 +1279,11 @@ def test_a_tool_is_put_in_once_and_its_length_holds(shop: Make) -> None:
 
 
 def wavy(x: float, y: float) -> float:
-    """The work: a plane that is tilted and twisted, which a grid describes exactly."""
+    """Return the height of the work: a tilted and twisted plane, which a grid fits exactly."""
     return -6 + 0.02 * x - 0.03 * y + 0.001 * x * y
 
 
-def test_a_cut_follows_the_map_also_after_power_off(shop: Make) -> None:
+def test_cut_follows_the_map_even_after_power_off(shop: Make) -> None:
     made = shop("height_map")
     made.rig.engine.switches.append(Solid(made, lambda x, y, z: z <= wavy(x, y)))
     assert made.say("G20", "M118 X1.5748 Y0.7874 Q0.3937") == ["ok", "ok"], made.messages
@@ -1292,7 +1298,7 @@ def test_a_cut_follows_the_map_also_after_power_off(shop: Make) -> None:
         assert z == pytest.approx(wavy(x, y) - 0.1, abs=0.06)
 
 
-def test_a_map_is_refused_in_words(shop: Make) -> None:
+def test_impossible_map_is_refused_with_the_reason(shop: Make) -> None:
     made = shop("height_map")
     lines = ("M118 X10 Y10 Q0", "M118 X10 Y10 Q20", "M118 X90 Y90 Q1", "G102 X5 F100")
     assert made.say(*lines, "M3 S100", "M118 X10 Y10 Q5") == ["error:3"] * 4 + ["ok", "error:3"]

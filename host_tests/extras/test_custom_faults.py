@@ -1,4 +1,4 @@
-"""custom.py: what fails, and what is odd, does no harm and has an end."""
+"""Test that failures and unusual code in custom.py do no harm and come to an end."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ from test_custom import Bench, lines
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(4)
 
 Make = Callable[[str], Bench]
@@ -27,7 +27,7 @@ _REFUSED = f"error:{errors.INVALID_STATEMENT}"
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
-    """Makes one: each with a module of its own name."""
+    """Return a maker of benches, each with a module of its own name."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
 
@@ -39,7 +39,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
 
 
 def length(said: "list[str]") -> str:
-    """The tool's, as $# says it."""
+    """Return the tool length in the answer to $#."""
     return next(line for line in said if line.startswith("[TLO:"))
 
 
@@ -54,20 +54,20 @@ def restore(m): m.set_length(12.5); heard.append(m.state)
 
 
 @pytest.mark.parametrize("leave", ["$C\n", "\x18"])
-def test_who_leaves_check_mode_has_the_tools_length_again(bench: Make, leave: str) -> None:
+def test_tool_length_is_restored_after_check_mode(bench: Make, leave: str) -> None:
     made = bench(_LENGTH)
     said = made.say(*lines("M99", "$C", "G1X1F500"), (leave, "ms 300"), *lines("$#", "G0X1"))
     assert length(said[4]) == "[TLO:12.500]" and said[5] == ["ok"]
     assert made.heard == ["Idle"]
 
 
-def test_a_line_right_after_check_mode_meets_the_length(bench: Make) -> None:
+def test_tool_length_is_valid_for_the_first_line_after_check_mode(bench: Make) -> None:
     made = bench(_LENGTH)
     said = made.say(*lines("$C"), ("$C\n", "banner"), ("$#\n", "ok"))
     assert length(said[2]) == "[TLO:12.500]"
 
 
-def test_in_check_mode_no_handler_runs_at_all(bench: Make) -> None:
+def test_no_handler_runs_in_check_mode(bench: Make) -> None:
     made = bench(
         """
 @every(20)
@@ -107,18 +107,18 @@ def tool(m): heard.append(m.tool)
         *lines("M100"),
     )
     assert seen == [], "within check mode"
-    assert True in made.heard, "what has changed meanwhile is heard of behind it"
+    assert True in made.heard, "changes are reported after check mode"
     assert made.heard[-1] != 7 and 0 in made.heard, "no tool has been selected"
 
 
-# Behind a welcome
+# After a welcome
 
 
 @pytest.mark.parametrize(
     "body", ["m.g('G21 G90')", "1 / 0", "m.stop('no')", "m.home()", "raise Refuse('no')"]
 )
 @pytest.mark.parametrize("events", ["@on.after_reset", "@on.startup\n@on.after_reset"])
-def test_who_fails_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
+def test_failure_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
     bench: Make, body: str, events: str
 ) -> None:
     made = bench(f"{events}\ndef a(m): {body}")
@@ -136,7 +136,7 @@ def test_who_fails_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
     assert said[5][0].startswith("<Alarm") and said[6][-1] == said[7][0] == "ok"
 
 
-def test_homing_that_fails_after_a_reset_is_not_tried_for_ever(bench: Make) -> None:
+def test_failing_homing_after_a_reset_is_not_repeated(bench: Make) -> None:
     made = bench("@on.after_reset\ndef a(m): heard.append(1); m.home()")
     said = made.say(
         *lines("$22=1", "$X"),
@@ -150,7 +150,7 @@ def test_homing_that_fails_after_a_reset_is_not_tried_for_ever(bench: Make) -> N
     assert made.heard == [1]
 
 
-def test_the_others_after_a_reset_have_their_turn_all_the_same(bench: Make) -> None:
+def test_other_handlers_after_a_reset_still_run(bench: Make) -> None:
     made = bench(
         "@on.after_reset\ndef a(m): heard.append('a'); m.g('G21')\n"
         "@on.after_reset\ndef b(m): heard.append('b')\n"
@@ -159,7 +159,7 @@ def test_the_others_after_a_reset_have_their_turn_all_the_same(bench: Make) -> N
     assert made.heard == ["a", "b"]
 
 
-def test_who_has_failed_after_a_reset_is_asked_again_after_the_next(bench: Make) -> None:
+def test_handler_that_failed_after_a_reset_runs_again_after_the_next(bench: Make) -> None:
     made = bench(
         "@on.after_reset\ndef a(m):\n    heard.append(m.state)\n    if len(heard) < 2: 1 / 0\n"
     )
@@ -167,7 +167,7 @@ def test_who_has_failed_after_a_reset_is_asked_again_after_the_next(bench: Make)
     assert made.heard == ["Idle", "Idle"]
 
 
-def test_a_senders_reset_within_its_turn_gives_it_another(bench: Make) -> None:
+def test_second_reset_during_an_after_reset_handler_runs_it_again(bench: Make) -> None:
     made = bench("@on.after_reset\ndef a(m): heard.append(m.state); m.wait(1)")
     made.say(("\x18", "ms 300"), ("\x18", "ms 3000"))
     assert made.heard == ["Idle", "Idle"]
@@ -178,9 +178,7 @@ def test_a_senders_reset_within_its_turn_gives_it_another(bench: Make) -> None:
 
 @pytest.mark.parametrize("way", ["sys.exit()", "raise SystemExit", "raise BaseException('x')"])
 @pytest.mark.parametrize("event", ["@mcode(100)", "@every(20)", "@mcode(100, '', False)"])
-def test_sys_exit_in_a_handler_is_a_failure_as_any_other(
-    bench: Make, way: str, event: str
-) -> None:
+def test_sys_exit_in_a_handler_is_a_failure_like_others(bench: Make, way: str, event: str) -> None:
     made = bench(f"@mcode(1000)\ndef on_(m): m.out('vacuum', 1)\n{event}\ndef a(m):\n    {way}")
     said = made.say(("M3S500\nM100\n", "ms 3000"), *lines("$X"), ("G0X1\n", "idle"))
     told = made.greeting + said[0]
@@ -189,7 +187,7 @@ def test_sys_exit_in_a_handler_is_a_failure_as_any_other(
 
 
 @pytest.mark.parametrize("way", ["sys.exit()", "raise BaseException('x')"])
-def test_sys_exit_at_the_top_of_the_file_gives_the_plain_machine(bench: Make, way: str) -> None:
+def test_sys_exit_at_import_leaves_the_machine_without_custom_words(bench: Make, way: str) -> None:
     made = bench(f"@mcode(100)\ndef a(m): pass\n{way}")
     said = made.say(*lines("M100", "G0X1"))
     assert any(line.startswith("[MSG:Custom left out: ") for line in made.greeting)
@@ -240,7 +238,7 @@ def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
         ("''", ""),
     ],
 )
-def test_whatever_a_report_is_given_it_stays_one_line(
+def test_report_stays_one_line_for_any_returned_value(
     bench: Make, returned: str, field: str
 ) -> None:
     made = bench(f"@on.report\ndef r(m): return {returned}")
@@ -249,7 +247,7 @@ def test_whatever_a_report_is_given_it_stays_one_line(
     assert ("|Ov:" in said[1][0]) or field or said[1][0].count("|") <= 3
 
 
-# Kept
+# Persistent values
 
 
 _KEEP = """
@@ -271,7 +269,7 @@ def c(m): heard.append((m.keep.get("a"), m.keep.get("v")))
         ("7", "3", "7 is no text"),
     ],
 )
-def test_a_value_that_could_not_be_read_again_is_not_kept(
+def test_value_that_could_not_be_read_back_is_not_stored(
     bench: Make, name: str, value: str, reason: str
 ) -> None:
     made = bench(_KEEP.format(name=name, value=value))
@@ -280,13 +278,13 @@ def test_a_value_that_could_not_be_read_again_is_not_kept(
     assert made.rig.store.files["keep"] == ['["a", 1]']
 
 
-def test_true_is_kept_as_1(bench: Make) -> None:
+def test_true_is_stored_as_1(bench: Make) -> None:
     made = bench(_KEEP.format(name="'v'", value="True"))
     made.say(*lines("M101", "M102"), ("", "ms 50"))
     assert made.rig.store.files["keep"] == ['["v", 1]']
 
 
-def test_a_kept_value_that_is_damaged_takes_no_other_with_it(bench: Make) -> None:
+def test_damaged_stored_value_does_not_affect_others(bench: Make) -> None:
     made = bench(_KEEP.format(name="'v'", value="2"))
     damaged = ['["v", nan]', "5", '[["x"], 3]', '["u"', '["a", 8]', '["w", 9]']
     made.rig.store.files["keep"] = damaged
@@ -295,10 +293,10 @@ def test_a_kept_value_that_is_damaged_takes_no_other_with_it(bench: Make) -> Non
     assert made.rig.store.files["keep"] == ['["a", 8]', '["w", 9]', '["v", 2]']
 
 
-# Left out
+# Words left out
 
 
-def test_a_word_during_motion_that_is_left_out_is_refused(bench: Make) -> None:
+def test_word_during_motion_that_was_left_out_is_refused(bench: Make) -> None:
     made = bench(
         "@mcode(62, 'P', sync=False)\ndef a(m, P):\n    if P == 5: 1 / 0\n    m.out('vacuum', P)\n"
     )
@@ -307,7 +305,7 @@ def test_a_word_during_motion_that_is_left_out_is_refused(bench: Make) -> None:
     assert said[2] == ["[MSG:M62 is left out until power-up]", _REFUSED] and made.outputs == 0
 
 
-def test_who_has_failed_during_motion_still_is_a_word_that_waits_for_it(bench: Make) -> None:
+def test_word_whose_timer_failed_still_works(bench: Make) -> None:
     made = bench(
         "@every(20)\n@mcode(100)\n"
         "def a(m):\n    m.g('G91 G0 X3')\n    heard.append(m.target().x)\n"
@@ -333,7 +331,7 @@ def test_who_has_failed_during_motion_still_is_a_word_that_waits_for_it(bench: M
         "@mcode(100)\ndef a(m): pass\n@mcode(101, sync='no')\ndef b(m): pass",
     ],
 )
-def test_what_is_left_out_is_left_out_whole(bench: Make, text: str) -> None:
+def test_file_with_one_mistake_is_left_out_completely(bench: Make, text: str) -> None:
     others = (
         "@on.spindle\ndef s(m, *_): heard.append('s')\n@every(20)\ndef e(m): heard.append(1)\n"
     )
@@ -344,13 +342,13 @@ def test_what_is_left_out_is_left_out_whole(bench: Make, text: str) -> None:
     assert made._name not in sys.modules or made.heard == []
 
 
-def test_who_forgets_the_parentheses_is_told_how_it_is_written(bench: Make) -> None:
+def test_missing_parentheses_are_reported_with_the_right_form(bench: Make) -> None:
     made = bench("@mcode\ndef a(m): pass\n@mcode(100)\ndef b(m): pass")
     made.say(*lines("G0X1"))
     assert any("write @mcode(100)" in line for line in made.greeting)
 
 
-def test_pulses_may_be_as_many_as_a_line_says(bench: Make) -> None:
+def test_pulses_per_second_are_rounded_from_a_word(bench: Make) -> None:
     made = bench("@mcode(100, 'Q')\ndef a(m, Q): m.pwm('vacuum', 0.5, hz=Q)")
     pulses: list[Any] = []
     made.say(*lines("M100Q499.6"), lambda: pulses.append(dict(made.rig.port.own_pulses)))
@@ -379,19 +377,19 @@ def test_no_line_is_lost_to_a_jog(bench: Make, at_ms: int) -> None:
     assert made.heard == [False]
 
 
-def test_at_rest_a_jog_begins_at_once(bench: Make) -> None:
+def test_jog_while_idle_starts_at_once(bench: Make) -> None:
     made = bench(_JOG)
     made.say(("G0X2\n", "idle"), lambda: made.rig.port.push({"pin_22": True}), ("", "ms 2000"))
     assert made.heard == [True] and made.mm[0] == 3
 
 
-def test_a_line_that_has_come_makes_a_jog_forgotten(bench: Make) -> None:
+def test_received_line_cancels_a_pending_jog(bench: Make) -> None:
     made = bench('@mcode(100)\ndef a(m): heard.append(m.jog("x", 9, 500))')
     said = made.say(("M100\nG0Y1\n", "idle"), *lines("M100"), ("", "ms 3000"))
     assert said[0] == ["ok", "ok"] and made.heard == [False, True] and made.mm[:2] == [9, 1]
 
 
-# What `custom check` finds of it
+# Findings of `custom check`
 
 
 @pytest.mark.parametrize(
@@ -405,21 +403,21 @@ def test_a_line_that_has_come_makes_a_jog_forgotten(bench: Make) -> None:
         ("@mcode(100, sync='no')\ndef a(m): pass", "sync is True, False or None, not 'no'"),
     ],
 )
-def test_check_tells_of_it_before_it_is_on_a_board(tmp_path: Path, text: str, told: str) -> None:
+def test_check_reports_it_before_it_is_on_a_board(tmp_path: Path, text: str, told: str) -> None:
     file = tmp_path / "mine.py"
     file.write_text("import sys; from ugrbl import mcode, on\n" + text)
     done = CliRunner().invoke(app, ["custom", "check", str(file)], env={"COLUMNS": "500"})
     assert done.exit_code == 1 and "BAD" in done.output and told in done.output
 
 
-def test_check_takes_who_looks_at_the_state_after_a_reset(tmp_path: Path) -> None:
+def test_check_accepts_a_handler_that_reads_the_state_after_a_reset(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     look = "if m.state == 'Idle': m.set_length(3)"
     file.write_text(f"from ugrbl import on\n@on.after_reset\ndef a(m):\n    {look}\n")
     assert CliRunner().invoke(app, ["custom", "check", str(file)]).exit_code == 0
 
 
-# As MicroPython has it
+# Under MicroPython
 
 _ON_MICROPYTHON = """
 import json
@@ -439,7 +437,7 @@ keep.write()
 
 
 @needs_micropython
-def test_what_is_kept_can_be_read_again_by_micropython() -> None:
+def test_stored_values_can_be_read_back_by_micropython() -> None:
     assert run_micropython(_ON_MICROPYTHON, paths=[placed_firmware()]).splitlines() == [
         "keep: n is not finite",
         "keep: i is not finite",

@@ -1,10 +1,10 @@
-"""Whatever a handler of custom.py does wrong, and whenever: no step is lost, all ends in words.
+"""Test faults of handlers in custom.py at any time: no step is lost, all are reported.
 
-A session with handlers of all kinds is played. At one call of m that some handler makes, chosen by
-number, something happens: an exception, no memory, a reset, one that is swallowed, a feed hold, a
-loop, a time without any call; or the file is cut short, as where it is being put there. Or power
-fails while values are written to flash, at any byte. UGRBL_TORTURE names how many sessions there
-are to be.
+A session with handlers of all kinds is played. At one call of m by a handler, chosen by number, a
+fault is injected: an exception, no memory, a reset, a reset that the handler swallows, a feed
+hold, an endless loop, a time without any call, or a truncated file as in an interrupted push. Or
+power fails while values are written to flash, at any byte. UGRBL_TORTURE is the number of
+sessions.
 """
 
 import json
@@ -77,11 +77,11 @@ _LINES = (
 )
 
 
-_LOOK = MachineApi.check_stopped  # what each call of m begins or ends with
+_LOOK = MachineApi.check_stopped  # each call of m begins or ends with this
 
 
 class Injected(Exception):
-    """What a handler may do wrong."""
+    """An exception of a handler."""
 
 
 def _raises(_session: "Session", _operator: MachineApi) -> None:
@@ -131,11 +131,11 @@ _FAILS = (_raises, _has_no_memory)
 
 
 class Shelf:
-    """A Store on a flash chip. Power fails within the save of the user's values of that number."""
+    """A Store on a flash chip. Power fails in the save of persistent values number `at`."""
 
     def __init__(self, rig: Rig, monkeypatch: pytest.MonkeyPatch, at: int, random: Random) -> None:
         self.saves = 0
-        self.may_hold = {0}  # counts, any of which is right
+        self.may_hold = {0}  # counts; any of them is right
         self.has_failed = False
         self._rig = rig
         self._monkeypatch = monkeypatch
@@ -175,7 +175,7 @@ class Shelf:
 
 @lru_cache
 def _image() -> bytes:
-    """A chip with the simulator's settings, some of them quicker."""
+    """Return a chip with the simulator's settings and higher rates and accelerations."""
     kept = {name: list(lines) for name, lines in factory_store(load_board("sim")).files.items()}
     rates = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
     others = [line for line in kept["settings"] if int(line[1:].split("=")[0]) not in rates]
@@ -189,8 +189,10 @@ def _image() -> bytes:
 
 
 class Session:
-    """One of them: the call, or the save, of that number is the one. at 0: none is, and all are
-    counted."""
+    """A session with a fault at the call, or the save, number `at`.
+
+    at 0: no fault; calls and saves are counted.
+    """
 
     def __init__(
         self, board: ModuleType, monkeypatch: pytest.MonkeyPatch, file: Path, seed: int, at: int
@@ -212,11 +214,13 @@ class Session:
         self.said: list[str] = []
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """From power-up to a last move behind all, with all laws looked at."""
+        """Play from power-up to a last move after all others, and check all laws."""
 
         def look(operator: MachineApi) -> None:
             whose = sys._getframe(1).f_code.co_filename
-            if not self._is_done and not whose.endswith("runner.py"):  # a handler's own
+            if not self._is_done and not whose.endswith(
+                "runner.py"
+            ):  # only calls of handlers count
                 self.calls += 1
                 if self.calls == self._call and self.inject:
                     self.is_injected = True
@@ -241,20 +245,20 @@ class Session:
         yield from wait("ms 600", "\x18")
         self.said += self.sender.take()
         port = self.rig.port
-        assert (port.own_outputs, port.spindle_pwm) == (0, 0), "something is on behind a reset"
+        assert (port.own_outputs, port.spindle_pwm) == (0, 0), "an output is on after a reset"
         yield from self._go_on()
         yield from wait("ms 100", "M102\n")
         assert self.sender.take() in [[f"[MSG:kept {n}]", "ok"] for n in self.shelf.may_hold]
         if self.inject is _is_cut_short:
             self.rig.cycle_power()
             yield from wait("banner", "")
-            yield from wait("ms 500", "$X\nG91G1X0.2F3000\n")  # which what is left may stop
+            yield from wait("ms 500", "$X\nG91G1X0.2F3000\n")  # the truncated file may stop this
             yield from wait("ms 600", "\x18")
             self.said += self.sender.take()
             yield from self._go_on()
 
     def _go_on(self) -> "Iterator[Any]":
-        """A move that is made whole, and told where it ends."""
+        """Check that a move is complete, and that its end is reported."""
         wait = self.sender.wait
         yield from wait("ms 100", "$X\n")
         before = self._steps()
@@ -266,7 +270,7 @@ class Session:
         (report,) = [line for line in self.sender.take() if line.startswith("<")]
         told = [float(mm) for mm in report.partition("MPos:")[2].split("|")[0].split(",")]
         made = [step / _STEPS_PER_MM for step in self._steps()]
-        assert told == pytest.approx(made, abs=0.0011), "the machine is elsewhere than it says"
+        assert told == pytest.approx(made, abs=0.0011), "the reported position is wrong"
 
     def _line(self, line: str) -> "Iterator[Any]":
         try:
@@ -274,11 +278,11 @@ class Session:
             if self.rig.controller.state.run == st.HOLD:
                 yield from self.sender.wait("ms 400", "~")
         except TooLong:
-            raise AssertionError(f"{line} has no end: {self.said}") from None
+            raise AssertionError(f"{line} does not end: {self.said}") from None
         self.said += self.sender.take()
 
     def look_at_words(self) -> None:
-        """What has failed was told with file and line, and what was slow with its name."""
+        """Check that a failure was reported with file and line, and a slow handler by name."""
         told = [line for line in self.said if self.file.name in line]
         if self.inject in _FAILS:
             assert any(f"{self.file.name}, line " in line for line in told), "no file and line"
@@ -317,7 +321,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("part", range(_PARTS))
-def test_no_step_is_lost_and_all_ends_in_words(
+def test_no_step_is_lost_and_every_fault_is_reported(
     board: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, part: int
 ) -> None:
     file = tmp_path / f"{board.CUSTOM}.py"

@@ -1,4 +1,4 @@
-"""Dialects: Grbl 0.9 in the words of the same machine, behind one seam.
+"""Test the dialect of Grbl 0.9: other texts of the same machine, through one interface.
 
 The recordings of ../shared/conformance-0.9 are replayed by test_conformance.py.
 """
@@ -33,7 +33,7 @@ _BANNER = ["", "Grbl 0.9j ['$' for help]"]
 
 
 class Paper:
-    """A Link that keeps what is written."""
+    """A Link that stores its output."""
 
     def __init__(self) -> None:
         self.text = b""
@@ -42,13 +42,13 @@ class Paper:
         self.text += bytes(data)
 
     def line(self) -> str:
-        """What was written since the last call."""
+        """Return the output since the last call."""
         text, self.text = self.text.decode(), b""
         return text
 
 
 def converse(*talk: "tuple[str, str]", board: str = "sim_09j") -> "list[list[str]]":
-    """Send each text, wait as said; returns the replies to each."""
+    """Send each text and wait as given; return the replies to each."""
     module = load_board(board)
     rig = Rig(module, factory_store(module))
     sender = Sender(rig)
@@ -66,27 +66,27 @@ def converse(*talk: "tuple[str, str]", board: str = "sim_09j") -> "list[list[str
     return replies
 
 
-# Choosing one
+# Choice
 
 
 @pytest.mark.parametrize(
     ("name", "class_"),
     [("1.1", Report), ("0.9", Report09), ("0.9i", Report09i), ("0.9j", Report09)],
 )
-def test_the_board_file_chooses_it(name: str, class_: "type[Report]") -> None:
+def test_board_file_chooses_the_dialect(name: str, class_: "type[Report]") -> None:
     assert Options(SimpleNamespace(DIALECT=name)).report is class_
 
 
-def test_the_default_is_1_1() -> None:
+def test_default_dialect_is_1_1() -> None:
     assert Options(SimpleNamespace()).report is Report
 
 
-def test_another_is_refused_in_words() -> None:
+def test_unknown_dialect_is_refused_with_the_reason() -> None:
     with pytest.raises(ValueError, match=r"DIALECT is 1.1, 0.9, 0.9i, 0.9j or hal, not 0.8"):
         Options(SimpleNamespace(DIALECT="0.8"))
 
 
-def test_the_default_board_loads_neither_dialects_nor_tools() -> None:
+def test_default_board_loads_neither_dialects_nor_tools() -> None:
     program = (
         f"import sys; sys.path[:0] = [{str(STANDINS)!r}, {str(_FIRMWARE)!r}]\n"
         "from types import SimpleNamespace\n"
@@ -96,7 +96,7 @@ def test_the_default_board_loads_neither_dialects_nor_tools() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_nobody_else_knows_of_it() -> None:
+def test_only_known_modules_mention_dialects() -> None:
     knowing = [
         path.relative_to(_FIRMWARE).as_posix()
         for path in sorted(_FIRMWARE.rglob("*.py"))
@@ -104,12 +104,12 @@ def test_nobody_else_knows_of_it() -> None:
     ]
     extras = {"extras/api.py", "extras/custom_codes.py", "extras/tools/punch.py"}
     extras |= {f"extras/dialects/{name}.py" for name in ("dialect_09", "dialect_hal")}
-    # Its name, @, and a comment.
+    # The option's name, @ in 0.9, and a comment.
     others = {"boot/select_extras.py", "base/state.py", "talk/report.py"}
     assert set(knowing) <= extras | others
 
 
-def test_a_dialect_says_everything_that_1_1_says() -> None:
+def test_dialect_has_every_method_of_1_1() -> None:
     public = {name for name in vars(Report) if name[0] != "_"}
     assert {name for name in vars(Report09) if name[0] != "_"} <= public | {
         "VERSION",
@@ -118,7 +118,7 @@ def test_a_dialect_says_everything_that_1_1_says() -> None:
     }
 
 
-# Words
+# Texts
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def report(paper: Paper) -> Report09:
 
 
 @pytest.mark.parametrize("code", error_words())
-def test_every_error_has_words_or_its_number(code: int, report: Report09, paper: Paper) -> None:
+def test_every_error_has_its_text_or_number(code: int, report: Report09, paper: Paper) -> None:
     report.error(code)
     line = paper.line()
     assert line.startswith("error: ") and line.endswith("\r\n")
@@ -142,24 +142,24 @@ def test_every_error_has_words_or_its_number(code: int, report: Report09, paper:
 
 
 @pytest.mark.parametrize("code", alarms())
-def test_every_alarm_has_words(code: int, report: Report09, paper: Paper) -> None:
+def test_every_alarm_has_a_text(code: int, report: Report09, paper: Paper) -> None:
     report.alarm(code)
     assert paper.line() == f"ALARM: {_ALARMS.get(code, f'ID:{code}')}\r\n"
     ours = (errors.ALARM_INTERNAL, errors.ALARM_EMERGENCY_STOP)
     added = (errors.ALARM_HANDLER, errors.ALARM_DRIVER)
-    brought = (ALARM_PUNCH_DOWN, ALARM_PUNCH_UP)  # the punch has its words with it
+    brought = (ALARM_PUNCH_DOWN, ALARM_PUNCH_UP)  # the punch has their texts
     assert code in _ALARMS or code in ours + added + brought
 
 
-def test_every_setting_has_words() -> None:
+def test_every_setting_has_a_text() -> None:
     there = [number for number, *_ in _TABLE if number < 100]
     assert set(there) - set(_WITHOUT) | {10} <= set(_WORDS)
 
 
-# What 1.1 has and 0.9 has not
+# Features of 1.1 that 0.9 lacks
 
 
-def test_commands_of_1_1_are_numbers_that_are_none() -> None:
+def test_commands_of_1_1_are_bad_numbers_or_statements() -> None:
     replies = converse(("$J=X1F100\n", "ok"), ("$SLP\n", "ok"), ("$S\n", "ok"), ("$32=1\n", "ok"))
     assert replies == [
         ["error: Bad number format"],
@@ -170,14 +170,14 @@ def test_commands_of_1_1_are_numbers_that_are_none() -> None:
 
 
 @given(some.integers(0x80, 0xFF))
-def test_upper_bytes_are_characters_like_others(byte: int) -> None:
+def test_upper_bytes_are_ordinary_characters(byte: int) -> None:
     replies = converse((chr(byte) + "\n", "ok"), ("?", "report"), (f"G0X0{chr(byte)}1\n", "ok"))
     assert replies[0] == ["error: Expected command letter"]
     assert replies[1] == ["<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>"]
     assert replies[2][0].startswith("error: ")
 
 
-def test_the_door_is_at_in_0_9_and_a_character_in_1_1() -> None:
+def test_door_is_at_in_0_9_and_a_character_in_1_1() -> None:
     assert converse(("@", "ms 60"), ("?", "report"), ("~", "ms 60"))[:2] == [
         ["[Check Door]"],
         ["<Hold,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>"],
@@ -189,14 +189,14 @@ def test_the_door_is_at_in_0_9_and_a_character_in_1_1() -> None:
     ("length", "reply"),
     [(79, ["error: Invalid gcode ID:25"]), (80, ["error: Line overflow", "ok"])],
 )
-def test_what_is_after_the_end_of_a_line_is_a_line(length: int, reply: "list[str]") -> None:
+def test_line_longer_than_the_buffer_is_split(length: int, reply: "list[str]") -> None:
     line = ("G0" + "X0" * 40)[:length]
     if length == 79:
         line = line[:-1] + "0"
     assert converse((line + "\n", "ms 60")) == [reply]
 
 
-def test_a_tool_is_read_and_forgotten() -> None:
+def test_tool_word_is_read_and_ignored() -> None:
     assert converse(("T999\n", "ok"), ("T5\n", "ok"), ("$G\n", "ok")) == [
         ["ok"],
         ["ok"],
@@ -204,11 +204,11 @@ def test_a_tool_is_read_and_forgotten() -> None:
     ]
 
 
-# $10: the Czech guide's mask is this without its highest bit
+# $10: the mask of the Czech guide is this one without its highest bit
 
 
 @pytest.mark.parametrize("mask", range(32))
-def test_each_bit_of_the_mask_shows_one_thing(mask: int) -> None:
+def test_each_bit_of_the_mask_shows_one_field(mask: int) -> None:
     shown = converse((f"$10={mask}\n", "ok"), ("?", "report"))[1]
     place = "0.000,0.000,0.000"
     fields = [f"MPos:{place}", f"WPos:{place}", "Buf:0", "RX:0", "Lim:000"]
@@ -216,13 +216,13 @@ def test_each_bit_of_the_mask_shows_one_thing(mask: int) -> None:
     assert shown == [",".join(parts) + ">"]
 
 
-def test_buffers_are_counted_by_what_is_in_them() -> None:
+def test_buffers_report_the_used_space() -> None:
     lines = "".join(f"G1X{x / 10}F100\n" for x in range(1, 5))
     replies = converse(("$10=12\n", "ok"), (lines, "ok"), ("G1X?", "report"))
     assert replies[2] == ["<Run,Buf:4,RX:0>"] or replies[2] == ["<Run,Buf:4,RX:3>"]
 
 
-def test_line_numbers_are_reported_where_the_board_has_them() -> None:
+def test_line_numbers_are_reported_if_the_board_has_them() -> None:
     board = load_board("sim_09j")
     board.LINE_NUMBERS = True
     try:

@@ -1,6 +1,6 @@
-"""The dialect of grblHAL: what senders ask at connect, in their order, and what they make of it.
+"""Test the dialect of grblHAL: the requests of senders when they connect, in their order.
 
-gSender and ioSender cannot run here. What they send, and how they read each answer, is known from
+gSender and ioSender cannot run here. Their requests, and how they read each answer, are known from
 their sources: gSender's GrblHalController.js and its parsers, ioSender's Grbl.cs.
 """
 
@@ -54,7 +54,7 @@ class Talk:
 
 @pytest.fixture
 def converse(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Switch a machine on, wait for its welcome, and talk."""
+    """Switch a machine on, wait for its welcome, and run a conversation."""
 
     def run(steps: Any, **options: Any) -> Talk:
         machine = board(**options)
@@ -79,12 +79,12 @@ def only(lines: list[str], start: str) -> str:
     return found[0]
 
 
-# At connect
+# Connection
 
 
 def test_gsender_connects(converse: Any) -> None:
     def firmware(line: str) -> str:
-        """By the first line that names one: what decides over A words."""
+        """Return the firmware that a line names; the first one decides over A words."""
         for word in ("grblhal", "grbl", "fluidnc"):
             if word in line.lower():
                 return word
@@ -92,7 +92,7 @@ def test_gsender_connects(converse: Any) -> None:
 
     def steps(talk: Talk) -> Steps:
         assert firmware(_WELCOME) == "grblhal"
-        # Where nothing has welcomed it the first answer decides.
+        # Without a welcome the first answer decides.
         lines = yield from talk.ask("$I\n")
         assert next(filter(None, map(firmware, lines))) == "grblhal"
         (report,) = yield from talk.ask("\x87", "report")
@@ -101,12 +101,12 @@ def test_gsender_connects(converse: Any) -> None:
         assert state == "Idle" and fields["T"] == "0" and "SD" not in fields
         assert fields["WCO"] == fields["MPos"] == "0.000,0.000,0.000"
         assert fields["Ov"] == "100,100,100"
-        # It reads that of a plain report, and counts an override from there.
+        # It reads the status from a plain report, which also starts its counter for overrides.
         plain = (yield from talk.ask("?", "report")) + (yield from talk.ask("?", "report"))
         assert sum("|Ov:100,100,100" in report for report in plain) == 1
         lines = yield from talk.ask("$I\n")
         build = int(re.match(r"\[VER:1\.1f\.(\d+):", lines[0])[1])
-        assert build > 20250627  # settings by their present numbers, and $spindlesh
+        assert build > 20250627  # settings by their current numbers, and $spindlesh
         assert re.fullmatch(r"\[AXS:(.+)\]", only(lines, "[AXS"))[1] == "3:XYZ"
         settings = yield from talk.ask("$$\n")
         numbers = {int(line[1:].split("=")[0]) for line in settings[:-1]}
@@ -165,7 +165,7 @@ def test_iosender_connects(converse: Any) -> None:
     converse(steps)
 
 
-def test_options_are_said_as_they_are(converse: Any, tmp_path: Path) -> None:
+def test_options_of_the_board_are_reported(converse: Any, tmp_path: Path) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$22=1\n")
         lines = yield from talk.ask("$I\n")
@@ -187,7 +187,7 @@ def test_options_are_said_as_they_are(converse: Any, tmp_path: Path) -> None:
     converse(steps, STEP=(0, 1, 2, 3), ROTARY="A", JOBS=str(tmp_path / "jobs"))
 
 
-def test_a_words_are_a_words(converse: Any) -> None:
+def test_a_words_move_the_a_axis(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST + "$113=6000\n$123=500\n")
         yield from talk.ask("G1A45F5000\n", "idle")
@@ -197,7 +197,7 @@ def test_a_words_are_a_words(converse: Any) -> None:
     converse(steps, STEP=(0, 1, 2, 3))
 
 
-def test_rows_are_what_lines_can_be() -> None:
+def test_text_rows_fit_into_lines() -> None:
     rows = hal_texts.made(board(TOOL="punch"))[hal_texts.name()].split(b"\r\n")
     assert rows.pop() == b""
     for row in rows:
@@ -207,7 +207,7 @@ def test_rows_are_what_lines_can_be() -> None:
     assert any(row.startswith(b"ES 30 [SETTING:30|6|Punch") for row in rows), "the punch's own"
 
 
-def test_without_its_file_a_board_says_what_to_do(converse: Any, monkeypatch: Any) -> None:
+def test_missing_text_file_is_reported_with_the_remedy(converse: Any, monkeypatch: Any) -> None:
     def steps(talk: Talk) -> Steps:
         monkeypatch.setattr(dialect_hal, "texts", lambda: open("/nowhere/hal.txt", "rb"))
         lines = yield from talk.ask("$ES\n")
@@ -216,7 +216,7 @@ def test_without_its_file_a_board_says_what_to_do(converse: Any, monkeypatch: An
     converse(steps)
 
 
-def test_commands_of_neither_are_refused(converse: Any) -> None:
+def test_unknown_commands_are_refused(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         assert (yield from talk.ask("$EX\n")) == ["error:3"]
         assert (yield from talk.ask("$HELP\n")) == (yield from talk.ask("$\n"))
@@ -224,7 +224,7 @@ def test_commands_of_neither_are_refused(converse: Any) -> None:
     converse(steps)
 
 
-def test_what_only_reads_is_answered_in_motion(converse: Any) -> None:
+def test_reading_commands_are_answered_in_motion(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F600\n", "ok")
@@ -235,8 +235,8 @@ def test_what_only_reads_is_answered_in_motion(converse: Any) -> None:
     converse(steps)
 
 
-def test_what_gsender_has_under_way_is_not_lost(converse: Any) -> None:
-    """724 bytes, whatever [OPT:] says: grblHAL's buffer has 1024."""
+def test_unanswered_bytes_of_gsender_are_not_lost(converse: Any) -> None:
+    """It sends 724 bytes whatever [OPT:] says, because grblHAL's buffer has 1024."""
     lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200\n" for k in range(31)]
 
     def steps(talk: Talk) -> Steps:
@@ -253,7 +253,7 @@ def test_what_gsender_has_under_way_is_not_lost(converse: Any) -> None:
 # Real-time bytes
 
 
-def test_bytes_of_grblhal_are_those_of_grbl(converse: Any) -> None:
+def test_bytes_of_grblhal_act_like_those_of_grbl(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("G1X20F1200\n", "ok")
@@ -265,7 +265,7 @@ def test_bytes_of_grblhal_are_those_of_grbl(converse: Any) -> None:
     converse(steps)
 
 
-def test_other_bytes_of_grblhal_do_no_harm(converse: Any) -> None:
+def test_other_bytes_of_grblhal_are_ignored(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         for x, byte in enumerate("\x83\x86\x88\x89\x8a\x8b\x8c\xa2\xa3\xa4\xb0\xc2\x05\x14\x1b"):
             assert (yield from talk.ask(f"G0{byte}X{x}{byte}\n", "idle")) == ["ok"]
@@ -274,7 +274,7 @@ def test_other_bytes_of_grblhal_do_no_harm(converse: Any) -> None:
     converse(steps)
 
 
-def test_a_byte_that_came_as_utf_8_acts(converse: Any) -> None:
+def test_byte_sent_as_utf_8_acts(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=X50F1200\n", "ok")
@@ -287,7 +287,7 @@ def test_a_byte_that_came_as_utf_8_acts(converse: Any) -> None:
 
 
 @pytest.mark.parametrize("lines", ["G1X50F1200\nG1X60\n", "$1=255\nG1X50F1200\n", "$J=X50F1200\n"])
-def test_a_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> None:
+def test_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST + "M3S500\n")
         yield from talk.ask(lines, "ok")
@@ -302,7 +302,7 @@ def test_a_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) ->
     converse(steps)
 
 
-def test_a_stop_at_rest_forgets_a_hold_and_leaves_check_mode(converse: Any) -> None:
+def test_stop_while_idle_ends_a_hold_and_check_mode(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.after(60, "!")
         yield from talk.after(60, "\x19")
@@ -314,8 +314,8 @@ def test_a_stop_at_rest_forgets_a_hold_and_leaves_check_mode(converse: Any) -> N
     converse(steps)
 
 
-def test_a_stop_ends_homing_at_once(converse: Any) -> None:
-    """It ignores a hold, and its position is lost: as by a reset."""
+def test_stop_ends_homing_at_once(converse: Any) -> None:
+    """Homing ignores a hold, and the position is lost as by a reset."""
 
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
@@ -330,7 +330,7 @@ def test_a_stop_ends_homing_at_once(converse: Any) -> None:
     converse(steps)
 
 
-def test_a_stop_ends_parking_at_once(converse: Any) -> None:
+def test_stop_ends_parking_at_once(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.after(300, "$22=1\n$132=200\n")
@@ -345,7 +345,7 @@ def test_a_stop_ends_parking_at_once(converse: Any) -> None:
     converse(steps, PARKING=True)
 
 
-def test_a_stop_ends_jogs_that_are_still_to_come(converse: Any) -> None:
+def test_stop_ends_jogs_that_are_still_waiting(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)
         yield from talk.ask("$J=G91X1F500\n" * 30, "ms 2000")
@@ -371,7 +371,7 @@ def test_gsender_stops_a_job_by_force(converse: Any) -> None:
     converse(steps)
 
 
-def test_a_reset_on_the_way_to_a_stop_is_one_reset(converse: Any) -> None:
+def test_reset_during_a_stop_is_one_reset(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$110=6000\n$120=5\n")
         yield from talk.ask("G1X50F1200\n", "ok")
@@ -400,7 +400,7 @@ def test_gsender_unlocks(together: bool, converse: Any) -> None:
     converse(steps)
 
 
-def test_an_alarm_is_in_the_report_that_has_everything(converse: Any) -> None:
+def test_full_report_names_the_alarm(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$21=1\n")
         yield from talk.ask("G38.2X1F100\n", "ok")
@@ -416,7 +416,7 @@ def test_an_alarm_is_in_the_report_that_has_everything(converse: Any) -> None:
 # The network, and our own tools
 
 
-def test_a_client_of_the_network_is_welcomed_as_by_grblhal(monkeypatch: Any) -> None:
+def test_network_client_gets_the_welcome_of_grblhal(monkeypatch: Any) -> None:
     bench = NetBench(monkeypatch, board=board(LINK="wifi"))
 
     def script(bench: Any) -> Iterator[Any]:
@@ -430,7 +430,7 @@ def test_a_client_of_the_network_is_welcomed_as_by_grblhal(monkeypatch: Any) -> 
     bench.run(script)
 
 
-def test_a_board_that_speaks_so_has_the_texts(monkeypatch: Any) -> None:
+def test_build_for_this_dialect_contains_the_texts(monkeypatch: Any) -> None:
     monkeypatch.setattr(build, "compile_all", lambda *_: build.Build("armv6m"))
     pico = Path(__file__).parents[2] / "boards" / "rpi_pico.py"
     monkeypatch.setattr(build, "load_for_build", lambda file: vary(load_board("rpi_pico")))
@@ -444,14 +444,14 @@ def vary(pico: Any) -> ModuleType:
     return made
 
 
-def test_the_doctor_knows_it_for_one_of_ours() -> None:
+def test_doctor_recognises_our_firmware() -> None:
     found = Firmware.read(["[VER:1.1f.20261121:GrblHAL pio 400000Hz mine]", "[OPT:V,15,128,3,0]"])
     assert checkup.is_ours(found) and not checkup.is_relative(found)
     theirs = Firmware.read(["[VER:1.1f.20261121:]", "[FIRMWARE:grblHAL]"])
     assert not checkup.is_ours(theirs)
 
 
-def test_the_default_dialect_knows_nothing_of_it() -> None:
+def test_default_dialect_has_none_of_it() -> None:
     plain = load_board("sim")
     rig = Rig(plain, factory_store(plain))
     sender = Sender(rig)

@@ -1,4 +1,4 @@
-"""TMC2209 drivers: what they are told and say, and that nothing moves while one is unwell."""
+"""Test TMC2209 drivers: their settings and reports; nothing moves while one has a fault."""
 
 from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
@@ -14,14 +14,14 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.sim import tmc2209 as model
 from ugrbl.sim.engine import Switch
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
 _HOMING = {22: 1, 24: 300, 25: 1500, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(3)}}
 
 
 def board(name: str = "sim_drivers", **options: Any) -> ModuleType:
-    """A board file with other options."""
+    """Return a board file with other options."""
     made = ModuleType("board")
     made.__dict__.update({**vars(load_board(name)), **options})
     return made
@@ -36,7 +36,7 @@ def driver(on: Machine, motor: int = 0) -> model.Driver:
 
 
 def talk(on: Machine, script: "Sequence[object]") -> "list[str]":
-    """Lines are sent, seconds pass, functions are called; returns all that is said."""
+    """Send lines, let seconds pass and call functions, in order; return the output."""
     said: "list[str]" = []
 
     def play() -> "Iterator[Any]":
@@ -56,7 +56,7 @@ def talk(on: Machine, script: "Sequence[object]") -> "list[str]":
     return said
 
 
-# Set up
+# Set-up
 
 
 def test_each_driver_is_set_up_before_anything_moves() -> None:
@@ -71,13 +71,13 @@ def test_each_driver_is_set_up_before_anything_moves() -> None:
         found = driver(on, motor).registers
         assert found[model.IHOLD_IRUN] & 0xFFFF == (scale - 1) << 8 | hold - 1, motor
         assert found[model.CHOPCONF] >> 24 & 15 == microsteps
-        assert found[model.CHOPCONF] & 0xFFFF == 0x53  # the chopper's times are its maker's
+        assert found[model.CHOPCONF] & 0xFFFF == 0x53  # the chopper's times are the manufacturer's
         assert found[model.GCONF] == 0x1C0 | spread
         assert found[model.GSTAT] == 0
 
 
 @given(st.floats(50, 1700), st.integers(0, 100))
-def test_current_is_within_a_step_of_what_was_asked(milliamps: float, hold: int) -> None:
+def test_current_is_within_a_step_of_the_setting(milliamps: float, hold: int) -> None:
     on = machine({140: milliamps, 210: float(hold)})
     on.play([])
     found = driver(on).registers
@@ -88,20 +88,20 @@ def test_current_is_within_a_step_of_what_was_asked(milliamps: float, hold: int)
     assert abs((found[model.IHOLD_IRUN] & 31) + 1 - (run + 1) * hold / 100) <= 1
 
 
-def test_a_driver_that_its_maker_has_left_switched_off_is_switched_on() -> None:
+def test_driver_off_by_default_is_switched_on() -> None:
     on = machine()
     driver(on).registers[model.CHOPCONF] &= ~15  # TOFF: 0 is off
     on.play(["G1X1F100"])
     assert driver(on).registers[model.CHOPCONF] & 15 == 3 and on.reported()[0] == 1
 
 
-def test_a_setting_that_is_changed_reaches_its_driver() -> None:
+def test_changed_setting_reaches_its_driver() -> None:
     on = machine()
     on.play(["$150=32", "G1X1F100"])
     assert driver(on).registers[model.CHOPCONF] >> 24 & 15 == 3
 
 
-def test_what_no_driver_can_do_is_refused_and_nothing_changes() -> None:
+def test_impossible_setting_is_refused_and_nothing_changes() -> None:
     lines = ["$140=0", "$141=1800", "$150=10", "$152=512", "$210=101", "$200=256", "$155=3"]
     on = machine()
     on.play([*lines, "$$"])
@@ -109,7 +109,7 @@ def test_what_no_driver_can_do_is_refused_and_nothing_changes() -> None:
     assert {"$141=500.000", "$152=16.000", "$210=50.000"} <= set(on.received)
 
 
-def test_settings_that_are_reported_are_taken_again() -> None:
+def test_reported_settings_are_accepted_again() -> None:
     on = machine({140: 700.0, 150: 64.0})
     on.play(["$$"])
     lines = [line for line in on.received if line.startswith("$")]
@@ -117,7 +117,7 @@ def test_settings_that_are_reported_are_taken_again() -> None:
     assert not any("error" in line for line in on.received)
 
 
-def test_a_driver_that_is_left_alone_is_not_spoken_to() -> None:
+def test_excluded_driver_is_not_addressed() -> None:
     on = machine({338: 5.0})
     driver(on, 1).has_supply = False
     on.play(["G1Y2F600"])
@@ -125,7 +125,7 @@ def test_a_driver_that_is_left_alone_is_not_spoken_to() -> None:
     assert model.IHOLD_IRUN not in driver(on, 1).registers
 
 
-def test_nothing_is_on_the_wire_while_anything_moves() -> None:
+def test_wire_is_silent_during_motion() -> None:
     on = machine(_HOMING)
     fit(on)
     on.play(["$H", "G1X-5F900", "G4P0.2", "G2X-10I-2.5", "$J=G91X-3F600", "G1Y-5", "$TMC"])
@@ -133,7 +133,7 @@ def test_nothing_is_on_the_wire_while_anything_moves() -> None:
     assert on.rig.drivers.in_motion == 0
 
 
-# What goes wrong
+# Faults
 
 
 def _dead(on: Machine) -> None:
@@ -192,7 +192,7 @@ _TROUBLES: "list[tuple[Callable[[Machine], None], str]]" = [
 
 
 @pytest.mark.parametrize(("trouble", "words"), _TROUBLES)
-def test_trouble_at_rest_is_an_alarm_in_words_reported_once(
+def test_fault_while_idle_is_an_alarm_reported_once(
     trouble: "Callable[[Machine], None]", words: str
 ) -> None:
     on = machine()
@@ -200,13 +200,11 @@ def test_trouble_at_rest_is_an_alarm_in_words_reported_once(
     assert said[0] == "ok"
     assert any(words in line for line in said), said
     assert said.count("ALARM:35") == 1
-    assert sum(words in line for line in said) <= 3  # once for each that has it
+    assert sum(words in line for line in said) <= 3  # once for each driver that has it
 
 
 @pytest.mark.parametrize(("trouble", "words"), _TROUBLES[:9])
-def test_nothing_moves_while_there_is_trouble(
-    trouble: "Callable[[Machine], None]", words: str
-) -> None:
+def test_nothing_moves_during_a_fault(trouble: "Callable[[Machine], None]", words: str) -> None:
     on = machine(_HOMING)
     trouble(on)
     for line in ("G1X1F600", "$J=G91X1F600", "G38.3X2F100", "$H"):
@@ -216,7 +214,7 @@ def test_nothing_moves_while_there_is_trouble(
         assert on.physical() == [0, 0, 0]
 
 
-def test_a_supply_that_comes_on_later_is_no_alarm() -> None:
+def test_supply_switched_on_later_is_no_alarm() -> None:
     on = machine()
     for each in on.rig.drivers.drivers:
         each.has_supply = False
@@ -233,14 +231,14 @@ def test_a_supply_that_comes_on_later_is_no_alarm() -> None:
     assert driver(on).registers[model.GCONF] == 0x1C0
 
 
-def test_after_an_alarm_a_driver_that_is_well_is_set_up_anew() -> None:
+def test_recovered_driver_is_set_up_again_after_an_alarm() -> None:
     on = machine()
     said = talk(on, ["G1X1F600", 1.0, _again, 1.0, "$X", 0.5, "G1X2F600", 1.0])
     assert said[-1] == "ok"
     assert driver(on, 1).registers[model.IHOLD_IRUN] > 0
 
 
-def test_one_spoilt_answer_is_asked_for_again() -> None:
+def test_damaged_answer_is_requested_again() -> None:
     on = machine()
     once = [2]
 
@@ -255,7 +253,7 @@ def test_one_spoilt_answer_is_asked_for_again() -> None:
     assert once[0] < 0
 
 
-def test_a_warm_driver_is_reported_once_and_goes_on() -> None:
+def test_warm_driver_is_reported_once_and_continues() -> None:
     on = machine()
 
     def warm(on: Machine) -> None:
@@ -270,7 +268,7 @@ def test_a_warm_driver_is_reported_once_and_goes_on() -> None:
 
 
 class Stall(Switch):
-    """DIAG: high beyond a place, as long as the driver has been told to feel it."""
+    """DIAG of a driver: high beyond a place, while the driver's stall detection is on."""
 
     driver: model.Driver
     felt: "list[int]"
@@ -284,7 +282,7 @@ class Stall(Switch):
 
 
 def fit(on: Machine, above: int = 700) -> "list[int]":
-    """Put a wall at the end of each axis, felt by its driver; returns thresholds at work there."""
+    """Put a wall at the end of each axis; return the list of thresholds in use there."""
     felt: "list[int]" = []
     for motor, letter in enumerate("xyz"):
         wall = Stall(f"limit_{letter}", motor, True, above)
@@ -293,7 +291,7 @@ def fit(on: Machine, above: int = 700) -> "list[int]":
     return felt
 
 
-def test_axes_home_by_what_their_drivers_feel() -> None:
+def test_axes_home_by_stall_detection() -> None:
     thresholds = {**{200 + i: 90.0 for i in range(3)}, **{220 + i: 70.0 for i in range(3)}}
     on = machine({**_HOMING, **thresholds, 339: 7.0})
     felt = fit(on)
@@ -305,7 +303,7 @@ def test_axes_home_by_what_their_drivers_feel() -> None:
         assert driver(on, motor).registers[model.TCOOLTHRS] == 0
 
 
-def test_an_axis_that_spreads_is_quiet_while_it_feels() -> None:
+def test_axis_in_spreadcycle_uses_stealthchop_during_stall_detection() -> None:
     on = machine({**_HOMING, 339: 7.0, 810: 7.0, 200: 9.0, 201: 9.0, 202: 9.0})
     fit(on)
     seen: "set[int]" = set()
@@ -326,7 +324,7 @@ def test_an_axis_that_spreads_is_quiet_while_it_feels() -> None:
     assert driver(on).registers[model.GCONF] & 4
 
 
-def test_an_axis_that_is_not_asked_to_feel_is_not_asked_to() -> None:
+def test_axis_without_stall_detection_does_not_use_it() -> None:
     on = machine({**_HOMING, 200: 90.0, 339: 2.0})
     felt = fit(on)
     on.play(["$H"])
@@ -337,7 +335,7 @@ def test_an_axis_that_is_not_asked_to_feel_is_not_asked_to() -> None:
 # The report
 
 
-def test_the_report_says_what_each_driver_says() -> None:
+def test_report_has_the_status_of_each_driver() -> None:
     on = machine({152: 64.0, 810: 2.0})
     said = talk(on, [1.0, _hot, "$TMC", 1.0, _broken, 1.0, "$TMC", "$TMCX"])
     reports = [line for line in said if line.startswith("[TMC:")]
@@ -349,16 +347,16 @@ def test_the_report_says_what_each_driver_says() -> None:
     assert "error:3" in said
 
 
-# Words and numbers
+# Messages and numbers
 
 
 @given(st.binary(min_size=1, max_size=12))
-def test_the_checksum_is_that_of_the_data_sheet(data: bytes) -> None:
+def test_checksum_is_that_of_the_data_sheet(data: bytes) -> None:
     assert checksum(data) == model.crc(data)
 
 
-def test_the_checksum_of_a_known_datagram() -> None:
-    assert checksum(bytes((5, 0, 0))) == 0x48  # as drivers of others send it
+def test_checksum_of_a_known_datagram() -> None:
+    assert checksum(bytes((5, 0, 0))) == 0x48  # as other drivers of this chip send it
 
 
 @pytest.mark.parametrize(
@@ -371,11 +369,13 @@ def test_the_checksum_of_a_known_datagram() -> None:
         ({"DEFAULTS": {140: 9000.0}}, "DEFAULTS: $140=9000 is nothing a driver can do"),
     ],
 )
-def test_a_board_file_that_cannot_be_says_why(options: "dict[str, Any]", why: str) -> None:
+def test_impossible_board_file_is_reported_with_the_cause(
+    options: "dict[str, Any]", why: str
+) -> None:
     assert board_check.problems(board(**options)) == [why]
 
 
-def test_a_second_motor_has_its_axis_settings_and_a_name() -> None:
+def test_second_motor_has_its_axis_settings_and_a_name() -> None:
     on = Machine(
         {141: 900.0},
         board("sim_ganged", TMC2209=(0, 1, 2, 3), TMC_UART=(8, 9)),

@@ -1,4 +1,4 @@
-"""Extras: modules with install(cnc), put around a machine that knows nothing of them."""
+"""Test extras: modules with install(cnc), added to a machine that does not know them."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ from ugrbl.sim.sender import Sender
 
 
 class Bench:
-    """A machine with one extra, `install`, and someone who talks to it."""
+    """A machine with one extra, `install`, and a sender."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, install: "Callable[[Cnc], None]") -> None:
         extra = ModuleType("mine")
@@ -33,7 +33,7 @@ class Bench:
         self.sender.allow(3_600_000)
 
     def say(self, *talk: "tuple[str, str]") -> "list[list[str]]":
-        """What comes back of each text: (text, what to wait for)."""
+        """Send texts, each given as (text, what to wait for); return the replies to each."""
         said: list[list[str]] = []
 
         def script() -> Iterator[Any]:
@@ -54,7 +54,7 @@ def lines(*texts: str) -> "list[tuple[str, str]]":
 # Words
 
 
-def test_an_m_word_gets_its_numbers_once_motion_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_m_word_gets_its_numbers_after_motion_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[Any] = []
 
     def install(cnc: Cnc) -> None:
@@ -80,7 +80,7 @@ def test_an_m_word_gets_its_numbers_once_motion_has_ended(monkeypatch: pytest.Mo
         ("M101 P1", errors.GCODE_UNSUPPORTED_COMMAND),
     ],
 )
-def test_a_line_that_is_refused_calls_nobody(
+def test_refused_line_calls_no_handler(
     monkeypatch: pytest.MonkeyPatch, line: str, error: int
 ) -> None:
     heard: list[Any] = []
@@ -95,7 +95,7 @@ def test_check_mode_checks_and_does_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     assert said[1:] == [["ok"], [f"error:{errors.GCODE_VALUE_WORD_MISSING}"]] and heard == []
 
 
-def test_a_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[Any] = []
 
     def install(cnc: Cnc) -> None:
@@ -106,7 +106,7 @@ def test_a_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
     assert heard == ["81.1", "81"]
 
 
-def test_what_grbl_has_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         cnc.add_m(100, print)
         cnc.add_cycle(86, _bore)
@@ -127,7 +127,7 @@ def test_what_grbl_has_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     Bench(monkeypatch, install).say()
 
 
-def test_a_handler_may_refuse_and_a_reset_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_handler_may_refuse_and_is_ended_by_a_reset(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         def wait(p: float) -> None:
             if p == 0:
@@ -151,7 +151,7 @@ def _bore(here: "list[float]", target: "list[float]", r: float, p: "float | None
     yield target[:2] + [r + (p or 0.0)], True
 
 
-def test_a_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
     cycle = ("G20G86X1Z-.2R.1P3F20", "X2", "G21X-2R-1", "G0X0", "X1")
     said = bench.say(*((text, "idle") for line in cycle for text in (line + "\n", "?")))
@@ -159,14 +159,14 @@ def test_a_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.Monk
     places = [report[0].partition("MPos:")[2].partition("|")[0] for report in said[1::2]]
     at = ("25.400,0.000,5.540", "50.800,0.000,5.540", "-2.000,0.000,2.000", "0.000,0.000,2.000")
     assert places == [*at, "1.000,0.000,2.000"]
-    # Behind another motion Z and R have to be there again; P does not.
+    # After another motion Z and R are required again; P is not.
     again = lines("G86X1Z-1R1P5F9", "G0X2", "G86X1R1", "G86X1Z-1", "X3", "G86X1Z-1R0", "$G")
     said = bench.say(*again)
     assert said[2:6] == [["error:28"], ["error:28"], ["ok"], ["ok"]]
     assert said[6][0].startswith("[GC:G86 G54 ")
 
 
-def test_the_numbers_of_a_cycle_are_as_they_were_after_a_with_statement(
+def test_cycle_numbers_are_restored_after_a_with_statement(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     deepest: list[float] = []
@@ -187,7 +187,7 @@ def test_the_numbers_of_a_cycle_are_as_they_were_after_a_with_statement(
     assert said == [["ok"]] * 3 and deepest == [-1, -9, -1]
 
 
-def test_a_turn_is_not_had_while_a_reset_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling_stops_while_a_reset_is_pending(monkeypatch: pytest.MonkeyPatch) -> None:
     due: list[int] = []
 
     def install(cnc: Cnc) -> None:
@@ -198,7 +198,7 @@ def test_a_turn_is_not_had_while_a_reset_is_due(monkeypatch: pytest.MonkeyPatch)
     assert len(due) > 10 and not any(due)
 
 
-def test_a_job_is_not_begun_in_the_middle_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_job_cannot_be_entered_in_the_middle_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
     whys: list[str] = []
 
     def install(cnc: Cnc) -> None:
@@ -210,7 +210,7 @@ def test_a_job_is_not_begun_in_the_middle_of_a_cycle(monkeypatch: pytest.MonkeyP
     assert whys == ["", "it goes on with a cycle", ""]
 
 
-def test_a_line_of_a_cycle_that_is_refused_changes_nothing(
+def test_refused_line_of_a_cycle_changes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
@@ -223,7 +223,7 @@ def test_a_line_of_a_cycle_that_is_refused_changes_nothing(
 # Settings, commands, fields, bytes
 
 
-def test_a_setting_is_kept_with_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_setting_is_stored_with_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, lambda cnc: cnc.add_settings(((40, "level", INT, 5, "percent"),)))
     assert "$40=5" in bench.say(("$$\n", "ok"))[0]
     assert bench.say(("$40=7\n", "ok"), ("$$\n", "ok"))[1].count("$40=7") == 1
@@ -231,7 +231,7 @@ def test_a_setting_is_kept_with_the_others(monkeypatch: pytest.MonkeyPatch) -> N
     assert bench.rig.controller.settings.level == 7  # type: ignore[attr-defined]
 
 
-def test_a_command_is_taken_at_rest_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_is_accepted_only_while_idle(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[bytes] = []
     bench = Bench(monkeypatch, lambda cnc: cnc.add_command(b"VAC", heard.append))
     said = bench.say(("$VAC=1\n", "ok"), ("G1X50F100\n", "ok"), ("$VAC\n", "ok"), ("$G\n", "ok"))
@@ -240,14 +240,14 @@ def test_a_command_is_taken_at_rest_only(monkeypatch: pytest.MonkeyPatch) -> Non
     assert said[3][0].startswith("[GC:G1")
 
 
-def test_a_field_stands_at_the_end_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_field_is_added_at_the_end_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
     texts = iter(["Vac:1", ""])
     bench = Bench(monkeypatch, lambda cnc: cnc.add_field(lambda: next(texts)))
     with_field, without = bench.say(("?", "report"), ("?", "report"))
     assert with_field[0].endswith("|Vac:1>") and "Vac" not in without[0]
 
 
-def test_a_byte_is_heard_wherever_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_byte_is_handled_anywhere_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[int] = []
     bench = Bench(monkeypatch, lambda cnc: cnc.add_byte(0xC0, lambda: heard.append(1)))
     assert bench.say(("G0\xc0X1\n", "idle")) == [["ok"]] and heard == [1]
@@ -256,7 +256,7 @@ def test_a_byte_is_heard_wherever_it_stands(monkeypatch: pytest.MonkeyPatch) -> 
 # Events
 
 
-def test_a_guard_keeps_the_machine_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_guard_prevents_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     may: list[bool] = [False]
     started: list[int] = []
     stopped: list[int] = []
@@ -290,14 +290,14 @@ def test_lines_of_motion_and_resets_are_reported(monkeypatch: pytest.MonkeyPatch
 # The board file
 
 
-def test_a_module_that_is_not_there_is_named() -> None:
+def test_missing_module_is_named() -> None:
     board = ModuleType("board")
     vars(board).update(EXTRAS=("nowhere",))
     with pytest.raises(ImportError, match="nowhere"):
         Options(board)
 
 
-def test_a_method_of_cnc_by_its_old_name_works_and_names_the_new(
+def test_old_method_name_works_and_reports_the_new_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     heard: list[str] = []

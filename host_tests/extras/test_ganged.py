@@ -1,4 +1,4 @@
-"""Two motors on an axis: how they home, square themselves, and are all alive afterwards."""
+"""Test two motors on an axis: homing, squaring, and motion of all motors afterwards."""
 
 import json
 import os
@@ -20,12 +20,12 @@ from ugrbl.paths import BOARDS
 from ugrbl.run import inputs
 from ugrbl.sim.engine import Switch
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
 _STEPS_PER_MM = 250
 _PULL_OFF_MM = 1
-# Where the switches close, in steps from where power comes on; they are at the upper ends.
+# Steps from power-up to the switches, which are at the upper ends.
 _AT = 800
 _DEAD = 1 << 28
 _GANTRIES = int(os.environ.get("UGRBL_TORTURE", "40"))
@@ -47,15 +47,17 @@ _RESET = "\x18"
 
 
 def board(**options: Any) -> ModuleType:
-    """sim_ganged with other options."""
+    """Return the board sim_ganged with other options."""
     made = ModuleType("board")
     made.__dict__.update({**vars(load_board("sim_ganged")), **options})
     return made
 
 
 class Gantry(Machine):
-    """A machine on which the second motor of Y is `racked` steps further away from its switch than
-    the first. switches: where those of the motors close, of which one may be dead."""
+    """A machine whose second Y motor is `racked` steps further from its switch than the first.
+
+    switches: where those of the motors close; one may be dead.
+    """
 
     def __init__(
         self,
@@ -73,13 +75,13 @@ class Gantry(Machine):
         self.rig.port.update()
 
     def told(self, *lines: str, at_ms: "tuple[tuple[int, str], ...]" = ()) -> "list[str]":
-        """Play them from power-up; all that has been said."""
+        """Play lines from power-up; return the whole output."""
         self.play(lines, at_ms)
         return self.received
 
 
 def assert_alive(gantry: Gantry) -> None:
-    """Whatever went wrong: behind a reset every motor of an axis makes every step asked for."""
+    """Check that after a reset every motor of an axis makes every commanded step."""
     before = gantry.physical()
     gantry.received.clear()
     gantry.play([_RESET, "$X", "G91", "G1 X-1 Y-2 Z-3 F3000"])
@@ -101,8 +103,8 @@ def test_each_motor_stops_at_its_own_switch() -> None:
 
 
 @pytest.mark.thorough
-def test_gantries_end_square_within_a_step_whatever_the_offset() -> None:
-    """UGRBL_TORTURE=1000: so many of them."""
+def test_gantry_is_square_within_a_step_for_any_offset() -> None:
+    """UGRBL_TORTURE=1000 tries 1000 gantries."""
     chance = random.Random(19)
     for _ in range(_GANTRIES):
         racked, offset = chance.randint(-600, 600), round(chance.uniform(-3, 3), 3)
@@ -122,23 +124,23 @@ def test_gantries_end_square_within_a_step_whatever_the_offset() -> None:
 
 
 @pytest.mark.parametrize("offset", [0.5, -0.5])
-def test_an_offset_moves_the_motor_that_is_to_be_further_away(offset: float) -> None:
+def test_offset_moves_the_motor_that_must_be_further_away(offset: float) -> None:
     gantry = Gantry(0, {171: offset})
     gantry.told("$H", "G90 G53 G0 Y-4")
     _, y, _, y2 = gantry.physical()
     assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
-    there = _AT - 4 * _STEPS_PER_MM  # as one says it who has seen the first at its switch
+    there = _AT - 4 * _STEPS_PER_MM  # seen from the motor that is at its switch first
     assert abs(max(y, y2) - there) <= 1
 
 
-def test_one_axis_alone_is_squared_too() -> None:
+def test_one_axis_homed_alone_is_squared() -> None:
     gantry = Gantry(200, SINGLE_AXIS_HOMING=True)
     gantry.told("$HY")
     x, y, _, y2 = gantry.physical()
     assert x == 0 and abs(y2 - y - 200) <= 1
 
 
-def test_without_a_second_switch_both_home_as_one() -> None:
+def test_both_motors_home_as_one_without_a_second_switch() -> None:
     gantry = Gantry(0, LIMIT=(0, 1, 2, None))
     told = gantry.told("$H", "$$")
     _, y, _, y2 = gantry.physical()
@@ -146,7 +148,7 @@ def test_without_a_second_switch_both_home_as_one() -> None:
     assert "$8=0" in told and not any(line.startswith(("$17", "$347=")) for line in told)
 
 
-# What goes wrong
+# Failures
 
 
 @pytest.mark.parametrize(
@@ -159,7 +161,7 @@ def test_without_a_second_switch_both_home_as_one() -> None:
     ],
     ids=["second dead", "first dead", "both dead", "racked too far"],
 )
-def test_a_switch_that_is_not_found_is_an_alarm(switches: "dict[str, int]", alarm: str) -> None:
+def test_missing_switch_is_an_alarm(switches: "dict[str, int]", alarm: str) -> None:
     gantry = Gantry(0, {130: 200, 131: 20}, switches)
     told = gantry.told("$H")
     assert [line for line in told if line.startswith("ALARM")] == [alarm]
@@ -169,8 +171,8 @@ def test_a_switch_that_is_not_found_is_an_alarm(switches: "dict[str, int]", alar
     assert_alive(gantry)
 
 
-def test_one_that_is_tried_again_racks_no_further() -> None:
-    """Until it is straightened by hand, and the board starts anew."""
+def test_repeated_homing_racks_no_further() -> None:
+    """The rack stays until it is straightened by hand and the board restarts."""
     gantry = Gantry(0, {}, {"limit_y2": _DEAD})
 
     def script() -> Any:
@@ -189,7 +191,7 @@ def test_one_that_is_tried_again_racks_no_further() -> None:
 
 
 @pytest.mark.parametrize("offset", [6, -6])
-def test_an_offset_beyond_what_may_be_racked_homes_again_and_again(offset: float) -> None:
+def test_offset_beyond_the_racking_limit_homes_repeatedly(offset: float) -> None:
     gantry = Gantry(0, {171: offset, 130: 100})
     told = gantry.told("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
     assert not any("ALARM" in line for line in told[2:])
@@ -198,7 +200,7 @@ def test_an_offset_beyond_what_may_be_racked_homes_again_and_again(offset: float
 
 
 @pytest.mark.parametrize("ms", range(1150, 1700, 50))
-def test_what_only_seems_to_be_a_switch_does_not_leave_it_racked(ms: int) -> None:
+def test_false_switch_signal_leaves_no_rack(ms: int) -> None:
     gantry = Gantry()
 
     def script() -> Any:
@@ -220,7 +222,7 @@ def test_what_only_seems_to_be_a_switch_does_not_leave_it_racked(ms: int) -> Non
     ("settings", "mm"),
     [({130: 10}, 2.5), ({130: 1000}, 25), ({130: 200, 347: 1.5}, 3), ({130: 10, 348: 1}, 1)],
 )
-def test_how_far_one_may_look_alone_is_set(settings: "dict[int, float]", mm: float) -> None:
+def test_racking_limit_is_a_setting(settings: "dict[int, float]", mm: float) -> None:
     gantry = Gantry(0, {131: 60, **settings}, {"limit_y2": _DEAD})
     gantry.told("$H")
     _, y, _, y2 = gantry.physical()
@@ -229,18 +231,18 @@ def test_how_far_one_may_look_alone_is_set(settings: "dict[int, float]", mm: flo
 
 @pytest.mark.parametrize("ms", range(60, 3200, 170))
 @pytest.mark.parametrize("stop", [_RESET, "door"])
-def test_all_motors_are_alive_after_a_stop_at_any_time(ms: int, stop: str) -> None:
+def test_all_motors_move_after_a_stop_at_any_time(ms: int, stop: str) -> None:
     door = stop == "door"
     gantry = Gantry(400, {171: 0.7}, SAFETY_DOOR=door)
     gantry.told("$H", at_ms=((ms, "\x84" if door else _RESET),))
     assert_alive(gantry)
 
 
-def test_a_closed_switch_at_the_start_is_refused_in_words() -> None:
+def test_closed_switch_at_the_start_is_refused_with_the_reason() -> None:
     gantry = Gantry(0, {}, {"limit_y2": -5})
     told = gantry.told("$H", at_ms=((1000, _RESET),))
     at = told.index("[MSG:Y: move off the closed limit switch first]")
-    assert told[at + 1 : at + 3] == ["ok", "ALARM:1"]  # as Grbl with two switches on an input
+    assert told[at + 1 : at + 3] == ["ok", "ALARM:1"]  # as Grbl with two switches on one input
     assert gantry.physical() == [0, 0, 0, 0]
 
 
@@ -252,8 +254,8 @@ def test_either_switch_is_reported_and_stops_the_machine() -> None:
     assert gantry.physical()[3] < _AT + 100
 
 
-def test_switches_may_be_contacts_that_open() -> None:
-    """$5: the input of a motor that has none must not count as open."""
+def test_switches_may_be_normally_closed() -> None:
+    """$5: a motor without an input must not count as open."""
     gantry = Gantry(0, {5: 1, 22: 0}, LIMIT=(0, 1, 2, None))
     gantry.rig.port.push(dict.fromkeys(gantry.rig.port.limit_names[:3], True))
     assert not [line for line in gantry.told("") if "Pn:" in line]
@@ -262,7 +264,7 @@ def test_switches_may_be_contacts_that_open() -> None:
 # Settings
 
 
-def test_the_second_motor_turns_as_the_settings_say() -> None:
+def test_second_motor_turns_as_the_settings_say() -> None:
     for inverted, ganged_inverted, pins in ((0, 0, 0), (2, 0, 0b1010), (2, 2, 0b0010)):
         gantry = Gantry(0, {3: inverted, 8: ganged_inverted, 22: 0})
         gantry.told("G91 G1 Y1 F3000")
@@ -271,8 +273,8 @@ def test_the_second_motor_turns_as_the_settings_say() -> None:
         assert [gantry.physical()[motor] for motor in (1, 3)] == [250 * way for way in ways]
 
 
-def test_second_motors_are_never_turned_round_alone() -> None:
-    """Not for a moment: it would be a step of theirs."""
+def test_direction_of_a_second_motor_never_changes_alone() -> None:
+    """Not even for a moment: that would be a step of the second motor alone."""
     gantry = Gantry(0, {2: 2, 3: 2, 8: 2, 22: 0})
     handed: "list[tuple[int, int]]" = []
     configure = gantry.rig.engine.configure
@@ -288,14 +290,14 @@ def test_second_motors_are_never_turned_round_alone() -> None:
 
 
 @pytest.mark.parametrize("kept", ["-11", "500", "-nan", "x"])
-def test_a_kept_offset_that_cannot_be_is_lost_with_the_others(kept: str) -> None:
+def test_impossible_stored_offset_resets_all_settings(kept: str) -> None:
     gantry = Gantry()
     gantry.rig.store.files["settings"].append(f"$171={kept}")
     told = gantry.told("$$")
     assert "error:7" in told and "$171=0.000" in told
 
 
-def test_an_offset_may_be_negative_and_is_kept() -> None:
+def test_offset_may_be_negative_and_is_stored() -> None:
     gantry = Gantry()
     told = gantry.told("$171=-0.75", "$171=11", "$170=-1", "$100=-1", "$171=x")
     assert [line for line in told if line == "ok" or "error" in line] == [
@@ -305,7 +307,7 @@ def test_an_offset_may_be_negative_and_is_kept() -> None:
     assert "$171=-0.750" in gantry.told("$$")
 
 
-def test_what_a_gantry_has_kept_does_no_harm_on_another_board() -> None:
+def test_stored_settings_of_a_gantry_do_no_harm_on_another_board() -> None:
     machine = Machine({171: -0.5, 8: 2, 110: 777}, watched=False)
     machine.play(["$$"])
     assert "$110=777.000" in machine.received and not any("$171" in x for x in machine.received)
@@ -327,11 +329,11 @@ def test_what_a_gantry_has_kept_does_no_harm_on_another_board() -> None:
         ({"COREXY": True}, "MOTORS: Y shares its motor, and has no second"),
     ],
 )
-def test_what_cannot_be_is_reported(options: "dict[str, Any]", why: str) -> None:
+def test_impossible_gantry_is_reported(options: "dict[str, Any]", why: str) -> None:
     assert board_check.problems(board(**options)) == [why]
 
 
-def test_a_second_motor_of_a_real_board_need_not_have_a_switch(tmp_path: Path) -> None:
+def test_second_motor_of_a_real_board_needs_no_switch(tmp_path: Path) -> None:
     text = (BOARDS / "pico_gantry.py").read_text()
     without = tmp_path / "without.py"
     without.write_text(text.replace("(9, 10, 11, 21)", "(9, 10, 11, None)"))
@@ -352,7 +354,7 @@ def test_a_second_motor_of_a_real_board_need_not_have_a_switch(tmp_path: Path) -
         ("LIMIT", (36, 35, 34, 39, 33), "LIMIT wants 4 pins, not 5"),
     ],
 )
-def test_motors_behind_shift_registers_are_counted_too(
+def test_motors_on_shift_registers_are_counted(
     name: str, pins: "tuple[int, ...]", why: str
 ) -> None:
     made = ModuleType("board")
@@ -361,7 +363,7 @@ def test_motors_behind_shift_registers_are_counted_too(
     assert why in board_check.problems(made)
 
 
-def test_a_switch_of_a_second_motor_can_be_put_where_one_likes(tmp_path: Path) -> None:
+def test_switch_of_a_second_motor_can_be_placed_by_an_option(tmp_path: Path) -> None:
     program = tmp_path / "h.nc"
     program.write_text("$H\n")
     words = ["run", str(program), "--board", "sim_ganged", "--json", str(tmp_path / "out.json")]
@@ -375,12 +377,12 @@ def test_a_switch_of_a_second_motor_can_be_put_where_one_likes(tmp_path: Path) -
     assert abs(steps["Y2"] - steps["Y"] - _STEPS_PER_MM) <= 2
 
 
-def test_a_switch_that_is_not_there_is_no_input_to_push() -> None:
+def test_missing_switch_is_not_an_input_of_the_simulator() -> None:
     names = inputs.names(Gantry(0, LIMIT=(0, 1, 2, None)).rig)
     assert list(names) == ["probe", "limit_x", "limit_y", "limit_z", "reset", "hold", "start"]
 
 
-def test_z_of_a_corexy_may_have_two() -> None:
+def test_z_of_a_corexy_may_have_two_motors() -> None:
     options: Any = SimpleNamespace(kinematics=Kinematics(3, COREXY), defaults={})
     ganged.prepare(options, board(MOTORS="XYZZ"))
     assert options.axes == 3
@@ -388,7 +390,7 @@ def test_z_of_a_corexy_may_have_two() -> None:
     assert [options.kinematics.stopped_by(1 << i) for i in range(4)] == [3, 3, 4, 8]
 
 
-def test_a_board_without_second_motors_has_nothing_of_it() -> None:
+def test_board_without_second_motors_has_none_of_the_modules() -> None:
     assert "extras.motors.ganged" not in build.modules_of(load_board("rpi_pico"))
     assert "motion.kinematics" not in build.modules_of(load_board("rpi_pico"))
     modules = build.modules_of(load_board("pico_gantry"))

@@ -1,4 +1,4 @@
-"""Which axes $H homes, and in which order."""
+"""Test which axes $H homes, and in which order."""
 
 from types import ModuleType
 from typing import Any
@@ -29,7 +29,7 @@ def homed(
     stop_ms: int = 0,
     **options: Any,
 ) -> "tuple[Machine, list[str]]":
-    """A machine behind $H, and its axes in the order in which they met their switches."""
+    """Return a machine after $H, and its axes in the order in which they met their switches."""
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim_home_order")), **options})
     machine = Machine({**_SETTINGS, **(settings or {})}, board, watched=False)
@@ -49,7 +49,7 @@ def homed(
     return machine, found
 
 
-def test_axes_are_homed_one_after_the_other_and_those_not_named_are_not() -> None:
+def test_axes_are_homed_in_order_and_unnamed_ones_are_not() -> None:
     machine, order = homed()
     assert order == ["X", "Y"]
     assert machine.reported() == [-1, -1, 0]
@@ -65,26 +65,26 @@ def test_axes_are_homed_one_after_the_other_and_those_not_named_are_not() -> Non
         ((0, 0), "ZXY"),  # none: Grbl's own
     ],
 )
-def test_settings_say_it_while_it_runs(masks: "tuple[int, ...]", order: str) -> None:
+def test_settings_change_the_order_at_run_time(masks: "tuple[int, ...]", order: str) -> None:
     settings = {44 + i: (masks + (0,) * 6)[i] for i in range(6)}
     machine, found = homed(settings)
     assert "".join(found) == order
     assert machine.reported() == [-1, -1, -1]
 
 
-def test_one_axis_asked_for_is_homed_alone() -> None:
+def test_one_axis_is_homed_alone_on_request() -> None:
     machine, order = homed(command="$HZ", SINGLE_AXIS_HOMING=True)
     assert order == ["Z"] and machine.reported() == [0, 0, -1]
 
 
-def test_what_fails_ends_it() -> None:
+def test_failed_cycle_ends_homing() -> None:
     machine, order = homed({130: 1}, HOMING=("X", "YZ"))
     assert "ALARM:9" in machine.received and order == []
     assert machine.physical()[1:] == [0, 0]
 
 
 def rates(machine: Machine) -> "list[float]":
-    """The highest of each motor, mm/min."""
+    """Return the highest rate of each motor, mm/min."""
     found = [0.0, 0.0, 0.0]
     for _, row in machine.rows:
         for axis in range(3):
@@ -101,13 +101,13 @@ def test_each_axis_has_a_rate_of_its_own() -> None:
     assert rates(machine) == pytest.approx([600, 3000, 1200], rel=0.02)
 
 
-def test_axes_homed_together_go_at_the_slowest_rate_of_theirs() -> None:
+def test_axes_homed_together_move_at_their_slowest_rate() -> None:
     machine, _ = homed({190: 600, 191: 900}, HOMING=("Z", "XY"))
     assert rates(machine) == pytest.approx([600, 600, 3000], rel=0.02)
 
 
 @pytest.mark.parametrize("ms", [50, 400])
-def test_after_a_reset_the_rates_are_the_usual_ones(ms: int) -> None:
+def test_rates_are_restored_after_a_reset(ms: int) -> None:
     machine, _ = homed({180: 60, 190: 600}, stop_ms=ms)
     assert "ALARM:6" in machine.received
     machine.play(["$X", "$$"])
@@ -131,7 +131,7 @@ def test_settings_are_masks_of_axes() -> None:
         (("X",) * 7, "HOMING has 7 parts: there may be 6"),
     ],
 )
-def test_what_cannot_be_is_reported(words: "tuple[str, ...]", why: str) -> None:
+def test_impossible_order_is_reported(words: "tuple[str, ...]", why: str) -> None:
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim")), "HOMING": words})
     assert board_check.problems(board) == [why]

@@ -1,4 +1,4 @@
-"""A limit of jerk: acceleration comes and goes over a time, and every other law still holds."""
+"""Test the limit of jerk: acceleration changes over a time, and all other laws hold."""
 
 from array import array
 from bisect import bisect_right
@@ -54,10 +54,10 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.paths import FIRMWARE
 from ugrbl.sim.engine import Switch
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
-# Accelerations are told in 14 bits, steps as in largest_jerk(), and braking for a place may be
+# Accelerations have 14 bits, steps are rounded as in largest_jerk(), and braking to a place may be
 # harder by a sixteenth (segment_kernel.brake).
 JERK_SLACK = 1.15
 # As in laws.py.
@@ -65,7 +65,7 @@ _END_PART = 1 / 20
 
 
 class JerkBench(Bench):
-    """Planner and segments, with jerk limited; 0 is no limit."""
+    """Planner and segments with limited jerk; 0 is no limit."""
 
     def __init__(
         self,
@@ -85,29 +85,29 @@ class JerkBench(Bench):
         self.smoother.limit(list(limits.acceleration), list(jerk), self.slot_s)
 
     def finish(self) -> None:
-        """Let everything planned happen."""
+        """Execute all planned motion."""
         self.planner.catch_up()
         super().finish()
 
     @property
     def slots(self) -> int:
-        """Segments that speed is averaged over."""
+        """Return the number of segments over which speed is averaged."""
         return self.smoother._line[jerk_layout.FILTER_TAPS]
 
     @property
     def time_s(self) -> float:
-        """The same in seconds."""
+        """Return the time over which speed is averaged, in s."""
         return self.slots * self.slot_s
 
     def check(self) -> None:
-        """All laws, and that of jerk."""
+        """Check all laws, and that of jerk."""
         super().check()
         if self.slots:
             assert largest_jerk(self) <= JERK_SLACK
 
 
 class Course:
-    """Where on its way the machine is, by time: mm and seconds."""
+    """The machine's distance on its path in mm, by time in s."""
 
     def __init__(self, watch: Watch) -> None:
         self._pieces = watch.pieces
@@ -127,22 +127,22 @@ class Course:
         return self._ways[i] + begin * since + (piece.speed - begin) * since**2 / 2 / piece.time
 
     def blocks(self, begin: float, end: float) -> "list[Block]":
-        """Those that it is on between these times."""
+        """Return the blocks between these times."""
         first = max(bisect_right(self._times, begin) - 1, 0)
         last = bisect_right(self._times, end)
         return [piece.block for piece in self._pieces[first:last]]
 
 
 def allowed(block: Block, jerk: Sequence[float]) -> float:
-    """Jerk along a block, mm/s3."""
+    """Return the allowed jerk along a block, mm/s3."""
     return block.limits.along(block.unit, [j or inf for j in jerk])
 
 
 def largest_jerk(bench: "JerkBench") -> float:
-    """The third difference of ways, as a part of what the axes allow.
+    """Return the largest third difference of distance, relative to the jerk that axes allow.
 
-    Over times in which steps can tell it: a tenth of one changes it by a tenth, and in which
-    coming to rest from the speed that is braked in a part of a step does not count.
+    The window of time is long enough that steps can show jerk: a tenth of a step changes it by a
+    tenth. The end of braking within a part of a step does not count.
     """
     course = Course(bench.watch)
     told = [(8 * block.step / allowed(block, bench.jerk)) ** (1 / 3) for block in course.all]
@@ -182,7 +182,7 @@ def test_corexy_keeps_every_law_of_its_motors(program) -> None:
 
 
 @pytest.mark.parametrize("chords", [24, 300])
-def test_a_circle_of_chords_keeps_every_law(chords: int) -> None:
+def test_circle_of_chords_keeps_every_law(chords: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     circle(bench, 4.0, chords, 2400)
     bench.check()
@@ -196,7 +196,7 @@ def test_coarse_ticks_and_short_segments_keep_every_law(segment_log2: int) -> No
 
 
 @pytest.mark.parametrize("after", [1, 7, 20, 33, 40, 61, 90])
-def test_a_hold_at_any_moment_keeps_every_law(after: int) -> None:
+def test_hold_at_any_moment_keeps_every_law(after: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
     bench.pull(after)
@@ -205,7 +205,7 @@ def test_a_hold_at_any_moment_keeps_every_law(after: int) -> None:
 
 
 @pytest.mark.parametrize("after", [1, 7, 20, 33, 40])
-def test_a_hold_that_is_let_go_before_it_stands_keeps_every_law(after: int) -> None:
+def test_hold_released_before_the_stop_keeps_every_law(after: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
     bench.pull(40)
@@ -217,7 +217,7 @@ def test_a_hold_that_is_let_go_before_it_stands_keeps_every_law(after: int) -> N
 
 @pytest.mark.parametrize("feed", [10, 200])
 @pytest.mark.parametrize("after", [1, 7, 20, 40])
-def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
+def test_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
     bench.pull(after)
@@ -228,8 +228,8 @@ def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> Non
 
 
 @pytest.mark.parametrize("after", [1, 3, 10, 30, 55, 80])
-def test_what_is_cleared_in_motion_leaves_nothing_in_the_line(after: int) -> None:
-    """As a reset does, and a probe's contact: the engine stops, and planning begins anew."""
+def test_clearing_in_motion_leaves_nothing_in_the_filter(after: int) -> None:
+    """A reset and a probe's contact clear: the engine stops, and planning starts again."""
     bench = JerkBench(fast, (20_000.0,) * 3)
     bench.line((3, 1, 0), 2000)
     bench.line((3, 4, 0), 2000)
@@ -265,7 +265,7 @@ def test_random_programs_keep_every_law(limits: Limits, jerk, program) -> None:
 
 
 @pytest.mark.parametrize("after", [9, 40, 77])
-def test_parking_goes_away_and_comes_back_between_two_halves_of_a_block(after: int) -> None:
+def test_parking_moves_between_two_halves_of_a_block(after: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
     bench.pull(after)
@@ -296,7 +296,7 @@ def test_slow_motion_and_any_resolution_keep_every_law(per_mm: float, feed: int)
     bench.check()
 
 
-def test_a_way_too_long_for_the_line_is_entered_and_left_at_rest() -> None:
+def test_line_too_long_for_the_filter_is_entered_and_left_at_rest() -> None:
     bench = JerkBench(Limits((1.0,) * 3, (600_000.0,) * 3, (5000.0,) * 3), (100_000.0,) * 3)
     for place in (100.0, 20_000.0, 20_200.0):
         bench.line((place, 0, 0), 0)
@@ -353,7 +353,7 @@ def test_both_pythons_make_the_same_rows(capsys: pytest.CaptureFixture[str]) -> 
     assert run_micropython(_ROWS, paths=[FIRMWARE]) == capsys.readouterr().out
 
 
-# What it costs
+# Cost in time
 
 
 def duration(limits: Limits, jerk: float, program) -> "tuple[float, JerkBench]":
@@ -365,7 +365,7 @@ def duration(limits: Limits, jerk: float, program) -> "tuple[float, JerkBench]":
 
 
 @pytest.mark.parametrize("jerk", [5000.0, 20_000.0, 100_000.0])
-def test_each_stop_takes_longer_by_the_time_of_the_average_and_a_segment_at_most(jerk) -> None:
+def test_each_stop_takes_longer_by_the_filters_time_and_at_most_a_segment(jerk) -> None:
     def stops(bench: Bench) -> None:
         for i in range(6):
             bench.line((20.0 * ((i + 1) % 2), 0, 0))
@@ -377,7 +377,7 @@ def test_each_stop_takes_longer_by_the_time_of_the_average_and_a_segment_at_most
     assert 0 <= (gentle - plain) / 6 - bench.time_s <= bench.slot_s * 1.01
 
 
-def test_a_curve_of_short_lines_takes_no_longer_but_for_its_ends() -> None:
+def test_curve_of_short_lines_takes_longer_only_at_its_ends() -> None:
     def curve(bench: Bench) -> None:
         circle(bench, 20.0, 600, 2400)
 
@@ -388,7 +388,7 @@ def test_a_curve_of_short_lines_takes_no_longer_but_for_its_ends() -> None:
 
 
 def polygon(length: float, lines: int) -> Any:
-    """A circle of lines."""
+    """Plan a circle of lines."""
 
     def program(bench: Bench) -> None:
         radius = length * lines / tau
@@ -400,7 +400,7 @@ def polygon(length: float, lines: int) -> Any:
 
 
 def folded(length: float, degrees: float) -> Any:
-    """A zigzag of forty lines."""
+    """Plan a zigzag of forty lines."""
 
     def program(bench: Bench) -> None:
         half = radians(degrees / 2)
@@ -411,7 +411,7 @@ def folded(length: float, degrees: float) -> Any:
 
 
 def rounded(bench: Bench) -> None:
-    """Lines of 5 mm, and ten of 0.02 mm round each corner."""
+    """Plan lines of 5 mm, and ten of 0.02 mm round each corner."""
     x = y = 0.0
     for k in range(12):
         for n in range(11):
@@ -435,8 +435,8 @@ def rounded(bench: Bench) -> None:
         pytest.param(rounded, 2.9, id="rounded corners"),
     ],
 )
-def test_short_lines_take_not_much_longer(program: Any, most: float) -> None:
-    """They took 51, 2.7, 1.1, 22, 4.4, 3.6, 2.1 and 4.7 times as long: a stop at each corner."""
+def test_short_lines_take_little_longer(program: Any, most: float) -> None:
+    """A stop at each corner took 51, 2.7, 1.1, 22, 4.4, 3.6, 2.1 and 4.7 times as long."""
     limits = Limits((80.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
     times = []
     for jerk in (0.0, 20_000.0):
@@ -449,7 +449,7 @@ def test_short_lines_take_not_much_longer(program: Any, most: float) -> None:
     assert times[1] <= most * times[0]
 
 
-def test_where_the_average_would_be_too_long_acceleration_is_less() -> None:
+def test_acceleration_is_reduced_if_the_filter_would_be_too_long() -> None:
     limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
     bench = JerkBench(limits, (100.0,) * 3)
     bench.line((20, 0, 0))
@@ -460,13 +460,13 @@ def test_where_the_average_would_be_too_long_acceleration_is_less() -> None:
 
 
 @pytest.mark.parametrize("blocks", [3, 64])
-def test_a_short_ring_and_a_long_one_keep_every_law(blocks: int) -> None:
+def test_short_and_long_rings_keep_every_law(blocks: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3, blocks)
     circle(bench, 4.0, 300, 2400)
     bench.check()
 
 
-def test_power_follows_the_speed_of_what_is_made() -> None:
+def test_power_follows_the_speed_of_the_segments() -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     bench.planner.table[layout.POWER_MAX] = 1000
     bench.line((6.0, 2.0, 0.0), 2400, DYNAMIC)
@@ -481,8 +481,8 @@ def test_power_follows_the_speed_of_what_is_made() -> None:
 
 
 @pytest.mark.parametrize("left", range(0, 200, 7))
-def test_a_slot_that_was_not_used_up_makes_the_next_no_longer(left: int) -> None:
-    """What a piece leaves of it, as little as it is, would be time that no ramp is told of."""
+def test_unused_rest_of_a_slot_does_not_lengthen_the_next(left: int) -> None:
+    """A piece leaves a small rest of its slot, which would be time that no ramp includes."""
     bench = JerkBench(fast, (20_000.0,) * 3)
     bench.line((3, 1, 0), 2000)
     bench.line((6, 1, 0), 2000)
@@ -498,7 +498,7 @@ def test_a_slot_that_was_not_used_up_makes_the_next_no_longer(left: int) -> None
 
 
 def board(**words: Any) -> ModuleType:
-    """The simulator with a limit of jerk, and what else is wanted."""
+    """Return the simulator's board with a limit of jerk and other options."""
     made = ModuleType("board")
     vars(made).update({**vars(load_board("sim_jerk")), **words})
     return made
@@ -525,14 +525,14 @@ JOB = [
 EVENTS = [(150, "!"), (500, "~"), (600, "\x91"), (900, "?"), (1200, "\x92")]
 
 
-def test_a_board_that_does_not_limit_it_moves_as_one_that_cannot() -> None:
+def test_board_with_the_limit_off_moves_like_one_without_the_module() -> None:
     settings = {110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0}
     assert played(Machine(settings, board()), JOB, EVENTS) == played(
         Machine(settings), JOB, EVENTS
     )
 
 
-def test_a_limit_that_is_taken_back_leaves_nothing_behind() -> None:
+def test_removed_limit_leaves_no_effect() -> None:
     lines = [*JOB, "G1X5Y1", "G4P0"]
     plain, limited = Machine(None, board()), Machine(None, board())
     plain.play(["$800=0", *lines])
@@ -541,7 +541,7 @@ def test_a_limit_that_is_taken_back_leaves_nothing_behind() -> None:
     assert [row for _, row in limited.rows][-len(rows) :] == rows
 
 
-def test_a_long_ring_is_streamed_through_to_its_last_line() -> None:
+def test_long_ring_is_streamed_to_its_last_line() -> None:
     lines = [f"G1X{0.05 * (1 + i % 2):.2f}Y0.05F900" for i in range(200)]
     machine = Machine(LIMITED, board(PLANNER_BLOCKS=64))
     machine.play(["G21G91", *lines], [(700, "?"), (900, "!"), (1500, "~")])
@@ -550,7 +550,7 @@ def test_a_long_ring_is_streamed_through_to_its_last_line() -> None:
     check_position(machine)
 
 
-def test_a_limit_is_a_setting_per_axis_and_kept() -> None:
+def test_limit_is_a_stored_setting_per_axis() -> None:
     machine = Machine(None, board())
     machine.play(["$800=9000", "$802=1500.5", "$801=-1", "$$"])
     told = [line for line in machine.received if line.startswith("$80")]
@@ -560,7 +560,7 @@ def test_a_limit_is_a_setting_per_axis_and_kept() -> None:
 
 @some(4)
 @given(machines, st.lists(blocks, min_size=4, max_size=16), events(harmless))
-def test_nothing_is_lost_through_holds_and_overrides(settings_, lines, bytes_) -> None:
+def test_no_step_is_lost_by_holds_and_overrides(settings_, lines, bytes_) -> None:
     machine = Machine({**settings_, **LIMITED}, board())
     machine.play(["G21G91F500", *lines], bytes_)
     check_segments(machine.watch)
@@ -572,7 +572,7 @@ def test_nothing_is_lost_through_holds_and_overrides(settings_, lines, bytes_) -
 @given(
     machines, st.lists(blocks, min_size=2, max_size=12), events(st.sampled_from("!~?\x18\x84\x91"))
 )
-def test_position_is_known_through_resets_and_doors(settings_, lines, bytes_) -> None:
+def test_position_is_right_after_resets_and_doors(settings_, lines, bytes_) -> None:
     machine = Machine({**settings_, **LIMITED}, board(SAFETY_DOOR=True))
     machine.play(["G21G91F500", *lines], bytes_)
     check_position(machine)
@@ -580,14 +580,14 @@ def test_position_is_known_through_resets_and_doors(settings_, lines, bytes_) ->
 
 @some(4)
 @given(machines, st.lists(jogs, min_size=2, max_size=6), events(st.sampled_from("\x85!?~")))
-def test_position_is_known_through_jog_cancels(settings_, lines, bytes_) -> None:
+def test_position_is_right_after_jog_cancels(settings_, lines, bytes_) -> None:
     machine = Machine({**settings_, **LIMITED}, board())
     machine.play(lines, bytes_)
     check_segments(machine.watch)
     check_position(machine)
 
 
-def test_homing_ends_where_it_ends_without_and_moves_go_on_from_there() -> None:
+def test_homing_ends_at_the_same_place_as_without_the_limit() -> None:
     places = []
     for limited in ({}, LIMITED):
         settings = {22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0}
@@ -599,7 +599,7 @@ def test_homing_ends_where_it_ends_without_and_moves_go_on_from_there() -> None:
     assert places[0] == places[1]
 
 
-def test_a_probe_in_motion_stops_later_by_the_lag_and_what_follows_is_made_whole() -> None:
+def test_probe_stops_later_by_the_lag_and_the_next_line_is_complete() -> None:
     feed_mm_s = 10.0
     places = []
     for limited in ({}, LIMITED):

@@ -1,6 +1,6 @@
-"""Going on in the middle of real programs: as a whole run would have gone on there.
+"""Test the entry into the middle of real programs: it continues like a whole run.
 
-UGRBL_ENTRIES=1000 tries so many lines, instead of a few.
+UGRBL_ENTRIES=1000 tries this number of lines, instead of a few.
 """
 
 import json
@@ -22,7 +22,7 @@ _ENTRIES = int(os.environ.get("UGRBL_ENTRIES", "24"))
 LASER = ("$32=0", "$32=1")
 _BEHIND = 30  # lines that are compared
 _LONGEST = 3000
-# Where nobody can begin.
+# Reasons for which entry is refused.
 _NO_WAY = (
     "goes on with a drilling cycle",
     " probes: ",
@@ -33,11 +33,11 @@ _NO_WAY = (
 
 
 class Witness(Bench):
-    """Notes what the interpreter asks for, with all that is in force, by lines of the job."""
+    """Records the moves of the interpreter with the modal state, by lines of the job."""
 
     def _listen(self) -> None:
         machine = self.rig.controller
-        machine.interpreter.watch(MOVE)  # or not all moves would come past here
+        machine.interpreter.watch(MOVE)  # otherwise the kernel would handle some moves
         canon, modes, coords = machine.canon, machine.modes, machine.coords
         usual_line, usual_arc = canon.line, canon.arc
         link: Any = machine.protocol.link
@@ -67,14 +67,14 @@ def programs() -> list[str]:
 
 
 def lines_of(name: str) -> list[str]:
-    """Without its settings, which are refused in check mode."""
+    """Return the lines of a program without its settings, which check mode refuses."""
     lines = [line.decode("latin-1") for line in read_lines(_PROGRAMS / name)]
     return ["" if line.startswith("$") else line for line in lines]
 
 
 @cache
 def whole(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
-    """The log of a whole run, which moves nothing."""
+    """Return the log of a whole run in check mode."""
     bench = Witness(folder, LENIENT=True)
     homed(bench).put("ALL.NC", *lines_of(name))
     bench.run(to_its_end(*FAST, *HOMED, LASER[laser], "$C", "$F=ALL.NC"))
@@ -84,7 +84,7 @@ def whole(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
 @pytest.mark.sampled(1, 8)
 @pytest.mark.skipif(not programs(), reason=f"{_EXPECTED} is not there")
 @pytest.mark.parametrize("number", range(_ENTRIES))
-def test_a_program_goes_on_as_a_whole_run_does(
+def test_program_entered_at_a_line_continues_like_a_whole_run(
     tmp_path_factory: pytest.TempPathFactory, number: int
 ) -> None:
     chance = random.Random(number)

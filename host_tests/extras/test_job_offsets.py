@@ -1,4 +1,4 @@
-"""Going on in the middle of a job: offsets, settings, content and homing are right there."""
+"""Test entry in the middle of a job: offsets, settings, content and homing are right."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 from test_jobs import FAST, HOMED, ROUTER, Bench, homed, say, to_its_end
 from ugrbl.sim.rig import MemoryStore
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(1)
 
 OFFSETS = {
@@ -46,12 +46,12 @@ OFFSETS = {
 
 
 def offsets(bench: Bench) -> str:
-    """G54 to G59, G28 and G30, as $# shows them."""
+    """Return G54 to G59, G28 and G30, as $# shows them."""
     return "\n".join(bench.store.files["coords"])
 
 
 @pytest.mark.parametrize("program", OFFSETS.values(), ids=OFFSETS)
-def test_entry_starts_with_the_offsets_that_the_lines_before_it_have_written(
+def test_entry_starts_with_the_offsets_written_by_the_lines_before_it(
     tmp_path: Path, program: Sequence[str]
 ) -> None:
     whole = homed(Bench(tmp_path))
@@ -60,7 +60,7 @@ def test_entry_starts_with_the_offsets_that_the_lines_before_it_have_written(
     for line in (3, 5, 7):
         store = MemoryStore()
         store.files.update(whole.store.files)
-        part = homed(Bench(tmp_path, store))  # what is kept is what the program has written last
+        part = homed(Bench(tmp_path, store))  # its store has the last values of the program
         said = part.run(to_its_end(*HOMED, f"$F=A.NC@{line}"))
         assert said[-1] == f"[MSG:Job A.NC: done, {len(program)} lines]"
         assert part.behind(line) == whole.behind(line), line
@@ -68,7 +68,7 @@ def test_entry_starts_with_the_offsets_that_the_lines_before_it_have_written(
 
 
 def stopped(bench: Bench, *lines: str) -> None:
-    """A job of these lines, stopped in its last one by a reset; it was noted there."""
+    """Run a job of these lines, and stop it in the last one by a reset, which stores the line."""
     homed(bench).put("A.NC", *lines)
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -85,17 +85,17 @@ SLOW = "G1 X-30 F60"
 
 
 @pytest.mark.thorough
-def test_entry_in_front_of_what_a_job_has_written_restores_what_was_there(tmp_path: Path) -> None:
+def test_entry_before_offsets_written_by_a_job_restores_the_old_ones(tmp_path: Path) -> None:
     first = Bench(tmp_path)
     stopped(first, "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", "G10 L2 P1 X-6", SLOW)
     again = homed(Bench(tmp_path, first.store))
     said = again.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
     assert "[MSG:Job A.NC: goes on at line 3]" in said
-    assert (-8, -5, -5) in again.moves  # across to X-8 of G54 as it was where the job began
+    assert (-8, -5, -5) in again.moves  # across to X-8 with G54 as at the start of the job
 
 
 @pytest.mark.thorough
-def test_entry_after_a_power_cut_knows_what_the_job_has_written(tmp_path: Path) -> None:
+def test_entry_after_a_power_cut_uses_the_offsets_written_by_the_job(tmp_path: Path) -> None:
     first = homed(Bench(tmp_path))
     first.put("A.NC", "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", SLOW)
     first.run(say(*FAST, *HOMED, "$F=A.NC", wait_s=5))
@@ -104,7 +104,7 @@ def test_entry_after_a_power_cut_knows_what_the_job_has_written(tmp_path: Path) 
     assert (-8, -5, -5) in again.moves
 
 
-def test_entry_keeps_an_offset_that_was_set_anew_and_not_by_the_job(tmp_path: Path) -> None:
+def test_entry_keeps_an_offset_changed_by_the_user(tmp_path: Path) -> None:
     first = Bench(tmp_path)
     stopped(first, "G90", "G10 L2 P2 X-1", "G1 X-8 F1200", SLOW)
     again = homed(Bench(tmp_path, first.store))
@@ -112,7 +112,7 @@ def test_entry_keeps_an_offset_that_was_set_anew_and_not_by_the_job(tmp_path: Pa
     assert (-12, -5, -5) in again.moves
 
 
-def test_entry_is_refused_where_an_offset_of_the_job_was_set_anew(tmp_path: Path) -> None:
+def test_entry_is_refused_if_an_offset_of_the_job_was_changed_by_the_user(tmp_path: Path) -> None:
     first = Bench(tmp_path)
     stopped(first, "G90", "G10 L2 P1 X-1", "G1 X-8 F1200", SLOW)
     again = homed(Bench(tmp_path, first.store))
@@ -121,14 +121,14 @@ def test_entry_is_refused_where_an_offset_of_the_job_was_set_anew(tmp_path: Path
     assert said[-1] == f"[MSG:Job A.NC: {words}]"
 
 
-def test_entry_is_refused_after_a_setting_that_is_another_by_now(tmp_path: Path) -> None:
+def test_entry_is_refused_after_a_setting_whose_value_has_changed(tmp_path: Path) -> None:
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "$32=1", "G90", "G1 X-5 F1200", "$32=0", "G1 X-3")
     said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
     assert said[-1] == "[MSG:Job A.NC: line 1 sets $32, which has another value now]"
 
 
-def test_entry_is_refused_where_the_file_has_another_content_of_the_same_size(
+def test_entry_is_refused_if_the_file_has_other_content_of_the_same_size(
     tmp_path: Path,
 ) -> None:
     first = Bench(tmp_path)
@@ -149,7 +149,7 @@ def test_entry_moves_no_axis_that_was_not_homed(tmp_path: Path, z: str) -> None:
 
 
 @pytest.mark.thorough
-def test_axes_homed_one_by_one_are_homed(tmp_path: Path) -> None:
+def test_axes_homed_one_by_one_count_as_homed(tmp_path: Path) -> None:
     bench = homed(Bench(tmp_path, SINGLE_AXIS_HOMING=True))
     bench.put("A.NC", *ROUTER)
     one_by_one = (*HOMED[:-1], "$HZ", "$HX", "$HY")

@@ -1,4 +1,4 @@
-"""Jobs: programs that live on the board, and run without a computer."""
+"""Test jobs: programs that are stored on the board and run without a computer."""
 
 import random
 import zlib
@@ -35,14 +35,14 @@ class Bench:
         self.rig = Rig(board, self.store)
         self.sender = Sender(self.rig)
         self.sender.allow(36_000_000)
-        self.steps: list[int] = []  # at last
-        self.moves: list[tuple[float, ...]] = []  # targets planned
-        self.log: list[tuple[int, Any]] = []  # all that moves are made of, by lines of the job
+        self.steps: list[int] = []  # at the end
+        self.moves: list[tuple[float, ...]] = []  # planned targets
+        self.log: list[tuple[int, Any]] = []  # arguments of all moves, by lines of the job
         self.rig.on_built = self._listen
 
     def _listen(self) -> None:
         machine = self.rig.controller
-        machine.interpreter.watch(MOVE)  # or not all moves would come past here
+        machine.interpreter.watch(MOVE)  # otherwise the kernel would handle some moves
         planner, canon = machine.planner, machine.canon
         usual_line, usual_arc = planner.line, canon.arc
         link: Any = machine.protocol.link
@@ -65,13 +65,12 @@ class Bench:
         canon.arc = arc  # type: ignore[method-assign]
 
     def put(self, name: str, *lines: str, end: str = "\n") -> None:
-        """A file, as if it had been sent."""
+        """Write a file as if it had been sent."""
         self.folder.mkdir(exist_ok=True)
         (self.folder / name).write_bytes("".join(line + end for line in lines).encode())
 
     def run(self, script: Script) -> list[str]:
-        """What the machine says while the script runs, its welcome behind the line with its
-        version."""
+        """Return the output while the script runs, without the welcome."""
         said: list[str] = []
 
         def all_of_it() -> Iterator[Any]:
@@ -86,21 +85,21 @@ class Bench:
         return [line for line in said if line and not line.startswith("Grbl ")]
 
     def press(self) -> None:
-        """The start button, and let it go."""
+        """Press and release the start button."""
         for closed in (True, False):
             self.rig.port.push({"start": closed})
 
     def behind(self, line: int) -> list[tuple[int, Any]]:
-        """The log from a line of the job on."""
+        """Return the log from a line of the job on."""
         return [entry for entry in self.log if entry[0] >= line]
 
     def kept(self) -> list[str]:
-        """What is noted of the job."""
+        """Return the stored record of the job."""
         return self.store.files.get("job", [])
 
 
 def say(*lines: str, wait_s: float = 60) -> Script:
-    """Each line behind the answer to the one before, and time for a job to end."""
+    """Send each line after the answer to the one before, and give a job time to end."""
 
     def script(bench: Bench) -> Iterator[Any]:
         sender = bench.sender
@@ -114,7 +113,7 @@ def say(*lines: str, wait_s: float = 60) -> Script:
 
 
 def to_its_end(*lines: str) -> Script:
-    """As say(), but no longer than the job that the last line asks for."""
+    """Do as say(), but only until the job that the last line starts has ended."""
 
     def has_ended(text: str) -> bool:
         return text.startswith("[MSG:Job ") and not (" begins" in text or " goes on at " in text)
@@ -132,7 +131,7 @@ def to_its_end(*lines: str) -> Script:
 
 
 def streamed(folder: Path, lines: Sequence[str]) -> list[int]:
-    """The steps at last where a sender streams those lines."""
+    """Return the final steps of a sender that streams these lines."""
     bench = Bench(folder)
     bench.run(say(*lines))
     return bench.steps
@@ -142,7 +141,7 @@ PROGRAM = ("G21G91", "G1X10F1200 (really? {~!}: 5\xb5m)", "", "Y5 ; done!", "Z-1
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_a_job_does_what_its_lines_do_that_are_streamed(tmp_path: Path, end: str) -> None:
+def test_job_does_the_same_as_streamed_lines(tmp_path: Path, end: str) -> None:
     bench = Bench(tmp_path)
     bench.put("CUBE.NC", *PROGRAM, end=end)
     said = bench.run(say("$F=cube.nc"))
@@ -151,7 +150,7 @@ def test_a_job_does_what_its_lines_do_that_are_streamed(tmp_path: Path, end: str
     assert bench.kept() == []
 
 
-def test_a_last_line_without_an_end_is_done(tmp_path: Path) -> None:
+def test_last_line_without_an_end_is_executed(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1")
     (bench.folder / "A.NC").write_bytes(b"G0X1\nG0X2")
@@ -159,7 +158,7 @@ def test_a_last_line_without_an_end_is_done(tmp_path: Path) -> None:
     assert bench.moves[-1][0] == 2
 
 
-def test_what_is_after_the_end_of_the_program_is_not_done(tmp_path: Path) -> None:
+def test_lines_after_the_program_end_are_not_executed(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1", "M30", "%", "G0X9")
     said = bench.run(say("$F=A.NC"))
@@ -201,22 +200,24 @@ def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
         ("$SD/Format=1", ""),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(tmp_path: Path, line: str, answer: str) -> None:
+def test_impossible_request_is_refused_with_the_reason(
+    tmp_path: Path, line: str, answer: str
+) -> None:
     said = Bench(tmp_path).run(say(line, wait_s=0))
     assert said[-1] == "error:3"
     assert said[:-1] == ([answer] if answer else [])
 
 
-# What goes wrong, and who comes between
+# Failures, and other clients during a job
 
 
 class Torn:
-    """A file on a card that is taken out behind its first block."""
+    """A file on a card that is removed after its first block."""
 
     def __init__(self, file: Any) -> None:
         self._file = file
         self.tell, self.seek, self.close = file.tell, file.seek, file.close
-        self.read = file.read  # when it is read through, it is still there
+        self.read = file.read  # when it is read at first, the card is still there
 
     def readinto(self, block: bytearray) -> int:
         if self._file.tell():
@@ -224,10 +225,10 @@ class Torn:
         return int(self._file.readinto(block))
 
 
-def test_half_a_line_is_not_done_where_the_rest_cannot_be_read(
+def test_half_a_line_is_not_executed_if_the_rest_cannot_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else Z would go to 1, and not to 15."""
+    """Otherwise Z would go to 1, and not to 15."""
     usual = JobFiles.open
     monkeypatch.setattr(JobFiles, "open", lambda files, name: Torn(usual(files, name)))
     bench = Bench(tmp_path)
@@ -239,7 +240,7 @@ def test_half_a_line_is_not_done_where_the_rest_cannot_be_read(
     assert bench.rig.port.spindle_pwm == 0
 
 
-def test_a_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Path) -> None:
+def test_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S1000", "G91", "G1X5F1200", "G1X5", "G5 X1", "G1X90")
     said = bench.run(say("$F=A.NC", "$G"))
@@ -249,7 +250,7 @@ def test_a_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: 
     assert bench.kept()[:2] == ["A.NC", "5"]
 
 
-def test_an_alarm_refuses_a_job(tmp_path: Path) -> None:
+def test_alarm_refuses_a_job(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1")
     assert bench.run(say("$22=1", "$RST=#", wait_s=0))
@@ -257,7 +258,7 @@ def test_an_alarm_refuses_a_job(tmp_path: Path) -> None:
     assert bench.moves == []
 
 
-def test_a_job_in_check_mode_moves_nothing(tmp_path: Path) -> None:
+def test_job_in_check_mode_moves_nothing(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X10", "G1X20F100")
     said = bench.run(say("$C", "$F=A.NC"))
@@ -268,7 +269,7 @@ def test_a_job_in_check_mode_moves_nothing(tmp_path: Path) -> None:
 LONG = ("G91", *["G1X1F600"] * 40)  # of 100 ms each
 
 
-def test_a_sender_hears_how_far_it_is_and_his_lines_are_refused(tmp_path: Path) -> None:
+def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
 
@@ -277,14 +278,14 @@ def test_a_sender_hears_how_far_it_is_and_his_lines_are_refused(tmp_path: Path) 
         yield bench.rig.ms(1000)
         bench.sender.take()
         yield from bench.sender.wait("report", "?")
-        assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all is in the ring
+        assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all lines are in the ring
         bench.sender.take()
         yield from bench.sender.wait("ok", "$G\n\n$N\nG0X99\n$J=G91X1F100\n$110=5\n")
         told = bench.sender.take()
         assert told[0].startswith("[GC:G1 ")
         assert told[1:3] == ["ok", "ok"]
         assert told[3:] == ["$N0=", "$N1=", "ok", "error:9", "error:8", "error:8"]
-        bench.rig.link.send(b"G1 X")  # goes on behind the job
+        bench.rig.link.send(b"G1 X")  # continues after the job
         yield bench.rig.ms(9000)
         yield from bench.sender.wait("ok", "7F600\n")
         yield bench.rig.ms(3000)
@@ -294,7 +295,7 @@ def test_a_sender_hears_how_far_it_is_and_his_lines_are_refused(tmp_path: Path) 
     assert bench.moves[-1][0] == 47
 
 
-def test_a_line_of_the_sender_after_its_order_comes_first(tmp_path: Path) -> None:
+def test_line_sent_after_the_start_command_comes_first(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X5")
 
@@ -306,7 +307,7 @@ def test_a_line_of_the_sender_after_its_order_comes_first(tmp_path: Path) -> Non
     assert bench.moves == [(0, 1, 0), (5, 1, 0)]
 
 
-def test_a_hold_keeps_the_line_and_a_cycle_start_goes_on(tmp_path: Path) -> None:
+def test_hold_stores_the_line_and_a_cycle_start_resumes(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
 
@@ -316,7 +317,7 @@ def test_a_hold_keeps_the_line_and_a_cycle_start_goes_on(tmp_path: Path) -> None
         bench.rig.link.send(b"!")
         yield bench.rig.ms(1000)
         bench.rig.engine.position(bench.rig.scratch)
-        line = int(bench.rig.scratch[0] / 250) + 2  # behind G91, and counted from 1
+        line = int(bench.rig.scratch[0] / 250) + 2  # after G91, and counted from 1
         assert bench.kept()[:2] == ["A.NC", str(line)]
         bench.rig.link.send(b"~")
         yield bench.rig.ms(9000)
@@ -327,7 +328,7 @@ def test_a_hold_keeps_the_line_and_a_cycle_start_goes_on(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("each_ms")
-def test_a_reset_ends_the_job_and_tells_where(tmp_path: Path) -> None:
+def test_reset_ends_the_job_and_reports_its_line(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
 
@@ -347,7 +348,7 @@ def test_a_reset_ends_the_job_and_tells_where(tmp_path: Path) -> None:
     assert f"[MSG:Job A.NC: stopped at line {bench.kept()[1]}]" in said
 
 
-def test_a_reset_in_a_dwell_raises_no_alarm_and_the_line_is_noted(tmp_path: Path) -> None:
+def test_reset_in_a_dwell_is_no_alarm_and_the_line_is_stored(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1", "G4P9", "G0X2")
 
@@ -362,7 +363,7 @@ def test_a_reset_in_a_dwell_raises_no_alarm_and_the_line_is_noted(tmp_path: Path
     assert said[-1] == "[MSG:Job A.NC: stopped at line 2]" and bench.kept()[1] == "2"
 
 
-def test_a_power_cut_is_reported_when_the_power_is_back(tmp_path: Path) -> None:
+def test_power_cut_is_reported_at_the_next_start(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
@@ -371,7 +372,7 @@ def test_a_power_cut_is_reported_when_the_power_is_back(tmp_path: Path) -> None:
     assert said[0] == "[MSG:Job A.NC: did not come to its end; last noted: line 1]"
 
 
-def test_the_start_button_runs_its_job_at_rest_and_only_then(tmp_path: Path) -> None:
+def test_start_button_runs_its_job_only_while_idle(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G91", "G0X5")
 
@@ -394,11 +395,11 @@ def test_the_start_button_runs_its_job_at_rest_and_only_then(tmp_path: Path) -> 
     assert bench.run(say("$FB=", "$FB", wait_s=0))[1] == "[MSG:Start button: no job]"
 
 
-# Files that come over the line
+# Files sent over the line
 
 
 def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -> Script:
-    """Send a file as `ugrbl job push` does; cut: the power goes behind so many bytes of it."""
+    """Send a file as `ugrbl job push` does; cut: power fails after this number of bytes."""
 
     def script(bench: Bench) -> Iterator[Any]:
         sender = bench.sender
@@ -422,7 +423,7 @@ def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -
 DATA = random.Random(1).randbytes(5000) + b"G0X1\n" * 25
 
 
-def test_a_file_comes_over_the_line_byte_by_byte(tmp_path: Path) -> None:
+def test_file_is_received_byte_by_byte(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     said = bench.run(push("new.nc", DATA))
     assert said == ["[FU:0]", "[FU:2048]", "[FU:4096]", "ok"]
@@ -431,7 +432,7 @@ def test_a_file_comes_over_the_line_byte_by_byte(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 1, 100, 2047, 2048, 4096, 5000])
-def test_a_power_cut_leaves_the_old_file(tmp_path: Path, cut: int) -> None:
+def test_power_cut_leaves_the_old_file(tmp_path: Path, cut: int) -> None:
     bench = Bench(tmp_path)
     bench.put("NEW.NC", "G0X9")
     bench.run(push("NEW.NC", DATA, cut=cut))
@@ -442,7 +443,7 @@ def test_a_power_cut_leaves_the_old_file(tmp_path: Path, cut: int) -> None:
     assert [file.name for file in bench.folder.iterdir()] == ["NEW.NC"]
 
 
-def test_another_checksum_leaves_the_old_file(tmp_path: Path) -> None:
+def test_wrong_checksum_leaves_the_old_file(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("NEW.NC", "G0X9")
     said = bench.run(push("NEW.NC", DATA, checksum=1))
@@ -450,7 +451,7 @@ def test_another_checksum_leaves_the_old_file(tmp_path: Path) -> None:
     assert [file.read_text() for file in bench.folder.iterdir()] == ["G0X9\n"]
 
 
-def test_a_sender_that_goes_silent_is_not_waited_for(tmp_path: Path) -> None:
+def test_transfer_ends_when_the_sender_is_silent(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -462,7 +463,7 @@ def test_a_sender_that_goes_silent_is_not_waited_for(tmp_path: Path) -> None:
     assert list(bench.folder.iterdir()) == []
 
 
-def test_a_reset_ends_the_transfer(tmp_path: Path) -> None:
+def test_reset_ends_the_transfer(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -489,9 +490,7 @@ def test_a_reset_ends_the_transfer(tmp_path: Path) -> None:
         ("ABCDEFGHIJKLMNOPQRSTUVWXYZ1234567,5,0", "[MSG:A job is called so: "),
     ],
 )
-def test_what_cannot_be_taken_is_refused_before_anything_is_done(
-    tmp_path: Path, order: str, why: str
-) -> None:
+def test_impossible_transfer_is_refused_first(tmp_path: Path, order: str, why: str) -> None:
     bench = Bench(tmp_path)
     said = bench.run(say(f"$FU={order}", wait_s=0))
     assert said[0].startswith(why) and said[1:] == ["error:3"]
@@ -499,18 +498,18 @@ def test_what_cannot_be_taken_is_refused_before_anything_is_done(
 
 
 @pytest.mark.parametrize("order", ["", "A.NC", "A.NC,5", "A.NC,5,X", "A.NC,X,5"])
-def test_an_order_without_its_numbers_is_refused(tmp_path: Path, order: str) -> None:
+def test_transfer_without_its_numbers_is_refused(tmp_path: Path, order: str) -> None:
     assert Bench(tmp_path).run(say(f"$FU={order}", wait_s=0)) == ["error:2"]
 
 
-# Going on in the middle
+# Entry in the middle of a job
 
 FAST = ("$110=6000", "$111=6000", "$112=6000", "$120=2000", "$121=2000", "$122=2000")
 HOMED = ("$22=1", "$24=300", "$25=3000", "$27=5", "$130=40", "$131=40", "$132=40", "$H")
 
 
 def homed(bench: Bench) -> Bench:
-    """With switches at both ends, and settings that let it home."""
+    """Add switches at both ends, and settings for homing."""
     listen = bench.rig.on_built
 
     def on_built() -> None:
@@ -523,7 +522,7 @@ def homed(bench: Bench) -> Bench:
     return bench
 
 
-def test_a_job_is_not_entered_in_its_middle_before_the_machine_is_homed(tmp_path: Path) -> None:
+def test_job_entry_needs_a_homed_machine(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *PROGRAM)
     said = bench.run(say("$F=A.NC@3", wait_s=1))
@@ -548,7 +547,9 @@ ROUTER = (
 
 @pytest.mark.sampled(1, 3)
 @pytest.mark.parametrize("line", range(2, 12))
-def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, line: int) -> None:
+def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
+    tmp_path: Path, line: int
+) -> None:
     whole = homed(Bench(tmp_path))
     whole.put("A.NC", *ROUTER)
     whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
@@ -560,10 +561,10 @@ def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, 
     assert part.behind(line) == whole.behind(line)
 
 
-# What somebody found who tried it
+# Faults found by trials
 
 
-def test_a_line_after_words_that_only_lenient_takes_can_be_begun_with(tmp_path: Path) -> None:
+def test_job_can_be_entered_after_words_that_only_lenient_accepts(tmp_path: Path) -> None:
     bench = Bench(tmp_path, LENIENT=True)
     bench.put("A.NC", "%", "O1", "G21G90", "G43H1", "G0X1", "G1X2F500", "G1X3")
     said = homed(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))
@@ -571,7 +572,7 @@ def test_a_line_after_words_that_only_lenient_takes_can_be_begun_with(tmp_path: 
     assert bench.moves[-1][0] == 3
 
 
-def test_the_button_starts_from_the_beginning_whatever_was_asked_before(tmp_path: Path) -> None:
+def test_start_button_starts_the_job_from_its_beginning(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G91", "G0X5", "G0Y5")
 
@@ -581,7 +582,7 @@ def test_the_button_starts_from_the_beginning_whatever_was_asked_before(tmp_path
         bench.rig.link.send(b"!")
         yield bench.rig.ms(300)
         assert machine.state.run == HOLD
-        bench.press()  # ends the hold, and no more
+        bench.press()  # only ends the hold
         yield bench.rig.ms(3000)
         assert bench.moves == []
         bench.rig.link.send(b"G4P0.5\n")
@@ -607,7 +608,7 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
         bench.rig.link.send(b"\x84")
         yield lambda: bench.rig.controller.state.system_motion
         while bench.rig.controller.state.system_motion:
-            assert bench.kept()[1] == "1"  # noted when it began
+            assert bench.kept()[1] == "1"  # stored when it began
             yield bench.rig.ms(5)
         yield bench.rig.ms(200)
         assert bench.kept()[1] == "2" and not bench.rig.moving()
@@ -619,7 +620,7 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("byte", [b"!", b"\x84"])
-def test_a_hold_while_the_way_is_looked_for_keeps_the_tool_where_it_is(
+def test_hold_while_the_entry_is_computed_keeps_the_tool_in_place(
     tmp_path: Path, byte: bytes
 ) -> None:
     bench = homed(Bench(tmp_path))
@@ -637,7 +638,7 @@ def test_a_hold_while_the_way_is_looked_for_keeps_the_tool_where_it_is(
     assert bench.moves == [] and bench.rig.port.spindle_pwm == 0
 
 
-def test_it_goes_on_with_what_was_in_force_where_it_began(tmp_path: Path) -> None:
+def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> None:
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G0X1", "G1Y1F6000", "G0X2", *["G1X9F60", "G1X8"] * 9)
 
@@ -659,14 +660,16 @@ def test_it_goes_on_with_what_was_in_force_where_it_began(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("line", ["$H", "$J=G91X1F100", "$C", "$SLP"])
-def test_commands_before_the_line_leave_no_way(tmp_path: Path, line: str) -> None:
+def test_entry_after_commands_of_unknown_effect_is_refused(tmp_path: Path, line: str) -> None:
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G21", line, "G0X-9")
     said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
     assert said[-1] == "[MSG:Job A.NC: line 2 is no G-code: what it does is not known]"
 
 
-def test_who_opens_the_port_in_a_dwell_is_greeted_and_the_job_goes_on(tmp_path: Path) -> None:
+def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues(
+    tmp_path: Path,
+) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S700", "G4P2", "G0X1", "M5")
 
@@ -684,7 +687,7 @@ def test_who_opens_the_port_in_a_dwell_is_greeted_and_the_job_goes_on(tmp_path: 
     assert b"Grbl 1.1h" in bytes(greeting[0])
 
 
-def test_a_refused_way_leaves_modes_and_offsets_as_they_were_and_the_tool_off(
+def test_refused_entry_restores_modes_and_offsets_and_leaves_the_tool_off(
     tmp_path: Path,
 ) -> None:
     bench = homed(Bench(tmp_path))
@@ -699,7 +702,7 @@ def test_a_refused_way_leaves_modes_and_offsets_as_they_were_and_the_tool_off(
     assert bench.rig.port.spindle_pwm == 0
 
 
-def test_a_failed_probe_in_a_job_switches_the_tool_off(tmp_path: Path) -> None:
+def test_failed_probe_in_a_job_switches_the_tool_off(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S900", "G91G38.2Z-1F600", "G0X1")
     said = bench.run(say("$F=A.NC"))
@@ -707,7 +710,7 @@ def test_a_failed_probe_in_a_job_switches_the_tool_off(tmp_path: Path) -> None:
     assert bench.rig.port.spindle_pwm == 0 and bench.steps[0] == 0
 
 
-def test_a_check_keeps_what_is_noted(tmp_path: Path) -> None:
+def test_check_mode_keeps_the_stored_record(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
@@ -716,7 +719,7 @@ def test_a_check_keeps_what_is_noted(tmp_path: Path) -> None:
     assert bench.kept() == kept
 
 
-def test_another_file_of_that_name_is_not_gone_on_with(tmp_path: Path) -> None:
+def test_job_is_not_resumed_with_another_file_of_that_name(tmp_path: Path) -> None:
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
@@ -726,13 +729,13 @@ def test_another_file_of_that_name_is_not_gone_on_with(tmp_path: Path) -> None:
     assert said[-1] == "[MSG:Job A.NC: it is another file than the one that was noted]"
 
 
-def test_a_job_does_not_start_jobs(tmp_path: Path) -> None:
+def test_job_does_not_start_jobs(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1", "$F=A.NC")
     assert bench.run(say("$F=A.NC"))[-1] == "[MSG:Job A.NC: line 2 is refused with 8]"
 
 
-def test_a_sender_that_only_asks_for_the_state_does_not_keep_a_transfer_open(
+def test_status_requests_do_not_keep_a_transfer_open(
     tmp_path: Path,
 ) -> None:
     bench = Bench(tmp_path)

@@ -1,4 +1,4 @@
-"""The laser: its setting, and the power that S stands for."""
+"""Test the laser: its setting, and the power for S."""
 
 import bisect
 from array import array
@@ -32,7 +32,7 @@ _RECORDED = [
 
 
 def made(most: float, least: float, full: int) -> Spindle:
-    """A spindle with that $30 and $31, on a port with so many steps of power."""
+    """Return a spindle with these $30 and $31, on a port with `full` steps of power."""
     port = FakePort()
     port.pwm_max = full
     spindle = Spindle(port, State(), False)
@@ -42,14 +42,14 @@ def made(most: float, least: float, full: int) -> Spindle:
 
 
 @pytest.mark.parametrize(("rpm", "most", "least", "power"), _RECORDED)
-def test_power_is_grbls_where_full_power_is(
+def test_power_is_grbls_with_the_same_resolution(
     rpm: float, most: float, least: float, power: int
 ) -> None:
     assert made(most, least, 255).power(rpm) == power
 
 
 @pytest.mark.parametrize(("rpm", "most", "least", "power"), _RECORDED)
-def test_a_board_with_finer_steps_has_the_same_power_within_one_of_grbls(
+def test_power_of_finer_steps_is_within_one_step_of_grbls(
     rpm: float, most: float, least: float, power: int
 ) -> None:
     assert abs(made(most, least, 1000).power(rpm) * 255 / 1000 - power) <= 1
@@ -62,14 +62,14 @@ def test_s_without_m3_and_m4_is_no_power() -> None:
 
 
 def single(x: float) -> float:
-    """X rounded to single precision."""
+    """Return x rounded to single precision."""
     return array("f", [x])[0]
 
 
 def due(
     flags: int, rpm: float, most: float, least: float, full: int, percent: int
 ) -> "tuple[int, float]":
-    """Power and speed as Grbl works them out, step by step in single precision."""
+    """Compute power and speed as Grbl does, step by step in single precision."""
     span = single(most - least)
     gradient = single((full - 1) / span) if span > 0 else 0.0
     if gradient * most >= 1 << 23:
@@ -98,7 +98,7 @@ def due(
 @example(500, 1000, 1000, 255, 100, True)
 @example(1000, 1000, 999.9999389648438, 1000, 100, True)
 @example(1000, 1000, 999.875, 1000, 100, True)
-def test_power_is_worked_out_as_in_single_precision(
+def test_power_is_computed_as_in_single_precision(
     rpm: float, most: float, least: float, full: int, percent: int, follows: bool
 ) -> None:
     spindle = made(most, least, full)
@@ -119,10 +119,8 @@ _QUEUE = 7  # rows that may have been made ahead
 
 @pytest.mark.parametrize("turn", ["M3", "M4"])
 @pytest.mark.parametrize("words", [("S500", "S200", "S999"), ("", "S0", ""), ("S1500", "", "S9")])
-def test_a_report_in_motion_tells_the_speed_that_the_beam_is_made_of(
-    turn: str, words: "tuple[str, ...]"
-) -> None:
-    """Overrides included: that of some row between the one being made and the last there is."""
+def test_report_in_motion_has_the_speed_of_the_beam(turn: str, words: "tuple[str, ...]") -> None:
+    """With overrides: the speed of a row between the executed one and the last one made."""
     machine = Machine({32: 1, 110: 6000, 120: 300})
     told: "list[tuple[int, str]]" = []
 
@@ -147,7 +145,7 @@ def test_a_report_in_motion_tells_the_speed_that_the_beam_is_made_of(
     starts = [start for start, _ in machine.rows]
     for at, line in runs:
         rpm = int(line.partition("FS:")[2].partition("|")[0].strip(">").split(",")[1])
-        # It takes some ms to come.
+        # The report arrives some ms later.
         first = bisect.bisect(starts, at - 12 * machine.rig.ticks_per_ms) - 1
         rows = machine.rows[max(first, 0) : bisect.bisect(starts, at) + _QUEUE]
         near = {row[ROW_POWER] for _, row in rows}
@@ -184,7 +182,7 @@ def test_laser_given_back_by_the_end_of_a_hold_is_no_change_to_report(
 
 
 def talk(bench: Bench, *lines: str) -> "list[list[str]]":
-    """What the machine answers to each."""
+    """Return the answers to each line."""
     said = []
 
     def script() -> Iterator[Any]:
@@ -196,7 +194,7 @@ def talk(bench: Bench, *lines: str) -> "list[list[str]]":
 
 
 @pytest.mark.parametrize("hz", [0, 9.9, 100_001, 1e9])
-def test_a_frequency_out_of_range_is_refused_and_nothing_has_changed(hz: float) -> None:
+def test_frequency_out_of_range_is_refused_and_nothing_changes(hz: float) -> None:
     bench = Bench({}, "sim_laser")
     refused, listed = talk(bench, f"$33={hz:f}", "$$")
     assert refused == ["error:3"]
@@ -207,33 +205,33 @@ def test_a_frequency_out_of_range_is_refused_and_nothing_has_changed(hz: float) 
 
 
 @pytest.mark.parametrize("hz", [10, 100_000])
-def test_the_limits_of_the_frequency_are_taken(hz: int) -> None:
+def test_limits_of_the_frequency_are_accepted(hz: int) -> None:
     bench = Bench({}, "sim_laser")
     assert talk(bench, f"$33={hz}") == [["ok"]]
     assert bench.port.pwm.freq() == hz
 
 
-def test_a_board_without_a_laser_has_no_such_setting() -> None:
+def test_board_without_a_laser_has_no_frequency_setting() -> None:
     bench = Bench({})
     refused, listed = talk(bench, "$33=5000", "$$")
     assert refused == ["error:3"]
     assert not any(line.startswith("$33") for line in listed)
 
 
-def test_a_kept_frequency_that_no_chip_makes_is_the_nearest_one() -> None:
+def test_impossible_stored_frequency_is_replaced_by_the_nearest() -> None:
     bench = Bench({}, "sim_laser")
     bench.rig.store.files["settings"] = ["$33=7"]
     talk(bench)
     assert bench.port.pwm.freq() == 10
 
 
-def test_the_board_files_frequency_is_the_default() -> None:
+def test_frequency_of_the_board_file_is_the_default() -> None:
     options = Options(load_board("pico_laser"))
     assert options.defaults == {32: 1, 33: load_board("pico_laser").PWM_HZ}
     assert load_board("pico_laser").DEFAULTS == {32: 1}
 
 
-def test_an_esp32_takes_it_at_once_with_power_as_it_is() -> None:
+def test_esp32_changes_frequency_at_once_and_keeps_power() -> None:
     reset_stand_ins()
     port = gpio_esp.EspPort(SimpleNamespace(SPINDLE_PWM=16, PWM_MAX=1000))
     port.spindle(True, 250)
@@ -249,7 +247,7 @@ def test_an_esp32_takes_it_at_once_with_power_as_it_is() -> None:
         ({"SPINDLE_PWM": None}, "TOOL = laser: there is no pin for SPINDLE_PWM"),
     ],
 )
-def test_a_board_file_that_cannot_be_is_reported(changes: "dict[str, Any]", said: str) -> None:
+def test_impossible_board_file_is_reported(changes: "dict[str, Any]", said: str) -> None:
     assert problems(load_board_with(**changes)) == [said]
 
 

@@ -1,4 +1,4 @@
-"""LENIENT: words of other controllers, and what becomes of them."""
+"""Test LENIENT: words of other controllers are ignored, replaced or refused."""
 
 import json
 import re
@@ -33,7 +33,7 @@ needs_programs = pytest.mark.skipif(not _GRBL, reason=f"{_EXPECTED} is not there
 
 
 class Bench:
-    """A machine that is lenient, or not, and all that it says and plans."""
+    """A machine, lenient or not, with its output and its planned moves."""
 
     def __init__(self, *, lenient: bool = True, extras: "tuple[str, ...]" = ()) -> None:
         board = ModuleType("board")
@@ -46,7 +46,7 @@ class Bench:
 
     def _listen(self) -> None:
         machine = self.rig.controller
-        machine.interpreter.watch(MOVE)  # or not all moves would come past here
+        machine.interpreter.watch(MOVE)  # otherwise the kernel would handle some moves
         planner = machine.planner
         usual = planner.line
 
@@ -58,7 +58,7 @@ class Bench:
         planner.line = line  # type: ignore[method-assign]
 
     def say(self, *lines: str) -> "list[list[str]]":
-        """What comes back of each line; a pause is ended with ~."""
+        """Return the replies to each line; pauses are ended with ~."""
         said: list[list[str]] = []
 
         def script() -> Iterator[Any]:
@@ -78,20 +78,20 @@ class Bench:
 
 
 def answers(*lines: str, lenient: bool = True) -> "list[str]":
-    """The answer to each line, without messages."""
+    """Return the answer to each line, without messages."""
     said = Bench(lenient=lenient).say(*lines)
     return [[text for text in each if not text.startswith("[")][-1] for each in said]
 
 
 def moves(*lines: str, lenient: bool = True) -> "list[Move]":
-    """What is planned; all lines have to be accepted."""
+    """Return the planned moves; all lines must be accepted."""
     bench = Bench(lenient=lenient)
     said = bench.say(*lines)
     assert all(each[-1] == "ok" for each in said), said
     return bench.moves
 
 
-# Words that are passed over
+# Ignored words
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def moves(*lines: str, lenient: bool = True) -> "list[Move]":
         (("G98", "G99", "G0 X1"), ("G0 X1",)),
     ],
 )
-def test_what_says_nothing_here_is_passed_over(
+def test_word_without_meaning_here_is_ignored(
     lines: "Sequence[str]", by_hand: "Sequence[str]"
 ) -> None:
     assert moves(*lines) == moves(*by_hand, lenient=False)
@@ -132,7 +132,7 @@ def test_what_says_nothing_here_is_passed_over(
         ("G81 X1 Z-1 R1 F1000", "G81"),
     ],
 )
-def test_each_word_is_named_once_up_to_a_reset(line: str, name: str) -> None:
+def test_each_word_is_named_once_until_a_reset(line: str, name: str) -> None:
     said = Bench().say(line, line, "G4 P0", "\x18", line)
     told = [[text for text in each if text.startswith(f"[MSG:{name}: ")] for each in said]
     del told[2]
@@ -161,14 +161,14 @@ def test_each_word_is_named_once_up_to_a_reset(line: str, name: str) -> None:
         "T-1 M6",
     ],
 )
-def test_what_is_wrong_all_the_same_is_refused_and_changes_nothing(line: str) -> None:
+def test_wrong_line_is_still_refused_and_changes_nothing(line: str) -> None:
     bench = Bench()
     said = bench.say("G0 X1 F100", "$G", line, "$G")
     assert [text.partition(":")[0] for text in said[2]] == ["error"], said[2]
     assert said[1] == said[3] and len(bench.moves) == 1
 
 
-def test_a_board_that_is_not_lenient_refuses_them_all() -> None:
+def test_board_that_is_not_lenient_refuses_them_all() -> None:
     lines = ("%", "O1", "G64", "G43 H1", "M6", "G98", "G81 X1 Z-1 R1 F100", "G4 S1")
     assert answers(*lines, lenient=False) == [
         "error:1",
@@ -177,7 +177,7 @@ def test_a_board_that_is_not_lenient_refuses_them_all() -> None:
     ]
 
 
-def test_a_tool_length_that_holds_is_not_forgotten_by_the_way() -> None:
+def test_active_tool_length_is_not_ended_by_an_ignored_word() -> None:
     said = Bench().say("G43.1 Z2", "G0 G49", "G49", "G0 G49 X1")
     assert [each[-1] for each in said] == ["ok", "error:24", "ok", "ok"]
 
@@ -255,7 +255,7 @@ AT = ("G0 Z10", "G0 X1 Y1")
             ("G10 L2 P1 Z1", "G81 X5 Z-2 R2 F100", "G54"),
             ("G10 L2 P1 Z1", "G0 X5", "G0 Z2", "G1 Z-2 F100", "G0 Z9"),
         ),
-        (  # what held before G81 holds behind G80
+        (  # the motion mode before G81 is active again after G80
             ("G1 F50", "G81 X5 Z-2 R2 F100", "G80", "X7"),
             ("G0 X5", "G0 Z2", "G1 Z-2 F100", "G0 Z10", "G1 X7"),
         ),
@@ -270,9 +270,7 @@ AT = ("G0 Z10", "G0 X1 Y1")
         ),
     ],
 )
-def test_a_cycle_drills_as_the_standard_has_it(
-    cycle: "Sequence[str]", by_hand: "Sequence[str]"
-) -> None:
+def test_cycle_drills_as_in_the_standard(cycle: "Sequence[str]", by_hand: "Sequence[str]") -> None:
     assert moves(*AT, *cycle) == moves(*AT, *by_hand, lenient=False)
 
 
@@ -303,7 +301,7 @@ def test_a_cycle_drills_as_the_standard_has_it(
         ("T1 M6 G81 X1 Z-1 R1 F100", 20),
     ],
 )
-def test_a_cycle_that_cannot_be_is_refused_and_changes_nothing(line: str, error: int) -> None:
+def test_impossible_cycle_is_refused_and_changes_nothing(line: str, error: int) -> None:
     bench = Bench()
     said = bench.say("$G", line, "$G", "G0 X1", "X2")
     assert said[1] == [f"error:{error}"]
@@ -327,7 +325,7 @@ HOLE = "G81 X5 Y5 Z-2 R2 F600"
         ("M6 X6", 20),
     ],
 )
-def test_numbers_that_would_mean_something_else_do_not_hold(line: str, error: int) -> None:
+def test_modal_numbers_with_another_meaning_are_not_reused(line: str, error: int) -> None:
     bench = Bench()
     said = bench.say(*AT, HOLE, "$G", line, "$G", "X6")
     assert said[4] == [f"error:{error}"] and said[3] == said[5]
@@ -335,7 +333,7 @@ def test_numbers_that_would_mean_something_else_do_not_hold(line: str, error: in
 
 
 @pytest.mark.parametrize("word", ["G98", "G99", "G43 H1", "G64", "N5", "%"])
-def test_words_that_are_passed_over_may_stand_beside_a_place(word: str) -> None:
+def test_ignored_words_may_be_in_a_line_of_places(word: str) -> None:
     bench = Bench()
     line = f"X6{word}" if word == "%" else f"{word} X6"
     said = bench.say(*AT, HOLE, line)
@@ -344,17 +342,17 @@ def test_words_that_are_passed_over_may_stand_beside_a_place(word: str) -> None:
     assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, end)]
 
 
-def test_another_plane_begins_anew() -> None:
+def test_new_plane_starts_the_cycle_anew() -> None:
     bench = Bench()
     bench.say(*AT, HOLE, "G18 X6 Y-3 R4")
     assert [move[1:] for move in bench.moves[-3:]] == [(6, 4, 10), (6, -3, 10), (6, 5, 10)]
 
 
-def test_pecks_that_are_no_steps_are_refused() -> None:
+def test_pecks_smaller_than_a_step_are_refused() -> None:
     assert answers(*AT, "G83 X5 Z-10 R2 Q0.0000001 F100")[-1] == "error:4"
 
 
-def test_a_reset_is_heard_in_check_mode_however_many_holes_there_are() -> None:
+def test_reset_in_check_mode_acts_during_any_number_of_holes() -> None:
     bench = Bench()
     said: list[str] = []
 
@@ -370,26 +368,26 @@ def test_a_reset_is_heard_in_check_mode_however_many_holes_there_are() -> None:
     assert said[-1].startswith("<Check")
 
 
-def test_m6_names_the_tool_of_a_place_before_it_and_none_after_a_reset() -> None:
+def test_m6_names_the_last_tool_word_and_none_after_a_reset() -> None:
     said = Bench().say(*AT, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
     told = [text for each in said for text in each if text.startswith("[MSG:Tool")]
     assert told == ["[MSG:Tool 3, then ~]", "[MSG:Tool 0, then ~]"]
 
 
 @pytest.mark.parametrize("line", ["G43 H2", "G43 G43.1 Z5", "M3 G4 S3"])
-def test_what_is_not_nothing_is_not_passed_over(line: str) -> None:
+def test_word_with_a_meaning_is_not_ignored(line: str) -> None:
     said = Bench().say("G43.1 Z3", "$G", line, "$G")
     assert said[2][-1].startswith("error:") and said[1] == said[3]
 
 
-def test_the_end_of_a_program_ends_g99_with_the_cycle() -> None:
+def test_end_of_a_program_ends_g99_with_the_cycle() -> None:
     hole = "G81 X5 Z-2 R2 F1000"
     bench = Bench()
     bench.say(*AT, "G99 " + hole, "M2", "G0 Z10", hole)
     assert [move[3] for move in bench.moves[-7:]] == [-2, 2, 10, 10, 2, -2, 10]
 
 
-def test_a_reset_ends_a_cycle() -> None:
+def test_reset_ends_a_cycle() -> None:
     bench = Bench()
     bench.say(*AT, "G81 X5 Z-2 R2 F1000", "G4 P0", "\x18", "X7")
     assert bench.moves[-1][0] == "rapid" and bench.moves[-1][1] == 7
@@ -405,7 +403,7 @@ _LINES = st.lists(st.lists(_WORDS, min_size=1, max_size=6).map(" ".join), max_si
 @pytest.mark.thorough
 @given(_LINES)
 @some(60)
-def test_every_line_is_done_or_refused_without_effect(lines: "list[str]") -> None:
+def test_every_line_is_executed_or_refused_without_effect(lines: "list[str]") -> None:
     bench = Bench()
     asked = [text for line in lines for text in ("$G", line, "$G")]
     said = bench.say(*asked, "$G")
@@ -416,18 +414,18 @@ def test_every_line_is_done_or_refused_without_effect(lines: "list[str]") -> Non
             assert before == behind, line
 
 
-# With extras that have such words themselves
+# Extras that define such words
 
 
 def beside(install: "Callable[[Cnc], None]", monkeypatch: pytest.MonkeyPatch) -> Bench:
-    """A lenient machine with an extra."""
+    """Return a lenient machine with an extra."""
     extra = ModuleType("mine")
     extra.install = install  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "mine", extra)
     return Bench(extras=("mine",))
 
 
-def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_words_of_extras_have_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[Any] = []
 
     def install(cnc: Cnc) -> None:
@@ -444,7 +442,7 @@ def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(bench.moves) == 7 and not any("[MSG:M6" in text for each in said for text in each)
 
 
-def test_what_handlers_execute_is_no_part_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_of_handlers_are_not_part_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         hooks = cnc.machine.state.hooks
 
@@ -464,7 +462,7 @@ def test_what_handlers_execute_is_no_part_of_a_cycle(monkeypatch: pytest.MonkeyP
     assert [each[-1] for each in said[-2:]] == ["error:4", "error:36"]
 
 
-def test_no_extra_has_a_cycle_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_extra_with_a_cycle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         cnc.add_cycle(86, lambda *_: ())
 
@@ -472,7 +470,7 @@ def test_no_extra_has_a_cycle_beside_it(monkeypatch: pytest.MonkeyPatch) -> None
         beside(install, monkeypatch).say("G0X1")
 
 
-def test_holes_begin_where_a_handler_has_left_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_holes_begin_at_the_position_left_by_a_handler(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         hooks = cnc.machine.state.hooks
         usual = hooks.execute
@@ -494,14 +492,14 @@ def test_holes_begin_where_a_handler_has_left_the_machine(monkeypatch: pytest.Mo
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The file of a board that is lenient."""
+    """Return the path of a lenient board's file."""
     file = tmp_path_factory.mktemp("boards") / "lenient_pico.py"
     file.write_text((BOARDS / "rpi_pico.py").read_text() + "LENIENT = True\n")
     return str(file)
 
 
 def motion(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
-    """What the motors do for a program that has to be accepted."""
+    """Return the motion of a program, which must be accepted."""
     result, _ = run_program([line.encode("latin-1") for line in lines], board=board)
     assert not result.errors and not result.stopped, result
     totals = vars(result.totals)
@@ -509,8 +507,8 @@ def motion(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
 
 
 @pytest.mark.thorough
-def test_lines_of_places_drill_however_quick_they_are(board: str) -> None:
-    """Lines with nothing but places are the quickest there are, and would be moves."""
+def test_lines_of_places_drill_on_the_fast_path(board: str) -> None:
+    """Lines with only places take the fastest path, and must not become moves there."""
     places = [f"X{k} Y{k % 7}" for k in range(6, 40)]
     program = ["G0 Z10", "G81 X5 Y5 Z-2 R2 F600", *places, "G80", "G0 X1", "X2", "M2"]
     by_hand = ["G0 Z10", "F600"]
@@ -522,7 +520,7 @@ def test_lines_of_places_drill_however_quick_they_are(board: str) -> None:
 
 @pytest.mark.thorough
 @needs_programs
-def test_most_real_programs_run_clean(board: str) -> None:
+def test_most_real_programs_run_without_errors(board: str) -> None:
     refused = [name for name, seen in _GRBL.items() if seen["errors"]]
     clean = []
     for name in refused:
@@ -533,7 +531,7 @@ def test_most_real_programs_run_clean(board: str) -> None:
     assert set(_SMALL) <= set(clean)
 
 
-# Those that Grbl refuses and that are not long.
+# Short programs that Grbl refuses.
 _SMALL = (
     "asis_post_o0001.tap",
     "cambam_panel.nc",
@@ -546,8 +544,8 @@ _SMALL = (
     "vcarve_fengrave.tap",
     "vectric_deer.tap",
 )
-_FIRST = 100  # of each; what is behind them are plain moves
-# What a user of Grbl changes by hand, drilling apart.
+_FIRST = 100  # of each; only moves follow
+# The changes that a user of Grbl makes by hand, except drilling.
 _BY_HAND = (
     (r"^(N\d+)? *%|^O\d+.*", ""),
     (r"\(.*?\)|;.*", ""),
@@ -559,7 +557,7 @@ _BY_HAND = (
 
 
 def by_hand(lines: "Sequence[bytes]") -> "list[str]":
-    """A program as its user would clean it."""
+    """Return a program as its user would correct it."""
     cleaned = []
     drill: dict[str, str] = {}
     for line in lines:
@@ -580,7 +578,7 @@ def by_hand(lines: "Sequence[bytes]") -> "list[str]":
 
 
 def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]":
-    """A hole in Grbl's own words; the tool is at R before it, in these programs, and behind it."""
+    """Return a hole in Grbl's words; in these programs the tool is at R before and after it."""
     yield "G0 " + " ".join(letter + words[letter] for letter in "XY" if letter in words)
     top, bottom = float(drill["R"]), float(drill["Z"])
     if "Q" in drill:
@@ -596,7 +594,7 @@ def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]
 @pytest.mark.sampled(1, 3)
 @needs_programs
 @pytest.mark.parametrize("name", _SMALL)
-def test_they_move_as_a_copy_cleaned_by_hand(name: str, board: str) -> None:
+def test_programs_move_like_a_copy_corrected_by_hand(name: str, board: str) -> None:
     lines = read_lines(_PROGRAMS / name)[:_FIRST]
     as_it_is = [line.decode("latin-1") for line in lines]
     assert motion(as_it_is, board) == motion(by_hand(lines), "rpi_pico")

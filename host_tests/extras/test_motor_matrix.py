@@ -1,4 +1,4 @@
-"""MOVES: motors that move axes together, as words of the board file say."""
+"""Test MOVES: motors that move axes together, as described in the board file."""
 
 from collections.abc import Sequence
 from types import ModuleType
@@ -17,13 +17,13 @@ _PER_MM = (250, 250, 250)  # $100 to $102
 places = st.lists(st.tuples(*[st.integers(-200, 200) for _ in "XYZ"]), min_size=1, max_size=8)
 
 
-def test_words_say_what_the_table_of_a_corexy_does() -> None:
+def test_words_give_the_table_of_a_corexy() -> None:
     assert parse_words(("X+Y", "X-Y"), 3) == [*COREXY, 4]
 
 
 @pytest.mark.thorough
 @given(places)
-def test_motors_go_as_the_words_say(lines: "list[tuple[int, int, int]]") -> None:
+def test_motors_move_as_the_words_say(lines: "list[tuple[int, int, int]]") -> None:
     machine = Machine(board="sim_corexz")
     machine.play([f"G1 X{x / 10} Y{y / 10} Z{z / 10} F2000" for x, y, z in lines])
     made = [round(n / 10 * per) for n, per in zip(lines[-1], _PER_MM, strict=True)]
@@ -46,13 +46,13 @@ def test_motors_go_as_the_words_say(lines: "list[tuple[int, int, int]]") -> None
         (("X", "Y", "Z", "X"), "MOVES has 4 words, and there are 3 axes"),
     ],
 )
-def test_what_cannot_be_is_reported(words: Sequence[str], why: str) -> None:
+def test_impossible_words_are_reported(words: Sequence[str], why: str) -> None:
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim")), "MOVES": words})
     assert board_check.problems(board) == [why]
 
 
-def test_a_motor_that_moves_one_axis_may_have_a_second() -> None:
+def test_motor_that_moves_one_axis_may_have_a_second() -> None:
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim_ganged")), "MOVES": ("X+Z", "Y", "X-Z")})
     machine = Machine(board=board)
@@ -62,7 +62,7 @@ def test_a_motor_that_moves_one_axis_may_have_a_second() -> None:
     assert board_check.problems(board) == ["MOTORS: Z shares its motor, and has no second"]
 
 
-def test_either_words_or_corexy() -> None:
+def test_words_and_corexy_exclude_each_other() -> None:
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim_corexz")), "COREXY": True})
     assert board_check.problems(board) == ["MOVES says what COREXY does: write one of them"]

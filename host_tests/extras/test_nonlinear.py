@@ -1,4 +1,4 @@
-"""Kinematics of the user's own: the tool keeps to its way, the joints to their limits."""
+"""Test user-defined kinematics: the tool stays on its path, joints within their limits."""
 
 import math
 import random
@@ -20,25 +20,25 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(1)
 
 _EXAMPLES = Path(__file__).parents[2] / "examples" / "kinematics"
 if str(_EXAMPLES) not in sys.path:
     sys.path.append(str(_EXAMPLES))
-_FINE = 1000.0  # steps per unit of a joint, so that steps hide nothing
+_FINE = 1000.0  # steps per unit of a joint: fine, so that steps hide no error
 _TICK_HZ = 13_107_200
 _WINDOW_S = 0.02
-_LOOK = 7  # pulses, of some hundred in a chord
+_LOOK = 7  # checks every 7th pulse; a chord has some hundred
 _KINDS = ("scara", "polar")
-# A place in reach with room around it, per machine.
+# A place in reach with space around it, for each machine.
 _MIDDLE = {"scara": (0.0, 120.0), "polar": (60.0, 20.0)}
 
 Place = tuple[float, ...]
 
 
 def board(kind: str, **options: Any) -> ModuleType:
-    """The example's machine in the simulator, with fine steps."""
+    """Return the example's machine in the simulator, with fine steps."""
     example = load(_EXAMPLES / {"scara": "my_scara.py", "polar": "my_plotter.py"}[kind])
     made = ModuleType("board")
     defaults = {**example.DEFAULTS, 1: 255, **{100 + i: _FINE for i in range(3)}}
@@ -49,12 +49,12 @@ def board(kind: str, **options: Any) -> ModuleType:
 
 
 def geometry(kind: str) -> Any:
-    """The example itself."""
+    """Return the example's module."""
     return __import__(kind)
 
 
 def machine(kind: str, settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
-    """That machine, at rest."""
+    """Return that machine, idle."""
     return Machine(settings, board(kind, **options), watched=False)
 
 
@@ -65,27 +65,27 @@ def played(
     events: "Sequence[tuple[int, str]]" = (),
     **options: Any,
 ) -> Machine:
-    """It behind these lines."""
+    """Return the machine after these lines."""
     made = machine(kind, settings, **options)
     made.play(lines, events)
     return made
 
 
 def joints(kind: str, steps: Sequence[int], per_unit: float = _FINE) -> "list[float]":
-    """Where joints are with motors at these steps from where power came on."""
+    """Return the joints for these motor steps since power-up."""
     start: Sequence[float] = geometry(kind).START
     return [begin + n / per_unit for begin, n in zip(start, steps, strict=True)]
 
 
 def place(kind: str, steps: Sequence[int], per_unit: float = _FINE) -> Place:
-    """Where the tool is then."""
+    """Return the tool's position for these motor steps."""
     found = array("d", (0.0, 0.0, 0.0))
     geometry(kind).forward(joints(kind, steps, per_unit), found)
     return tuple(found)
 
 
 def pulses(made: Machine) -> "Iterator[tuple[float, int, int]]":
-    """Every step of every motor, in order: seconds, motor, +1 or -1."""
+    """Yield every step of every motor in order: seconds, motor, +1 or -1."""
     for start, row in made.rows:
         found = []
         for motor in range(3):
@@ -97,7 +97,7 @@ def pulses(made: Machine) -> "Iterator[tuple[float, int, int]]":
 
 
 def step_mm(kind: str, at: Sequence[int]) -> float:
-    """How far the tool goes by a step of each motor, all the same way, at the most."""
+    """Return the largest motion of the tool in mm for one step of each motor."""
     here = place(kind, at)
     total = 0.0
     for motor in range(3):
@@ -108,7 +108,7 @@ def step_mm(kind: str, at: Sequence[int]) -> float:
 
 
 def from_line(at: Place, begin: Place, end: Place) -> float:
-    """From a place to the nearest point of a straight line."""
+    """Return the distance of a place to a straight line."""
     way = [b - a for a, b in zip(begin, end, strict=True)]
     squares = sum(w * w for w in way)
     along = sum((p - a) * w for p, a, w in zip(at, begin, way, strict=True)) / (squares or 1.0)
@@ -117,7 +117,7 @@ def from_line(at: Place, begin: Place, end: Place) -> float:
 
 
 def strayed(made: Machine, kind: str, away: "Callable[[Place], float]") -> float:
-    """The largest distance from the way, but for the steps themselves."""
+    """Return the largest distance from the path, less the size of a step."""
     steps = [0, 0, 0]
     worst = 0.0
     for i, (_, motor, way) in enumerate(pulses(made)):
@@ -128,12 +128,12 @@ def strayed(made: Machine, kind: str, away: "Callable[[Place], float]") -> float
 
 
 def begin(kind: str) -> Place:
-    """Where the tool is at power-up."""
+    """Return the tool's position at power-up."""
     return place(kind, (0, 0, 0))
 
 
 def random_places(kind: str, seed: int, count: int) -> "list[Place]":
-    """Places with straight ways in reach from the first to the next and so on, from begin()."""
+    """Return random places; straight lines between them, from begin() on, are in reach."""
     rng = random.Random(seed)
     model = geometry(kind)
     found = [begin(kind)]
@@ -153,7 +153,7 @@ def random_places(kind: str, seed: int, count: int) -> "list[Place]":
 
 
 def words(at: Place) -> str:
-    """A place as a program has it."""
+    """Return a place as words of a program."""
     return "".join(f"{letter}{mm:.3f}" for letter, mm in zip("XYZ", at, strict=True))
 
 
@@ -170,7 +170,7 @@ def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> Non
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_arcs_keep_within_it_too_and_helices(kind: str) -> None:
+def test_arcs_and_helices_keep_within_the_arc_tolerance(kind: str) -> None:
     x, y = _MIDDLE[kind]
     first = (x + 20.0, y, 0.0)
     lines = [f"G1{words(first)}F3000", f"G3X{x - 20}Y{y}Z-5I-20J0", f"G2X{x + 20}Y{y}I20J0"]
@@ -185,7 +185,7 @@ def test_arcs_keep_within_it_too_and_helices(kind: str) -> None:
 
 
 @pytest.mark.thorough
-def test_a_plotter_goes_straight_through_the_middle_of_its_table_and_beside_it() -> None:
+def test_plotter_moves_straight_through_and_past_the_middle_of_its_table() -> None:
     for aside in (0.0, 0.001, 0.3):
         lines = ["G0X40Y0", f"G1X40Y{aside}F3000", f"G1X-40Y{aside}"]
         made = played("polar", lines, {12: 0.02})
@@ -197,7 +197,7 @@ def test_a_plotter_goes_straight_through_the_middle_of_its_table_and_beside_it()
 
 
 def rates(made: Machine) -> "list[list[float]]":
-    """Each motor's mean rate, in units per second, in each window of time."""
+    """Return each motor's mean rate, in units per second, in each window of time."""
     end = made.rows[-1][0] / _TICK_HZ
     first = made.rows[0][0] / _TICK_HZ
     count = int((end - first) / _WINDOW_S) + 2
@@ -209,7 +209,7 @@ def rates(made: Machine) -> "list[list[float]]":
 
 @pytest.mark.parametrize("kind", _KINDS)
 @pytest.mark.parametrize("word", ["G0", "G1F6000"])
-def test_no_joint_is_faster_than_its_settings_nor_sooner(kind: str, word: str) -> None:
+def test_joints_keep_their_rate_and_acceleration(kind: str, word: str) -> None:
     ends = {
         "scara": ["X-60Y130", "X60Y130", "X0Y80", "X0Y165"],
         "polar": ["X100Y1", "X-100Y1", "X-100Y-3", "X100Y-3"],
@@ -240,7 +240,7 @@ def test_no_joint_is_faster_than_its_settings_nor_sooner(kind: str, word: str) -
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_the_feed_rate_is_the_tools_along_its_way(kind: str) -> None:
+def test_feed_rate_is_the_tools_speed_along_its_path(kind: str) -> None:
     x, y = _MIDDLE[kind]
     made = played(kind, [f"G0X{x - 30}Y{y}", "G4P0.1", f"G1X{x + 30}F1200"], {12: 0.02})
     steps = [0, 0, 0]
@@ -272,9 +272,7 @@ def test_inverse_time_is_kept_for_a_line_of_many_chords(kind: str) -> None:
 @pytest.mark.parametrize(
     "line", ["G0X0Y300", "G1X0Y300F500", "G2X0Y290R145F500", "G38.2X0Y300F50"]
 )
-def test_what_is_out_of_reach_is_refused_before_anything_of_it_is_done(
-    kind: str, line: str
-) -> None:
+def test_unreachable_target_is_refused_without_any_effect(kind: str, line: str) -> None:
     made = played(kind, ["M3S500" + line, "$G"])
     assert "error:33" in made.received
     assert any("is out of reach" in x for x in made.received)
@@ -283,25 +281,25 @@ def test_what_is_out_of_reach_is_refused_before_anything_of_it_is_done(
     assert "M5" in modes and "S0]" in modes and "G0 " in modes
 
 
-def test_a_straight_way_between_two_places_in_reach_is_refused_where_it_leads_out_of_it() -> None:
+def test_line_between_reachable_places_is_refused_if_it_leaves_the_reach() -> None:
     model = geometry("scara")
     ends = (-60.0, 40.0, 0.0), (60.0, 40.0, 0.0)
     assert all(model.inverse(end, list(model.START)) for end in ends)
     made = played("scara", ["G0X-60Y40", "G1X60Y40F900"])
     assert "error:33" in made.received
-    assert "[MSG:X-" in " ".join(made.received)  # where it would have left it
+    assert "[MSG:X-" in " ".join(made.received)  # the place where it would leave it
     assert math.dist(place("scara", made.physical()), ends[0]) < 0.01
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_a_jog_out_of_reach_is_refused_with_the_number_of_jogs(kind: str) -> None:
+def test_unreachable_jog_is_refused_with_the_error_of_jogs(kind: str) -> None:
     made = played(kind, ["$J=G91X900F900", "$J=G90X0Y500F900"])
     assert made.received.count("error:15") == 2
     assert made.physical() == [0, 0, 0]
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_a_jog_is_straight_and_ends_at_its_cancel_wherever_it_is(kind: str) -> None:
+def test_jog_is_straight_and_can_be_cancelled_anywhere(kind: str) -> None:
     x, y = _MIDDLE[kind]
     for ms in range(20, 1500, 130):
         made = machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
@@ -331,7 +329,7 @@ def test_a_jog_is_straight_and_ends_at_its_cancel_wherever_it_is(kind: str) -> N
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", _KINDS)
-def test_a_hold_anywhere_loses_nothing_of_the_way(kind: str) -> None:
+def test_hold_anywhere_keeps_the_path(kind: str) -> None:
     places = random_places(kind, 3, 4)
     lines = [f"G1{words(end)}F3000" for end in places[1:]]
     for ms in range(700, 2500, 480):
@@ -344,7 +342,7 @@ def test_a_hold_anywhere_loses_nothing_of_the_way(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_after_a_reset_in_motion_it_goes_on_from_where_it_is(kind: str) -> None:
+def test_position_is_right_after_a_reset_in_motion(kind: str) -> None:
     x, y = _MIDDLE[kind]
     for ms in range(500, 1400, 170):
         made = played(kind, [f"G1X{x}Y{y}F1500", f"G1X{x + 20}F1500"], {}, [(ms, "\x18")])
@@ -353,7 +351,7 @@ def test_after_a_reset_in_motion_it_goes_on_from_where_it_is(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_a_probe_touches_in_the_middle_of_a_long_way_and_says_where(kind: str) -> None:
+def test_probe_reports_a_contact_in_the_middle_of_a_long_line(kind: str) -> None:
     x, y = _MIDDLE[kind]
     made = machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
     places = []
@@ -383,7 +381,7 @@ def test_a_probe_touches_in_the_middle_of_a_long_way_and_says_where(kind: str) -
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_a_touch_that_ends_before_a_hold_does_leaves_all_of_a_long_way(kind: str) -> None:
+def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> None:
     x, y = _MIDDLE[kind]
     made = machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
     rig = made.rig
@@ -412,13 +410,13 @@ def test_a_touch_that_ends_before_a_hold_does_leaves_all_of_a_long_way(kind: str
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_homing_moves_joints_to_their_switches_and_knows_where_the_tool_is(kind: str) -> None:
+def test_homing_moves_joints_to_their_switches_and_sets_the_tools_position(kind: str) -> None:
     model = geometry(kind)
     made = machine(kind, {22: 1, 24: 600, 25: 3000, 26: 5})
     pull_off = {"scara": 5.0, "polar": 2.0}[kind]
     above = [True, kind == "polar", True]
     for i, letter in enumerate("xyz"):
-        way = model.HOME[i] - model.START[i] or 9.0  # where nothing says it, the switch does
+        way = model.HOME[i] - model.START[i] or 9.0  # without HOME the switch defines the place
         made.rig.engine.switches.append(Switch(f"limit_{letter}", i, above[i], round(way * _FINE)))
     made.play(["$H", "?"])
     pulled = [
@@ -431,7 +429,7 @@ def test_homing_moves_joints_to_their_switches_and_knows_where_the_tool_is(kind:
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_soft_limits_are_of_space(kind: str) -> None:
+def test_soft_limits_apply_to_the_tools_position(kind: str) -> None:
     x, y = _MIDDLE[kind]
     settings = {20: 1, 22: 1, 130: x + 10, 131: 200}
     reset = [(6000, "\x18")]
@@ -451,7 +449,7 @@ def test_check_mode_refuses_the_same_lines_and_moves_nothing() -> None:
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_g28_is_checked_on_both_of_its_ways(kind: str) -> None:
+def test_both_moves_of_g28_are_checked(kind: str) -> None:
     x, y = _MIDDLE[kind]
     lines = [f"G0X{x}Y{y}", "G28.1", f"G0X{x + 20}", "G28X0Y400", f"G28Y{y - 10}"]
     made = played(kind, lines)
@@ -459,20 +457,20 @@ def test_g28_is_checked_on_both_of_its_ways(kind: str) -> None:
     assert math.dist(place(kind, made.physical()), (x + 20, y, 0)) < 0.01
 
 
-def test_a_board_without_it_has_none_of_its_modules() -> None:
+def test_board_without_user_kinematics_has_none_of_its_modules() -> None:
     names = ("nonlinear", "nonlinear_canon", "joint_planner", "segmenter")
     extras = {f"extras.kinematics.{name}" for name in names}
     assert not extras & set(build.modules_of(load_board("rpi_pico")))
     assert extras <= set(build.modules_of(load(_EXAMPLES / "my_scara.py")))
 
 
-def test_the_page_shows_the_example_as_it_is() -> None:
+def test_documentation_shows_the_example_unchanged() -> None:
     page = (_EXAMPLES.parent.parent / "docs" / "kinematics.md").read_text(encoding="utf-8")
     shown = page.split("```python polar.py\n")[1].split("```")[0]
     assert shown == (_EXAMPLES / "polar.py").read_text(encoding="utf-8")
 
 
-def test_a_run_tells_the_way_of_the_tool_and_where_it_has_been(tmp_path: Path) -> None:
+def test_run_reports_distance_and_bounds_of_the_tool(tmp_path: Path) -> None:
     file = tmp_path / "square.nc"
     file.write_text("G1X40F3000\nY40\nX0\nY0\n")
     said = CliRunner().invoke(app, ["run", str(file), "--board", str(_EXAMPLES / "my_plotter.py")])
@@ -481,7 +479,7 @@ def test_a_run_tells_the_way_of_the_tool_and_where_it_has_been(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("name", ["my_scara.py", "my_plotter.py"])
-def test_the_examples_are_boards_that_can_be_built(name: str) -> None:
+def test_examples_are_boards_that_can_be_built(name: str) -> None:
     assert list(board_check.problems(load(_EXAMPLES / name))) == []
 
 
@@ -494,6 +492,8 @@ def test_the_examples_are_boards_that_can_be_built(name: str) -> None:
         ({"KINEMATICS": "random"}, "KINEMATICS: random.py has no inverse"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_words(options: "dict[str, Any]", said: str) -> None:
+def test_conflicting_options_are_refused_with_the_reason(
+    options: "dict[str, Any]", said: str
+) -> None:
     with pytest.raises(ValueError, match=said):
         machine("scara", **options).play([])

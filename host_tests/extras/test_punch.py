@@ -1,7 +1,7 @@
-"""The punch: a stroke after every motion, and no motion but with the punch up.
+"""Test the punch: a stroke after every motion, and motion only with the punch up.
 
-The simulated machine judges: it raises BrokenLaw at any step made while the
-punch is not all the way up, and at a stroke begun while anything moves.
+The simulated machine checks this: it raises BrokenLaw at any step made while the punch is not
+fully up, and at a stroke that begins during motion.
 """
 
 import math
@@ -41,7 +41,7 @@ _LOCKED = "[MSG:'$H'|'$X' to unlock]"
 
 
 class Bench:
-    """A punching machine and someone who talks to it."""
+    """A punching machine and a sender."""
 
     def __init__(self, settings: Sequence[str] = _FAST, board: str = "sim_punch") -> None:
         module = load_board(board)
@@ -53,7 +53,7 @@ class Bench:
         self.sender.allow(3_600_000)
 
     def run(self, script: "Iterator[Any]") -> None:
-        """Run it; what fails in the script is raised here."""
+        """Run a script; its exceptions are raised here."""
         failed: list[BaseException] = []
 
         def guarded() -> Iterator[Any]:
@@ -67,32 +67,32 @@ class Bench:
             raise failed[0]
 
     def say(self, text: str, how: str = "idle") -> "Iterator[Any]":
-        """Send, wait, return what came back."""
+        """Send a text and wait; return the output."""
         yield from self.sender.wait(how, text)
         return self.sender.take()
 
     def lines(self, *lines: str) -> "Iterator[Any]":
-        """All of them are accepted."""
+        """Send lines, which must be accepted."""
         for line in lines:
             assert (yield from self.say(line + "\n")) == ["ok"]
 
     def passes(self, milliseconds: float) -> "Iterator[Any]":
-        """So much time, and what came back in it."""
+        """Let time pass; return the output meanwhile."""
         yield self.rig.ms(milliseconds)
         return self.sender.take()
 
     def until(self, condition: "Callable[[], bool]") -> "Iterator[Any]":
-        """As fine as it gets."""
+        """Wait for a condition, checked every 0.1 ms."""
         while not condition():
             yield self.rig.ms(0.1)
 
     def holes(self) -> "list[tuple[float, float]]":
-        """In mm."""
+        """Return the holes in mm."""
         return [(x / _PER_MM, y / _PER_MM) for x, y, _ in self.port.holes]
 
 
 def play(script: "Callable[[Bench], Iterator[Any]]", *arguments: Any) -> Bench:
-    """Run a script on a new bench, from the banner on."""
+    """Run a script on a new bench after the banner."""
     bench = Bench(*arguments)
 
     def whole() -> Iterator[Any]:
@@ -106,7 +106,7 @@ def play(script: "Callable[[Bench], Iterator[Any]]", *arguments: Any) -> Bench:
 # Strokes
 
 
-def test_every_line_of_motion_ends_with_a_stroke_while_it_is_armed() -> None:
+def test_every_line_of_motion_ends_with_a_stroke_while_armed() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines(
             "G0X1", "M3", "X2", "G1X3Y1F600", "G2X5R1", "M4", "G0X7", "M5", "X9"
@@ -115,14 +115,14 @@ def test_every_line_of_motion_ends_with_a_stroke_while_it_is_armed() -> None:
     assert play(script).holes() == [(2, 0), (3, 1), (5, 1), (7, 1)]
 
 
-def test_there_is_one_even_where_the_line_does_not_lead_anywhere() -> None:
+def test_line_with_zero_length_makes_a_stroke() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3", "G0X0", "G0", "X0")
 
     assert play(script).holes() == [(0, 0), (0, 0)]
 
 
-def test_nothing_else_makes_one() -> None:
+def test_other_lines_make_no_stroke() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3S1000", "G4P0.1", "G28", "G30X1", "G92X0", "G92.1", "$J=X3F600")
         yield from bench.lines("F100", "G1", "G80", "S200")
@@ -132,7 +132,7 @@ def test_nothing_else_makes_one() -> None:
     assert play(script).holes() == []
 
 
-def test_nor_does_anything_in_check_mode() -> None:
+def test_check_mode_makes_no_stroke() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.say("$C\n")
         yield from bench.lines("M3", "G0X1")
@@ -142,7 +142,7 @@ def test_nor_does_anything_in_check_mode() -> None:
     assert bench.port.place() == UP
 
 
-def test_a_line_is_answered_when_its_stroke_is_over() -> None:
+def test_line_is_answered_after_its_stroke() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3")
         bench.rig.link.send(b"G0X0\n")
@@ -155,7 +155,7 @@ def test_a_line_is_answered_when_its_stroke_is_over() -> None:
 
 
 @pytest.mark.parametrize("wiring", range(16))
-def test_each_signal_may_be_wired_either_way_round(wiring: int) -> None:
+def test_each_signal_may_be_inverted(wiring: int) -> None:
     bench = Bench([*_FAST, *(f"${30 + bit}={wiring >> bit & 1}" for bit in range(4))])
     bench.port.wiring = wiring
 
@@ -167,7 +167,7 @@ def test_each_signal_may_be_wired_either_way_round(wiring: int) -> None:
     assert bench.holes() == [(1, 0)]
 
 
-def test_a_report_shows_it_armed() -> None:
+def test_report_shows_the_armed_punch() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3")
         yield from bench.say("?", "report")
@@ -176,10 +176,10 @@ def test_a_report_shows_it_armed() -> None:
     play(script)
 
 
-# Sensors that do not answer
+# Silent sensors
 
 
-def test_without_the_sensor_below_there_is_an_alarm_in_words_and_it_goes_up() -> None:
+def test_missing_lower_sensor_is_an_alarm_and_the_punch_goes_up() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3")
         bench.port.dead = SENSOR_DOWN
@@ -196,7 +196,7 @@ def test_without_the_sensor_below_there_is_an_alarm_in_words_and_it_goes_up() ->
     assert play(script).holes() == [(1, 0)]
 
 
-def test_a_punch_that_meets_something_hard_comes_up_again() -> None:
+def test_blocked_punch_goes_up_again() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3")
         bench.port.lowest = 0.7
@@ -208,7 +208,7 @@ def test_a_punch_that_meets_something_hard_comes_up_again() -> None:
 
 
 @pytest.mark.parametrize("fault", ["dead", "stuck"])
-def test_without_the_sensor_above_nothing_moves_any_more(fault: str) -> None:
+def test_nothing_moves_without_the_upper_sensor(fault: str) -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("M3")
         bench.rig.link.send(b"G0X1\n")
@@ -231,7 +231,7 @@ def test_without_the_sensor_above_nothing_moves_any_more(fault: str) -> None:
     play(script)
 
 
-def test_homing_does_not_start_either() -> None:
+def test_homing_does_not_start_without_the_upper_sensor() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.lines("$22=1")
         bench.port.dead = SENSOR_UP
@@ -242,7 +242,7 @@ def test_homing_does_not_start_either() -> None:
     assert bench.rig.engine.starts == 0
 
 
-def test_a_punch_that_falls_stops_the_machine() -> None:
+def test_falling_punch_stops_the_machine() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         bench.rig.link.send(b"G1X50F3000\n")
         yield from bench.passes(500)
@@ -259,7 +259,7 @@ def test_a_punch_that_falls_stops_the_machine() -> None:
 # At power up
 
 
-def test_one_that_is_down_at_power_up_goes_up_before_anything_else() -> None:
+def test_punch_down_at_power_up_goes_up_first() -> None:
     bench = Bench()
     bench.port._place = DOWN
 
@@ -272,7 +272,7 @@ def test_one_that_is_down_at_power_up_goes_up_before_anything_else() -> None:
     bench.run(script())
 
 
-def test_startup_lines_wait_for_it() -> None:
+def test_startup_lines_wait_for_the_punch() -> None:
     bench = Bench()
     bench.rig.store.files["startup"] = ["G0X1", ""]
     bench.port._place = DOWN
@@ -283,7 +283,7 @@ def test_startup_lines_wait_for_it() -> None:
     bench.run(script())
 
 
-def test_a_sensor_that_is_wired_the_other_way_round_is_an_alarm_at_once() -> None:
+def test_inverted_sensor_is_an_alarm_at_once() -> None:
     bench = Bench()
     bench.port.wiring = 8
 
@@ -306,7 +306,7 @@ def in_stroke(bench: Bench, place: float = 0.5) -> "Iterator[Any]":
     yield from bench.until(lambda: bench.port.place() > place)
 
 
-def test_a_hold_lets_the_stroke_end() -> None:
+def test_hold_lets_the_stroke_end() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from in_stroke(bench)
         bench.rig.link.send(b"!")
@@ -320,7 +320,7 @@ def test_a_hold_lets_the_stroke_end() -> None:
     assert play(script).holes() == [(1, 0), (2, 0)]
 
 
-def test_a_door_turns_it_back_and_the_hole_is_made_later() -> None:
+def test_door_interrupts_the_stroke_which_is_made_later() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from in_stroke(bench)
         bench.rig.link.send(b"\x84")
@@ -334,7 +334,7 @@ def test_a_door_turns_it_back_and_the_hole_is_made_later() -> None:
 
 
 @pytest.mark.parametrize("place", [0.1, 0.5, 0.9])
-def test_a_reset_brings_it_up_before_anything_is_heard(place: float) -> None:
+def test_reset_raises_the_punch_before_the_welcome(place: float) -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from in_stroke(bench, place)
         bench.rig.link.send(b"\x18")
@@ -346,7 +346,7 @@ def test_a_reset_brings_it_up_before_anything_is_heard(place: float) -> None:
     assert play(script).holes() == []
 
 
-def test_a_hard_limit_brings_it_up() -> None:
+def test_hard_limit_raises_the_punch() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from in_stroke(bench)
         bench.rig.port.push({"limit_x": True})
@@ -387,7 +387,7 @@ _EVENTS = some.lists(
     some.integers(0, 4000),
     some.sampled_from(["sim_punch", "sim_punch_09"]),
 )
-def test_nothing_moves_while_it_is_down_whatever_happens(
+def test_nothing_moves_while_the_punch_is_down(
     events: "list[tuple[int, str]]", dead: int, dies: int, board: str
 ) -> None:
     def script(bench: Bench) -> Iterator[Any]:
@@ -417,10 +417,10 @@ def test_nothing_moves_while_it_is_down_whatever_happens(
     play(script, _FAST, board)
 
 
-def test_the_simulated_machine_does_judge() -> None:
+def test_simulated_machine_detects_motion_with_the_punch_down() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         hooks = bench.rig.controller.state.hooks
-        hooks.may_start = hooks.started = ()  # what the punch has there
+        hooks.may_start = hooks.started = ()  # the hooks of the punch
         bench.port.dead = SENSOR_UP
         bench.port._place, bench.port._up_until = DOWN, bench.rig.now
         bench.port.stuck = True
@@ -434,7 +434,7 @@ def test_the_simulated_machine_does_judge() -> None:
 # The board file
 
 
-def test_a_board_without_its_pins_is_refused_in_words() -> None:
+def test_board_without_punch_pins_is_refused_with_the_reason() -> None:
     board = SimpleNamespace(TOOL="punch", PUNCH_UP=3, PUNCH_DOWN=0)
     with pytest.raises(ValueError, match="no pin for PUNCH_DOWN_SENSOR, PUNCH_UP_SENSOR"):
         Options(board)
@@ -442,7 +442,7 @@ def test_a_board_without_its_pins_is_refused_in_words() -> None:
         Options(SimpleNamespace(TOOL="saw"))
 
 
-def test_settings_of_a_spindle_do_not_become_those_of_a_punch() -> None:
+def test_spindle_settings_are_not_used_for_a_punch() -> None:
     bench = Bench()
     bench.rig.store.files["settings"] = ["$30=1000", "$32=1"]
 
@@ -454,7 +454,7 @@ def test_settings_of_a_spindle_do_not_become_those_of_a_punch() -> None:
     bench.run(script())
 
 
-def test_its_settings_are_those_of_the_document() -> None:
+def test_settings_are_those_of_the_document() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         assert (yield from bench.say("$30=1\n", "ok")) == ["ok"]
         shown = yield from bench.say("$$\n", "ok")
@@ -474,11 +474,11 @@ def test_its_settings_are_those_of_the_document() -> None:
     bench.run(whole())
 
 
-# The demonstration
+# The demonstration program
 
 
 def expected_holes() -> "list[tuple[float, float]]":
-    """What the text of the program says, read without any of ours."""
+    """Read the pattern from the program's text, without our code."""
     place = {"X": 0.0, "Y": 0.0}
     armed = False
     holes = []
@@ -494,14 +494,14 @@ def expected_holes() -> "list[tuple[float, float]]":
     return holes
 
 
-def test_the_generator_makes_the_committed_program() -> None:
+def test_generator_makes_the_committed_program() -> None:
     made = runpy.run_path(str(_EXAMPLES / "make_punch.py"))["grille"]()
     assert "\n".join(made) + "\n" == _PROGRAM.read_text()
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", ["sim_punch", "sim_punch_09"])
-def test_the_demonstration_punches_its_pattern(board: str) -> None:
+def test_demonstration_punches_its_pattern(board: str) -> None:
     result, recorder = run_program(read_lines(_PROGRAM), board=board)
     wanted = expected_holes()
     assert not result.errors and not result.stopped
@@ -511,7 +511,7 @@ def test_the_demonstration_punches_its_pattern(board: str) -> None:
 
 
 @pytest.mark.thorough
-def test_its_holes_are_drawn(tmp_path: Path) -> None:
+def test_holes_are_drawn(tmp_path: Path) -> None:
     job = run_job("as it is", read_lines(_PROGRAM), [], "sim_punch")
     assert len(job.marks) == 131
     for suffix in (".png", ".html"):

@@ -1,4 +1,4 @@
-"""The punch on the ports of real boards: pins as stand-ins, pulses by the simulator."""
+"""Test the punch on the ports of real boards: stand-ins for pins, the simulator for pulses."""
 
 from collections.abc import Callable, Iterator
 from types import ModuleType, SimpleNamespace
@@ -36,7 +36,7 @@ class Machine(Rig):
         return int(self.now / self.ticks_per_ms)
 
     def talk(self, *lines: str, until: str = "ok") -> str:
-        """Send lines, each after the answer to the one before. Returns all that came."""
+        """Send lines, each after the answer to the one before; return the whole output."""
 
         def script() -> "Iterator[Any]":
             self.punch.turn()
@@ -56,7 +56,7 @@ def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Mach
     if request.param == "pio":
         monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
         monkeypatch.setattr(machine.Pin, "pins", {})
-        # Of the very module that the class is of: other tests may have brought in another.
+        # Patch the module that the class is from, because other tests may have loaded another one.
         monkeypatch.setitem(gpio.GpioPort.ticks_ms.__globals__, "time", None)
         monkeypatch.setattr(gpio, "time", SimpleNamespace(sleep_us=lambda us: None))
         return Machine(gpio.GpioPort, machine.Pin)
@@ -73,7 +73,7 @@ def test_each_motion_ends_with_a_stroke(rig: Machine) -> None:
     assert list(rig.scratch) == [750, 250, 0]
 
 
-def test_a_sensor_that_never_answers_is_an_alarm(rig: Machine) -> None:
+def test_silent_sensor_is_an_alarm(rig: Machine) -> None:
     rig.punch.turn = lambda: None  # type: ignore[method-assign]
     said = rig.talk("$X", "M3", "G0 X1", until="\n")
     assert "[MSG:Punch not up]" in said

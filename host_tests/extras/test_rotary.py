@@ -1,4 +1,4 @@
-"""Six axes, and those that turn: what their numbers mean, how fast they go, where they end."""
+"""Test six axes, and rotary ones: meaning of their numbers, rates and ends."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.cli.app import app
 from ugrbl.sim.engine import Switch
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
 _PER_MM = 250
@@ -29,7 +29,7 @@ _ANSWERS = ("ok", "error:", "ALARM:", "[MSG:")
 
 
 def board(axes: int = 4, **options: Any) -> ModuleType:
-    """sim_rotary with so many axes and other options."""
+    """Return the board sim_rotary with this number of axes and other options."""
     made = ModuleType("board")
     made.__dict__.update({**vars(load_board("sim_rotary")), "DEFAULTS": {}})
     made.__dict__.update({"STEP": tuple(range(axes)), **options})
@@ -43,14 +43,14 @@ def played(
     events: "Sequence[tuple[int, str]]" = (),
     **options: Any,
 ) -> Machine:
-    """A machine behind these lines."""
+    """Return a machine after these lines."""
     machine = Machine({**_SWIFT, **(settings or {})}, board(axes, **options))
     machine.play(lines, events)
     return machine
 
 
 def seconds(machine: Machine) -> float:
-    """How long it has moved, from the first row to the end of the last."""
+    """Return the time from the first row to the end of the last."""
     engine = machine.rig.engine
     first = machine.rows[0][0]
     start, row = machine.rows[-1]
@@ -58,14 +58,14 @@ def seconds(machine: Machine) -> float:
 
 
 def places(machine: Machine) -> "list[float]":
-    """Where the motors are, in units of 250 steps."""
+    """Return the motors' positions in units of 250 steps."""
     return [steps / _PER_MM for steps in machine.physical()]
 
 
 # Six axes
 
 
-def test_six_axes_go_where_their_words_say_by_lines_jogs_arcs_and_stored_places() -> None:
+def test_six_axes_move_by_lines_jogs_arcs_and_stored_places() -> None:
     lines = ["G0X1Y2Z3A4B5C6", "G28.1", "G2X3I1A5B7C9F500", "$J=G91C-1B-2A-3F900", "G90"]
     machine = played([*lines, "G28", "G92A0", "$#", "$$"], axes=6, ROTARY="")
     assert places(machine) == [1, 2, 3, 4, 5, 6]
@@ -77,14 +77,14 @@ def test_six_axes_go_where_their_words_say_by_lines_jogs_arcs_and_stored_places(
 
 
 @pytest.mark.parametrize("axes", [3, 4, 5, 6])
-def test_letters_of_axes_that_are_not_there_are_refused(axes: int) -> None:
+def test_letters_of_missing_axes_are_refused(axes: int) -> None:
     lines = [f"G0{letter}1" for letter in "XYZABC"]
     told = played(lines, axes=axes, ROTARY="").received
     answers = [x for x in told if x.startswith(_ANSWERS)]
     assert answers[:6] == ["ok"] * axes + ["error:20"] * (6 - axes)
 
 
-def test_limit_switches_of_all_six_are_told_by_their_letters() -> None:
+def test_limit_switches_of_six_axes_are_reported_by_letter() -> None:
     machine = Machine(board=board(6, ROTARY=""))
     names = [f"limit_{letter}" for letter in "xyzabc"]
     machine.rig.engine.switches += [Switch(name, i, True, 0) for i, name in enumerate(names)]
@@ -107,7 +107,7 @@ def test_one_of_six_axes_is_homed_alone() -> None:
 # Rotary axes: rates
 
 
-def test_a_feed_rate_is_that_of_the_linear_axes_whatever_turns_beside_them() -> None:
+def test_feed_rate_is_that_of_the_linear_axes() -> None:
     alone = seconds(played(["G1X10F600"]))
     assert alone == pytest.approx(1, rel=0.01)
     for line in ("G1X10A90F600", "G1X10A-100F600", "G1X6Y8A45F600"):
@@ -120,7 +120,7 @@ def test_a_feed_rate_is_that_of_the_linear_axes_whatever_turns_beside_them() -> 
     st.lists(st.integers(-4000, 4000), min_size=2, max_size=2),
     st.integers(50, 900),
 )
-def test_a_line_takes_as_long_as_the_standard_has_it(
+def test_line_takes_the_time_of_the_standard(
     way: "list[int]", turn: "list[int]", feed: int
 ) -> None:
     x, y, z = (each / 50 for each in way)
@@ -136,7 +136,7 @@ def test_a_line_takes_as_long_as_the_standard_has_it(
     )
 
 
-def test_a_rotary_axis_alone_goes_in_degrees_a_minute_also_in_inches() -> None:
+def test_rotary_axis_alone_moves_in_degrees_a_minute_even_in_inches() -> None:
     for lines in (
         ["G1A36F720"],
         ["G20", "G1A36F720"],
@@ -151,19 +151,19 @@ def test_a_rotary_axis_alone_goes_in_degrees_a_minute_also_in_inches() -> None:
         assert places(machine) == [0, 0, 0, 36]
 
 
-def test_a_helix_that_turns_an_axis_takes_as_long_as_its_arc() -> None:
+def test_helix_that_turns_an_axis_takes_the_time_of_its_arc() -> None:
     for turn in (0, 90, -300):
         machine = played([f"G2X20I10A{turn}F600"])
         assert seconds(machine) == pytest.approx(math.pi * 10 / 10, rel=0.01), turn
         assert places(machine) == [20, 0, 0, turn]
 
 
-def test_inverse_time_is_kept_to_by_lines_and_arcs() -> None:
+def test_inverse_time_is_kept_by_lines_and_arcs() -> None:
     for line in ("G93G1X10A90F30", "G93G1A90F30", "G93G2X20I10A90F30", "G93G2X20I10F30"):
         assert seconds(played([line])) == pytest.approx(2, rel=0.01), line
 
 
-def test_a_feed_override_counts_for_lines_that_turn() -> None:
+def test_feed_override_applies_to_lines_that_turn() -> None:
     machine = played(["G1X40A90F600"], events=[(0, "\x92")] * 5)
     assert seconds(machine) == pytest.approx(8, rel=0.02)
 
@@ -193,7 +193,7 @@ def test_offsets_in_reports_in_inches_are_degrees() -> None:
 
 
 def stopped(line: str, settings: "dict[int, float]") -> "list[str]":
-    """What is said to a line, and to a reset behind it."""
+    """Return the output for a line, and for a reset after it."""
     return played(["$X", line], settings, events=[(5000, "\x18")]).received
 
 
@@ -201,7 +201,7 @@ _LIMITED = {20: 1, 22: 1, 130: 100, 131: 100, 132: 100, 133: 0}
 
 
 @pytest.mark.thorough
-def test_an_axis_without_travel_turns_for_ever_and_others_do_not() -> None:
+def test_axis_without_travel_turns_without_limit_and_others_do_not() -> None:
     turning = [
         "$X",
         "G0A5000",
@@ -221,7 +221,7 @@ def test_an_axis_without_travel_turns_for_ever_and_others_do_not() -> None:
         assert why in stopped(line, _LIMITED), line
 
 
-def test_a_rotary_axis_with_travel_ends_there() -> None:
+def test_rotary_axis_with_travel_is_limited() -> None:
     assert "ALARM:2" in stopped("G0A-91", {**_LIMITED, 133: 90})
     assert "ALARM:2" not in stopped("G0A-89", {**_LIMITED, 133: 90})
 
@@ -247,7 +247,7 @@ _HOMING = {
         ((), "$HA", [0, 0, 0, -1]),
     ],
 )
-def test_axes_that_turn_are_homed_where_they_have_a_switch(
+def test_rotary_axis_is_homed_if_it_has_a_switch(
     limit: "tuple[int | None, ...]", command: str, homed: "list[float]"
 ) -> None:
     machine = Machine(_HOMING, board(LIMIT=limit, SINGLE_AXIS_HOMING=True))
@@ -259,7 +259,7 @@ def test_axes_that_turn_are_homed_where_they_have_a_switch(
     assert controller.settings.max_travel[3] == 0
 
 
-def test_homing_that_fails_leaves_travel_as_it_was() -> None:
+def test_failed_homing_leaves_travel_unchanged() -> None:
     machine = Machine(_HOMING, board(SINGLE_AXIS_HOMING=True))
     machine.play(["$HA"])
     assert "ALARM:9" in machine.received
@@ -271,18 +271,18 @@ def test_homing_that_fails_leaves_travel_as_it_was() -> None:
 
 
 @pytest.mark.parametrize("word", ["X", "B", "AA", "a"])
-def test_what_cannot_turn_is_reported(word: str) -> None:
+def test_impossible_rotary_axis_is_reported(word: str) -> None:
     why = f"ROTARY: {word[-1]} is none of A, B, C here, or there twice"
     assert board_check.problems(board(ROTARY=word)) == [why]
 
 
-def test_a_board_without_rotary_axes_takes_them_for_millimetres() -> None:
+def test_board_without_rotary_axes_treats_them_as_millimetres() -> None:
     machine = played(["G20", "G1X1A1F100"], ROTARY="")
     assert places(machine) == [25.4, 0, 0, 25.4]
     assert seconds(machine) == pytest.approx(math.hypot(25.4, 25.4) / 2540 * 60, rel=0.02)
 
 
-# The shortest way of a line
+# The kernel's path of a line
 
 _words = st.tuples(
     st.sampled_from(["", "G0", "G1", "G91", "G90", "G20", "G21", "S5", "N7"]),
@@ -294,7 +294,7 @@ _words = st.tuples(
 
 @pytest.mark.thorough
 @given(st.lists(_words, min_size=1, max_size=8))
-def test_kernels_plan_what_the_interpreter_does(
+def test_kernels_plan_like_the_interpreter(
     drawn: "list[tuple[str, list[str], int, str]]",
 ) -> None:
     lines = [
@@ -317,7 +317,7 @@ def test_kernels_plan_what_the_interpreter_does(
     assert rows[0] == rows[1]
 
 
-def test_what_a_program_does_is_reported_in_degrees_beside_mm(tmp_path: Path) -> None:
+def test_run_reports_degrees_and_mm(tmp_path: Path) -> None:
     file = tmp_path / "turned.nc"
     file.write_text("G1 X10 A90 F600\nA-45\n")
     done = CliRunner().invoke(app, ["run", str(file), "--board", "sim_rotary"])

@@ -1,4 +1,4 @@
-"""Limit switches of several axes on one input: told, obeyed, and homed one after the other."""
+"""Test limit switches of several axes on one input: reports, stops, and homing one by one."""
 
 from types import ModuleType
 from typing import Any
@@ -24,7 +24,7 @@ _ORDER = ("Z", "X", "Y")
 
 
 def board(limits: "tuple[int | None, ...]" = (9, 9, 9), **options: Any) -> ModuleType:
-    """The simulator with its limit switches on these pins."""
+    """Return the simulator's board with its limit switches on these pins."""
     made = ModuleType("board")
     made.__dict__.update({**vars(load_board("sim")), "LIMIT": limits, "HOMING": _ORDER, **options})
     return made
@@ -36,7 +36,7 @@ def machine(
     at: int = _AT,
     **options: Any,
 ) -> Machine:
-    """That machine, with a switch for each axis."""
+    """Return a machine on this board with a switch for each axis."""
     made = Machine({**_SETTINGS, **(settings or {})}, board(limits, **options), watched=False)
     for axis, letter in enumerate("xyz"):
         made.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, at))
@@ -67,7 +67,7 @@ def test_all_axes_of_an_input_are_reported(
 
 
 @pytest.mark.parametrize("limits", [(9, 9, 9), (9, 9, 11), (9, 10, 9), (9, 10, 10)])
-def test_axes_are_homed_one_after_the_other_each_by_its_own_switch(
+def test_axes_are_homed_one_by_one_to_their_own_switches(
     limits: "tuple[int | None, ...]",
 ) -> None:
     made = machine(limits=limits)
@@ -76,7 +76,7 @@ def test_axes_are_homed_one_after_the_other_each_by_its_own_switch(
     assert made.physical() == pytest.approx([_AT - 250] * 3, abs=10)
 
 
-def test_z_may_share_with_one_that_is_homed_after_it_in_grbls_order() -> None:
+def test_z_may_share_with_an_axis_homed_after_it_in_grbls_order() -> None:
     made = machine(limits=(9, 10, 9), HOMING=())
     made.play(["$H"])
     assert made.reported() == [-1, -1, -1]
@@ -84,7 +84,7 @@ def test_z_may_share_with_one_that_is_homed_after_it_in_grbls_order() -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_with_a_switch_closed_homing_does_not_begin(axis: int) -> None:
+def test_homing_does_not_start_with_a_closed_switch(axis: int) -> None:
     made = machine()
     made.rig.engine.switches[axis] = Switch(f"limit_{'xyz'[axis]}", axis, True, 0)
     made.rig.port.update()
@@ -94,7 +94,7 @@ def test_with_a_switch_closed_homing_does_not_begin(axis: int) -> None:
     assert made.physical() == [0, 0, 0]
 
 
-def test_a_cycle_of_two_that_share_is_refused_as_a_setting_and_where_none_is_set() -> None:
+def test_cycle_of_two_axes_that_share_is_refused() -> None:
     made = machine()
     made.play(["$44=3", "$45=1", "$46=0"])
     assert made.received.count("error:3") == 1
@@ -106,7 +106,7 @@ def test_a_cycle_of_two_that_share_is_refused_as_a_setting_and_where_none_is_set
     assert made.physical()[:2] == [0, 0]
 
 
-def test_a_reset_at_any_time_of_homing_leaves_places_true_and_it_can_be_homed_again() -> None:
+def test_position_stays_right_after_a_reset_at_any_time_of_homing() -> None:
     for ms in range(50, 4000, 370):
         made = machine()
         before: list[Any] = []
@@ -131,13 +131,13 @@ def test_a_reset_at_any_time_of_homing_leaves_places_true_and_it_can_be_homed_ag
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_any_of_the_switches_stops_motion_wherever_it_is(axis: int) -> None:
+def test_any_of_the_switches_stops_motion(axis: int) -> None:
     for at in range(300, 2300, 271):
         made = machine({21: 1, 22: 0}, at=at)
         made.play([f"G1{'XYZ'[axis]}20F1500", "G4P0.1"], [(4000, "\x18")])
         assert "ALARM:1" in made.received
         assert any("|Pn:XYZ" in line for line in made.received if line.startswith("<"))
-        assert made.physical()[axis] == at  # the step that has closed it is the last
+        assert made.physical()[axis] == at  # no step after the one that closed it
 
 
 @pytest.mark.parametrize(
@@ -165,9 +165,7 @@ def test_any_of_the_switches_stops_motion_wherever_it_is(axis: int) -> None:
         ),
     ],
 )
-def test_what_cannot_be_homed_is_named_by_the_board_check(
-    changes: "dict[str, Any]", said: str
-) -> None:
+def test_impossible_homing_is_named_by_board_check(changes: "dict[str, Any]", said: str) -> None:
     made = ModuleType("board")
     base = load_board("rpi_pico")
     kept = {"FLOOD": None, "SPINDLE_ON": None, "MIST_PIN": None}
@@ -176,7 +174,7 @@ def test_what_cannot_be_homed_is_named_by_the_board_check(
     assert any(said in problem for problem in found) if said else found == []
 
 
-def test_a_board_with_an_input_for_each_has_nothing_of_it() -> None:
+def test_board_with_separate_inputs_has_no_module_for_shared_ones() -> None:
     assert "extras.motors.shared_limits" not in build.modules_of(load_board("rpi_pico"))
     made = ModuleType("board")
     vars(made).update({**vars(load_board("rpi_pico")), "LIMIT": (9, 9, 11), "HOMING": _ORDER})

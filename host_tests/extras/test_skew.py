@@ -1,4 +1,4 @@
-"""Skew: motors go where they have to for the tool to be where a square machine's would be."""
+"""Test skew: motors move so that the tool is where that of a square machine would be."""
 
 import sys
 from array import array
@@ -24,7 +24,7 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
-# Many cases of each: the first ring takes some.
+# Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(2)
 
 _PER_MM = 250
@@ -45,12 +45,12 @@ places = st.lists(st.tuples(*[st.integers(-200, 200) for _ in "XYZ"]), min_size=
 
 
 def skewed(skew: Sequence[float] = _LEANING) -> "dict[int, float]":
-    """Settings of such a machine."""
+    """Return settings of a machine with this skew."""
     return {**_FAST, **{780 + i: mm for i, mm in enumerate(skew)}}
 
 
 def board(**options: Any) -> ModuleType:
-    """sim_skew with other options."""
+    """Return the board sim_skew with other options."""
     made = ModuleType("board")
     made.__dict__.update({**vars(load_board("sim_skew")), **options})
     return made
@@ -62,19 +62,19 @@ def machine(
     watched: bool = True,
     **options: Any,
 ) -> Machine:
-    """A machine that leans so; watched: plans and segments are looked at."""
+    """Return a machine with this skew. watched: plans and segments are checked."""
     return Machine({**skewed(skew), **(settings or {})}, board(**options), watched)
 
 
 def tool(motors: Sequence[float], skew: Sequence[float] = _LEANING) -> "list[float]":
-    """Where the tool is, in mm: Y carries X along, and Z both."""
+    """Return the tool's position in mm: Y moves X along, and Z moves both."""
     x, y, z = [n / _PER_MM for n in motors]
     xy, xz, yz = [mm / 1000 for mm in skew]
     return [x + xy * y + xz * z, y + yz * z, z]
 
 
 def way(made: Machine) -> "list[list[float]]":
-    """Where the motors were behind each segment, in steps, from where they were at power-up."""
+    """Return the motors' positions after each segment, in steps since power-up."""
     at = [0.0, 0.0, 0.0]
     found = [at[:]]
     for _, row in made.rows:
@@ -86,22 +86,25 @@ def way(made: Machine) -> "list[list[float]]":
 
 
 def close(skew: Sequence[float]) -> "list[float]":
-    """How far the tool may be from a place, in mm: a step of each motor that moves it, and a
-    32nd, by which sums of shears are rounded."""
+    """Return the allowed distance of the tool from a place, in mm.
+
+    It is a step of each motor that moves the tool, and 1/32 step for rounding of the sums of
+    shears.
+    """
     xy, xz, yz = [abs(mm) / 1000 for mm in skew]
     steps = (1 + xy + xz, 1 + yz, 1)
     return [(n + 1 / 32) / _PER_MM for n in steps]
 
 
 def rows(made: Machine) -> "list[tuple[int, list[int]]]":
-    """Its pulses."""
+    """Return the rows with their start."""
     return [(start, list(row)) for start, row in made.rows]
 
 
 @pytest.mark.thorough
 @given(skews, places)
 @example((100.0, 100.0, 100.0), [(200, 200, 200), (-200, -200, -200)])
-def test_the_tool_is_where_the_line_says_and_reports_are_those_of_a_square_machine(
+def test_tool_is_on_target_and_reports_match_a_square_machine(
     skew: "tuple[float, ...]", lines: "list[tuple[int, int, int]]"
 ) -> None:
     program = [f"G1X{x / 10}Y{y / 10}Z{z / 10}F3000" for x, y, z in lines]
@@ -115,9 +118,7 @@ def test_the_tool_is_where_the_line_says_and_reports_are_those_of_a_square_machi
 
 
 @given(st.lists(st.integers(-(2**24), 2**24), min_size=9, max_size=9), skews)
-def test_the_way_back_is_exact_whatever_the_numbers(
-    numbers: "list[int]", skew: "tuple[float, ...]"
-) -> None:
+def test_inverse_is_exact_for_any_numbers(numbers: "list[int]", skew: "tuple[float, ...]") -> None:
     kinematics = SkewKinematics(3, [1, 2, 4], 0)
     kinematics.lean([mm / 1000 for mm in skew])
     for axis in range(3):
@@ -130,7 +131,7 @@ def test_the_way_back_is_exact_whatever_the_numbers(
     skew_kernel.to_motors(table, kinematics.skew)
     motors = array("i", (table[at + i] - _BIAS for i in range(3)))
     assert [kinematics.axis_steps(motors, axis) for axis in range(3)] == numbers[:3]
-    # And it is the way forward: in the numbers themselves, to a half step and what adds up.
+    # It also inverts the shear, to half a step and the accumulated rounding.
     away = [motors[i] - numbers[6 + i] for i in range(3)]
     xy, xz, yz = [mm / 1000 for mm in skew]
     assert numbers[1] - motors[1] == pytest.approx(yz * away[2], abs=0.54, rel=1e-7)
@@ -139,9 +140,7 @@ def test_the_way_back_is_exact_whatever_the_numbers(
 
 
 @given(skews, st.tuples(*[st.integers(-300, 300) for _ in "XYZ"]).filter(any))
-def test_all_along_a_line_the_tool_keeps_to_it(
-    skew: "tuple[float, ...]", end: "tuple[int, int, int]"
-) -> None:
+def test_tool_stays_on_a_line(skew: "tuple[float, ...]", end: "tuple[int, int, int]") -> None:
     made = machine(skew, watched=False)
     made.play([f"G1X{end[0] / 10}Y{end[1] / 10}Z{end[2] / 10}F4000"])
     x, y, z = [n / 10 for n in end]
@@ -154,7 +153,7 @@ def test_all_along_a_line_the_tool_keeps_to_it(
 
 
 @pytest.mark.parametrize("plane", ["G17", "G18", "G19"])
-def test_all_along_an_arc_the_tool_keeps_to_it(plane: str) -> None:
+def test_tool_stays_on_an_arc(plane: str) -> None:
     made = machine()
     line = {"G17": "G2X0Y0I20J0Z3", "G18": "G2X0Z0I20K0Y3", "G19": "G2Y0Z0J20K0X3"}[plane]
     made.play([plane, f"{line}F4000"])
@@ -174,7 +173,7 @@ def test_all_along_an_arc_the_tool_keeps_to_it(plane: str) -> None:
     assert made.reported()[up] == 3
 
 
-def test_a_line_is_one_block_and_kernels_do_what_the_interpreter_does() -> None:
+def test_line_is_one_block_and_kernels_match_the_interpreter() -> None:
     lines = ["G1F3000", *[f"X{x}Y{x * x % 7}Z{-x % 3}" for x in range(30)], "G20", "X1F50", "G91"]
     lines += ["X.1Y.1", "G21", "G0X1", "Y2"]
     found = []
@@ -187,7 +186,7 @@ def test_a_line_is_one_block_and_kernels_do_what_the_interpreter_does() -> None:
     assert found[0] == found[1]
 
 
-def test_with_all_at_0_the_machine_moves_step_for_step_as_one_without_the_module() -> None:
+def test_zero_skew_moves_step_for_step_like_a_machine_without_the_module() -> None:
     lines = ["G0X1Y1Z1", "G1X-2Y3F900", "G2X0Y0I3J-1", "G1Z-3", "$J=G91X3F900", "G0X0", "$780=0"]
     with_it = machine((0, 0, 0), watched=False)
     with_it.play(lines)
@@ -196,13 +195,13 @@ def test_with_all_at_0_the_machine_moves_step_for_step_as_one_without_the_module
     assert rows(with_it) == rows(without)
 
 
-def test_each_motor_keeps_to_its_own_rate_and_acceleration() -> None:
+def test_each_motor_keeps_its_own_rate_and_acceleration() -> None:
     made = machine(settings={110: 60, 120: 20})
     made.play(["G0Y20", "G0Y0"])
     steps = []
     for start, row in made.rows:
         steps += [start + step_tick(row, ROW_AXES, k) for k in range(row[ROW_AXES])]
-    assert len(steps) == 2 * 2 * _PER_MM  # X goes along, 2 mm either way
+    assert len(steps) == 2 * 2 * _PER_MM  # X moves along, 2 mm each way
     gaps = [b - a for a, b in pairwise(steps)]
     assert min(gaps) >= _TICK_HZ / _PER_MM * 0.98
 
@@ -219,7 +218,7 @@ def test_each_motor_keeps_to_its_own_rate_and_acceleration() -> None:
         ["G1X3Y-400F600", "G2X1I0", "G38.9", "X"],
     ],
 )
-def test_conversations_are_to_the_byte_those_of_a_square_machine(lines: "list[str]") -> None:
+def test_conversations_match_a_square_machine_to_the_byte(lines: "list[str]") -> None:
     said: dict[bool, list[str]] = {}
     for leans in (False, True):
         made = machine() if leans else Machine(_FAST, "sim")
@@ -240,7 +239,7 @@ def test_conversations_are_to_the_byte_those_of_a_square_machine(lines: "list[st
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x85", "\x84"])
-def test_wherever_it_is_stopped_it_knows_where_it_is(byte: str) -> None:
+def test_position_is_right_after_a_stop_anywhere(byte: str) -> None:
     straight = machine()
     straight.play(["G0X7Y-6Z5"])
     for ms in range(3, 700, 41):
@@ -276,7 +275,7 @@ def _switched(made: Machine, above: bool = True) -> None:
 
 
 @pytest.mark.parametrize("inverted", [0, 7])
-def test_homing_is_of_motors_each_alone_and_leaves_grbls_place(inverted: int) -> None:
+def test_homing_moves_each_motor_alone_and_sets_grbls_position(inverted: int) -> None:
     made = machine(settings={22: 1, 23: inverted})
     _switched(made, not inverted)
     found: list[list[int]] = []
@@ -298,13 +297,13 @@ def test_homing_is_of_motors_each_alone_and_leaves_grbls_place(inverted: int) ->
     assert pulled == pytest.approx(
         [n - 2 * _PER_MM * (1 - 2 * bool(inverted)) for n in switches], abs=4
     )
-    # From there on it is square.
+    # The machine is square from there on.
     gone = [b - a for a, b in zip(found[0], found[1], strict=True)]
     wanted = [-40 + 1, -60 + 1, -20 + 1] if not inverted else [159, 139, 179]
     assert tool(gone) == pytest.approx(wanted, abs=0.01)
 
 
-def test_an_axis_homed_alone_is_where_it_was_wherever_the_others_are() -> None:
+def test_axis_homed_alone_finds_its_place_wherever_the_others_are() -> None:
     made = machine(settings={22: 1}, SINGLE_AXIS_HOMING=True)
     _switched(made)
     told: list[list[float]] = []
@@ -322,13 +321,13 @@ def test_an_axis_homed_alone_is_where_it_was_wherever_the_others_are() -> None:
         told.append([float(n) for n in made.physical()])
 
     made.run(script())
-    # X pulls off to where it did before; Y is 99 mm lower, which takes the tool 9.9 mm down.
+    # X pulls off to its earlier place; Y is 99 mm lower, which moves the tool by -9.9 mm.
     assert told[2] == pytest.approx([-1 - 9.9, -100, -1], abs=0.02)
     assert told[4] == pytest.approx(told[5], abs=2)
 
 
 @pytest.mark.parametrize("byte", ["\x18", "\x84"])
-def test_homing_that_is_broken_off_leaves_a_machine_that_can_be_homed(byte: str) -> None:
+def test_machine_can_be_homed_after_aborted_homing(byte: str) -> None:
     for ms in (5, 60, 300, 900):
         made = machine(settings={22: 1}, SAFETY_DOOR=byte == "\x84")
         _switched(made)
@@ -350,7 +349,7 @@ def test_homing_that_is_broken_off_leaves_a_machine_that_can_be_homed(byte: str)
         assert made.reported() == [-1, -1, -1]
 
 
-def test_soft_limits_are_of_true_places() -> None:
+def test_soft_limits_apply_to_the_tools_position() -> None:
     made = machine(settings={20: 1, 22: 1, 130: 50, 131: 50, 132: 50})
     _switched(made)
 
@@ -361,7 +360,7 @@ def test_soft_limits_are_of_true_places() -> None:
             yield from made.rest()
         made.rig.link.send(b"G53G0Y-50.01\n")
         yield made.rig.ms(1500)
-        made.rig.link.send(b"\x18")  # which ALARM:2 waits for
+        made.rig.link.send(b"\x18")  # ALARM:2 requires it
         yield from made.rest()
 
     made.run(script())
@@ -369,7 +368,7 @@ def test_soft_limits_are_of_true_places() -> None:
     assert made.reported() == [-1, -1, -1]
 
 
-def test_a_probe_has_found_a_true_place() -> None:
+def test_probe_reports_the_tools_position() -> None:
     made = machine(watched=False)
     usual: Any = made.rig.engine.trace
     at = [0, 0, 0]
@@ -386,13 +385,13 @@ def test_a_probe_has_found_a_true_place() -> None:
     told = {line for line in made.received if line.startswith("[PRB:")}
     assert len(told) == 1
     x, y, z = [float(n) for n in told.pop()[5:].split(":")[0].split(",")]
-    # Straight down: X and Y stay, whatever their motors do.
+    # Straight down: X and Y of the tool stay, although their motors move.
     assert (x, y) == (pytest.approx(4, abs=0.008), pytest.approx(5, abs=0.008))
     assert z == pytest.approx(-2, abs=0.05)
     assert made.reported() == pytest.approx([4, 5, 0], abs=0.008)
 
 
-def test_after_a_change_places_are_what_motors_make_of_them_and_lines_go_on_from_there() -> None:
+def test_positions_follow_a_change_of_skew_and_lines_continue_there() -> None:
     made = machine((0, 0, 0))
     told: list[Any] = []
 
@@ -410,7 +409,7 @@ def test_after_a_change_places_are_what_motors_make_of_them_and_lines_go_on_from
     assert told[6] == ([2250, 5000, 250], [9, 20, 1])
 
 
-def test_parking_goes_straight_up_and_back() -> None:
+def test_parking_moves_the_tool_straight_up_and_back() -> None:
     made = machine(settings={22: 1, 132: 200}, PARKING=True, SAFETY_DOOR=True)
     _switched(made)
 
@@ -438,7 +437,7 @@ def test_parking_goes_straight_up_and_back() -> None:
     assert made.reported() == [-10, -60, -90]
 
 
-def test_motors_that_move_axes_together_or_in_pairs_lean_too() -> None:
+def test_corexy_and_ganged_motors_can_have_skew() -> None:
     line, ends = "G1X10Y20Z-5F900", [10, 20, -5]
     plain = machine()
     plain.play([line])
@@ -458,7 +457,7 @@ def test_motors_that_move_axes_together_or_in_pairs_lean_too() -> None:
         assert made.reported() == ends
 
 
-def test_axes_of_other_resolutions() -> None:
+def test_axes_may_have_different_resolutions() -> None:
     made = machine((40.0, -80.0, 20.0), {100: 80, 101: 1600, 102: 400}, watched=False)
     made.play(["G1X10Y20Z-5F900", "G2X0Y0I-5J-10", "G1X30Y-10Z7"])
     x, y, z = [n / per for n, per in zip(made.physical(), (80, 1600, 400), strict=True)]
@@ -468,7 +467,7 @@ def test_axes_of_other_resolutions() -> None:
     assert made.reported() == [30, -10, 7]
 
 
-def test_settings_may_be_negative_are_listed_bounded_and_kept() -> None:
+def test_settings_may_be_negative_are_listed_bounded_and_stored() -> None:
     made = machine((0, 0, 0), watched=False)
     made.play(["$780=-1.75", "$781=100.001", "$782=-101", "$781=nan", "$130=-1", "$$"])
     assert made.received.count("error:3") >= 2 and "error:4" in made.received
@@ -482,7 +481,7 @@ def test_settings_may_be_negative_are_listed_bounded_and_kept() -> None:
 
 
 @pytest.mark.parametrize("word", ["KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS"])
-def test_what_does_not_go_with_it_is_refused_in_words(
+def test_conflicting_options_are_refused_with_the_reason(
     word: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     geometry = ModuleType("A")
@@ -495,12 +494,12 @@ def test_what_does_not_go_with_it_is_refused_in_words(
         machine(**options.get(word, {word: True})).play([])
 
 
-def test_a_default_beyond_the_bound_is_refused_in_words() -> None:
+def test_default_beyond_the_bound_is_refused_with_the_reason() -> None:
     with pytest.raises(ValueError, match=r"DEFAULTS: \$781 is 100 mm/m at the most"):
         machine(DEFAULTS={781: -101.0}).play([])
 
 
-def test_a_run_tells_of_true_places_and_ways(tmp_path: Path) -> None:
+def test_run_reports_positions_and_distances_of_the_tool(tmp_path: Path) -> None:
     file = tmp_path / "skew.nc"
     file.write_text("G0X10\nG1X10Y-30F900\n")
     asked = ["run", str(file), "--board", "sim_skew", "--set", "780=100"]
@@ -511,7 +510,7 @@ def test_a_run_tells_of_true_places_and_ways(tmp_path: Path) -> None:
     assert "3250 commanded = 3250 made" in said.output
 
 
-def test_a_board_without_it_has_none_of_it() -> None:
+def test_board_without_skew_has_none_of_the_modules() -> None:
     plain = build.modules_of(load_board("rpi_pico"))
     extras = {"extras.kinematics.skew", "extras.kinematics.skew_kernel"}
     assert not {*extras, "motion.kinematics"} & set(plain)

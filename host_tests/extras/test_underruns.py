@@ -1,4 +1,7 @@
-"""Drains: stops in the middle of a program that nobody has asked for, and how they are told."""
+"""Test the count of drains: unwanted stops in the middle of a program.
+
+They are reported in $I+ and in status reports.
+"""
 
 from collections.abc import Iterator
 from types import ModuleType
@@ -14,9 +17,9 @@ _FAST = [f"${n}={v}" for n, v in ((110, 6000), (111, 6000), (120, 2000), (121, 2
 
 
 def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list[str]":
-    """A sender that waits so long behind each answer: what the machine says of it to $I+ and ?.
+    """Run a sender that waits after each answer; return the answers to ? and $I+.
 
-    A line `~` is sent as that byte alone, once the machine stands.
+    A line `~` is sent as that byte alone, after the machine has stopped.
     """
     board = ModuleType("board")
     vars(board).update(vars(load_board("sim")), COUNT_DRAINS=counts)
@@ -50,7 +53,7 @@ def drains(lines: "list[str]", pause_ms: float, *, counts: bool = True) -> "list
 
 
 def count(said: "list[str]") -> int:
-    """The number in the answer to $I+, which the report tells as well."""
+    """Return the number in the answer to $I+, which the report must have, too."""
     (told,) = [line for line in said if line.startswith("[MSG:Drains: ")]
     number = int(told[13:-1])
     assert (f"|Dr:{number}" in said[0]) == (number > 0)
@@ -61,41 +64,41 @@ def moves(number: int) -> "list[str]":
     return ["G91F1200", *["G1X1"] * number]  # of 60 ms each
 
 
-def test_lines_that_come_in_time_are_no_drain() -> None:
+def test_lines_in_time_are_no_drain() -> None:
     assert count(drains(moves(10), 20)) == 0
 
 
 @pytest.mark.parametrize("pause_ms", [300, 900])
-def test_each_line_that_comes_late_is_one(pause_ms: float) -> None:
+def test_each_late_line_is_a_drain(pause_ms: float) -> None:
     assert count(drains(moves(6), pause_ms)) == 5
 
 
-def test_a_stop_of_a_second_is_somebody_with_something_else_to_do() -> None:
+def test_stop_longer_than_a_second_is_no_drain() -> None:
     assert count(drains(moves(6), 1300)) == 0
 
 
-def test_motors_that_are_never_released_make_no_difference() -> None:
+def test_drains_are_counted_when_motors_are_never_released() -> None:
     assert count(drains(["$1=255", *moves(6)], 300)) == 5
 
 
 @pytest.mark.parametrize(
     "word", ["G4P0.05", "M3S100", "M8", "M5", "G10L20P1X0", "M0", "G38.3Y-1F600"]
 )
-def test_what_waits_for_motion_to_end_is_none(word: str) -> None:
+def test_word_that_waits_for_motion_to_end_is_no_drain(word: str) -> None:
     program = ["G91F1200"]
     for _ in range(4):
         program += ["G1X1", word, *(["~"] if word == "M0" else [])]
     assert count(drains(program, 0)) == 0
 
 
-def test_a_jog_is_no_program() -> None:
+def test_jog_is_no_drain() -> None:
     assert count(drains(["$J=G91X1F1200"] * 4, 300)) == 0
 
 
-def test_a_reset_forgets_the_stop_and_not_the_count() -> None:
+def test_reset_keeps_the_count_but_does_not_add_its_stop() -> None:
     assert count(drains([*moves(3), "\x18G91F1200", "G1X1"], 300)) == 2
 
 
-def test_a_board_that_does_not_ask_says_what_grbl_says() -> None:
+def test_board_without_the_option_reports_no_drains() -> None:
     said = drains(moves(6), 300, counts=False)
     assert not any("Dr" in line for line in said)
