@@ -212,7 +212,7 @@ def test_damaged_settings_are_restored_and_reported(damage: "list[str] | None") 
     assert any(line.startswith("Grbl 1.1h") for line in received)
     machine = Machine(watched=False)
     machine.rig.store.files.update(files)
-    assert boot(machine)[:2] == ["", "Grbl 1.1h ['$' for help]"], "it is told of once"
+    assert boot(machine)[:2] == ["", "Grbl 1.1h ['$' for help]"], "reported once"
 
 
 @given(st.lists(st.text("$=0123456789.eE-+ inf\x00\xff", max_size=20), max_size=8))

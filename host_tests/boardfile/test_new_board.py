@@ -50,7 +50,7 @@ def test_board_made_of_options_is_accepted_by_the_firmware(file: Path) -> None:
     assert "GPIO 9" in done.output and "limit switches X" in done.output
 
 
-def test_the_firmware_reads_its_options_from_the_file(file: Path) -> None:
+def test_firmware_reads_its_options_from_the_file(file: Path) -> None:
     from boot.wiring import Options
 
     ugrbl("router", *_PICO, "--set", "110=3000", "-o", file)

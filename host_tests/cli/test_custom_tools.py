@@ -629,15 +629,15 @@ def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
             custom_files.push(shelf, "custom", will, lambda count: None)
         except DeployError:
             found = read_at_start(shelf.disk, tmp_path / str(cut), monkeypatch)
-            assert found in (was, will), f"cut behind {shelf.log}"
+            assert found in (was, will), f"cut after {shelf.log}"
             shelf.left = -1
             custom_files.push(shelf, "custom", will, lambda count: None)
-            assert shelf.disk == {**will, "board.py": b""}, "nothing is left of it"
+            assert shelf.disk == {**will, "board.py": b""}, "no other file is left"
         else:
             assert shelf.disk == {**will, "board.py": b""}
             assert cut > len(will)
             return
-    raise AssertionError("it never came to its end")
+    raise AssertionError("push never completed")
 
 
 @pytest.mark.parametrize("old", OLD.values(), ids=OLD)

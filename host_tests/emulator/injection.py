@@ -169,7 +169,7 @@ class Trial:
         moved = any(edge.pin in STEP and edge.ns < self._injected_us * 1000 for edge in edges)
         self._check_reset(moved)
         late = [edge for edge in self._pico.edges if edge.pin not in DIR][len(edges) :]
-        assert not late, f"it stirs up to the end of the reset: {late[:3]}"
+        assert not late, f"edges during the reset: {late[:3]}"
 
     def _check_reset(self, moved: bool) -> None:
         """Check the messages, and the reset, which must be sent after a limit."""
@@ -199,7 +199,7 @@ class Trial:
         self.latency_us = self._since_injected_us(max(steps, default=0.0))
         self._life.odometer.read()
         self._pico.run_us(10_000)
-        assert not self._pico.edges, "it moves or turns while held"
+        assert not self._pico.edges, "an output moves during a hold"
         self._machine.send("~")
         self._life.end_round(_IDLE_US)
         self._machine.until_idle(_IDLE_US)
@@ -223,4 +223,4 @@ class Trial:
         moved = [(now - was) / STEPS_PER_MM for now, was in zip(made, before, strict=True)]
         assert moved == [0.1, -0.08, 0.04], f"the next move is {moved}"
         told = [float(mm) * STEPS_PER_MM for mm in machine.status()["MPos"].split(",")]
-        assert told == pytest.approx(made, abs=0.3), f"told {told} steps, made {made}"
+        assert told == pytest.approx(made, abs=0.3), f"reported {told} steps, made {made}"

@@ -31,7 +31,7 @@ def lacks() -> str:
     """Return why the emulator cannot run here, or an empty text."""
     folder = os.environ.get(_FOLDER, "")
     if not folder:
-        return f"{_FOLDER} names no folder: a built rp2350js, as told in pico2.py"
+        return f"{_FOLDER} names no folder: a built rp2350js, see pico2.py"
     if not (Path(folder) / "dist" / "cjs" / "index.js").is_file():
         return f"{_FOLDER}: there is no dist/cjs/index.js in {folder}"
     if "flashChip" not in (Path(folder) / "dist/cjs/peripherals/xip_rp2350.js").read_text():
@@ -52,7 +52,7 @@ class _Process:
         self._process.stdin.write(json.dumps(command).encode() + b"\n")
         self._process.stdin.flush()
         line = self._process.stdout.readline()
-        assert line, f"the emulator has ended at {command[0]!r}: its last words are above"
+        assert line, f"the emulator has ended at {command[0]!r}: see its output above"
         return json.loads(line)
 
     def __del__(self) -> None:

@@ -34,7 +34,7 @@ def lacks() -> str:
     """Return why the emulator cannot run here, or an empty text."""
     named = os.environ.get(_QEMU, "")
     if not named:
-        return f"{_QEMU} names no emulator: qemu-system-xtensa, as told in qemu_esp32.py"
+        return f"{_QEMU} names no emulator: qemu-system-xtensa, see qemu_esp32.py"
     if not Path(named).is_file():
         return f"{_QEMU}: there is no file {named}"
     named = os.environ.get(IMAGE, "")

@@ -125,7 +125,7 @@ def test_reset_stops_all_eight_motors_at_their_reported_position(
         board.send("".join(f"{axis}{way}" for axis in eight.axes) + "\n")
     board.pico.run_us(ms * 1000)
     board.send("\x18")
-    assert "ALARM:3" in board.wait_for("Grbl 1.1h"), "it had come to rest"
+    assert "ALARM:3" in board.wait_for("Grbl 1.1h"), "it had stopped before"
     at = eight.odometer.read()
     board.pico.run_us(20_000)
     assert eight.odometer.read() == at

@@ -106,7 +106,7 @@ def ready(machine: Board) -> "Board":
 def test_custom_file_is_read_at_start_and_leaves_memory_free(machine: Board) -> None:
     said = machine.ask("$I")
     assert "[MSG:Custom: M100, M101, M102" in said and "on.report]" in said
-    assert "8000 bytes" in machine.ask("M106"), "and there is room in one piece"
+    assert "8000 bytes" in machine.ask("M106"), "a large block is free"
 
 
 def test_words_are_called_with_their_numbers_after_motion_has_ended(ready: Board) -> None:
@@ -290,7 +290,7 @@ def test_unused_word_costs_little_and_a_timer_its_own_time(uf2: Path) -> None:
     before = calls(talk)
     stream(talk, list(short_moves(800)), 63)
     ms = 800 / timer * 1000
-    assert calls(talk) - before >= 0.8 * ms / 50, "it has its turn among lines that never end"
+    assert calls(talk) - before >= 0.8 * ms / 50, "the timer runs during an endless stream"
 
 
 def calls(talk: Talk) -> int:

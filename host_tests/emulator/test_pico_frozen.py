@@ -47,7 +47,7 @@ def hello(m):
 def frozen_uf2() -> Path:
     named = os.environ.get("UGRBL_FROZEN_UF2", "")
     if not named:
-        pytest.skip("UGRBL_FROZEN_UF2 names no image: docs/boards.md tells how to build it")
+        pytest.skip("UGRBL_FROZEN_UF2 names no image: docs/boards.md says how to build it")
     frozen = frozen_in(Path(named))
     why = frozen.lacks(for_board(BOARD_FILE)) if frozen else "nothing is frozen in"
     if why:

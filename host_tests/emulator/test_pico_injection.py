@@ -95,7 +95,7 @@ def _outcomes(
     found, ended = told(lambda tell: _play_forked(make_life(), trials, seeds, tell))
     outcomes = [Outcome(*each) for each in found]
     missing = set(seeds) - {outcome.seed for outcome in outcomes}
-    assert ended and not missing, f"nothing was heard of the trials {sorted(missing)}"
+    assert ended and not missing, f"no result of the trials {sorted(missing)}"
     return outcomes
 
 

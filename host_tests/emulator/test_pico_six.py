@@ -140,7 +140,7 @@ def test_reset_stops_all_six_motors_and_their_positions_are_known(
         board.send("".join(f"{letter}{way}" for letter in _LETTERS) + "\n")
     board.pico.run_us(ms * 1000)
     board.send("\x18")
-    assert "ALARM:3" in board.wait_for("Grbl 1.1h"), "it had come to rest"
+    assert "ALARM:3" in board.wait_for("Grbl 1.1h"), "it had stopped before"
     at = machine.odometer.read()
     board.pico.run_us(20_000)
     assert machine.odometer.read() == at
