@@ -1,1 +1,1 @@
-"""Dialects: the reports of other controllers, and their words."""
+"""The reports of other controllers, and their words."""
