@@ -1,9 +1,9 @@
-// Board files: their text, and all that is wrong with one.
+// Board files: their text, and the problems of one.
 //
-// A draft has what a board file says: { chip, title, motors, rotary, pins: {STEP: [2, 3, 4], …},
-// outputs: {name: pin}, inputs, options: {JERK: true}, kept: lines of a board that no form asks
-// for }. These are the rules of tools/boardfile/board_check.py and new_board.py once more;
-// test_board_wizard.py compares both over a thousand random boards.
+// A draft holds a board file's values: { chip, title, motors, rotary, pins: {STEP: [2, 3, 4], …},
+// outputs: {name: pin}, inputs, options: {JERK: true}, kept: lines of a board that no form
+// covers }. The rules repeat those of tools/boardfile/board_check.py and new_board.py;
+// test_board_rules.py compares both with a thousand random boards.
 
 const BOARDS = JSON.parse($("board_data").textContent);
 const FORM_OPTIONS = Object.fromEntries(Object.values(BOARDS.forms).flat().map((row) => [row.name, row]));
@@ -11,7 +11,7 @@ const ITEMS = BOARDS.items.map(([name, question, perAxis, needed, output]) => ({
 const FEWEST_AXES = 3, MOST_LETTERS = AXES.length, MOST_OF_AN_AXIS = 2;
 const BEAM_HZ = [10, 100000], BESIDE_RADIO = 4;
 
-/** As Python writes it in a file. */
+/** A value in Python's notation. */
 function literal(value) {
   if (value === null) return "None";
   if (typeof value === "boolean") return value ? "True" : "False";
@@ -23,13 +23,13 @@ function literal(value) {
 
 const axesOf = (draft) => new Set(draft.motors).size || (draft.pins.STEP || []).length;
 
-/** Names of motors: X, Y, Z and, of a second one, Y2. */
+/** Names of motors: X, Y, Z, and Y2 for a second motor of Y. */
 function motorNames(letters) {
   const axes = new Set(letters).size;
   return [...letters].map((letter, index) => (index < axes ? letter : `${letter}2`));
 }
 
-/** All that the file says, by name, beside pins that ITEMS has. */
+/** Values of the file by name, without the pins in ITEMS. */
 function valuesOf(draft) {
   const chip = BOARDS.chips[draft.chip];
   const values = { LINK: chip.link, ...draft.options };
@@ -37,7 +37,7 @@ function valuesOf(draft) {
   return values;
 }
 
-/** The text of the file. */
+/** The text of the board file. */
 function boardText(draft) {
   const chip = BOARDS.chips[draft.chip], { options } = draft, kept = draft.kept || {};
   const held = (name) => draft.pins[name] || [];
@@ -70,7 +70,7 @@ function boardText(draft) {
   return `${lines.join("\n")}\n`;
 }
 
-/** Every pin in use with what is connected to it; null pins are left out. */
+/** Every pin in use with its connection; null pins are left out. */
 function usedPins(draft) {
   const names = motorNames(draft.motors || AXES);
   return ITEMS.flatMap(({ name, question, perAxis }) => (draft.pins[name] || []).map((pin, motor) => {
@@ -79,7 +79,7 @@ function usedPins(draft) {
   })).filter(([pin]) => pin !== null);
 }
 
-/** Names with their pins, in the order in which they are judged. */
+/** Names with their pins, in the order of the checks. */
 function heldPins(draft) {
   const some = (name) => draft.pins[name]?.length;
   const plain = ITEMS.filter(({ name }) => !BOARDS.controls.includes(name) && some(name)).map(({ name }) => name);
@@ -92,7 +92,7 @@ function heldPins(draft) {
   return found;
 }
 
-/** Why these pins cannot be it, beside those that are known; "" where they can. */
+/** Why these pins do not suit the item, or conflict with known pins; "" if they fit. */
 function itemProblem(draft, known, item, pins) {
   const { name } = item, chip = BOARDS.chips[draft.chip];
   const count = item.perAxis ? (known.STEP || pins).length : 1;
@@ -124,7 +124,7 @@ function usesOf(known) {
   return new Map(Object.entries(known).flatMap(([name, pins]) => pins.map((pin) => [pin, name])));
 }
 
-/** What is wrong with pins that no item is about. */
+/** Problems of pins that are not in ITEMS. */
 function loosePins(draft, known, name, pins) {
   const used = usesOf(known), chip = BOARDS.chips[draft.chip], found = [];
   for (const [index, pin] of pins.entries()) {
@@ -156,7 +156,7 @@ function pinProblems(draft) {
   return found;
 }
 
-/** What is out of range, or none of the words there are. */
+/** Values out of range, and unknown words. */
 function valueProblems(draft) {
   const found = [];
   for (const name of BOARDS.order) {
@@ -179,7 +179,7 @@ function networkProblems(draft) {
   return !chip.radio && wireless.includes(LINK) ? [`LINK: ${chip.title} has no radio`] : [];
 }
 
-/** What is switched on, or turned round, and has no pin. */
+/** Functions that are switched on or inverted and have no pin. */
 function wireProblems(draft) {
   const found = [], laser = draft.options.TOOL === "laser", motors = (draft.pins.STEP || []).length;
   const has = (name) => Boolean(draft.pins[name]?.length);
@@ -191,7 +191,7 @@ function wireProblems(draft) {
   return found;
 }
 
-/** What the firmware itself refuses first, of an extra; in the order in which they come in. */
+/** The first refusal by an extra of the firmware, in the order in which extras are loaded. */
 function extraProblem(draft) {
   const says = valuesOf(draft), axes = axesOf(draft);
   return motorsProblem(draft) || apartProblem("BACKLASH", says, draft) || apartProblem("SKEW", says, draft)
@@ -214,7 +214,7 @@ function motorsProblem({ motors, pins, options }) {
   return "";
 }
 
-/** Two options that are not for the same machine. */
+/** Two options that exclude each other. */
 function apartProblem(name, says, draft) {
   if (!says[name]) return "";
   const other = BOARDS.apart[name].find((word) => says[word] || (word === "ROTARY" && draft.rotary) || draft.kept?.[word]);
@@ -237,7 +237,7 @@ function homingProblem(words = [], axes) {
   return wrong ? `HOMING: ${wrong} is no axis, or there twice` : "";
 }
 
-/** Of limit inputs that axes share. */
+/** Problems of limit inputs that axes share. */
 function limitProblem(draft, axes) {
   const limits = draft.pins.LIMIT || [], shared = [];
   const axisOf = (index) => (index >= axes ? AXES.indexOf(draft.motors[index]) : index);
@@ -276,24 +276,24 @@ function toolProblem(draft, says) {
   return chip.engine === "pio" ? "" : "CLUSTERS wants a Pico: others have no machine for a beam";
 }
 
-/** Every problem in words, as `ugrbl build` and `ugrbl deploy` name them; none for a good board. */
+/** Every problem, in the words of `ugrbl build` and `ugrbl deploy`; [] for a correct board. */
 function boardProblems(draft) {
   const missing = ITEMS.filter(({ name, needed }) => needed && !draft.pins[name]?.length);
   if (missing.length) return [`${missing[0].name} is missing`];
   const values = [...valueProblems(draft), ...networkProblems(draft)];
   const link = values.find((words) => words.startsWith("LINK:") && words.includes("is not one of"));
-  if (link) return [link]; // there is no such part: nothing else is looked at
+  if (link) return [link]; // an unknown part: nothing else can be checked
   const pins = pinProblems(draft), extra = values.length || pins.length ? "" : extraProblem(draft);
   return [...pins, ...wireProblems(draft), ...values, ...(extra ? [extra] : [])];
 }
 
-/** What is worth to know about the pins of a good board. */
+/** Hints about the pins of a correct board. */
 function boardNotes(draft) {
   const { odd } = BOARDS.chips[draft.chip];
   return heldPins(draft).flatMap(([name, pins]) => pins.filter((pin) => odd[pin]).map((pin) => `${name}: pin ${pin} ${odd[pin]}`));
 }
 
-/** A draft of a board out of boards/; null where its motors have no pins of the chip. */
+/** A draft from a board in boards/; null if its motors do not use pins of the chip. */
 function draftOf(name) {
   const { about, chip, values } = BOARDS.boards[name];
   if (values.I2S) return null;

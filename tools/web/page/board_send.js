@@ -40,7 +40,7 @@ grbl.on("change", renderSend);
 STEP_SHOWN.file = renderFile;
 $("file-name").onchange = renderFile;
 
-/** Keep what was typed, or opened. */
+/** Store the typed or opened text. */
 function useFile(text) {
   if (isBoardFile()) useText(text);
   else keep("custom", text);
@@ -61,7 +61,7 @@ $("open-board").onchange = async ({ target }) => {
   renderFile();
 };
 
-/** Mark a line of the file that is at fault. */
+/** Select the faulty line of the file. */
 function markLine(number) {
   const area = $("board-text"), lines = area.value.split("\n");
   const from = lines.slice(0, number - 1).join("\n").length + (number > 1 ? 1 : 0);
@@ -70,7 +70,7 @@ function markLine(number) {
   area.scrollTop = Math.max(0, (number - 4) * area.scrollHeight / lines.length);
 }
 
-/** The line of the file that a message is about: it says so, or begins with an option's name. */
+/** The line of the file to which a message refers: its number is in it, or an option's name. */
 function lineOf(message) {
   const said = Number(/(?:board|custom)\.py"?, line (\d+)/.exec(message)?.[1] || 0);
   const name = isBoardFile() && /([A-Z][A-Z0-9_]{2,})/.exec(message)?.[1];
@@ -83,12 +83,12 @@ function showFault(message, known = 0) {
   if (line) markLine(line);
 }
 
-// A handler has failed: its message names the line.
+// A failed handler: its message names the line.
 grbl.on("line", (text) => {
   if (/^\[MSG:.*custom\.py, line \d+/.test(text) && setupStep === "file" && !isBoardFile()) showFault(text.slice(5, -1));
 });
 
-/** Refuse what belongs to another board. */
+/** Refuse a file for another chip. */
 function checkFits({ frozen, hasMain, machine }, text) {
   if (!frozen && !hasMain) throw new Error("There is no ugrbl on this board: put the firmware on it first, step 1.");
   const chip = chipOf(machine), wanted = /^MPY_ARCH = "(\w+)"/m.exec(text)?.[1];

@@ -1,14 +1,14 @@
-// The first steps of setting up: what is on the board, which board it is, its pins, its file.
+// The first steps of the setup: the software on the board, the board, its pins, its file.
 
 const IMAGES = { pico: "RPI_PICO", pico_w: "RPI_PICO_W", pico2: "RPI_PICO2", pico2_w: "RPI_PICO2_W" };
 const NEW_DRAFT = { title: "My machine", motors: "XYZ", rotary: "", pins: {}, repl: null, outputs: {}, inputs: {}, options: {}, kept: {} };
 const micropython = new Prompt(grbl);
-let onBoard = null; // what Prompt.about() has found; null before
-let promptTrouble = "", faultLine = 0, looking = ""; // what is being done
+let onBoard = null; // the result of Prompt.about(); null before
+let promptTrouble = "", faultLine = 0, looking = ""; // looking: the present action, in words
 let draft = kept.draft?.chip in BOARDS.chips ? kept.draft : null;
-let ownWords = kept.ownWords ?? null; // the file, where it is not made of the draft
+let ownWords = kept.ownWords ?? null; // the file's text, if it was edited by hand
 
-// What is on the board
+// The software on the board
 
 function situation() {
   if (looking) return [looking];
@@ -56,7 +56,7 @@ grbl.on("prompt", () => {
   lookAtBoard();
 });
 
-/** Ask MicroPython; a machine that was at work is started again. */
+/** Query MicroPython; restart: start the machine again afterwards. */
 async function lookAtBoard(restart = false) {
   if (looking) return;
   await atPrompt(async () => {
@@ -80,7 +80,7 @@ function startMachine() {
   return micropython.start();
 }
 
-/** Something at the raw prompt; what fails is said. Returns whether it went well. */
+/** Act at the raw prompt; show a fault. Returns whether it succeeded. */
 async function atPrompt(act, fresh = false) {
   looking = "Looking at what is on the board …";
   promptTrouble = "";
@@ -134,7 +134,7 @@ STEP_SHOWN.connect = () => {
   renderSituation();
 };
 
-// Which board
+// Choice of the board
 
 $("board-chip").append(...Object.entries(BOARDS.chips).map(([name, { title }]) => make("option", { value: name }, title)));
 $("board-chip").onchange = renderCards;
@@ -162,7 +162,7 @@ function chooseBoard(name) {
   showStep(made ? "pins" : "file");
 }
 
-/** The answers have changed: so has the file. */
+/** Store changed answers and update the file. */
 function setDraft(made) {
   draft = made;
   ownWords = null;
@@ -183,7 +183,7 @@ const SHORT = { STEP: "step", DIR: "dir", ENABLE: "enable", LIMIT: "limit", RESE
 const kindOfItem = ({ name, output }) => PIN_KINDS[name] || (output ? "out" : "in");
 const motorLetters = () => draft.motors || AXES.slice(0, (draft.pins.STEP || []).length);
 
-/** All jobs that a pin may have: [value, words, kind]. */
+/** All possible jobs of a pin: [value, words, kind]. */
 function pinJobs() {
   const names = motorNames(motorLetters());
   const items = ITEMS.flatMap((item) => {
@@ -195,7 +195,7 @@ function pinJobs() {
   return [...items, ["repl", "prompt", "in"], ...own("outputs", "output"), ...own("inputs", "input")];
 }
 
-/** The job of a pin; "" where it has none. */
+/** The job of a pin; "" if it has none. */
 function jobOfPin(pin) {
   if (draft.repl === pin) return "repl";
   for (const way of ["outputs", "inputs"]) {
@@ -221,7 +221,7 @@ function freePin(pin) {
   }
 }
 
-/** Give a pin a job; who had it before has none, except enables, of which each driver may have one. */
+/** Give a pin a job; the pin that had it loses it, except ENABLE: each driver may have one. */
 function givePin(pin, job) {
   freePin(pin);
   const [name, index] = job.split(" ");
@@ -236,20 +236,20 @@ function givePin(pin, job) {
   renderPins();
 }
 
-/** The draft as a file has it: names of one's own only with their pins, limits only as far as they go. */
+/** The draft for the file, without unconnected outputs and inputs, and without MOTORS if not needed. */
 function tidy() {
   const wired = (pins) => Object.fromEntries(Object.entries(pins).filter(([, pin]) => pin !== null));
   const own = motorLetters() === AXES.slice(0, motorLetters().length);
   return { ...draft, motors: own ? "" : draft.motors, outputs: wired(draft.outputs), inputs: wired(draft.inputs) };
 }
 
-/** Pins that motors need and have not been given. */
+/** Motor jobs that have no pin yet. */
 function openJobs() {
   const names = motorNames(motorLetters());
   return [["STEP", "step"], ["DIR", "dir"]].flatMap(([item, words]) => names.filter((_, motor) => (draft.pins[item]?.[motor] ?? null) === null).map((name) => `${words} ${name}`));
 }
 
-/** [text, tone] of all that is to be said of the draft. */
+/** [text, tone] of each message about the draft. */
 function verdict() {
   const open = openJobs(), made = tidy();
   if (open.length) return [[`Still without a pin: ${open.join(", ")}.`, "warn"], ...noteRows(made)];
@@ -276,7 +276,7 @@ function renderPins() {
   says("pins-says", verdict());
 }
 
-/** A pin's number and the choice of its job; of a supply pin its name. */
+/** A pin's number and the choice of its job; for a supply pin its name. */
 function pinCells(word, row, [padColumn, jobColumn], jobs) {
   if (word === undefined) return [];
   const where = (column) => `grid-column:${column};grid-row:${row + 1}`;
@@ -334,7 +334,7 @@ function optionRow(option) {
     make("div", { className: option.kind === "True or False" ? "tick" : "" }, optionControl(option, id), make("div", { className: "small faint" }, option.meaning)));
 }
 
-/** What is set is in the file, and what is as ever is not. */
+/** Store an option; a default value is left out of the file. */
 function setOption({ name, default: usual }, value) {
   if (value === undefined || literal(value) === literal(name === "LINK" ? BOARDS.chips[draft.chip].link : usual)) delete draft.options[name];
   else draft.options[name] = value;

@@ -1,4 +1,4 @@
-// Setting the machine up: motors, switches, homing, travel, tool; each task can be left and taken up.
+// Setup of the machine: motors, switches, homing, travel, tool; each task can be continued later.
 
 // Slow enough to reach for STOP.
 const GUIDE_FEED = 200, FIRST_MM = 1;
@@ -30,7 +30,7 @@ function openTask(name) {
 
 const guideSays = (text, tone = "") => says("guide-says", text ? [[text, tone]] : []);
 
-/** Change settings; says what is refused. Returns whether all were taken. */
+/** Change settings and show refusals. Returns whether all were accepted. */
 async function put(...changes) {
   for (const [number, value] of changes) {
     const answer = await grbl.send(`$${number}=${value}`);
@@ -48,8 +48,8 @@ grbl.on("ready", () => {
   onReady?.();
   onReady = null;
 });
-/** Grbl keeps its place in mm and in steps: with other steps per mm its next move would make up for
- * the difference. A reset at rest has it begin from the steps. */
+/** Grbl stores its position in mm and in steps, so after a change of steps per mm its next move
+ * would compensate the difference. A reset while idle makes it start from the steps. */
 async function forgetPlace() {
   const ready = new Promise((resolve) => { onReady = resolve; });
   grbl.reset();
@@ -60,7 +60,7 @@ async function forgetPlace() {
 const needing = (need, properties, text) => make("button", { "data-needs": need, disabled: !NEEDS[need](), ...properties }, text);
 const numberField = (id, label, value, unit) => make("label", {}, label, make("input", { id, type: "number", step: "any", min: "0", value }), make("span", { className: "faint" }, unit));
 
-/** Draw the task that is open; again only where it is another, or is done now. */
+/** Draw the open task; redraw only if the task or its completion has changed. */
 function renderGuide() {
   if ($("guide").hidden) return;
   const tasks = guideTasks();
@@ -81,7 +81,7 @@ function taskBody() {
   return bodies[kind]();
 }
 
-// A motor: which way, and how far
+// A motor: direction and distance
 
 function motorTask(axis) {
   const letter = AXES[axis], [right, wrong] = waysOf(letter);
@@ -104,7 +104,7 @@ function motorTask(axis) {
     if (!(real > 0)) return guideSays("Say how far it went, in mm.", "bad");
     const steps = Number((before * moved / real).toFixed(3));
     if (await put([100 + axis, steps])) {
-      moved = 0; // with other steps it has to be measured anew
+      moved = 0; // with other steps per mm it must be measured again
       await forgetPlace();
       guideSays(`$${100 + axis}=${steps} (it was ${before}). Move it once more; a longer way measures better.`, "good");
     }
@@ -201,7 +201,7 @@ function renderTravel() {
   });
 }
 
-// Spindle or laser, for as long as a button is held
+// Spindle or laser, while a button is held
 
 const LASER_PART = 0.01; // of full power
 function toolTask() {

@@ -1,9 +1,9 @@
-// A height map: the top of the work, probed on a grid over what the open program cuts.
+// A height map: the top of the work, probed on a grid over the area that the open program cuts.
 
 const HEIGHT_AS = "ugrbl-height", PLOT_PX = [360, 240], WAY_MM = 2; // moves are cut into pieces no longer than that
 let heightMap = null; // { x: [mm], y: [mm], z: [row][column] of mm, work coordinates }
 
-/** A height map out of JSON. Error where it is none. */
+/** A height map from JSON. Throws an Error for an invalid one. */
 function readHeights(text) {
   const read = JSON.parse(text), numbers = (list) => Array.isArray(list) && list.length > 1 && list.every(Number.isFinite);
   if (read === null) return null;
@@ -22,7 +22,7 @@ function setHeights(map) {
   drawHeights();
 }
 
-/** The height at a place, between four points; beyond the grid that of its edge. */
+/** The height at a position, between four points; beyond the grid the height of its edge. */
 function heightAt({ x, y, z }, px, py) {
   const cell = (list, at) => {
     const clamped = Math.min(Math.max(at, list[0]), list.at(-1));
@@ -62,7 +62,7 @@ async function probeHeights() {
   await probeSend([up]);
   for (const [row, y] of grid.y.entries()) {
     const columns = [...grid.x.entries()];
-    if (row % 2) columns.reverse(); // there and back
+    if (row % 2) columns.reverse(); // alternate rows run backwards
     for (const [column, x] of columns) {
       $("probe-says").textContent = `Point ${row * grid.x.length + (row % 2 ? grid.x.length - column : column + 1)} of ${grid.x.length * grid.y.length} …`;
       await probeSend([`G0 ${word("X", x)} ${word("Y", y)}`, `G91 G38.2 ${word("Z", -probeValue("far"))} F${probeValue("feed")}`]);
@@ -94,7 +94,7 @@ function drawHeights() {
   }));
 }
 
-/** A program whose moves follow the map. Error where it does what has no place on it. */
+/** A program whose moves follow the map. Throws an Error for words that cannot follow it. */
 function withHeights(opened, map) {
   const { lines } = opened, reader = new Reader(), made = ["(moves follow a height map)", "G21 G90 G94"];
   let done = 0, from = [NaN, NaN, NaN];
@@ -104,7 +104,7 @@ function withHeights(opened, map) {
     if (refused || /^\s*\$/.test(text)) throw new Error(`line ${index + 1} has ${refused || "a $ command"}, which cannot follow a height map`);
     reader.read(text);
     const rest = words.filter(([letter, value]) => !(/[XYZIJKRFN]/.test(letter) || letter === "G" && /^([0123]|20|21|90|91|94)$/.test(String(value))));
-    const isEnd = ([letter, value]) => letter === "M" && [0, 1, 2, 30].includes(value); // behind the line's motion
+    const isEnd = ([letter, value]) => letter === "M" && [0, 1, 2, 30].includes(value); // after the line's motion
     const said = (some) => { if (some.length) made.push(some.map(([letter, value]) => letter + value).join(" ")); };
     said(rest.filter((one) => !isEnd(one)));
     for (; done < reader.path.length; done += 1) {
@@ -117,7 +117,7 @@ function withHeights(opened, map) {
   return `${made.join("\n")}\n`;
 }
 
-/** A move in pieces, each at the height of the work there. Before X, Y and Z are known only as it is. */
+/** A move in pieces, each at the work's height there; unchanged until X, Y and Z are known. */
 function followed(from, [x, y, z, kind, , feed], map) {
   const known = from.slice(0, 3).every(Number.isFinite), far = known ? Math.hypot(x - from[0], y - from[1]) : 0;
   const pieces = kind ? Math.max(1, Math.ceil(far / WAY_MM)) : 1;

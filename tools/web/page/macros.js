@@ -1,10 +1,10 @@
-// Macros: buttons of the user's own. They are kept in this browser, and in a file where that is saved.
+// Macros: the user's own buttons. This browser stores them; they can be saved to a file.
 
 const MACROS_AS = "ugrbl-macros";
 const PLACEHOLDER = /\{(\w+)(?:=([^{}]*))?\}/g;
 let macros = [];
 
-/** Macros out of JSON: [{ name, lines }]. Error where it is none. */
+/** Macros from JSON: [{ name, lines }]. Throws an Error for invalid ones. */
 function readMacros(text) {
   const read = JSON.parse(text);
   if (!Array.isArray(read) || !read.every(({ name, lines }) => typeof name === "string" && typeof lines === "string")) throw new Error("there are no macros in it");
@@ -26,7 +26,7 @@ function keepMacros() {
   renderMacros();
 }
 
-/** What a macro asks for: [[name, default]], each once. */
+/** The arguments of a macro: [[name, default]], each once. */
 function argumentsOf(lines) {
   return [...new Map([...lines.matchAll(PLACEHOLDER)].map(([, name, usual]) => [name, usual || ""]))];
 }

@@ -1,8 +1,8 @@
-// Once round all that a program cuts, so that clamps and the edge of the stock are seen before.
+// Move once round everything that a program cuts, to check clamps and stock before the job.
 
 const OUTLINE_POWER = 0.01; // of a laser's full power
 
-/** [low, high] of X and Y over the cuts of a path, in mm; null where there is none. */
+/** [low, high] of X and Y over the cuts of a path, in mm; null without cuts. */
 function cutBox(path) {
   const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
   path.forEach(([x, y, , kind], index) => {
@@ -17,8 +17,8 @@ function cutBox(path) {
   return low[0] <= high[0] ? [low, high] : null;
 }
 
-/** Lines that go round a box at a feed, mm/min; a spindle's tool is up first, a laser is dim.
- * laser: S of its power, or null. */
+/** Lines that go round a box at a feed in mm/min. A spindle's tool is raised first; a laser is on at low power.
+ * laser: S for its power, or null. */
 function outlineLines([low, high], feed, { up, laser }) {
   const corners = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]];
   const words = corners.map(([x, y]) => `X${millimetres(x)} Y${millimetres(y)}`);

@@ -1,10 +1,10 @@
-// Probing: a plate, an edge, a corner, a hole, tool lengths; each says first what it will send.
+// Probing: a plate, an edge, a corner, a hole, tool lengths; each shows its lines before it sends them.
 
 const PROBE_AS = "ugrbl-probe", SLOW_PART = 0.25, BACK_MM = 1;
 const PROBE_FIELDS = {
   plate: ["Plate", "mm", 1.5], tool: ["Tool", "mm", 3], far: ["At most", "mm", 20], feed: ["Feed", "mm/min", 100], up: ["Then up", "mm", 5], columns: ["Columns", "", 4], rows: ["Rows", "", 3],
 };
-/** Where a table is probed from; its sides as signs of X and Y. */
+/** The sides from which an edge is probed: axis and sign of the motion. */
 const PROBE_SIDES = { left: ["X", 1], right: ["X", -1], front: ["Y", 1], back: ["Y", -1] };
 const PROBE_KINDS = {
   plate: { title: "Plate", fields: ["plate", "far", "feed", "up"], words: "A plate lies on the work, the tool is above it. Sets Z of the coordinate system in force.",
@@ -37,11 +37,11 @@ function keepProbe() {
   }
 }
 const probeValue = (name) => Number(probeSet[name] ?? PROBE_FIELDS[name][2]);
-/** Stands in a line for the coordinate that the last probing has found. */
+/** Placeholder in a line for the coordinate found by the last probing. */
 const TOUCHED = "(where it touched)";
 const word = (letter, value) => `${letter}${millimetres(value)}`;
 
-/** Towards something: fast, back a little, and slowly. Then to where it touched, for it stops a little later. */
+/** Probe fast, retract, probe slowly; then move to the contact, because the machine stops after it. */
 function touchLines(letter, sign, far) {
   const feed = probeValue("feed");
   return [`G38.2 ${word(letter, sign * far)} F${feed}`, `G0 ${word(letter, -sign * BACK_MM)}`, `G38.2 ${word(letter, sign * 2 * BACK_MM)} F${Math.max(1, Math.round(feed * SLOW_PART))}`,
@@ -57,7 +57,7 @@ function edgeLines() {
   return [...touchLines(letter, sign, probeValue("far")), `G10 L20 P0 ${word(letter, -sign * (probeValue("tool") / 2 + probeValue("plate")))}`, `G0 ${word(letter, -sign * BACK_MM)}`];
 }
 
-/** From outside the left side: X, round to the front, Y, and up. */
+/** From outside the left side: probe X, go round to the front, probe Y, and move up. */
 function cornerLines() {
   const off = probeValue("tool") / 2 + probeValue("plate"), far = probeValue("far");
   return [...touchLines("X", 1, far), `G10 L20 P0 ${word("X", -off)}`, `G0 ${word("X", -BACK_MM)}`, `G0 ${word("Y", -far)}`, `G0 ${word("X", BACK_MM + 2 * off)}`,
@@ -73,13 +73,13 @@ function lengthLines() {
   return [...touchLines("Z", -1, probeValue("far")), last, `G0 ${word("Z", probeValue("up"))}`];
 }
 
-/** Where the last probing touched, in mm, machine coordinates; null where it did not. */
+/** The contact of the last probing in mm, machine coordinates; null if it failed. */
 function touched() {
   const [place, success] = (grbl.offsets.get("PRB") || "").split(":");
   return success === "1" ? inMm(place.split(",").map(Number)) : null;
 }
 
-/** Send lines one by one, in mm and relative; what was in force before is afterwards. Error in words. */
+/** Run a probing in mm and relative coordinates, then restore G20 and G90. Throws an Error for the user. */
 async function probeRun(act) {
   if (grbl.pins.includes("P")) throw new Error("The probe touches already. Lift the tool, or turn $6 round.");
   const before = ["G20", "G90"].filter((mode) => grbl.modes.includes(mode));

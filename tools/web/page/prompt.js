@@ -1,10 +1,10 @@
-// MicroPython's prompt on the link of the machine: Python that runs on the board, and files there.
+// MicroPython's prompt on the machine's link: runs Python on the board and stores files there.
 
 const PROMPT_MS = 5000, RUN_MS = 10000, START_MS = 20000, LATE_MS = 1500;
 const CTRL_A = "\x01", CTRL_B = "\x02", CTRL_C = "\x03", CTRL_D = "\x04";
-// An ESP32's serial line has no handshake: its buffer is larger than such a piece.
+// An ESP32's serial line has no handshake, so a piece must be smaller than its buffer.
 const WIRE_BYTES = 128, WIRE_MS = 12;
-const WRITE_BYTES = 192; // of a file, in a line of Python
+const WRITE_BYTES = 192; // bytes of a file in one line of Python
 const RAW = /raw REPL; CTRL-B to exit\r\n>$/;
 
 const ABOUT_BOARD = `
@@ -20,8 +20,8 @@ def text(name):
     return open("/" + name).read() if name in names else None
 print(json.dumps([".".join(map(str, sys.implementation[1][:3])), getattr(sys.implementation, "_machine", ""), frozen, "main.py" in names, text("board.py"), text("custom.py")]))
 `;
-/** Python that compares a new file with what was sent, tries it, and puts it in place. A board file
- * is data, and can be run there and then; custom.py wants its machine, and is compiled. */
+/** Python that compares a new file's checksum, tests it, and replaces the old one. A board file
+ * is data, so it is executed; custom.py needs the running machine, so it is only compiled. */
 const PLACE_FILE = (name, checksum) => `
 import hashlib, binascii, os
 with open("/new.py", "rb") as file:
@@ -35,14 +35,14 @@ if "${name}" in os.listdir("/"):
 os.rename("/new.py", "/${name}")
 `;
 
-/** The Python on the board has failed; its traceback. */
+/** A fault of Python on the board, with its traceback. */
 class PythonFault extends Error {
-  /** The line of the file that was sent, or 0. */
+  /** The line of the sent file, or 0. */
   get line() { return Number(/"(?:board|custom)\.py", line (\d+)/.exec(this.message)?.[1] || 0); }
   get words() { return this.message.trim().split(/\r?\n/).at(-1); }
 }
 
-/** The prompt. Its methods are one after the other; each may throw an Error in words. */
+/** The prompt. Call its methods one at a time; each may throw an Error for the user. */
 class Prompt {
   #grbl; #text = ""; #decoder = new TextDecoder("latin1"); #waits = null;
 
@@ -51,7 +51,7 @@ class Prompt {
     grbl.on("lost", () => this.#waits?.fail(new Error("The connection is lost.")));
   }
 
-  /** Get the raw prompt. fresh: with a soft reset, so that all memory is free. */
+  /** Enter the raw prompt. fresh: with a soft reset, so that all memory is free. */
   async enter(fresh = false) {
     const { state, link } = this.#grbl;
     if (state && !["Idle", "Alarm"].includes(state)) throw new Error(`The machine is in ${state} and is not disturbed. Wait until it is idle.`);
@@ -68,7 +68,7 @@ class Prompt {
     }
   }
 
-  /** Run Python; returns what it prints. PythonFault where it fails. */
+  /** Run Python; returns its output. Throws PythonFault. */
   async run(code) {
     this.#text = "";
     for (let at = 0; at < code.length; at += WIRE_BYTES) {
@@ -80,13 +80,13 @@ class Prompt {
     return out;
   }
 
-  /** What is on the board; board, custom: the texts of these files, or null. */
+  /** Query the board's software; board, custom: the texts of these files, or null. */
   async about() {
     const [version, machine, frozen, hasMain, board, custom] = JSON.parse(await this.run(ABOUT_BOARD));
     return { version, machine, frozen, hasMain, board, custom };
   }
 
-  /** Replace a file, once what has arrived is what was sent and Python takes it. */
+  /** Replace a file if it arrived undamaged and Python accepts it. */
   async putFile(name, text, progress = () => {}) {
     const bytes = ENCODER.encode(text);
     await this.run('file = open("/new.py", "wb")');
@@ -98,7 +98,7 @@ class Prompt {
     await this.run(PLACE_FILE(name, await sha256(bytes)));
   }
 
-  /** Start main.py, as power does; resolves to the welcome, or to "" and what was said instead. */
+  /** Start main.py as at power-up; resolves to the welcome, or to "" and the message instead. */
   async start() {
     this.#text = "";
     this.#write(CTRL_B);
@@ -106,7 +106,7 @@ class Prompt {
     try {
       const [, banner = "", message = ""] = await this.#ask(CTRL_D, ended, START_MS);
       if (banner) return { banner, message: "" };
-      // A message may come in front of a welcome, too.
+      // A message may also come before a welcome.
       return await this.#ask("", /(Grbl(?:HAL)? \d[^\r\n]*)\r\n/, LATE_MS)
         .then(([, late]) => ({ banner: late, message: "" }), () => ({ banner: "", message }));
     } finally {
@@ -114,7 +114,7 @@ class Prompt {
     }
   }
 
-  /** Give the link back to the machine; the prompt stays where it is. */
+  /** Return the link to the machine; the board stays at the prompt. */
   leave() {
     this.#write(CTRL_B);
     this.#grbl.takeBack();
@@ -127,7 +127,7 @@ class Prompt {
     this.#waits?.look();
   }
 
-  /** Send, and wait for what the pattern finds. */
+  /** Send, and wait until the pattern matches; resolves to the match. */
   #ask(text, pattern, patience = PROMPT_MS) {
     return new Promise((resolve, reject) => {
       const end = (act, value) => {
@@ -157,7 +157,7 @@ async function sha256(bytes) {
   return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** The name in BOARDS.chips of what MicroPython calls its machine; "" where none is known. */
+/** The name in BOARDS.chips for MicroPython's name of the machine; "" if unknown. */
 function chipOf(machine) {
   const processor = machine.split(" with ").at(-1);
   const names = Object.keys(BOARDS.chips).filter((name) => BOARDS.chips[name].processor === processor);

@@ -1,15 +1,15 @@
-// The steps of setting up: one is shown at a time, and what was entered outlives the page.
+// The steps of the setup: one is shown at a time; the browser stores the entries.
 
 const KEPT_AS = "ugrbl-setup";
 const kept = (() => {
   try {
     return JSON.parse(localStorage.getItem(KEPT_AS)) || {};
   } catch (error) {
-    console.info("nothing is kept:", error.message); // storage is off, or was written by another page
+    console.info("nothing is kept:", error.message); // storage is disabled, or was written by another page
     return {};
   }
 })();
-/** Keep it in this browser. */
+/** Store a value in this browser. */
 function keep(name, value) {
   kept[name] = value;
   try {
@@ -21,7 +21,7 @@ function keep(name, value) {
 
 const SETUP_STEPS = [...$("setup-steps").children].map(({ dataset }) => dataset.step);
 let setupStep = "";
-/** What a step does when it is shown, by name. */
+/** Functions that run when a step is shown, by its name. */
 const STEP_SHOWN = {};
 
 function showStep(name) {
@@ -40,12 +40,12 @@ function showStep(name) {
   STEP_SHOWN[name]?.();
 }
 
-/** Sentences, each with a tone: bad, warn or good. */
+/** Show sentences, each with a tone: bad, warn or good. */
 function says(id, rows) {
   $(id).replaceChildren(...rows.map(([text, tone]) => make("li", { className: tone }, text)));
 }
 
-/** Begin, once all parts are there: from a board that serves this page only the guide is. */
+/** Begin when all parts are loaded; a page served by a board has only the guide. */
 function beginSetup() {
   for (const button of $("setup-steps").children) {
     button.hidden = !(button.dataset.step in STEP_SHOWN);

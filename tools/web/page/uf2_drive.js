@@ -1,14 +1,14 @@
-// A UF2 file onto the drive of a board in its boot loader, where the browser can write to folders.
+// Writes a UF2 file to the drive of a board's boot loader, if the browser can write to folders.
 
 const UF2_MAGIC = 0x0a324655, UF2_FAMILY_AT = 28, UF2_FLAGS_AT = 8, UF2_HAS_FAMILY = 0x2000;
 const FAMILIES = { 0xe48bff56: "RP2040", 0xe48bff57: "", 0xe48bff59: "RP2350", 0xe48bff5a: "RP2350" };
 const DRIVES = { "RPI-RP2": "RP2040", RP2350: "RP2350" }; // Board-ID of INFO_UF2.TXT
 
-/** The processor that a UF2 file is for; Error where it is none. "" where it does not say. */
+/** The processor of a UF2 file, "" if it names none. Throws an Error for another file. */
 function processorOfUf2(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   if (bytes.length < 512 || view.getUint32(0, true) !== UF2_MAGIC) throw new Error("This is no UF2 file.");
-  for (let at = 0; at + 512 <= bytes.length; at += 512) { // blocks of no family in particular come first
+  for (let at = 0; at + 512 <= bytes.length; at += 512) { // blocks without a chip's family come first
     if (!(view.getUint32(at + UF2_FLAGS_AT, true) & UF2_HAS_FAMILY)) continue;
     const processor = FAMILIES[view.getUint32(at + UF2_FAMILY_AT, true)];
     if (processor === undefined) throw new Error("This file is for another chip than RP2040 and RP2350.");
@@ -17,7 +17,7 @@ function processorOfUf2(bytes) {
   return "";
 }
 
-/** Write it there, once the drive is known to be a board's, and of that chip. Returns words. */
+/** Write the file after checking that the drive belongs to a board with its chip. Returns a message. */
 async function writeToDrive(file, drive) {
   const bytes = new Uint8Array(await file.arrayBuffer()), processor = processorOfUf2(bytes);
   let info = "";
