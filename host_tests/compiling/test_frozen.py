@@ -211,16 +211,22 @@ def manifest(
 Manifest = Callable[..., "tuple[list[str], set[str]]"]
 
 
-def test_manifest_freezes_the_files_of_its_build(manifest: Manifest, tmp_path: Path) -> None:
-    old = tmp_path / "build" / "frozen" / "rpi_pico" / "motion" / "gone.mpy"
-    old.parent.mkdir(parents=True)
-    old.write_bytes(b"M\6")
+def test_manifest_freezes_only_the_files_of_its_build(manifest: Manifest, tmp_path: Path) -> None:
+    of_an_older_build = tmp_path / "build" / "frozen" / "rpi_pico" / "motion" / "gone.mpy"
+    of_an_older_build.parent.mkdir(parents=True)
+    of_an_older_build.write_bytes(b"M\6")  # how .mpy files begin: the letter, and the version
     included, frozen = manifest(BOARD="RPI_PICO")
     assert included == ["$(BOARD_DIR)/manifest.py"]
     assert frozen == {*freeze.for_board(board_file("rpi_pico")).files}
-    os.utime(old.parent / "planner.mpy", (1, 1))
-    manifest(BOARD="RPI_PICO")  # an unchanged file is not written, or MicroPython would be rebuilt
-    assert (old.parent / "planner.mpy").stat().st_mtime == 1
+
+
+def test_manifest_does_not_write_an_unchanged_file(manifest: Manifest, tmp_path: Path) -> None:
+    """MicroPython's build would compile it again."""
+    manifest(BOARD="RPI_PICO")
+    file = tmp_path / "build" / "frozen" / "rpi_pico" / "motion" / "planner.mpy"
+    os.utime(file, (1, 1))
+    manifest(BOARD="RPI_PICO")
+    assert file.stat().st_mtime == 1
 
 
 def test_manifest_includes_that_of_the_port_when_the_board_has_none(manifest: Manifest) -> None:

@@ -117,7 +117,10 @@ class Shop:
             raise fault
 
     def send(self, text: str, how: str = "ok") -> "Iterator[Any]":
-        """Send a text; return the replies without messages, which are stored."""
+        """Send a text; return the replies without messages, which are stored.
+
+        how: "ok" adds a line end and waits for the answer; "ms 500" waits only for 500 ms.
+        """
         yield from self.sender.wait(how, text if how != "ok" else text + "\n")
         return self.heard()
 
@@ -1189,19 +1192,24 @@ def test_outputs_switch_with_or_after_the_motion_before_them(shop: Make) -> None
 
 
 def test_input_is_waited_for_by_its_number(shop: Make) -> None:
+    """P0 is "part", P1 is "door". Q is the longest wait in seconds."""
     made = shop("digital_io", **_NUMBERED)
 
     def script() -> "Iterator[Any]":
+        # L3 waits until it is closed. It closes after 500 ms, and the answer comes then.
         yield from made.send("M66 P0 L3 Q2\n", "ms 500")
+        assert made.answers == []
         made.close("part")
         yield from made.answered(1)
-        yield from made.send("M66 P0 L1 Q1\n", "ms 100")  # closed already: it must open first
+        # L1 waits for the moment of closing. It is closed already, so it must open first.
+        yield from made.send("M66 P0 L1 Q1\n", "ms 100")
         made.close("part", False)
         yield made.rig.ms(100)
+        assert made.answers == ["ok"]
         made.close("part")
         yield from made.answered(2)
-        yield from made.send("M66 P1")
-        yield from made.send("M66 P1 L3 Q0.5")
+        yield from made.send("M66 P1")  # L0, the default, does not wait
+        yield from made.send("M66 P1 L3 Q0.5")  # it stays open for longer than Q
 
     made.run(script())
     assert made.answers == ["ok"] * 4

@@ -264,24 +264,27 @@ def test_random_programs_keep_every_law(limits: Limits, jerk, program) -> None:
     bench.check()
 
 
-@pytest.mark.parametrize("after", [9, 40, 77])
-def test_parking_moves_between_two_halves_of_a_block(after: int) -> None:
-    bench = JerkBench(fast, (20_000.0,) * 3)
+@pytest.mark.parametrize("segments_before", [9, 40, 77])
+def test_parking_moves_between_two_halves_of_a_block(segments_before: int) -> None:
+    """A hold stops a block in its middle. Two moves of the system follow, then the rest of it."""
+    steps_per_mm, jerk_mm_s3 = 250, 20_000.0  # the first as in `fast`
+    is_executed = 2  # value of flow[SYSTEM]: see layout.py
+    bench = JerkBench(fast, (jerk_mm_s3,) * 3)
     zigzag(bench)
-    bench.pull(after)
+    bench.pull(segments_before)
     bench.segments.hold(True)
     bench.finish()
     made = bench.watch.made
-    stood = [sum(s.axis(i)[0] for s in made) for i in range(3)]
-    move, start = Move(), array("i", stood)
+    motors = array("i", [sum(s.axis(i)[0] for s in made) for i in range(3)])  # in steps
+    move = Move()
     move.flags = layout.SYSTEM_MOTION | layout.RAPID_MOTION
     bench.segments.begin_system()
     bench.segments.hold(False)
-    for place in ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)):
-        assert bench.planner.system_line(array("f", place), move, 0, start)
+    for place_mm in ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)):
+        assert bench.planner.system_line(array("f", place_mm), move, 0, motors)
         bench.finish()
-        assert bench.planner.flow[layout.SYSTEM] == 2
-        start[:] = array("i", [round(250 * x) for x in place])
+        assert bench.planner.flow[layout.SYSTEM] == is_executed
+        motors[:] = array("i", [round(steps_per_mm * mm) for mm in place_mm])
     bench.segments.end_system()
     bench.check()
 

@@ -196,14 +196,22 @@ def test_zero_skew_moves_step_for_step_like_a_machine_without_the_module() -> No
 
 
 def test_each_motor_keeps_its_own_rate_and_acceleration() -> None:
-    made = machine(settings={110: 60, 120: 20})
+    """Y moves fast, and the skew of 0.1 moves the slower X along. X limits the motion."""
+    mm_s, mm_s2 = 1.0, 2.0  # of X; Y has 100 mm/s and 1000 mm/s²
+    made = machine(settings={110: 60 * mm_s, 120: mm_s2})
     made.play(["G0Y20", "G0Y0"])
-    steps = []
+    steps_s = []  # times of X's steps
     for start, row in made.rows:
-        steps += [start + step_tick(row, ROW_AXES, k) for k in range(row[ROW_AXES])]
-    assert len(steps) == 2 * 2 * _PER_MM  # X moves along, 2 mm each way
-    gaps = [b - a for a, b in pairwise(steps)]
-    assert min(gaps) >= _TICK_HZ / _PER_MM * 0.98
+        steps_s += [(start + step_tick(row, ROW_AXES, k)) / _TICK_HZ for k in range(row[ROW_AXES])]
+    assert len(steps_s) == 2 * 2 * _PER_MM  # 2 mm each way
+    assert min(b - a for a, b in pairwise(steps_s)) >= 0.98 / (mm_s * _PER_MM)
+    # The acceleration follows from mean speeds over 10 steps; X needs 62 to its full rate.
+    tens_s = steps_s[::10]
+    speeds = [10 / _PER_MM / (b - a) for a, b in pairwise(tens_s)]
+    middles_s = [(a + b) / 2 for a, b in pairwise(tens_s)]
+    changes = [(v - u) / (t - s) for (u, v), (s, t) in zip(pairwise(speeds), pairwise(middles_s))]
+    assert max(changes) == pytest.approx(mm_s2, rel=0.03)
+    assert min(changes) == pytest.approx(-mm_s2, rel=0.03)
 
 
 @pytest.mark.parametrize(

@@ -19,16 +19,21 @@ def three(bench):
 
 
 def test_wrong_keys_close_their_connection_and_lock_nobody_out(bench) -> None:
+    """One address sends wrong keys 120 times; each time another address sends the right one."""
+    allowed_tries = 3  # _TRIES in ports/net/client.py
+    few_rounds_ms = 30  # the link polls its clients every 10 ms
+    answer_ms = 100  # no wrong key may delay an answer for longer
+
     def script(bench):
-        for number in range(40):
+        for number in range(40):  # many more than the 3 places
             wrong, right = bench.call("10.0.0.1"), bench.call(f"10.0.1.{number}")
-            yield from bench.wait(30)
-            wrong.send("$NET/KEY=22222222\n" * 3)
+            yield from bench.wait(few_rounds_ms)
+            wrong.send("$NET/KEY=22222222\n" * allowed_tries)
             right.send(f"$NET/KEY={KEY}\n")
-            yield from bench.until(lambda right=right: b"ok" in right.got, 100)
-            yield from bench.until(lambda wrong=wrong: wrong.is_closed, 100)
-            right.is_broken = True
-            yield from bench.wait(30)
+            yield from bench.until(lambda right=right: b"ok" in right.got, answer_ms)
+            yield from bench.until(lambda wrong=wrong: wrong.is_closed, answer_ms)
+            right.is_broken = True  # frees its place
+            yield from bench.wait(few_rounds_ms)
 
     bench.run(script)
 

@@ -48,17 +48,34 @@ def test_time_path_and_lines_match_run(tmp_path: Path) -> None:
     assert found["times"][-1][1] == pytest.approx(found["seconds"], abs=0.05)
 
 
-def test_machine_settings_apply_and_invalid_ones_are_ignored(tmp_path: Path) -> None:
+def looks_with(folder: Path, *settings: "dict[str, Any]") -> "list[Any]":
+    """Return the preview of _SQUARE with the defaults, then with each of these settings."""
+    asked = [{"program": _SQUARE, "settings": each} for each in ({}, *settings)]
+    return [found for _, found in look(folder, *asked)]
+
+
+def test_machine_settings_apply_as_texts_and_numbers(tmp_path: Path) -> None:
+    # $999 does not exist and is ignored; $0 has no effect on the time.
     quick = {"110": "6000", "111": "6000.000", "120": 500, "121": "500", "999": "1", "0": "1"}
-    odd: dict[str, Any] = {"22": "1", "20": "1", "x": "1", "100": "many", "110": None, "²": "1"}
-    odd.update(
-        {"9" * 5000: "1", "101": "1e999", "102": 1e300, "111": "-1", "120": [], "121": "nan"}
-    )
-    odd.update({"12": "1e-9", "13": True, "999": "2e38", "": "1", " 112": "1"})
-    asked = [{"program": _SQUARE, "settings": settings} for settings in ({}, odd, quick)]
-    (_, plain), (_, same), (_, faster) = look(tmp_path, *asked)
-    assert same == plain
+    plain, faster = looks_with(tmp_path, quick)
     assert faster["seconds"] < plain["seconds"] - 1
+
+
+def test_invalid_machine_settings_are_ignored(tmp_path: Path) -> None:
+    no_numbers: dict[str, Any] = {"x": "1", "²": "1", "": "1", " 112": "1", "9" * 5000: "1"}
+    no_values: dict[str, Any] = {"100": "many", "110": None, "120": [], "121": "nan"}
+    beyond_single_precision: dict[str, Any] = {"101": "1e999", "102": 1e300}
+    refused_or_unknown: dict[str, Any] = {"111": "-1", "999": "2e38"}
+    invalid = {**no_numbers, **no_values, **beyond_single_precision, **refused_or_unknown}
+    plain, same = looks_with(tmp_path, invalid)
+    assert same == plain
+
+
+def test_settings_that_move_nothing_leave_the_preview_unchanged(tmp_path: Path) -> None:
+    """Homing and soft limits ($22, $20) are left out; $13 is the reports' unit, $12 is of arcs."""
+    settings: dict[str, Any] = {"22": "1", "20": "1", "12": "1e-9", "13": True}
+    plain, same = looks_with(tmp_path, settings)
+    assert same == plain
 
 
 STANDING = {

@@ -51,9 +51,16 @@ def test_a_stopped_engine_stays_stopped_until_it_is_armed(engine: str) -> None:
     assert made.places() == made.position() == [0, 0, 0] and made.steps
 
 
-def lines_of_start(made: Made, at_line: int = -1) -> int:
-    """Start the engine, and stop it when line number at_line is reached. Return the number of
-    lines."""
+def count_lines_of_start(made: Made) -> int:
+    """Start the engine; return how many lines of its Python are executed for that."""
+    return start_and_stop(made, -1)
+
+
+def start_and_stop(made: Made, at_line: int) -> int:
+    """Start the engine, and stop it before the line with this number, from 0; -1: not at all.
+
+    Return the number of lines executed. The stop's own lines are not counted.
+    """
     count = 0
 
     def trace(frame: Any, event: str, _: Any) -> Any:
@@ -80,9 +87,10 @@ def lines_of_start(made: Made, at_line: int = -1) -> int:
 @pytest.mark.thorough
 @pytest.mark.parametrize("engine", ESP)
 def test_a_stop_during_the_start_wins(engine: str) -> None:
-    for line in range(lines_of_start(make(engine, "fast"))):
+    """An interrupt may stop the engine between any two lines of the start."""
+    for line in range(count_lines_of_start(make(engine, "fast"))):
         made = make(engine, "fast")
-        lines_of_start(made, line)
+        start_and_stop(made, line)
         made.engine.advance(made.engine.now + 100_000 * made.engine._per_us)
         assert made.steps == [] and made.engine.idle() and made.engine.fault() == ""
         made.engine.arm()

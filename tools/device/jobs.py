@@ -18,8 +18,8 @@ _WINDOW_LOG2 = 10
 _SILENCE_S = 12.0  # longer than a board takes to find free flash for a piece
 # bytes per second; the board reads the complete file again, and copies it
 _LOOKED_THROUGH_PER_S = 50_000
-_BEGUN_S = 600.0  # for a scan of a long program, and its run in check mode
-_FIRST_S = 0.5  # the first lines are refused within this time, if at all
+_BEGUN_S = 600.0  # to the first message: a scan of a long program, and its run in check mode
+_FIRST_S = 0.5  # after each message: the first lines are refused within this time, if at all
 _REFUSED = re.compile(r"refused with (\d+)")
 _NAME = re.compile(r"[A-Z0-9_-][A-Z0-9._-]{0,31}")
 _FILE = re.compile(r"\[FILE:/(.*)\|SIZE:(\d+)\]")
@@ -99,8 +99,12 @@ def button(connection: Connection, name: str) -> None:
 
 
 def start(connection: Connection, name: str, line: str = "") -> str:
-    """Start a job, from a line on, or with "@" from its last noted position. Returns the machine's
-    messages about it, after the first lines have been accepted. SendError if a line was refused.
+    """Start a job, and return the machine's messages about it, one per line.
+
+    line: "" starts at the first line, "@N" at line N (from 1), and "@" where the job was last held
+    or stopped; then an empty name stands for that job. The first message may take _BEGUN_S,
+    because the board scans the program first. Return when no other message has followed for
+    _FIRST_S. SendError if there is no message, or if a line was refused.
     """
     _ask(connection, f"$F={name}{line}")
     said: list[str] = []

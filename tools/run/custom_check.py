@@ -256,20 +256,30 @@ def _parameters(kind: str, letters: Any, function: "Callable[..., Any]") -> Iter
         yield f"{function.__name__}() gets {given}: {error}"
 
 
-def _letters(letters: str, there: Any, name: str) -> Iterator[str]:
-    _, *others = there.values()
+def _letters(letters: str, parameters: Any, name: str) -> Iterator[str]:
+    """Yield the faults of a word's handler: it must accept each letter of the word as a parameter.
+
+    letters: those of the word, upper case if required, lower case if the line may leave it out.
+    parameters: the handler's, the first of which is m. A fault is a letter without a parameter, an
+    optional letter whose parameter has no default, or a parameter without a default that no letter
+    fills. **kwargs accepts every letter.
+    """
+    _, *others = parameters.values()
     takes_all = any(each.kind is each.VAR_KEYWORD for each in others)
-    named = {each.name: each for each in others if each.kind is not each.VAR_KEYWORD}
-    for c in letters:
-        each = named.pop(c.upper(), None)
-        if each is None and not takes_all:
-            low = f": it is called {c.upper()}, not {c.lower()}" if c.lower() in named else ""
-            yield f"{name}() has no parameter {c.upper()}{low}"
-        elif each is not None and c.islower() and each.default is each.empty:
-            yield f"{name}(): {c.upper()} may be missing and has no default: {c.upper()}=0"
-    for each in named.values():
-        if each.default is each.empty and each.kind is not each.VAR_POSITIONAL:
-            yield f"{name}(): nobody gives it {each.name}; its letters are {letters!r}"
+    unfilled = {each.name: each for each in others if each.kind is not each.VAR_KEYWORD}
+    for letter in letters:
+        upper = letter.upper()
+        parameter = unfilled.pop(upper, None)
+        if parameter is None:
+            if not takes_all:
+                is_lower = letter.lower() in unfilled
+                hint = f": it is called {upper}, not {letter.lower()}" if is_lower else ""
+                yield f"{name}() has no parameter {upper}{hint}"
+        elif letter.islower() and parameter.default is parameter.empty:
+            yield f"{name}(): {upper} may be missing and has no default: {upper}=0"
+    for parameter in unfilled.values():
+        if parameter.default is parameter.empty and parameter.kind is not parameter.VAR_POSITIONAL:
+            yield f"{name}(): nobody gives it {parameter.name}; its letters are {letters!r}"
 
 
 def check(own: OwnPython, board: str, around: Around) -> "tuple[Verdict, Sequence[Any]]":

@@ -296,7 +296,10 @@ class SimEngine:
             self.trace(self._start, row)
 
     def _add_whole(self, row: "array[int]", ticks: int) -> None:
-        """Count the steps of a complete segment."""
+        """Add the steps of a segment that was not cut to the motors' positions, in steps.
+
+        ticks: the length of the segment. A step that is due later is not counted.
+        """
         dirs, physical = row[ROW_DIRS], self._physical
         for i in range(self._axes):
             base = ROW_AXES + ROW_STRIDE * i

@@ -213,6 +213,10 @@ class PWM:
     outputs: dict[int, "PWM"] = {}
 
     def __init__(self, pin: Pin, *, freq: int = 1907, duty_u16: int = 0, invert: int = 0) -> None:
+        """Connect the pin. Without freq an RP2040 makes 1907 Hz: 125 MHz / 65536, in Hz.
+
+        duty is the value set last, and playing that of the present pulse; both 0 to 65535.
+        """
         self.frequency = _checked(freq)
         self.duty = self.playing = duty_u16
         self.invert = invert

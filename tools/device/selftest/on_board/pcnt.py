@@ -12,8 +12,11 @@ from machine import Pin, mem32
 from .config import CONFIG
 
 MOST = 32_000  # a counter's range, in steps from 0, both ways
-ENABLE, ENABLE_HIGH = 0x24, 0x30  # registers that enable outputs: of pins 0 to 31, and above
-LEVELS, LEVELS_HIGH = 0x3C, 0x40  # registers with the levels at the pins
+# Offsets of registers with a bit per pin, for pins 0 to 31 and for those above. ENABLE_SET is
+# write-1-to-set: it enables the output of each pin whose bit is 1, and leaves the others as they
+# are (GPIO_ENABLE_W1TS, GPIO_ENABLE1_W1TS).
+ENABLE_SET, ENABLE_SET_HIGH = 0x24, 0x30
+LEVELS, LEVELS_HIGH = 0x3C, 0x40  # the levels at the pins
 
 
 def signal_at(pin):
@@ -26,16 +29,19 @@ def bit_at(pin, low, high):
     return CONFIG["gpio"] + (low if pin < 32 else high), pin & 31
 
 
-def given_back(pins, take):
-    """Call take(), then make these pins outputs with their former signals again. Returns its
-    result."""
-    shown = [mem32[signal_at(pin)] for pin in pins]
-    taken = take()
-    for pin, word in zip(pins, shown):
-        mem32[signal_at(pin)] = word
-        address, bit = bit_at(pin, ENABLE, ENABLE_HIGH)
+def keep_outputs(pins, make_counter):
+    """Return the result of make_counter(), and keep these pins as outputs.
+
+    make_counter() makes inputs of them. After it, each pin gets its former signal again, and its
+    output is enabled.
+    """
+    signals = [mem32[signal_at(pin)] for pin in pins]
+    counter = make_counter()
+    for pin, signal in zip(pins, signals):
+        mem32[signal_at(pin)] = signal
+        address, bit = bit_at(pin, ENABLE_SET, ENABLE_SET_HIGH)
         mem32[address] = 1 << bit
-    return taken
+    return counter
 
 
 def pad_level(pin):
@@ -48,7 +54,7 @@ class Counter:
     """Counts the steps of one axis: forward minus backward, since reset()."""
 
     def __init__(self, unit, step, direction):
-        def take():
+        def make_counter():
             return PCNT(
                 unit,
                 pin=Pin(step),
@@ -62,7 +68,7 @@ class Counter:
                 filter=0,
             )
 
-        self._unit = given_back((step, direction), take)
+        self._unit = keep_outputs((step, direction), make_counter)
         self._unit.start()
         self.reset()
 
@@ -83,13 +89,13 @@ class Edges:
     """Counts the rising edges of one pin, whatever drives it."""
 
     def __init__(self, unit, pin):
-        def take():
-            # This unit may have counted steps before; it has the mode of another pin from that.
+        def make_counter():
+            # Without a mode_pin: the unit may have one from counting steps before.
             return PCNT(
                 unit, pin=Pin(pin), rising=PCNT.INCREMENT, falling=PCNT.IGNORE, min=-MOST, max=MOST
             )
 
-        self._unit = given_back((pin,), take)
+        self._unit = keep_outputs((pin,), make_counter)
         self._unit.start()
         self.take()
 
