@@ -116,4 +116,5 @@ class Options:
         ):
             if on:
                 text.append(letter)
+        # Grbl reports one block less than its ring has, because one always stays free.
         return "%s,%d,%d" % (text_of(text), self.blocks - 1, self.rx_bytes)

@@ -108,7 +108,11 @@ class Spindle:
         self._reversed = False  # M4; in laser mode power then follows the speed
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
-        """Apply $30, $31 and $32. table: the planner's, for the kernels."""
+        """Apply $30, $31 and $32. table: the planner's, for the kernels.
+
+        Speeds are in rpm. Power is in steps of the PWM, 1 to pwm_max; where it follows the speed,
+        in 1/64 of one (_FINE, POWER_FLOOR).
+        """
         self.laser = bool(settings.laser_mode)
         scale, full = self._state.spindle, self._port.pwm_max
         scale[LASER] = self.laser
@@ -123,6 +127,7 @@ class Spindle:
         scale[_FINE] = gradient * 64
         table[layout.POWER_FLOOR] = int(settings.min_rpm * gradient * 64)
         table[layout.POWER_MAX] = full
+        # The integer's bits, in an array of floats: power_from_rpm() reads them as an integer.
         copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL:], 1)
 
     def power(self, rpm: float) -> int:

@@ -122,7 +122,8 @@ class I2sEngine(TimerEngine):
         self._pause = bytearray(BYTES)
         self._size = NOTE + axes
         self._notes = array("i", (0 for _ in range(self._size * self._slots)))
-        # Per axis that is or was locked: where, and the steps made since then.
+        # Per axis that is or was locked: where, and the steps made since then, which are taken
+        # back before the next motion. _steps is scratch for position().
         self._locked_at, self._owed, self._steps = [
             array("i", (0 for _ in range(axes))) for _ in range(3)
         ]
@@ -274,13 +275,18 @@ class I2sEngine(TimerEngine):
             frames.count(self._ring[slot], until, self._timing, self._lanes, steps)
 
     def set_position(self, steps: "array[int]") -> None:
-        """Set the present position, also of locked motors. Only while idle."""
-        self._state[HALT] = 1
+        """Set the present position, also of locked motors. Only while idle.
+
+        A locked axis is where it was locked, so its motor is ahead by _owed steps. PLACE and notes
+        count the motor's steps.
+        """
+        self._state[HALT] = 1  # meanwhile the timer's turn does nothing
         for i in range(self._axes):
             self._locked_at[i] = steps[i]
             place = steps[i] + self._owed[i]
             self._lanes[LANE * i + PLACE] = place
-            # Buffers played while idle count from there too.
+            # position() counts from the note of the buffer being played; from NOTE on it has the
+            # positions at the buffer's start. Buffers are played while idle, too.
             for slot in range(self._slots):
                 self._notes[slot * self._size + NOTE + i] = place
         self._state[HALT] = 0

@@ -89,6 +89,12 @@ class BeamEngine(PioEngine):
         return rp2.StateMachine(axis, beam, freq=self.tick_hz)
 
     def _make_channels(self, lane: int) -> None:
+        """Configure both DMA channels, and start the taker. lane: the beam's, after the motors'.
+
+        The taker waits for a word in the RX FIFO of the lane's machine and drops it; then it
+        triggers the mover, which copies one level at once and triggers the taker. Levels go to an
+        unused word until start() sets the PWM's compare register as their destination.
+        """
         import rp2
 
         taker, mover = rp2.DMA(), rp2.DMA()
@@ -96,23 +102,23 @@ class BeamEngine(PioEngine):
         self._taker, self._mover, self._mover_at = taker, mover, mover_at
         # Twice the ring's size, so that an aligned ring fits in it. The addresses are read back
         # from the channel's registers.
-        room, nothing = (array("i", (0 for _ in range(n))) for n in (_BYTES // 2, 1))
-        mover.config(read=room, write=nothing)
-        at, self._nowhere = (machine.mem32[mover_at + 4 * n] for n in (READ, WRITE))
-        self._ring = (at + _BYTES - 1) // _BYTES * _BYTES
-        first = (self._ring - at) // 4
-        self.levels = memoryview(room)[first : first + _BYTES // 4]
-        self._nothing = nothing
-        own = lane & IN_BLOCK
+        memory, unused = (array("i", (0 for _ in range(n))) for n in (_BYTES // 2, 1))
+        mover.config(read=memory, write=unused)
+        address, self._nowhere = (machine.mem32[mover_at + 4 * n] for n in (READ, WRITE))
+        self._ring = (address + _BYTES - 1) // _BYTES * _BYTES
+        first = (self._ring - address) // 4
+        self.levels = memoryview(memory)[first : first + _BYTES // 4]
+        self._nothing = unused  # DMA has only its address: the reference keeps it allocated
+        number = lane & IN_BLOCK
         control = taker.pack_ctrl(
             size=2,
             inc_read=False,
             inc_write=False,
-            treq_sel=_RX + lane + (lane & 4),
+            treq_sel=_RX + lane + (lane & 4),  # DREQ of the RX FIFO: 4 to 7, PIO 1's 12 to 15
             chain_to=mover.channel,
         )
-        said = self._engine_state[PIO0 + (lane >> BLOCK_LOG2)] + 4 * (RXF + own)
-        taker.config(read=said, write=self._nowhere, count=1, ctrl=control)
+        rx_fifo = self._engine_state[PIO0 + (lane >> BLOCK_LOG2)] + 4 * (RXF + number)
+        taker.config(read=rx_fifo, write=self._nowhere, count=1, ctrl=control)
         control = mover.pack_ctrl(
             size=2,
             inc_write=False,
@@ -121,7 +127,7 @@ class BeamEngine(PioEngine):
             chain_to=taker.channel,
         )
         mover.config(read=self._ring, write=self._nowhere, count=1, ctrl=control)
-        machine.mem32[taker_at + 4 * CREDITS] = 0
+        machine.mem32[taker_at + 4 * CREDITS] = 0  # the channel counts from 0: the FIFO is empty
         machine.mem32[taker_at + 4 * COUNT_TRIGGER] = 1
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:

@@ -65,10 +65,14 @@ def _make_array(length: int) -> "array[int]":
 
 
 class Memory:
-    """The arrays of the interrupt, and the engine state, which holds their addresses. rp2350:
-    whether the chip is one."""
+    """The arrays of the interrupt, and the engine state, which holds their addresses.
+
+    axes: number of lanes. rp2350: whether the chip is one. The constant RP2350 says whether it may
+    be one: a build for an RP2040 has 0 there.
+    """
 
     def __init__(self, axes: int, rp2350: bool) -> None:
+        """Make all arrays, of zeros, and fill the engine state in: stopped, nothing begun."""
         length = row_length(axes)
         length_of_hub = DMA + axes
         if RP2350:
@@ -92,23 +96,32 @@ class Memory:
         state[WHOLE] = _make_address(self._whole)
         for i, row in enumerate(self.rows):
             state[ROW + i] = _make_address(row)
+        self._set_registers(axes, rp2350)
+
+    def _set_registers(self, axes: int, rp2350: bool) -> None:
+        """Store the addresses and masks of the chip's registers in the engine state."""
+        state = self.state
+        # Masks of the machines: lanes 0 to 3 of PIO 0, lanes 4 to 7 and the clock of PIO 1.
         machines = (1 << axes) - 1
         state[OURS] = machines & 15
         state[OURS + 1] = machines >> 4 | 1 << CLOCK
         state[PIO0] = PIO0_AT
         state[PIO1] = PIO1_AT
         state[TIMER] = 0x40054028  # TIMERAWL
+        # The interrupt controller's ISER, 0xE000E100: the array's integers are signed 32 bit.
         state[NVIC] = 0xE000E100 - (1 << 32)
-        # IO_IRQ_BANK0, PIO1_IRQ_0, and the timer's four.
+        # A bit per interrupt number: pins (IO_IRQ_BANK0) and the timer's four may stop the engine;
+        # PIO1_IRQ_0 is its own.
         state[RIVALS] = 1 << 13 | 1 << 9 | 15
-        state[BUSY] = 1 << 24
+        state[BUSY] = 1 << 24  # bit BUSY of a DMA channel's CTRL
         if RP2350:
             state[CLOCK_PIO] = PIO1_AT
             if rp2350:
-                state[TIMER] = 0x400B0028
+                # The same registers and interrupts, at an RP2350's addresses and numbers.
+                state[TIMER] = 0x400B0028  # TIMERAWL of TIMER0
                 state[RIVALS] = 1 << 21 | 1 << 17 | 15
                 state[BUSY] = 1 << 26
-            if axes > BEFORE_CLOCK:
+            if axes > BEFORE_CLOCK:  # the eighth lane has the clock's machine of PIO 1
                 state[CLOCK_PIO] = PIO2_AT
                 state[THIRD] = 1 << CLOCK
                 state[RIVALS] |= 1 << 19  # PIO2_IRQ_0

@@ -66,11 +66,16 @@ class GpioPort(PortPins):
         # What kill() writes: 1 once it has run, then pairs of an address and bits, then 0.
         self._pads = array("i", [0, 0])
         self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
-        self._hold()
+        self._list_pads()
         _make_urgent()
 
-    def _hold(self) -> None:
-        """List the pads that kill() holds, each with its level."""
+    def _list_pads(self) -> None:
+        """Make the table _pads of kill(): for each output, the address of its pad's control
+        register and the bits that force its level when off.
+
+        The PWM is first, so that kill() switches off the spindle or laser first. Element 0, the
+        mark that kill() has run, keeps its value; the last 0 ends kill()'s loop.
+        """
         control, shift = _CONTROL, _OUTOVER
         if _is_rp2350():
             control, shift = _CONTROL_2350, _OUTOVER_2350
@@ -135,7 +140,7 @@ class GpioPort(PortPins):
     def rest(self, levels: int) -> None:
         """Set the levels that kill() gives to an extra's outputs."""
         super().rest(levels)
-        self._hold()
+        self._list_pads()
 
     def watch(self, timeout_ms: int) -> "Callable[[], None] | None":
         """Start the watchdog: it resets the chip if the returned function is not called for

@@ -51,6 +51,10 @@ TURN_DELAY = const(3)  # and least delay of the word after it
 KEEP = const(4)  # an idle lane waits until so long before the end of the segment
 TIMING_LENGTH = const(5)
 
+# In a row, per motor from `base` on: the number of steps, then the ticks of these.
+_FIRST = const(1)
+_LAST = const(2)
+
 # A word: bits 31 to 13 are the delay, 12 to 1 the steps, 0 the direction.
 _STEPS_SHIFT = const(1)
 _STEPS_MASK = const(0xFFF)
@@ -98,6 +102,7 @@ def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
 
 # The words that convert() makes of a row, for a lane:
 #
+#     wait          before a reversal only: no steps, delay = TURN_WAIT, at the old level of DIR
 #     first step    delay = CARRY + late + its tick - _FETCH
 #     n gaps        span = last tick - first tick: gaps of span // n, and span % n of them one
 #                   longer, ordered by leading(); delay = gap - PULSE - _BETWEEN, at least 0
@@ -115,7 +120,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     for i in range(timing[AXES]):
         base = ROW_AXES + ROW_STRIDE * i
         if row[base]:
-            lack = _FETCH - lanes[LANE * i + CARRY] - row[base + 1]
+            lack = _FETCH - lanes[LANE * i + CARRY] - row[base + _FIRST]
             if (row[ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
                 lack += _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
             if lack > late:
@@ -130,19 +135,19 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
         steps = row[base]
         if steps:
             if (row[ROW_DIRS] >> i) & 1 != level:
-                words[ring + head] = level | (timing[TURN_WAIT] << _DELAY_SHIFT)
+                words[ring + head] = level | (timing[TURN_WAIT] << _DELAY_SHIFT)  # wait
                 head = (head + 1) & RING_MASK
                 carry -= _FETCH + timing[TURN_WAIT]
                 level = 1 - level
-            carry += row[base + 1] - _FETCH
+            carry += row[base + _FIRST] - _FETCH
             if carry >= _HALF_DELAY:
                 carry -= _ALL_DELAY
-            words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)
+            words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)  # first
             head = (head + 1) & RING_MASK
-            carry = 0 - row[base + 1] - timing[PULSE] - _AFTER
+            carry = 0 - row[base + _FIRST] - timing[PULSE] - _AFTER
             steps -= 1
-            if steps:
-                span = row[base + 2] - row[base + 1]
+            if steps:  # gaps: long, short, long
+                span = row[base + _LAST] - row[base + _FIRST]
                 gap = span // steps
                 longer = span - gap * steps
                 if gap < timing[PULSE] + _BETWEEN:
@@ -159,7 +164,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
             carry -= timing[KEEP] + _FETCH
             if carry >= _HALF_DELAY:
                 carry -= _ALL_DELAY
-            words[ring + head] = level | (carry << _DELAY_SHIFT)
+            words[ring + head] = level | (carry << _DELAY_SHIFT)  # rest
             head = (head + 1) & RING_MASK
             carry = timing[KEEP]
         lanes[lane + HEAD] = head
@@ -186,17 +191,17 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
     for i in range(axes):
         base = ROW_AXES + ROW_STRIDE * i
         steps = whole[base]
-        span = whole[base + 2] - whole[base + 1]
+        span = whole[base + _LAST] - whole[base + _FIRST]
         gap = span // (steps - 1) if steps > 1 else 0
         longer = span - gap * (steps - 1)
         front = int(leading(steps - 1, gap, longer))
-        tick = whole[base + 1] - begin
+        tick = whole[base + _FIRST] - begin
         count = 0
         for k in range(steps):
             if tick >= 0 and (tick < end - begin or end == ticks):
                 if count == 0:
-                    row[base + 1] = tick
-                row[base + 2] = tick
+                    row[base + _FIRST] = tick
+                row[base + _LAST] = tick
                 count += 1
             tick += gap + 1 if k < front or k >= steps - 1 - longer + front else gap
         row[base] = count
@@ -234,14 +239,14 @@ def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
     for i in range(axes):
         base = ROW_AXES + ROW_STRIDE * i
         made = row[base]
-        if made == 0 or tick < row[base + 1]:
+        if made == 0 or tick < row[base + _FIRST]:
             made = 0
-        elif tick < row[base + 2]:
-            span = row[base + 2] - row[base + 1]
+        elif tick < row[base + _LAST]:
+            span = row[base + _LAST] - row[base + _FIRST]
             gap = span // (made - 1)
             longer = span - gap * (made - 1)
             front = int(leading(made - 1, gap, longer))
-            rest = tick - row[base + 1]
+            rest = tick - row[base + _FIRST]
             behind = span - rest  # ticks before the last step
             if rest < front * (gap + 1):
                 made = rest // (gap + 1) + 1

@@ -15,22 +15,28 @@ _WAITING = const(10)  # rows that may wait; position() may still read the others
 @micropython.viper
 def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object) -> int:
     """Set spindle power if a segment has begun; make the next segments and hand them to the
-    hardware."""
+    hardware.
+
+    Motion is made up to LEAD ticks ahead of the segment being played (AHEAD), because a hold takes
+    effect only after the segments already made.
+    """
     power = int(read_progress(state)) if state[RUNNING] else KEEP_POWER
     if power != KEEP_POWER:
         on_power(power)
+    # EARLY > 0: the clock interrupts again LEAD before the end of a long segment, in time.
     if state[RUNNING] == 0 or state[EARLY] <= 0:
+        # First what had no space in the hardware: it must not wait while segments are made.
         if state[MADE] != state[FED]:
             feed(state)
         made = 0
         while made < _MOST and state[AHEAD] < LEAD and state[MADE] - state[FED] < _WAITING:
-            if state[CUT] == 0:
+            if state[CUT] == 0:  # else append() cuts the next piece off a long segment
                 if int(next_segment(state[ROW + (state[MADE] & LAST_ROW)])) == 0:
                     break
             append(state)
             made += 1
         if made:
             feed(state)
-        if state[RUNNING] == 0 and state[HALT] == 0:
+        if state[RUNNING] == 0 and state[HALT] == 0:  # feed() would have started the machines
             on_rest()
     return 0

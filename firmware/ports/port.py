@@ -45,6 +45,8 @@ class PortPins(PortInputs):
         option = board.__dict__.get
         inverted: "tuple[str, ...]" = option("INVERT", ())
         off = [1 if name in inverted else 0 for name in _INVERTIBLE]
+        # 0 or 1: a pin's level when off, so also what inverts its level. The direction pin is
+        # never off unless it is an enable pin: there it is only the inversion.
         self._pwm_off, self._spindle_off, self._direction_off = off[:3]
         self._flood_off, self._mist_off = off[3:]
         self._pwm_number: "int | None" = option("SPINDLE_PWM", None)
@@ -72,10 +74,11 @@ class PortPins(PortInputs):
             pin.value(level)
 
     def direction(self, level: int) -> None:
-        """Set the spindle direction: 1 = counterclockwise."""
+        """Set the spindle direction: 1 = counterclockwise. With SPINDLE_ENABLE_PIN the pin is an
+        enable pin, and 1 switches the spindle on."""
         if self._direction:
             self._direction.value(level ^ self._direction_off)
-        if self._killed:
+        if self._killed:  # an interrupt's kill() may have come before the write above
             self.safe()
 
     def spindle(self, on: bool, power: int) -> None:

@@ -75,7 +75,8 @@ class Commands:
     # Startup lines
 
     def load(self) -> None:
-        """Load the startup lines; none if the stored ones are invalid."""
+        """Load the startup lines. If the stored ones are invalid, empty lines replace them in the
+        store, and the next run_startup() reports each of them with error 7."""
         self._store.load(_BUILD_INFO)  # so that damaged data is known from the start
         lines = self._store.load(_STARTUP)
         self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
@@ -214,13 +215,15 @@ class Commands:
         self._report.offsets(self._state.hooks.probed_at())
 
     def _home(self, line: bytearray, length: int) -> None:
+        """Execute $H, or $HX with single-axis homing; after $H the startup lines run, as in Grbl.
+        Raises GrblError before anything moves."""
         if not self._settings.homing:
             raise GrblError(errors.SETTING_DISABLED)
         self._canon.synchronise()  # homing drops planned blocks
         self._check_stop()
         if self._inputs.door_open():
             raise GrblError(errors.CHECK_DOOR)
-        axes = 0
+        axes = 0  # mask; 0: all axes
         if length > 2:
             at = b"XYZABC".find(line[2:3], 0, len(self._modes.position))
             if at < 0 or length > 3 or not self._single_axis_homing:
@@ -228,9 +231,10 @@ class Commands:
             axes = 1 << at
         self._state.enter(st.HOMING)
         homed = self._state.hooks.home(axes)
-        self._state.enter(st.IDLE)
-        if not homed:
+        self._state.enter(st.IDLE)  # in both cases Homing is over
+        if not homed:  # a reset and an alarm are pending
             return
+        # As in Grbl, the delay of $1 passes before the startup lines and the answer.
         self._canon.wait_motors_released()
         if axes == 0:
             self.run_startup()

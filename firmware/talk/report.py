@@ -261,8 +261,12 @@ class Report:
     def _fields(
         self, text: bytearray, ints: "array[int]", mm: "array[float]", closed: int
     ) -> None:
-        """Write all fields after the state. mm: machine position, not written yet; closed: mask of
-        active inputs."""
+        """Write all fields after the state.
+
+        mm: machine position, not written yet; unless $10 requests MPos:, it becomes work position
+        in place. ints: from VALUES on, the integers of the form that is written next. closed: mask
+        of active inputs.
+        """
         state, planner, settings = self._state, self._planner, self._settings
         mask, inches, moves = settings.report_mask, settings.report_inches, state.run & MOVING
         if not mask & _REPORT_MPOS:
@@ -279,7 +283,7 @@ class Report:
         if closed:
             ints[VALUES] = closed
             write(b"|Pn:?P?X?Y?Z?A?B?C?D?R?H?S\0", text, ints, mm)
-        if state.wco_countdown and state.override_countdown:
+        if state.wco_countdown and state.override_countdown:  # neither WCO: nor Ov: is due
             state.wco_countdown -= 1
             state.override_countdown -= 1
         else:

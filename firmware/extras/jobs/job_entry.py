@@ -93,7 +93,7 @@ class Entry:
         self._machine = machine
         self._reader = reader
         self._longest = len(machine.reader.line) - 1
-        self._there: "list[Any]" = []
+        self._there: "list[Any]" = []  # in_force() at that line; its index 0 is the position
         self._systems: "list[array[float]]" = []  # the stored offsets at that line
         self._highest = 0.0
         self.has_ended = False  # the program has ended before the line
@@ -219,10 +219,15 @@ class Entry:
                 raise CannotEnter(text % (number, known))
 
     def _check_homed(self, here: "list[float]") -> None:
-        """Check that axes that are not homed do not have to move."""
+        """Check that axes that are not homed do not have to move.
+
+        here: the position before the approach, in mm. Positions are compared in steps, because
+        singles that differ by less than a step need no move.
+        """
+        place = self._there[0]  # position at the line, mm
         for axis in range(len(here)):
-            way = [here[axis], self._there[0][axis]]
-            if axis == _Z:
+            way = [here[axis], place[axis]]
+            if axis == _Z:  # it also moves to the safe height
                 way.append(self._highest)
             moves = self._steps(axis, min(way)) != self._steps(axis, max(way))
             if moves and not self._machine.homing_probing.homed >> axis & 1:

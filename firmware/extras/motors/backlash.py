@@ -263,10 +263,14 @@ def _check(mm: float) -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Add the settings and the hooks, and watch lines that move if there is slack."""
+    """Add $160 and the others, and hooks of homing and probing.
+
+    Once an axis has slack ($160 or another above 0), lines that move are no longer executed by the
+    kernels alone but by BacklashCanon, which may add a move.
+    """
     machine: "Any" = cnc.machine
     canon, interpreter = machine.canon, machine.interpreter
-    canon.engine = machine.engine
+    canon.engine = machine.engine  # it counts the steps made while slack is taken up
     cnc.add_settings(_SETTINGS)
     for i in range(machine.planner.axes):
         cnc.check_setting(_FIRST + i, _check)
@@ -277,11 +281,11 @@ def install(cnc: "Cnc") -> None:
 
     machine.settings.on_change(watch)
     watch()
-    _home(machine)
-    _probe(machine)
+    _hook_homing(machine)
+    _hook_probing(machine)
 
 
-def _home(machine: "Any") -> None:
+def _hook_homing(machine: "Any") -> None:
     """Hook into homing: it leaves the slack on the side from which the axis has pulled off."""
     canon, hooks, settings = machine.canon, machine.state.hooks, machine.settings
     usual: "Callable[[int], None]" = hooks.find_switches
@@ -298,7 +302,7 @@ def _home(machine: "Any") -> None:
     hooks.find_switches = find
 
 
-def _probe(machine: "Any") -> None:
+def _hook_probing(machine: "Any") -> None:
     """Hook into probing: store the contact position, because slack taken up later changes it."""
     state, axes = machine.state, machine.planner.axes
     hooks = state.hooks

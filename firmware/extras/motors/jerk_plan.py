@@ -118,16 +118,18 @@ def soften(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> in
     """Set a block's MAX_ENTRY_SQR, as plan_kernel.limit_entry() does without a limit of jerk; and
     that of the block before, because both its corners are known now.
 
-    present: row of the block that the plan has begun, or -1.
+    row: the newest block so far; JUNCTION_SQR is its corner with the block before. present: row of
+    the block that the plan has begun, or -1. The block before can change unless the plan has
+    begun it: then it is present, or this block is present or the ring's first.
     """
     rows = flow[ROWS]
     size = flow[ROW_SIZE]
     before = row - 1 if row else rows - 1
-    known = row != flow[TAIL] and row != present
-    if known and before != present:
-        second = before - 1 if before else rows - 1
-        calm(table, ring, before * size, row * size, second * size)
-        enter(table, ring, before * size, second * size)
+    not_begun = row != flow[TAIL] and row != present
+    if not_begun and before != present:
+        before_previous = before - 1 if before else rows - 1
+        calm(table, ring, before * size, row * size, before_previous * size)
+        enter(table, ring, before * size, before_previous * size)
     enter(table, ring, row * size, before * size)
     return 0
 

@@ -149,7 +149,8 @@ class Drivers:
     # Settings
 
     def check_settings(self) -> None:
-        """Register a check that refuses values outside a driver's range."""
+        """Register a range check of the drivers' settings: a value that _can_be() denies is
+        refused with GrblError before it is stored."""
 
         def check(number: int, amount: float) -> None:
             if not _can_be(number, amount, self._most_ma):

@@ -168,18 +168,20 @@ class UsbLink:
         self._arrived.register(sys.stdin, select.POLLIN)
         self._sendable: "Any" = select.poll()
         self._sendable.register(sys.stdout, select.POLLOUT)
-        self._byte = bytearray(1)
-        self._waiting_out = bytearray(_OUT_BYTES)
-        self._since = 0
+        self._byte = bytearray(1)  # where _drain() reads each byte
+        self._waiting_out = bytearray(_OUT_BYTES)  # answers that wait
+        self._since = 0  # ticks_ms() when the port was opened: see _greet()
         self._escape = Escape(self.close)
+        # One array with two names: the supervisor's, and ours (link_memory.py has its places).
         self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
-        self._memory = self._at, self._waiting_out
+        self._memory = self._at, self._waiting_out  # for _keep()
         if sys.platform == "rp2":
             from ports.usb import usb_ring
 
             usb_ring.find(self._at, self._drain, _take)
         self.is_slow = self._at[RING] == 0
         self.poll_reset: "Callable[[], int] | None" = None if self.is_slow else self._poll_reset
+        # Made now, because only now it is known whether the ring was found.
         self.read_into = self._make_read_into()
         self._send = self._make_send()
         self.write = self._make_write()
