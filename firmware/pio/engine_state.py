@@ -180,8 +180,8 @@ def _prepare(state: ptr32) -> int:
     """Restart all machines, which have stopped or run dry, at the start of their programs, with
     empty FIFOs.
 
-    DMA counts the space in a machine's FIFO. Words may be pulled out of a FIFO by a forced
-    instruction, as the machine itself does; nothing may be written to it except by DMA.
+    DMA knows the free space of a machine's FIFO only by counting writes and pulls. So words may be
+    removed by a forced pull, as the machine itself does, but only DMA may write words.
     """
     axes = state[AXES]
     pio = ptr32(state[PIO0])
@@ -226,11 +226,12 @@ def _prepare(state: ptr32) -> int:
         player = ptr32(lanes[lane + MACHINE])
         # Read the pin: words that change DIR may never have been played.
         levels = ptr32(state[PIO0 + (i >> BLOCK_LOG2)])[PADOUT]
+        # Bits 0 to 4 of PINCTRL are OUT_BASE, the pin of DIR.
         lanes[lane + DIR] = (levels >> (player[PINCTRL] & 31)) & 1
-        _load(player, timing[PULSE] - 3)
+        _load(player, timing[PULSE] - 3)  # the program adds 3 ticks to ISR
         player[INSTR] = _STEP_LOW
-        player[INSTR] = (player[EXECCTRL] >> 7) & 31  # jmp to the start
-    clock[_CLOCK_INSTR] = state[CLOCK_AT] - 1
+        player[INSTR] = (player[EXECCTRL] >> 7) & 31  # jmp to the program's start (WRAP_BOTTOM)
+    clock[_CLOCK_INSTR] = state[CLOCK_AT] - 1  # jmp to the irq before the clock's pull
     state[END_US] = 0
     state[END_REST] = 0
     state[POWER] = -1

@@ -155,6 +155,8 @@ class GpioPort(PortPins):
 
 @micropython.viper
 def _levels(gpio_in: ptr32, pins: ptr8, count: int, inverted: int) -> int:
+    """Return the active inputs, a bit each: those at the low level; at the high level if their
+    bit of `inverted` is set. NOT_WIRED counts as high."""
     levels = gpio_in[0]
     mask = 0
     for i in range(count):

@@ -82,10 +82,11 @@ def run_lines(pending: ptr8, needed: object) -> int:
 
 @micropython.viper
 def _receive(pending: ptr8, hears: object, heard: ptr8, at: ptr32, kinds: ptr8) -> int:
-    """Read the bytes received, as many as fit: a sender that does not count must not overrun the
-    ring, and a ? after lines must not wait for them.
+    """Read the bytes received, because a ? after lines must not wait for them.
 
-    Returns how many bytes, or 0 if an event is posted.
+    It reads no more than the ring has space for, so nothing is lost if a sender does not count.
+    After a full piece of _LONG or _SHORT bytes it reads on; a piece that is not full means that
+    nothing more has arrived. Returns how many bytes, or 0 if an event is posted.
     """
     read_into, post, size, piece, long, short = hears
     free = int(free_space(at))
@@ -100,6 +101,6 @@ def _receive(pending: ptr8, hears: object, heard: ptr8, at: ptr32, kinds: ptr8) 
         if read:
             feed(ptr8(piece), read, heard, at, kinds, post)
         count += read
-        more = 1 if read == most and most <= _LONG else 0  # a short read: nothing more has arrived
+        more = 1 if read == most and most <= _LONG else 0
         free = int(free_space(at))
     return 0 if pending[ANY] else count

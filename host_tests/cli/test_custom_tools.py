@@ -391,7 +391,7 @@ WRONG = [
     ("@mcode(100, 'PP')\ndef f(m, P): pass", "P stands twice in 'PP'"),
     ("@mcode(100, 'P')\ndef f(m): pass", "f() has no parameter P"),
     ("@mcode(100, 'P')\ndef f(m, p): pass", "f() has no parameter P: it is called P, not p"),
-    ("@mcode(100, 'q')\ndef f(m, Q): pass", "Q may be missing and has no default"),
+    ("@mcode(100, 'q')\ndef f(m, Q): pass", "Q may be missing on the line, so it needs a default"),
     ("@mcode(100)\ndef f(m, P): pass", "nobody gives it P"),
     ("@mcode(100)\ndef f(): pass", "f() takes no m"),
     ("@on.tool_change\ndef f(m): pass", "f() gets m and 1 value"),

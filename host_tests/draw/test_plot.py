@@ -352,7 +352,7 @@ def test_foreign_page_is_replaced_only_when_named(
     page = program.with_suffix(".html")
     page.write_text("<!DOCTYPE html>\n<title>of the CAM</title>\n")
     done = ugrbl(program)
-    assert done.exit_code == 1 and "none of plot's: -o square.html replaces it" in " ".join(
+    assert done.exit_code == 1 and "not drawn by plot: -o square.html replaces it" in " ".join(
         done.output.split()
     )
     assert "of the CAM" in page.read_text() and "Drawing" not in done.output

@@ -171,7 +171,7 @@ class Shop:
         return told
 
     def say(self, *lines: str) -> "list[str]":
-        """Send lines; return their answers."""
+        """Power up, send lines, wait until the machine stops, and return their answers."""
         answers: "list[str]" = []
 
         def script() -> "Iterator[Any]":
@@ -357,6 +357,10 @@ def test_touch_plate_is_not_used_with_a_turning_spindle(shop: Make) -> None:
     made = plate(shop)
     assert made.say("M3 S1000", "M110") == ["ok", "error:3"]
     assert made.place() == (0, 0, 0) and made.messages == ["The spindle turns: M5 first"]
+
+
+def test_touch_plate_is_not_used_while_it_touches(shop: Make) -> None:
+    made = plate(shop)
     made.rig.port.push({"probe": True})
     assert made.say("M110") == ["error:3"] and "clip off" in made.messages[-1]
 

@@ -265,8 +265,8 @@ def c(m): heard.append((m.keep.get("a"), m.keep.get("v")))
     [
         ("'v'", "float('nan')", "v is not finite"),
         ("'v'", "-float('inf')", "v is not finite"),
-        ("(1, 2)", "3", "(1, 2) is no text"),
-        ("7", "3", "7 is no text"),
+        ("(1, 2)", "3", "the name (1, 2) must be a text"),
+        ("7", "3", "the name 7 must be a text"),
     ],
 )
 def test_value_that_could_not_be_read_back_is_not_stored(
@@ -302,7 +302,7 @@ def test_word_during_motion_that_was_left_out_is_refused(bench: Make) -> None:
     )
     said = made.say(("M62P5\n", "ms 2000"), *lines("$X", "M62P1"))
     assert "ALARM:34" in said[0]
-    assert said[2] == ["[MSG:M62 is left out until power-up]", _REFUSED] and made.outputs == 0
+    assert said[2] == ["[MSG:M62 is disabled until power-up]", _REFUSED] and made.outputs == 0
 
 
 def test_word_whose_timer_failed_still_works(bench: Make) -> None:
@@ -441,6 +441,6 @@ def test_stored_values_can_be_read_back_by_micropython() -> None:
     assert run_micropython(_ON_MICROPYTHON, paths=[placed_firmware()]).splitlines() == [
         "keep: n is not finite",
         "keep: i is not finite",
-        "keep: (1, 2) is no text",
+        "m.keep: the name (1, 2) must be a text",
         """['["a", 8]', '["true", 1]']""",
     ]

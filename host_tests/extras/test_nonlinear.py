@@ -413,7 +413,7 @@ def test_touch_that_ends_during_a_hold_is_ignored_on_a_long_line(kind: str) -> N
 def test_homing_moves_joints_to_their_switches_and_sets_the_tools_position(kind: str) -> None:
     model = geometry(kind)
     made = machine(kind, {22: 1, 24: 600, 25: 3000, 26: 5})
-    pull_off = {"scara": 5.0, "polar": 2.0}[kind]
+    pull_off = {"scara": 5.0, "polar": 2.0}[kind]  # $27 of the example boards
     above = [True, kind == "polar", True]
     for i, letter in enumerate("xyz"):
         way = model.HOME[i] - model.START[i] or 9.0  # without HOME the switch defines the place

@@ -104,28 +104,29 @@ def test_a_product_of_three_is_truncated_and_saturates(x: float, y: float, z: fl
     st.floats(width=32, min_value=-20000, max_value=20000),
     st.floats(width=32, min_value=0.0625, max_value=5000),
 )
-@example(0.5, 1.0)
+@example(0.5, 1.0)  # half steps are rounded away from 0
 @example(-0.5, 1.0)
 @example(2.5, 1.0)
-@example(0.002, 250.0)
+@example(0.002, 250.0)  # half a step after the product is rounded
 @example(-0.00600000005, 250.0)
 @example(0.0, 250.0)
 @example(-0.0, 250.0)
-@example(1.17549435e-38, 5000.0)
-@example(8388607.5, 1.0)
-@example(107374.18, 5000.0)
+@example(1.17549435e-38, 5000.0)  # the smallest normal float
+@example(8388607.5, 1.0)  # the largest float with a half
+@example(107374.18, 5000.0)  # at the limit, 2**29 steps
 def test_millimetres_become_steps_in_single_precision(mm: float, resolution: float) -> None:
     target, resolutions = vector(1), vector(1)
     target[0], resolutions[0] = mm, resolution
-    machine = array("i", [1] + [0] * layout.table_length(1, 1))
-    copy(resolutions, memoryview(machine)[layout.LIMITS + layout.RESOLUTION :], 1)
+    table = array("i", [1] + [0] * layout.table_length(1, 1))
+    copy(resolutions, memoryview(table)[layout.LIMITS + layout.RESOLUTION :], 1)
     product = single(mm * resolution)
-    inside = to_steps(target, machine)
-    steps = machine[layout.LIMITS + layout.TARGET :]
-    assert inside == (abs(product) < 2**29) or abs(product) == 2**29
+    inside = to_steps(target, table)
+    steps = table[layout.LIMITS + layout.TARGET :]
+    far = 2**29  # FAR, added to steps, so that none is negative
+    assert inside == (abs(product) < far) or abs(product) == far
     if inside:
         rounded = int(abs(product) + 0.5)  # exact: a double holds both
-        assert steps[0] - 2**29 == (rounded if product >= 0 else -rounded)
+        assert steps[0] - far == (rounded if product >= 0 else -rounded)
 
 
 def test_a_position_out_of_reach_keeps_its_direction() -> None:

@@ -89,6 +89,7 @@ def work_zero(person: Person) -> "list[float]":
 
 @pytest.mark.parametrize(("side", "axis", "place"), [("left", 0, 8), ("front", 1, 6)])
 def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, place):
+    # The block's left front corner: one side is at `place`, the other one 20 mm away.
     prober = prober_at({"block": [8, -20] if axis == 0 else [-20, 6]})
     choose(prober, "Edge")
     prober.page.select_option("#probe-side", side)
@@ -96,7 +97,8 @@ def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, place):
         prober.page.fill(f"#probe-{name}", value)
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
-    assert work_zero(prober)[axis] == pytest.approx(place + 3, abs=2 * _STEP_MM)
+    # Contact is at `place`. The page adds half the tool's diameter, 2, and the plate, 1.
+    assert work_zero(prober)[axis] == pytest.approx(place + 2 + 1, abs=2 * _STEP_MM)
 
 
 def test_corner_is_found_from_two_sides(prober_at):

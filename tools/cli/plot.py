@@ -66,7 +66,7 @@ def command(
     try:
         check_outputs(json_file, plot=target, given=locals())
         if not out and target.is_file() and not plot.has_drawn(target):
-            raise ValueError(f"{target} is there, and none of plot's: -o {target} replaces it")
+            raise ValueError(f"{target} exists, not drawn by plot: -o {target} replaces it")
         jobs = _jobs(console, file, settings, what_if or (), board, around(board, custom, inputs))
         words = ""
         if len(jobs) > 1:

@@ -60,7 +60,7 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
     board: Any = load_for_build(file)
     arch = board.MPY_ARCH
     if not compilers.are_there(arch):
-        raise BuildError(compilers.missing("what is compiled already is not to be frozen"))
+        raise BuildError(compilers.missing("compiled firmware in the package cannot be frozen"))
     ready, sources = build.prepared(arch), build.texts()
     start, number = build.module(build.START), build.id_of(arch)
     texts = {**ready.texts, start: _start(sources[start])}

@@ -27,10 +27,10 @@ def find(sources: Mapping[str, str], arch: str) -> dict[str, bytes]:
     if not digest.is_file():
         raise NotThere
     if digest.read_text(encoding="utf-8") != _digest(sources):
-        raise NotThere("the firmware is another than what is compiled already")
+        raise NotThere("the firmware has changed since it was compiled")
     found = {file.name: file.read_bytes() for file in (paths.COMPILED / arch).glob("*")}
     if not found:
-        raise NotThere(f"for {arch} nothing is compiled already")
+        raise NotThere(f"the package has no compiled firmware for {arch}")
     return found
 
 

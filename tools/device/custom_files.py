@@ -62,8 +62,8 @@ def name_of(options: Mapping[str, Any]) -> str:
         )
     if not name:
         raise DeployError(
-            'its board file says CUSTOM = "": it reads none',
-            "take that line out of the board file, and deploy it",
+            'its board file says CUSTOM = "": it loads no Python of yours',
+            "remove that line from the board file, and deploy it",
         )
     return name
 

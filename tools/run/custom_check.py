@@ -276,7 +276,7 @@ def _letters(letters: str, parameters: Any, name: str) -> Iterator[str]:
                 hint = f": it is called {upper}, not {letter.lower()}" if is_lower else ""
                 yield f"{name}() has no parameter {upper}{hint}"
         elif letter.islower() and parameter.default is parameter.empty:
-            yield f"{name}(): {upper} may be missing and has no default: {upper}=0"
+            yield f"{name}(): {upper} may be missing on the line, so it needs a default: {upper}=0"
     for parameter in unfilled.values():
         if parameter.default is parameter.empty and parameter.kind is not parameter.VAR_POSITIONAL:
             yield f"{name}(): nobody gives it {parameter.name}; its letters are {letters!r}"

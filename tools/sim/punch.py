@@ -57,7 +57,7 @@ class PunchPort(SimPort):
     # The pins of an extra
 
     def add_pins(self, outputs: "tuple[int, ...]", inputs: "tuple[int, ...]") -> None:
-        assert (len(outputs), len(inputs)) == (2, 2), "down and up, and what sees them"
+        assert (len(outputs), len(inputs)) == (2, 2), "a punch has two actuators and two sensors"
 
     def drive(self, levels: int) -> None:
         self._drive(levels & 1, levels >> 1)

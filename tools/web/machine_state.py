@@ -112,6 +112,11 @@ def beyond(
 def _over(
     motion: Motion, places: Any, end: float, axis: int, sign: int = 1
 ) -> list[tuple[int, str]]:
+    """Return the first line beyond one end of an axis, and its message; [] if there is none.
+
+    places: machine coordinates, mm, of each row of the motion. sign -1: the lower end, for which
+    `places` and `end` are negated.
+    """
     over = places > end + _BEYOND_MM
     rows = np.flatnonzero(over & (motion.lines > 0))
     if not len(rows):

@@ -50,7 +50,7 @@ class PersistentValues:
         if isinstance(value, bool):
             value = int(value)  # in MicroPython a bool is no int
         if not isinstance(name, str):
-            raise TypeError("keep: %r is no text" % (name,))
+            raise TypeError("m.keep: the name %r must be a text" % (name,))
         if isinstance(value, float) and value - value != 0:  # inf, nan: not valid in JSON
             raise ValueError("keep: %s is not finite" % name)
         if not isinstance(value, (int, float, str)):

@@ -136,7 +136,7 @@ class Runner:
         self.machine_api.halt()
 
     def _report_disabled(self, what: str) -> None:
-        self._cnc.message(what + " is left out until power-up")
+        self._cnc.message(what + " is disabled until power-up")
 
     def refuse_disabled(self, what: str, function: "Function") -> None:
         """Raise GrblError if the handler is disabled.

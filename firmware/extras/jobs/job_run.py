@@ -145,7 +145,13 @@ class JobRun:
         file.seek(0)
 
     def _find(self, file: "IO[bytes]", line: int) -> None:
-        """Prepare the approach to a line. CannotEnter if there is none."""
+        """Prepare the approach to a line.
+
+        Entry.find() runs the lines before it in check mode. They start from the modes and offsets
+        of the journal if it is of this job. Spindle and coolant are switched off; the lines of
+        Entry.approach_lines() start them again. CannotEnter if the state at the line is not
+        certain.
+        """
         kept = self.journal()
         if self._machine.state.run != st.IDLE or not self._machine.homing_probing.homed:
             raise CannotEnter("the machine is not homed, or not idle")

@@ -85,12 +85,17 @@ class SkewKinematics(Kinematics):
         self.skew[kernel.HOMED + axis] = FAR + self.motor_of(motors, axis)
 
     def lean(self, factors: "list[float]") -> bool:
-        """Set the factors XY, XZ, YZ, in steps per step. Return whether they have changed."""
+        """Set the factors XY, XZ, YZ, in steps per step. Return whether they have changed.
+
+        Each factor gets as many fraction bits as leave it 28 significant ones, within the limits
+        of the kernel. It is stored as factor + FAR.
+        """
         skew, before = self.skew, bytes(self.skew)
         self.active = False
         for i in range(len(factors)):
             bits = _FACTOR_BITS - math.frexp(factors[i])[1]
             bits = min(max(bits, kernel.FEWEST_BITS), kernel.MOST_BITS)
+            # // rounds down also for negative numbers; int() alone would truncate.
             factor = int((factors[i] * 2.0**bits + 0.5) // 1)
             skew[2 * i], skew[2 * i + 1] = FAR + factor, bits
             self.active |= factor != 0

@@ -116,7 +116,7 @@ class Network:
             self._refuse("There is no network here")
         elif not link.by_cable():
             if text != "KEY" and text[:4] != "KEY=":  # a sender may send its key each time
-                self._refuse("That is set up at the cable")
+                self._refuse("Network settings are changed only over the cable")
         elif text == "KEY":
             self._send_key()
         elif text == "KEY=NEW":

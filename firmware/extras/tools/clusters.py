@@ -70,7 +70,11 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
     """Read the numbers after a colon, where scan() has stopped. For Block.read_on.
 
     All numbers of an S go into dots; the last one is also the value of S. memory: the arrays of
-    letters and values that scan() fills, dots, and the block's ints. Returns scan()'s result.
+    letters and values that scan() fills, dots, and the block's ints.
+
+    span: the end of the line in bits 8 to 15. found, and the result, as scan() returns them: count
+    of words in bits 0 to 7, error number << 8, index of the colon << 16. ONLY is set, so that the
+    line is refused if it asks for more than a straight cut.
     """
     _letters, _values, _dots, _ints = memory
     text = ptr8(line)
@@ -245,7 +249,7 @@ def store(
 class ClusterLaser(Laser):
     """A laser whose power also changes within blocks."""
 
-    def burn(self, planner: "Planner", clusters: "array[int]") -> None:
+    def connect_dots(self, planner: "Planner", clusters: "array[int]") -> None:
         """Connect the planner's blocks and the dots of each."""
         self._flow, self._ring, self._clusters = planner.flow, planner.ring, clusters
 
@@ -262,7 +266,7 @@ class ClusterLaser(Laser):
         mark_dots(flow, ring, table, ptr32(row), beam, levels, ptr32(self._clusters))
         return 1
 
-    def take_up(self) -> bool:
+    def restore_dot(self) -> bool:
         """Restore the power of a dot that a hold has interrupted, before motion starts.
 
         Power that follows speed starts at 0 instead.
@@ -350,8 +354,11 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Hook into the reading of lines, the planner and the laser's segments."""
+    """Hook into the reading of lines, the planner and the laser's segments.
+
+    A dot that a hold has interrupted gets its power back before each motion.
+    """
     machine = cnc.machine
     laser: "Any" = machine.spindle
-    laser.burn(machine.planner, Clusters(machine).powers)
-    cnc.before_motion(laser.take_up)
+    laser.connect_dots(machine.planner, Clusters(machine).powers)
+    cnc.before_motion(laser.restore_dot)

@@ -72,6 +72,7 @@ class NetLink:
         # is idle; and one that returns its state.
         self.radio: "Callable[[bool], None] | None" = None
         self.status: "Callable[[], str]" = lambda: "no network is set up"
+        # Returns whether the machine is idle: see attach().
         self._at_rest: "Callable[[], bool]" = lambda: True
         self._read = cable.read_into
         self._write = cable.write
@@ -81,10 +82,12 @@ class NetLink:
         self._clients = [Client(self._memory) for _ in range(_MOST_CLIENTS)]
         self._all = [self._user] + self._clients
         self.control = Control(self._user)
-        # Only the cable is used: no byte needs checking. And nothing has been received there.
-        self._is_plain = self._is_nobodys = True
-        self._piece = bytearray(_PIECE)
-        self._urgent = bytearray(_URGENT)
+        # Only the cable is used: its bytes pass unchecked.
+        self._is_plain = True
+        # Nothing was received at the cable: a network client need not wait for control.
+        self._is_nobodys = True
+        self._piece = bytearray(_PIECE)  # bytes just read, before they are checked
+        self._urgent = bytearray(_URGENT)  # real-time bytes that pass before all lines
         self._urgent_count = 0
         self._round_ms = self._radio_ms = time.ticks_ms()
 

@@ -159,24 +159,30 @@ class SdBlocks:
     # The card's protocol
 
     def _wake(self) -> None:
+        """Initialise the card as the specification says, and read its size from its CSD.
+
+        OSError if there is no card, it does not answer in time, or not as an SD card does.
+        """
         self._bus.read(10, _HIGH)  # not selected: the card needs 74 clocks
         self._reset()
         answer = bytearray(4)
-        is_new = self._order(_INTERFACE, _VOLTAGE, answer) == _IDLE
-        if is_new and answer[3] != _VOLTAGE & 0xFF:
+        # Only cards of version 2 know CMD8.
+        is_version_2 = self._order(_INTERFACE, _VOLTAGE, answer) == _IDLE
+        if is_version_2 and answer[3] != _VOLTAGE & 0xFF:
             raise OSError(errno.ENODEV)
         if self._order(_CHECKSUMS, 1) != _IDLE:
             raise OSError(errno.EIO)
         since = time.ticks_ms()
         while True:
             self._order(_APPLICATION, 0)
-            if self._order(_BEGIN, _LARGE if is_new else 0) == 0:
+            if self._order(_BEGIN, _LARGE if is_version_2 else 0) == 0:
                 break
-            self._since = since
+            self._since = since  # _order() has restarted it
             self._check_time(_BEGIN_MS)
         about = bytearray(16)
         self._read(_READ_CSD, 0, about)
         self._count = _blocks(about)
+        # Addresses: with CSD version 2 numbers of blocks, with version 1 bytes.
         self._shift = 0 if about[0] >> 6 else _BLOCK_LOG2
         self._order(_BLOCK_LENGTH, _BLOCK)
 

@@ -65,8 +65,8 @@ _GREET_MS = const(300)
 _ANSWERS_BYTES = const(64)
 _OUT_BYTES = const(192)
 _QUIET_TURNS = const(2)
-_ANSWER = const(16)
-_LATER = const(1)
+_ANSWER = const(16)  # up to so many bytes are the answer to a line, more are other output
+_LATER = const(1)  # result of _keep(): the answer waits. More is a count of bytes to send
 _DOLLAR = const(0x24)
 
 # Flags of _take()'s result: NOTE, with a count of bytes, asks for UsbLink._note(); FLUSH, without
@@ -131,6 +131,11 @@ def _keep(memory: object, data: ptr8, count: int) -> int:
 
 @micropython.viper
 def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
+    """Append data to the answers that wait. Returns as _keep().
+
+    Up to _ANSWER bytes are the answer to a line: it waits for more unless it answers a $. Longer
+    data is other output: it is sent now, with all that waits.
+    """
     length = at[LENGTH]
     if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
@@ -199,7 +204,7 @@ class UsbLink:
         It also notes when the port is opened; the first time needs no greeting.
         """
         at = ptr32(self._at)
-        shorts = ptr16(at[RING])
+        shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
         data = ptr8(ptr32(at[RING])[0])
         get = shorts[3]
         put = shorts[4]
@@ -209,22 +214,23 @@ class UsbLink:
         else:
             request = ptr32(_SETUP)[0] & 0x1FFFF
             if request & 0xFFFF == _SET_LINE_STATE:
-                is_open = request >> 16
-            if request & 0xFE7F == _LINE_CODING:
+                is_open = request >> 16  # bit 16 of the request is DTR
+            if request & 0xFE7F == _LINE_CODING:  # matches both SET and GET
                 is_open = 1
             if request & 0xFFFF == _SET_CONFIGURATION:
                 is_open = 0
         if is_open != at[DTR]:
             at[DTR] = is_open
+            # Only a port that was open before, or has sent bytes, is greeted.
             at[OPENED] = is_open & at[USED]
         if is_open or get != put:
             at[USED] = 1
         found = 0
-        if at[TAKING] == 0:
+        if at[TAKING] == 0:  # otherwise _take() moves iget
             while get != put:
                 get = (get + 1) & (RING_BYTES - 1)
                 if data[(get - 1) & (RING_BYTES - 1)] == _CTRL_X:
-                    shorts[3] = get
+                    shorts[3] = get  # drops all bytes up to here
                     found = 1
         return found
 
