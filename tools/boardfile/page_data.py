@@ -18,7 +18,8 @@ from .options import BY_NAME, INVERTIBLE, NAMES, WORD, Option
 # of an engine; their lines in a board file of boards/ are kept unchanged.
 FORMS = {
     "Motors": (
-        *("COREXY", "BACKLASH", "SKEW", "JERK", "DIR_SETUP_US", "DIR_HOLD_US"),
+        *("COREXY", "BACKLASH", "SKEW", "JERK", "ARC_ACCELERATION"),
+        *("DIR_SETUP_US", "DIR_HOLD_US"),
         "MAX_STEP_RATE_HZ",
     ),
     "Homing and inputs": (
