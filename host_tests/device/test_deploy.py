@@ -24,7 +24,6 @@ from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline, pruned
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
 from ugrbl.image import contents
-from ugrbl.paths import TOOLS
 
 # It builds firmware for boards: the first ring runs one test of each kind.
 pytestmark = pytest.mark.thorough
@@ -415,8 +414,7 @@ def test_only_a_board_that_serves_the_page_has_its_files(
     page = page_files.made()
     assert page.items() <= with_page.files.items() and not page.keys() & made.files.keys()
     assert page["page.gz"] == page_files.made()["page.gz"], "the same each time"
-    html = (TOOLS / "web" / "page" / "index.html").read_bytes()
-    assert gzip.decompress(page["page.gz"]) == html
+    assert gzip.decompress(page["page.gz"]) == page_files.page(from_board=True).encode()
     assert {"ports/net/page.mpy", "ports/net/web_socket.mpy"} <= {*with_page.files}
 
 

@@ -18,7 +18,7 @@ from micropython_runner import needs_micropython, placed_firmware, run_micropyth
 from page_bench import PING, PONG, WS_UPGRADE, frame, request
 from sim_bench import free_port
 from ugrbl.compiling import page_files
-from ugrbl.paths import FIRMWARE, TOOLS
+from ugrbl.paths import FIRMWARE
 
 pytestmark = [needs_micropython, pytest.mark.thorough]
 
@@ -248,7 +248,7 @@ def test_a_page_is_loaded_and_drives_and_no_turn_blocks(stormy: bool, tmp_path: 
     page_files.save(tmp_path)
     by_tcp, by_http = free_port(), free_port()
     board = Board(by_http, by_tcp, by_http, f"{tmp_path}/")
-    html = (TOOLS / "web" / "page" / "index.html").read_bytes()
+    html = page_files.page(from_board=True).encode()
     assert whole_page(by_http) == html
     over, answers = threading.Event(), list[str]()
     driver = threading.Thread(target=drive_by_page, args=(by_http, answers))

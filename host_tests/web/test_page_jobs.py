@@ -36,7 +36,7 @@ def test_refused_line_holds_machine_and_is_named(person):
     later = "".join(f"G1 X{i}\n" for i in range(20, 4, -1))
     person.loads(f"G21 G90\nG1 X20 F2400\nG999\n{later}{later}G1 X5\n")
     person.click("#run")
-    person.reads("#job-words", "Line 3 was refused. error:20: The block holds a word")
+    person.reads("#job-words", "Line 3 was refused. error:20: The block has a word")
     person.sees("Hold")
     sent = person.machine.lines()
     person.pauses(0.5)
