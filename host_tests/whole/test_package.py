@@ -203,6 +203,6 @@ def test_changed_firmware_needs_the_compiler(package: Package) -> None:
     before = file.read_text()
     try:
         file.write_text(before + "# A change.\n")
-        assert "firmware is another than" in refused(package, "--board", "rpi_pico")
+        assert "firmware has changed since" in refused(package, "--board", "rpi_pico")
     finally:
         file.write_text(before)
