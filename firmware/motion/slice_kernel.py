@@ -53,6 +53,27 @@ def leading(gaps: int, gap: int, longer: int) -> int:
 
 
 @micropython.viper
+def step_tick(row: ptr32, base: int, k: int) -> int:
+    """Return the tick, from the start of the row, of step k (from 0) of the motor at row[base].
+
+    k beyond the last step continues with gaps of the shorter kind.
+    """
+    tick = row[base + 1]
+    gaps = row[base] - 1
+    if gaps < 1:
+        return tick
+    span = row[base + 2] - tick
+    gap = span // gaps
+    longer = span - gap * gaps
+    front = int(leading(gaps, gap, longer))
+    tick += gap * k + (k if k < front else front)
+    k -= gaps - longer + front  # of the longer gaps at the end, so many are before the step
+    if k > 0:
+        tick += k if k < longer - front else longer - front
+    return tick
+
+
+@micropython.viper
 def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
     """Return the number of rows for the planned segment, because the steps of a row are even.
 

@@ -16,7 +16,7 @@ Viper; all of it runs in the engine's interrupt. No hardware is accessed here.
 import micropython
 from micropython import const
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
-from motion.slice_kernel import leading
+from motion.slice_kernel import leading, step_tick
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -190,20 +190,14 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
     row[ROW_POWER] = whole[ROW_POWER]
     for i in range(axes):
         base = ROW_AXES + ROW_STRIDE * i
-        steps = whole[base]
-        span = whole[base + _LAST] - whole[base + _FIRST]
-        gap = span // (steps - 1) if steps > 1 else 0
-        longer = span - gap * (steps - 1)
-        front = int(leading(steps - 1, gap, longer))
-        tick = whole[base + _FIRST] - begin
         count = 0
-        for k in range(steps):
+        for k in range(whole[base]):
+            tick = int(step_tick(whole, base, k)) - begin
             if tick >= 0 and (tick < end - begin or end == ticks):
                 if count == 0:
                     row[base + _FIRST] = tick
                 row[base + _LAST] = tick
                 count += 1
-            tick += gap + 1 if k < front or k >= steps - 1 - longer + front else gap
         row[base] = count
     return end if end < ticks else 0
 

@@ -4,12 +4,18 @@ The steps of a row are even to a tick, and motors have different remainders: whe
 came first in rows of 10 ms, two motors were 5 steps apart at 150 kHz.
 """
 
+from array import array
+
 import pytest
+from extras.tools import clusters
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import Bench, Limits, off_line, pulses, some
+from motion import slice_kernel
+from motion.layout import ROW_AXES
 from test_braking import ENGINES, FASTEST_HZ
 from test_engines import _play_words
+from ugrbl.sim.engine import step_tick
 
 # In addition to half a step of rounding: what the order of gaps and ticks leaves open, up to the
 # rate in Hz at which rows are as short as in a ramp.
@@ -20,9 +26,8 @@ _MOST_HZ = {"sim": 250_000, "pio": 250_000, "i2s": 60_000, "rmt": 5_000}
 
 
 def bench(engine: str, rate_hz: float, way: "tuple[float, ...]") -> Bench:
-    """Return a bench with a line on which the fastest motor makes rate_hz, 1600 steps/mm, a ramp
-    of
-    25 ms."""
+    """Return a bench with a line on which the fastest motor makes rate_hz, at 1600 steps/mm, after
+    a ramp of 25 ms."""
     length = sum(mm * mm for mm in way) ** 0.5
     feed = rate_hz / 1600 * length / max(map(abs, way))
     limits = Limits((1600.0,) * 3, (feed * 60,) * 3, (feed * 40,) * 3, step_hz=FASTEST_HZ)
@@ -64,3 +69,16 @@ def test_the_words_of_the_pio_keep_to_the_line() -> None:
     made = bench("pio", 85_000, (10.0, 7.3, -2.2))
     steps = _play_words(made, 1)
     assert off_line([[at for at, i, _ in steps if i == axis] for axis in range(3)]) < 0.5 + _BIT
+
+
+@given(st.integers(1, 4095), st.integers(0, 1000), st.integers(0, 2**18), st.data())
+def test_every_reader_of_a_row_places_its_steps_alike(
+    steps: int, first: int, span: int, data: st.DataObject
+) -> None:
+    """A dot half way to the next step begins at the step: clusters.reach()."""
+    span = span if steps > 1 else 0
+    row = array("i", (first + span + 100, 0, 0, steps, first, first + span))
+    k = data.draw(st.integers(0, steps - 1))
+    tick = step_tick(row, ROW_AXES, k)
+    assert slice_kernel.step_tick(row, ROW_AXES, k) == tick
+    assert clusters.reach(row, ROW_AXES, k, 1, 2) == tick

@@ -15,6 +15,7 @@ from typing import Any
 import machine
 import pytest
 import rp2
+from motion import slice_kernel
 from pio import engine, engine_state, memory, pulses, refill, stops
 from rp2040py.irq import IRQ
 from rp2040py.rp2040 import RP2040
@@ -286,7 +287,7 @@ class PioChip(_Chip):
         def ptr32(memory: Any) -> Any:
             return Pointer(memory) if isinstance(memory, int) else plain(memory)
 
-        for module in (engine, engine_state, memory, pulses, stops, refill):
+        for module in (engine, engine_state, memory, pulses, stops, refill, slice_kernel):
             patch.setattr(module, "ptr32", ptr32, raising=False)
         patch.setattr(memory, "_make_array", self._array)
         patch.setattr(memory, "_make_address", self._address)

@@ -35,7 +35,7 @@ from motion.layout import (
     TAIL,
 )
 from motion.planner import SPINDLE_MASK
-from motion.slice_kernel import scaled_power, speed_share
+from motion.slice_kernel import scaled_power, speed_share, step_tick
 
 from extras.tools.laser import Laser, emit, lay, mark
 
@@ -111,20 +111,14 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
 def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
     """Return the tick in the segment at which a motor reaches whole + over / parts steps.
 
-    row[base]: number of steps, tick of the first, tick of the last; the gaps between them differ
-    by at most one tick, longer ones first. A step is generated half way between two positions, so
+    row[base]: number of steps, tick of the first, tick of the last. A step is generated half way
+    between two positions, so
 
         tick = step tick of `whole` + gap * (over / parts - 1 / 2)
     """
     gaps = row[base] - 1
-    tick = row[base + 1]
-    gap = row[ROW_TICKS]
-    if gaps > 0:
-        span = row[base + 2] - tick
-        gap = span // gaps
-        longer = span - gap * gaps
-        tick += gap * whole + (whole if whole < longer else longer)
-    return tick + gap // (2 * parts) * (2 * over - parts)
+    gap = (row[base + 2] - row[base + 1]) // gaps if gaps > 0 else row[ROW_TICKS]
+    return int(step_tick(row, base, whole)) + gap // (2 * parts) * (2 * over - parts)
 
 
 @micropython.viper
