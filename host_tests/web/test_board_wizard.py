@@ -196,6 +196,17 @@ def test_entries_are_kept_when_page_is_reloaded(set_up):
 
 # Faults
 
+
+@pytest.fixture
+def editor(set_up):
+    """Somebody at the file step, with a Pico whose board file is not running."""
+    person = set_up(board=_PICO)
+    person.click("#connect")
+    person.reads("#setup-found", "The machine does not run")
+    step(person, "file")
+    return person
+
+
 _MARKED = """(() => {
   const { value, selectionStart, selectionEnd } = document.getElementById("board-text");
   return value.slice(selectionStart, selectionEnd);
@@ -210,70 +221,54 @@ _MARKED = """(() => {
         (_PICO + "\nJERK = True\nSKEW = True\n", len(_PICO.split("\n")) + 2, "SKEW and JERK"),
     ],
 )
-def test_fault_is_shown_with_its_line(set_up, text, line, words):
-    person = set_up(board=_PICO)
-    person.click("#connect")
-    person.reads("#setup-found", "The machine does not run")
-    step(person, "file")
-    person.page.fill("#board-text", text)
-    person.click("#send-board")
-    person.reads("#file-says", f"Line {line}: ")
-    person.reads("#file-says", words)
-    marked = person.page.evaluate(_MARKED)
+def test_fault_is_shown_with_its_line(editor, text, line, words):
+    editor.page.fill("#board-text", text)
+    editor.click("#send-board")
+    editor.reads("#file-says", f"Line {line}: ")
+    editor.reads("#file-says", words)
+    marked = editor.page.evaluate(_MARKED)
     assert marked == text.split("\n")[line - 1]
-    kept = (flash_of(person) / "board.py").read_text()
+    kept = (flash_of(editor) / "board.py").read_text()
     assert kept == (_PICO if "Error" in words else text), "what Python does not take is not kept"
-    person.click("text=Show the file that was there before")
-    assert person.page.input_value("#board-text") == _PICO
+    editor.click("text=Show the file that was there before")
+    assert editor.page.input_value("#board-text") == _PICO
 
 
-def test_file_damaged_on_its_way_does_not_replace_old_file(set_up):
-    person = set_up(board=_PICO)
-    person.click("#connect")
-    person.reads("#setup-found", "The machine does not run")
-    step(person, "file")
-    person.bridge.machine.damage = b"\\x58"  # an X in the escaped form of the script that sends it
-    person.page.fill("#board-text", 'MPY_ARCH = "armv6m"  # X\n')
-    person.click("#send-board")
-    person.reads("#file-says", "the file was damaged on its way")
-    assert (flash_of(person) / "board.py").read_text() == _PICO
+def test_file_damaged_on_its_way_does_not_replace_old_file(editor):
+    editor.bridge.machine.damage = b"\\x58"  # an X in the escaped form of the script that sends it
+    editor.page.fill("#board-text", 'MPY_ARCH = "armv6m"  # X\n')
+    editor.click("#send-board")
+    editor.reads("#file-says", "the file was damaged on its way")
+    assert (flash_of(editor) / "board.py").read_text() == _PICO
 
 
-def test_file_for_another_chip_is_not_sent(set_up):
-    person = set_up(board=_PICO)
-    person.click("#connect")
-    person.reads("#setup-found", "The machine does not run")
-    step(person, "file")
-    person.page.fill("#board-text", 'MPY_ARCH = "xtensawin"\n')
-    person.click("#send-board")
-    person.reads("#file-says", "the file is for another chip")
-    assert (flash_of(person) / "board.py").read_text() == _PICO
+def test_file_for_another_chip_is_not_sent(editor):
+    editor.page.fill("#board-text", 'MPY_ARCH = "xtensawin"\n')
+    editor.click("#send-board")
+    editor.reads("#file-says", "the file is for another chip")
+    assert (flash_of(editor) / "board.py").read_text() == _PICO
 
 
 # The user's Python code
 
 
-def test_custom_py_is_sent_and_its_fault_is_marked(set_up):
-    person = set_up(board=_PICO)
-    person.click("#connect")
-    person.reads("#setup-found", "The machine does not run")
-    step(person, "file")
-    person.page.select_option("#file-name", "custom.py")
-    assert "from ugrbl import mcode" in person.page.input_value("#board-text")
-    person.page.fill("#board-text", "from ugrbl import mcode\n@mcode(100\ndef f(m):\n    pass\n")
-    person.click("#send-board")
-    person.reads("#file-says", "SyntaxError")
-    assert not (flash_of(person) / "custom.py").exists()
+def test_custom_py_is_sent_and_its_fault_is_marked(editor):
+    editor.page.select_option("#file-name", "custom.py")
+    assert "from ugrbl import mcode" in editor.page.input_value("#board-text")
+    editor.page.fill("#board-text", "from ugrbl import mcode\n@mcode(100\ndef f(m):\n    pass\n")
+    editor.click("#send-board")
+    editor.reads("#file-says", "SyntaxError")
+    assert not (flash_of(editor) / "custom.py").exists()
     good = "from ugrbl import mcode\n\n@mcode(100)\ndef f(m):\n    1 / 0\n"
-    person.page.fill("#board-text", good)
-    person.click("#send-board")
-    person.reads("#file-says", "the machine runs")
-    assert (flash_of(person) / "custom.py").read_text() == good
-    person.sees("Idle")
-    person.bridge.machine.machine.say(b"[MSG:M100: custom.py, line 5, in f: divide by zero]\r\n")
-    person.reads("#file-says", "Line 5: M100: custom.py, line 5")
-    assert person.page.evaluate(_MARKED) == "    1 / 0"
-    assert (flash_of(person) / "board.py").read_text() == _PICO
+    editor.page.fill("#board-text", good)
+    editor.click("#send-board")
+    editor.reads("#file-says", "the machine runs")
+    assert (flash_of(editor) / "custom.py").read_text() == good
+    editor.sees("Idle")
+    editor.bridge.machine.machine.say(b"[MSG:M100: custom.py, line 5, in f: divide by zero]\r\n")
+    editor.reads("#file-says", "Line 5: M100: custom.py, line 5")
+    assert editor.page.evaluate(_MARKED) == "    1 / 0"
+    assert (flash_of(editor) / "board.py").read_text() == _PICO
 
 
 # The boot loader's drive
