@@ -52,6 +52,7 @@ from esp_chip.i2s_layout import (
     PLAYING,
     POWER,
     PULLING,
+    REPORTED,
     ROW,
     SENT,
     STALE,
@@ -59,7 +60,6 @@ from esp_chip.i2s_layout import (
     STATE_LENGTH,
     STOPPED,
     TAKEN,
-    TOLD,
     WRITTEN,
 )
 from esp_chip.stream import BYTES, Stream
@@ -194,7 +194,7 @@ class I2sEngine(TimerEngine):
             self._renew()
             state[HALT] = 0
         state[TAKEN] = time.ticks_us() & MASK
-        state[TOLD] = state[LATEST] = -1
+        state[REPORTED] = state[LATEST] = -1
         state[PULLING] = 1
         state[MOVING] = 1
 
@@ -339,8 +339,8 @@ class I2sEngine(TimerEngine):
             self._on_rest()
 
     def _tell(self, power: int) -> None:
-        if power >= 0 and power != self._state[TOLD]:
-            self._state[TOLD] = power
+        if power >= 0 and power != self._state[REPORTED]:
+            self._state[REPORTED] = power
             self._on_power(power)
 
     def _make(self) -> None:

@@ -23,7 +23,6 @@ from motion import beam_layout as bm
 
 from pio import pulses
 from pio.engine import PioEngine
-from pio.hub_layout import BLOCK_LOG2, IN_BLOCK, MOTORS, PIO0, RP2350, RUNNING
 from pio.registers import (
     COUNT_TRIGGER,
     CREDITS,
@@ -33,6 +32,7 @@ from pio.registers import (
     RXF,
     WRITE,
 )
+from pio.state_layout import BLOCK_LOG2, IN_BLOCK, MOTORS, PIO0, RP2350, RUNNING
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

@@ -26,28 +26,10 @@ import micropython
 from micropython import const
 
 from pio import pulses
-from pio.hub_layout import (
-    ASKED,
-    BEFORE_CLOCK,
-    CLOCK,
-    CLOCK_AT,
-    CLOCK_PIO,
-    FAULT,
-    FED,
-    HALT,
-    MADE,
-    OURS,
-    PIO0,
-    PIO1,
-    RAISED,
-    RP2350,
-    RUNNING,
-    THIRD,
-    WORDS,
-)
+from pio import registers as reg
+from pio import state_layout as s
 from pio.memory import Memory
 from pio.refill import refill
-from pio.registers import CLEAR
 from pio.stops import arm, fault_code, halt, position, request_refill
 
 TYPE_CHECKING = const(False)
@@ -65,7 +47,7 @@ _MOST = const(6)
 _MOST_2350 = const(8)
 _LAST_PIN = const(31)  # highest pin of a PIO after reset; an RP2350B has 48 pins
 
-# Texts of fault(), by fault code (hub_layout.RAISED and the following ones).
+# Texts of fault(), by fault code (state_layout.RAISED and the following ones).
 _FAULTS = (
     "",
     "the pulse engine's interrupt has failed",
@@ -108,7 +90,7 @@ class PioEngine:
         self._setup_us = setup_us
         self._pin_control, self._invert_shift = 0x40014004, 8
         lanes, most, rp2350 = len(step) + more_lanes, _MOST, False
-        if RP2350:
+        if s.RP2350:
             rp2350 = "RP2350" in sys.implementation._machine
             if rp2350:
                 self._pin_control, self._invert_shift = 0x40028004, 12
@@ -127,11 +109,11 @@ class PioEngine:
         from pio import programs
 
         block = 1
-        if RP2350:
-            block = 2 if lanes > BEFORE_CLOCK else 1
+        if s.RP2350:
+            block = 2 if lanes > s.BEFORE_CLOCK else 1
         self._pio = rp2.PIO(block)
-        self._clock = rp2.StateMachine(4 * block + CLOCK, programs.clock, freq=_TICK_HZ)
-        self._engine_state[CLOCK_AT] = programs.clock[1 + block] + programs.CLOCK_PULL
+        self._clock = rp2.StateMachine(4 * block + s.CLOCK, programs.clock, freq=_TICK_HZ)
+        self._engine_state[s.CLOCK_AT] = programs.clock[1 + block] + programs.CLOCK_PULL
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
@@ -155,7 +137,7 @@ class PioEngine:
         control = channel.pack_ctrl(
             size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis + (axis & 4)
         )
-        ring = self._engine_state[WORDS] + (4 * axis << pulses.RING_LOG2)
+        ring = self._engine_state[s.WORDS] + (4 * axis << pulses.RING_LOG2)
         channel.config(read=ring, write=stepper, ctrl=control)
         self._memory.connect(axis, channel.channel)
         return stepper, channel
@@ -220,7 +202,7 @@ class PioEngine:
     def idle(self) -> bool:
         """Return whether nothing moves and nothing is queued in hardware."""
         state = self._engine_state
-        return state[RUNNING] == 0 and (state[HALT] != 0 or state[MADE] == state[FED])
+        return state[s.RUNNING] == 0 and (state[s.HALT] != 0 or state[s.MADE] == state[s.FED])
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps executed, per motor: the only source of position. Safe in an
@@ -238,27 +220,27 @@ class PioEngine:
     def _refill(self, _source: object) -> int:
         """Refill the hardware. Interrupt: a segment has begun, or start() has requested it."""
         state = ptr32(self._engine_state)
-        state[ASKED] = 0
-        if state[HALT]:
+        state[s.ASKED] = 0
+        if state[s.HALT]:
             return 0
         try:
             refill(state, self._next_segment, self._on_power, self._on_rest)
         except:  # noqa: E722
-            state[FAULT] = RAISED
-        if state[FAULT]:
+            state[s.FAULT] = s.RAISED
+        if state[s.FAULT]:
             # No calls up to here: a full stack may be the cause.
-            state[HALT] = 1
-            ptr32(state[PIO0])[CLEAR] = state[OURS]
-            ptr32(state[PIO1])[CLEAR] = state[OURS + 1]
-            if RP2350:
-                if state[THIRD]:
-                    ptr32(state[CLOCK_PIO])[CLEAR] = state[THIRD]
+            state[s.HALT] = 1
+            ptr32(state[s.PIO0])[reg.CLEAR] = state[s.OURS]
+            ptr32(state[s.PIO1])[reg.CLEAR] = state[s.OURS + 1]
+            if s.RP2350:
+                if state[s.THIRD]:
+                    ptr32(state[s.CLOCK_PIO])[reg.CLEAR] = state[s.THIRD]
             try:
                 self.on_fault()
             except:  # noqa: E722
-                state[FAULT] = RAISED  # the main loop switches the tool off
+                state[s.FAULT] = s.RAISED  # the main loop switches the tool off
             try:
                 halt(state, -1)
             except:  # noqa: E722
-                state[FAULT] = RAISED
+                state[s.FAULT] = s.RAISED
         return 0

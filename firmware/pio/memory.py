@@ -11,48 +11,9 @@ import micropython
 from motion.layout import row_length
 
 from pio import pulses
-from pio.hub_layout import (
-    AXES,
-    BEFORE_CLOCK,
-    BEGUN,
-    BLOCK_LOG2,
-    BUSY,
-    CLOCK,
-    CLOCK_FIFO,
-    CLOCK_PIO,
-    CLOCKED,
-    DMA,
-    HALT,
-    IN_BLOCK,
-    LANES,
-    LENGTH,
-    MOTORS,
-    NVIC,
-    OURS,
-    PIO0,
-    PIO1,
-    RIVALS,
-    ROW,
-    ROW_EXTRA,
-    ROWS,
-    RP2350,
-    THIRD,
-    TIMER,
-    TIMING,
-    WHOLE,
-    WORDS,
-)
+from pio import registers as reg
+from pio import state_layout as s
 from pio.pulses import LANE, MACHINE
-from pio.registers import (
-    CREDITS,
-    DMA_AT,
-    DMA_EACH,
-    MACHINES,
-    PIO0_AT,
-    PIO1_AT,
-    PIO2_AT,
-    SM,
-)
 
 
 @micropython.viper
@@ -74,28 +35,28 @@ class Memory:
     def __init__(self, axes: int, rp2350: bool) -> None:
         """Make all arrays, of zeros, and fill the engine state in: stopped, nothing begun."""
         length = row_length(axes)
-        length_of_hub = DMA + axes
-        if RP2350:
-            length_of_hub = LENGTH
+        length_of_hub = s.DMA + axes
+        if s.RP2350:
+            length_of_hub = s.LENGTH
         self.state = state = _make_array(length_of_hub)
         self.lanes = _make_array(LANE * axes)
         self.timing = _make_array(pulses.TIMING_LENGTH)
-        self.rows = [_make_array(length + ROW_EXTRA + axes) for _ in range(ROWS)]
-        self._clocked = _make_array(CLOCK_FIFO)
+        self.rows = [_make_array(length + s.ROW_EXTRA + axes) for _ in range(s.ROWS)]
+        self._clocked = _make_array(s.CLOCK_FIFO)
         self._whole = _make_array(length)
         # A ring is aligned to its size, because DMA wraps around within address bits.
         ring = 4 << pulses.RING_LOG2
         self._rings = bytearray(ring * (axes + 1))
-        self.timing[pulses.AXES] = state[AXES] = state[MOTORS] = axes
-        state[HALT] = 1
-        state[BEGUN] = -1
-        state[LANES] = _make_address(self.lanes)
-        state[WORDS] = (_make_address(self._rings) + ring - 1) // ring * ring
-        state[TIMING] = _make_address(self.timing)
-        state[CLOCKED] = _make_address(self._clocked)
-        state[WHOLE] = _make_address(self._whole)
+        self.timing[pulses.AXES] = state[s.AXES] = state[s.MOTORS] = axes
+        state[s.HALT] = 1
+        state[s.BEGUN] = -1
+        state[s.LANES] = _make_address(self.lanes)
+        state[s.WORDS] = (_make_address(self._rings) + ring - 1) // ring * ring
+        state[s.TIMING] = _make_address(self.timing)
+        state[s.CLOCKED] = _make_address(self._clocked)
+        state[s.WHOLE] = _make_address(self._whole)
         for i, row in enumerate(self.rows):
-            state[ROW + i] = _make_address(row)
+            state[s.ROW + i] = _make_address(row)
         self._set_registers(axes, rp2350)
 
     def _set_registers(self, axes: int, rp2350: bool) -> None:
@@ -103,32 +64,32 @@ class Memory:
         state = self.state
         # Masks of the machines: lanes 0 to 3 of PIO 0, lanes 4 to 7 and the clock of PIO 1.
         machines = (1 << axes) - 1
-        state[OURS] = machines & 15
-        state[OURS + 1] = machines >> 4 | 1 << CLOCK
-        state[PIO0] = PIO0_AT
-        state[PIO1] = PIO1_AT
-        state[TIMER] = 0x40054028  # TIMERAWL
+        state[s.OURS] = machines & 15
+        state[s.OURS + 1] = machines >> 4 | 1 << s.CLOCK
+        state[s.PIO0] = reg.PIO0_AT
+        state[s.PIO1] = reg.PIO1_AT
+        state[s.TIMER] = 0x40054028  # TIMERAWL
         # The interrupt controller's ISER, 0xE000E100: the array's integers are signed 32 bit.
-        state[NVIC] = 0xE000E100 - (1 << 32)
+        state[s.NVIC] = 0xE000E100 - (1 << 32)
         # A bit per interrupt number: pins (IO_IRQ_BANK0) and the timer's four may stop the engine;
         # PIO1_IRQ_0 is its own.
-        state[RIVALS] = 1 << 13 | 1 << 9 | 15
-        state[BUSY] = 1 << 24  # bit BUSY of a DMA channel's CTRL
-        if RP2350:
-            state[CLOCK_PIO] = PIO1_AT
+        state[s.RIVALS] = 1 << 13 | 1 << 9 | 15
+        state[s.BUSY] = 1 << 24  # bit BUSY of a DMA channel's CTRL
+        if s.RP2350:
+            state[s.CLOCK_PIO] = reg.PIO1_AT
             if rp2350:
                 # The same registers and interrupts, at an RP2350's addresses and numbers.
-                state[TIMER] = 0x400B0028  # TIMERAWL of TIMER0
-                state[RIVALS] = 1 << 21 | 1 << 17 | 15
-                state[BUSY] = 1 << 26
-            if axes > BEFORE_CLOCK:  # the eighth lane has the clock's machine of PIO 1
-                state[CLOCK_PIO] = PIO2_AT
-                state[THIRD] = 1 << CLOCK
-                state[RIVALS] |= 1 << 19  # PIO2_IRQ_0
+                state[s.TIMER] = 0x400B0028  # TIMERAWL of TIMER0
+                state[s.RIVALS] = 1 << 21 | 1 << 17 | 15
+                state[s.BUSY] = 1 << 26
+            if axes > s.BEFORE_CLOCK:  # the eighth lane has the clock's machine of PIO 1
+                state[s.CLOCK_PIO] = reg.PIO2_AT
+                state[s.THIRD] = 1 << s.CLOCK
+                state[s.RIVALS] |= 1 << 19  # PIO2_IRQ_0
 
     def connect(self, axis: int, channel: int) -> None:
         """Assign a DMA channel to a lane."""
-        pio = self.state[PIO0 + (axis >> BLOCK_LOG2)]
-        self.lanes[LANE * axis + MACHINE] = pio + 4 * (MACHINES + SM * (axis & IN_BLOCK))
-        self.state[DMA + axis] = at = DMA_AT + DMA_EACH * channel
-        machine.mem32[at + 4 * CREDITS] = 0  # the channel counts from 0: the FIFO is empty
+        pio = self.state[s.PIO0 + (axis >> s.BLOCK_LOG2)]
+        self.lanes[LANE * axis + MACHINE] = pio + 4 * (reg.MACHINES + reg.SM * (axis & s.IN_BLOCK))
+        self.state[s.DMA + axis] = at = reg.DMA_AT + reg.DMA_EACH * channel
+        machine.mem32[at + 4 * reg.CREDITS] = 0  # the channel counts from 0: the FIFO is empty

@@ -17,7 +17,7 @@ from micropython import const
 from ports.input_pins import NOT_WIRED
 from ports.port import PortPins
 
-from pio.hub_layout import RP2350
+from pio.state_layout import RP2350
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

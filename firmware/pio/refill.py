@@ -6,7 +6,7 @@ from micropython import const
 from motion.layout import KEEP_POWER
 
 from pio.engine_state import LEAD, append, feed, read_progress
-from pio.hub_layout import AHEAD, CUT, EARLY, FED, HALT, LAST_ROW, MADE, ROW, RUNNING
+from pio.state_layout import AHEAD, CUT, EARLY, FED, HALT, LAST_ROW, MADE, ROW, RUNNING
 
 _MOST = const(2)  # segments made in one interrupt, at most
 _WAITING = const(10)  # rows that may wait; position() may still read the others

@@ -7,7 +7,7 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
 from ugrbl.compiling.for_chip import for_chip
 
-_LAYOUT = "pio.hub_layout"
+_LAYOUT = "pio.state_layout"
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,7 @@ def test_every_choice_is_an_existing_module_and_used_by_some_board() -> None:
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in pruned(inline(build.texts())).values()]
     assert not any(left.intersection(build._imported(tree, ())) for tree in trees)
-    assert "pio.hub_layout" in left  # it has only constants
+    assert "pio.state_layout" in left  # it has only constants
 
 
 def test_main_and_board_file_are_not_compiled(made: build.Build) -> None:

@@ -23,7 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from laws import Bench, Limits, some
 from motion.layout import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
-from pio import beam_program, hub_layout, memory, programs, pulses
+from pio import beam_program, memory, programs, pulses, state_layout
 from pio.beam import slice_of
 from pio.engine import PioEngine
 from test_engines import _play_words
@@ -1117,7 +1117,7 @@ def test_rp2350_registers_match_its_data_sheet() -> None:
     addresses."""
     with a_bed(), pytest.MonkeyPatch.context() as patch:
         there = memory.Memory(AXES, True).state
-        timer, rivals, busy = hub_layout.TIMER, hub_layout.RIVALS, hub_layout.BUSY
+        timer, rivals, busy = state_layout.TIMER, state_layout.RIVALS, state_layout.BUSY
         assert there[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
         # IO_IRQ_BANK0, PIO1_IRQ_0, TIMER0_IRQ_0 to 3
         assert there[rivals] == 1 << 21 | 1 << 17 | 0b1111
@@ -1133,12 +1133,12 @@ def test_rp2350_registers_match_its_data_sheet() -> None:
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
         sixth = made._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
         assert sixth == 0x50300000 + 0xE0  # PIO 1, SM1_CLKDIV
-        assert made._engine_state[hub_layout.CLOCK_PIO] == 0x50300000
+        assert made._engine_state[state_layout.CLOCK_PIO] == 0x50300000
         patch.setattr(rp2.DMA, "claimed", 0)
         made = PioEngine(_STEP[:8], _DIR[:8])
         eighth = made._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
         assert eighth == 0x50300000 + 0x110  # PIO 1, SM3_CLKDIV
-        assert made._engine_state[hub_layout.CLOCK_PIO] == 0x50400000  # PIO 2
+        assert made._engine_state[state_layout.CLOCK_PIO] == 0x50400000  # PIO 2
         assert made._engine_state[rivals] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
         with pytest.raises(ValueError, match="only pins 0 to 31 make pulses"):
             PioEngine((2, 4, 6), (3, 5, 32))

@@ -1,7 +1,8 @@
 """Leave code that only one of two chips needs out of the firmware for the other.
 
-`RP2350 = const(1)` in pio/hub_layout.py says that the chip may be an RP2350. For a processor that
-is in an RP2040 and in no RP2350 it becomes 0, and the compilers drop the code that depends on it.
+`RP2350 = const(1)` in pio/state_layout.py says that the chip may be an RP2350. For a processor
+that is in an RP2040 and in no RP2350 it becomes 0, and the compilers drop the code that depends on
+it.
 """
 
 import re
@@ -9,7 +10,7 @@ from collections.abc import Mapping
 
 from ..boardfile.chips import processors
 
-_MODULE = "pio.hub_layout"
+_MODULE = "pio.state_layout"
 _CHIP = "RP2350"
 _MAY_BE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
 

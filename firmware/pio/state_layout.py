@@ -70,4 +70,4 @@ RAISED = const(1)  # the interrupt raised an exception
 LOST = const(2)  # a word was written to a full FIFO
 JAMMED = const(3)  # DMA makes no progress
 UNHEARD = const(4)  # the interrupt did not come
-BEHIND = const(5)  # the words should have ended long ago
+TOO_LATE = const(5)  # the words should have ended long ago
