@@ -10,6 +10,7 @@ import micropython
 from micropython import const
 
 MINUS = const(128)  # the sign bit, in the last byte of a float
+SMALL = const(0x2000000)  # of mantissa_product(): the exponent is one less
 
 
 @micropython.viper
@@ -29,6 +30,28 @@ def mantissas(number: int, divisor: int) -> int:
     if rest:
         number |= 1
     return (number + 15 + ((number >> 5) & 1)) >> 5
+
+
+@micropython.viper
+def mantissa_product(number: int, factor: int) -> int:
+    """Return the mantissa of number * factor, both of 24 bits, rounded to even; 24 bits or 2**24,
+    and SMALL if the product of the two, as numbers from 1 to 2, is less than 2.
+
+    Halves of 12 bits, so that all products fit 32 bits: number becomes the upper 24 of the 48
+    bits, low the lower ones.
+    """
+    middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
+    low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
+    number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
+    low &= 0xFFFFFF
+    small = 0
+    if number < 1 << 23:
+        number = (number << 1) | (low >> 23)
+        low = (low << 1) & 0xFFFFFF
+        small = SMALL
+    if low > 0x800000 or (low == 0x800000 and number & 1):
+        number += 1
+    return number | small
 
 
 @micropython.viper
@@ -65,10 +88,7 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
 
 @micropython.viper
 def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
-    """Multiply values[at] by factors[of], both floats as bits. Rounds to even.
-
-    Mantissas are split into halves of 12 bits, so that all products fit 32 bits.
-    """
+    """Multiply values[at] by factors[of], both floats as bits. Rounds to even."""
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
@@ -78,17 +98,10 @@ def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
     exponent += power - 126
     sign = (ptr8(values)[4 * at + 3] ^ ptr8(factors)[4 * of + 3]) & MINUS
     factor = (factors[of] & 0x7FFFFF) | 0x800000
-    number = (values[at] & 0x7FFFFF) | 0x800000
-    middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
-    low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
-    number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
-    low &= 0xFFFFFF
-    if number < 1 << 23:
-        number = (number << 1) | (low >> 23)
-        low = (low << 1) & 0xFFFFFF
+    number = int(mantissa_product((values[at] & 0x7FFFFF) | 0x800000, factor))
+    if number & SMALL:
+        number ^= SMALL
         exponent -= 1
-    if low > 0x800000 or (low == 0x800000 and number & 1):
-        number += 1
     return int(store(values, at, number, exponent, sign))
 
 

@@ -10,6 +10,7 @@ from array import array
 
 import micropython
 from base import errors
+from base.float32_math import SMALL, mantissa_product
 from micropython import const
 
 LINE_LENGTH = const(79)  # characters, as in Grbl
@@ -53,16 +54,10 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
             factor = 0xA00000
             exponent += 4
             power -= 1
-        middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
-        low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
-        number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
-        low &= 0xFFFFFF
-        if number < 1 << 23:
-            number = (number << 1) | (low >> 23)
-            low = (low << 1) & 0xFFFFFF
+        number = int(mantissa_product(number, factor))
+        if number & SMALL:
+            number ^= SMALL
             exponent -= 1
-        if low > 0x800000 or (low == 0x800000 and number & 1):
-            number += 1
     if number == 1 << 24:
         number >>= 1
         exponent += 1

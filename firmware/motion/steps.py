@@ -5,6 +5,7 @@ Viper, for plan_kernel.py. layout.py has the places in ring and table.
 """
 
 import micropython
+from base.float32_math import SMALL, mantissa_product
 
 from motion.layout import (
     AXES,
@@ -38,22 +39,11 @@ def to_steps(target: ptr32, table: ptr32) -> int:
         a = target[i] & 0x3FFFFFFF
         high = (signs[4 * i + 3] & 0x40) << 24
         b = table[resolution + i]
-        exponent = ((a + high) >> 23) + (b >> 23) - 254
-        # Two mantissas of 24 bits, in halves of 12: product has the upper 24 bits of theirs, low
-        # the lower ones.
-        a = (a & 0x7FFFFF) | 0x800000
-        b = (b & 0x7FFFFF) | 0x800000
-        middle = (a >> 12) * (b & 0xFFF) + (a & 0xFFF) * (b >> 12)
-        low = (a & 0xFFF) * (b & 0xFFF) + ((middle & 0xFFF) << 12)
-        product = (a >> 12) * (b >> 12) + (middle >> 12) + (low >> 24)
-        low &= 0xFFFFFF
-        if product >= 0x800000:
-            exponent += 1
-        else:
-            product = (product << 1) | (low >> 23)
-            low = (low << 1) & 0xFFFFFF
-        if low > 0x800000 or (low == 0x800000 and product & 1):
-            product += 1  # to the nearest float, a half to the even one
+        exponent = ((a + high) >> 23) + (b >> 23) - 253
+        product = int(mantissa_product((a & 0x7FFFFF) | 0x800000, (b & 0x7FFFFF) | 0x800000))
+        if product & SMALL:
+            product ^= SMALL
+            exponent -= 1
         if exponent > 28:
             inside = 0
             product = 0x1FFFFFFF  # as far as it goes, on the right side
