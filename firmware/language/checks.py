@@ -1,5 +1,7 @@
 # mypy: disable-error-code="arg-type, attr-defined, call-overload, has-type, misc"
-"""Checks: step three of the interpreter, in kernels. Everything that can refuse a block is here.
+"""Checks: step three of the interpreter, in kernels: what can refuse a block as a whole.
+
+block.py has refused single words before; arc_words.py checks arcs for this module.
 
 The checks also convert the block's values for execution: mm, absolute, machine coordinates. Their
 order is the standard's order of execution (NIST RS274NGC v3, table 8), which decides the error

@@ -36,7 +36,7 @@ PLAIN = const(b.CHECKED | b.MOVE | b.SPECIAL | b.SPEED | b.SET_TOOL | b.DARK | b
 @micropython.viper
 def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: object) -> int:
     """Execute a move-only line, if nothing makes it wait. Returns 1; or 0, and then nothing has
-    changed, except that the block is ready, with check_line()'s result in machine[ASKED].
+    moved, and the block is ready, with check_line()'s result in machine[ASKED].
 
     machine, memory: an interpreter's.
     """
