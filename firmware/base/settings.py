@@ -250,10 +250,11 @@ class Settings:
     def _set_defaults(self) -> None:
         """Set every setting to the board's default, or else to that of its row."""
         for row in self.rows:
-            if row[2] == AXIS:
-                setattr(self, row[1], array("f", (0.0 for _ in range(self._axes))))
-            for axis in range(self._axes if row[2] == AXIS else 1):
-                self._store_value(row, axis, self._board_defaults.get(row[0] + axis, row[3]))
+            first, attribute, kind, default, _ = row
+            if kind == AXIS:
+                setattr(self, attribute, array("f", (0.0 for _ in range(self._axes))))
+            for axis in range(self._axes if kind == AXIS else 1):
+                self._store_value(row, axis, self._board_defaults.get(first + axis, default))
 
     def _store_value(self, row: "Row", axis: int, amount: float) -> None:
         """Set the attribute of a row, converted to its kind. axis: 0 unless the kind is AXIS."""
