@@ -143,23 +143,23 @@ def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
     """
     speed = flow[NOW]
     down = 1 if goal < speed else 0
-    part = int(share(speed - goal if down else goal - speed, ramp))
+    time = int(share(speed - goal if down else goal - speed, ramp))
     end = goal
-    if part >= flow[LEFT]:
-        part = flow[LEFT]
-        end = speed - int(times(ramp, part)) if down else speed + int(times(ramp, part))
-    distance = int(times((speed + end) >> 1, part))
+    if time >= flow[LEFT]:
+        time = flow[LEFT]
+        end = speed - int(times(ramp, time)) if down else speed + int(times(ramp, time))
+    distance = int(times((speed + end) >> 1, time))
     if distance >= room:
         distance = room
         end = int(after(speed, ramp, room, down))
-        part = -1  # its time is computed below
+        time = -1  # its time is computed below
     if end < goal if down else end > goal:
         end = goal  # rounding has passed it
-    if part < 0:
-        part = int(share(room, (speed + end) >> 1))
+    if time < 0:
+        time = int(share(room, (speed + end) >> 1))
     flow[NOW] = end
     flow[WAY] = distance
-    return part
+    return time
 
 
 @micropython.viper
@@ -176,40 +176,40 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     rest: s, or HIGHEST. Results as change_speed().
     """
     speed = flow[NOW]
-    left = flow[LEFT]
+    time = flow[LEFT]
     end = leave
     mean = (speed + leave) >> 1
-    if rest > int(times(mean, left)):
-        most = int(times(ramp, left))
+    if rest > int(times(mean, time)):
+        most_change = int(times(ramp, time))
         if rest < HIGHEST:
-            change = int(times(speed - leave, int(share(int(times(mean, left)), rest))))
+            change = int(times(speed - leave, int(share(int(times(mean, time)), rest))))
         else:
             # share() is at most 1: where more is needed, the excess is added.
-            change = int(times(most, int(share(flow[BRAKE_WAY], flow[WHOLE]))))
+            change = int(times(most_change, int(share(flow[BRAKE_WAY], flow[WHOLE]))))
             if flow[BRAKE_WAY] > flow[WHOLE]:
                 late = flow[BRAKE_WAY] - flow[WHOLE]
-                change += int(times(most, int(share(late, flow[WHOLE]))))
-        most += most >> 4  # a sixteenth more
-        if change > most:
-            change = most
+                change += int(times(most_change, int(share(late, flow[WHOLE]))))
+        most_change += most_change >> 4  # a sixteenth more
+        if change > most_change:
+            change = most_change
         end = speed - change
         mean = speed - (change >> 1)
-        distance = int(times(mean, left))
+        distance = int(times(mean, time))
         if distance > rest:
             distance = rest
-            left = int(share(rest, mean))
+            time = int(share(rest, mean))
     else:
         distance = rest
-        left = int(share(rest, mean)) if mean else 1
+        time = int(share(rest, mean)) if mean else 1
         # More than a sixteenth above ramp, rounding apart: brake as ramp allows, and leave faster.
-        if speed - leave > int(times(ramp + (ramp >> 4), left)) + 4:
+        if speed - leave > int(times(ramp + (ramp >> 4), time)) + 4:
             end = int(after(speed, ramp, rest, 1))
             if end < leave:
                 end = leave
-            left = int(share(rest, (speed + end) >> 1))
+            time = int(share(rest, (speed + end) >> 1))
     flow[NOW] = end
     flow[WAY] = distance
-    return left
+    return time
 
 
 @micropython.viper
@@ -280,8 +280,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 slack += way if way < slack else slack
             else:
                 slack -= way
-                # Or nearly none: the distance of 1/256 segment.
-                if slack <= (speed >> 8 if unit else (way >> 12) + 1):
+                if slack <= (speed >> 8 if unit else (way >> 12) + 1):  # 1/256 segment
                     due = 1
         if due == 0 and speed <= top:
             if unit == 0:
@@ -290,17 +289,17 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 slack = (slack + 1) >> 1
             if slack < rest:
                 room = slack
-    part = flow[LEFT]
+    time = flow[LEFT]
     if due:
-        part = int(brake(flow, ramp, leave, rest))
+        time = int(brake(flow, ramp, leave, rest))
     elif speed != top:
-        part = int(change_speed(flow, ramp, top, room))
+        time = int(change_speed(flow, ramp, top, room))
     else:
-        flow[WAY] = speed if part == FULL_TIME else int(times(speed, part))
+        flow[WAY] = speed if time == FULL_TIME else int(times(speed, time))
         if room <= flow[WAY]:
             flow[WAY] = room
-            part = int(share(room, speed))
-    return int(add_piece(flow, part))
+            time = int(share(room, speed))
+    return int(add_piece(flow, time))
 
 
 @micropython.viper

@@ -166,11 +166,13 @@ def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
     time = 0
     steps = 0
     while flow[SLICES] > 1 and steps == 0:
-        part = flow[TIME] // flow[SLICES] >> 6 << 6  # times() and travel() are exact for these
+        slice_time = (
+            flow[TIME] // flow[SLICES] >> 6 << 6
+        )  # times() and travel() are exact for these
         flow[SLICES] = flow[SLICES] - 1
-        flow[TIME] = flow[TIME] - part
-        time += part
-        distance += int(travel(flow, part))
+        flow[TIME] = flow[TIME] - slice_time
+        time += slice_time
+        distance += int(travel(flow, slice_time))
         steps = (flow[PARTIAL] + distance) >> 18
     if steps == 0 or steps >= (flow[PARTIAL] + flow[ADVANCE]) >> 18:
         distance = flow[ADVANCE]
@@ -232,12 +234,12 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
         phase = flow[MOTORS + 2 * i + 1]
         gain = ((events * (ratio >> 15)) << 1) + ((events * (ratio & 32767)) >> 14)
         steps = (phase + gain) >> 18
-        left = flow[MOTORS + 2 * i]
-        if last or steps > left:
-            steps = left
+        steps_left = flow[MOTORS + 2 * i]
+        if last or steps > steps_left:
+            steps = steps_left
         at = ROW_AXES + ROW_STRIDE * i
         row[at] = steps
-        flow[MOTORS + 2 * i] = left - steps
+        flow[MOTORS + 2 * i] = steps_left - steps
         flow[MOTORS + 2 * i + 1] = (phase + gain) & _STEP_FRACTION
         scale = 0
         while gain >= 1 << 21:
