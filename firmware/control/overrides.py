@@ -66,6 +66,7 @@ class Overrides:
     def apply_requests(self) -> None:
         """Apply the override bytes received."""
         state = self._state
+        # In percent, by _FEED, _RAPID and _SPINDLE.
         new = [state.feed_override, state.rapid_override, state.spindle_override]
         for byte in range(st.FIRST_OVERRIDE_BYTE, _SPINDLE_STOP):  # in Grbl's order
             times = self._asked(byte)
@@ -75,12 +76,12 @@ class Overrides:
                     new[which] = change or 100
                 else:
                     new[which] = min(max(new[which] + times * change, _LOWEST), _HIGHEST)
-        if new[0] != state.feed_override or new[1] != state.rapid_override:
-            state.feed_override, state.rapid_override = new[0], new[1]
+        if new[_FEED] != state.feed_override or new[_RAPID] != state.rapid_override:
+            state.feed_override, state.rapid_override = new[_FEED], new[_RAPID]
             state.override_countdown = 0
             self._planner.override()
-        if new[2] != state.spindle_override:
-            state.override_spindle(new[2])
+        if new[_SPINDLE] != state.spindle_override:
+            state.override_spindle(new[_SPINDLE])
             state.override_countdown = 0
             self._override_spindle()
         self._accessory_overrides()
@@ -100,6 +101,7 @@ class Overrides:
             self._planner.each_power(self._spindle.block_power)
 
     def _accessory_overrides(self) -> None:
+        """Apply the toggles of spindle stop, flood and mist; an even number changes nothing."""
         state = self._state
         if self._asked(_SPINDLE_STOP):
             self.stop_spindle()

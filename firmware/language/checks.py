@@ -56,16 +56,15 @@ def check(
         return 0 - error
     if words & b.WORD_S == 0:
         singles[b.S] = rates[mode.RPM]
-    # The value words that something uses; any other is an error.
-    used = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
+    used_words = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
     if ints[b.COMMANDS] & b.GROUP_M9:
         # Grbl's own: M56 P0 disables parking, M56 or M56 P1 enables it.
         ints[mode.OVERRIDE_CONTROL] = 1
         if words & b.WORD_P and singles[b.P] & int(0x7FFFFFFF) == 0:
             ints[mode.OVERRIDE_CONTROL] = 0
-        used |= b.WORD_P
+        used_words |= b.WORD_P
     if ints[b.NON_MODAL] == b.DWELL:  # 3.5.4
-        used |= b.WORD_P
+        used_words |= b.WORD_P
         if words & b.WORD_P == 0:
             return 0 - errors.GCODE_VALUE_WORD_MISSING
     if ints[mode.INCHES]:
@@ -76,12 +75,12 @@ def check(
     result = int(_targets(ints, singles, xyz, position, offsets, machine, stored))
     if result < 0:
         return result
-    used |= result
+    used_words |= result
     result = int(_motion(ints, singles, xyz, position, machine[b.AXES], plane, arc))
     if result < 0:
         return result
-    used |= result | (b.AXIS_WORDS if ints[b.CLAIM] else 0)
-    if words & ~used:
+    used_words |= result | (b.AXIS_WORDS if ints[b.CLAIM] else 0)
+    if words & ~used_words:
         return 0 - errors.GCODE_UNUSED_WORDS
     if jog:
         # G53, distance mode and units are allowed.
