@@ -46,8 +46,8 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
     """Execute lines until one is not move-only or none is complete, an event is posted, or the
     main loop is due. Returns the last result of clean(), whose line has not been executed.
 
-    loop_args: kernel_args(). Answers are sent in pairs, because a write takes as long as a third of
-    a line: one is owed if an odd number is left.
+    loop_args: kernel_args(). Answers are sent in pairs, because a write takes as long as a third
+    of a line: one is owed if an odd number is left.
     """
     ring, places, line, all_kinds, modes, machine, memory, write, one_ok, two_oks, receiving = (
         loop_args
