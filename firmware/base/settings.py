@@ -264,7 +264,7 @@ class Settings:
                 amount = amount * _PER_SECOND_SQR
             getattr(self, attribute)[axis] = amount
         elif kind == INT:
-            setattr(self, attribute, truncate(amount) & 255)
+            setattr(self, attribute, truncate(amount) & 255)  # larger numbers wrap
         elif kind == BOOL:
             setattr(self, attribute, 1 if truncate(amount) & 255 else 0)
         else:

@@ -225,6 +225,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     del sys.modules["board"]
 
     def make_room() -> None:
+        """Free the functions that built the machine, once it has started."""
         _forget_makers(made)
 
     watch.start(feed, machine.motor_control.note_reset)

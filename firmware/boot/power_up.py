@@ -55,6 +55,7 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
     # A kernel's memory keeps a reference to its last caller until it is called again. So begin()
     # is here, and not in parts.py, which must be freed.
     def begin() -> None:
+        """Restart the machine for the first time, then do the work that could wait."""
         machine.restart()
         while later:
             later.pop()()

@@ -304,8 +304,8 @@ class Canon:
 
     def pause_program(self) -> None:
         """Execute M0: hold until cycle start."""
-        for take in self._state.hooks.paused:
-            if take():
+        for takes_over in self._state.hooks.paused:
+            if takes_over():
                 return
         self.hold_program()
 

@@ -41,7 +41,7 @@ class Coords:
         ]
         self.g92: "array[float]" = views[_COUNT * axes : -1]
         self.active = 0
-        self._zero = vector(max(axes, length_axis + 1))
+        self._zero = vector(max(axes, length_axis + 1))  # also without an axis for the length
 
     @property
     def tool_length(self) -> float:

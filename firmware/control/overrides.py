@@ -73,7 +73,7 @@ class Overrides:
             if times and byte in _OVERRIDES:
                 which, change = _OVERRIDES[byte]
                 if which == _RAPID or change == 0:
-                    new[which] = change or 100
+                    new[which] = change or 100  # rapids have fixed values; 0 restores
                 else:
                     new[which] = min(max(new[which] + times * change, _LOWEST), _HIGHEST)
         if new[_FEED] != state.feed_override or new[_RAPID] != state.rapid_override:

@@ -134,7 +134,7 @@ def byte(value: int, top: int) -> int:
     if top > 127 or exponent > 134 or (exponent < 127 and exponent):
         return 256
     number = ((value & 0x7FFFFF) | 0x800000) if exponent else 0
-    shift = (150 - exponent) & 31
+    shift = (150 - exponent) & 31  # masked, because the exponent of 0 is 0
     return number >> shift if (number >> shift) << shift == number else 256
 
 
@@ -336,13 +336,14 @@ class Block:
         if claim and self.ints[b.CLAIM]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
         if (hundredths and decimals & OTHERS) or decimals & NEEDED:
+            # One decimal, which the row allows.
             if hundredths % 10 or not (decimals & TENTHS) >> hundredths // 10 & 1:
                 return errors.GCODE_UNSUPPORTED_COMMAND
             if number == 91:
                 group, place = b.GROUP_4, NOWHERE  # G91.1: arc distance is always relative
             elif number == 38:
                 setting += hundredths + 100  # G38.n is 138 + 10 n: see block_layout.py
-        elif hundredths and number != 49:
+        elif hundredths and number != 49:  # those of G49 are ignored, as in Grbl
             return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
         return enter(place, setting, claim, group, self.ints)
 
@@ -351,5 +352,5 @@ def _round(x: float) -> int:
     """Return x rounded, halves away from zero, modulo 2**16."""
     x = f32(x)
     if abs(x) >= _BEYOND:
-        return 0xFFFF
+        return 0xFFFF  # no word has such a number
     return (truncate(x + 0.5) if x >= 0 else -truncate(0.5 - x)) & 0xFFFF

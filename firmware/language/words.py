@@ -21,6 +21,7 @@ _POINT = const(46)
 _ZERO = const(48)
 _A = const(65)
 _Z = const(90)
+_FRACTION = const(0x7FFFFF)  # the stored bits of a float's mantissa
 # Mantissas, of 24 bits: 0.01 * 2**30, 0.1 * 2**27, 10 * 2**20.
 _HUNDREDTH = const(0xA3D70A)
 _TENTH = const(0xCCCCCD)
@@ -56,15 +57,15 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
     while number and power:
         if power < -1:
             factor = _HUNDREDTH
-            exponent -= 6
+            exponent -= 6  # the factor is 0.01 * 2**30, and the product loses 24 bits
             power += 2
         elif power < 0:
             factor = _TENTH
-            exponent -= 3
+            exponent -= 3  # 0.1 * 2**27
             power = 0
         else:
             factor = _TEN
-            exponent += 4
+            exponent += 4  # 10 * 2**20
             power -= 1
         number = int(mantissa_product(number, factor))
         if number & SMALL:
@@ -78,7 +79,7 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
         number = 0
     elif number == 0:
         exponent = 0
-    values[at] = (exponent << 23) | (number & 0x7FFFFF)
+    values[at] = (exponent << 23) | (number & _FRACTION)
     return 0
 
 

@@ -71,7 +71,7 @@ def subtract(r: ptr32, at: int, other: ptr32, i: int) -> int:
     ptr8(r)[4 * at + 3] ^= MINUS
     add_single(other, i, r, at)
     if r[at] & int(0x7FFFFFFF):
-        ptr8(r)[4 * at + 3] ^= MINUS
+        ptr8(r)[4 * at + 3] ^= MINUS  # negate
     return 0
 
 
@@ -131,10 +131,10 @@ def _direction(r: ptr32, y: int, x: int) -> int:
     if wide:
         add_single(r, _EIGHTH, r, ANGLE)
     if steep:
-        ptr8(r)[4 * ANGLE + 3] ^= MINUS
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
         add_single(r, _QUARTER, r, ANGLE)
     if x_negative:
-        ptr8(r)[4 * ANGLE + 3] ^= MINUS
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
         add_single(r, _HALF, r, ANGLE)
     ptr8(r)[4 * ANGLE + 3] ^= y_negative
     return 0
@@ -184,22 +184,22 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     subtract(r, _SINE, start, one)
     r[_TANGENT] = target[other]
     subtract(r, _TANGENT, start, other)
-    # Across: CENTRE_1 * x - CENTRE_0 * y.
+    # C, the cross product: CENTRE_1 * x - CENTRE_0 * y.
     r[C] = r[_SINE]
     multiply(r, C, r, CENTRE_1)
     r[A] = r[_TANGENT]
     multiply(r, A, r, CENTRE_0)
     subtract(r, C, r, A)
-    # Along: the radius squared, less CENTRE_0 * x and CENTRE_1 * y.
+    # _SINE, the scalar product: the radius squared, less CENTRE_0 * x and CENTRE_1 * y.
     subtract(r, _SINE, r, CENTRE_0)
     subtract(r, _TANGENT, r, CENTRE_1)
     multiply(r, _SINE, r, CENTRE_0)
     multiply(r, _TANGENT, r, CENTRE_1)
     add_single(r, _TANGENT, r, _SINE)
-    ptr8(r)[4 * _SINE + 3] ^= MINUS
+    ptr8(r)[4 * _SINE + 3] ^= MINUS  # negate
     _direction(r, C, _SINE)
     if plane[CLOCKWISE]:
-        ptr8(r)[4 * ANGLE + 3] ^= MINUS
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
     if ptr8(r)[4 * ANGLE + 3] & MINUS or r[ANGLE] <= _NO_SWEEP:
         if int(_is_short(r, plane, start, target)) == 0:
             add_single(r, _CIRCLE, r, ANGLE)
@@ -242,7 +242,7 @@ def _turn(r: ptr32, chords: int) -> int:
     # _TANGENT is h here, and C becomes c.
     r[C] = r[_TANGENT]
     multiply(r, C, r, C)
-    ptr8(r)[4 * C + 3] ^= MINUS
+    ptr8(r)[4 * C + 3] ^= MINUS  # negate
     add_single(r, _ONE, r, C)
     root(r, C)
     r[_SINE] = r[_TANGENT] + _TWICE
@@ -260,7 +260,7 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
     if r[RADIUS] >= farthest:
         return 0
     # On its way a position is up to three radii from the start, because shears overshoot.
-    r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0
+    r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0  # four; then five, 1 mm, and the ends
     add_single(r, RADIUS, r, A)
     add_single(r, _ONE, r, A)
     finest = 0

@@ -60,6 +60,7 @@ class Kinematics:
         self._find(motors)
         self._places[axis] = steps
         changed = self.motors_of(1 << axis)
+        # After the axes' steps, places has zeros: a motor's steps from there.
         for i in self._motors:
             if changed >> i & 1:
                 motors[i] = motor_steps(self._places, 0, len(self._axes), self.moves[i])

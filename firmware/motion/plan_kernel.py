@@ -189,7 +189,7 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         return HIGHEST
     if squares >= _REVERSAL:
         return 0
-    # First turn: the root of squares, |D| in 2**-14. Second: that of 4 - |D|**2, twice the cosine.
+    # Two roots: |D| in 2**-14, kept as change; then that of 4 - |D|**2, twice the cosine.
     cosine = 0
     for _ in range(2):
         change = cosine

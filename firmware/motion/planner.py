@@ -95,7 +95,7 @@ class Planner:
         self.motors = motors
         self.kinematics = kinematics
         self._state = state
-        if ring is None or len(ring) != size * (blocks + 1):
+        if ring is None or len(ring) != size * (blocks + 1):  # kinematics may add motors
             ring = layout.ring(motors, blocks)
         self.ring = ring
         self.flow = array("i", (0 for _ in range(layout.FLOW_LENGTH + 2 * motors)))

@@ -182,6 +182,7 @@ class Controller:
         state, spindle, modes = self.state, self.spindle, self.modes
 
         def before() -> None:
+            """Allow the loop a long turn, and switch off a laser that shines without motion."""
             nonlocal lit
             allow(_FLASH_MS)
             lit = spindle.laser and modes.modal[SPINDLE] == sp.CW and state.spindle[st.RPM] > 0
@@ -189,6 +190,7 @@ class Controller:
                 spindle.stop()
 
         def after() -> None:
+            """Undo before(), unless a reset has come."""
             if written:
                 written()
             allow(0)

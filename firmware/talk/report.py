@@ -105,10 +105,10 @@ class Report:
         self._reader = machine.reader.memory()[1]  # the reader's indices into its ring
         self._steps = array("i", bytes(4 * machine.planner.motors))
         # Arguments of begin() and write_common(); each look-up of an attribute costs 5 us.
-        self._written = self._text, self._ints, self._mm, self._axes
+        self._write_args = self._text, self._ints, self._mm, self._axes
         resolution = LIMITS + RESOLUTION * self._axes
-        self._begun = self._written + (self._steps, machine.planner.table, resolution)
-        self._count = machine.engine.position
+        self._begin_args = self._write_args + (self._steps, machine.planner.table, resolution)
+        self._read_steps = machine.engine.position
         self._kinematics = machine.planner.kinematics
 
     def configure(self) -> None:
@@ -128,7 +128,7 @@ class Report:
         form = self._place_form[:-1] + b"|FS:%,#0>\r\n\0"
         planner, buffers = self._planner, settings.report_mask & _REPORT_BUFFERS
         asked = planner.flow, planner.ring, self._reader, buffers
-        self._usual = (form, self._begun) + self._written + asked
+        self._common_args = (form, self._begin_args) + self._write_args + asked
         # With work position, inches or line numbers a report is not the common one.
         in_mm = settings.report_mask & _REPORT_MPOS and not settings.report_inches
         self._is_common = bool(in_mm and not self._line_numbers)
@@ -233,7 +233,7 @@ class Report:
     def status(self) -> "memoryview":
         """Return the answer to ?. The buffer is reused: send it before the next call."""
         state = self._state
-        self._count(self._steps)
+        self._read_steps(self._steps)
         if self._kinematics:
             self._kinematics.to_axes(self._steps)
         name = _STATES.get(state.run) or self._suspended()
@@ -244,7 +244,7 @@ class Report:
             state.wco_countdown -= 1
             state.override_countdown -= 1
             spindle = self._beam() if self._is_laser and state.run & MOVING else state.spindle
-            end = write_common(name, self._usual, spindle, state.run)
+            end = write_common(name, self._common_args, spindle, state.run)
         if end != self._sent:
             # A slice allocates an object; most reports are as long as the last one.
             self._sent = end
@@ -256,7 +256,7 @@ class Report:
     def _long(self, name: bytes, closed: int) -> int:
         """Write a report with rare fields, or in inches. Returns its length. closed: mask of
         active inputs."""
-        begin(name, self._begun)
+        begin(name, self._begin_args)
         text, ints, mm = self._text, self._ints, self._mm
         self._fields(text, ints, mm, closed)
         return write(b">\r\n\0", text, ints, mm)

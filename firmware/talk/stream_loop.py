@@ -49,20 +49,20 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
     loop_args: kernel_args(). Answers are sent in pairs, because a write takes as long as a third
     of a line: one is owed if an odd number is left.
     """
-    ring, places, line, all_kinds, modes, machine, memory, write, one_ok, two_oks, receiving = (
+    _ring, _reader, line, _kinds, _modal, _machine, memory, write, one_ok, two_oks, receiving = (
         loop_args
     )
-    heard = ptr8(ring)
-    at = ptr32(places)
+    ring = ptr8(_ring)
+    reader = ptr32(_reader)
     text = ptr8(line)
-    kinds = ptr8(all_kinds)
-    modal = ptr32(modes)
-    counts = ptr32(machine)
+    kinds = ptr8(_kinds)
+    modal = ptr32(_modal)
+    counts = ptr32(_machine)
     lines_left = counts[LINES_LEFT]
-    if int(has_bytes(at)):  # a ? must not wait for the line that is complete
-        _receive(pending, receiving, heard, at, kinds)
+    if int(has_bytes(reader)):  # a ? must not wait for the line that is complete
+        _receive(pending, receiving, ring, reader, kinds)
     while lines_left > 0:
-        result = int(clean(heard, at, text, kinds))
+        result = int(clean(ring, reader, text, kinds))
         done = 0 if pending[ANY] else result & LINE
         if done:
             done = int(execute(line, result >> 2, modal, counts, memory))
@@ -71,20 +71,24 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
             counts[LINES_LEFT] = lines_left
             if lines_left & 1 == 0:  # two answers are owed
                 write(two_oks)
-                _receive(pending, receiving, heard, at, kinds)
+                _receive(pending, receiving, ring, reader, kinds)
         else:
             if lines_left & 1:
                 write(one_ok)
             # A part of a line counts as one line. An even number: no answer is owed.
             lines_left = (lines_left - 1) & -2
             counts[LINES_LEFT] = lines_left
-            if result or pending[ANY] or int(_receive(pending, receiving, heard, at, kinds)) == 0:
+            if (
+                result
+                or pending[ANY]
+                or int(_receive(pending, receiving, ring, reader, kinds)) == 0
+            ):
                 return result
     return NOTHING
 
 
 @micropython.viper
-def _receive(pending: ptr8, receiving: object, heard: ptr8, at: ptr32, kinds: ptr8) -> int:
+def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds: ptr8) -> int:
     """Read the bytes received, because a ? after lines must not wait for them.
 
     It reads no more than the ring has space for, so nothing is lost if a sender does not count.
@@ -94,7 +98,7 @@ def _receive(pending: ptr8, receiving: object, heard: ptr8, at: ptr32, kinds: pt
     receiving: of kernel_args().
     """
     read_into, post, size, piece, long, short = receiving
-    free = int(free_space(at))
+    free = int(free_space(reader))
     count = 0
     more = 1
     while more and free >= _SHORT:
@@ -104,8 +108,8 @@ def _receive(pending: ptr8, receiving: object, heard: ptr8, at: ptr32, kinds: pt
             piece_size = _LONG if free >= _LONG else _SHORT
         read = int(read_into(piece))
         if read:
-            feed(ptr8(piece), read, heard, at, kinds, post)
+            feed(ptr8(piece), read, ring, reader, kinds, post)
         count += read
         more = 1 if read == piece_size and piece_size <= _LONG else 0
-        free = int(free_space(at))
+        free = int(free_space(reader))
     return 0 if pending[ANY] else count
