@@ -55,9 +55,8 @@ def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
         # The distance from 0, without the sign: 30 bits, and bit 30 from the last byte.
         mm = (target[i] & 0x3FFFFFFF) | ((signs[4 * i + 3] & 0x40) << 24)
         if mm:
-            side = i + (
-                (signs[4 * i + 3] >> 7) << 3
-            )  # the axis's bit in SHUT; + BELOW if negative
+            # The axis's bit in SHUT; + BELOW if the target is negative.
+            side = i + ((signs[4 * i + 3] >> 7) << 3)
             if mm > travel[TRAVEL + i] or (travel[SHUT] >> side) & 1:
                 reasons = OUTSIDE
     return reasons | int(full(flow))
@@ -168,9 +167,8 @@ class Canon:
         state, move, course = self._state, self._move, self.course
         moves = state.run != st.CHECK
         power, known_changes = 0, -1  # known: State.changes when power was computed
-        must_look = (
-            state.pending[st.ANY] or state.suspend
-        )  # else the loop has just called service()
+        # Otherwise the loop has just called service().
+        must_look = state.pending[st.ANY] or state.suspend
         while course[arcs.LEFT]:
             if must_look:
                 self.service()

@@ -101,7 +101,8 @@ class Overrides:
             self._planner.each_power(self._spindle.block_power)
 
     def _accessory_overrides(self) -> None:
-        """Apply the toggles of spindle stop, flood and mist; an even number changes nothing."""
+        """Apply the toggles of spindle stop, flood and mist. An even number for a coolant changes
+        nothing."""
         state = self._state
         if self._asked(_SPINDLE_STOP):
             self.stop_spindle()

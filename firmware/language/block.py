@@ -101,9 +101,8 @@ add_word(92, b.GROUP_0, NOWHERE, b.SET_G92, b.AXES_NON_MODAL, OTHERS | 0b10)
 add_word(93, b.GROUP_5, mode.INVERSE_TIME, 1)
 add_word(94, b.GROUP_5, mode.INVERSE_TIME, 0)
 add_word(M_WORDS + 0, b.GROUP_M4, mode.PROGRAM_FLOW, b.PAUSED)
-add_word(
-    M_WORDS + 1, b.GROUP_M4, mode.PROGRAM_FLOW, b.RUNNING
-)  # optional stop: no input for it, so it is ignored
+# Optional stop: no input for it, so it is ignored.
+add_word(M_WORDS + 1, b.GROUP_M4, mode.PROGRAM_FLOW, b.RUNNING)
 add_word(M_WORDS + 2, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M2)
 add_word(M_WORDS + 30, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M30)
 add_word(M_WORDS + 3, b.GROUP_M7, mode.SPINDLE, 0x10)

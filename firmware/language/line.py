@@ -151,8 +151,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
 
 @micropython.viper
 def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
-    """Return the flags of a block's move, for the planner. laser: not 0 in laser
-    mode."""
+    """Return the flags of a block's move, for the planner. laser: 0 unless in laser mode."""
     flags = modal[mode.SPINDLE] | modal[mode.COOLANT] << COOLANT_SHIFT
     if laser and flags & SPINDLE_CCW:  # M4: power follows the speed
         flags |= layout.DYNAMIC

@@ -166,9 +166,8 @@ def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
     time = 0
     steps = 0
     while flow[SLICES] > 1 and steps == 0:
-        slice_time = (
-            flow[TIME] // flow[SLICES] >> 6 << 6
-        )  # times() and travel() are exact for these
+        # A multiple of 64: times() and travel() are exact for these.
+        slice_time = flow[TIME] // flow[SLICES] >> 6 << 6
         flow[SLICES] = flow[SLICES] - 1
         flow[TIME] = flow[TIME] - slice_time
         time += slice_time

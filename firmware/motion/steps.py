@@ -42,7 +42,8 @@ def to_steps(target: ptr32, table: ptr32) -> int:
     resolution = LIMITS + RESOLUTION * axes
     signs = ptr8(target)
     for i in range(axes):
-        # mm * steps/mm = product * 2**(exponent - 23).
+        # mm * steps/mm = product * 2**(exponent - 23). 253: two biases, less 1, because a
+        # product is from 2 to 4.
         a = target[i] & 0x3FFFFFFF
         high = (signs[4 * i + 3] & 0x40) << 24  # bit 30
         b = table[resolution + i]

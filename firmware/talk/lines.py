@@ -179,6 +179,7 @@ class LineReader:
         self.line = bytearray(longest + 1)
         self.post = on_realtime
         self._ring = bytearray(size + more + 1)
+        # By index, from _SIZE to _ADVERTISED.
         self._at = array("i", (len(self._ring), 0, 0, 0, longest, reads[2], 0, size))
         self._kinds = _make_kinds(reads[0], reads[1])
 
