@@ -175,8 +175,9 @@ class Controller:
         interrupts.
 
         The machine is idle then. A spindle keeps turning. A laser that M3 has switched on would
-        burn longer than the program says, so it is off during the write. allow: sets
-        by how many ms the loop's next turn may be longer; written: notifies the engine, if it needs that.
+        burn longer than the program says, so it is off during the write. allow: sets by
+        how many ms the loop's next turn may be longer; written: notifies the engine, if it needs
+        that.
         """
         lit = False
         state, spindle, modes = self.state, self.spindle, self.modes
