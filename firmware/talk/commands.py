@@ -106,14 +106,15 @@ class Commands:
     # Dispatch
 
     def _make_letters(self) -> "dict[int, Callable[[bytearray, int], None]]":
-        """Return the commands by the character after $; each is passed the line and its length."""
+        """Return the commands by the character after $; 0 ends a line that is only a $. Each is
+        passed the line and its length."""
         return {
-            0: self._help,  # $
+            0: self._help,
             36: self._show_settings,  # $$
             71: self._show_modes,  # $G
             67: self._check_mode,  # $C
             88: self._unlock,  # $X
-            74: self._jog,  # $J=
+            _JOG: self._jog,
             35: self._show_offsets,  # $#
             72: self._home,  # $H
             83: self._sleep,  # $SLP
