@@ -196,6 +196,7 @@ class HomingProbing:
         planner = self._planner
         engine.position(self._steps)
         self._position(self._target)
+        # The axes start at 0 and go as far as they may; the others stay where they are.
         for i in range(planner.axes):
             if axes >> i & 1:
                 planner.set_axis(self._steps, i, 0.0)
@@ -214,7 +215,7 @@ class HomingProbing:
         while searching:
             if approach:
                 hit = self._inputs.limits() & searching
-                if hit:
+                if hit:  # stop the motors of these axes; the others go on
                     searching &= ~hit
                     engine.lock(self._kinematics.stopped_by(hit) if self._kinematics else hit)
             if self._failed(approach, axes):

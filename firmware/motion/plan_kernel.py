@@ -108,7 +108,7 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
     length = ring[at + LENGTH]
     rapid = HIGHEST
     accel = HIGHEST
-    direction = LIMITS + 4 * axes
+    direction = LIMITS + 4 * axes  # its place in the table; the distances follow
     for i in range(axes):
         mm = table[direction + axes + i]
         component = 0
@@ -161,7 +161,7 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
     previous one of the next corner.
     """
     axes = table[AXES]
-    previous = LIMITS + 3 * axes
+    previous = LIMITS + 3 * axes  # places: the last direction, followed by this one
     squares = 0
     least = HIGHEST
     for i in range(axes):
@@ -175,7 +175,7 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         if change or component != _UNIT:
             # accel / |D_i|, a real; + 1, because an axis whose change is rounded to 0 may still be
             # the weakest.
-            accel = table[LIMITS + 3 * i + 2]
+            accel = table[LIMITS + 3 * i + 2]  # a real, mm/s2
             mantissa = ((accel & MANTISSA) << 15) // (change + 1)
             exponent = (accel >> 15) - 15
             while mantissa >= LIMIT:

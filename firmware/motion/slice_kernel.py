@@ -245,6 +245,7 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
             gain >>= 1
             scale += 1
         for k in range(2 if steps else 0):  # its first step, then its last
+            # The phase still to go to that step.
             part = (((steps if k else 1) << 18) - phase) >> scale
             if part < gain:
                 # ticks * part / gain, ticks as two digits of 9 bits; gain has 21 bits at most.

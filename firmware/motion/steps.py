@@ -89,6 +89,7 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
     limit(). EVENTS: steps of the motor that makes the most; 0: nothing is to move.
     """
     axes = table[AXES]
+    # Places in the table.
     distance = LIMITS + 5 * axes
     target = LIMITS + TARGET * axes
     moves = LIMITS + MOVES * axes

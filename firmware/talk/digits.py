@@ -72,8 +72,8 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
     of the next of the VALUES is set; the value is then shifted right, for the next letter.
     """
     end = ints[END]
-    value = VALUES
-    single = 0
+    value_at = VALUES
+    single_at = 0
     i = 0
     c = form[0]
     while c:
@@ -84,27 +84,27 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
         elif c < _LETTER:
             decimals = 0
             if c == _INTEGER:
-                number = ints[value]
-                value += 1
+                number = ints[value_at]
+                value_at += 1
             else:
                 i += 1
                 decimals = form[i] - _ZERO
-                number = int(scaled(singles, single, decimals))
-                if ptr8(singles)[4 * single + 3] > 128:  # negative, and not -0.0
+                number = int(scaled(singles, single_at, decimals))
+                if ptr8(singles)[4 * single_at + 3] > 128:  # negative, and not -0.0
                     out[end] = _MINUS
                     end += 1
-                single += 1
+                single_at += 1
             # Written backwards from the last digit, at end + 12 at most, then moved to `end`. n *
             # 26215 >> 18 is n // 10 up to 43689: a division takes the chip ten times as long.
             at = end + 12
             c = at  # where the digits end
             while number or decimals >= 0:
-                rest = number // 10 if number < 0 or number > 43689 else (number * 26215) >> 18
-                digit = number - 10 * rest
+                tenth = number // 10 if number < 0 or number > 43689 else (number * 26215) >> 18
+                digit = number - 10 * tenth
                 if number < 0:
-                    rest = 214748364  # Grbl's 32 bits end with 2147483648
+                    tenth = 214748364  # Grbl's 32 bits end with 2147483648
                     digit = 8
-                number = rest
+                number = tenth
                 at -= 1
                 out[at] = _ZERO + digit
                 decimals -= 1
@@ -117,10 +117,10 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
                 at += 1
         else:
             i += 1
-            if ints[value] & 1:
+            if ints[value_at] & 1:
                 out[end] = form[i]
                 end += 1
-            ints[value] >>= 1
+            ints[value_at] >>= 1
         i += 1
         c = form[i]
     ints[END] = end
