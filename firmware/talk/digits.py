@@ -78,7 +78,7 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
     c = form[0]
     while c:
         # Any byte that is no placeholder is copied.
-        if c > _LETTER or (c < _LETTER and c != _SINGLE and c != _INTEGER):  # noqa: PLR1714 (viper)
+        if c > _LETTER or (c < _LETTER and c != _SINGLE and c != _INTEGER):  # noqa: PLR1714
             out[end] = c
             end += 1
         elif c < _LETTER:
