@@ -89,7 +89,7 @@ class Canon:
         """Apply the settings of travel ($20, $23, $130 and following) and the arc tolerance."""
         settings = self._settings
         travel = self.travel
-        # Axes (a mask) whose travel is above 0; that of the others is below.
+        # Axes (a mask) whose travel is above 0; that of the others is below. SHUT is the reverse.
         positive = settings.homing_dir_invert if self._positive_origin else 0
         travel[SHUT] = 255 - positive | positive << BELOW if settings.soft_limits else 0
         for i in range(self.planner.axes):

@@ -222,7 +222,7 @@ class MotorControl:
             self._restart()  # more was planned in the meantime
             return
         delay = self._settings.idle_lock_ms
-        stay = delay == _FOR_EVER and state.run != st.SLEEP
+        stay = delay == _FOR_EVER and state.run != st.SLEEP  # the motors stay powered
         if not (stay or self._is_new) and self._port.elapsed_ms(self._since) < delay:
             return
         self.in_idle_delay = self._is_new = False

@@ -118,7 +118,7 @@ class Realtime:
             if state.run & (st.RUN | st.JOG):
                 self._slow_down(sleep)
             elif state.run == st.IDLE:
-                state.suspend = st.HOLD_COMPLETE
+                state.suspend = st.HOLD_COMPLETE  # there is nothing to slow down
             if cancel and not state.run & st.JOG:
                 state.suspend |= st.MOTION_CANCEL
             if hold and not state.run & (st.DOOR | st.JOG | st.SLEEP):
@@ -126,7 +126,7 @@ class Realtime:
             if door:
                 self._open_door()
         if sleep:
-            if state.run == st.ALARM:
+            if state.run == st.ALARM:  # there is nothing to stop or retract
                 state.suspend |= st.RETRACT_COMPLETE | st.HOLD_COMPLETE
             state.enter(st.SLEEP)
         return bool(cancel or hold or door)

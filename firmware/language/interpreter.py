@@ -60,6 +60,7 @@ class Interpreter:
         self.machine[b.LENGTHS] = (1 << block.axes) - 1
         self.machine[b.LENGTH_AXIS] = machine.coords.length_axis
         self.machine[b.IS_OPEN] = 1
+        # The part of memory() that stays the same.
         self._kept = (
             block.ints,
             block.singles,

@@ -115,7 +115,7 @@ def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
     store_single(mantissa, power, values, at)
     if sign == _MINUS:
         signs = ptr8(values)
-        signs[4 * at + 3] = signs[4 * at + 3] | 128
+        signs[4 * at + 3] = signs[4 * at + 3] | 128  # the sign bit
     return pos
 
 
