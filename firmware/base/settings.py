@@ -181,7 +181,7 @@ class Settings:
         return True
 
     def _read(self, line: str) -> None:
-        """Apply a stored line, such as $100=250. Raises ValueError if save() cannot have written it."""
+        """Apply a line ($100=250). Raises ValueError if save() cannot have written it."""
         number, _, amount = line.partition("=")
         key, value = int(number[1:]), float(amount)
         if not abs(value) < _BEYOND:
