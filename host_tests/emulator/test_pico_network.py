@@ -123,10 +123,10 @@ socket.SAYS
 power = power_up.build()
 commands = power[0].commands
 hooks = power[0].state.hooks
-usual = hooks.whose
+usual = hooks.find_command
 
 
-def whose(line, length):
+def find_command(line, length):
     if line[1] == 77:
         gc.collect()
         commands._report.message("free %d." % gc.mem_free())
@@ -137,7 +137,7 @@ def whose(line, length):
     return lambda line, length: None
 
 
-hooks.whose = whose
+hooks.find_command = find_command
 machine = power_up.run_machine(power)
 """
 

@@ -21,7 +21,7 @@ from talk import commands
 usual = commands.Commands.find_command
 
 
-def whose(self, line, length):
+def find_command(self, line, length):
     what = bytes(line[1:length])
     if what == b"HANG":
         while True:
@@ -35,7 +35,7 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.find_command = whose
+commands.Commands.find_command = find_command
 machine = power_up.run_machine(power_up.build())
 """
 
