@@ -90,7 +90,7 @@ def _apart() -> dict[str, tuple[str, ...]]:
     from extras.kinematics import skew
     from extras.motors import backlash
 
-    return {"BACKLASH": backlash._WORDS, "SKEW": skew._WORDS}
+    return {"BACKLASH": backlash._EXCLUDED, "SKEW": skew._EXCLUDED}
 
 
 def _board(name: str) -> dict[str, Any]:
