@@ -340,7 +340,7 @@ class NetLink:
             self._urgent_count = count + 1
 
     def _end_line(self, client: Client, byte: int, now_ms: int) -> None:
-        """End a client's line by CR or LF (byte). If the machine may not have it, it is dropped, and
+        """End a client's line by CR or LF (byte). One that the machine may not have is dropped and
         answered here: by ok if it is empty, by the check of its key, or by a refusal."""
         if client is self.control.owner:
             client.end_line(byte, now_ms)
