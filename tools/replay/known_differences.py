@@ -77,24 +77,30 @@ def _blocks(lines: list[str]) -> Iterator[tuple[int, float, float]]:
 
 
 def _slow_step(steps: list[Json]) -> int | None:
+    """Return the step that sends the first motion slower than _SLOWEST_HZ."""
     lines = [(line, n) for n, step in enumerate(steps) for line in step["send"].split("\n")]
     slow = (k for k, _, hz in _blocks([line for line, _ in lines]) if hz < _SLOWEST_HZ)
     return next((lines[k][1] for k in slow), None)
 
 
 def _slow(record: Json) -> float:
+    """Return how much longer a record with motion slower than _SLOWEST_HZ may take; 0 without."""
     rates = [hz for _, _, hz in _blocks(record["settings"] + record["program"])]
     slowest = min(rates, default=_SLOWEST_HZ)
     return 1.1 * _SLOWEST_HZ / slowest if slowest < _SLOWEST_HZ else 0.0
 
 
 def _starved(record: Json) -> float:
+    """Return the longest duration of a record whose blocks an AVR cannot plan in time; 0 for
+    others."""
     ms = [ms for _, ms, _ in _blocks(record["program"])]
     runs = [ms[i : i + _BLOCKS] for i in range(len(ms) - _BLOCKS)]
     return 1.01 * any(sum(run) < _BLOCKS * _STARVED_MS for run in runs)
 
 
 def _burst(record: Json) -> float:
+    """Return the longest duration of a record with several equal overrides at once; 0 for
+    others."""
     events = record.get("events_ms_after_first_step", ())
     return 2.0 * any(_REPEATED.search(sent) for _, sent in events)
 
@@ -117,24 +123,29 @@ def _pause_alarm(step: Json) -> str:
 
 
 def _pause(step: Json, lines: list[str]) -> list[str]:
+    """Return the lines with Grbl's alarm in place of ours."""
     return ["ALARM:8" if line == _pause_alarm(step) else line for line in lines]
 
 
 def _startup_jog_step(steps: list[Json]) -> int | None:
+    """Return the step that stores a jog as a startup line."""
     return next((n for n, step in enumerate(steps) if _STARTUP_JOG.match(step["send"])), None)
 
 
 def _without_startup(step: Json, lines: list[str]) -> list[str]:
+    """Return the lines without those of startup lines; any answer to storing one is right."""
     lines = [line for line in lines if not _OF_STARTUP.match(line)]
     return ["an answer", *lines[1:]] if lines and _STARTUP_JOG.match(step["send"]) else lines
 
 
 def _cut_step(steps: list[Json]) -> int | None:
+    """Return the step in which a reset cuts a program's end short."""
     cut = (n for n, step in enumerate(steps) if step["expect"][:2] == ["ALARM:3", _END])
     return next(cut, None)
 
 
 def _without_end(_step: Json, lines: list[str]) -> list[str]:
+    """Return the lines without Grbl's message that the program has ended."""
     return [lines[0], *lines[2:]] if lines[:2] == ["ALARM:3", _END] else lines
 
 
@@ -151,13 +162,13 @@ def _read_step(steps: list[Json]) -> int | None:
 def _without_listings(_step: Json, lines: list[str]) -> list[str]:
     """Replace each listing with its ok, and each refusal, by the same word, because both are
     right."""
-    left: list[str] = []
+    kept_lines: list[str] = []
     for line in lines:
-        is_end = line == "ok" and left and _LISTED.match(left[-1])
-        while is_end and left and _LISTED.match(left[-1]):
-            left.pop()
-        left.append("refused" if is_end or line in _REFUSED else line)
-    return left
+        is_end = line == "ok" and kept_lines and _LISTED.match(kept_lines[-1])
+        while is_end and kept_lines and _LISTED.match(kept_lines[-1]):
+            kept_lines.pop()
+        kept_lines.append("refused" if is_end or line in _REFUSED else line)
+    return kept_lines
 
 
 _SLOW = (

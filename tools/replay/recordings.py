@@ -59,6 +59,7 @@ def load(folder: Path, only: str | None, board: str | None) -> list[Recording]:
 
 
 def _cases(path: Path) -> list[Json]:
+    """Return the cases of a file: a list of them, or one. ValueError if it is not JSON."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -67,6 +68,7 @@ def _cases(path: Path) -> list[Json]:
 
 
 def _has_cases(cases: list[Json]) -> bool:
+    """Return whether these are cases of conversations, or motion records."""
     return all(isinstance(case, dict) and ("steps" in case or "program" in case) for case in cases)
 
 

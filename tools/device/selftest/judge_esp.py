@@ -41,27 +41,31 @@ def limits(facts: list[Fact]) -> Iterator[Row]:
 
 
 def _limit(what: str, one: Fact) -> Row:
-    found = one["us"]
+    """Judge the time from pulling a limit input to its callback, and the position after it."""
+    times_us = one["us"]
     lost = one["missed"] or one["late"] or one["worst"] > _CLOCK_STEPS
-    if not found:
+    if not times_us:
         return Row(what, False, f"{one['missed']} pulled, none heard", one)
-    mean = sum(found) / len(found)
-    text = f"mean {mean:.0f} us, worst {max(found)} us; {len(found)} inputs pulled low by the chip"
+    mean = sum(times_us) / len(times_us)
+    text = f"mean {mean:.0f} us, worst {max(times_us)} us; {len(times_us)} inputs pulled low "
+    text += "by the chip"
     if lost:
         text += f"; {one['missed']} not heard, {one['late']} with steps after the stop, position "
         text += f"up to {one['worst']} off"
-    good = not lost and max(found) <= _LIMIT_US
-    return Row(what, good, text, {**one, "mean_us": mean, "worst_us": max(found)})
+    good = not lost and max(times_us) <= _LIMIT_US
+    return Row(what, good, text, {**one, "mean_us": mean, "worst_us": max(times_us)})
 
 
 def pwm(facts: list[Fact]) -> Iterator[Row]:
     """Judge the spindle's PWM: levels read as fast as Python can, and rising edges counted."""
     for one in facts:
         due = 100 * one["power"] / one["full"]
-        found = one["high"] / 10
+        percent = one["high"] / 10
         hz = 1000 * one["edges"] / one["ms"]
-        still = due in (0, 100)
-        good = abs(found - due) <= (0 if still else _PWM_PERCENT) and still == (one["edges"] == 0)
+        is_constant = due in (0, 100)
+        good = abs(percent - due) <= (0 if is_constant else _PWM_PERCENT) and is_constant == (
+            one["edges"] == 0
+        )
         what = "spindle PWM after a kill" if one.get("killed") else f"spindle PWM, {due:g} %"
-        text = f"{found:.1f} % of {one['looks']} looks at the pin, {hz:.0f} pulses a second"
+        text = f"{percent:.1f} % of {one['looks']} looks at the pin, {hz:.0f} pulses a second"
         yield Row(what, good, text, one)

@@ -27,11 +27,11 @@ DMA, WRITE, COUNT, ENABLE, REMAINS_AT, REMAINS, CONTROL, BITS = 0, 1, 2, 3, 4, 5
 @micropython.viper
 def shoot(told: ptr32) -> int:
     """Start sampling, and BEFORE ticks later invert a pin's interrupt. Stores in REMAINS how many
-    samples the DMA had left then."""
-    dma = ptr32(told[0])
+    samples the DMA had left then. told: see the places above; as numbers here, for viper."""
+    dma = ptr32(told[0])  # its registers: 1 write address, 2 words left, 7 count, which starts it
     dma[1] = told[1]
     dma[7] = told[2]
-    ptr32(told[3])[0] = 1 << 2
+    ptr32(told[3])[0] = 1 << 2  # enables the sampling machine
     while dma[2] > told[4]:
         pass
     told[5] = dma[2]
@@ -62,6 +62,7 @@ class Shot:
         self._act = self._make()
 
     def _make(self):
+        """Return a closure for the timer, because an interrupt must not look up names."""
         act, told = shoot, self._told
 
         def interrupt(_timer):

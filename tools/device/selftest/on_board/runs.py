@@ -12,11 +12,11 @@ def count_steps(drive, hz, name):
     """Move all axes forth and back, and count. Repeated until each motor has been watched, because
     not all may be watched at once."""
     for k in range(2 * drive.rounds):
-        way = (1 << AXES) - 1 if k & 1 else 0
-        if not way:
+        backwards = (1 << AXES) - 1 if k & 1 else 0  # a mask of axes
+        if not backwards:
             drive.count(drive.watched)
         begun = time.ticks_us()
-        asked = drive.even(hz, hz * CONFIG["run_ms"] // 1000, way)
+        asked = drive.even(hz, hz * CONFIG["run_ms"] // 1000, backwards)
         drive.start()
         rested = drive.rest()
         took_us = time.ticks_diff(time.ticks_us(), begun)
@@ -24,7 +24,7 @@ def count_steps(drive, hz, name):
             "steps",
             rate=name,
             hz=hz,
-            back=way != 0,
+            back=backwards != 0,
             asked=asked,
             rested=rested,
             took_us=took_us,
@@ -61,7 +61,7 @@ def start_from_rest(drive):
         gap = some(drive.rest_gaps[0], drive.rest_gaps[1])
         counts = [some(0, 12) for _ in range(AXES)]
         counts[some(0, AXES - 1)] = 12
-        ways = some(0, (1 << AXES) - 1)
+        ways = some(0, (1 << AXES) - 1)  # a mask: axes that move backwards
         drive.plan(gap, counts, 1, ways)
         drive.start()
         if not drive.rest(500):

@@ -41,6 +41,7 @@ class Counter:
         self._machine.active(1)
 
     def _read(self, source):
+        """Return how often X or Y has counted down. source: the instruction that takes it."""
         self._machine.exec(source)
         self._machine.exec(PUSH)
         return ALL - self._machine.get()
@@ -120,7 +121,11 @@ def find_level(words: ptr32, at: int, pin: int) -> int:
 
 @micropython.viper
 def find_edges(words: ptr32, begin: int, end: int, pin: int, found: ptr32, room: int) -> int:
-    """Store the ticks at which a pin's level changes into a ring. Returns how many there are."""
+    """Store the ticks at which a pin's level changes into a ring. Returns how many there are.
+
+    words: the levels of all pins, per tick. found: the ring, of `room` integers; if there are
+    more, it has the last ones.
+    """
     count = 0
     place = 0
     before = (words[begin] >> pin) & 1
