@@ -194,6 +194,8 @@ class Cnc:
             call(bytes(line[1 + len(name) : length]))  # without $ and the name
 
         def find(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            """Return what executes a $ line: ours for this name, else Grbl's. GrblError if the
+            state does not allow it."""
             if bytes(line[1 : 1 + len(name)]) != name:
                 return previous_find(line, length)
             if state.run not in states:
@@ -211,6 +213,7 @@ class Cnc:
         previous_find = hooks.find_command
 
         def find(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            """Return what executes a $ line; for this name, it also calls the function."""
             execute = previous_find(line, length)
             if bytes(line[1 : 1 + len(name)]) != name:
                 return execute
@@ -241,6 +244,7 @@ class Cnc:
         is_received = bytearray(1)  # a flag that post() can set without allocating memory
 
         def post(received: int) -> None:
+            """Note this real-time byte, or pass another one on to Grbl."""
             if received == byte:
                 is_received[0] = 1
             else:

@@ -101,6 +101,7 @@ class CustomCodes:
 
         @micropython.native
         def execute(line: bytearray, length: int) -> None:
+            """Execute a line; one with an added word does nothing in check mode."""
             word = self.find(line, length)
             if word is None:
                 previous(line, length)

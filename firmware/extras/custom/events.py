@@ -268,6 +268,7 @@ class Events:
 
         @micropython.native
         def execute(line: bytearray, length: int) -> None:
+            """Execute a line, then what was waiting for its end: events and a pause."""
             previous(line, length)
             if line.find(b"T", 0, length) >= 0:
                 self._select(modes.tool)  # Grbl's parser clears it with the next line
@@ -326,6 +327,7 @@ class Events:
         previous = hooks.probe
 
         def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
+            """Probe, then call the handlers with the contact position, or None."""
             result = previous(target, move, away, alarms)
             self._emit(
                 "probe_done", Position(hooks.probed_at()) if state.probe_succeeded else None

@@ -161,7 +161,8 @@ class Custom:
         names = [letter.upper() for letter in letters]
 
         def call(*numbers: "float | None") -> None:
-            given = {name: x for name, x in zip(names, numbers) if x is not None}
+            """Call the handler with the numbers that the line has."""
+            given = {name: number for name, number in zip(names, numbers) if number is not None}
             if sync is False:
                 self._events.defer(what, function, given)
             else:

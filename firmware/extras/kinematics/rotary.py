@@ -240,6 +240,7 @@ def _home(machine: "Any", homed: int) -> None:
     usual: "Callable[[int], bool]" = hooks.home
 
     def home(axes: int) -> bool:
+        """Home the axes, a mask; 0: all. Returns whether that succeeded."""
         if axes == 0:  # Grbl's own order: Z, then all others together
             return home(1 << Z) and home(homed & ~(1 << Z))
         endless = [axis for axis in canon.endless() if axes >> axis & 1]

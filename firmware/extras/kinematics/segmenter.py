@@ -183,7 +183,7 @@ class Segmenter:
             self.path.point_at(self._part + part * (end - self._part), meant)
             squares = 0.0
             for i in range(self._axes):
-                away = made[i] - meant[i]
-                squares += away * away
+                deviation = made[i] - meant[i]
+                squares += deviation * deviation
             worst = max(worst, squares)
         return math.sqrt(worst)

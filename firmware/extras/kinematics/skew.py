@@ -200,6 +200,7 @@ def _home(machine: "Any") -> None:
     motors = array("i", (0 for _ in range(machine.planner.motors)))
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask, and tell the kinematics where they are."""
         kinematics.homing = True
         try:
             usual(axes)

@@ -28,6 +28,7 @@ def install(cnc: "Cnc") -> None:
     previous = canon.arc
 
     def arc(start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
+        """Prepare an arc, then limit its feed: v * v / radius is at most the acceleration."""
         previous(start, target, arc, move)  # planned by finish(); move.feed is in mm/min now
         plane, accelerations = arc.plane, settings.acceleration  # mm/min2
         accel = min(accelerations[plane[ONE_AXIS]], accelerations[plane[OTHER_AXIS]])

@@ -306,6 +306,8 @@ def _hook_homing(machine: "Any") -> None:
     previous: "Callable[[int], None]" = hooks.find_switches
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask. Until then the side of their slack is not
+        known."""
         for i in range(machine.planner.axes):
             if axes >> i & 1:
                 canon.ahead[i] = _UNKNOWN
@@ -326,6 +328,7 @@ def _hook_probing(machine: "Any") -> None:
     usual_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
+        """Probe, and store the contact position."""
         reached: bool = usual_probe(target, move, away, alarms)
         if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
             copy(usual_position(), place, axes)

@@ -74,6 +74,7 @@ def install(cnc: "Cnc") -> None:
     previous = hooks.home
 
     def home(axes: int) -> bool:
+        """Home the axes, a mask; 0: all, in the order of the settings, if there is one."""
         cycles = [getattr(settings, row[1]) for row in _CYCLES]
         if axes or not any(cycles):  # $HX, or $H in Grbl's own order
             return previous(axes)
@@ -97,6 +98,7 @@ def _have_rates(cnc: "Cnc") -> None:
     previous: "Callable[[int], None]" = hooks.find_switches
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask, at the lowest of their rates."""
         usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
         settings.homing_feed = _slowest(settings.homing_feeds, usual_feed, axes)
         settings.homing_seek = _slowest(settings.homing_seeks, usual_seek, axes)

@@ -155,6 +155,7 @@ def install(cnc: "Cnc") -> None:
     jerk = Jerk(machine.planner, machine.state)
 
     def configure() -> None:
+        """Take the limits from the settings, in mm/s2 and mm/s3."""
         segment_ticks = 1 << machine.planner.table[layout.SEGMENT_LOG2]
         jerk.limit(
             [mm_min2 / 3600 for mm_min2 in settings.acceleration],

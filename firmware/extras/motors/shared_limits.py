@@ -92,12 +92,14 @@ def install(cnc: "Cnc") -> None:
         machine.state.alarm = alarm
 
     def home(axes: int) -> bool:
+        """Home the axes, unless a shared input is closed: whose switch it is, is not known."""
         if inputs.limits() & shared_axes:
             give_up("Move off the closed limit switch first", errors.ALARM_HARD_LIMIT)
             return False
         return bool(usual_home(axes))
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask, unless two of them share an input."""
         letters = clash(shared, axes)
         if letters:
             text = "%s share a limit input: have them homed one after the other, $44 to $49"

@@ -256,6 +256,7 @@ class Drivers:
         usual_home, usual_phase = hooks.home, hooks.home_phase
 
         def home(axes: int) -> bool:
+            """Home the axes if the drivers are ready, and have these configured again."""
             if not self.may_start():
                 return False
             try:

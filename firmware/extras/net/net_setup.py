@@ -20,8 +20,8 @@ def change(kept: "dict[str, str]", text: str) -> str:
     """
     name, sign, value = _parted(text)
     if name == "OFF" and not sign:
-        for one in ("SSID", "PASS"):
-            kept.pop(one, None)
+        for removed in ("SSID", "PASS"):
+            kept.pop(removed, None)
         return ""
     why = "$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF"
     if name == "SSID" and sign == "=":

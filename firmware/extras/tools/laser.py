@@ -195,6 +195,7 @@ def install(cnc: "Cnc") -> None:
         hooks.next_segment = laser.next
 
     def configure() -> None:
+        """Set the output's frequency, and the beam's scale, from the settings."""
         if settings.changed in (_NUMBER, ALL):
             pwm.freq(min(max(truncate(settings.pwm_hz), _LOWEST_HZ), _HIGHEST_HZ))
             if has_beam:

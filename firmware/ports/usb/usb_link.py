@@ -257,6 +257,7 @@ class UsbLink:
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
+            """Store received bytes; returns their number."""
             count: int = take(at, buf, len(buf))
             if count < _NOTE:
                 return count
