@@ -52,7 +52,7 @@ _STEP_LOW = const(0xE000)
 
 _LEVEL = const(15)  # FLEVEL has 8 bits per machine: the lower four are its TX FIFO's words
 _ADDRESS = const(31)  # a program's address has five bits
-_TICKS_PER_US = const(12)  # 12.5, rounded down
+_TO_US = const(12)  # divides ticks into us: 12.5 of them, rounded down
 # A mask of machines times this is a value for CTRL: bits 0 to 3 enable them, bits 8 to 11 restart
 # their dividers.
 _ENABLE_RESTART = const(0x101)
@@ -140,9 +140,7 @@ def _prepare(state: ptr32) -> int:
     timing = ptr32(state[s.TIMING])
     timer = ptr32(state[s.TIMER])
     patience = 1000
-    while (
-        ((timer[0] & MASK) - state[s.END_US]) & MASK <= timing[PULSE] // _TICKS_PER_US + 1
-    ) and patience:
+    while ((timer[0] & MASK) - state[s.END_US]) & MASK <= timing[PULSE] // _TO_US + 1 and patience:
         patience -= 1  # let the last pulses end at their full length
     first = state[s.OURS]
     second = state[s.OURS + 1]
@@ -160,10 +158,8 @@ def _prepare(state: ptr32) -> int:
         player = ptr32(lanes[LANE * i + MACHINE])
         pio = ptr32(state[s.PIO0 + (i >> s.BLOCK_LOG2)])
         dma = ptr32(state[s.DMA + i])
-        level = 8 * (i & s.IN_BLOCK)  # of FLEVEL: its first bit
-        while patience and (
-            dma[reg.STATUS] & state[s.BUSY] or (pio[reg.FLEVEL] >> level) & _LEVEL
-        ):
+        bit = 8 * (i & s.IN_BLOCK)  # the first bit of its level in FLEVEL
+        while patience and (dma[reg.STATUS] & state[s.BUSY] or (pio[reg.FLEVEL] >> bit) & _LEVEL):
             player[reg.INSTR] = _PULL
             patience -= 1
     if patience == 0:
@@ -198,7 +194,7 @@ def feed(state: ptr32) -> int:
     if state[s.RUNNING]:
         # us until the words handed over end, negative if they have ended.
         left = (state[s.END_US] - (ptr32(state[s.TIMER])[0] & MASK)) & MASK
-        if left >= NEGATIVE or left < _MARGIN + ptr32(state[s.TIMING])[KEEP] // _TICKS_PER_US:
+        if left >= NEGATIVE or left < _MARGIN + ptr32(state[s.TIMING])[KEEP] // _TO_US:
             return 0  # too late: all machines are restarted once the last has stopped
         for i in range(axes):
             if (

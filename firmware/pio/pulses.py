@@ -119,8 +119,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     late = 0
     for i in range(timing[AXES]):
         base = ROW_AXES + ROW_STRIDE * i
-        if row[base]:
-            # How much too early the first step would be.
+        if row[base]:  # lack: by how much its first step would be too early
             lack = _FETCH - lanes[LANE * i + CARRY] - row[base + _FIRST]
             if (row[ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
                 lack += _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]

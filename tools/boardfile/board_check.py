@@ -148,7 +148,7 @@ def _unknown(board: ModuleType) -> Iterator[str]:
     known = set(BY_NAME) | _names_of_extras(board)
     for name in (name for name in vars(board) if name.isupper() and name not in known):
         similar = difflib.get_close_matches(name, known, 1)
-        yield f"{name}: nothing reads it" + "".join(f"; is {one} meant?" for one in similar)
+        yield f"{name}: nothing reads it" + "".join(f"; is {guess} meant?" for guess in similar)
 
 
 def _pins_of_extras(board: ModuleType) -> tuple[str, ...]:

@@ -156,9 +156,8 @@ def _numbers(settings: Settings) -> dict[int, float]:
 
 def _find(doctor: Doctor, port: str | None) -> str:
     """Return the port to examine, and show all ports with a controller."""
-    found = ports.find()
-    for one in found:
-        doctor.add(Finding("usb", OK, f"{one.port}: {one.what}"))
+    for controller in ports.find():
+        doctor.add(Finding("usb", OK, f"{controller.port}: {controller.what}"))
     return ports.choose(port)
 
 

@@ -216,14 +216,14 @@ def show_messages(console: Console, output: Sequence[tuple[int, str]]) -> None:
 
 def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
     """Show bytes that act at once. Returns whether some are outside of comments."""
-    found = problems(lines)
-    bad = [one for one in found if not one.in_comment]
-    for one in bad[:_MOST_ERRORS]:
-        words = f"line {one.line}: {one.text}, wherever it stands: take it out"
+    all_problems = problems(lines)
+    bad = [problem for problem in all_problems if not problem.in_comment]
+    for problem in bad[:_MOST_ERRORS]:
+        words = f"line {problem.line}: {problem.text}, wherever it stands: take it out"
         console.print(escape(words), highlight=False)
     if len(bad) > _MOST_ERRORS:
         console.print(f"… and {len(bad) - _MOST_ERRORS} more such lines")
-    harmless = [one for one in found if one.in_comment]
+    harmless = [problem for problem in all_problems if problem.in_comment]
     if harmless:
         first = f"line {harmless[0].line}: {harmless[0].text}"
         more = f", and {len(harmless) - 1} more" if len(harmless) > 1 else ""

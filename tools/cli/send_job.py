@@ -212,16 +212,16 @@ class Job:
                 f"{self._own.text or 'nothing'} there, {own} here; nothing was sent"
             )
 
-    def _cautions(self, way: Approach) -> list[str]:
+    def _cautions(self, approach: Approach) -> list[str]:
         """Return cautions about the approach, including those about the machine's own Python."""
-        found = list(way.cautions)
-        for line in way.lines:
+        cautions = list(approach.cautions)
+        for line in approach.lines:
             if handler := self._own.handler_of(line.data):
-                found.append(f"{handler} is run on the way, by {line.text}")
+                cautions.append(f"{handler} is run on the way, by {line.text}")
         custom = self._options.custom
         if custom and own_python.read(custom).has_attribute("keep"):
-            found.append(f"{custom} reads what is kept (m.keep): the simulator began with none")
-        return found
+            cautions.append(f"{custom} reads what is kept (m.keep): the simulator began with none")
+        return cautions
 
     def _approach(self, running: Rehearsal) -> list[Line]:
         """Return the lines that approach the first line, if the user agrees."""

@@ -181,6 +181,7 @@ def _wait_until_idle(connection: Connection) -> str:
     connection.status = ""
 
     def is_over(line: str) -> bool:
+        """Return whether the motion has ended, after an alarm or in Idle."""
         nonlocal alarm
         if line.startswith("ALARM:"):  # after some alarms, Grbl accepts only a reset
             alarm = f"{line}: {meaning(line)}"

@@ -213,10 +213,10 @@ def most_hz(found: Firmware, pulse_us: float) -> float:
     if identity is None or not is_ours(found):
         return _GRBL_ON_AVR_HZ
     engine, stated = identity.groups()
-    known = engines.engines()
-    of_engine = known[engine].most_hz if engine in known else _UGRBL_HZ
-    most = int(stated) if stated else of_engine
-    return min(most, 1_000_000 / (pulse_us + 1))
+    all_engines = engines.engines()
+    engine_hz = all_engines[engine].most_hz if engine in all_engines else _UGRBL_HZ
+    highest_hz = int(stated) if stated else engine_hz
+    return min(highest_hz, 1_000_000 / (pulse_us + 1))
 
 
 def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:
@@ -295,17 +295,17 @@ def _positive(values: Mapping[int, float], found: Firmware) -> Findings:
 
 def _step_rates(values: Mapping[int, float], found: Firmware) -> Findings:
     """Find axes whose highest rate needs more steps per second than the firmware makes."""
-    pulse = values.get(0, 10)
-    most = most_hz(found, pulse)
+    pulse_us = values.get(0, 10)
+    highest_hz = most_hz(found, pulse_us)
     for axis, letter in _axes(values):
         hz = values[100 + axis] * values.get(110 + axis, 0) / 60
-        if hz > most:
-            rate = most * 60 / values[100 + axis]
+        if hz > highest_hz:
+            mm_min = highest_hz * 60 / values[100 + axis]
             text = (
                 f"{letter} at its highest rate needs {hz / 1000:.1f} kHz; "
-                f"{most / 1000:.0f} kHz can be had with pulses of {pulse:g} us"
+                f"{highest_hz / 1000:.0f} kHz can be had with pulses of {pulse_us:g} us"
             )
-            todo = f"lower $11{axis} to {rate:.0f}, or take fewer microsteps"
+            todo = f"lower $11{axis} to {mm_min:.0f}, or take fewer microsteps"
             yield Finding("step rate", BAD, text, todo)
 
 

@@ -192,6 +192,7 @@ class Connection:
         replies: list[str] = []
 
         def answered(reply: str) -> bool:
+            """Collect a reply, and read the options of $I. Returns whether it is the answer."""
             options = _OPTIONS.fullmatch(reply)
             if options:
                 self.blocks = int(options[1])

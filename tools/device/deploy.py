@@ -134,24 +134,24 @@ class Result:
         return asdict(self)
 
 
-def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Plan:
-    """Return what to do. there: checksums of files on the board; before: of the last deployment.
+def plan(made: Build, on_board: Mapping[str, str], before: Mapping[str, str]) -> Plan:
+    """Return what to do. on_board: checksums of its files; before: those of the last deployment.
 
     Removed are our modules in another form (a words.py would take precedence over words.mpy) or
     without use for this board, and deployed files that have not been changed since. Nothing else.
     """
-    same = [path for path, content in made.files.items() if there.get(path) == digest(content)]
+    same = [path for path, content in made.files.items() if on_board.get(path) == digest(content)]
     copy = [path for path in made.files if path not in same]
     sources = build.sources()
     # Earlier builds had a module for each folder.
     packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in sources}
     names = {name.removesuffix(".py") for name in (*sources, *packages)}
-    ours = {name + kind for name in names for kind in _KINDS}
-    ours |= {path for path in there if path.startswith(build.KERNELS)}
+    our_files = {name + kind for name in names for kind in _KINDS}
+    our_files |= {path for path in on_board if path.startswith(build.KERNELS)}
     stale = [
         path
-        for path, checksum in there.items()
-        if path not in made.files and (path in ours or before.get(path) == checksum)
+        for path, checksum in on_board.items()
+        if path not in made.files and (path in our_files or before.get(path) == checksum)
     ]
     return Plan(sorted(copy), sorted(stale), sorted(same))
 
@@ -191,11 +191,11 @@ def _processor(arch: str) -> str:
     return f"{arch} ({known})"
 
 
-def check_yours(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> None:
+def check_yours(made: Build, on_board: Mapping[str, str], before: Mapping[str, str]) -> None:
     """Raise DeployError if a board.py changed on the board, or a main.py of the user's, would be
     lost."""
     for name in (BOARD, START):
-        if there.get(name) not in (None, before.get(name), digest(made.files[name])):
+        if on_board.get(name) not in (None, before.get(name), digest(made.files[name])):
             raise DeployError(
                 f"{name} was not put on the board by a deployment, or was changed there since",
                 f"keep it: `mpremote cp :{name} FILE` (and deploy a board.py: --board FILE); "
@@ -213,15 +213,15 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     device.enter()
     about = device.about()
     check_fit(about, made)
-    there = device.files(folders(made))
-    before = _read_list(device, there)
+    on_board = device.files(folders(made))
+    before = _read_list(device, on_board)
     if not replace:
-        check_yours(made, there, before)
+        check_yours(made, on_board, before)
     made = freeze.beside(made, about.frozen)
-    todo = plan(made, there, before)
+    todo = plan(made, on_board, before)
     if todo.copy or todo.remove or before != checksums(made):
         try:
-            _carry_out(device, made, todo, START in there, view)
+            _carry_out(device, made, todo, START in on_board, view)
         except OSError as error:
             raise _no_room(error) from error
     running = device.restart()
@@ -288,9 +288,9 @@ def listing(made: Build) -> bytes:
     return "".join(rows).encode()
 
 
-def _read_list(device: Device, there: Mapping[str, str]) -> dict[str, str]:
+def _read_list(device: Device, on_board: Mapping[str, str]) -> dict[str, str]:
     """Return the checksums of the last deployment; none on a new board."""
-    if LIST not in there:
+    if LIST not in on_board:
         return {}
     rows = (
         line.split("  ", 1) for line in device.read(LIST).decode("utf-8", "replace").splitlines()

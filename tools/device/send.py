@@ -115,7 +115,7 @@ class Ready(Sequence[Line]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         offset = range(len(self))[index] - len(self._lead)
-        if offset < 0:  # it counts from the end of lead
+        if offset < 0:  # lines of lead come first; it counts from their end
             return self._lead[offset]
         number = self._first + offset
         line = self._lines[number - 1]

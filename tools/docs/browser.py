@@ -44,12 +44,13 @@ def _words(module: str, row: Any) -> list[Any]:
     return [*meaning, *([True] if settings_file.is_per_axis(row) else [])]
 
 
-def _as_json(found: dict[str, dict[str, Any]]) -> str:
+def _as_json(tables: dict[str, dict[str, Any]]) -> str:
     """Return JSON with a line for each number, so that a change is visible."""
     parts = []
-    for kind, rows in found.items():
+    for kind, rows in tables.items():
         lines = [
-            f"{json.dumps(n)}: {json.dumps(row, ensure_ascii=False)}" for n, row in rows.items()
+            f"{json.dumps(number)}: {json.dumps(row, ensure_ascii=False)}"
+            for number, row in rows.items()
         ]
         parts.append(f"{json.dumps(kind)}: {{\n" + ",\n".join(lines) + "\n}")
     return "{" + ",\n".join(parts) + "}"

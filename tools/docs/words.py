@@ -82,11 +82,12 @@ def _at_start(word: str) -> bool:
     return any(i != PROGRAM_FLOW and _at_reset()[i] == value for i, value in set_to.items())
 
 
-def _words_table(words: list[str], said: dict[str, str]) -> str:
+def _words_table(words: list[str], meanings: dict[str, str]) -> str:
+    """Return a Markdown table of words with their groups and meanings."""
     rows = []
     for word in words:
         start = " In force at start." if _at_start(word) else ""
-        rows.append((f"`{word}`", _group(word), said[word] + start))
+        rows.append((f"`{word}`", _group(word), meanings[word] + start))
     return table(("Word", "Group", "Meaning"), rows)
 
 

@@ -175,11 +175,11 @@ class MotionTrace(Paced):
     def _noted(self, row: "array[int]") -> int:
         """Replace Segments.next: note the speed of the segment, and its block. Return its result,
         0 if there is no segment."""
-        made = int(self._next(row))
-        if made:
-            at = self._planner.flow[self._layout.AT]
-            self._plans[id(row)] = (self._value(self._segments.rate()), self._blocks.get(at, 0))
-        return made
+        has_segment = int(self._next(row))
+        if has_segment:
+            block = self._planner.flow[self._layout.AT]
+            self._plans[id(row)] = (self._value(self._segments.rate()), self._blocks.get(block, 0))
+        return has_segment
 
     def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
         """Add a segment that begins at `start`, in ticks, and ends at this position, in mm."""

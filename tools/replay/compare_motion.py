@@ -107,13 +107,13 @@ def _judge_samples(record: Json, observed: Json, steps: float) -> list[str]:
     for i, axis in enumerate("xyz"):
         track = samples[axis]
         worst, worst_sample = 0.0, 0
-        for k in range(len(track)):
-            place = mine[min(k, len(mine) - 1)][i] if mine else 0
-            low, high = _envelope(track, k, samples["dt_ms"])
-            slack = steps + _stop_slack(record, track, k)
+        for number in range(len(track)):
+            place = mine[min(number, len(mine) - 1)][i] if mine else 0
+            low, high = _envelope(track, number, samples["dt_ms"])
+            slack = steps + _stop_slack(record, track, number)
             off = max(low - slack - place, place - high - slack)
             if off > worst:
-                worst, worst_sample = off, k
+                worst, worst_sample = off, number
         if worst:
             ms = worst_sample * samples["dt_ms"]
             wrong.append(f"{axis.upper()} at {ms} ms is {worst:.0f} steps outside what is allowed")

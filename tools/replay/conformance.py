@@ -80,6 +80,7 @@ class Results:
         return bool(self.required()) and not self.failures()
 
     def as_json(self) -> Json:
+        """Return the results for a report in JSON."""
         passed = len(self.required()) - len(self.failures())
         return {
             "python": self.python,
@@ -256,6 +257,7 @@ def run_folder(
     own = threading.local()  # a process for each thread
 
     def work(chosen: "tuple[Recording, Json]") -> Outcome:
+        """Replay and judge a case; each thread has its own replayer."""
         job, case = chosen
         if not hasattr(own, "replayer"):
             own.replayer = _Replayer(command, environment)

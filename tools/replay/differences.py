@@ -29,16 +29,19 @@ _OPTIONS = re.compile(r"\[OPT:([^,]*)(,\d+,\d+)\]")
 
 
 def _version(ours: str, grbls: str, _sent: str) -> str:
+    """Return Grbl's line if both name the same version, else ours."""
     mine, theirs = _VERSION.fullmatch(ours), _VERSION.fullmatch(grbls)
     return grbls if mine and theirs and theirs[1] in mine[1] else ours
 
 
 def _version_09(ours: str, grbls: str, _sent: str) -> str:
+    """Return Grbl's line if both name the same version 0.9, else ours."""
     mine, theirs = _VERSION_09.fullmatch(ours), _VERSION_09.fullmatch(grbls)
     return grbls if mine and theirs and mine.groups() == theirs.groups() else ours
 
 
 def _probe_09(ours: str, grbls: str, sent: str) -> str:
+    """Return our line with the probing word as Grbl 0.9 writes it."""
     # Grbl 0.9 reports the tenths less 4, as a byte: 254, 255, 0, 1 for 2 to 5.
     slip = _PROBE_09.match(grbls)
     if sent != "$G\n" or slip is None:
@@ -47,6 +50,7 @@ def _probe_09(ours: str, grbls: str, sent: str) -> str:
 
 
 def _options(ours: str, grbls: str, _sent: str) -> str:
+    """Return Grbl's line if we have its options and perhaps more, else ours."""
     mine, theirs = _OPTIONS.fullmatch(ours), _OPTIONS.fullmatch(grbls)
     same = mine and theirs and mine[2] == theirs[2] and set(theirs[1]) <= set(mine[1])
     return grbls if same else ours

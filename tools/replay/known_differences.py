@@ -64,23 +64,25 @@ def _blocks(lines: list[str]) -> Iterator[tuple[int, float, float]]:
             per_mm["XYZ"[int(axis)]] = float(steps)
         relative = "G91" in text or (relative and "G90" not in text)
         inverse = "G93" in text or (inverse and "G94" not in text)
-        if found := _FEED.search(text):
-            feed = float(found[1])
+        if match := _FEED.search(text):
+            feed = float(match[1])
         before = dict(place)
         for axis, mm in _AXIS.findall(text):
             place[axis] = float(mm) + (place[axis] if relative else 0.0)
-        way = math.dist(place.values(), before.values())
-        minutes = 0.0 if not feed else 1 / feed if inverse else way / feed
-        if way and minutes and not text.startswith(("$", "G0")):
+        distance = math.dist(place.values(), before.values())
+        minutes = 0.0 if not feed else 1 / feed if inverse else distance / feed
+        if distance and minutes and not text.startswith(("$", "G0")):
             steps = max(abs(place[axis] - before[axis]) * per_mm[axis] for axis in place)
             yield number, minutes * 60_000, steps / minutes / 60
 
 
 def _slow_step(steps: list[Json]) -> int | None:
     """Return the step that sends the first motion slower than _SLOWEST_HZ."""
-    lines = [(line, n) for n, step in enumerate(steps) for line in step["send"].split("\n")]
-    slow = (k for k, _, hz in _blocks([line for line, _ in lines]) if hz < _SLOWEST_HZ)
-    return next((lines[k][1] for k in slow), None)
+    lines = [
+        (line, number) for number, step in enumerate(steps) for line in step["send"].split("\n")
+    ]
+    slow = (index for index, _, hz in _blocks([line for line, _ in lines]) if hz < _SLOWEST_HZ)
+    return next((lines[index][1] for index in slow), None)
 
 
 def _slow(record: Json) -> float:
@@ -151,11 +153,11 @@ def _without_end(_step: Json, lines: list[str]) -> list[str]:
 
 def _read_step(steps: list[Json]) -> int | None:
     """Return the step in which Grbl refuses, in motion, a command that only reads."""
-    asked = False
-    for n, step in enumerate(steps):
-        asked = asked or bool(_READS.search(step["send"]))
-        if asked and not _REFUSED.isdisjoint(step["expect"]):
-            return n
+    was_sent = False
+    for number, step in enumerate(steps):
+        was_sent = was_sent or bool(_READS.search(step["send"]))
+        if was_sent and not _REFUSED.isdisjoint(step["expect"]):
+            return number
     return None
 
 
@@ -237,12 +239,12 @@ def explain_case(
     astray: the steps whose moves differ without a reason.
     """
     steps, got = case["steps"], observed.get("steps", [])
-    numbers = [_STEP.match(said) for said in wrong]
+    numbers = [_STEP.match(problem) for problem in wrong]
     if len(steps) != len(got):
         return False
     for row in CASES:
         first = row.begins(steps)
-        if first is None or not all(found and int(found[1]) >= first for found in numbers):
+        if first is None or not all(match and int(match[1]) >= first for match in numbers):
             continue
         if _answers(row, steps, [step["expect"] for step in steps]) != _answers(
             row, steps, [mine["lines"] for mine in got]

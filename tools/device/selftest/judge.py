@@ -152,21 +152,21 @@ def _turns(facts: list[Fact]) -> Iterator[Row]:
     """Judge hold and set-up: times from the last pulse to a change of direction, and from that to
     the next pulse."""
     hold, setup = [], []
-    for one in facts:
-        for step, direction in zip(one["steps"], one["dirs"], strict=True):
+    for fact in facts:
+        for step, direction in zip(fact["steps"], fact["dirs"], strict=True):
             for turn in direction[1:]:
                 hold += [turn - fall for fall in falls(step) if fall <= turn][-1:]
                 setup += [rise - turn for rise in rises(step) if rise >= turn][:1]
-    for what, found, least in (
+    for what, ticks, asked_us in (
         ("direction hold", hold, facts[0]["hold_us"]),
         ("direction set-up", setup, facts[0]["setup_us"]),
     ):
-        if not found:
+        if not ticks:
             yield Row(what, False, "no reversal was seen")
             continue
-        good = min(found) * TICK_US >= least - _EXACT_TICKS * TICK_US
-        text = f"{_us(min(found)):g} us at the least; {least} asked; {len(found)} reversals"
-        yield Row(what, good, text, {"us": _us(min(found)), "asked_us": least})
+        good = min(ticks) * TICK_US >= asked_us - _EXACT_TICKS * TICK_US
+        text = f"{_us(min(ticks)):g} us at the least; {asked_us} asked; {len(ticks)} reversals"
+        yield Row(what, good, text, {"us": _us(min(ticks)), "asked_us": asked_us})
 
 
 def _stops(facts: list[Fact]) -> Iterator[Row]:
@@ -193,28 +193,28 @@ def _starts(facts: list[Fact]) -> Iterator[Row]:
 
 def _limits(facts: list[Fact]) -> Iterator[Row]:
     """Judge limit inputs, undisturbed and during garbage collections."""
-    for one in facts:
-        what = f"limit{', during a collection' if one['collecting'] else ''}: to the last edge"
-        if not one["inputs"]:
-            yield Row(what, None, "left out: the board file names no LIMIT", one)
-        elif not one["shown"]:
-            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced", one)
+    for fact in facts:
+        what = f"limit{', during a collection' if fact['collecting'] else ''}: to the last edge"
+        if not fact["inputs"]:
+            yield Row(what, None, "left out: the board file names no LIMIT", fact)
+        elif not fact["shown"]:
+            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced", fact)
         else:
-            yield _limit(what, one)
+            yield _limit(what, fact)
 
 
-def _limit(what: str, one: Fact) -> Row:
+def _limit(what: str, fact: Fact) -> Row:
     """Judge the time from an edge at a limit input to the last step of any axis."""
-    delays = [max(ticks, 0) for ticks in one["ticks"]]
+    delays = [max(ticks, 0) for ticks in fact["ticks"]]
     worst = _us(max(delays))
-    good = one["missed"] == 0 == one["wrong"] and worst <= _LIMIT_US
+    good = fact["missed"] == 0 == fact["wrong"] and worst <= _LIMIT_US
     mean = _us(sum(delays) / len(delays))
     text = f"mean {mean:g} us, worst {worst:g} us; {len(delays)} interrupts forced"
-    if max(delays) > 0.95 * one["window"]:  # steps to the end of the sampled window
-        text = f"more than {_us(one['window']):g} us; {len(delays)} interrupts forced"
-    if one["missed"] or one["wrong"]:
-        text += f"; {one['missed']} not heard, {one['wrong']} positions that are not the count"
-    return Row(what, good, text, {**one, "mean_us": mean, "worst_us": worst})
+    if max(delays) > 0.95 * fact["window"]:  # steps to the end of the sampled window
+        text = f"more than {_us(fact['window']):g} us; {len(delays)} interrupts forced"
+    if fact["missed"] or fact["wrong"]:
+        text += f"; {fact['missed']} not heard, {fact['wrong']} positions that are not the count"
+    return Row(what, good, text, {**fact, "mean_us": mean, "worst_us": worst})
 
 
 def duty_percent(edges: Sequence[int]) -> float:
@@ -243,32 +243,34 @@ def _pwm(facts: list[Fact]) -> Iterator[Row]:
 
 def _dark(facts: list[Fact]) -> Iterator[Row]:
     """Judge whether the spindle's output is off after a limit, or after a kill."""
-    for one in facts:
-        what = one["what"].replace("pwm", "spindle PWM")
-        if one.get("shown") is False:
+    for fact in facts:
+        what = fact["what"].replace("pwm", "spindle PWM")
+        if fact.get("shown") is False:
             yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced")
         else:
-            good = one["edges"] == [0]
+            good = fact["edges"] == [0]
             text = (
-                "off, and stays so" if good else f"{duty_percent(one['edges']):.1f} % at the pin"
+                "off, and stays so" if good else f"{duty_percent(fact['edges']):.1f} % at the pin"
             )
-            yield Row(what, good, text, one)
+            yield Row(what, good, text, fact)
 
 
 def _save(facts: list[Fact]) -> Iterator[Row]:
     """Judge how long interrupts are off while settings are written to flash."""
-    one = facts[0]
-    off_us = max(one["longest_us"] - one["beat_us"], 0)
+    fact = facts[0]
+    off_us = max(fact["longest_us"] - fact["beat_us"], 0)
     what = "settings save: interrupts off"
-    if one["wrong"]:
-        text = f"{one['wrong']} of {one['count']} saves read back otherwise"
-        yield Row(what, False, text, one)
+    if fact["wrong"]:
+        text = f"{fact['wrong']} of {fact['count']} saves read back otherwise"
+        yield Row(what, False, text, fact)
     elif off_us < _FLASH_US:
         text = f"{NOT_SHOWN}{off_us / 1000:g} ms; no flash is as fast as that"
-        yield Row(what, None, text, one)
+        yield Row(what, None, text, fact)
     else:
-        text = f"{off_us / 1000:.1f} ms at the most, of {one['took_ms']} ms; {one['count']} saves"
-        yield Row(what, off_us < 1_000_000, text, one)
+        text = (
+            f"{off_us / 1000:.1f} ms at the most, of {fact['took_ms']} ms; {fact['count']} saves"
+        )
+        yield Row(what, off_us < 1_000_000, text, fact)
 
 
 def _hang(facts: list[Fact]) -> Iterator[Row]:

@@ -132,14 +132,14 @@ def limits_stop(drive, port, heard, shot):
     watched = min(WATCHED, LAST - FIRST)  # the last machine samples
     for collect in (False, True):
         ticks, missed, wrong, shown = [], 0, 0, True
-        for k in range(CONFIG["limits"] if pins else 0):
+        for index in range(CONFIG["limits"] if pins else 0):
             drive.count(watched)
             heard[0] = 0
             port.enable_limits(True)
             port.revive()
             drive.even(drive.engine.max_step_hz(3), 1 << 20, some(0, (1 << AXES) - 1))
             drive.start()
-            at = shot.fire(pins[k % len(pins)], collect)
+            at = shot.fire(pins[index % len(pins)], collect)
             if at is None:
                 shown = False
                 drive.stop()

@@ -56,8 +56,8 @@ def check_save():
     time.sleep_ms(20)
     quiet_us, longest_us, wrong = times[2], 0, 0
     begun = time.ticks_ms()
-    for k in range(CONFIG["saves"]):
-        lines[0] = "$0=%d" % k
+    for number in range(CONFIG["saves"]):
+        lines[0] = "$0=%d" % number
         times[2] = 0
         store.save(NAME, lines)
         longest_us = max(longest_us, times[2])
