@@ -301,7 +301,7 @@ class NonlinearPlanner(Planner):
         accel = _LARGE
         for i in range(self.axes):
             if slope[i]:
-                available = self._accelerations[i] - self._next[i] * fast_sqr  # beside the bend
+                available = self._accelerations[i] - self._next[i] * fast_sqr  # less the bend
                 accel = min(accel, available / abs(slope[i]))
         ring[at + layout.RAPID], ring[at + layout.ACCEL] = (
             minifloat.real(rapid),

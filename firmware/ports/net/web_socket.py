@@ -86,7 +86,7 @@ class WebSocket:
         self._pong = -1  # bytes of the ping to answer; -1: none
         # Out: the frame being sent.
         self._out = bytearray(_HEAD + _PAYLOAD)
-        self._at = self._end = 0  # what is still to be sent of it
+        self._at = self._end = 0  # the part of it that must still be sent
         self._over = 0  # code of the end; 0: open
 
     # The Connection interface
