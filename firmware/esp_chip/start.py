@@ -16,7 +16,8 @@ _WANTED = const(150_000)
 def prepare() -> None:
     """Call before any compiled code. Raises MemoryError if it and the heap would not fit."""
     machine.freq(_HZ)
-    free = sum([heap[1] for heap in esp32.idf_heap_info(esp32.HEAP_DATA)])
+    heaps = esp32.idf_heap_info(esp32.HEAP_DATA)
+    free = sum([free_bytes for _, free_bytes, _, _ in heaps])
     if free < _WANTED:
         raise MemoryError(
             "%d bytes free of the %d that the firmware wants: take a module with PSRAM, and "

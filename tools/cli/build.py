@@ -82,12 +82,13 @@ def command(
 
 
 def _make(board: str | None, arch: str, progress: Progress, frozen: bool) -> Build:
+    """Compile the firmware for a board, or without one all modules for a processor."""
     if frozen and not board:
         raise BuildError("frozen for which board? --board NAME")
     if not board:
         return build.compile_all(arch, None, progress)
-    made = freeze.for_board if frozen else build.for_board
-    return made(board_file(board), progress)
+    compile_for = freeze.for_board if frozen else build.for_board
+    return compile_for(board_file(board), progress)
 
 
 def failed(why: Exception) -> typer.Exit:

@@ -119,6 +119,7 @@ def _wire(options: Options) -> "Pty | Tcp | Stdio":
 
 
 def _publish(wire: "Pty | Tcp | Stdio", link: Path | None) -> None:
+    """Show where the simulated Grbl is, and make the link to it that --port names."""
     name = getattr(wire, "name", "")
     if link:
         wire.link(link)  # type: ignore[union-attr]  # a Pty, see _wire()

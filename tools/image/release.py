@@ -51,11 +51,11 @@ def notes(changelog: str, tag: str) -> str:
 
 def board_zip(name: str) -> bytes:
     """Return the compiled firmware of a board as a zip, in a folder of its name."""
-    made = build.for_board(board_file(name))
+    firmware = build.for_board(board_file(name))
     data = io.BytesIO()
     with TemporaryDirectory() as place, zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
-        folder.save(made, Path(place))
-        for path in sorted(one for one in Path(place).rglob("*") if one.is_file()):
+        folder.save(firmware, Path(place))
+        for path in sorted(path for path in Path(place).rglob("*") if path.is_file()):
             entry = zipfile.ZipInfo(f"{name}/{path.relative_to(place).as_posix()}", _MADE)
             entry.compress_type = zipfile.ZIP_DEFLATED
             file.writestr(entry, path.read_bytes())
@@ -75,8 +75,8 @@ def make(tag: str, place: Path, names: Iterable[str]) -> None:
     paths.write(place / "ugrbl.html", page_files.page().encode())
     for name in names:
         paths.write(place / f"ugrbl-{tag or 'dry'}-{name}.zip", board_zip(name))
-    there = sorted(one for one in place.iterdir() if one.is_file() and one.name != CHECKSUMS)
-    paths.write(place / CHECKSUMS, checksums(there).encode())
+    files = sorted(file for file in place.iterdir() if file.is_file() and file.name != CHECKSUMS)
+    paths.write(place / CHECKSUMS, checksums(files).encode())
     paths.write(place / "notes" / "notes.md", text.encode())
 
 
