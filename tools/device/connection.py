@@ -192,7 +192,12 @@ class Connection:
         replies: list[str] = []
 
         def answered(reply: str) -> bool:
-            """Collect a reply, and read the options of $I. Returns whether it is the answer."""
+            """Collect a reply, and read the options of $I. Returns whether it is the answer.
+
+            Lines after the answer, as a greeting of the port, are not collected.
+            """
+            if replies and is_answer(replies[-1]):
+                return True
             options = _OPTIONS.fullmatch(reply)
             if options:
                 self.blocks = int(options[1])
