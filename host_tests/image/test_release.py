@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from ugrbl import __version__, paths
 from ugrbl.boardfile.files import board_file
-from ugrbl.compiling import build, page_files
+from ugrbl.boardfile import page_files
+from ugrbl.compiling import build
 from ugrbl.image import release
 
 _ROOT = Path(__file__).parents[2]

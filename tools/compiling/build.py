@@ -14,14 +14,14 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from .. import paths
-from ..boardfile import engines, hal_texts, options
+from ..boardfile import engines, hal_texts, options, page_files
 from ..boardfile.board_check import own_modules
 from ..boardfile.chips import CHIPS
 from ..boardfile.files import load_for_build
-from . import compilers, kernel_module, machine_code, page_files, prebuilt
+from . import compilers, kernel_module, machine_code, prebuilt
 from .cache import cached
 from .for_chip import for_chip
-from .inline import inline, pruned
+from .inline import inline
 from .kernel_module import Apart
 
 # MicroPython runs main.py at start, but never main.mpy, so this file is not compiled.
@@ -152,7 +152,7 @@ def _in_place(written: tuple[tuple[str, str], ...]) -> dict[str, str]:
     stamped = f'"{_id(written)}"'
     return {
         name: text.replace(_OF_SOURCES, stamped)
-        for name, text in pruned(inline(dict(written))).items()
+        for name, text in inline(dict(written)).items()
     }
 
 

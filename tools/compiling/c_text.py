@@ -58,7 +58,7 @@ class Function:
         }
         self._types = self.parameters | {
             name: type if type in BITS or type == "object" else "int"
-            for name, type in viper.types(function).items()
+            for name, type in viper.types(function, module.numbers).items()
             if name not in self.parameters
         }
 
@@ -201,6 +201,8 @@ class Function:
                 return self.number(int(value))
             case ast.Name(name) if name in self._types:
                 return f"{name}_"
+            case ast.Name(name) if name in self._module.numbers:
+                return self.number(self._module.numbers[name])
             case ast.Name(name) if name == _PLACE:
                 return "place"
             case ast.Subscript(pointer, index):

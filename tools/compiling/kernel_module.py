@@ -7,10 +7,11 @@ their own, so that a board has no kernel that it does not use. Lines keep their 
 """
 
 import ast
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from . import machine_code, mpy, viper
+from .inline import Edit, edited, imports, pruned
 from .viper import Key, Module
 
 PACKAGE = "kernels"
@@ -39,17 +40,16 @@ def taken_apart(texts: "Mapping[str, str]", core: "Collection[str]") -> Apart:
     a form that cannot be translated."""
     modules = {name: Module(name, text) for name, text in texts.items()}
     keys = [(name, function) for name, module in modules.items() for function in module.functions]
-    names = _names(keys)
-    homes = {key: _home(key[0], core) for key in keys}
-    asked = {key for module in modules.values() for key in _asked_of(module)}
-    left = {name: _Left(text, modules[name], names, homes, asked) for name, text in texts.items()}
-    made = {name: each.text() for name, each in left.items()}
-    wanted = {key for each in left.values() for key in each.wanted}
+    kernels = {key: (_home(key[0], core), name) for key, name in _names(keys).items()}
+    homes = {home for home, _ in kernels.values()}
+    made = pruned({name: _without(text, modules[name], kernels) for name, text in texts.items()}, homes)
+    asked = {key for text in made.values() for key in _imported(text)}
     pieces: dict[str, list[Key]] = {}
-    for key in sorted(wanted, key=lambda key: names[key]):
-        pieces.setdefault(homes[key], []).append(key)
+    for key, (home, name) in sorted(kernels.items(), key=lambda item: item[1][1]):
+        if (home, name) in asked:
+            pieces.setdefault(home, []).append(key)
     for home, there in pieces.items():
-        made[home] = _TEXT.format(names=", ".join(names[key] for key in there))
+        made[home] = _TEXT.format(names=", ".join(kernels[key][1] for key in there))
     return Apart(made, machine_code.in_c(modules, keys), pieces)
 
 
@@ -78,82 +78,34 @@ def _names(keys: "list[Key]") -> "dict[Key, str]":
     }
 
 
-def _asked_of(module: Module) -> Iterator[Key]:
-    """Yield the attributes of other modules that a module uses."""
-    for node in ast.walk(module.tree):
-        match node:
-            case ast.Attribute(ast.Name(alias), name) if alias in module.aliases:
-                yield module.aliases[alias], name
+def _imported(text: str) -> Iterator[Key]:
+    """Yield module and name of each import."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((node.module, alias.name) for alias in node.names)
 
 
-class _Left:
-    """A module's text without kernels. names: of all kernels. homes: the module of kernels each
-    one is in. asked: attributes that any module uses."""
+def _without(text: str, module: Module, kernels: "Mapping[Key, Key]") -> str:
+    """Return a module's text with imports in place of its kernels. kernels: the module of kernels
+    each one is in, and its name there."""
+    tree = ast.parse(text)
+    edits = []
+    for kernel in viper.vipers(tree):
+        kernel.lineno = kernel.decorator_list[0].lineno  # the decorator goes, too
+        edits.append(Edit(kernel, _import([(kernels[module.name, kernel.name], kernel.name)])))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            ours = {a: kernels[node.module, a.name] for a in node.names if (node.module, a.name) in kernels}
+            if ours:
+                left = [a for a in node.names if a not in ours]
+                asked = _import([(there, a.asname or a.name) for a, there in ours.items()])
+                edits.append(Edit(node, f"{imports(node, left)}; {asked}" if left else asked))
+    return edited(text, edits)
 
-    def __init__(
-        self,
-        text: str,
-        module: Module,
-        names: "Mapping[Key, str]",
-        homes: "Mapping[Key, str]",
-        asked: "Collection[Key]",
-    ) -> None:
-        self.wanted: list[Key] = []
-        self._lines = text.splitlines(keepends=True)
-        self._module = module
-        self._names = names
-        self._homes = homes
-        self._tree = ast.parse(text)
-        self._kernels = [*viper.vipers(self._tree, methods=False)]
-        others = [statement for statement in self._tree.body if statement not in self._kernels]
-        self._used = {
-            node.id
-            for statement in others
-            for node in ast.walk(statement)
-            if isinstance(node, ast.Name)
-        } | {name for of, name in asked if of == module.name}
 
-    def text(self) -> str:
-        """Return what remains of the module."""
-        for kernel in self._kernels:
-            key = (self._module.name, kernel.name)
-            wanted = {key: kernel.name} if kernel.name in self._used else {}
-            self._replace(kernel.decorator_list[0], kernel, [], wanted)
-        for node in ast.walk(self._tree):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                self._import(node, node.module)
-            elif isinstance(node, ast.Import) and "micropython" not in self._used:
-                left = [ast.Import([a]) for a in node.names if a.name != "micropython"]
-                if len(left) < len(node.names):
-                    self._replace(node, node, left, {})
-        return "".join(self._lines)
-
-    def _import(self, node: ast.ImportFrom, module: str) -> None:
-        kernels = [a for a in node.names if (module, a.name) in self._names]
-        if not kernels:
-            return
-        left = [a for a in node.names if a not in kernels]
-        here = {(module, a.name): a.asname or a.name for a in kernels}
-        wanted = {key: name for key, name in here.items() if name in self._used}
-        self._replace(node, node, [ast.ImportFrom(module, left, 0)] if left else [], wanted)
-
-    def _replace(
-        self,
-        first: "ast.expr | ast.stmt",
-        last: ast.stmt,
-        left: "list[ast.Import] | list[ast.ImportFrom]",
-        wanted: "Mapping[Key, str]",
-    ) -> None:
-        """Replace statements that stand alone on their lines by imports on the first of these
-        lines."""
-        self.wanted += wanted
-        asked: dict[str, list[ast.alias]] = {}
-        for key, here in wanted.items():
-            name = self._names[key]
-            alias = ast.alias(name, None if name == here else here)
-            asked.setdefault(self._homes[key], []).append(alias)
-        made = [*left, *(ast.ImportFrom(home, names, 0) for home, names in asked.items())]
-        text = "; ".join(map(ast.unparse, made)) or "pass"
-        begin, end = first.lineno - 1, (last.end_lineno or last.lineno) - 1
-        indent = " " * last.col_offset
-        self._lines[begin : end + 1] = [indent + text + "\n", *["\n"] * (end - begin)]
+def _import(asked: "Sequence[tuple[Key, str]]") -> str:
+    """Return imports of kernels, each under the name that it has in the importing module."""
+    by_home: dict[str, list[ast.alias]] = {}
+    for (home, name), here in asked:
+        by_home.setdefault(home, []).append(ast.alias(name, None if name == here else here))
+    return "; ".join(ast.unparse(ast.ImportFrom(home, names, 0)) for home, names in by_home.items())
