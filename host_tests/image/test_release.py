@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from ugrbl import __version__, paths
-from ugrbl.boardfile.files import board_file
 from ugrbl.boardfile import page_files
+from ugrbl.boardfile.files import board_file
 from ugrbl.compiling import build
 from ugrbl.image import release
 

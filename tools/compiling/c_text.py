@@ -21,13 +21,8 @@ _BY_FUNCTION = {
     ast.LShift: "left",
     ast.RShift: "right",
 }
-_COMPARE = dict(
-    zip(
-        (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE),
-        ("==", "!=", "<", "<=", ">", ">="),
-        strict=True,
-    )
-)
+_COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+_COMPARE = dict(zip(_COMPARED, "== != < <= > >=".split(), strict=True))
 _PLACE = "@"  # stands for an index that has been computed already; not a name in the sources
 
 

@@ -64,15 +64,21 @@ def pruned(sources: Mapping[str, str], ours: Iterable[str] = ()) -> dict[str, st
     return found
 
 
+def imported(tree: ast.AST) -> Iterator[tuple[str, str, str]]:
+    """Yield for each import the name there, the module, and the name in it; "" for a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((n.asname or n.name, n.name, "") for n in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((n.asname or n.name, node.module, n.name) for n in node.names)
+
+
 def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
     """Yield module and name for each use of another module."""
     aliases = {}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            aliases.update((n.asname or n.name, n.name) for n in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            aliases.update((n.asname or n.name, f"{node.module}.{n.name}") for n in node.names)
-            yield from ((node.module, alias.name) for alias in node.names)
+    for here, module, name in imported(tree):
+        aliases[here] = f"{module}.{name}" if name else module
+        yield module, name
     for node in ast.walk(tree):
         match node:
             case ast.Attribute(ast.Name(alias), name) if alias in aliases:
@@ -121,16 +127,10 @@ def _public(tree: ast.Module, known: Mapping[str, Constants]) -> Constants:
 def _imported(tree: ast.Module, known: Mapping[str, Constants]) -> Names:
     """Return the constants that a module imports, and the modules, by their names there."""
     found: dict[str, int | SimpleNamespace] = {}
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Import | ast.ImportFrom):
-            continue
-        module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
-        for n in node.names:
-            whole = f"{module}.{n.name}" if module else n.name
-            inside = known.get(module, {})
-            found[n.asname or n.name] = (
-                inside[n.name] if n.name in inside else SimpleNamespace(**known.get(whole, {}))
-            )
+    for here, module, name in imported(tree):
+        whole = f"{module}.{name}" if name else module
+        number = known.get(module, {}).get(name)
+        found[here] = SimpleNamespace(**known.get(whole, {})) if number is None else number
     return found
 
 

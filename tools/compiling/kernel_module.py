@@ -7,11 +7,12 @@ their own, so that a board has no kernel that it does not use. Lines keep their 
 """
 
 import ast
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from . import machine_code, mpy, viper
-from .inline import Edit, edited, imports, pruned
+from .inline import Edit, edited, imported, imports, pruned
 from .viper import Key, Module
 
 PACKAGE = "kernels"
@@ -40,23 +41,23 @@ def taken_apart(texts: "Mapping[str, str]", core: "Collection[str]") -> Apart:
     a form that cannot be translated."""
     modules = {name: Module(name, text) for name, text in texts.items()}
     keys = [(name, function) for name, module in modules.items() for function in module.functions]
-    kernels = {key: (_home(key[0], core), name) for key, name in _names(keys).items()}
-    homes = {home for home, _ in kernels.values()}
-    made = pruned({name: _without(text, modules[name], kernels) for name, text in texts.items()}, homes)
-    asked = {key for text in made.values() for key in _imported(text)}
+    names = _names(keys)
+    homes = {name: _home(name, core) for name, module in modules.items() if module.functions}
+    left = {name: _without(text, modules[name], names, homes) for name, text in texts.items()}
+    made = pruned(left, homes.values())
+    asked = {(home, name) for text in made.values() for _, home, name in imported(ast.parse(text))}
     pieces: dict[str, list[Key]] = {}
-    for key, (home, name) in sorted(kernels.items(), key=lambda item: item[1][1]):
-        if (home, name) in asked:
-            pieces.setdefault(home, []).append(key)
+    for key in sorted(keys, key=lambda key: names[key]):
+        if (homes[key[0]], names[key]) in asked:
+            pieces.setdefault(homes[key[0]], []).append(key)
     for home, there in pieces.items():
-        made[home] = _TEXT.format(names=", ".join(kernels[key][1] for key in there))
+        made[home] = _TEXT.format(names=", ".join(names[key] for key in there))
     return Apart(made, machine_code.in_c(modules, keys), pieces)
 
 
 def with_code(compiled: bytes, name: str, apart: Apart, arch: str) -> bytes:
     """Return a compiled module of kernels with their machine code in it. CompilerError."""
     code = machine_code.linked(apart.c, arch, tuple(apart.pieces[name]))
-    assert mpy.table_place(compiled) == 0
     return mpy.rewritten(compiled, lambda _start: code)
 
 
@@ -67,45 +68,35 @@ def _home(module: str, core: "Collection[str]") -> str:
 def _names(keys: "list[Key]") -> "dict[Key, str]":
     """Return a name for each kernel: the function's own if it is unique, else with its
     module's."""
-    functions = [function for _, function in keys]
+    count = Counter(name for _, name in keys)
     return {
-        (module, function): (
-            function
-            if functions.count(function) == 1
-            else f"{function}_{module.rpartition('.')[2]}"
-        )
-        for module, function in keys
+        (of, name): name if count[name] == 1 else f"{name}_{of.rpartition('.')[2]}"
+        for of, name in keys
     }
 
 
-def _imported(text: str) -> Iterator[Key]:
-    """Yield module and name of each import."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            yield from ((node.module, alias.name) for alias in node.names)
+def _without(
+    text: str, module: Module, names: "Mapping[Key, str]", homes: "Mapping[str, str]"
+) -> str:
+    """Return a module's text with imports in place of its kernels. names: of all kernels. homes:
+    the module of kernels for each module that has some."""
 
+    def asked(of: str, kernels: "list[ast.alias]") -> str:
+        """Return an import of kernels, each under the name that it has in this module."""
+        both = [(names[of, a.name], a.asname or a.name) for a in kernels]
+        listed = [ast.alias(name, None if name == here else here) for name, here in both]
+        return ast.unparse(ast.ImportFrom(homes[of], listed, 0))
 
-def _without(text: str, module: Module, kernels: "Mapping[Key, Key]") -> str:
-    """Return a module's text with imports in place of its kernels. kernels: the module of kernels
-    each one is in, and its name there."""
     tree = ast.parse(text)
     edits = []
     for kernel in viper.vipers(tree):
         kernel.lineno = kernel.decorator_list[0].lineno  # the decorator goes, too
-        edits.append(Edit(kernel, _import([(kernels[module.name, kernel.name], kernel.name)])))
+        edits.append(Edit(kernel, asked(module.name, [ast.alias(kernel.name)])))
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            ours = {a: kernels[node.module, a.name] for a in node.names if (node.module, a.name) in kernels}
-            if ours:
-                left = [a for a in node.names if a not in ours]
-                asked = _import([(there, a.asname or a.name) for a, there in ours.items()])
-                edits.append(Edit(node, f"{imports(node, left)}; {asked}" if left else asked))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module in homes:
+            kernels = [a for a in node.names if (node.module, a.name) in names]
+            left = [a for a in node.names if a not in kernels]
+            made = [imports(node, left)] if left else []
+            made += [asked(node.module, kernels)] if kernels else []
+            edits.append(Edit(node, "; ".join(made)))
     return edited(text, edits)
-
-
-def _import(asked: "Sequence[tuple[Key, str]]") -> str:
-    """Return imports of kernels, each under the name that it has in the importing module."""
-    by_home: dict[str, list[ast.alias]] = {}
-    for (home, name), here in asked:
-        by_home.setdefault(home, []).append(ast.alias(name, None if name == here else here))
-    return "; ".join(ast.unparse(ast.ImportFrom(home, names, 0)) for home, names in by_home.items())

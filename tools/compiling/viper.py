@@ -4,7 +4,7 @@ import ast
 from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 
-from .inline import constants
+from .inline import constants, imported
 
 POINTERS = {"ptr8", "ptr16", "ptr32"}
 CASTS = {"int", "uint", "bool", *POINTERS}
@@ -14,15 +14,11 @@ Key = tuple[str, str]
 
 
 def vipers(tree: ast.Module) -> Iterator[ast.FunctionDef]:
-    """Yield a module's viper functions, without methods of its classes."""
+    """Yield the functions of a module that viper compiles, without methods of its classes."""
     for node in tree.body:
-        if isinstance(node, ast.FunctionDef) and is_viper(node):
-            yield node
-
-
-def is_viper(function: ast.FunctionDef) -> bool:
-    """Return whether the function is compiled by viper."""
-    return any(ast.unparse(each) == "micropython.viper" for each in function.decorator_list)
+        if isinstance(node, ast.FunctionDef):
+            if "micropython.viper" in map(ast.unparse, node.decorator_list):
+                yield node
 
 
 def annotation(node: ast.expr | None) -> str:
@@ -45,15 +41,8 @@ class Module:
         self.tree = ast.parse(text)
         self.functions = {f.name: f for f in vipers(self.tree)}
         self.numbers = constants(self.tree, {})
-        self.imported: dict[str, Key] = {}
-        self.aliases: dict[str, str] = {}  # of modules
-        for node in ast.walk(self.tree):
-            if isinstance(node, ast.Import):
-                self.aliases.update((n.asname or n.name, n.name) for n in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                for n in node.names:
-                    self.imported[n.asname or n.name] = (node.module, n.name)
-                    self.aliases[n.asname or n.name] = f"{node.module}.{n.name}"
+        names = imported(self.tree)
+        self.imported = {here: (module, function) for here, module, function in names}
 
     def means(self, name: str) -> Key | None:
         """Return the function that a global name refers to, or may refer to if it is imported;
