@@ -32,10 +32,6 @@ if TYPE_CHECKING:
         tuple[Oldest, ...],
     ]
 
-# Left out of the search path at start: it has none of our modules, and looking there for each of
-# MicroPython's modules takes 3 ms.
-_USERS = "/lib"
-
 # Longest time without a feed before the chip resets. Writing flash, the longest work, takes less.
 _WATCHDOG_MS = const(5000)
 
@@ -189,9 +185,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     """
     link: "BoardLink | None" = None
     port: "BoardPort | None" = None
-    path = sys.path[:]
     try:
-        sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
 
         option = board.__dict__.get
@@ -213,8 +207,6 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
             port.safe()
         stay(link, fault)
         return None
-    finally:
-        sys.path[:] = path
     if watch_health:
         machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
