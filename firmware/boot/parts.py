@@ -42,6 +42,8 @@ _LOOP_MS = const(250)
 # Added to $I where Ctrl-X takes effect only when the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
+# Modules that are needed only while the machine is built, 5 kB together.
+_BUILDING = ("boot.wiring", "boot.options", "boot.select_extras", "ports.storage.user_files")
 # Extras that are needed only while the machine is built, a kilobyte each.
 _MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.motor_matrix")
 
@@ -302,10 +304,10 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    forget("boot.wiring")  # 5 kB, with these
-    forget("boot.options")
-    forget("boot.select_extras")
-    forget("ports.storage.user_files")
+    for name in _BUILDING:
+        # Empty, because a word that looks like an address in it would retain all of it.
+        sys.modules[name].__dict__.clear()
+        forget(name)
     for extra in _MAKING:
         forget(extra)
     if link.is_slow:  # Ctrl-X waits for the main loop
