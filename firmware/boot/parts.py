@@ -32,10 +32,6 @@ if TYPE_CHECKING:
         tuple[Oldest, ...],
     ]
 
-# Left out of the search path at start: it has none of our modules, and looking there for each of
-# MicroPython's modules takes 3 ms.
-_USERS = "/lib"
-
 # Longest time without a feed before the chip resets. Writing flash, the longest work, takes less.
 _WATCHDOG_MS = const(5000)
 
@@ -46,6 +42,8 @@ _LOOP_MS = const(250)
 # Added to $I where Ctrl-X takes effect only when the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
+# Modules that are needed only while the machine is built, 5 kB together.
+_BUILDING = ("boot.wiring", "boot.options", "boot.select_extras", "ports.storage.user_files")
 # Extras that are needed only while the machine is built, a kilobyte each.
 _MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.motor_matrix")
 
@@ -189,9 +187,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     """
     link: "BoardLink | None" = None
     port: "BoardPort | None" = None
-    path = sys.path[:]
     try:
-        sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
 
         option = board.__dict__.get
@@ -213,8 +209,6 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
             port.safe()
         stay(link, fault)
         return None
-    finally:
-        sys.path[:] = path
     if watch_health:
         machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
@@ -310,10 +304,10 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    forget("boot.wiring")  # 5 kB, with these
-    forget("boot.options")
-    forget("boot.select_extras")
-    forget("ports.storage.user_files")
+    for name in _BUILDING:
+        # Empty, because a word that looks like an address in it would retain all of it.
+        sys.modules[name].__dict__.clear()
+        forget(name)
     for extra in _MAKING:
         forget(extra)
     if link.is_slow:  # Ctrl-X waits for the main loop

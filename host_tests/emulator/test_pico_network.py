@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 from emulated import Board, files_of
 from page_bench import PING, WS_UPGRADE, frame, request
+from ugrbl.boardfile import page_files
 from ugrbl.boardfile.files import load_board
-from ugrbl.compiling import build, page_files
+from ugrbl.compiling import build
 from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico network")

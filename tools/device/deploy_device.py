@@ -13,8 +13,8 @@ import serial
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
 
-from ..boardfile import hal_texts
-from ..compiling import freeze, page_files
+from ..boardfile import hal_texts, page_files
+from ..compiling import freeze
 from .connection import Connection, SendError, broke, is_simulator, way_out
 from .deploy import LIST, About, DeployError, Running
 

@@ -15,8 +15,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from .. import __version__, paths
+from ..boardfile import page_files
 from ..boardfile.files import board_file, boards
-from ..compiling import build, folder, page_files
+from ..compiling import build, folder
 
 CHECKSUMS = "SHA256SUMS"
 UNRELEASED = "Unreleased"

@@ -11,9 +11,9 @@ from .. import paths
 from ..boardfile import hal_texts
 from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
-from ..compiling import kernels
 from ..grbl.messages import meaning
 from ..grbl.settings_file import Firmware, SettingsError, check_known, read_settings
+from . import kernels
 from .file_store import FileStore
 from .inputs import Inputs, Rule
 from .own_python import NAME, OwnPython, read

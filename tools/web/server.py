@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from aiohttp import WSMessage, WSMsgType, web
 
-from ..compiling import page_files
+from ..boardfile import page_files
 from ..run.tcp_link import why_not
 from .access import Access
 from .board_link import BoardLink, Source

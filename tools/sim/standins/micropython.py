@@ -5,7 +5,7 @@ outside signed 32 bits, division by zero, shift counts outside 0..31, floats, ne
 Literals of 2**30 and more are heap objects there: refused, unless written int(literal).
 
 Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only, or a
-function that `compiled` provides (compiling/kernels.py), which raises in the same places.
+function that `compiled` provides (run/kernels.py), which raises in the same places.
 
 Pointers are memoryviews: ptr32 has signed words, ptr16 and ptr8 unsigned ones. An index past the
 end, or a value that does not fit, raises in both modes. What is not modelled does not exist.
