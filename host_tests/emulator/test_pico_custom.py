@@ -106,7 +106,7 @@ def ready(machine: Board) -> "Board":
 def test_custom_file_is_read_at_start_and_leaves_memory_free(machine: Board) -> None:
     said = machine.ask("$I")
     assert "[MSG:Custom: M100, M101, M102" in said and "on.report]" in said
-    assert "8000 bytes" in machine.ask("M106"), "a large block is free"
+    assert "[MSG:8000 bytes]" in machine.ask("M106"), "a large block is free"
 
 
 def test_words_are_called_with_their_numbers_after_motion_has_ended(ready: Board) -> None:
