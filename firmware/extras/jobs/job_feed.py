@@ -168,7 +168,7 @@ class Feed:
         port = self._machine.port
         if port.elapsed_ms(self._since) >= _MADE_MS:
             self._since = port.ticks_ms()
-            self._before, self._made = self._made, self._being_made()
+            self._before, self._made = self._made, self.line_in_motion()
             state = self._machine.state
             if state.suspend & st.HOLD_COMPLETE and not state.system_motion:  # and not parking
                 self._hold()
@@ -268,7 +268,8 @@ class Feed:
     def _has_stack(self, more: int) -> bool:
         return micropython.stack_use() - self._depth < more
 
-    def _being_made(self) -> int:
+    def line_in_motion(self) -> int:
+        """Return the line of the block that the engine was given last."""
         flow = self._flow
         tail = flow[layout.TAIL]
         return self._at[_ANSWERED] + 1 if tail == flow[layout.HEAD] else self._lines[tail]
