@@ -324,7 +324,7 @@ class PreparedPages(Protocol):
     def is_fresh(self) -> bool:
         """Return whether all pages are free."""
 
-    def prepare(self) -> bool:
+    def erase(self) -> bool:
         """Erase them. Returns is_fresh()."""
 
     def write(self, record: bytes | bytearray) -> bool:

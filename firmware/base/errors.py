@@ -112,9 +112,6 @@ ALARM_HANDLER = const(34)
 # A motor driver is hot, damaged, without supply, or does not answer: the message before it says
 # which. The machine's position is probably lost. Not one of Grbl's.
 ALARM_DRIVER = const(35)
-# The supply has failed, or the wire of POWER_FAIL is cut: the machine has slowed down and stopped.
-# A message then reports whether its position is certain. Not one of Grbl's.
-ALARM_POWER_FAIL = const(36)
 
 # Messages, as sent in [MSG:…]. None may contain "ok" or "error".
 MSG_CRITICAL_EVENT = "Reset to continue"

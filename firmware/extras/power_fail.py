@@ -15,7 +15,6 @@ import struct
 from array import array
 
 import micropython
-from base import errors
 from base import state as st
 from base.axes import LETTERS, Z
 from base.float32 import vector
@@ -33,6 +32,10 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 PINS = ("POWER_FAIL",)
+
+# The supply has failed, or the wire of POWER_FAIL is cut: the machine has slowed down and stopped.
+# A message then reports whether its position is certain. Not one of Grbl's.
+ALARM_POWER_FAIL = const(36)
 
 # Phases.
 _GOOD = const(0)
@@ -94,6 +97,7 @@ class PowerFail:
         self._flow = machine.planner.flow
         self._lasts_ms = lasts_ms
         self._up_mm = up_mm
+        self._move = plan.Move()
         self._phase = _GOOD
         self._since = 0
         self._here = vector(machine.planner.axes)
@@ -113,7 +117,7 @@ class PowerFail:
             self._port.kill()
             if self._state.run == st.HOMING:
                 self._engine.stop()
-                self._motor_control.note_reset(errors.ALARM_POWER_FAIL)
+                self._motor_control.note_reset(ALARM_POWER_FAIL)
                 self._phase = _OVER
                 return
             self._flow[layout.HOLD] = 1
@@ -172,6 +176,7 @@ class PowerFail:
             self._write(flags | _LIFT)
             self._phase = _RISING
             if not self._lift():
+                self._write(flags)
                 self._end()
         else:
             self._write(flags)
@@ -193,7 +198,7 @@ class PowerFail:
     def _end(self) -> None:
         """Stop the machine with an alarm."""
         self._motor_control.reset()
-        self._state.alarm = errors.ALARM_POWER_FAIL
+        self._state.alarm = ALARM_POWER_FAIL
         self._phase = _OVER
 
     # Z up
@@ -212,12 +217,12 @@ class PowerFail:
         for part in (1.0, 0.5, 0.25):
             target[Z] = self._here[Z] + self._up_mm * part
             if not machine.canon.outside(target):
-                return self._move(target)
+                return self._start_up(target)
         return False
 
-    def _move(self, target: "array[float]") -> bool:
+    def _start_up(self, target: "array[float]") -> bool:
         machine, state = self._machine, self._state
-        move = plan.Move()
+        move = self._move
         move.clear()
         move.feed = machine.settings.max_rate[Z]
         move.flags = layout.SYSTEM_MOTION | layout.NO_FEED_OVERRIDE
@@ -245,7 +250,7 @@ class PowerFail:
         for record in pages.records():
             self._report(record)
             break
-        if not (pages.is_fresh() or pages.prepare()):
+        if not (pages.is_fresh() or pages.erase()):
             self._cnc.message("POWER_FAIL: flash has no page for it: no line will be recorded")
 
     def _report(self, record: bytes) -> None:

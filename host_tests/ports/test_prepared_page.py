@@ -34,14 +34,14 @@ def test_record_is_one_page_without_an_erasure_and_survives_a_start(
     flash = Flash()
     pages, files = attach(monkeypatch, flash, fresh=True)
     assert not pages.is_fresh() and not pages.write(_RECORD)
-    assert pages.prepare()
+    assert pages.erase()
     files.fs.open("/settings.txt", "wb").close()  # the file system goes on
     before = len(flash.log)
     assert pages.write(_RECORD) and pages.write(b"second")
     assert [len(data) for _, data in flash.log[before:]] == [PAGE, PAGE]
     again, files = attach(monkeypatch, Flash(bytes(flash.buffer)))
     assert list(again.records()) == [b"second", _RECORD] and not again.is_fresh()
-    assert again.prepare() and list(again.records()) == []
+    assert again.erase() and list(again.records()) == []
     assert files.fs.stat("/pages").size == BLOCK
 
 
@@ -50,7 +50,7 @@ def test_pages_stay_where_they_are_while_other_files_are_written(
 ) -> None:
     flash = Flash()
     pages, files = attach(monkeypatch, flash, fresh=True)
-    pages.prepare()
+    pages.erase()
     assert pages.write(_RECORD)
     for number in range(200):
         with files.fs.open(f"/{number % 7}.txt", "wb") as file:
@@ -64,7 +64,7 @@ def test_pages_stay_where_they_are_while_other_files_are_written(
 def test_last_page_is_used_and_no_other_block(monkeypatch: pytest.MonkeyPatch) -> None:
     flash = Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
-    pages.prepare()
+    pages.erase()
     before = bytes(flash.buffer)
     written = [pages.write(b"%d" % i) for i in range(20)]
     assert written == [True] * 15 + [False] * 5
@@ -75,7 +75,7 @@ def test_last_page_is_used_and_no_other_block(monkeypatch: pytest.MonkeyPatch) -
 def test_record_that_a_power_cut_has_torn_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     flash = Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
-    pages.prepare()
+    pages.erase()
     pages.write(b"first")
     image = bytes(flash.buffer)
     flash.log.clear()
@@ -91,11 +91,11 @@ def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
 ) -> None:
     flash = Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
-    pages.prepare()
+    pages.erase()
     pages.write(_RECORD)
     image = bytes(flash.buffer)
     flash.log.clear()
-    pages.prepare()
+    pages.erase()
     assert erased(flash, 0)
     found = set()
     for whole, (_, data) in enumerate([*flash.log, (0, b"")]):
@@ -111,7 +111,7 @@ def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
 def test_page_that_does_not_keep_it_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     flash = Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
-    pages.prepare()
+    pages.erase()
     flash.buffer[BLOCK * pages._block + PAGE + 8] = 0  # a worn cell
     before = len(flash.log)
     assert pages.write(_RECORD)
@@ -128,7 +128,7 @@ def test_file_system_that_keeps_files_elsewhere_is_left_alone(
     for _ in range(3):
         pages = PreparedPages()
         pages.find()
-        assert not pages.prepare() and not pages.write(_RECORD)
+        assert not pages.erase() and not pages.write(_RECORD)
         before = len(flash.log)
     assert before and len(flash.log) == before
     assert not any(other.buffer.strip(b"\xff"))
@@ -141,4 +141,4 @@ def test_desktop_has_no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prepared_page, "open", refuse, raising=False)
     pages = PreparedPages()
     pages.find()
-    assert not pages.prepare() and not pages.write(_RECORD) and not pages.is_fresh()
+    assert not pages.erase() and not pages.write(_RECORD) and not pages.is_fresh()

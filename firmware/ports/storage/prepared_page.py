@@ -56,7 +56,7 @@ def _nothing() -> None:
 
 
 class PreparedPages:
-    """The pages. All calls only while idle; find() and prepare() take time."""
+    """The pages. All calls only while idle; find() and erase() take time."""
 
     def __init__(self) -> None:
         self._flash: "Any" = None
@@ -111,7 +111,7 @@ class PreparedPages:
         self._flash.readblocks(self._block, self._data, _PAGE * page)
         return self._data
 
-    def prepare(self) -> bool:
+    def erase(self) -> bool:
         """Replace the file by a new one without records. Return is_fresh().
 
         A power cut leaves the old file or the new one.
