@@ -60,6 +60,8 @@ _PAGE_MS = const(3)
 _LAST_MS = const(10)
 _MS_PER_MINUTE = const(60000)
 
+_FAILED = "Power failed"
+
 _found: "dict[str, Any]" = {}
 
 
@@ -74,6 +76,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """Watch the supply from now on."""
     fail = PowerFail(cnc, _found["input"], _found["ms"], _found["up"])
+    cnc.add_alarms({ALARM_POWER_FAIL: _FAILED})
     cnc.before_motion(fail.may_start)
     hooks = cnc.machine.state.hooks
     hooks.poll += (fail.poll,)
@@ -258,7 +261,7 @@ class PowerFail:
         here = struct.unpack("<%df" % axes, record[-4 * axes :])
         job = self._cnc.job
         name = job.correct(line, crc) if job and line else ""
-        what = "Power failed"
+        what = _FAILED
         if name:
             what = "Job %s: power failed at line %d" % (name, line)
         sure = "position certain" if flags & _CERTAIN else "stopped at speed, position not certain"

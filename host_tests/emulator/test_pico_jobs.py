@@ -86,6 +86,7 @@ def powered(uf2: Path, flash: bytes, closed: int = -1) -> Board:
     machine = Board(uf2)
     machine.pico.write_flash(0, flash)
     if closed >= 0:
+        machine.pico.drive(closed, 1)  # a pin that floats reads low, and would not be driven
         machine.pico.drive(closed, 0)
     machine.pico.record([*STEP, *DIR])
     return machine.boot()
