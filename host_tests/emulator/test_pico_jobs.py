@@ -86,8 +86,8 @@ def powered(uf2: Path, flash: bytes, closed: int = -1) -> Board:
     machine = Board(uf2)
     machine.pico.write_flash(0, flash)
     if closed >= 0:
-        machine.pico.drive(closed, 1)  # a pin that floats reads low, and would not be driven
-        machine.pico.drive(closed, 0)
+        # Not by drive(), which does nothing if the pin, no input yet, reads low anyhow.
+        machine.pico.mcu.gpio[closed].set_input_value(False)
     machine.pico.record([*STEP, *DIR])
     return machine.boot()
 

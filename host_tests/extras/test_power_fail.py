@@ -84,16 +84,17 @@ class Power:
             self.steps.append(list(rig.scratch))
             yield rig.ms(1)
 
-    def fails_in_job(self, after_ms: float, *settings: str) -> "list[str]":
+    def fails_in_job(
+        self, after_ms: float, *settings: str, lines: "tuple[str, ...]" = _LINES
+    ) -> "list[str]":
         """Run a job, and let the supply fail so many ms after its beginning."""
-        self.bench.put(_JOB, *_LINES)
+        self.bench.put(_JOB, *lines)
 
         def script(bench: Bench) -> Iterator[Any]:
             yield from say(*FAST, *HOMED, *settings, f"$F={_JOB}", wait_s=0)(bench)
             yield from bench.sender.until(lambda: bench.kept() != [])
             bench.sender.take()
             yield bench.rig.ms(after_ms)
-            assert bench.rig.moving()
             yield from self.fail()
 
         return self.bench.run(script)
@@ -211,6 +212,27 @@ def test_failure_at_every_millisecond_of_a_job_is_recorded(power: Power, after_m
     found = report(power.starts(power.cut(100)))
     assert found["sure"] == _CERTAIN and place(found) == power.at(199)
     assert int(found["line"]) in lines
+
+
+_WAITING = {
+    "an arc of more chords than the ring has rows": (*["X-0.1"] * 20, "G2X-20I-10", "G1X-1"),
+    "a dwell": ("X-1", "G4P1", "X-1"),
+    "a word that waits for motion": ("X-1", "X-20", "M5", "X-1"),
+}
+
+
+@pytest.mark.parametrize(
+    ("lines", "line", "ms"),
+    zip(_WAITING.values(), (22, 3, 3), (400, 300, 300), strict=True),
+    ids=_WAITING,
+)
+def test_line_is_exact_while_the_loop_waits_in_a_line(
+    power: Power, lines: "tuple[str, ...]", line: int, ms: int
+) -> None:
+    power.fails_in_job(ms, lines=("G21G91G1F3000", *lines))
+    found = report(power.starts(power.cut(100)))
+    assert found["sure"] == _CERTAIN and int(found["line"]) == line
+    assert place(found) == power.at(199)
 
 
 def test_motion_that_does_not_stop_in_time_is_stopped_at_once(power: Power) -> None:
