@@ -81,13 +81,10 @@ def made(
     return bytes(flash)
 
 
-def powered(uf2: Path, flash: bytes, closed: int = -1) -> Board:
-    """Start a Pico with this flash, and wait for its welcome. closed: a pin held to ground."""
+def powered(uf2: Path, flash: bytes) -> Board:
+    """Start a Pico with this flash, and wait for its welcome."""
     machine = Board(uf2)
     machine.pico.write_flash(0, flash)
-    if closed >= 0:
-        # Not by drive(), which does nothing if the pin, no input yet, reads low anyhow.
-        machine.pico.mcu.gpio[closed].set_input_value(False)
     machine.pico.record([*STEP, *DIR])
     return machine.boot()
 
