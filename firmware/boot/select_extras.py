@@ -76,7 +76,7 @@ def _module(option: str, value: "Any", module: str) -> str:
     if option == "LIMIT":  # only if two axes share a pin
         pins = [pin for pin in value or () if pin is not None]
         return module if len(set(pins)) < len(pins) else ""
-    if word == "POWER_FAIL":
+    if option == "POWER_FAIL":
         return "" if value is None else module  # pin 0 is one
     return module if value else ""
 
