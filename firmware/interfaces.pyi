@@ -5,7 +5,7 @@ called.
 """
 
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import IO, Any, Protocol
 
 from base.settings import Settings
@@ -315,6 +315,49 @@ class DriverWire(Protocol):
     def exchange(self, request: bytes | bytearray, answer_bytes: int) -> bytes | None:
         """Send, and return the answer, or as much as was received. None: the wire is broken."""
 
+class PreparedPages(Protocol):
+    """Pages of flash that are erased in advance: ports/storage/prepared_page.py."""
+
+    def find(self) -> None:
+        """Find them. To be called before the other methods."""
+
+    def is_fresh(self) -> bool:
+        """Return whether all pages are free."""
+
+    def erase(self) -> bool:
+        """Erase them. Returns is_fresh()."""
+
+    def write(self, record: bytes | bytearray) -> bool:
+        """Write a record, without an erasure. Returns whether it was stored."""
+
+    def records(self) -> Iterator[bytes]:
+        """Yield the records, the newest first."""
+
+class PowerInput(Protocol):
+    """A monitor of the supply: ports/power_input.py."""
+
+    @property
+    def pages(self) -> PreparedPages:
+        """Pages of flash for what must be stored."""
+
+    def attach(self, on_fail: Callable[[], object], on_fault: Callable[[], object]) -> None:
+        """Call on_fail, in an interrupt, when the supply fails; on_fault if that raises."""
+
+    def is_good(self) -> bool:
+        """Return whether the supply is good."""
+
+    def arm(self) -> None:
+        """Call on_fail again at the next failure."""
+
+class Job(Protocol):
+    """The running job, for what must be recorded: extras/jobs/job_run.py."""
+
+    def line_at_stop(self, is_certain: bool) -> tuple[int, int]:
+        """Return its line, and the CRC-32 of its file; zeros if none runs."""
+
+    def correct(self, line: int, crc: int) -> str:
+        """Store the line of the unfinished job with this CRC-32. Returns its name, or ""."""
+
 class JobFiles(Protocol):
     """Programs stored on the board, by name. Failures raise OSError."""
 
@@ -393,6 +436,7 @@ class Options(Protocol):
     custom: tuple[str, ...]  # the user's own modules
     job_files: JobFiles | None  # programs stored on the board
     driver_wire: DriverWire | None  # to motor drivers with a serial line
+    power_input: PowerInput | None  # the supply's monitor
 
 class Extra(Protocol):
     """A module of extras/, or a user's. It may have PINS, the board file's options that name its

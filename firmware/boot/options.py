@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from interfaces import DriverWire, Kinematics
+    from ports.power_input import PowerInput
     from ports.storage.job_files import JobFiles
 
 
@@ -60,6 +61,7 @@ class Options:
         self.custom = select_extras.custom_modules(board)
         self.job_files: "JobFiles | None" = None
         self.driver_wire: "DriverWire | None" = None
+        self.power_input: "PowerInput | None" = None
         self._hardware(board)
         self.extras = select_extras.import_extras(
             select_extras.extra_names(board, bool(self.custom))
@@ -79,7 +81,8 @@ class Options:
                 extra.prepare(self, board)
 
     def _hardware(self, board: "ModuleType") -> None:
-        """Create hardware that extras use: the files of jobs, the motor drivers' serial line."""
+        """Create hardware that extras use: the files of jobs, the motor drivers' serial line, the
+        input of the supply's monitor."""
         option = board.__dict__.get
         if option("JOBS", ""):
             from ports.storage import job_files
@@ -89,6 +92,10 @@ class Options:
             from ports import driver_wire
 
             self.driver_wire = driver_wire.of_board(board)
+        if option("POWER_FAIL", None) is not None:
+            from ports import power_input
+
+            self.power_input = power_input.of_board(board)
 
     def identity(self) -> str:
         """Return the text of [VER:…]: "Grbl" for senders, then engine and step rate for `ugrbl

@@ -37,6 +37,7 @@ _ORDER = (
     ("CLUSTERS", "tools.clusters"),
     ("COUNT_DRAINS", "underruns"),
     ("JOBS", "jobs.job_commands"),
+    ("POWER_FAIL", "power_fail"),
 )
 # Options whose value selects one of several modules; "" is no module.
 WORDS = {
@@ -78,6 +79,8 @@ def _module(option: str, value: "Any", module: str) -> str:
     if option == "LIMIT":  # only if two axes share a pin
         pins = [pin for pin in value or () if pin is not None]
         return module if len(set(pins)) < len(pins) else ""
+    if option == "POWER_FAIL":
+        return "" if value is None else module  # pin 0 is one
     return module if value else ""
 
 

@@ -58,6 +58,8 @@ def build(
     _connect(machine)
     if options.job_files:
         options.job_files.connect(store, link)
+    if options.power_input:
+        options.power_input.pages.connect(store)
     if options.extras:
         from extras.api import Cnc
 

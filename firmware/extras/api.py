@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from base.settings import Rows
+    from interfaces import Job
     from talk.controller import Controller
 
     from extras.cycles import Step
@@ -52,6 +53,7 @@ class Cnc:
         self._words = CustomCodes(machine)
         # Each returns why a program cannot be entered at a line in its middle now, or "".
         self.entries: "list[Callable[[], str]]" = []
+        self.job: "Job | None" = None  # the running job of a board with JOBS
 
     # Parts and answers
 

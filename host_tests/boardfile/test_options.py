@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, cast
 import pytest
 from boot import parts
 from esp_bench import i2s
+from extras import power_fail
 from extras.jobs import job_commands
 from extras.motors import tmc2209
 from extras.tools import punch
@@ -144,6 +145,7 @@ def test_options_checked_as_pins_are_pins_in_the_table() -> None:
     pins = {option.name for option in OPTIONS if option.kind in kinds} - {"NO_PULL_UP"}
     named = {name for engine in engines.engines().values() for name in engine.pins}
     named |= {*pin_check._NAMES.split(), *job_commands.PINS, *punch.PINS, *tmc2209.PINS}
+    named |= {*power_fail.PINS}
     assert named == pins
     assert set(INVERTIBLE) < pins
 

@@ -194,6 +194,11 @@ def test_board_gets_only_modules_that_it_can_use() -> None:
         "ports/storage/sd_blocks.py",
         "ports/storage/sd_card.py",
     }
+    for pin in (0, 20):
+        assert needed(POWER_FAIL=pin) - pico - api == {
+            *("extras/power_fail.py", "ports/power_input.py", "ports/storage/prepared_page.py"),
+            "base/axes.py",
+        }
     assert needed(DIALECT="0.9") - pico == {"extras/dialects/dialect_09.py", *api}
 
 
@@ -208,6 +213,7 @@ def test_every_choice_is_an_existing_module_and_used_by_some_board() -> None:
                 words |= {"SD_CARD": (10, 11, 12, 13), "MOTORS": "XYZZ", "HOMING": ("XY",)}
                 words |= {"ROTARY": "A", "TMC2209": (0, 2, 1), "BACKLASH": True}
                 words |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11), "SKEW": True, "PAGE": True}
+                words |= {"POWER_FAIL": 20}
                 every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in pruned(inline(build.texts())).values()]

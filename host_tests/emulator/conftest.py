@@ -22,7 +22,10 @@ if _IS_COMPILED:
 _HAS_EMULATOR = find_spec("rp2040py") is not None
 # Tests of one chip or of its emulator only.
 _OF_ESP32 = "test_esp32_emulated.py"
-_OF_RP2040 = ("test_pico_card.py", "test_pico_drivers.py", "test_pico_speed.py", "test_xip.py")
+_OF_RP2040 = (
+    *("test_pico_card.py", "test_pico_drivers.py", "test_pico_power.py", "test_pico_speed.py"),
+    "test_xip.py",
+)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -196,6 +196,7 @@ class Pico(Bench):
         self.usb = _Usb(self)
         self.edges: list[Edge] = []
         self.on_erase: Callable[[], None] = lambda: None  # a sector of flash
+        self.on_program: Callable[[], None] = lambda: None  # a page of flash
         self._erase_ns = self._busy_until = 0.0
         self._written_in_motion: list[float] = []  # times, in us
         self._watch_flash()
@@ -316,6 +317,8 @@ class Pico(Bench):
                 if command in _ERASES:
                     self._busy_until = clock.nanos + self._erase_ns
                     self.on_erase()
+                else:
+                    self.on_program()
             apply(ssi)
 
         ssi._shift_byte, ssi._apply_command = shift_byte, apply_command

@@ -66,11 +66,13 @@ def home(machine: Board) -> Odometer:
     return odometer
 
 
-def made(tmp_path: Path, uf2: Path) -> bytes:
+def made(
+    tmp_path: Path, uf2: Path, options: str = "", lines: "tuple[str, ...]" = _SETTINGS
+) -> bytes:
     """Return flash with the file of `ugrbl uf2` for a board with jobs, dragged onto other data."""
     board, settings, file = (tmp_path / name for name in ("my.py", "my.settings", "all.uf2"))
-    board.write_text(BOARD_FILE.read_text() + '\nJOBS = "jobs"\n')
-    settings.write_text("".join(f"{line}\n" for line in _SETTINGS))
+    board.write_text(f'{BOARD_FILE.read_text()}\nJOBS = "jobs"\n{options}\n')
+    settings.write_text("".join(f"{line}\n" for line in lines))
     command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", str(board), "-o", str(file)]
     command += ["--micropython", str(uf2), "--settings", str(settings)]
     subprocess.run(command, capture_output=True, text=True, check=True)

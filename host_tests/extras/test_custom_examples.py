@@ -805,6 +805,95 @@ def test_pendant_does_not_disturb_a_program(shop: Make) -> None:
     assert made.place() == (20, 0, 0)
 
 
+# A pendant on a serial line
+
+
+class Wire:
+    """Stand in for machine.UART with the pendant's end."""
+
+    last: "Wire"
+
+    def __init__(self, number: int, baudrate: int, tx: Any, rx: Any) -> None:
+        assert (number, baudrate) == (1, 115200)
+        self.sent = b""
+        Wire.last = self
+
+    def read(self) -> "bytes | None":
+        sent, self.sent = self.sent, b""
+        return sent or None
+
+
+def frame(axis: int = 0, clicks: int = 0, percent: int = 100, buttons: int = 1) -> bytes:
+    data = bytes((0xA5, axis, clicks & 255, 10, percent, buttons))
+    return data + bytes((sum(data) & 255,))
+
+
+@pytest.fixture
+def pendant(monkeypatch: pytest.MonkeyPatch, shop: Make) -> Shop:
+    import machine
+
+    monkeypatch.setattr(machine, "UART", Wire, raising=False)
+    return shop("pendant_serial")
+
+
+def repeated(made: Shop, data: bytes, times: int) -> "Iterator[Any]":
+    for _ in range(times):
+        Wire.last.sent += data
+        yield made.rig.ms(20)
+
+
+def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop) -> None:
+    wrong = bytearray(frame(0, 50))
+    wrong[2] ^= 4
+
+    def script() -> "Iterator[Any]":
+        yield from repeated(pendant, frame(1, -3), 4)
+        yield from repeated(pendant, bytes(wrong), 3)
+        yield from repeated(pendant, frame(2, -2)[3:] + frame(0, 5), 1)  # it begins in the middle
+        yield pendant.rig.ms(150)
+        yield from repeated(pendant, frame(0, 9, buttons=0), 3)
+        yield from repeated(pendant, frame(7, 9), 1)
+        yield from pendant.until("Idle")
+
+    pendant.run(script())
+    assert pendant.place() == pytest.approx((0.5, -1.2, 0), abs=0.005)
+
+
+@pytest.mark.parametrize("end", ["the line is cut", "enabling button released", "button released"])
+def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        yield from repeated(pendant, frame(0, percent=50, buttons=1 | 2), 100)
+        seen.append(pendant.place()[0])
+        seen.extend((yield from pendant.reports()))
+        buttons = {"enabling button released": 2, "button released": 1}
+        if end in buttons:
+            yield from repeated(pendant, frame(0, percent=50, buttons=buttons[end]), 40)
+        yield pendant.rig.ms(800)
+        seen.append(pendant.place()[0])
+        yield from pendant.until("Idle")
+
+    pendant.run(script())
+    assert seen[0] == pytest.approx(50, abs=3) and "<Jog" in seen[1]
+    assert 0 < pendant.place()[0] - seen[0] < (8 if end == "the line is cut" else 2.5)
+    assert pendant.place()[0] == seen[2]
+
+
+def test_hold_of_the_serial_pendant_acts_once_in_a_program(pendant: Shop) -> None:
+    def script() -> "Iterator[Any]":
+        yield from pendant.send("G1 X20 F1000\n", "ms 100")
+        yield from repeated(pendant, frame(1, 9, buttons=1 | 2), 5)
+        yield from repeated(pendant, frame(buttons=1 | 8), 20)
+        assert "<Hold" in (yield from pendant.reports())[0]
+        yield from pendant.send("~", "ms 100")
+        yield from repeated(pendant, frame(buttons=1 | 8), 5)
+        yield from pendant.until("Idle")
+
+    pendant.run(script())
+    assert pendant.place() == (20, 0, 0)
+
+
 # A tool rack
 
 _RACK = {

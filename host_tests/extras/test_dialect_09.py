@@ -16,6 +16,7 @@ from base import errors
 from base.settings import _TABLE
 from boot.options import Options
 from extras.dialects.dialect_09 import _ALARMS, _WITHOUT, _WORDS, Report09, Report09i
+from extras.power_fail import ALARM_POWER_FAIL
 from extras.tools.punch import ALARM_PUNCH_DOWN, ALARM_PUNCH_UP
 from hypothesis import given
 from hypothesis import strategies as some
@@ -147,7 +148,8 @@ def test_every_alarm_has_a_text(code: int, report: Report09, paper: Paper) -> No
     assert paper.line() == f"ALARM: {_ALARMS.get(code, f'ID:{code}')}\r\n"
     ours = (errors.ALARM_INTERNAL, errors.ALARM_EMERGENCY_STOP)
     added = (errors.ALARM_HANDLER, errors.ALARM_DRIVER)
-    brought = (ALARM_PUNCH_DOWN, ALARM_PUNCH_UP)  # the punch has their texts
+    # Their extras have the texts.
+    brought = (ALARM_PUNCH_DOWN, ALARM_PUNCH_UP, ALARM_POWER_FAIL)
     assert code in _ALARMS or code in ours + added + brought
 
 

@@ -111,6 +111,7 @@ def moves(*lines: str, lenient: bool = True) -> "list[Move]":
         (("M06 T102 G0 X1",), ("M5", "M0", "G0 X1")),
         (("G4 S0.5", "G0 X1"), ("G4 P0.5", "G0 X1")),
         (("G98", "G99", "G0 X1"), ("G0 X1",)),
+        (("M204 S500.00 G1 X1 F100", "M204 P500 S9"), ("G1 X1 F100",)),
     ],
 )
 def test_word_without_meaning_here_is_ignored(
@@ -129,6 +130,7 @@ def test_word_without_meaning_here_is_ignored(
         ("T1 M6", "M6"),
         ("G98", "G98"),
         ("G4 S.1", "G4 S"),
+        ("M204 S9", "M204"),
         ("G81 X1 Z-1 R1 F1000", "G81"),
     ],
 )
@@ -159,6 +161,11 @@ def test_each_word_is_named_once_until_a_reset(line: str, name: str) -> None:
         "M98 P1",
         "G2 X1 G64",
         "T-1 M6",
+        "M204 S9 M3",
+        "M204 T9",
+        "M114 X1",
+        "M400 G0 X1",
+        "M115 M114",
     ],
 )
 def test_wrong_line_is_still_refused_and_changes_nothing(line: str) -> None:
@@ -175,6 +182,63 @@ def test_board_that_is_not_lenient_refuses_them_all() -> None:
         *["error:20"] * 6,
         "error:28",
     ]
+    said = answers("M114", "M115", "M204 S9", "M400", lenient=False)
+    assert said == [*["error:20"] * 3, "error:23"]
+
+
+# What OpenPnP makes of an answer: FIRMWARE_NAME must contain "Grbl", and a position is X:, Y: and
+# so on, with a space between (its GcodeDriverSolutions.java; facts only).
+_PROPERTY = re.compile(r"([A-Za-z0-9_\-]+):([^:]*)(?= [A-Za-z0-9_\-]+:|$)")
+_PLACES = re.compile(r"^.*X:(?P<X>-?\d+\.\d+) Y:(?P<Y>-?\d+\.\d+) Z:(?P<Z>-?\d+\.\d+).*")
+
+
+def test_firmware_and_work_position_are_reported_as_openpnp_reads_them() -> None:
+    bench = Bench()
+    said = bench.say("G0 X1.5", "G92 X0.25 Y7", "G91 G1 Y-2 F500", "M400", "N8 M114", "M115 ; who")
+    here, ended = said[4]
+    assert ended == "ok"
+    found = _PLACES.match(here)
+    assert found and [float(number) for number in found.groups()] == [0.25, 5, 0]
+    about, ended = said[5]
+    assert ended == "ok"
+    assert dict(_PROPERTY.findall(about)) == {
+        "FIRMWARE_NAME": "Grbl",
+        "FIRMWARE_VERSION": "1.1h",
+        "MACHINE_TYPE": "ugrbl",
+        "AXIS_COUNT": "3",
+    }
+    assert not re.search("ok|error", here + about, re.IGNORECASE)
+
+
+def test_m400_is_answered_when_motion_has_ended() -> None:
+    """And M114 at once, with the place of that moment."""
+    bench = Bench()
+    seen: list[str] = []
+
+    def script() -> Iterator[Any]:
+        sender, link = bench.sender, bench.rig.link
+        yield from sender.wait("banner", "")
+        link.send(b"G1 X5 F500\n")
+        yield bench.rig.ms(200)
+        link.send(b"M114\n")
+        yield bench.rig.ms(10)
+        sender.poll()
+        seen.extend(sender.take())
+        assert bench.rig.moving()
+        yield from sender.wait("ok", "M400\n")
+        assert not bench.rig.moving()
+        yield from sender.wait("ok", "M114\n")
+        seen.extend(sender.take())
+
+    bench.rig.run(script())
+    early, late = (float(line[2:7]) for line in seen if line.startswith("X:"))
+    assert 0 < early < 2 and late == 5
+
+
+def test_check_mode_executes_none_of_them() -> None:
+    said = Bench().say("$C", "M114", "M115", "M400", "M204 S9 G1 X1 F100")
+    assert [each[-1] for each in said] == ["ok"] * 5
+    assert said[1:4] == [["ok"]] * 3
 
 
 def test_active_tool_length_is_not_ended_by_an_ignored_word() -> None:

@@ -2,69 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 from typing import Any
 
 import pytest
+from lfs_flash import Files, Flash, cut
 from ports.storage import flash_store
 from ports.storage.flash_store import FlashStore
 
-littlefs = pytest.importorskip("littlefs")
-
-BLOCK, BLOCKS = 4096, 32
 OLD, NEW = ["$0=10", "$110=500.5"], ["$0=3", "$110=1000", "$999=1"]
-
-
-class Flash(littlefs.UserContext):
-    """A flash chip that records every operation that changes it."""
-
-    def __init__(self, image: bytes | None = None) -> None:
-        super().__init__(BLOCK * BLOCKS)
-        if image is not None:
-            self.buffer[:] = image
-        self.log: list[tuple[int, bytes]] = []
-
-    def prog(self, cfg: Any, block: int, off: int, data: bytes) -> int:
-        self.log.append((block * cfg.block_size + off, bytes(data)))
-        return super().prog(cfg, block, off, data)
-
-    def erase(self, cfg: Any, block: int) -> int:
-        self.log.append((block * cfg.block_size, b"\xff" * cfg.block_size))
-        return super().erase(cfg, block)
-
-
-def cut(image: bytes, log: list[tuple[int, bytes]], whole: int, torn: int) -> bytes:
-    """Return the chip after `whole` complete operations and `torn` bytes of the next."""
-    chip = bytearray(image)
-    for at, data in log[:whole]:
-        chip[at : at + len(data)] = data
-    if whole < len(log):
-        at, data = log[whole]
-        chip[at : at + torn] = data[:torn]
-    return bytes(chip)
-
-
-class Files:
-    """`os` and `open` for the store, on that chip."""
-
-    def __init__(self, flash: Flash, fresh: bool) -> None:
-        self.fs = littlefs.LittleFS(
-            context=flash, block_size=BLOCK, block_count=BLOCKS, mount=False, prog_size=256
-        )
-        if fresh:
-            self.fs.format()
-        self.fs.mount()
-
-    def open(self, path: str, mode: str = "r") -> Any:
-        try:
-            return self.fs.open(path, mode)
-        except littlefs.LittleFSError as error:
-            raise OSError(path) from error
-        except FileNotFoundError as error:  # it has no errno here
-            raise OSError(errno.ENOENT, path) from error
-
-    def rename(self, old: str, new: str) -> None:
-        self.fs.rename(old, new)
 
 
 def attach(monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False) -> FlashStore:

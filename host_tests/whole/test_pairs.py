@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from boot import select_extras
 from boot.options import Options
+from machine import Pin
 from ugrbl import paths
 from ugrbl.boardfile.files import load, load_board
 from ugrbl.sim.link import SimLink
@@ -30,6 +31,7 @@ _CUSTOM = "pairs_custom"
 _PLOTTER = load(_EXAMPLES / "my_plotter.py")
 _BRISK = {**dict.fromkeys((110, 111, 112), 2000.0), **dict.fromkeys((120, 121, 122), 500.0)}
 
+_GOOD_PIN = 19  # closed: the supply is good
 # A board file's options for each extra, by its module. axes: more letters; second: motors.
 _ASKED: "dict[str, dict[str, Any]]" = {
     "net.net_access": {"LINK": "wifi"},
@@ -51,6 +53,7 @@ _ASKED: "dict[str, dict[str, Any]]" = {
     "tools.clusters": {"TOOL": "laser", "CLUSTERS": True},
     "underruns": {"COUNT_DRAINS": True},
     "jobs.job_commands": {"JOBS": "jobs"},
+    "power_fail": {"POWER_FAIL": _GOOD_PIN},
     "custom.user_modules": {"CUSTOM": _CUSTOM},
     "dialects.lenient": {"LENIENT": True},
 }
@@ -107,6 +110,7 @@ class Bench:
         self.rig: Any = None
         patch.setattr(time, "ticks_ms", self._now_ms, raising=False)
         patch.setattr(time, "ticks_diff", lambda one, other: one - other, raising=False)
+        Pin(_GOOD_PIN).drive(0)
         link = _on_network if "net.net_access" in extras else SimLink
         self.rig = Rig(made, factory_store(made), link)
         self.sender = Sender(self.rig)

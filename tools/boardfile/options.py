@@ -338,6 +338,20 @@ OPTIONS = (
         "An SD card's pins, SPI: clock, to the card, from it, select. Programs live there then.",
     ),
     Option(
+        *("POWER_FAIL", PIN, None),
+        "A contact to ground that opens when the supply fails; the machine then stops and records "
+        "where it is: see docs/jobs.md.",
+    ),
+    Option(
+        *("POWER_FAIL_MS", COUNT, 100),
+        "For so many ms the supply lasts after that.",
+        low=20,
+    ),
+    Option(
+        *("POWER_FAIL_UP_MM", COUNT, 0),
+        "So many mm Z goes up then, if it is homed and time is left.",
+    ),
+    Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
     ),

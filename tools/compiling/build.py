@@ -42,6 +42,7 @@ _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "ports.storage.job_files": (("JOBS",), True),
     "ports.storage.sd_card": (("SD_CARD",), True),
     "ports.driver_wire": (("TMC2209",), True),
+    "ports.power_input": (("POWER_FAIL",), True),
     "ports.net.page_link": (("PAGE",), True),
     "pio.beam": (("TOOL",), "laser"),
 }
@@ -206,8 +207,13 @@ def _reached(there: Mapping[str, str], board: ModuleType) -> list[str]:
 def _is_off(board: ModuleType, name: str) -> bool:
     asking, wanted = _SWITCHED.get(name, ((), None))
     values = [getattr(board, option, None) for option in asking]
-    found = [bool(value) if wanted is True else value for value in values]
+    found = [_is_given(value) if wanted is True else value for value in values]
     return name in _SWITCHED and wanted not in found
+
+
+def _is_given(value: object) -> bool:
+    """Return whether an option's value selects something; pin 0 does."""
+    return bool(value) or type(value) is int
 
 
 def _extras(board: ModuleType) -> list[str]:

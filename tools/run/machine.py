@@ -106,6 +106,8 @@ def build(
 
         module = _copy(module, module.__name__)
         keep_in_memory(module)
+    if getattr(module, "POWER_FAIL", None) is not None:  # nothing here closes that contact
+        module = _copy(module, module.__name__, POWER_FAIL=None)
     if around.lenient:
         module = _copy(module, module.__name__, LENIENT=True)
     for content in hal_texts.made(module).values():

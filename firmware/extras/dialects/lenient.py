@@ -2,20 +2,23 @@
 
 A line that Grbl refuses is examined once more. Words without a meaning on this machine are
 dropped, M6 becomes a pause, G73 to G89 become drilling (drilling.py). Each such word is reported
-once in a [MSG:]. Every other line is executed as it is. LENIENT = True in the board file selects
-this.
+once in a [MSG:]. OpenPnP's M114, M115 and M400 are answered in Marlin's form, which it reads.
+Every other line is executed as it is. LENIENT = True in the board file selects this.
 """
 
 from base import state as st
+from base.axes import LETTERS
 from base.errors import (
     GCODE_G53_INVALID_MOTION_MODE,
     GCODE_MODAL_GROUP_VIOLATION,
     GrblError,
 )
+from base.float32 import vector
 from base.text import text_of
 from control.modes import SPINDLE
 from language.block_layout import SET_TOOL
 from micropython import const
+from talk.report import VERSION
 
 from extras.custom_codes import word_of
 from extras.dialects.drilling import CYCLES, MOTIONS, Drilling, has, joined
@@ -43,6 +46,7 @@ _WORDS = {
     "G98": "cycles end where the first of them began",
     "G99": "cycles end at R",
     "M6": "a pause with the spindle off, and ~ goes on",
+    "M204": "passed over: $120 and on are the accelerations",
 }
 _CYCLE = "a drilling cycle"
 # Words in tenths.
@@ -57,6 +61,10 @@ _G80 = const(800)
 _G98 = const(980)
 _G99 = const(990)
 _M6 = const(60)
+_M114 = const(1140)
+_M115 = const(1150)
+_M204 = const(2040)
+_M400 = const(4000)
 _HAVE_P = (_G4, 100) + tuple(CYCLES)  # with these on the line, P and Q are not those of G64
 _SPINDLE_WORDS = (30, 40)  # M3, M4: with these on the line S is a speed
 _ENDS = (20, 300)  # M2, M30
@@ -161,6 +169,8 @@ class Lenient:
         """
         if words is None or self._cnc.has_word(line, length):
             return False
+        if self._answers(words):
+            return True
         if has(words, "G", _G98) and has(words, "G", _G99):
             raise GrblError(GCODE_MODAL_GROUP_VIOLATION)
         names = ["%"] if line.find(b"%", 0, length) >= 0 else []
@@ -186,6 +196,30 @@ class Lenient:
             drilling.to_r = to_r
         return bool(names)
 
+    def _answers(self, words: "list[Word]") -> bool:
+        """Execute M114, M115 or M400, alone on its line but for N. Return whether it is one."""
+        asked = [word for word in words if word[0] != "N"]
+        if len(asked) != 1 or not has(asked, "M", _M114, _M115, _M400):
+            return False
+        machine = self._machine
+        axes = machine.planner.axes
+        if machine.state.run == st.CHECK:
+            return True
+        if has(asked, "M", _M400):
+            machine.canon.synchronise()
+        elif has(asked, "M", _M115):
+            about = "FIRMWARE_NAME:Grbl FIRMWARE_VERSION:%s MACHINE_TYPE:ugrbl AXIS_COUNT:%d"
+            self._cnc.write_line((about % (VERSION, axes)).encode())
+        else:
+            here = vector(axes)
+            machine.position(here)
+            coords = machine.coords
+            for i in range(axes):
+                here[i] -= coords.work_zero(coords.active, i)
+            places = ["%s:%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
+            self._cnc.write_line(" ".join(places).encode())
+        return True
+
     def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":
         """Return the words that stay. The names of the others are added to names."""
         rest = []
@@ -207,12 +241,16 @@ class Lenient:
             return "O" if all(other[0] in "NO" for other in words) else ""
         if letter == "H":
             return self._name_g(_G43, words) if has(words, "G", _G43) else ""
+        if letter in "SP" and _sets_acceleration(words):
+            return "M204"
         if letter in "PQ":
             return "G64" if has(words, "G", _G64) and not has(words, "G", *_HAVE_P) else ""
         if letter == "S":
             is_speed = has(words, "P") or has(words, "M", *_SPINDLE_WORDS)
             return "G4 S" if has(words, "G", _G4) and not is_speed else ""
         if letter == "M":
+            if tenths == _M204 and _sets_acceleration(words):
+                return "M204"
             return "M6" if tenths == _M6 else ""
         return self._name_g(tenths, words) if letter == "G" else ""
 
@@ -243,6 +281,11 @@ class Lenient:
             self._machine.canon.synchronise()
             self._cnc.message("Tool %s, then ~" % self._tool)
         self._run("M0")
+
+
+def _sets_acceleration(words: "list[Word]") -> bool:
+    """Return whether M204 is on the line, and S is no speed of a spindle, T no tool."""
+    return has(words, "M", _M204) and not (has(words, "M", *_TURNING) or has(words, "T"))
 
 
 def _words(line: bytearray, length: int) -> "list[Word] | None":

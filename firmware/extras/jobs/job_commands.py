@@ -51,7 +51,7 @@ def install(cnc: "Cnc") -> None:
     assert files
     files.on_progress = cnc.service
     reader = LineReader(_READ_AHEAD, _LONGEST, cnc.machine.reader.post)
-    run = JobRun(cnc, files, reader)
+    cnc.job = run = JobRun(cnc, files, reader)
     jobs = Jobs(cnc, files, run, Upload(cnc, files, reader))
     cnc.add_command(b"F", jobs.command, _STATES)
     cnc.add_command(b"SD", jobs.fluidnc, _STATES)

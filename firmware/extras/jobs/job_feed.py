@@ -95,17 +95,18 @@ def _deliver(
 def _note(at: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
     """Note the lines of the blocks planned since the last call. Return the last line.
 
-    answers: number of lines answered now, 1 or 2. If two lines have made one block, it is noted as
-    the first one's.
+    answers: number of lines answered now, 1 or 2; 0 within a line, an arc for example. If two
+    lines have made one block, it is noted as the first one's.
     """
     row = at[_NOTED]
     head = flow[layout.HEAD]
     rows = flow[layout.ROWS]
     line = at[_ANSWERED] + 1
+    later = at[_ANSWERED] + answers if answers else line
     at[_ANSWERED] += answers
     while row != head:
         lines[row] = line
-        line = at[_ANSWERED]
+        line = later
         row += 1
         if row == rows:
             row = 0
@@ -165,10 +166,12 @@ class Feed:
         count = self._read(self._heard)
         if count:
             self._receive(count)
+        if self._at[_NOTED] != self._flow[layout.HEAD]:
+            _note(self._at, self._lines, self._flow, 0)
         port = self._machine.port
         if port.elapsed_ms(self._since) >= _MADE_MS:
             self._since = port.ticks_ms()
-            self._before, self._made = self._made, self._being_made()
+            self._before, self._made = self._made, self.line_in_motion()
             state = self._machine.state
             if state.suspend & st.HOLD_COMPLETE and not state.system_motion:  # and not parking
                 self._hold()
@@ -268,7 +271,8 @@ class Feed:
     def _has_stack(self, more: int) -> bool:
         return micropython.stack_use() - self._depth < more
 
-    def _being_made(self) -> int:
+    def line_in_motion(self) -> int:
+        """Return the line of the block that the engine was given last."""
         flow = self._flow
         tail = flow[layout.TAIL]
         return self._at[_ANSWERED] + 1 if tail == flow[layout.HEAD] else self._lines[tail]

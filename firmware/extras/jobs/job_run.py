@@ -274,6 +274,25 @@ class JobRun:
             self._rest.close()
             self._rest = None
 
+    def line_at_stop(self, is_certain: bool) -> "tuple[int, int]":
+        """Return the line of a job that has stopped, and its CRC-32; zeros without one.
+
+        Not certain: motion was stopped at once, so it is a line 40 to 80 ms before.
+        """
+        if not self._feed.is_on or self._rest or self._machine.state.run == st.CHECK:
+            return 0, 0
+        line = self._feed.line_in_motion() if is_certain else self._feed.executed_line()
+        return line, self._start[_CRC]
+
+    def correct(self, line: int, crc: int) -> str:
+        """Store the line if the unfinished job has this CRC-32. Return its name, or ""."""
+        kept = self.journal()
+        if not kept or json.loads(kept[2])[_CRC] != crc:
+            return ""
+        self._machine.saves.save(_JOURNAL, [kept[0], str(line), kept[2]])
+        self._machine.save_due()
+        return kept[0]
+
     def on_program_end(self) -> None:
         """Drop the lines after M2 or M30."""
         self._entry.has_ended = True

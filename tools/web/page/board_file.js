@@ -89,6 +89,7 @@ function heldPins(draft) {
     if (Object.keys(pins || {}).length) found.push([name, Object.values(pins)]);
   }
   for (const name of ["SD_CARD", "TMC_UART"]) if (draft.kept?.[name]) found.push([name, draft.kept[name]]);
+  if (Number.isInteger(draft.kept?.POWER_FAIL)) found.push(["POWER_FAIL", [draft.kept.POWER_FAIL]]);
   return found;
 }
 

@@ -1,0 +1,173 @@
+"""Prepared pages: a block of flash that is erased in advance, for records that cannot wait.
+
+To save a file a file system may have to erase a block, which takes up to 0.4 s. A record here is
+programmed into a page that is erased already: 0.4 to 3 ms (data sheet), one call. For this a file
+of one block is written beforehand: 16 bytes by which the block is found, and 0xFF, as which erased
+flash reads. littlefs puts such a file into one block and leaves it there; it has no checksum of
+the content. So the pages of that block may be programmed without the file system. Only bits that
+are 1 change.
+"""
+
+import binascii
+import os
+import struct
+import sys
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import Any
+
+    from interfaces import Store
+
+_FILE = "/pages"
+_NEW = "/pages.new"
+_BLOCK = const(4096)
+_PAGE = const(256)
+_PAGES = const(16)
+_MARK = const(16)  # bytes at the beginning of the block: the name, then random ones
+_NAME = b"page"
+_BLANK = const(0xFF)
+_NONE = const(-1)
+_COUNT_BLOCKS = const(4)  # ioctl() of a block device
+# A page has the record's length, its CRC-32, and the record.
+_HEAD = "<HI"
+_HEAD_BYTES = const(6)
+
+
+def flash_of_chip() -> "Any":
+    """Return the block device on which the chip's file system is; None on a desktop."""
+    try:
+        if sys.platform == "esp32":
+            from flashbdev import bdev  # type: ignore[import-not-found]
+
+            return bdev
+        from _rp2 import Flash  # type: ignore[import-not-found]
+
+        return Flash()
+    except ImportError:
+        return None
+
+
+def _nothing() -> None:
+    """Do nothing: before() and after() of a store on a desktop."""
+
+
+class PreparedPages:
+    """The pages. All calls only while idle; find() and erase() take time."""
+
+    def __init__(self) -> None:
+        self._flash: "Any" = None
+        self._store: "Any" = None
+        self._block = _NONE
+        self._page = _PAGES  # the next one to be written
+        self._is_foreign = False  # the file system does not keep the file as one block
+        self._data = bytearray(_PAGE)
+
+    def connect(self, store: "Store") -> None:
+        """Set the store, whose before() and after() are called around flash writes."""
+        self._store = store
+
+    def is_fresh(self) -> bool:
+        """Return whether all pages are free."""
+        return self._block != _NONE and self._page == 1
+
+    def find(self) -> None:
+        """Find the block of the file, and its first free page."""
+        self._block, self._page = _NONE, 1
+        if self._flash is None:
+            self._flash = flash_of_chip()
+        if self._flash is None:
+            return
+        try:
+            with open(_FILE, "rb") as file:
+                mark = file.read(_MARK)
+                is_whole = file.seek(0, 2) == _BLOCK
+        except OSError:
+            return
+        if not is_whole or mark[: len(_NAME)] != _NAME:
+            return
+        found = self._blocks(mark)
+        self._is_foreign = not found
+        if len(found) == 1:  # two of them: the file system has moved it
+            self._block = found[0]
+            blank = bytes([_BLANK]) * _PAGE
+            while self._page < _PAGES and self._content(self._page) != blank:
+                self._page += 1
+
+    def _blocks(self, mark: bytes) -> "list[int]":
+        begin = bytearray(_MARK)
+        found = []
+        for block in range(self._flash.ioctl(_COUNT_BLOCKS, 0)):
+            self._flash.readblocks(block, begin, 0)
+            if begin == mark:
+                found.append(block)
+        return found
+
+    def _content(self, page: int) -> bytearray:
+        """Return a page, in an array that the next call changes."""
+        self._flash.readblocks(self._block, self._data, _PAGE * page)
+        return self._data
+
+    def erase(self) -> bool:
+        """Replace the file by a new one without records. Return is_fresh().
+
+        A power cut leaves the old file or the new one.
+        """
+        if self._flash is None or self._is_foreign:
+            return False
+        try:
+            self._around(self._make)
+        except OSError:
+            return False
+        self.find()
+        return self.is_fresh()
+
+    def _make(self) -> None:
+        blank = bytes([_BLANK]) * _PAGE
+        with open(_NEW, "wb") as file:
+            file.write(_NAME + os.urandom(_MARK - len(_NAME)) + blank[_MARK:])
+            for _ in range(_PAGES - 1):
+                file.write(blank)
+        os.rename(_NEW, _FILE)
+
+    def _around(self, work: "Any") -> None:
+        getattr(self._store, "before", _nothing)()
+        try:
+            work()
+        finally:
+            getattr(self._store, "after", _nothing)()
+
+    def write(self, record: "bytes | bytearray") -> bool:
+        """Program a record of up to 250 bytes into the next page. False if it is not there then.
+
+        A page that did not keep it is left out, and the next one is tried. The rest of the page
+        has no meaning.
+        """
+        data = self._data
+        while self._block != _NONE and self._page < _PAGES:
+            struct.pack_into(_HEAD, data, 0, len(record), binascii.crc32(record))
+            data[_HEAD_BYTES : _HEAD_BYTES + len(record)] = record
+            self._around(self._program)
+            self._page += 1
+            if self._read(self._page - 1) == record:
+                return True
+        return False
+
+    def _program(self) -> None:
+        self._flash.writeblocks(self._block, self._data, _PAGE * self._page)
+
+    def records(self) -> "Iterator[bytes]":
+        """Yield the records that are whole, the newest first."""
+        for page in range(self._page - 1, 0, -1):
+            record = self._read(page)
+            if record is not None:
+                yield record
+
+    def _read(self, page: int) -> "bytes | None":
+        data = self._content(page)
+        length, checksum = struct.unpack_from(_HEAD, data, 0)
+        record = bytes(data[_HEAD_BYTES : _HEAD_BYTES + length])
+        return record if binascii.crc32(record) == checksum else None

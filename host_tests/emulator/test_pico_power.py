@@ -1,0 +1,65 @@
+"""POWER_FAIL on the emulated Pico: from the edge to the last byte in flash, and the next start.
+
+`-s` prints the time. The emulator programs a page in no time; the data sheet says 3 ms at most.
+"""
+
+import re
+from pathlib import Path
+
+import pytest
+from chips import CHIP
+from test_pico_jobs import _JOB, _SETTINGS, home, made, place_of, powered, push
+
+pytestmark = pytest.mark.xdist_group("pico jobs")
+
+_PIN = 20
+_PAGE_US = 3_000
+_LASTS_US = 100_000
+_REPORT = re.compile(
+    r"Job STAIRS.NC: power failed at line (\d+), position certain: "
+    r"X(-?[\d.]+) Y(-?[\d.]+) Z(-?[\d.]+)\]"
+)
+# The emulator has no contact to hold this pin; without a pull-up it reads low, as if closed.
+_OPTIONS = f"POWER_FAIL = {_PIN}\nNO_PULL_UP = ({_PIN},)"
+_BRISK = tuple(line.replace("=500", "=1000") for line in _SETTINGS)
+
+
+def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: Path) -> None:
+    flash = made(tmp_path, uf2, _OPTIONS, _BRISK)
+    machine = powered(uf2, flash)
+    pico = machine.pico
+    machine.ask("$X")
+    push(machine, "STAIRS.NC", "".join(f"{line}\n" for line in _JOB).encode())
+    odometer = home(machine)
+    machine.forget()
+    machine.send("$F=stairs.nc\n")
+    machine.wait_for("Job STAIRS.NC: begins")
+    pico.run_us(600_000)
+    assert machine.status()["state"] == "Run"
+    programs: list[float] = []
+    erasures: list[float] = []
+    pico.on_program = lambda: programs.append(pico.us)
+    pico.on_erase = lambda: erasures.append(pico.us)
+    edge = pico.us
+    pico.drive(_PIN, 1)
+    pico.run_until(lambda: bool(programs), _LASTS_US, step_us=100)
+    taken = programs[0] + _PAGE_US - edge
+    print(f"{taken / 1000:.1f} ms from the edge to the last byte")
+    assert taken < _LASTS_US and not erasures, "an erasure takes up to 0.4 s"
+    here, flash = odometer.read(), pico.read_flash(0, CHIP.flash)  # and the supply is gone
+
+    machine = powered(uf2, flash)
+    machine.wait_for("last noted: line ")
+    machine.wait_for("]\r\n")
+    found = _REPORT.search(machine.said)
+    assert found, machine.said
+    line = int(found[1])
+    assert f"last noted: line {line}]" in machine.said
+    at = [round(100 * float(word)) + 200 for word in found.groups()[1:]]  # switches are at 200
+    assert at == here
+    for axis, ends in enumerate(zip(place_of(_JOB[line - 2]), place_of(_JOB[line - 1]))):
+        assert min(ends) - 0.011 <= (here[axis] - 200) / 100 <= max(ends) + 0.011
+    home(machine)
+    machine.forget()
+    machine.send("$F=@\n")
+    machine.wait_for(f"Job STAIRS.NC: goes on at line {line}")

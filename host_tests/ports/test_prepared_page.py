@@ -1,0 +1,144 @@
+"""Prepared pages on a real littlefs image: erased in advance, written without the file system."""
+
+from typing import Any
+
+import pytest
+from lfs_flash import BLOCK, PAGE, BlockDevice, Files, Flash, cut
+from ports.storage import prepared_page
+from ports.storage.prepared_page import PreparedPages
+
+_RECORD = bytes(range(40))
+
+
+def attach(
+    monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False
+) -> "tuple[PreparedPages, Files]":
+    """Return pages on that chip, and its files."""
+    files = Files(flash, fresh)
+    monkeypatch.setattr(prepared_page, "open", files.open, raising=False)
+    monkeypatch.setattr(prepared_page, "os", files)
+    monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: BlockDevice(flash))
+    pages = PreparedPages()
+    pages.find()
+    return pages, files
+
+
+def erased(flash: Flash, before: int) -> int:
+    """Return how many blocks have been erased since that entry of the log."""
+    return sum(len(data) == BLOCK for _, data in flash.log[before:])
+
+
+def test_record_is_one_page_without_an_erasure_and_survives_a_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flash = Flash()
+    pages, files = attach(monkeypatch, flash, fresh=True)
+    assert not pages.is_fresh() and not pages.write(_RECORD)
+    assert pages.erase()
+    files.fs.open("/settings.txt", "wb").close()  # the file system goes on
+    before = len(flash.log)
+    assert pages.write(_RECORD) and pages.write(b"second")
+    assert [len(data) for _, data in flash.log[before:]] == [PAGE, PAGE]
+    again, files = attach(monkeypatch, Flash(bytes(flash.buffer)))
+    assert list(again.records()) == [b"second", _RECORD] and not again.is_fresh()
+    assert again.erase() and list(again.records()) == []
+    assert files.fs.stat("/pages").size == BLOCK
+
+
+def test_pages_stay_where_they_are_while_other_files_are_written(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flash = Flash()
+    pages, files = attach(monkeypatch, flash, fresh=True)
+    pages.erase()
+    assert pages.write(_RECORD)
+    for number in range(200):
+        with files.fs.open(f"/{number % 7}.txt", "wb") as file:
+            file.write(bytes([number]) * (number * 97 % 9000))
+    for _ in range(13):
+        assert pages.write(b"more")
+    again, _ = attach(monkeypatch, Flash(bytes(flash.buffer)))
+    assert list(again.records()) == [*[b"more"] * 13, _RECORD]
+
+
+def test_last_page_is_used_and_no_other_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    flash = Flash()
+    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages.erase()
+    before = bytes(flash.buffer)
+    written = [pages.write(b"%d" % i) for i in range(20)]
+    assert written == [True] * 15 + [False] * 5
+    changed = {i // BLOCK for i in range(len(before)) if before[i] != flash.buffer[i]}
+    assert len(changed) == 1
+
+
+def test_record_that_a_power_cut_has_torn_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    flash = Flash()
+    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages.erase()
+    pages.write(b"first")
+    image = bytes(flash.buffer)
+    flash.log.clear()
+    pages.write(_RECORD)
+    for torn in range(PAGE + 1):
+        left, _ = attach(monkeypatch, Flash(cut(image, flash.log, 0, torn)))
+        expected = [_RECORD, b"first"] if torn >= 46 else [b"first"]
+        assert list(left.records()) == expected, torn
+
+
+def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flash = Flash()
+    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages.erase()
+    pages.write(_RECORD)
+    image = bytes(flash.buffer)
+    flash.log.clear()
+    pages.erase()
+    assert erased(flash, 0)
+    found = set()
+    for whole, (_, data) in enumerate([*flash.log, (0, b"")]):
+        for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
+            left, _ = attach(monkeypatch, Flash(cut(image, flash.log, whole, torn)))
+            records = tuple(left.records())
+            assert records in ((), (_RECORD,)), (whole, torn)
+            assert left.is_fresh() == (not records)
+            found.add(records)
+    assert len(found) == 2, "cuts must fall on both sides of the change"
+
+
+def test_page_that_does_not_keep_it_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    flash = Flash()
+    pages, _ = attach(monkeypatch, flash, fresh=True)
+    pages.erase()
+    flash.buffer[BLOCK * pages._block + PAGE + 8] = 0  # a worn cell
+    before = len(flash.log)
+    assert pages.write(_RECORD)
+    assert len(flash.log) - before == 2 and list(pages.records()) == [_RECORD]
+
+
+def test_file_system_that_keeps_files_elsewhere_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """For example a FAT. The file is made once, not at each start."""
+    flash, other = Flash(), Flash()
+    pages, _ = attach(monkeypatch, flash, fresh=True)
+    monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: BlockDevice(other))
+    for _ in range(3):
+        pages = PreparedPages()
+        pages.find()
+        assert not pages.erase() and not pages.write(_RECORD)
+        before = len(flash.log)
+    assert before and len(flash.log) == before
+    assert not any(other.buffer.strip(b"\xff"))
+
+
+def test_desktop_has_no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise AssertionError("a file of this computer")
+
+    monkeypatch.setattr(prepared_page, "open", refuse, raising=False)
+    pages = PreparedPages()
+    pages.find()
+    assert not pages.erase() and not pages.write(_RECORD) and not pages.is_fresh()
