@@ -1,8 +1,9 @@
 """The page: its parts joined into one file, and its files on a board.
 
-index.html names its parts, which are files in its folder, in comments. DATA is not a file: it has
-the data for making board files, from our tables. firmware/ports/net/page.py defines the file
-names on a board.
+index.html names its parts, which are files in its folder, in comments. DATA and TEXTS are not
+files: they have the data for making board files, from our tables, and the other languages. The
+joined page has neither comments of scripts nor indentation, so it is smaller by a tenth.
+firmware/ports/net/page.py defines the file names on a board.
 """
 
 import gzip
@@ -10,12 +11,17 @@ import json
 import re
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from .. import paths
+from . import page_texts
 
 _FOLDER = paths.TOOLS / "web" / "page"
 _PART = re.compile(r"<!-- part: ([\w.]+) -->\n")
+_SCRIPT = re.compile("(<script>\n)(.*?)(</script>)", re.DOTALL)
+_COMMENT_AFTER_CODE = re.compile(r"(?<=[;{},]) +// [^\"'`]*$")
 DATA = "board_data"
+TEXTS = "texts"
 # Parts that a page from a board cannot use, because browsers open a USB port only for a file from
 # disk, or for an address that is this computer's or has TLS.
 _USB_ONLY = (
@@ -26,13 +32,16 @@ _USB_ONLY = (
 
 @cache
 def page(from_board: bool = False) -> str:
-    """Return the page; from_board: without parts for Web Serial. OSError if a part is missing."""
+    """Return the page; from_board: without parts for Web Serial and in English only. OSError if a
+    part is missing."""
 
     def joined(text: str) -> str:
         return _PART.sub(part, text)
 
     def part(found: "re.Match[str]") -> str:
         name = found[1]
+        if name == TEXTS:
+            return _as_data(name, page_texts.data({} if from_board else page_texts.tables(_FOLDER)))
         return "" if from_board and name in _USB_ONLY else joined(_wrapped(name))
 
     return joined(_wrapped("index.html"))
@@ -43,12 +52,38 @@ def _wrapped(name: str) -> str:
     if name == DATA:
         from ..boardfile import page_data
 
-        text = json.dumps(page_data.data(), separators=(",", ":"), ensure_ascii=False)
-        # Else "</script>" in a comment of a board file would end the element.
-        text = text.replace("</", "<\\/")
-        return f'<script type="application/json" id="{DATA}">{text}</script>\n'
+        return _as_data(name, page_data.data())
     text = (_FOLDER / name).read_text(encoding="utf-8")
-    return f'<script>\n"use strict";\n\n{text}</script>\n' if name.endswith(".js") else text
+    if name.endswith(".js"):
+        return f'<script>\n"use strict";\n{_lean(text)}</script>\n'
+    return _SCRIPT.sub(lambda found: found[1] + _lean(found[2]) + found[3], text)
+
+
+def _as_data(name: str, content: dict[str, Any]) -> str:
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=False)
+    # Else "</script>" in a comment of a board file would end the element.
+    text = text.replace("</", "<\\/")
+    return f'<script type="application/json" id="{name}">{text}</script>\n'
+
+
+def _lean(script: str) -> str:
+    """Return a script without comments and indentation; templates of several lines, which hold
+    Python, are unchanged."""
+    kept = []
+    in_comment = in_template = False
+    for line in script.splitlines(keepends=True):
+        code = line.strip()
+        if in_template:
+            kept.append(line)
+        elif in_comment or code.startswith("/**"):
+            in_comment = not code.endswith("*/")
+            continue
+        elif code and not code.startswith("//"):
+            kept.append(_COMMENT_AFTER_CODE.sub("", code) + "\n")
+        else:
+            continue
+        in_template ^= line.count("`") % 2 == 1
+    return "".join(kept)
 
 
 def names() -> tuple[str, str]:

@@ -1,0 +1,194 @@
+"""Find the texts that the page can show: in its HTML, in its scripts, and in its data.
+
+In scripts a text is a template tagged with t, or comes from data by translated(). `untagged`
+returns the literals that look like a sentence and are not tagged.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+
+from ugrbl import paths
+from ugrbl.boardfile import page_data
+from ugrbl.docs import browser
+
+PAGE = paths.TOOLS / "web" / "page"
+ATTRIBUTES = ("title", "placeholder", "aria-label")  # as in texts.js
+_SCRIPT = re.compile("<script>\n(.*?)</script>", re.DOTALL)
+_ESCAPE = re.compile(r"\\(.)", re.DOTALL)
+_BEFORE_REGEX = "(,=:[!&|?{};+-*%<>~^"
+_WORD_BEFORE_REGEX = re.compile(r"\b(return|typeof|case)$")
+# Two words, of which one begins with a small letter.
+_SENTENCE = re.compile(r"[A-Za-z']{2,}[,.:;]? [a-z]{2,}|[a-z']{2,}[,.:;]? [A-Za-z]{2,}")
+# Where a literal is no text: a style, a class, a selector, a message for the console.
+_NO_TEXT = re.compile(r"(className|style|class|font): $|font = $|(querySelector(All)?|info)\($")
+
+
+@dataclass
+class Literal:
+    """A string or template. parts: its texts, around its values; before: the code before it."""
+
+    parts: list[str]
+    before: str
+    inside: "list[Literal]" = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """The text with {0}, {1} … for values, as in the tables."""
+        first, *rest = (_ESCAPE.sub(_unescaped, part) for part in self.parts)
+        return first + "".join(f"{{{index}}}{part}" for index, part in enumerate(rest))
+
+    @property
+    def is_tagged(self) -> bool:
+        return re.search(r"(?<![\w$])t$", self.before) is not None
+
+
+def shown() -> set[str]:
+    """Return all texts that the tables must have."""
+    literals = [one for source in _scripts().values() for one in _literals(source)]
+    return {*_of_html(), *_of_words(), *_of_boards(), *(x.text for x in literals if x.is_tagged)}
+
+
+def untagged() -> list[str]:
+    """Return the sentences in scripts that are not tagged, with their file."""
+    return [
+        f"{name}: {one.text}"
+        for name, source in _scripts().items()
+        for one in _literals(source)
+        if not one.is_tagged and _SENTENCE.search(one.text) and not _NO_TEXT.search(one.before)
+    ]
+
+
+# HTML
+
+
+class _Texts(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: set[str] = set()
+        self._skips = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, "str | None"]]) -> None:
+        self._skips = tag in ("script", "style", "title")
+        self.found.update(value for name, value in attrs if name in ATTRIBUTES and value)
+
+    def handle_endtag(self, tag: str) -> None:
+        self._skips = False
+
+    def handle_data(self, data: str) -> None:
+        text = " ".join(data.split())
+        if not self._skips and re.search("[A-Za-z]{2}", text):
+            self.found.add(text)
+
+
+# What is the same in all languages.
+_SAME = {"mm/min", "25 %", "Y+", "STOP", "3D", "board.py", "custom.py", "{depth=5}", "$22=0"}
+
+
+def _of_html() -> set[str]:
+    parser = _Texts()
+    for file in PAGE.glob("*.html"):
+        if file.name != "first.html":  # it only fetches the page
+            parser.feed(file.read_text(encoding="utf-8"))
+    return parser.found - _SAME
+
+
+# Data
+
+
+def _of_words() -> Iterator[str]:
+    words = browser.words()
+    yield from words["errors"].values()
+    yield from words["alarms"].values()
+    for kind in ("settings", "laser", "punch"):
+        for name, text, unit, limits, *_ in words[kind].values():
+            boxes = unit in ("boolean", "mask")  # its unit and limits are not shown
+            yield from filter(None, (name, text) if boxes else (name, text, unit, limits))
+    yield "0 or 1"  # in the answer to another value
+
+
+def _of_boards() -> Iterator[str]:
+    data = page_data.data()
+    for chip in data["chips"].values():
+        yield from (chip["title"], *chip["odd"].values())
+    for title, options in data["forms"].items():
+        yield from (title, *(option["meaning"] for option in options))
+    yield from (board["about"] for board in data["boards"].values())
+    yield data["noPage"]
+
+
+# Scripts
+
+
+def _scripts() -> dict[str, str]:
+    index = (PAGE / "index.html").read_text(encoding="utf-8")
+    files = {file.name: file.read_text(encoding="utf-8") for file in sorted(PAGE.glob("*.js"))}
+    return {"index.html": "\n".join(_SCRIPT.findall(index)), **files}
+
+
+def _literals(source: str) -> list[Literal]:
+    """Return all strings and templates, also those in the values of templates."""
+    found: list[Literal] = []
+    _scan(source, 0, found, in_value=False)
+    return found
+
+
+def _scan(source: str, at: int, found: list[Literal], in_value: bool) -> int:
+    """Scan code; in_value: up to the end of a template's value. Return the index after it."""
+    depth, last = 0, ""
+    while at < len(source):
+        sign = source[at]
+        if source.startswith("//", at):
+            at = source.find("\n", at)
+            continue
+        if source.startswith("/*", at):
+            at = source.find("*/", at) + 2
+            continue
+        if sign in "\"'`":
+            at = _template(source, at, found) if sign == "`" else _string(source, at, found)
+            last = '"'
+            continue
+        if sign == "/" and (last in _BEFORE_REGEX or _WORD_BEFORE_REGEX.search(source[:at].rstrip())):
+            at, last = _regex(source, at), '"'
+            continue
+        if sign == "}" and in_value and not depth:
+            return at + 1
+        depth += (sign == "{") - (sign == "}")
+        last = last if sign.isspace() else sign
+        at += 1
+    return at
+
+
+def _string(source: str, start: int, found: list[Literal]) -> int:
+    at = start + 1
+    while source[at] != source[start]:
+        at += 1 + (source[at] == "\\")
+    found.append(Literal([source[start + 1 : at]], source[max(0, start - 20) : start]))
+    return at + 1
+
+
+def _template(source: str, start: int, found: list[Literal]) -> int:
+    at, begin, parts = start + 1, start + 1, []
+    while source[at] != "`":
+        if source.startswith("${", at):
+            parts.append(source[begin:at])
+            begin = at = _scan(source, at + 2, found, in_value=True)
+        else:
+            at += 1 + (source[at] == "\\")
+    parts.append(source[begin:at])
+    found.append(Literal(parts, source[max(0, start - 20) : start]))
+    return at + 1
+
+
+def _regex(source: str, at: int) -> int:
+    in_class = False
+    at += 1
+    while in_class or source[at] != "/":
+        in_class = (in_class or source[at] == "[") and source[at] != "]"
+        at += 1 + (source[at] == "\\")
+    return at + 1
+
+
+def _unescaped(found: "re.Match[str]") -> str:
+    return {"n": "\n", "t": "\t"}.get(found[1], found[1])
