@@ -15,6 +15,10 @@ from ugrbl.docs import browser
 
 PAGE = paths.TOOLS / "web" / "page"
 ATTRIBUTES = ("title", "placeholder", "aria-label")  # as in texts.js
+# Names and units that are the same in all languages, and placeholders.
+_SAME = re.compile(
+    r"Raspberry Pi Pico( 2)?( W)?|ESP32(-S3)?|STOP|Hz|mm/(min|m)|(board|custom)\.py|\{depth=5\}"
+)
 _SCRIPT = re.compile("<script>\n(.*?)</script>", re.DOTALL)
 _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 _BEFORE_REGEX = "(,=:[!&|?{};+-*%<>~^"
@@ -47,7 +51,9 @@ class Literal:
 def shown() -> set[str]:
     """Return all texts that the tables must have."""
     literals = [one for source in _scripts().values() for one in _literals(source)]
-    return {*_of_html(), *_of_words(), *_of_boards(), *(x.text for x in literals if x.is_tagged)}
+    tagged = (literal.text for literal in literals if literal.is_tagged)
+    found = {*_of_html(), *_of_words(), *_of_boards(), *tagged}
+    return {text for text in found if not _SAME.fullmatch(text)}
 
 
 def untagged() -> list[str]:
@@ -82,16 +88,12 @@ class _Texts(HTMLParser):
             self.found.add(text)
 
 
-# What is the same in all languages.
-_SAME = {"mm/min", "25 %", "Y+", "STOP", "3D", "board.py", "custom.py", "{depth=5}", "$22=0"}
-
-
 def _of_html() -> set[str]:
     parser = _Texts()
     for file in PAGE.glob("*.html"):
         if file.name != "first.html":  # it only fetches the page
             parser.feed(file.read_text(encoding="utf-8"))
-    return parser.found - _SAME
+    return parser.found
 
 
 # Data
