@@ -151,7 +151,9 @@ def _scan(source: str, at: int, found: list[Literal], in_value: bool) -> int:
             at = _template(source, at, found) if sign == "`" else _string(source, at, found)
             last = '"'
             continue
-        if sign == "/" and (last in _BEFORE_REGEX or _WORD_BEFORE_REGEX.search(source[:at].rstrip())):
+        if sign == "/" and (
+            last in _BEFORE_REGEX or _WORD_BEFORE_REGEX.search(source[:at].rstrip())
+        ):
             at, last = _regex(source, at), '"'
             continue
         if sign == "}" and in_value and not depth:

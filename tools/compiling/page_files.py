@@ -41,7 +41,9 @@ def page(from_board: bool = False) -> str:
     def part(found: "re.Match[str]") -> str:
         name = found[1]
         if name == TEXTS:
-            return _as_data(name, page_texts.data({} if from_board else page_texts.tables(_FOLDER)))
+            return _as_data(
+                name, page_texts.data({} if from_board else page_texts.tables(_FOLDER))
+            )
         return "" if from_board and name in _USB_ONLY else joined(_wrapped(name))
 
     return joined(_wrapped("index.html"))
