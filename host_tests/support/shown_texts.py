@@ -6,11 +6,12 @@ returns the literals that look like a sentence and are not tagged.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html.parser import HTMLParser
 
 from ugrbl import paths
 from ugrbl.boardfile import page_data
+from ugrbl.compiling import page_script
 from ugrbl.docs import browser
 
 PAGE = paths.TOOLS / "web" / "page"
@@ -21,8 +22,6 @@ _SAME = re.compile(
 )
 _SCRIPT = re.compile("<script>\n(.*?)</script>", re.DOTALL)
 _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
-_BEFORE_REGEX = "(,=:[!&|?{};+-*%<>~^"
-_WORD_BEFORE_REGEX = re.compile(r"\b(return|typeof|case)$")
 # Two words, of which one begins with a small letter.
 _SENTENCE = re.compile(r"[A-Za-z']{2,}[,.:;]? [a-z]{2,}|[a-z']{2,}[,.:;]? [A-Za-z]{2,}")
 # Where a literal is no text: a style, a class, a selector, a message for the console.
@@ -35,7 +34,6 @@ class Literal:
 
     parts: list[str]
     before: str
-    inside: "list[Literal]" = field(default_factory=list)
 
     @property
     def text(self) -> str:
@@ -54,6 +52,11 @@ def shown() -> set[str]:
     tagged = (literal.text for literal in literals if literal.is_tagged)
     found = {*_of_html(), *_of_words(), *_of_boards(), *tagged}
     return {text for text in found if not _SAME.fullmatch(text)}
+
+
+def same() -> set[str]:
+    """Return the texts that the page looks up, and that are the same in all languages."""
+    return {text for text in (*_of_html(), *_of_words(), *_of_boards()) if _SAME.fullmatch(text)}
 
 
 def untagged() -> list[str]:
@@ -132,66 +135,20 @@ def _scripts() -> dict[str, str]:
 def _literals(source: str) -> list[Literal]:
     """Return all strings and templates, also those in the values of templates."""
     found: list[Literal] = []
-    _scan(source, 0, found, in_value=False)
+    open_templates: list[Literal] = []
+    before = ""
+    for kind, text in page_script.pieces(source):
+        if kind == page_script.LITERAL and text[0] in "\"'":
+            found.append(Literal([text[1:-1]], before))
+        elif kind == page_script.LITERAL and text[0] != "/":
+            if text[0] == "`":
+                open_templates.append(Literal([], before))
+            goes_on = text.endswith("${")
+            open_templates[-1].parts.append(text[1 : -2 if goes_on else -1])
+            if not goes_on:
+                found.append(open_templates.pop())
+        before = text
     return found
-
-
-def _scan(source: str, at: int, found: list[Literal], in_value: bool) -> int:
-    """Scan code; in_value: up to the end of a template's value. Return the index after it."""
-    depth, last = 0, ""
-    while at < len(source):
-        sign = source[at]
-        if source.startswith("//", at):
-            at = source.find("\n", at)
-            continue
-        if source.startswith("/*", at):
-            at = source.find("*/", at) + 2
-            continue
-        if sign in "\"'`":
-            at = _template(source, at, found) if sign == "`" else _string(source, at, found)
-            last = '"'
-            continue
-        if sign == "/" and (
-            last in _BEFORE_REGEX or _WORD_BEFORE_REGEX.search(source[:at].rstrip())
-        ):
-            at, last = _regex(source, at), '"'
-            continue
-        if sign == "}" and in_value and not depth:
-            return at + 1
-        depth += (sign == "{") - (sign == "}")
-        last = last if sign.isspace() else sign
-        at += 1
-    return at
-
-
-def _string(source: str, start: int, found: list[Literal]) -> int:
-    at = start + 1
-    while source[at] != source[start]:
-        at += 1 + (source[at] == "\\")
-    found.append(Literal([source[start + 1 : at]], source[max(0, start - 20) : start]))
-    return at + 1
-
-
-def _template(source: str, start: int, found: list[Literal]) -> int:
-    at, begin, parts = start + 1, start + 1, []
-    while source[at] != "`":
-        if source.startswith("${", at):
-            parts.append(source[begin:at])
-            begin = at = _scan(source, at + 2, found, in_value=True)
-        else:
-            at += 1 + (source[at] == "\\")
-    parts.append(source[begin:at])
-    found.append(Literal(parts, source[max(0, start - 20) : start]))
-    return at + 1
-
-
-def _regex(source: str, at: int) -> int:
-    in_class = False
-    at += 1
-    while in_class or source[at] != "/":
-        in_class = (in_class or source[at] == "[") and source[at] != "]"
-        at += 1 + (source[at] == "\\")
-    return at + 1
 
 
 def _unescaped(found: "re.Match[str]") -> str:

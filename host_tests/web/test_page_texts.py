@@ -9,7 +9,7 @@ import pytest
 import shown_texts
 from bridge import PAGE
 from browser import Person
-from ugrbl.compiling import page_files, page_texts
+from ugrbl.compiling import page_files, page_script, page_texts
 
 pytestmark = pytest.mark.xdist_group("page")
 
@@ -27,11 +27,9 @@ _KEPT = re.compile(
     r"\{\w+\}|\$\d+|\n|error:\d+|ALARM:\d?|docs/\S+\.md|\b[A-Z][A-Z_]{3,}\b|G\d+(?:\.\d)?"
 )
 # Words of the field, names, and answers of the machine, which stay as they are.
-_TERMS = set("alarm edge error hold home jog run usb wifi page uart".split())
+_TERMS = set("alarm check edge error hold home jog run usb wifi page uart".split())
 # Where a person reads lines of the machine or of a file, not texts of the page.
-_OTHER = (
-    "#log, #lines, #board-text, #probe-lines, .mono, #state-name, #language, script, style"
-)
+_OTHER = "#log, #lines, #board-text, #probe-lines, .mono, #state-name, #language, script, style"
 
 
 @pytest.mark.parametrize("code", TABLES)
@@ -62,17 +60,42 @@ def test_every_sentence_in_scripts_is_tagged() -> None:
     assert not found, "write t`…`"
 
 
-def test_texts_with_one_number_are_refused() -> None:
-    assert page_texts.number("Aa") == page_texts.number("BB"), "31 * 65 + 97 == 31 * 66 + 66"
-    with pytest.raises(ValueError, match="two texts have one number"):
-        page_texts.data({"cs": {"Aa": "1", "BB": "2"}})
+def test_no_two_texts_have_one_number() -> None:
+    texts = {*SHOWN, *shown_texts.same()}
+    chosen = page_texts.multiplier(SHOWN)
+    assert len({page_texts.number(text, chosen) for text in texts}) == len(texts)
+
+
+def test_another_multiplier_is_chosen_if_two_texts_have_one_number() -> None:
+    assert page_texts.number("Aa", 31) == page_texts.number("BB", 31)
+    data = page_texts.data({"cs": {"": "Cs", "Aa": "1", "BB": "2"}})
+    assert data == {"multiplier": 33, "steps": [2242, 2], "languages": {"cs": ["Cs", "1", "2"]}}
+
+
+def test_script_is_lean_and_means_the_same() -> None:
+    script = """// a comment
+const a = { b : "x // y" }; // another
+  /** one
+   * more */
+  return /[/"`] : / .test(`${a ? `} : ${ b }` : "c"}  d`) && a / b / c;
+text = `one
+  two`;
+"""
+    assert page_script.lean(script) == (
+        """const a={b:"x // y"};
+return /[/"`] : / .test(`${a?`} : ${ b }`:"c"}  d`)&&a / b / c;
+text=`one
+  two`;
+"""
+    )
+    assert "".join(text for _, text in page_script.pieces(script)) == script
 
 
 def test_page_has_no_comments_and_its_python_is_unchanged() -> None:
     page = page_files.page()
     assert not re.search(r"^\s*(//|/\*\*)", page, re.MULTILINE)
-    python = re.search("const ABOUT_BOARD = `(.*?)`", page, re.DOTALL)
-    assert python and python[0] in (shown_texts.PAGE / "prompt.js").read_text(encoding="utf-8")
+    python = re.search("ABOUT_BOARD=(`.*?`)", page, re.DOTALL)
+    assert python and python[1] in (shown_texts.PAGE / "prompt.js").read_text(encoding="utf-8")
 
 
 def test_page_from_board_is_in_english() -> None:
@@ -86,9 +109,9 @@ def test_browser_and_python_compute_same_numbers(opened: Any) -> None:
     page = opened.new_page()
     page.goto(PAGE.as_uri())
     texts = sorted(SHOWN)
-    assert page.evaluate("texts => texts.map(numberOf)", texts) == list(
-        map(page_texts.number, texts)
-    )
+    found = page.evaluate("texts => texts.map(numberOf)", texts)
+    chosen = page_texts.multiplier(SHOWN)
+    assert found == [page_texts.number(text, chosen) for text in texts]
     page.close()
 
 

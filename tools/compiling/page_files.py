@@ -2,7 +2,7 @@
 
 index.html names its parts, which are files in its folder, in comments. DATA and TEXTS are not
 files: they have the data for making board files, from our tables, and the other languages. The
-joined page has neither comments of scripts nor indentation, so it is smaller by a tenth.
+joined page has neither comments nor indentation, so it is smaller by an eighth.
 firmware/ports/net/page.py defines the file names on a board.
 """
 
@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from .. import paths
-from . import page_texts
+from . import page_script, page_texts
 
 _FOLDER = paths.TOOLS / "web" / "page"
 _PART = re.compile(r"<!-- part: ([\w.]+) -->\n")
 _SCRIPT = re.compile("(<script>\n)(.*?)(</script>)", re.DOTALL)
-_COMMENT_AFTER_CODE = re.compile(r"(?<=[;{},]) +// [^\"'`]*$")
+_STYLE = re.compile("(<style>)(.*?)(</style>)", re.DOTALL)
+_IN_STYLE = re.compile(r"/\*.*?\*/|\s*([{};,\n])\s*", re.DOTALL)
+_IN_HTML = re.compile(r"<!--(?! part).*?-->\n|^ +(?=<)", re.DOTALL | re.MULTILINE)
 DATA = "board_data"
 TEXTS = "texts"
 # Parts that a page from a board cannot use, because browsers open a USB port only for a file from
@@ -57,8 +59,10 @@ def _wrapped(name: str) -> str:
         return _as_data(name, page_data.data())
     text = (_FOLDER / name).read_text(encoding="utf-8")
     if name.endswith(".js"):
-        return f'<script>\n"use strict";\n{_lean(text)}</script>\n'
-    return _SCRIPT.sub(lambda found: found[1] + _lean(found[2]) + found[3], text)
+        return f'<script>\n"use strict";\n{page_script.lean(text)}</script>\n'
+    text = _STYLE.sub(lambda found: found[1] + _IN_STYLE.sub(r"\1", found[2]) + found[3], text)
+    text = _IN_HTML.sub("", text)
+    return _SCRIPT.sub(lambda found: found[1] + page_script.lean(found[2]) + found[3], text)
 
 
 def _as_data(name: str, content: dict[str, Any]) -> str:
@@ -66,26 +70,6 @@ def _as_data(name: str, content: dict[str, Any]) -> str:
     # Else "</script>" in a comment of a board file would end the element.
     text = text.replace("</", "<\\/")
     return f'<script type="application/json" id="{name}">{text}</script>\n'
-
-
-def _lean(script: str) -> str:
-    """Return a script without comments and indentation; templates of several lines, which hold
-    Python, are unchanged."""
-    kept = []
-    in_comment = in_template = False
-    for line in script.splitlines(keepends=True):
-        code = line.strip()
-        if in_template:
-            kept.append(line)
-        elif in_comment or code.startswith("/**"):
-            in_comment = not code.endswith("*/")
-            continue
-        elif code and not code.startswith("//"):
-            kept.append(_COMMENT_AFTER_CODE.sub("", code) + "\n")
-        else:
-            continue
-        in_template ^= line.count("`") % 2 == 1
-    return "".join(kept)
 
 
 def names() -> tuple[str, str]:

@@ -3,12 +3,12 @@
 // t`Line ${number}: ${text}` looks "Line {0}: {1}" up; translated(text) does so for a text from data.
 // Texts in HTML are replaced once, here. A text that is missing in a table stays English.
 
-const LANGUAGE_AS = "ugrbl-language", ENGLISH = ["English"], NUMBER_SIGNS = 6;
-/** numbers: those of all texts, as hex digits; languages: by code, a language's name and then its texts. */
-const { numbers, languages } = JSON.parse(document.getElementById("texts").textContent);
+const LANGUAGE_AS = "ugrbl-language", ENGLISH = ["English"];
+/** steps: from the number of one text to that of the next; languages: by code, a language's name and then its texts. */
+const { multiplier, steps: numberSteps, languages } = JSON.parse(document.getElementById("texts").textContent);
 const language = chosenLanguage();
-const TEXTS = new Map((languages[language] || ENGLISH).slice(1)
-  .map((text, index) => [numbers.slice(NUMBER_SIGNS * index, NUMBER_SIGNS * (index + 1)), text]));
+let lastNumber = 0;
+const TEXTS = new Map((languages[language] || ENGLISH).slice(1).map((text, index) => [lastNumber += numberSteps[index], text]));
 
 /** The language selected before, or else the first one of the browser's that the page has. */
 function chosenLanguage() {
@@ -25,8 +25,8 @@ function chosenLanguage() {
 /** The number by which a text is found: tools/compiling/page_texts.py computes it, too. */
 function numberOf(text) {
   let number = 0;
-  for (let at = 0; at < text.length; at += 1) number = (number * 31 + text.charCodeAt(at)) & 0xffffff;
-  return number.toString(16).padStart(NUMBER_SIGNS, "0");
+  for (let at = 0; at < text.length; at += 1) number = (number * multiplier + text.charCodeAt(at)) & 0xfffff;
+  return number;
 }
 
 /** A text in the page's language; undefined stays undefined. */
@@ -46,7 +46,7 @@ function translatePage() {
     if (/^(SCRIPT|STYLE)$/.test((node.parentNode || node).tagName)) continue;
     if (node.nodeType === Node.TEXT_NODE) {
       const text = node.data.trim().replace(/\s+/g, " ");
-      if (text) node.data = node.data.replace(/\S[^]*\S|\S/, () => translated(text));
+      if (/[A-Za-z]{2}/.test(text)) node.data = node.data.replace(/\S[^]*\S|\S/, () => translated(text));
     } else {
       for (const name of ["title", "placeholder", "aria-label"]) if (node.hasAttribute(name)) node.setAttribute(name, translated(node.getAttribute(name)));
     }
@@ -55,7 +55,7 @@ function translatePage() {
 
 const languageSelect = document.getElementById("language");
 languageSelect.append(...Object.entries({ en: ENGLISH, ...languages }).map(([code, [name]]) => new Option(name, code, false, code === language)));
-languageSelect.hidden = !numbers;
+languageSelect.hidden = !numberSteps.length;
 languageSelect.onchange = () => {
   try {
     localStorage.setItem(LANGUAGE_AS, languageSelect.value);
