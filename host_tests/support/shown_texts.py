@@ -119,7 +119,6 @@ def _of_boards() -> Iterator[str]:
         yield from (chip["title"], *chip["odd"].values())
     for title, options in data["forms"].items():
         yield from (title, *(option["meaning"] for option in options))
-    yield from (board["about"] for board in data["boards"].values())
     yield data["noPage"]
 
 

@@ -144,7 +144,7 @@ function renderCards() {
   near.sort(([, one], [, other]) => (other.chip === chip) - (one.chip === chip));
   $("board-cards").replaceChildren(
     make("button", { className: "main", onclick: () => chooseOwn(chip) }, make("b", {}, t`My own`), make("span", { className: "small" }, t`Pins of the ${translated(title)}, one by one`)),
-    ...near.map(([name, { about }]) => make("button", { onclick: () => chooseBoard(name) }, make("b", { className: "mono" }, name), make("span", { className: "small" }, translated(about)))));
+    ...near.map(([name, { about }]) => make("button", { onclick: () => chooseBoard(name) }, make("b", { className: "mono" }, name), make("span", { className: "small" }, about))));
 }
 STEP_SHOWN.board = renderCards;
 
