@@ -20,6 +20,7 @@ ATTRIBUTES = ("title", "placeholder", "aria-label")  # as in texts.js
 _SAME = re.compile(
     r"Raspberry Pi Pico( 2)?( W)?|ESP32(-S3)?|STOP|Hz|mm/(min|m)|(board|custom)\.py|\{depth=5\}"
 )
+_LETTERS = re.compile("[A-Za-z]{2}")  # else it is the same in all languages, as in texts.js
 _SCRIPT = re.compile("<script>\n(.*?)</script>", re.DOTALL)
 _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 # Two words, of which one begins with a small letter.
@@ -80,14 +81,15 @@ class _Texts(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, "str | None"]]) -> None:
         self._skips = tag in ("script", "style", "title")
-        self.found.update(value for name, value in attrs if name in ATTRIBUTES and value)
+        found = (value or "" for name, value in attrs if name in ATTRIBUTES)
+        self.found.update(filter(_LETTERS.search, found))
 
     def handle_endtag(self, tag: str) -> None:
         self._skips = False
 
     def handle_data(self, data: str) -> None:
         text = " ".join(data.split())
-        if not self._skips and re.search("[A-Za-z]{2}", text):
+        if not self._skips and _LETTERS.search(text):
             self.found.add(text)
 
 

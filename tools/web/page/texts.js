@@ -40,16 +40,13 @@ function t(parts, ...values) {
 
 /** Translate the texts and attributes of the page itself. */
 function translatePage() {
+  const said = (text) => (/[A-Za-z]{2}/.test(text) ? translated(text.replace(/\s+/g, " ")) : text);
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_ELEMENT | NodeFilter.SHOW_TEXT);
   while (walker.nextNode()) {
     const node = walker.currentNode;
     if (/^(SCRIPT|STYLE)$/.test((node.parentNode || node).tagName)) continue;
-    if (node.nodeType === Node.TEXT_NODE) {
-      const text = node.data.trim().replace(/\s+/g, " ");
-      if (/[A-Za-z]{2}/.test(text)) node.data = node.data.replace(/\S[^]*\S|\S/, () => translated(text));
-    } else {
-      for (const name of ["title", "placeholder", "aria-label"]) if (node.hasAttribute(name)) node.setAttribute(name, translated(node.getAttribute(name)));
-    }
+    if (node.nodeType === Node.TEXT_NODE) node.data = node.data.replace(/\S[^]*\S/, said);
+    else for (const name of ["title", "placeholder", "aria-label"]) if (node.hasAttribute(name)) node.setAttribute(name, said(node.getAttribute(name)));
   }
 }
 
