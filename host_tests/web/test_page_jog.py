@@ -23,11 +23,15 @@ def test_diagonal_tap_steps_both_axes(person):
 def test_held_diagonal_moves_both_axes_equally_and_stops_on_release(person):
     person.page.fill("#jog-feed", "1200")
     person.press("[data-jog='X+Y-']")
-    person.waits("grbl.machine[0] > 15")
-    assert person.page.evaluate("grbl.feed") == pytest.approx(1200, rel=0.01)
+    person.waits("grbl.machine[0] > 4")
+    begun = len(person.machine.said)
+    person.waits("grbl.machine[0] > 30")
+    feeds = [feed for _, _, feed in person.machine.reports(begun)]
+    # A loaded computer may send a piece late now and then.
+    assert len(feeds) > 4 and sorted(feeds)[len(feeds) // 3] > 0.95 * 1200, "along the diagonal"
     person.page.mouse.up()
     x, y, _ = person.machine.report("Idle")[1]
-    assert 15 < x < 40 and y == pytest.approx(-x, abs=0.01)
+    assert 30 < x < 55 and y == pytest.approx(-x, abs=0.01)
     assert set(sent_at_once(person.machine)) == {0x85}
     person.pauses(0.3)
     assert person.machine.report()[1][:2] == [x, y]
