@@ -16,26 +16,31 @@ from .. import paths
 _FOLDER = paths.TOOLS / "web" / "page"
 _PART = re.compile(r"<!-- part: ([\w.]+) -->\n")
 DATA = "board_data"
-# Parts that a page from a board cannot use, because browsers open a USB port only for a file from
-# disk, or for an address that is this computer's or has TLS.
-_USB_ONLY = (
+# Parts that a page from a board cannot use: browsers open a USB port only for a file from disk, or
+# for an address that is this computer's or has TLS, and only `ugrbl web` simulates programs.
+_NOT_FROM_BOARD = (
     *(DATA, "prompt.js", "uf2_drive.js", "board_file.js", "board_wizard.js"),
-    *("board_wizard.html", "board_send.js"),
+    *("board_wizard.html", "board_send.js", "what_if.html", "what_if.js"),
 )
+_COMMENT = re.compile(r"^ *(?://.*|/\*\*(?:.|\n)*?\*/)\n", re.MULTILINE)
 
 
 @cache
 def page(from_board: bool = False) -> str:
-    """Return the page; from_board: without parts for Web Serial. OSError if a part is missing."""
+    """Return the page. OSError if a part is missing.
+
+    from_board: as a board serves it, without comments, and without parts that it cannot use.
+    """
 
     def joined(text: str) -> str:
         return _PART.sub(part, text)
 
     def part(found: "re.Match[str]") -> str:
         name = found[1]
-        return "" if from_board and name in _USB_ONLY else joined(_wrapped(name))
+        return "" if from_board and name in _NOT_FROM_BOARD else joined(_wrapped(name))
 
-    return joined(_wrapped("index.html"))
+    whole = joined(_wrapped("index.html"))
+    return _COMMENT.sub("", whole) if from_board else whole
 
 
 def _wrapped(name: str) -> str:
