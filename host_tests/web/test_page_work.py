@@ -169,7 +169,8 @@ def test_masks_of_directions_and_switches_have_pictures(person):
     person.reads("#setting-3", "2 is kept")
     person.page.wait_for_selector("#setting-3 [aria-label='X as wired, Y inverted, Z as wired']")
     assert person.page.locator("#setting-3 path.on").count() == 1
-    corner = "[...document.querySelectorAll('#setting-23 circle')].map((dot) => [dot.cx.baseVal.value, dot.cy.baseVal.value])"
+    dots = "[...document.querySelectorAll('#setting-23 circle')]"
+    corner = f"{dots}.map((dot) => [dot.cx.baseVal.value, dot.cy.baseVal.value])"
     before = person.page.evaluate(corner)
     assert person.page.is_visible("#setting-23 [aria-label='Switches: right, back, top']")
     person.page.check("[aria-label='$23 Homing direction invert, X']")

@@ -68,6 +68,7 @@ async function beginToolChange() {
   const [, tool] = wordsOf(program.lines[job.line - 1]).find(([letter]) => letter === "T") || [];
   $("tool-title").textContent = tool === undefined ? "Tool change" : `Tool change: tool ${tool}`;
   $("tool-words").replaceChildren(`The program waits in line ${job.line}: `, make("span", { className: "mono" }, program.lines[job.line - 1]));
+  renderToolChange();
   $("tool-change").hidden = false;
   if (!$("dialog").open) $("tool-title").focus();
 }
