@@ -300,6 +300,8 @@ def test_browser_from_network_needs_token(visit: Visit) -> None:
 def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     person = free(visit())
     person.homes()
+    person.click("#zero-all")
+    person.rests_at(0, 0, 0)
     person.loads("G21 G91 F1200\nG1 X-3\nT4 M6 (drill 3 mm)\nG1 X-2\n", "tools.nc")
     person.reads("#job-words", "No problems. It takes")
     person.reads("#job-words", "Tool changes: 1.")

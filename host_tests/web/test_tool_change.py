@@ -117,6 +117,20 @@ def test_tool_length_is_measured_in_change(person_at):
     assert person.machine.report()[1][2] == pytest.approx(5, abs=0.01)
 
 
+def test_failed_measuring_does_not_end_job(person):
+    pauses_at_change(person)
+    person.click("#tool-plate")
+    person.page.fill("#probe-far", "2")
+    person.page.fill("#probe-feed", "1000")
+    person.click("#probe-run")
+    person.reads("#probe-says", "ALARM:5")
+    assert not person.page.is_enabled("#tool-go")
+    person.click("#unlock")
+    goes_on(person)
+    person.reads("#job-words", "Job done: nothing refused")
+    person.rests_at(0, 0, 5)
+
+
 def test_stop_and_end_work_in_change(person):
     pauses_at_change(person)
     person.click("#tool-end")
