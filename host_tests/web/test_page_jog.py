@@ -212,6 +212,7 @@ def test_keys_move_point_and_enter_goes_there_while_held(person):
     person.page.keyboard.up("Enter")
     x, y, _ = person.machine.report("Idle")[1]
     assert 2 < x < 15 and y == pytest.approx(x / 2, abs=0.01)
+    person.waits(f"Math.abs(grbl.machine[0] - {x}) < 0.001 && grbl.state === 'Idle'")
     person.page.keyboard.press("ArrowLeft")
     person.page.keyboard.down("Enter")
     person.waits(f"grbl.machine[0] < {x - 9.9} && grbl.state === 'Idle'")

@@ -4,7 +4,8 @@ const GRAB_PX = 26;
 let dragJog = false, dragHeld = null; // by a pointer, its number, or by "Enter"
 let dragFrom = null; // [pointer X, Y, point X, Y] at the grab
 
-const pointAt = () => plot.target || plot.place?.slice(0, 2) || null;
+/** X and Y of the point, in mm; null if the machine's place is not known. */
+const pointAt = () => plot.target || (grbl.work.length ? grbl.workMm().slice(0, 2) : null);
 
 function showPoint(point) {
   plot.toolAt(plot.place, point);
@@ -14,7 +15,7 @@ function showPoint(point) {
 
 /** Move towards the point, as long as it is held. */
 function followPoint() {
-  const shift = plot.target.map((mm, axis) => mm - plot.place[axis]);
+  const at = grbl.workMm(), shift = plot.target.map((mm, axis) => mm - at[axis]);
   jogger.follow(inMm(grbl.machine).map((mm, axis) => mm + (shift[axis] || 0)));
 }
 
