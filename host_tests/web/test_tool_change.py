@@ -94,6 +94,16 @@ def test_spindle_is_restarted_if_program_would_cut_without(person):
     assert lines[lines.index("M5 M9") :].count("M3 S700") == 1
 
 
+def test_laser_stays_off_after_change(person_at):
+    person = person_at({32: "1"})
+    person.open_from_disk()
+    person.connect()
+    pauses_at_change(person, "G21 G90 M3 S700\nG1 X2 F600\nM6\nX6\n")
+    goes_on(person)
+    person.reads("#job-words", "Job done: nothing refused")
+    assert not {"M3", "M4"} & set(_words_after(person, "M5 M9"))
+
+
 def test_tool_length_is_measured_in_change(person_at):
     """The first change measures the reference, the second one the difference."""
     person = person_at(None, "--input", "probe=Z-12")

@@ -33,7 +33,8 @@ function toolChangeLines() {
   const system = modeLike(/^G5[4-9]$/), motion = modeLike(/^G([0-3]|80|38\..)$/), spindle = modeLike(/^M[34]$/);
   const feed = inMm([Number(modeLike(/^F/).slice(1))])[0] || (motion === "G1" ? SLOW_MM_MIN : 0), speed = modeLike(/^S/);
   const lines = [`G21 G90 G94 ${system}`, ...wayBack(placeIn(system))];
-  if (spindle && cutsFirst([withoutToolChange(job.toolLine.text), ...program.lines.slice(job.line)], motion)) lines.push(`${spindle} ${speed}`, `G4 P${SPIN_UP_S}`);
+  const isLaser = grbl.setting(32) === 1; // with M3 it would burn at rest
+  if (spindle && !isLaser && cutsFirst([withoutToolChange(job.toolLine.text), ...program.lines.slice(job.line)], motion)) lines.push(`${spindle} ${speed}`, `G4 P${SPIN_UP_S}`);
   if (feed) lines.push(`F${millimetres(feed)} ${speed}`);
   lines.push([/^G[01]$/.test(motion) ? motion : "G80", modeLike(/^G1[789]$/), modeLike(/^G2[01]$/), modeLike(/^G9[01]$/)].join(" "));
   return modeLike(/^G93$/) ? [...lines, "G93"] : lines; // alone: G1 in its line would need an F
