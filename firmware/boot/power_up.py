@@ -55,6 +55,7 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
     # A kernel's memory keeps a reference to its last caller until it is called again. So begin()
     # is here, and not in parts.py, which must be freed.
     def begin() -> None:
+        """Restart the machine for the first time, then do the work that could wait."""
         machine.restart()
         while later:
             later.pop()()
@@ -135,11 +136,12 @@ def _stay_without_parts(fault: Exception) -> None:
 
 
 def _line(text: str) -> bytes:
+    """Return the text as a message to the sender, in bytes."""
     return (_MESSAGE % text + "\r\n").encode()
 
 
 def _text(fault: BaseException) -> str:
     """Return the exception, its place in the source, and the build."""
-    lines = trace(fault)
+    lines = trace(fault)  # the exception is in the last line, its place in the one before
     place = lines[-2].strip() if len(lines) > 1 else ""
     return "%s (%s)" % (sanitize("%s %s" % (lines[-1], place)), errors.BUILD_ID)

@@ -24,18 +24,20 @@ _IN_STYLE = re.compile(r"/\*.*?\*/|\s*([{};,\n])\s*", re.DOTALL)
 _IN_HTML = re.compile(r"<!--(?! part).*?-->\n|^ +(?=<)", re.DOTALL | re.MULTILINE)
 DATA = "board_data"
 TEXTS = "texts"
-# Parts that a page from a board cannot use, because browsers open a USB port only for a file from
-# disk, or for an address that is this computer's or has TLS.
-_USB_ONLY = (
+# Parts that a page from a board cannot use: browsers open a USB port only for a file from disk, or
+# for an address that is this computer's or has TLS, and only `ugrbl web` simulates programs.
+_NOT_FROM_BOARD = (
     *(DATA, "prompt.js", "uf2_drive.js", "board_file.js", "board_wizard.js"),
-    *("board_wizard.html", "board_send.js"),
+    *("board_wizard.html", "board_send.js", "what_if.html", "what_if.js"),
 )
 
 
 @cache
 def page(from_board: bool = False) -> str:
-    """Return the page; from_board: without parts for Web Serial and in English only. OSError if a
-    part is missing."""
+    """Return the page. OSError if a part is missing.
+
+    from_board: as a board serves it, in English only, and without parts that it cannot use.
+    """
 
     def joined(text: str) -> str:
         return _PART.sub(part, text)
@@ -46,7 +48,7 @@ def page(from_board: bool = False) -> str:
             return _as_data(
                 name, page_texts.data({} if from_board else page_texts.tables(_FOLDER))
             )
-        return "" if from_board and name in _USB_ONLY else joined(_wrapped(name))
+        return "" if from_board and name in _NOT_FROM_BOARD else joined(_wrapped(name))
 
     return joined(_wrapped("index.html"))
 

@@ -18,7 +18,23 @@ function renderFile() {
   renderFileSays();
 }
 
+let fileFault = { line: 0, message: "" };
+/** Numbers of the lines, and a message beside the line that it is about. */
+function renderMargin() {
+  const area = $("board-text"), height = parseFloat(getComputedStyle(area).lineHeight), { line, message } = fileFault;
+  const numbers = area.value.split("\n").map((_, index) => make("span", { className: index + 1 === line ? "bad" : "" }, `${index + 1}\n`));
+  $("file-numbers").replaceChildren(...numbers);
+  $("file-numbers").scrollTop = area.scrollTop;
+  const top = 9 + (line - 1) * height - area.scrollTop; // 9 px: its border and padding
+  $("file-fault").hidden = !line || top < 0 || top > area.clientHeight - height;
+  $("file-fault").textContent = message;
+  $("file-fault").style.top = `${top}px`;
+}
+$("board-text").onscroll = renderMargin;
+
 function renderFileSays() {
+  fileFault = { line: 0, message: "" };
+  renderMargin();
   $("remake-board").hidden = !isBoardFile() || ownWords === null || !draft;
   says("file-says", fileRows());
   renderSend();
@@ -80,7 +96,9 @@ function lineOf(message) {
 function showFault(message, known = 0) {
   const line = known || lineOf(message);
   says("file-says", [[`${line ? t`Line ${line}: ` : ""}${message}`, "bad"]]);
+  fileFault = { line, message };
   if (line) markLine(line);
+  renderMargin();
 }
 
 // A failed handler: its message names the line.
