@@ -18,6 +18,11 @@ SETTINGS = {
 # Settings of a machine with switches, and a program that runs for some seconds.
 HOMING = {22: "1", 25: "2000.000", 24: "500.000", 130: "30.000", 131: "30.000", 132: "30.000"}
 FAR = "G21 G90\nG1 X40 F600\nG1 Y20\nG1 X0\nG1 Y0\n"
+# Controls that reach beyond the right edge of the window.
+CUT_OFF = """[...document.querySelectorAll("button, input, .file")]
+    .filter((element) => element.offsetParent && !element.closest("[style*=overflow-x], #tabs"))
+    .filter((element) => element.getBoundingClientRect().right > innerWidth + 0.5)
+    .map((element) => element.outerHTML)"""
 _STAND_IN = Path(__file__).with_name("serial_stand_in.js")
 _LONG_MS = 30_000
 

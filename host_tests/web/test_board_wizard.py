@@ -267,7 +267,15 @@ def test_custom_py_is_sent_and_its_fault_is_marked(editor):
     editor.sees("Idle")
     editor.bridge.machine.machine.say(b"[MSG:M100: custom.py, line 5, in f: divide by zero]\r\n")
     editor.reads("#file-says", "Line 5: M100: custom.py, line 5")
+    editor.reads("#file-fault", "divide by zero")
+    assert editor.text("#file-numbers .bad").strip() == "5"
+    number = editor.page.locator("#file-numbers .bad").bounding_box()
+    message = editor.page.locator("#file-fault").bounding_box()
+    assert abs(number["y"] - message["y"]) < 5, "beside the line"
     assert editor.page.evaluate(_MARKED) == "    1 / 0"
+    editor.page.locator("#board-text").press("End")
+    editor.page.keyboard.type(" ")
+    assert not editor.page.is_visible("#file-fault"), "the text is another now"
     assert (flash_of(editor) / "board.py").read_text() == _PICO
 
 

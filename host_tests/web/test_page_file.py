@@ -23,7 +23,7 @@ def test_page_is_small_and_smaller_on_board():
 def test_page_on_board_has_no_parts_for_usb():
     text = page_files.page(from_board=True)
     assert 'data-step-panel="guide"' in text and "class Prompt" not in text
-    assert not re.findall(r"<!-- part|board_data|data-step-panel=\"pins", text)
+    assert not re.findall(r"<!-- part|board_data|data-step-panel=\"pins|what-if", text)
 
 
 def test_nothing_is_loaded_from_elsewhere():

@@ -222,7 +222,7 @@ def test_arrow_keys_jog_only_when_enabled(person):
 def test_cancel_before_jog_has_begun_is_repeated(person):
     """Grbl ignores a cancel that arrives before the jog line is read; the jog must still end."""
     person.page.evaluate("""{
-        jogger.press(0, 1);
+        jogger.press([1, 0, 0]);
         setTimeout(() => jogger.release(), Jogger.HOLD_MS + 1);
     }""")
     person.pauses(0.6)

@@ -131,6 +131,54 @@ def test_settings_are_grouped_and_found_by_words(person):
     assert rows.count() == 1 and person.page.is_visible("#setting-22")
 
 
+def test_settings_that_differ_from_defaults_are_found_and_reset(person):
+    person.click("#tabs [data-tab=settings]")
+    person.reads("#setting-110", "Default: 500")
+    person.page.check("#settings-changed")
+    numbers = [row.get_attribute("id") for row in person.page.locator("#settings tr[id]").all()]
+    assert numbers == [f"setting-{n}" for n in (110, 111, 112, 120, 121, 122)]
+    person.click("[aria-label='Set $121 to its default, 10']")
+    person.waits("grbl.settings.get(121) === '10.000' && !document.getElementById('setting-121')")
+    person.page.uncheck("#settings-changed")
+    assert "Default" not in person.text("#setting-121")
+
+
+def test_changed_settings_are_undone_from_last_to_first(person):
+    person.click("#tabs [data-tab=settings]")
+    assert not person.page.is_visible("#undo-setting")
+    for value in ("2000", "1000"):
+        person.page.fill("[aria-label^='$110 Maximum rate X']", value)
+        person.page.keyboard.press("Enter")
+        person.reads("#setting-110", f"{value} is kept")
+    person.page.fill("[aria-label^='$0 ']", "1")  # refused, so there is nothing to undo
+    person.page.keyboard.press("Enter")
+    person.reads("#setting-0", "1 was not taken")
+    person.click("#undo-setting:has-text('Undo: $110=2000.000')")
+    person.waits("grbl.settings.get(110) === '2000.000'")
+    person.click("#undo-setting:has-text('Undo: $110=3000.000')")
+    person.waits("grbl.settings.get(110) === '3000.000'")
+    assert not person.page.is_visible("#undo-setting")
+    sent = [line for line in person.machine.lines() if line.startswith("$110=")]
+    assert sent == ["$110=2000", "$110=1000", "$110=2000.000", "$110=3000.000"]
+
+
+def test_masks_of_directions_and_switches_have_pictures(person):
+    person.click("#tabs [data-tab=settings]")
+    person.page.wait_for_selector("[aria-label='X as wired, Y as wired, Z as wired']")
+    person.page.check("[aria-label='$3 Step direction invert, Y']")
+    person.reads("#setting-3", "2 is kept")
+    person.page.wait_for_selector("#setting-3 [aria-label='X as wired, Y inverted, Z as wired']")
+    assert person.page.locator("#setting-3 path.on").count() == 1
+    dots = "[...document.querySelectorAll('#setting-23 circle')]"
+    corner = f"{dots}.map((dot) => [dot.cx.baseVal.value, dot.cy.baseVal.value])"
+    before = person.page.evaluate(corner)
+    assert person.page.is_visible("#setting-23 [aria-label='Switches: right, back, top']")
+    person.page.check("[aria-label='$23 Homing direction invert, X']")
+    person.page.wait_for_selector("#setting-23 [aria-label='Switches: left, back, top']")
+    after = person.page.evaluate(corner)
+    assert after[0][0] < before[0][0] and after[0][1] == before[0][1] and after[1] == before[1]
+
+
 # Jobs on the board
 
 

@@ -292,3 +292,89 @@ def test_browser_from_network_needs_token(visit: Visit) -> None:
         owner.reads("#job-words", "No problems")
     finally:
         guarded.close()
+
+
+# Tool changes, times
+
+
+def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
+    person = free(visit())
+    person.homes()
+    person.click("#zero-all")
+    person.rests_at(0, 0, 0)
+    person.loads("G21 G91 F1200\nG1 X-3\nT4 M6 (drill 3 mm)\nG1 X-2\n", "tools.nc")
+    person.reads("#job-words", "No problems. It takes")
+    person.reads("#job-words", "Tool changes: 1.")
+    person.click("#run")
+    person.reads("#tool-title", "tool 4")
+    person.waits("!document.getElementById('tool-change').hidden")
+    person.reads("#tool-sends", "G1 G17 G21 G91")
+    person.pauses(0.5)
+    keep(person, "page_tool_change.png")
+    person.page.on("dialog", lambda dialog: dialog.accept())
+    person.page.reload()
+    person.reads("#job-words", "the browser that sent it has gone")
+    person.waits("document.getElementById('tool-change').hidden && grbl.drives")
+    person.click("#go-on")
+    person.waits("!document.getElementById('tool-change').hidden")
+    assert person.page.evaluate("grbl.machine[0]") == -4
+    person.click("#tool-go")
+    person.reads("#job-words", "Job done: nothing refused")
+    person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-6,-1,-1'")
+
+
+ZIGZAG = "G21 G90 F6000\n" + "".join(f"G1 X{-9 * (k % 2)} Y{-k}\n" for k in range(1, 17))
+
+
+def seconds(text: str) -> int:
+    """Return the seconds in a duration of less than a minute."""
+    assert text.endswith(" s") and "min" not in text
+    return int(text[:-2])
+
+
+def test_estimated_and_real_time_are_shown_side_by_side(visit: Visit) -> None:
+    person = free(visit())
+    person.homes()
+    person.click("#zero-all")
+    person.rests_at(0, 0, 0)
+    person.loads(ZIGZAG)
+    person.reads("#job-words", "It takes")
+    person.click("#run")
+    person.waits("job?.made > 10")
+    here, all_s = seconds(person.text("#time-here")), seconds(person.text("#time-all"))
+    assert 1 <= here < all_s == round(person.page.evaluate("program.look.seconds"))
+    person.reads("#job-words", "Job done")
+    assert person.text("#time-here") == person.text("#time-all")
+    assert all_s - 1 <= seconds(person.text("#time-real")) <= all_s + 4, "the machine is exact"
+
+
+def test_what_if_estimates_with_other_settings_and_leaves_machine_alone(visit: Visit) -> None:
+    person = free(visit())
+    person.homes()
+    person.click("#zero-all")
+    person.rests_at(0, 0, 0)
+    person.loads(ZIGZAG)
+    person.reads("#job-words", "It takes")
+    before = person.page.evaluate("[...grbl.settings]")
+    slow = person.page.evaluate("program.look.seconds")
+    person.click("#what-if summary")
+    person.click("#what-if-go")
+    person.reads("#what-if-says", "Change a number first.")
+    person.page.evaluate("window.sent = []; grbl.on('sent', ({ text }) => sent.push(text))")
+    person.page.fill("[aria-label^='What if $120,']", "4000")
+    person.page.keyboard.press("Enter")
+    person.reads("#what-if-says", "$120=4000: ")
+    first = person.page.text_content("#what-if-says li")
+    assert seconds(first.split(": ")[1].split(",")[0]) < slow - 1 and "less" in first
+    person.page.fill("[aria-label^='What if $110,']", "600")
+    person.page.keyboard.press("Enter")
+    person.reads("#what-if-says", "$110=600 $120=4000: ")
+    assert "more" in person.page.text_content("#what-if-says li")
+    assert person.page.locator("#what-if-says li").count() == 3
+    person.page.fill("[aria-label^='What if $110,']", "0")
+    person.page.keyboard.press("Enter")
+    person.reads("#what-if-says", "$110 wants a number of more than 0.")
+    assert person.page.evaluate("sent") == []
+    person.types("$$")
+    person.waits("!grbl.linesUnderWay")
+    assert person.page.evaluate("[...grbl.settings]") == before

@@ -1,8 +1,9 @@
 """The page: its parts joined into one file, and its files on a board.
 
-index.html names its parts, which are files in its folder, in comments. DATA is not a file: it has
-the data for making board files, from our tables. firmware/ports/net/page.py defines the file
-names on a board.
+index.html names its parts, which are files in its folder, in comments. DATA and TEXTS are not
+files: they have the data for making board files, from our tables, and the other languages. The
+joined page has neither comments nor indentation, so it is smaller by an eighth.
+firmware/ports/net/page.py defines the file names on a board.
 """
 
 import gzip
@@ -10,30 +11,44 @@ import json
 import re
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from .. import paths
+from . import page_script, page_texts
 
 _FOLDER = paths.TOOLS / "web" / "page"
 _PART = re.compile(r"<!-- part: ([\w.]+) -->\n")
+_SCRIPT = re.compile("(<script>\n)(.*?)(</script>)", re.DOTALL)
+_STYLE = re.compile("(<style>)(.*?)(</style>)", re.DOTALL)
+_IN_STYLE = re.compile(r"/\*.*?\*/|\s*([{};,\n])\s*", re.DOTALL)
+_IN_HTML = re.compile(r"<!--(?! part).*?-->\n|^ +(?=<)", re.DOTALL | re.MULTILINE)
 DATA = "board_data"
-# Parts that a page from a board cannot use, because browsers open a USB port only for a file from
-# disk, or for an address that is this computer's or has TLS.
-_USB_ONLY = (
+TEXTS = "texts"
+# Parts that a page from a board cannot use: browsers open a USB port only for a file from disk, or
+# for an address that is this computer's or has TLS, and only `ugrbl web` simulates programs.
+_NOT_FROM_BOARD = (
     *(DATA, "prompt.js", "uf2_drive.js", "board_file.js", "board_wizard.js"),
-    *("board_wizard.html", "board_send.js"),
+    *("board_wizard.html", "board_send.js", "what_if.html", "what_if.js"),
 )
 
 
 @cache
 def page(from_board: bool = False) -> str:
-    """Return the page; from_board: without parts for Web Serial. OSError if a part is missing."""
+    """Return the page. OSError if a part is missing.
+
+    from_board: as a board serves it, in English only, and without parts that it cannot use.
+    """
 
     def joined(text: str) -> str:
         return _PART.sub(part, text)
 
     def part(found: "re.Match[str]") -> str:
         name = found[1]
-        return "" if from_board and name in _USB_ONLY else joined(_wrapped(name))
+        if name == TEXTS:
+            return _as_data(
+                name, page_texts.data({} if from_board else page_texts.tables(_FOLDER))
+            )
+        return "" if from_board and name in _NOT_FROM_BOARD else joined(_wrapped(name))
 
     return joined(_wrapped("index.html"))
 
@@ -43,12 +58,20 @@ def _wrapped(name: str) -> str:
     if name == DATA:
         from . import page_data
 
-        text = json.dumps(page_data.data(), separators=(",", ":"), ensure_ascii=False)
-        # Else "</script>" in a comment of a board file would end the element.
-        text = text.replace("</", "<\\/")
-        return f'<script type="application/json" id="{DATA}">{text}</script>\n'
+        return _as_data(name, page_data.data())
     text = (_FOLDER / name).read_text(encoding="utf-8")
-    return f'<script>\n"use strict";\n\n{text}</script>\n' if name.endswith(".js") else text
+    if name.endswith(".js"):
+        return f'<script>\n"use strict";\n{page_script.lean(text)}</script>\n'
+    text = _STYLE.sub(lambda found: found[1] + _IN_STYLE.sub(r"\1", found[2]) + found[3], text)
+    text = _IN_HTML.sub("", text)
+    return _SCRIPT.sub(lambda found: found[1] + page_script.lean(found[2]) + found[3], text)
+
+
+def _as_data(name: str, content: dict[str, Any]) -> str:
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=False)
+    # Else "</script>" in a comment of a board file would end the element.
+    text = text.replace("</", "<\\/")
+    return f'<script type="application/json" id="{name}">{text}</script>\n'
 
 
 def names() -> tuple[str, str]:

@@ -23,7 +23,7 @@ def update(text: str) -> str:
 
 def words() -> dict[str, dict[str, Any]]:
     """Return the words by kind, then by number: text of errors and alarms; of settings name, text,
-    unit, limits, and whether the number is the first of one per axis."""
+    unit, limits, whether the number is the first of one per axis, and default."""
     rows = {m: list(table) for m, table in settings_file.tables().items()}
     found: dict[str, dict[str, Any]] = {
         "errors": {str(number): text for number, text in messages.errors().items()},
@@ -39,9 +39,9 @@ def words() -> dict[str, dict[str, Any]]:
 
 
 def _words(module: str, row: Any) -> list[Any]:
-    """Return the words of a setting's row; True at the end if it has a number per axis."""
+    """Return the words of a setting's row, whether it has a number per axis, and its default."""
     meaning = settings_file.row_meaning(module, row)
-    return [*meaning, *([True] if settings_file.is_per_axis(row) else [])]
+    return [*meaning, settings_file.is_per_axis(row), row[3]]
 
 
 def _as_json(tables: dict[str, dict[str, Any]]) -> str:

@@ -58,7 +58,7 @@ PICTURES = (
 
 
 # Made by host_tests/web/test_served_page.py.
-OF_THE_PAGE = ("page.png", "page_phone.png", "page_pins.png")
+OF_THE_PAGE = ("page.png", "page_phone.png", "page_pins.png", "page_tool_change.png")
 
 
 def draw(picture: Picture, file: Path) -> None:

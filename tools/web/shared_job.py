@@ -9,7 +9,7 @@ from typing import Any
 
 # The page's names of the states with lines still to send, or with a question to answer.
 _LEFT = "left"
-_UNDER_WAY = ("running", "refused", "ending", _LEFT)
+_UNDER_WAY = ("running", "refused", "tool", "ending", _LEFT)
 
 
 class SharedJob:

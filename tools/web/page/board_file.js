@@ -99,24 +99,24 @@ function itemProblem(draft, known, item, pins) {
   const count = item.perAxis ? (known.STEP || pins).length : 1;
   const axes = new Set(draft.motors).size || (known.STEP || []).length;
   const wanted = [...new Set(name === "LIMIT" ? [count, axes || count] : [count])].sort((a, b) => a - b);
-  if (name === "STEP" && pins.length > chip.most_motors) return `${chip.engine} has pulses for ${chip.most_motors} motors at most`;
+  if (name === "STEP" && pins.length > chip.most_motors) return t`${chip.engine} has pulses for ${chip.most_motors} motors at most`;
   if (!wanted.includes(pins.length)) {
-    const many = wanted.join(" or ");
-    return `${name} wants ${many} pin${many === "1" ? "" : "s"}, not ${pins.length}`;
+    const many = wanted.join(t` or `);
+    return many === "1" ? t`${name} wants 1 pin, not ${pins.length}` : t`${name} wants ${many} pins, not ${pins.length}`;
   }
   const used = usesOf(known);
   for (const [index, pin] of pins.entries()) {
     if (pin === null) {
-      if (name !== "LIMIT") return `${name}: None is for limit switches that are not there`;
+      if (name !== "LIMIT") return t`${name}: None is for limit switches that are not there`;
       continue;
     }
-    if (!chip.pins.includes(pin)) return `${name}: ${chip.title} has no pin ${pin} to connect to`;
+    if (!chip.pins.includes(pin)) return t`${name}: ${translated(chip.title)} has no pin ${pin} to connect to`;
     if (BOARDS.quick.includes(name) && pin > chip.last_quick) {
-      return `${name}: pin ${pin} cannot do it: steps, directions, limits, probe and buttons have to be pins up to ${chip.last_quick}`;
+      return t`${name}: pin ${pin} cannot do it: steps, directions, limits, probe and buttons have to be pins up to ${chip.last_quick}`;
     }
-    if (item.output && chip.inputs_only.includes(pin)) return `${name}: pin ${pin} of ${chip.title} can only read`;
-    if (used.has(pin)) return `${name}: pin ${pin} is ${used.get(pin)} already`;
-    if (name !== "LIMIT" && pins.indexOf(pin) < index) return `${name} names pin ${pin} twice`;
+    if (item.output && chip.inputs_only.includes(pin)) return t`${name}: pin ${pin} of ${translated(chip.title)} can only read`;
+    if (used.has(pin)) return t`${name}: pin ${pin} is ${used.get(pin)} already`;
+    if (name !== "LIMIT" && pins.indexOf(pin) < index) return t`${name} names pin ${pin} twice`;
   }
   return "";
 }
@@ -130,9 +130,9 @@ function loosePins(draft, known, name, pins) {
   const used = usesOf(known), chip = BOARDS.chips[draft.chip], found = [];
   for (const [index, pin] of pins.entries()) {
     if (pin === null) continue;
-    if (!chip.pins.includes(pin)) found.push(`${name}: ${chip.title} has no pin ${pin} to connect to`);
-    else if (used.has(pin)) found.push(`${name}: pin ${pin} is ${used.get(pin)} already`);
-    else if (name !== "LIMIT" && pins.indexOf(pin) < index) found.push(`${name} names pin ${pin} twice`);
+    if (!chip.pins.includes(pin)) found.push(t`${name}: ${translated(chip.title)} has no pin ${pin} to connect to`);
+    else if (used.has(pin)) found.push(t`${name}: pin ${pin} is ${used.get(pin)} already`);
+    else if (name !== "LIMIT" && pins.indexOf(pin) < index) found.push(t`${name} names pin ${pin} twice`);
   }
   return found;
 }
@@ -140,7 +140,7 @@ function loosePins(draft, known, name, pins) {
 function pinProblems(draft) {
   const found = [], known = {}, items = Object.fromEntries(ITEMS.map((item) => [item.name, item]));
   const axes = axesOf(draft);
-  if (axes < FEWEST_AXES) found.push(`STEP wants ${FEWEST_AXES} pins, for ${AXES.slice(0, FEWEST_AXES)}`);
+  if (axes < FEWEST_AXES) found.push(t`STEP wants ${FEWEST_AXES} pins, for ${AXES.slice(0, FEWEST_AXES)}`);
   for (const [name, pins] of heldPins(draft)) {
     if (items[name] && !(name === "ENABLE" && pins.length > 1)) {
       const problem = itemProblem(draft, known, items[name], pins);
@@ -151,7 +151,7 @@ function pinProblems(draft) {
     } else found.push(...loosePins(draft, known, name, pins));
     known[name] = pins;
     if (name === "STEP" && !draft.motors && pins.length > MOST_LETTERS) {
-      found.push(`STEP has ${pins.length} pins and there are ${MOST_LETTERS} axes: MOTORS says which each moves, "${(AXES + AXES).slice(0, pins.length)}" say`);
+      found.push(t`STEP has ${pins.length} pins and there are ${MOST_LETTERS} axes: MOTORS says which each moves, "${(AXES + AXES).slice(0, pins.length)}" say`);
     }
   }
   return found;
@@ -163,11 +163,11 @@ function valueProblems(draft) {
   for (const name of BOARDS.order) {
     const option = FORM_OPTIONS[name], value = draft.options[name];
     if (!option || value === undefined) continue;
-    if (option.kind.startsWith("whole") && value < option.low) found.push(`${name} is ${value}: it is ${option.low} at the least`);
-    else if (option.high !== null && value > option.high) found.push(`${name} is ${value}: it is ${option.high} at the most`);
+    if (option.kind.startsWith("whole") && value < option.low) found.push(t`${name} is ${value}: it is ${option.low} at the least`);
+    else if (option.high !== null && value > option.high) found.push(t`${name} is ${value}: it is ${option.high} at the most`);
     else if (option.words) {
       const unknown = [value].flat().find((word) => !option.words.includes(word));
-      if (unknown !== undefined) found.push(`${name}: '${unknown}' is not one of ${option.words.join(", ")}`);
+      if (unknown !== undefined) found.push(t`${name}: '${unknown}' is not one of ${option.words.join(", ")}`);
     }
   }
   return found;
@@ -175,19 +175,19 @@ function valueProblems(draft) {
 
 function networkProblems(draft) {
   const chip = BOARDS.chips[draft.chip], { LINK, PAGE } = valuesOf(draft), wireless = Object.values(BOARDS.wireless);
-  if (PAGE && chip.mpy_arch === BOARDS.tooSmall) return [BOARDS.noPage];
-  if (PAGE && !wireless.includes(LINK)) return ['PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'];
-  return !chip.radio && wireless.includes(LINK) ? [`LINK: ${chip.title} has no radio`] : [];
+  if (PAGE && chip.mpy_arch === BOARDS.tooSmall) return [translated(BOARDS.noPage)];
+  if (PAGE && !wireless.includes(LINK)) return [t`PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32`];
+  return !chip.radio && wireless.includes(LINK) ? [t`LINK: ${translated(chip.title)} has no radio`] : [];
 }
 
 /** Functions that are switched on or inverted and have no pin. */
 function wireProblems(draft) {
   const found = [], laser = draft.options.TOOL === "laser", motors = (draft.pins.STEP || []).length;
   const has = (name) => Boolean(draft.pins[name]?.length);
-  if (laser && !has("SPINDLE_PWM")) found.push("TOOL = laser: there is no pin for SPINDLE_PWM");
-  if (laser && motors > BOARDS.mostBesideBeam) found.push(`TOOL = laser: its beam takes what a motor takes, and leaves ${BOARDS.mostBesideBeam}`);
+  if (laser && !has("SPINDLE_PWM")) found.push(t`TOOL = laser: there is no pin for SPINDLE_PWM`);
+  if (laser && motors > BOARDS.mostBesideBeam) found.push(t`TOOL = laser: its beam takes what a motor takes, and leaves ${BOARDS.mostBesideBeam}`);
   for (const name of draft.options.INVERT || []) {
-    if (BOARDS.invertible.includes(name) && !has(name)) found.push(`INVERT: there is no pin for ${name}`);
+    if (BOARDS.invertible.includes(name) && !has(name)) found.push(t`INVERT: there is no pin for ${name}`);
   }
   return found;
 }
@@ -203,14 +203,14 @@ function extraProblem(draft) {
 function motorsProblem({ motors, pins, options }) {
   if (!motors) return "";
   const count = (pins.STEP || []).length, axes = new Set(motors).size, limits = pins.LIMIT || [];
-  if (motors.length !== count) return `MOTORS has ${motors.length} letters, and STEP ${count} pins`;
-  if (axes < FEWEST_AXES || !AXES.startsWith(motors.slice(0, axes))) return `MOTORS: ${AXES.slice(0, Math.max(axes, FEWEST_AXES))} first, then second motors: XYZY`;
+  if (motors.length !== count) return t`MOTORS has ${motors.length} letters, and STEP ${count} pins`;
+  if (axes < FEWEST_AXES || !AXES.startsWith(motors.slice(0, axes))) return t`MOTORS: ${AXES.slice(0, Math.max(axes, FEWEST_AXES))} first, then second motors: XYZY`;
   const crowded = [...motors].find((letter) => [...motors].filter((one) => one === letter).length > MOST_OF_AN_AXIS);
-  if (crowded) return `MOTORS: ${crowded} has more than two`;
+  if (crowded) return t`MOTORS: ${crowded} has more than two`;
   for (let motor = axes; motor < motors.length; motor += 1) {
     const axis = AXES.indexOf(motors[motor]);
-    if (options.COREXY && axis < 2) return `MOTORS: ${motors[motor]} shares its motor, and has no second`;
-    if ((limits[motor] ?? null) !== null && limits[axis] === null) return `LIMIT: ${motors[motor]} has its second switch only`;
+    if (options.COREXY && axis < 2) return t`MOTORS: ${motors[motor]} shares its motor, and has no second`;
+    if ((limits[motor] ?? null) !== null && limits[axis] === null) return t`LIMIT: ${motors[motor]} has its second switch only`;
   }
   return "";
 }
@@ -219,7 +219,7 @@ function motorsProblem({ motors, pins, options }) {
 function apartProblem(name, says, draft) {
   if (!says[name]) return "";
   const other = BOARDS.apart[name].find((word) => says[word] || (word === "ROTARY" && draft.rotary) || draft.kept?.[word]);
-  return other ? `${name} and ${other} are not for the same machine` : "";
+  return other ? t`${name} and ${other} are not for the same machine` : "";
 }
 
 function rotaryProblem({ rotary }, axes) {
@@ -227,15 +227,15 @@ function rotaryProblem({ rotary }, axes) {
     const axis = AXES.slice(0, axes).indexOf(letter);
     return axis < FEWEST_AXES || rotary.indexOf(letter) < index;
   });
-  return wrong ? `ROTARY: ${wrong} is none of A, B, C here, or there twice` : "";
+  return wrong ? t`ROTARY: ${wrong} is none of A, B, C here, or there twice` : "";
 }
 
 const MOST_CYCLES = 6;
 function homingProblem(words = [], axes) {
-  if (words.length > MOST_CYCLES) return `HOMING has ${words.length} parts: there may be ${MOST_CYCLES}`;
+  if (words.length > MOST_CYCLES) return t`HOMING has ${words.length} parts: there may be ${MOST_CYCLES}`;
   const letters = words.join("");
   const wrong = [...letters].find((letter, index) => AXES.slice(0, axes).indexOf(letter) < 0 || letters.indexOf(letter) < index);
-  return wrong ? `HOMING: ${wrong} is no axis, or there twice` : "";
+  return wrong ? t`HOMING: ${wrong} is no axis, or there twice` : "";
 }
 
 /** Problems of limit inputs that axes share. */
@@ -245,7 +245,7 @@ function limitProblem(draft, axes) {
   for (const pin of new Set(limits.filter((one) => one !== null))) {
     const sharing = limits.flatMap((one, index) => (one === pin ? [index] : [])), seen = [];
     for (const index of sharing) {
-      if (seen.includes(axisOf(index))) return `LIMIT: both switches of ${AXES[axisOf(index)]} are on pin ${pin}: None for the second motor's`;
+      if (seen.includes(axisOf(index))) return t`LIMIT: both switches of ${AXES[axisOf(index)]} are on pin ${pin}: None for the second motor's`;
       seen.push(axisOf(index));
     }
     if (sharing.length > 1) shared.push(seen);
@@ -258,7 +258,7 @@ function limitProblem(draft, axes) {
       const both = seen.filter((axis) => cycle.includes(axis)).sort((a, b) => a - b);
       if (both.length < 2) continue;
       const apart = ["Z", ...AXES.slice(0, axes).replace("Z", "")].join('", "');
-      return `LIMIT: ${both.map((axis) => AXES[axis]).join(" and ")} share a pin and are homed together: write HOMING = ("${apart}")`;
+      return t`LIMIT: ${both.map((axis) => AXES[axis]).join(t` and `)} share a pin and are homed together: write HOMING = ("${apart}")`;
     }
   }
   return "";
@@ -267,23 +267,25 @@ function limitProblem(draft, axes) {
 function toolProblem(draft, says) {
   const chip = BOARDS.chips[draft.chip], hz = says.PWM_HZ ?? 5000;
   if (says.TOOL === "laser") {
-    if (hz < BEAM_HZ[0] || hz > BEAM_HZ[1]) return `TOOL = laser: PWM_HZ is ${BEAM_HZ[0]} to ${BEAM_HZ[1]}`;
-    if (draft.pins.SPINDLE_ON?.length) return "TOOL = laser: SPINDLE_ON would not follow the beam";
+    if (hz < BEAM_HZ[0] || hz > BEAM_HZ[1]) return t`TOOL = laser: PWM_HZ is ${BEAM_HZ[0]} to ${BEAM_HZ[1]}`;
+    if (draft.pins.SPINDLE_ON?.length) return t`TOOL = laser: SPINDLE_ON would not follow the beam`;
     const tight = chip.engine === "pio" && chip.mpy_arch === "armv6m" && says.LINK === "wifi";
-    if (tight && draft.pins.STEP.length > BESIDE_RADIO) return `TOOL = laser: with LINK = "wifi" it takes ${BESIDE_RADIO} motors at the most`;
+    if (tight && draft.pins.STEP.length > BESIDE_RADIO) return t`TOOL = laser: with LINK = "wifi" it takes ${BESIDE_RADIO} motors at the most`;
   }
   if (!says.CLUSTERS) return "";
-  if (says.TOOL !== "laser") return 'CLUSTERS wants TOOL = "laser"';
-  return chip.engine === "pio" ? "" : "CLUSTERS wants a Pico: others have no machine for a beam";
+  if (says.TOOL !== "laser") return t`CLUSTERS wants TOOL = "laser"`;
+  return chip.engine === "pio" ? "" : t`CLUSTERS wants a Pico: others have no machine for a beam`;
 }
 
 /** Every problem, in the words of `ugrbl build` and `ugrbl deploy`; [] for a correct board. */
 function boardProblems(draft) {
   const missing = ITEMS.filter(({ name, needed }) => needed && !draft.pins[name]?.length);
-  if (missing.length) return [`${missing[0].name} is missing`];
+  if (missing.length) return [t`${missing[0].name} is missing`];
   const values = [...valueProblems(draft), ...networkProblems(draft)];
-  const link = values.find((words) => words.startsWith("LINK:") && words.includes("is not one of"));
-  if (link) return [link]; // an unknown part: nothing else can be checked
+  const { LINK } = draft.options;
+  if (LINK !== undefined && !FORM_OPTIONS.LINK.words.includes(LINK)) { // an unknown part: nothing else can be checked
+    return values.filter((words) => words.startsWith("LINK:")).slice(0, 1);
+  }
   const pins = pinProblems(draft), extra = values.length || pins.length ? "" : extraProblem(draft);
   return [...pins, ...wireProblems(draft), ...values, ...(extra ? [extra] : [])];
 }
@@ -291,7 +293,7 @@ function boardProblems(draft) {
 /** Hints about the pins of a correct board. */
 function boardNotes(draft) {
   const { odd } = BOARDS.chips[draft.chip];
-  return heldPins(draft).flatMap(([name, pins]) => pins.filter((pin) => odd[pin]).map((pin) => `${name}: pin ${pin} ${odd[pin]}`));
+  return heldPins(draft).flatMap(([name, pins]) => pins.filter((pin) => odd[pin]).map((pin) => t`${name}: pin ${pin} ${translated(odd[pin])}`));
 }
 
 /** A draft from a board in boards/; null if its motors do not use pins of the chip. */

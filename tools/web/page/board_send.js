@@ -18,23 +18,39 @@ function renderFile() {
   renderFileSays();
 }
 
+let fileFault = { line: 0, message: "" };
+/** Numbers of the lines, and a message beside the line that it is about. */
+function renderMargin() {
+  const area = $("board-text"), height = parseFloat(getComputedStyle(area).lineHeight), { line, message } = fileFault;
+  const numbers = area.value.split("\n").map((_, index) => make("span", { className: index + 1 === line ? "bad" : "" }, `${index + 1}\n`));
+  $("file-numbers").replaceChildren(...numbers);
+  $("file-numbers").scrollTop = area.scrollTop;
+  const top = 9 + (line - 1) * height - area.scrollTop; // 9 px: its border and padding
+  $("file-fault").hidden = !line || top < 0 || top > area.clientHeight - height;
+  $("file-fault").textContent = message;
+  $("file-fault").style.top = `${top}px`;
+}
+$("board-text").onscroll = renderMargin;
+
 function renderFileSays() {
+  fileFault = { line: 0, message: "" };
+  renderMargin();
   $("remake-board").hidden = !isBoardFile() || ownWords === null || !draft;
   says("file-says", fileRows());
   renderSend();
 }
 
 function fileRows() {
-  if (!isBoardFile()) return [["Your own Python, beside the board file. It is compiled on the board before it replaces what is there; what fails later is a message in the console.", ""]];
-  if (ownWords !== null) return [["This text was written by hand or comes as it is. The board checks it when it starts.", ""]];
-  return draft ? verdict() : [["Choose a board first, or open a file.", "warn"]];
+  if (!isBoardFile()) return [[t`Your own Python, beside the board file. It is compiled on the board before it replaces what is there; what fails later is a message in the console.`, ""]];
+  if (ownWords !== null) return [[t`This text was written by hand or comes as it is. The board checks it when it starts.`, ""]];
+  return draft ? verdict() : [[t`Choose a board first, or open a file.`, "warn"]];
 }
 
 function renderSend() {
   const open = isBoardFile() && ownWords === null && (!draft || verdict().some(([, tone]) => tone === "bad") || openJobs().length > 0);
   const usb = grbl.up && grbl.link instanceof SerialLink;
   $("send-board").disabled = Boolean(looking) || open || !usb || Boolean(grbl.state) && !is("Idle", "Alarm");
-  $("send-board").title = !usb ? "Connect the board by USB first." : open ? "The file is not ready: see above." : "";
+  $("send-board").title = !usb ? t`Connect the board by USB first.` : open ? t`The file is not ready: see above.` : "";
 }
 grbl.on("change", renderSend);
 STEP_SHOWN.file = renderFile;
@@ -79,8 +95,10 @@ function lineOf(message) {
 
 function showFault(message, known = 0) {
   const line = known || lineOf(message);
-  says("file-says", [[`${line ? `Line ${line}: ` : ""}${message}`, "bad"]]);
+  says("file-says", [[`${line ? t`Line ${line}: ` : ""}${message}`, "bad"]]);
+  fileFault = { line, message };
   if (line) markLine(line);
+  renderMargin();
 }
 
 // A failed handler: its message names the line.
@@ -90,9 +108,9 @@ grbl.on("line", (text) => {
 
 /** Refuse a file for another chip. */
 function checkFits({ frozen, hasMain, machine }, text) {
-  if (!frozen && !hasMain) throw new Error("There is no ugrbl on this board: put the firmware on it first, step 1.");
+  if (!frozen && !hasMain) throw new Error(t`There is no ugrbl on this board: put the firmware on it first, step 1.`);
   const chip = chipOf(machine), wanted = /^MPY_ARCH = "(\w+)"/m.exec(text)?.[1];
-  if (chip && wanted && BOARDS.chips[chip].mpy_arch !== wanted) throw new Error(`This is ${machine}; the file is for another chip (MPY_ARCH = "${wanted}").`);
+  if (chip && wanted && BOARDS.chips[chip].mpy_arch !== wanted) throw new Error(t`This is ${machine}; the file is for another chip (MPY_ARCH = "${wanted}").`);
 }
 
 async function sendFile() {
@@ -109,10 +127,10 @@ async function sendFile() {
   }, true);
   $("send-bar").hidden = true;
   if (!went) showFault(promptTrouble, faultLine);
-  else if (said.banner) says("file-says", [["The board has taken the file, and the machine runs.", "good"]]);
-  else showFault(`The board does not start with it: ${said.message || "it says nothing"}`);
+  else if (said.banner) says("file-says", [[t`The board has taken the file, and the machine runs.`, "good"]]);
+  else showFault(t`The board does not start with it: ${said.message || t`it says nothing`}`);
   if (before !== null && before !== text && !said?.banner) {
-    $("file-says").append(make("li", {}, make("button", { onclick: () => { useFile(before); renderFile(); } }, "Show the file that was there before")));
+    $("file-says").append(make("li", {}, make("button", { onclick: () => { useFile(before); renderFile(); } }, t`Show the file that was there before`)));
   }
   promptTrouble = "";
   renderSend();

@@ -13,31 +13,31 @@ let ownWords = kept.ownWords ?? null; // the file's text, if it was edited by ha
 function situation() {
   if (looking) return [looking];
   if (promptTrouble) return [promptTrouble, "look"];
-  if (!SerialLink.possible()) return ["This browser cannot open a USB port. Chrome and Edge on a computer can. A board file can be made and saved here all the same."];
-  if (!grbl.up) return ["No board is connected. Plug it in and press Connect by USB. If no board is in the list, put the firmware on it first: see below.", "connect"];
+  if (!SerialLink.possible()) return [t`This browser cannot open a USB port. Chrome and Edge on a computer can. A board file can be made and saved here all the same.`];
+  if (!grbl.up) return [t`No board is connected. Plug it in and press Connect by USB. If no board is in the list, put the firmware on it first: see below.`, "connect"];
   if (grbl.lent && onBoard) return boardWords(onBoard);
-  if (grbl.state) return [`A machine is at work: ${grbl.version ? `version ${grbl.version}` : "a Grbl"}. Its pins can be changed here, or go on with step 6.`, "read", "guide"];
-  if (grbl.message) return [`The firmware does not start: ${grbl.message}`, "look"];
-  if (grbl.silent) return ["The board says nothing. It may have no firmware yet, or another program on it.", "look"];
-  return ["Waiting for an answer …"];
+  if (grbl.state) return [t`A machine is at work: ${grbl.version ? t`version ${grbl.version}` : t`a Grbl`}. Its pins can be changed here, or go on with step 6.`, "read", "guide"];
+  if (grbl.message) return [t`The firmware does not start: ${grbl.message}`, "look"];
+  if (grbl.silent) return [t`The board says nothing. It may have no firmware yet, or another program on it.`, "look"];
+  return [t`Waiting for an answer …`];
 }
 
 function boardWords({ version, machine, frozen, hasMain, board }) {
-  const python = `MicroPython ${version} on ${machine}`;
-  if (!frozen && !hasMain) return [`${python}, without ugrbl. Put the firmware on it: see below.`, "again"];
-  if (board === null) return [`${python}, with ugrbl and without a board file. The next step makes one.`, "board"];
-  return [`${python}, with ugrbl and a board file. The machine does not run.`, "start", "file"];
+  const python = t`MicroPython ${version} on ${machine}`;
+  if (!frozen && !hasMain) return [t`${python}, without ugrbl. Put the firmware on it: see below.`, "again"];
+  if (board === null) return [t`${python}, with ugrbl and without a board file. The next step makes one.`, "board"];
+  return [t`${python}, with ugrbl and a board file. The machine does not run.`, "start", "file"];
 }
 
 const ACTIONS = {
-  connect: ["Connect by USB", () => connectUsb()],
-  look: ["Look what is on it", () => lookAtBoard()],
-  again: ["Look again", () => lookAtBoard()],
-  read: ["Read its board file", () => lookAtBoard(true)],
-  guide: ["Set the machine up", () => showStep("guide")],
-  board: ["Choose the board", () => showStep("board")],
-  start: ["Start it", () => startBoard()],
-  file: ["Show its board file", () => showStep("file")],
+  connect: [t`Connect by USB`, () => connectUsb()],
+  look: [t`Look what is on it`, () => lookAtBoard()],
+  again: [t`Look again`, () => lookAtBoard()],
+  read: [t`Read its board file`, () => lookAtBoard(true)],
+  guide: [t`Set the machine up`, () => showStep("guide")],
+  board: [t`Choose the board`, () => showStep("board")],
+  start: [t`Start it`, () => startBoard()],
+  file: [t`Show its board file`, () => showStep("file")],
 };
 
 let situationWas = "";
@@ -75,14 +75,14 @@ async function lookAtBoard(restart = false) {
 }
 
 function startMachine() {
-  looking = "The board starts …";
+  looking = t`The board starts …`;
   renderSituation();
   return micropython.start();
 }
 
 /** Act at the raw prompt; show a fault. Returns whether it succeeded. */
 async function atPrompt(act, fresh = false) {
-  looking = "Looking at what is on the board …";
+  looking = t`Looking at what is on the board …`;
   promptTrouble = "";
   renderSituation();
   try {
@@ -104,7 +104,7 @@ async function startBoard() {
   let said = null;
   await atPrompt(async () => { said = await startMachine(); });
   onBoard = null;
-  if (said && !said.banner) promptTrouble = `The firmware does not start: ${said.message || "it says nothing"}`;
+  if (said && !said.banner) promptTrouble = t`The firmware does not start: ${said.message || t`it says nothing`}`;
   renderSituation();
 }
 
@@ -113,7 +113,7 @@ function renderUf2() {
   $("uf2-name").textContent = `ugrbl-…-${IMAGES[name]}.uf2`;
   $("uf2-drive").textContent = BOARDS.chips[name].processor === "RP2350" ? "RP2350" : "RPI-RP2";
 }
-$("uf2-board").append(...Object.keys(IMAGES).map((name) => make("option", { value: name }, BOARDS.chips[name].title)));
+$("uf2-board").append(...Object.keys(IMAGES).map((name) => make("option", { value: name }, translated(BOARDS.chips[name].title))));
 $("uf2-board").onchange = renderUf2;
 $("uf2-write").hidden = !("showDirectoryPicker" in window);
 $("uf2-file").onchange = async ({ target }) => {
@@ -121,12 +121,12 @@ $("uf2-file").onchange = async ({ target }) => {
   target.value = "";
   const say = (text) => { $("uf2-words").textContent = text; };
   try {
-    say("Choose the board's drive.");
+    say(t`Choose the board's drive.`);
     const drive = await window.showDirectoryPicker({ mode: "readwrite" });
-    say("Writing …");
+    say(t`Writing …`);
     say(await writeToDrive(file, drive));
   } catch (error) {
-    say(error.name === "AbortError" ? "No drive was chosen." : error.message);
+    say(error.name === "AbortError" ? t`No drive was chosen.` : error.message);
   }
 };
 STEP_SHOWN.connect = () => {
@@ -136,14 +136,14 @@ STEP_SHOWN.connect = () => {
 
 // Choice of the board
 
-$("board-chip").append(...Object.entries(BOARDS.chips).map(([name, { title }]) => make("option", { value: name }, title)));
+$("board-chip").append(...Object.entries(BOARDS.chips).map(([name, { title }]) => make("option", { value: name }, translated(title))));
 $("board-chip").onchange = renderCards;
 function renderCards() {
   const chip = $("board-chip").value, { processor, title } = BOARDS.chips[chip];
   const near = Object.entries(BOARDS.boards).filter(([, board]) => BOARDS.chips[board.chip].processor === processor);
   near.sort(([, one], [, other]) => (other.chip === chip) - (one.chip === chip));
   $("board-cards").replaceChildren(
-    make("button", { className: "main", onclick: () => chooseOwn(chip) }, make("b", {}, "My own"), make("span", { className: "small" }, `Pins of the ${title}, one by one`)),
+    make("button", { className: "main", onclick: () => chooseOwn(chip) }, make("b", {}, t`My own`), make("span", { className: "small" }, t`Pins of the ${translated(title)}, one by one`)),
     ...near.map(([name, { about }]) => make("button", { onclick: () => chooseBoard(name) }, make("b", { className: "mono" }, name), make("span", { className: "small" }, about))));
 }
 STEP_SHOWN.board = renderCards;
@@ -178,8 +178,8 @@ function useText(text) {
 // Pins
 
 const PIN_KINDS = { STEP: "motor", DIR: "motor", ENABLE: "motor" };
-const SHORT = { STEP: "step", DIR: "dir", ENABLE: "enable", LIMIT: "limit", RESET: "reset", HOLD: "hold", START: "start", DOOR: "door",
-  ESTOP: "e-stop", SPINDLE_PWM: "tool PWM", SPINDLE_DIR: "tool dir", SPINDLE_ON: "tool on", FLOOD: "flood", MIST_PIN: "mist" };
+const SHORT = { STEP: t`step`, DIR: t`dir`, ENABLE: t`enable`, LIMIT: t`limit`, PROBE: t`probe`, RESET: t`reset`, HOLD: t`hold`, START: t`start`, DOOR: t`door`,
+  ESTOP: t`e-stop`, SPINDLE_PWM: t`tool PWM`, SPINDLE_DIR: t`tool dir`, SPINDLE_ON: t`tool on`, FLOOD: t`flood`, MIST_PIN: t`mist` };
 const kindOfItem = ({ name, output }) => PIN_KINDS[name] || (output ? "out" : "in");
 const motorLetters = () => draft.motors || AXES.slice(0, (draft.pins.STEP || []).length);
 
@@ -187,12 +187,12 @@ const motorLetters = () => draft.motors || AXES.slice(0, (draft.pins.STEP || [])
 function pinJobs() {
   const names = motorNames(motorLetters());
   const items = ITEMS.flatMap((item) => {
-    const words = SHORT[item.name] || item.question.split(",")[0];
+    const words = SHORT[item.name] || item.name;
     const kind = kindOfItem(item);
     return item.perAxis ? names.map((motor, index) => [`${item.name} ${index}`, `${words} ${motor}`, kind]) : [[item.name, words, kind]];
   });
   const own = (way, word) => Object.keys(draft[way]).map((name) => [`${way} ${name}`, `${word} ${name}`, "own"]);
-  return [...items, ["repl", "prompt", "in"], ...own("outputs", "output"), ...own("inputs", "input")];
+  return [...items, ["repl", t`prompt`, "in"], ...own("outputs", t`output`), ...own("inputs", t`input`)];
 }
 
 /** The job of a pin; "" if it has none. */
@@ -246,16 +246,16 @@ function tidy() {
 /** Motor jobs that have no pin yet. */
 function openJobs() {
   const names = motorNames(motorLetters());
-  return [["STEP", "step"], ["DIR", "dir"]].flatMap(([item, words]) => names.filter((_, motor) => (draft.pins[item]?.[motor] ?? null) === null).map((name) => `${words} ${name}`));
+  return [["STEP", SHORT.STEP], ["DIR", SHORT.DIR]].flatMap(([item, words]) => names.filter((_, motor) => (draft.pins[item]?.[motor] ?? null) === null).map((name) => `${words} ${name}`));
 }
 
 /** [text, tone] of each message about the draft. */
 function verdict() {
   const open = openJobs(), made = tidy();
-  if (open.length) return [[`Still without a pin: ${open.join(", ")}.`, "warn"], ...noteRows(made)];
+  if (open.length) return [[t`Still without a pin: ${open.join(", ")}.`, "warn"], ...noteRows(made)];
   const problems = boardProblems(made);
   if (problems.length) return problems.map((text) => [text, "bad"]);
-  return [["No rule is broken: the file is ready.", "good"], ...noteRows(made)];
+  return [[t`No rule is broken: the file is ready.`, "good"], ...noteRows(made)];
 }
 const noteRows = (made) => boardNotes(made).map((text) => [text, "warn"]);
 
@@ -266,7 +266,7 @@ function renderPins() {
   const focused = document.activeElement?.id;
   const { module, title } = BOARDS.chips[draft.chip], left = module.left.split(" "), right = module.right.split(" ");
   const rows = Math.max(left.length, right.length), jobs = pinJobs();
-  const parts = [make("div", { className: "body", style: `grid-row:1/span ${rows}`, title }, make("span", {}, module.title))];
+  const parts = [make("div", { className: "body", style: `grid-row:1/span ${rows}`, title: translated(title) }, make("span", {}, module.title))];
   for (let row = 0; row < rows; row += 1) {
     parts.push(...pinCells(left[row], row, [2, 1], jobs), ...pinCells(right[row], row, [4, 5], jobs));
   }
@@ -283,8 +283,8 @@ function pinCells(word, row, [padColumn, jobColumn], jobs) {
   if (!/^\d+$/.test(word)) return [make("span", { className: "power", style: where(padColumn) }, word)];
   const pin = Number(word), job = jobOfPin(pin), { odd, inputs_only: inputsOnly } = BOARDS.chips[draft.chip];
   const kind = jobs.find(([value]) => value === job)?.[2] || "";
-  const hint = [inputsOnly.includes(pin) && "can only read", odd[pin]].filter(Boolean).join("; ");
-  const select = make("select", { id: `pin-${pin}`, "aria-label": `Job of pin ${pin}${hint ? `, which ${hint}` : ""}`, style: where(jobColumn), title: hint, onchange: ({ target }) => givePin(pin, target.value) },
+  const hint = [inputsOnly.includes(pin) && t`can only read`, translated(odd[pin])].filter(Boolean).join("; ");
+  const select = make("select", { id: `pin-${pin}`, "aria-label": t`Job of pin ${pin}${hint ? t`, which ${hint}` : ""}`, style: where(jobColumn), title: hint, onchange: ({ target }) => givePin(pin, target.value) },
     make("option", { value: "" }, "–"), ...jobs.map(([value, text]) => make("option", { value, selected: value === job }, text)));
   return [make("label", { htmlFor: select.id, "data-kind": kind, style: where(padColumn), title: hint }, word + (hint ? "*" : "")), select];
 }
@@ -311,7 +311,7 @@ $("board-rotary").onchange = ({ target }) => {
 $("own-pins").onsubmit = (event) => {
   event.preventDefault();
   const name = $("own-name").value.trim();
-  if (!name || name in draft.outputs || name in draft.inputs) return says("pins-says", [["Give it a name that is not there yet.", "bad"]]);
+  if (!name || name in draft.outputs || name in draft.inputs) return says("pins-says", [[t`Give it a name that is not there yet.`, "bad"]]);
   draft[event.submitter.value][name] = null;
   $("own-name").value = "";
   setDraft(draft);
@@ -323,15 +323,15 @@ $("own-pins").onsubmit = (event) => {
 function renderOptions() {
   says("options-says", verdict());
   $("option-forms").replaceChildren(...Object.entries(BOARDS.forms).map(([title, options]) => make("details", { open: options.some(({ name }) => name in draft.options) },
-    make("summary", {}, make("b", {}, title)), ...options.map(optionRow))));
+    make("summary", {}, make("b", {}, translated(title))), ...options.map(optionRow))));
   const others = Object.keys(draft.kept);
-  if (others.length) $("option-forms").append(make("p", { className: "small faint" }, `Kept as they are, and checked by the board when it starts: ${others.join(", ")}.`));
+  if (others.length) $("option-forms").append(make("p", { className: "small faint" }, t`Kept as they are, and checked by the board when it starts: ${others.join(", ")}.`));
 }
 
 function optionRow(option) {
   const id = `option-${option.name}`;
   return make("div", { className: "option" }, make("label", { htmlFor: id, className: "mono small" }, option.name),
-    make("div", { className: option.kind === "True or False" ? "tick" : "" }, optionControl(option, id), make("div", { className: "small faint" }, option.meaning)));
+    make("div", { className: option.kind === "True or False" ? "tick" : "" }, optionControl(option, id), make("div", { className: "small faint" }, translated(option.meaning))));
 }
 
 /** Store an option; a default value is left out of the file. */
@@ -362,7 +362,7 @@ function optionControl(option, id) {
     return make("select", { id, onchange: ({ target }) => setOption(option, target.value) },
       ...choices.map((word) => make("option", { value: word, selected: word === (value ?? usual) }, word)));
   }
-  return make("input", { id, value: value ?? "", placeholder: "none", onchange: ({ target }) => setOption(option, target.value.replace(/[^\w-]/g, "") || undefined) });
+  return make("input", { id, value: value ?? "", placeholder: t`none`, onchange: ({ target }) => setOption(option, target.value.replace(/[^\w-]/g, "") || undefined) });
 }
 STEP_SHOWN.options = () => {
   if (!draft) return showStep("board");

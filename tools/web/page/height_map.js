@@ -7,7 +7,7 @@ let heightMap = null; // { x: [mm], y: [mm], z: [row][column] of mm, work coordi
 function readHeights(text) {
   const read = JSON.parse(text), numbers = (list) => Array.isArray(list) && list.length > 1 && list.every(Number.isFinite);
   if (read === null) return null;
-  if (!numbers(read.x) || !numbers(read.y) || read.z?.length !== read.y.length || !read.z.every((row) => numbers(row) && row.length === read.x.length)) throw new Error("this is no height map");
+  if (!numbers(read.x) || !numbers(read.y) || read.z?.length !== read.y.length || !read.z.every((row) => numbers(row) && row.length === read.x.length)) throw new Error(t`this is no height map`);
   return { x: read.x, y: read.y, z: read.z };
 }
 
@@ -44,27 +44,27 @@ function heightGrid() {
   return { x: evenly(low[0], high[0], Math.max(2, Math.round(probeValue("columns")))), y: evenly(low[1], high[1], Math.max(2, Math.round(probeValue("rows")))) };
 }
 
-PROBE_KINDS.height = { title: "Height map", fields: ["columns", "rows", "far", "feed", "up"], words: "Open a program first: the grid lies on what it cuts. Set Z by the plate or by hand before, at the height of this map's 0.",
+PROBE_KINDS.height = { title: t`Height map`, fields: ["columns", "rows", "far", "feed", "up"], words: t`Open a program first: the grid lies on what it cuts. Set Z by the plate or by hand before, at the height of this map's 0.`,
   picture: [["work", 10, 55, 100, 25], ["tool", 57, 8, 6, 24]], way: "M20 50v-10M40 52v-12M60 48v-12M80 50v-10M100 46v-8", lines: heightLines, run: probeHeights,
-  done: () => `${heightMap.x.length * heightMap.y.length} points. Heights from ${millimetres(Math.min(...heightMap.z.flat()))} to ${millimetres(Math.max(...heightMap.z.flat()))} mm.` };
+  done: () => t`${heightMap.x.length * heightMap.y.length} points. Heights from ${millimetres(Math.min(...heightMap.z.flat()))} to ${millimetres(Math.max(...heightMap.z.flat()))} mm.` };
 
 function heightLines() {
   const grid = heightGrid();
-  if (!grid) return ["(no program is open that cuts something)"];
+  if (!grid) return [`(${t`no program is open that cuts something`})`];
   const corner = (list) => `${millimetres(list[0])} … ${millimetres(list.at(-1))}`;
-  return [`G90 G0 ${word("Z", probeValue("up"))}`, `(${grid.x.length} times ${grid.y.length} points: X ${corner(grid.x)}, Y ${corner(grid.y)})`, "G0 X Y", `G91 G38.2 ${word("Z", -probeValue("far"))} F${probeValue("feed")}`, `G90 G0 ${word("Z", probeValue("up"))}`];
+  return [`G90 G0 ${word("Z", probeValue("up"))}`, `(${t`${grid.x.length} times ${grid.y.length} points: X ${corner(grid.x)}, Y ${corner(grid.y)}`})`, "G0 X Y", `G91 G38.2 ${word("Z", -probeValue("far"))} F${probeValue("feed")}`, `G90 G0 ${word("Z", probeValue("up"))}`];
 }
 
 async function probeHeights() {
   const grid = heightGrid();
-  if (!grid) throw new Error("Open a program that cuts something first.");
+  if (!grid) throw new Error(t`Open a program that cuts something first.`);
   const offset = inMm(grbl.offset)[2] || 0, z = grid.y.map(() => []), up = `G90 G0 ${word("Z", probeValue("up"))}`;
   await probeSend([up]);
   for (const [row, y] of grid.y.entries()) {
     const columns = [...grid.x.entries()];
     if (row % 2) columns.reverse(); // alternate rows run backwards
     for (const [column, x] of columns) {
-      $("probe-says").textContent = `Point ${row * grid.x.length + (row % 2 ? grid.x.length - column : column + 1)} of ${grid.x.length * grid.y.length} …`;
+      $("probe-says").textContent = t`Point ${row * grid.x.length + (row % 2 ? grid.x.length - column : column + 1)} of ${grid.x.length * grid.y.length} …`;
       await probeSend([`G0 ${word("X", x)} ${word("Y", y)}`, `G91 G38.2 ${word("Z", -probeValue("far"))} F${probeValue("feed")}`]);
       z[row][column] = touched()[2] - offset;
       await probeSend([up]);
@@ -101,7 +101,7 @@ function withHeights(opened, map) {
   lines.forEach((text, index) => {
     const words = wordsOf(text), codes = words.filter(([letter]) => letter === "G").map(([, value]) => `G${value}`);
     const refused = codes.find((code) => !/^G([0123]|4|17|20|21|40|49|5[4-9]|54\.0|61|64|80|90|91|91\.1|94)$/.test(code));
-    if (refused || /^\s*\$/.test(text)) throw new Error(`line ${index + 1} has ${refused || "a $ command"}, which cannot follow a height map`);
+    if (refused || /^\s*\$/.test(text)) throw new Error(t`line ${index + 1} has ${refused || t`a $ command`}, which cannot follow a height map`);
     reader.read(text);
     const rest = words.filter(([letter, value]) => !(/[XYZIJKRFN]/.test(letter) || letter === "G" && /^([0123]|20|21|90|91|94)$/.test(String(value))));
     const isEnd = ([letter, value]) => letter === "M" && [0, 1, 2, 30].includes(value); // after the line's motion
@@ -113,7 +113,7 @@ function withHeights(opened, map) {
     }
     said(rest.filter(isEnd));
   });
-  if (reader.relative || !reader.path.length) throw new Error("it moves relative to where the tool is (G91), or not at all");
+  if (reader.relative || !reader.path.length) throw new Error(t`it moves relative to where the tool is (G91), or not at all`);
   return `${made.join("\n")}\n`;
 }
 

@@ -31,20 +31,20 @@ function outlineLines([low, high], feed, { up, laser }) {
 
 $("outline").onclick = async () => {
   const box = cutBox(program.path);
-  if (!box) return trouble("The program cuts nothing: there is no outline.");
+  if (!box) return trouble(t`The program cuts nothing: there is no outline.`);
   const [low, high] = box, isLaser = grbl.setting(32) === 1, z = grbl.workMm()[2];
   const { highest } = program.readTo(program.lines.length + 1), up = Number.isFinite(highest) && highest > z ? highest : null;
   const laser = isLaser ? Math.max(1, Math.round(OUTLINE_POWER * (grbl.setting(30) || 1000))) : null;
   const mm = (value) => `${millimetres(value)} mm`;
-  const words = [`X from ${mm(low[0])} to ${mm(high[0])}, Y from ${mm(low[1])} to ${mm(high[1])}, at the jog feed.`,
-    isLaser ? `The laser is on at S${laser}, 1 % of full power.` : up === null ? `Z stays at ${mm(z)}. The spindle stays as it is.` : `First Z goes up to ${mm(up)}. The spindle stays as it is.`];
-  if (!await sure("Outline", words, isLaser ? "Laser on, go round" : "Go round")) return;
+  const words = [t`X from ${mm(low[0])} to ${mm(high[0])}, Y from ${mm(low[1])} to ${mm(high[1])}, at the jog feed.`,
+    isLaser ? t`The laser is on at S${laser}, 1 % of full power.` : up === null ? t`Z stays at ${mm(z)}. The spindle stays as it is.` : t`First Z goes up to ${mm(up)}. The spindle stays as it is.`];
+  if (!await sure(t`Outline`, words, isLaser ? t`Laser on, go round` : t`Go round`)) return;
   const feed = jogFeed() * (grbl.inches ? MM_PER_INCH : 1);
   for (const line of outlineLines(box, feed, { up, laser })) {
     const answer = await grbl.send(line);
     if (answer !== "ok") {
       if (isLaser && is("Idle")) grbl.send("M5");
-      return trouble(`The outline ends here. ${line}\n${explained(answer)}`);
+      return trouble(t`The outline ends here. ${line}\n${explained(answer)}`);
     }
   }
 };

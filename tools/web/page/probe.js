@@ -2,20 +2,21 @@
 
 const PROBE_AS = "ugrbl-probe", SLOW_PART = 0.25, BACK_MM = 1;
 const PROBE_FIELDS = {
-  plate: ["Plate", "mm", 1.5], tool: ["Tool", "mm", 3], far: ["At most", "mm", 20], feed: ["Feed", "mm/min", 100], up: ["Then up", "mm", 5], columns: ["Columns", "", 4], rows: ["Rows", "", 3],
+  plate: [t`Plate`, "mm", 1.5], tool: [t`Tool`, "mm", 3], far: [t`At most`, "mm", 20], feed: [t`Feed`, "mm/min", 100], up: [t`Then up`, "mm", 5], columns: [t`Columns`, "", 4], rows: [t`Rows`, "", 3],
 };
 /** The sides from which an edge is probed: axis and sign of the motion. */
 const PROBE_SIDES = { left: ["X", 1], right: ["X", -1], front: ["Y", 1], back: ["Y", -1] };
+const SIDE_WORDS = { left: t`left`, right: t`right`, front: t`front`, back: t`back` };
 const PROBE_KINDS = {
-  plate: { title: "Plate", fields: ["plate", "far", "feed", "up"], words: "A plate lies on the work, the tool is above it. Sets Z of the coordinate system in force.",
+  plate: { title: t`Plate`, fields: ["plate", "far", "feed", "up"], words: t`A plate lies on the work, the tool is above it. Sets Z of the coordinate system in force.`,
     picture: [["work", 20, 60, 80, 20], ["metal", 45, 52, 30, 8], ["tool", 57, 10, 6, 24]], way: "M60 36v14", lines: plateLines },
-  edge: { title: "Edge", fields: ["side", "tool", "plate", "far", "feed"], words: "The tool is outside the work, below its top. A plate on the edge counts with its thickness; none is 0.",
+  edge: { title: t`Edge`, fields: ["side", "tool", "plate", "far", "feed"], words: t`The tool is outside the work, below its top. A plate on the edge counts with its thickness; none is 0.`,
     picture: [["work", 55, 40, 60, 40], ["tool", 20, 16, 6, 44]], way: "M30 55h22", lines: edgeLines },
-  corner: { title: "Corner", fields: ["tool", "plate", "far", "feed", "up"], words: "The tool is left of the work, nearer to its front than At most, below its top. It finds the left side, goes round and finds the front: that corner is X0 Y0 then.",
+  corner: { title: t`Corner`, fields: ["tool", "plate", "far", "feed", "up"], words: t`The tool is left of the work, nearer to its front than At most, below its top. It finds the left side, goes round and finds the front: that corner is X0 Y0 then.`,
     picture: [["work", 45, 10, 70, 50], ["tool", 22, 64, 12, 12]], way: "M34 62l20-20", lines: cornerLines },
-  hole: { title: "Hole", fields: ["tool", "far", "feed"], words: "The tool is in a hole or ring, below its top. Its middle is X0 Y0 then.",
+  hole: { title: t`Hole`, fields: ["tool", "far", "feed"], words: t`The tool is in a hole or ring, below its top. Its middle is X0 Y0 then.`,
     picture: [["work", 10, 10, 100, 70], ["metal", 35, 20, 50, 50], ["tool", 56, 41, 8, 8]], way: "M50 45h-12M70 45h12M60 36v-12M60 54v12", lines: holeLines, run: probeHole },
-  length: { title: "Tool length", fields: ["far", "feed", "up"], words: "Over a fixed plate. The first tool is the one by which zero was set; later ones get the difference (G43.1).",
+  length: { title: t`Tool length`, fields: ["far", "feed", "up"], words: t`Over a fixed plate. The first tool is the one by which zero was set; later ones get the difference (G43.1).`,
     picture: [["metal", 35, 66, 50, 12], ["tool", 56, 10, 8, 36]], way: "M60 48v14", lines: lengthLines, run: probeLength },
 };
 const probeSet = { kind: "plate", side: "left", ...readProbe() };
@@ -38,7 +39,7 @@ function keepProbe() {
 }
 const probeValue = (name) => Number(probeSet[name] ?? PROBE_FIELDS[name][2]);
 /** Placeholder in a line for the coordinate found by the last probing. */
-const TOUCHED = "(where it touched)";
+const TOUCHED = `(${t`where it touched`})`;
 const word = (letter, value) => `${letter}${millimetres(value)}`;
 
 /** Probe fast, retract, probe slowly; then move to the contact, because the machine stops after it. */
@@ -65,11 +66,11 @@ function cornerLines() {
 }
 
 function holeLines() {
-  return ["X", "Y"].flatMap((letter) => [`G38.2 ${word(letter, -probeValue("far"))} F${probeValue("feed")}`, `G38.2 ${word(letter, 2 * probeValue("far"))}`, `G90 G53 G0 ${letter}(the middle of both)`, `G10 L20 P0 ${letter}0`]);
+  return ["X", "Y"].flatMap((letter) => [`G38.2 ${word(letter, -probeValue("far"))} F${probeValue("feed")}`, `G38.2 ${word(letter, 2 * probeValue("far"))}`, `G90 G53 G0 ${letter}(${t`the middle of both`})`, `G10 L20 P0 ${letter}0`]);
 }
 
 function lengthLines() {
-  const last = probeSet.reference === undefined ? "(where it touches is kept: this is the first tool)" : "G43.1 Z(the difference to the first tool)";
+  const last = probeSet.reference === undefined ? `(${t`where it touches is kept: this is the first tool`})` : `G43.1 Z(${t`the difference to the first tool`})`;
   return [...touchLines("Z", -1, probeValue("far")), last, `G0 ${word("Z", probeValue("up"))}`];
 }
 
@@ -81,7 +82,7 @@ function touched() {
 
 /** Run a probing in mm and relative coordinates, then restore G20 and G90. Throws an Error for the user. */
 async function probeRun(act) {
-  if (grbl.pins.includes("P")) throw new Error("The probe touches already. Lift the tool, or turn $6 round.");
+  if (grbl.pins.includes("P")) throw new Error(t`The probe touches already. Lift the tool, or turn $6 round.`);
   const before = ["G20", "G90"].filter((mode) => grbl.modes.includes(mode));
   probing = true;
   try {
@@ -95,7 +96,7 @@ async function probeRun(act) {
 
 async function probeSend(lines) {
   for (const shown of lines) {
-    const line = shown.replace(/([XYZ])\(where it touched\)/, (_, letter) => word(letter, touched()[AXES.indexOf(letter)]));
+    const line = shown.replace(/([XYZ])\(.*?\)/, (_, letter) => word(letter, touched()[AXES.indexOf(letter)]));
     const answer = await grbl.send(line);
     if (answer !== "ok") throw new Error(`${line}: ${explained(answer, line)}`);
     if (grbl.alarm || is("Alarm")) throw new Error(`${line}: ${alarmWords(grbl.alarm || 5)}`);
@@ -128,7 +129,7 @@ function renderProbe() {
   $("probe-kinds").replaceChildren(...Object.entries(PROBE_KINDS).map(([name, { title }]) => make("button", { "aria-pressed": String(name === probeSet.kind), onclick: () => { probeSet.kind = name; keepProbe(); renderProbe(); } }, title)));
   $("probe-words").textContent = kind.words;
   $("probe-fields").replaceChildren(...kind.fields.map(probeField),
-    ...(probeSet.kind === "length" && probeSet.reference !== undefined ? [make("button", { onclick: () => { delete probeSet.reference; keepProbe(); renderProbe(); } }, "Another first tool")] : []));
+    ...(probeSet.kind === "length" && probeSet.reference !== undefined ? [make("button", { onclick: () => { delete probeSet.reference; keepProbe(); renderProbe(); } }, t`Another first tool`)] : []));
   $("probe-picture").replaceChildren(...kind.picture.map(([className, x, y, width, height]) => svg("rect", { class: className, x, y, width, height, rx: 2 })), svg("path", { class: "way", d: kind.way }));
   $("height").hidden = probeSet.kind !== "height";
   for (const id of ["height-plot", "height-use", "height-save", "height-drop"]) $(id).hidden = !heightMap;
@@ -143,7 +144,7 @@ function probeField(name) {
     keepProbe();
     renderProbeLines();
   };
-  if (name === "side") return make("label", {}, "Side of the work", make("select", { id: "probe-side", onchange: change }, ...Object.keys(PROBE_SIDES).map((side) => make("option", { value: side, selected: side === probeSet.side }, side))));
+  if (name === "side") return make("label", {}, t`Side of the work`, make("select", { id: "probe-side", onchange: change }, ...Object.keys(PROBE_SIDES).map((side) => make("option", { value: side, selected: side === probeSet.side }, SIDE_WORDS[side]))));
   const [label, unit] = PROBE_FIELDS[name];
   return make("label", {}, label, make("input", { id: `probe-${name}`, type: "number", step: "any", min: "0", value: probeValue(name), oninput: change, style: "width:5em" }), make("span", { className: "faint" }, unit));
 }
@@ -156,13 +157,13 @@ function svg(tag, attributes) {
 
 $("probe-run").onclick = async () => {
   const kind = PROBE_KINDS[probeSet.kind], say = (text, tone) => Object.assign($("probe-says"), { textContent: text, className: `small ${tone}` });
-  say("Probing …", "");
+  say(t`Probing …`, "");
   try {
     await probeRun(async () => (kind.run ? kind.run() : probeSend(kind.lines())));
-    say(kind.done?.() || "Done.", "good");
+    say(kind.done?.() || t`Done.`, "good");
   } catch (error) {
     say(error.message, "bad");
   }
   renderProbe();
 };
-grbl.on("status", () => setText("probe-state", grbl.pins.includes("P") ? "The probe touches." : "The probe is open."));
+grbl.on("status", () => setText("probe-state", grbl.pins.includes("P") ? t`The probe touches.` : t`The probe is open.`));

@@ -48,14 +48,14 @@ class Prompt {
 
   constructor(grbl) {
     this.#grbl = grbl;
-    grbl.on("lost", () => this.#waits?.fail(new Error("The connection is lost.")));
+    grbl.on("lost", () => this.#waits?.fail(new Error(t`The connection is lost.`)));
   }
 
   /** Enter the raw prompt. fresh: with a soft reset, so that all memory is free. */
   async enter(fresh = false) {
     const { state, link } = this.#grbl;
-    if (state && !["Idle", "Alarm"].includes(state)) throw new Error(`The machine is in ${state} and is not disturbed. Wait until it is idle.`);
-    if (!(link instanceof SerialLink)) throw new Error("This needs the board's USB port: open the page from disk, and press Connect by USB.");
+    if (state && !["Idle", "Alarm"].includes(state)) throw new Error(t`The machine is in ${state} and is not disturbed. Wait until it is idle.`);
+    if (!(link instanceof SerialLink)) throw new Error(t`This needs the board's USB port: open the page from disk, and press Connect by USB.`);
     this.#text = "";
     this.#grbl.lend((bytes) => this.#hear(bytes));
     try {
@@ -135,7 +135,7 @@ class Prompt {
         this.#waits = null;
         act(value);
       };
-      const timer = setTimeout(() => end(reject, new Error("MicroPython's prompt does not answer. Unplug the board, plug it in, and connect again.")), patience);
+      const timer = setTimeout(() => end(reject, new Error(t`MicroPython's prompt does not answer. Unplug the board, plug it in, and connect again.`)), patience);
       this.#waits = {
         fail: (error) => end(reject, error),
         look: () => {

@@ -7,11 +7,11 @@ const DRIVES = { "RPI-RP2": "RP2040", RP2350: "RP2350" }; // Board-ID of INFO_UF
 /** The processor of a UF2 file, "" if it names none. Throws an Error for another file. */
 function processorOfUf2(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  if (bytes.length < 512 || view.getUint32(0, true) !== UF2_MAGIC) throw new Error("This is no UF2 file.");
+  if (bytes.length < 512 || view.getUint32(0, true) !== UF2_MAGIC) throw new Error(t`This is no UF2 file.`);
   for (let at = 0; at + 512 <= bytes.length; at += 512) { // blocks without a chip's family come first
     if (!(view.getUint32(at + UF2_FLAGS_AT, true) & UF2_HAS_FAMILY)) continue;
     const processor = FAMILIES[view.getUint32(at + UF2_FAMILY_AT, true)];
-    if (processor === undefined) throw new Error("This file is for another chip than RP2040 and RP2350.");
+    if (processor === undefined) throw new Error(t`This file is for another chip than RP2040 and RP2350.`);
     if (processor) return processor;
   }
   return "";
@@ -25,13 +25,13 @@ async function writeToDrive(file, drive) {
     info = await (await (await drive.getFileHandle("INFO_UF2.TXT")).getFile()).text();
   } catch (error) {
     if (error.name !== "NotFoundError") throw error;
-    throw new Error("There is no INFO_UF2.TXT: this is not the drive of a board in its boot loader.");
+    throw new Error(t`There is no INFO_UF2.TXT: this is not the drive of a board in its boot loader.`);
   }
   const found = DRIVES[/Board-ID: *(\S+)/.exec(info)?.[1]];
-  if (!found) throw new Error("This is the drive of another kind of board.");
-  if (processor && processor !== found) throw new Error(`The file is for an ${processor}, and the board has an ${found}.`);
+  if (!found) throw new Error(t`This is the drive of another kind of board.`);
+  if (processor && processor !== found) throw new Error(t`The file is for an ${processor}, and the board has an ${found}.`);
   const out = await (await drive.getFileHandle(file.name, { create: true })).createWritable();
   await out.write(bytes);
   await out.close();
-  return `${file.name} is on the board, which starts by itself now. Press Connect by USB.`;
+  return t`${file.name} is on the board, which starts by itself now. Press Connect by USB.`;
 }
