@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from motion.planner import Planner
 
 _FRACTION_BITS = const(17)  # of a tick; 4095 steps of less than a tick fit 29 bits
-_NEAR_LOG2 = const(10)  # the planner's own error is below 2**-11 of a row
+_NEAR_LOG2 = const(10)  # the planner's own error is below 2**-11 of a row,
+_END_LOG2 = const(6)  # and a row's end may be 2**-7 step off (slice_kernel.STEP_BIAS)
 
 
 @micropython.viper
@@ -65,7 +66,8 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     change = exact - ticks
     if change < 0:
         change = 0 - change
-    if change > (ticks >> _NEAR_LOG2) + ticks // ((ring[at + CRUISE] >> 1) + 1) + 2:
+    near = (ticks >> _NEAR_LOG2) + (whole >> _END_LOG2)
+    if change > near + ticks // ((ring[at + CRUISE] >> 1) + 1) + 2:
         return 0
     rest[0] = fraction & ((1 << _FRACTION_BITS) - 1)
     row[ROW_TICKS] = exact

@@ -228,6 +228,19 @@ def _literal(value: int) -> str:
     return str(value) if value >= 0 else f"({value})"
 
 
+def moved(text: str, names: Mapping[str, str]) -> str:
+    """Return a module with its imports of modules replaced by those of other names.
+
+    names: the new name of each module, and of each package from which modules are imported.
+    """
+    edits = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and node.module in names:
+            new = ast.ImportFrom(names[node.module], node.names, 0)
+            edits.append(_Edit(node, ast.unparse(new)))
+    return _apply(text, edits)
+
+
 def _apply(text: str, edits: list[_Edit]) -> str:
     """Apply edits from the end to the start, so that positions stay valid; keep the line count."""
     lines = text.splitlines(keepends=True)
