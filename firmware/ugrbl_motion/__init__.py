@@ -11,7 +11,6 @@ It is the engine of ugrbl: planner, segments, PIO or RMT, wired without the G-co
 are those of the program (mm, degrees, seconds of arc) and seconds. docs/engine.md describes it.
 """
 
-from ugrbl_motion.axis import Axis, Output
-from ugrbl_motion.group import Group, GroupError
+from ugrbl_motion.group import Axis, Group, GroupError, Output
 
 __all__ = ["Axis", "Group", "GroupError", "Output"]

@@ -1,12 +1,11 @@
-"""Group: axes that move together, one move after the other, and outputs in step with them."""
+"""Axis, Output, Group: axes that move together, and outputs that change with their moves."""
 
 import math
 
 from micropython import const
 
 from ugrbl_motion import hardware as chip
-from ugrbl_motion.axis import Axis, Output
-from ugrbl_motion.line_queue import LEVEL_BITS, REACH, LineQueue
+from ugrbl_motion.line_queue import LEVEL_BITS, REACH, LineQueue, Motor
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -19,6 +18,79 @@ _POLL_MS = const(5)
 
 class GroupError(Exception):
     """Motion is not possible as asked, or has failed; the text has cause and next step."""
+
+
+class Output:
+    """A pin that changes as a move begins. level: at the start, 0 or 1."""
+
+    def __init__(self, pin: int, level: int = 0) -> None:
+        self.pin = pin
+        self.level = level
+
+
+class Axis(Motor):
+    """One motor with STEP and DIR. Units are the program's own; times are in seconds.
+
+    step, direction: pin numbers. steps_per_unit: resolution. speed: highest, units/s.
+    acceleration: units/s2. invert: DIR is low for positive moves if False, high if True. Raises
+    ValueError for numbers that are not above 0.
+    """
+
+    name = ""
+    index = 0
+    _group: "Group | None" = None
+
+    def join(self, group: "Group", name: str, index: int) -> None:
+        """Become part of a group; called by Group. Raises ValueError if it is part of one."""
+        if self._group is not None:
+            raise ValueError("axis %s is in two groups: make an Axis for each" % name)
+        self._group, self.name, self.index = group, name, index
+
+    @property
+    def group(self) -> "Group":
+        """Return the group of this axis. Raises ValueError if it has none."""
+        if self._group is None:
+            raise ValueError("this axis is in no group: Group(x=axis) first")
+        return self._group
+
+    @property
+    def steps(self) -> int:
+        """Return the steps executed, the motor's position at this moment."""
+        return self.group.steps(self.index)
+
+    @property
+    def position(self) -> float:
+        """Return the position at this moment, in units."""
+        return self.steps / self.steps_per_unit
+
+    @property
+    def target(self) -> float:
+        """Return the position at the end of the queued moves, in units."""
+        return self.group.end(self.index) / self.steps_per_unit
+
+    def move(self, to: float, speed: "float | None" = None) -> int:
+        """Queue a move of this axis alone, to a position. See Group.move()."""
+        return self.group.move(speed, **{self.name: to})
+
+    def move_by(self, distance: float, speed: "float | None" = None) -> int:
+        """Queue a move of this axis alone, by a distance. See Group.move_by()."""
+        return self.group.move_by(speed, **{self.name: distance})
+
+    def run(self, speed: float) -> int:
+        """Queue a move without an end at a speed, negative for backwards, until Group.stop().
+
+        Its mean rate is exact to 1e-6 of the processor's clock. Group.pace() changes it. Returns
+        the number of the move.
+        """
+        return self.group.run(self, speed)
+
+    def place(self, position: float) -> None:
+        """Declare the present position, without motion. Raises GroupError during motion."""
+        self.group.place(self, position)
+
+    async def moved(self, move: "int | None" = None) -> None:
+        """Wait for the end of a move, or of all moves. See Group.moved()."""
+        await self.group.moved(move)
 
 
 class Group:
@@ -85,15 +157,15 @@ class Group:
         """
         return self._queue(speed, seconds, by, True)
 
-    def run(self, index: int, speed: float) -> int:
+    def run(self, axis: "Axis", speed: float) -> int:
         """Queue a move of one axis without an end: Axis.run()."""
         if speed == 0:
             raise ValueError("speed 0 is no motion: stop() ends one")
-        axis, lines = self.axes[index], self._lines
+        lines = self._lines
         self._wait_for_space()
         for i in range(len(self.axes)):
             lines.ends[i] = lines.end(i)
-        lines.ends[index] = REACH if speed > 0 else -REACH
+        lines.ends[axis.index] = REACH if speed > 0 else -REACH
         speed = min(abs(speed), axis.speed, lines.fastest_hz / axis.steps_per_unit)
         return lines.plan(speed * axis.steps_per_unit, speed)
 
@@ -206,13 +278,13 @@ class Group:
         """Return the steps from 0 of an axis at the end of the queued moves."""
         return self._lines.end(index)
 
-    def place(self, index: int, position: float) -> None:
+    def place(self, axis: "Axis", position: float) -> None:
         """Declare the present position of an axis: Axis.place()."""
         self._check()
         if self._lines.busy():
             raise GroupError("positions cannot be set during motion: wait() or stop() first")
-        self._lines.place(index, math.floor(position * self.axes[index].steps_per_unit + 0.5))
-        self._rests[index] = 0.0
+        self._lines.place(axis.index, math.floor(position * axis.steps_per_unit + 0.5))
+        self._rests[axis.index] = 0.0
 
     # Waiting
 

@@ -20,9 +20,9 @@ from ugrbl_motion.exact import ExactSegments
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from interfaces import GroupHardware
+    from collections.abc import Sequence
 
-    from ugrbl_motion.axis import Axis
+    from interfaces import GroupHardware
 
 REACH = const(0x1FFFFF00)  # steps from 0
 _BIAS = const(0x20000000)
@@ -36,10 +36,32 @@ _NUMBERS = const(0xFFFFF)  # of moves
 _HALF = const(0x80000)
 
 
+class Motor:
+    """A motor with STEP and DIR, and its limits; see group.Axis."""
+
+    def __init__(
+        self,
+        step: int,
+        direction: int,
+        steps_per_unit: float,
+        speed: float,
+        acceleration: float,
+        invert: bool = False,
+    ) -> None:
+        if min(steps_per_unit, speed, acceleration) <= 0:
+            raise ValueError("steps_per_unit, speed and acceleration have to be above 0")
+        self.step = step
+        self.direction = direction
+        self.steps_per_unit = steps_per_unit
+        self.speed = speed
+        self.acceleration = acceleration
+        self.invert = invert
+
+
 class _Limits:
     """Limits of axes for Planner.configure(): per minute, and in its unit, `scale` to one."""
 
-    def __init__(self, axes: "list[Axis]", scale: float, corner: float) -> None:
+    def __init__(self, axes: "Sequence[Motor]", scale: float, corner: float) -> None:
         self.steps_per_mm = [axis.steps_per_unit / scale for axis in axes]
         self.max_rate = [axis.speed * scale * 60 for axis in axes]
         self.acceleration = [axis.acceleration * scale * 3600 for axis in axes]
@@ -63,7 +85,7 @@ class LineQueue:
 
     def __init__(
         self,
-        axes: "list[Axis]",
+        axes: "Sequence[Motor]",
         hardware: "GroupHardware",
         corner: float,
         length: int,
@@ -119,8 +141,7 @@ class LineQueue:
         flow = self._planner.flow
         if flow[HEAD] == flow[TAIL]:
             state = self._state
-            state[_PLAYING] = state[_PLAYING] & ~_LEVELS | state[_AT_END]
-            self._hardware.write(state[_AT_END])
+            self._on_row(state[_PLAYING] & ~_LEVELS | state[_AT_END])
 
     @micropython.native
     def halt(self) -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from .. import __version__, paths
 from ..boardfile.chips import CHIPS
-from . import prebuilt
-from .build import KERNELS, START, Build, firmware, sources, texts
+from . import motion_package, prebuilt
+from .build import KERNELS, LIBRARY, START, Build, firmware, sources, texts
 from .inline import inline
 
 _PACKAGE_LIST = "package.json"
@@ -60,6 +60,8 @@ def fill_stock() -> None:
 
 def place(folder: Path) -> None:
     """Write the sources for MicroPython on a desktop: with constants in place."""
-    for name, text in inline(texts(), keep=True).items():
+    library = motion_package.texts()
+    start = {f"{LIBRARY}.__init__": library.pop(LIBRARY)}
+    for name, text in inline({**texts(), **library, **start}, keep=True).items():
         file = folder / f"{name.replace('.', '/')}.py"
         paths.write(file, text.encode())

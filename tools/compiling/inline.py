@@ -235,9 +235,8 @@ def moved(text: str, names: Mapping[str, str]) -> str:
     """
     edits = []
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.ImportFrom) and node.module in names:
-            new = ast.ImportFrom(names[node.module], node.names, 0)
-            edits.append(_Edit(node, ast.unparse(new)))
+        if isinstance(node, ast.ImportFrom) and (new := names.get(node.module or "")):
+            edits.append(_Edit(node, ast.unparse(ast.ImportFrom(new, node.names, 0))))
     return _apply(text, edits)
 
 

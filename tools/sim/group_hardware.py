@@ -79,8 +79,13 @@ class SimHardware:
         steps or above, or at so many or below."""
         self.sim.switches.append(Switch(str(pin), axis, above, steps, bounces))
 
-    def _level(self, number: int) -> int:
+    def steps(self) -> "array[int]":
+        """Return the steps that the motors have made, with their signs."""
         self.sim.physical(self._steps)
+        return self._steps
+
+    def _level(self, number: int) -> int:
+        self.steps()
         for switch in self.sim.switches:
             if switch.pin == str(number) and switch.closed(self._steps[switch.axis]):
                 return 0
