@@ -130,8 +130,8 @@ class Group:
         if not self.axes or len(pins) > LEVEL_BITS:
             raise ValueError("a group has at least one Axis, and at most %d Outputs" % LEVEL_BITS)
         self.hardware = hardware or chip.own()
-        self.hardware.make_outputs(pins, levels)
         self._lines = LineQueue(self.axes, self.hardware, corner, queue, pulse_us, levels)
+        self.hardware.make_outputs(pins, levels)
         self._rests = [0.0] * len(self.axes)  # what rounding to steps has left, in steps
 
     # Moves

@@ -19,11 +19,11 @@ _SEGMENT_QUEUE = 5
 
 
 class SimHardware:
-    """A GroupHardware. outputs: (tick, levels) at every change. made: (start tick, row) of every
-    segment, with the steps really made."""
+    """A GroupHardware. outputs: (tick, levels, steps of the motors) at every change. made: (start
+    tick, row) of every segment, with the steps really made."""
 
     def __init__(self) -> None:
-        self.outputs: "list[tuple[int, int]]" = []
+        self.outputs: "list[tuple[int, int, list[int]]]" = []
         self.made: "list[tuple[int, array[int]]]" = []
         self.sim: "SimEngine"
         self._watched: "list[tuple[int, int, Callable[[], object], bool]]" = []
@@ -40,11 +40,11 @@ class SimHardware:
 
     def make_outputs(self, pins: "Sequence[int]", levels: int) -> None:
         """Record the levels at the start."""
-        self.outputs.append((0, levels))
+        self.outputs.append((0, levels, list(self.steps())))
 
     def write(self, levels: int) -> None:
         """Record a change."""
-        self.outputs.append((self.sim.now, levels))
+        self.outputs.append((self.sim.now, levels, list(self.steps())))
 
     def watch(
         self, number: int, level: int, on_change: "Callable[[], object]"
