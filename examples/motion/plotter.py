@@ -10,7 +10,7 @@ COUNT = {"M": 2, "L": 2, "C": 6, "Z": 0}
 for part in open("drawing.svg").read().split(' d="')[1:]:
     path, letter, at, start = part.split('"')[0], "", 0j, 0j
     for old, new in [(one, " %s " % one) for one in "MLCZmlcz"] + [(",", " "), ("-", " -")]:
-        path = path.replace(old, new)
+        path = path.replace(old, new).replace("e -", "e-")
     words = path.split()
     while words:
         letter = words.pop(0) if words[0].isalpha() else {"M": "L", "m": "l"}.get(letter, letter)

@@ -125,9 +125,7 @@ def test_a_pace_keeps_the_rate_exact_and_ends_exactly() -> None:
         group.pace(factor)
         hardware.made.clear()
         hardware.pass_s(30)
-        hardware.made[:] = [
-            (start - hardware.made[0][0], row) for start, row in hardware.made[5:]
-        ]
+        hardware.made[:] = [(start - hardware.made[0][0], row) for start, row in hardware.made[5:]]
         assert error(hardware, 64.0 * factor) < ERROR
 
 

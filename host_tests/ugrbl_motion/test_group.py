@@ -200,7 +200,7 @@ def test_a_move_is_done_as_the_next_one_begins(bench: GroupBench) -> None:
         bench.group.wait(number)
         made = bench.axes[0].position
         assert k + 1 <= made < k + 1.2
-        assert bench.group.done(number) and not bench.group.done(numbers[-1]) or k == 5
+        assert (bench.group.done(number) and not bench.group.done(numbers[-1])) or k == 5
 
 
 def test_a_full_queue_makes_the_caller_wait_and_ready_does_not() -> None:

@@ -9,9 +9,9 @@ from rich.markup import escape
 
 from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
-from ..compiling import build, freeze
+from ..compiling import build, freeze, motion_package
 from ..compiling.build import Build, BuildError, Progress
-from ..compiling.folder import save, save_to_freeze
+from ..compiling.folder import save, save_motion, save_to_freeze
 from ..device.deploy import ARCHS
 from .outputs import check_outputs, examples, save_json, words
 
@@ -41,6 +41,10 @@ def command(
         bool,
         typer.Option("--frozen", help="All modules, as manifest.py freezes them: build/frozen/."),
     ] = False,
+    motion: Annotated[
+        bool,
+        typer.Option("--motion", help="The package ugrbl_motion: build/motion/."),
+    ] = False,
     json_file: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
@@ -50,7 +54,7 @@ def command(
 
     With --board it compiles what `ugrbl deploy` would put on that board; without it, all modules.
     manifest.py uses --frozen when MicroPython is built with this firmware: that is for every board
-    with this chip.
+    with this chip. --motion compiles the package ugrbl_motion, the engine without G-code, instead.
 
     The board file is checked first, and nothing is built for a bad one: every problem has a line,
     and the exit code is 1.
@@ -60,7 +64,8 @@ def command(
     def progress(name: str, size: int) -> None:
         console.print(f"{size:7} {name}", highlight=False)
 
-    folder = out or _FOLDER / ("frozen" if frozen else "") / (Path(board).stem if board else arch)
+    kind = "frozen" if frozen else "motion" if motion else ""
+    folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
         if folder.exists() and not folder.is_dir():
             raise BuildError(f"{folder} is no folder")
@@ -68,8 +73,12 @@ def command(
             raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
-        made = _make(board, arch, progress, frozen)
-        (save_to_freeze if frozen else save)(made, folder)
+        if motion:
+            made = motion_package.compile_for(getattr(described, "MPY_ARCH", arch), progress)
+            save_motion(made, folder)
+        else:
+            made = _make(board, arch, progress, frozen)
+            (save_to_freeze if frozen else save)(made, folder)
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
     for text in notes(described) if described else ():

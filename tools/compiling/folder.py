@@ -5,7 +5,7 @@ from pathlib import Path
 
 from .. import __version__, paths
 from ..boardfile.chips import CHIPS
-from . import motion_package, prebuilt
+from . import motion_package, prebuilt, stubs
 from .build import KERNELS, LIBRARY, START, Build, firmware, sources, texts
 from .inline import inline
 
@@ -22,6 +22,13 @@ def save(made: Build, folder: Path) -> None:
         file = folder / path
         paths.write(file, content)
     paths.write(folder / _PACKAGE_LIST, package_list(made).encode())
+
+
+def save_motion(made: Build, folder: Path) -> None:
+    """Write the package ugrbl_motion with its list for mip, and stubs, which mip leaves out."""
+    save(made, folder)
+    for path, text in stubs.motion().items():
+        paths.write(folder / path, text.encode())
 
 
 def package_list(made: Build) -> str:
