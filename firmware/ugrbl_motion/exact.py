@@ -2,7 +2,7 @@
 """Exact rates: a row's time is set to what the program asked for, without an error that adds up.
 
 The planner's speeds are reals with an error of 2**-14, because they only decide when a step comes.
-That is a second in three hours, and a telescope sees it. So each block has, in the place of the
+That is five seconds a day, and a telescope sees it. So each block has, in the place of the
 line number, the ticks between two steps of its longest axis at the speed asked for: the bits of a
 single-precision float, or 0. A row at about that speed gets exactly that time; the remainder below
 a tick goes into the next row. Ramps, holds and other speeds are far enough off to be left alone.
