@@ -14,6 +14,7 @@ pytestmark = pytest.mark.xdist_group("pico group")
 STEP, DIRECTION, CAMERA, SWITCH = (2, 3), (5, 6), 15, 16
 _LIMIT_US = 60_000_000
 _US = 1000  # edges are in ns
+_CLOSED_AT = -40  # steps of y
 
 PROGRAM = b"""
 import asyncio, gc, time
@@ -71,7 +72,7 @@ class Run:
         self.pico = power_up(uf2, {**files, "main.py": PROGRAM})
         self.pico.record([*STEP, *DIRECTION, CAMERA])
         self.pico.drive(SWITCH, 1)
-        self._close_at = -0.5 * 80
+        self._seen, self._sign, self._y = 0, 1, 0
         assert self.pico.run_until(self._done, _LIMIT_US, 1000), self.text
         self.pico.run_us(100_000)
 
@@ -81,7 +82,13 @@ class Run:
 
     def _done(self) -> bool:
         """Close the switch while y is half a unit below 0 or lower."""
-        self.pico.drive(SWITCH, 0 if self.steps(1) <= self._close_at else 1)
+        for edge in self.pico.edges[self._seen :]:
+            if edge.pin == DIRECTION[1]:
+                self._sign = -1 if edge.level else 1
+            elif edge.pin == STEP[1] and edge.level:
+                self._y += self._sign
+        self._seen = len(self.pico.edges)
+        self.pico.drive(SWITCH, 0 if self._y <= _CLOSED_AT else 1)
         return "END" in self.text or "Error" in self.text
 
     def said(self, word: str) -> "list[str]":

@@ -21,6 +21,7 @@ EXAMPLES = examples(
 )
 _ARCH = "armv6m"
 _FOLDER = Path("build")
+_SAVE = {"": save, "frozen": save_to_freeze, "motion": save_motion}
 
 
 def command(
@@ -53,8 +54,8 @@ def command(
     """Compile the firmware for a board; show each module's bytes.
 
     With --board it compiles what `ugrbl deploy` would put on that board; without it, all modules.
-    manifest.py uses --frozen when MicroPython is built with this firmware: that is for every board
-    with this chip. --motion compiles the package ugrbl_motion, the engine without G-code, instead.
+    manifest.py uses --frozen when MicroPython is built with this firmware, for every board of this
+    chip. --motion compiles ugrbl_motion instead, the engine without G-code.
 
     The board file is checked first, and nothing is built for a bad one: every problem has a line,
     and the exit code is 1.
@@ -73,12 +74,8 @@ def command(
             raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
-        if motion:
-            made = motion_package.compile_for(getattr(described, "MPY_ARCH", arch), progress)
-            save_motion(made, folder)
-        else:
-            made = _make(board, arch, progress, frozen)
-            (save_to_freeze if frozen else save)(made, folder)
+        made = _make(board, getattr(described, "MPY_ARCH", arch), progress, kind)
+        _SAVE[kind](made, folder)
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
     for text in notes(described) if described else ():
@@ -90,12 +87,15 @@ def command(
         save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
 
 
-def _make(board: str | None, arch: str, progress: Progress, frozen: bool) -> Build:
-    if frozen and not board:
+def _make(board: str | None, arch: str, progress: Progress, kind: str) -> Build:
+    """Compile the firmware, for a board or a processor, or another kind of build."""
+    if kind == "frozen" and not board:
         raise BuildError("frozen for which board? --board NAME")
+    if kind == "motion":
+        return motion_package.compile_for(arch, progress)
     if not board:
         return build.compile_all(arch, None, progress)
-    made = freeze.for_board if frozen else build.for_board
+    made = freeze.for_board if kind else build.for_board
     return made(board_file(board), progress)
 
 
