@@ -38,15 +38,21 @@ def rmt(step: "Pins", direction: "Pins") -> "StepEngine":
 class Hardware:
     """Engine, outputs and inputs of this chip."""
 
+    _has_engine = False
+
     def __init__(self) -> None:
         self._outputs: "list[Pin]" = []
 
     def engine(self, step: "Pins", direction: "Pins") -> "StepEngine":
-        """Create the step engine. Raises OSError if this chip has none here."""
+        """Create the step engine. Raises OSError if this chip has none, or it is in use."""
         engines = {"rp2": pio, "esp32": rmt}
         if sys.platform not in engines:
             raise OSError("no step engine for %s: use the simulator's" % sys.platform)
-        return engines[sys.platform](step, direction)
+        if Hardware._has_engine:
+            raise OSError("this chip has one step engine: put all axes into one Group")
+        made = engines[sys.platform](step, direction)
+        Hardware._has_engine = True
+        return made
 
     def make_outputs(self, pins: "Sequence[int]", levels: int) -> None:
         """Create the outputs that write() sets."""

@@ -1,12 +1,14 @@
 """The package ugrbl_motion: its size, its modules, its stubs; and boards pay nothing for it."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from ugrbl import paths
+from ugrbl.boardfile.chips import ARCHS
 from ugrbl.boardfile.files import board_file, load_for_build
 from ugrbl.compiling import build, motion_package, stubs
 from ugrbl.compiling.build import LIBRARY
@@ -20,6 +22,14 @@ def test_it_is_smaller_than_40_kb_on_a_pico(arch: str) -> None:
     made = motion_package.compile_for(arch)
     assert 30_000 < made.bytes < _MOST_BYTES
     assert build.signature(made) >> 10 == {"armv6m": 4, "armv7emsp": 7}[arch]
+
+
+def test_the_page_has_its_sizes() -> None:
+    page = (paths.FIRMWARE.parent / "docs" / "engine.md").read_text(encoding="utf-8")
+    stated = [int(number.replace(",", "")) for number in re.findall(r"\| ([\d,]+) bytes \|", page)]
+    sizes = [motion_package.compile_for(arch).bytes for arch in ARCHS]
+    for said, is_now in zip(stated, sizes, strict=True):
+        assert said == pytest.approx(is_now, rel=0.01)
 
 
 def test_everything_is_in_one_package_and_everything_imported_is_there() -> None:

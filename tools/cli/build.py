@@ -70,8 +70,6 @@ def command(
     try:
         if folder.exists() and not folder.is_dir():
             raise BuildError(f"{folder} is no folder")
-        if arch not in ARCHS[1:]:
-            raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
         made = _make(board, getattr(described, "MPY_ARCH", arch), progress, kind)
@@ -89,6 +87,8 @@ def command(
 
 def _make(board: str | None, arch: str, progress: Progress, kind: str) -> Build:
     """Compile the firmware, for a board or a processor, or another kind of build."""
+    if arch not in ARCHS[1:]:
+        raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
     if kind == "frozen" and not board:
         raise BuildError("frozen for which board? --board NAME")
     if kind == "motion":
