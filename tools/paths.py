@@ -52,10 +52,10 @@ def check_writable(file: Path) -> None:
             raise PermissionError(errno.EACCES, "")
         if real.exists() and not real.is_file():  # a device, a pipe
             return
-        there = next(folder for folder in real.parents if folder.exists())
-        if not there.is_dir():
-            raise NotADirectoryError(f"{there} is no folder")
-        trial = _new(there / real.name)
+        folder_above = next(folder for folder in real.parents if folder.exists())
+        if not folder_above.is_dir():
+            raise NotADirectoryError(f"{folder_above} is no folder")
+        trial = _new(folder_above / real.name)
         trial.open("xb").close()
         trial.unlink()
     except OSError as error:
@@ -75,6 +75,7 @@ def write(file: Path, data: bytes) -> None:
 
 
 def _unwritable(file: Path, error: OSError) -> OSError:
+    """Return the error with its cause in words."""
     is_missing = error.errno == errno.ENOENT  # ENOENT on writing: in /proc, for example
     words = "no file can be made there; name another place" if is_missing else why(error)
     return OSError(f"{file} cannot be written: {words}")
@@ -86,6 +87,7 @@ def _new(file: Path) -> Path:
 
 
 def _replace(file: Path, data: bytes) -> None:
+    """Write the data to a new file next to it, then rename that over it."""
     file.parent.mkdir(parents=True, exist_ok=True)
     new = _new(file)
     try:

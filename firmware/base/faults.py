@@ -9,7 +9,7 @@ from base.text import text_of
 
 _LONGEST = const(120)
 # Words that senders look for, and their replacements.
-_LAST_LINES = (
+_REPLACEMENTS = (
     ("ok", "o-k"),
     ("oK", "o-K"),
     ("Ok", "O-k"),
@@ -32,10 +32,12 @@ def sanitize(text: str) -> str:
     message (brackets). Only the first 120 characters are kept."""
     clean = bytearray()
     for byte in text[:_LONGEST].encode("utf-8", "surrogatepass"):
-        if byte & 0xC0 != 0x80:  # a character's first byte: one place per character
+        # Only the first byte of a character counts: in UTF-8 the others begin with the bits 10.
+        # A bracket, and a character that is not printable ASCII, becomes a space.
+        if byte & 0xC0 != 0x80:
             clean.append(byte if 32 <= byte < 127 and byte not in b"[]" else 32)
     text = text_of(clean)
-    for word, told in _LAST_LINES:
+    for word, replacement in _REPLACEMENTS:
         if word in text:
-            text = text.replace(word, told)
+            text = text.replace(word, replacement)
     return text

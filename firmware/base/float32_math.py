@@ -3,7 +3,8 @@
 
 A MicroPython float is an object on the heap, and creating one takes longer than a function here.
 Floats are therefore read and written as their bits: sign, 8 bits of exponent (bias 127), 23 bits
-of mantissa, with a leading 1 that is not stored.
+of mantissa, with a leading 1 that is not stored. An array of floats is passed as ptr32; its float
+i has its sign bit in byte 4 * i + 3. An exponent of 255 is infinite, one of 0 is the number 0.
 """
 
 import micropython
@@ -11,13 +12,21 @@ from micropython import const
 
 MINUS = const(128)  # the sign bit, in the last byte of a float
 SMALL = const(0x2000000)  # of mantissa_product(): the exponent is one less
+_FRACTION = const(0x7FFFFF)  # the stored bits of a mantissa
+_LEADING = const(0x800000)  # its leading 1
+_HALF = const(0x800000)  # half a unit, in 24 bits of fraction
+# 30 bits: the widest mask that is not an object on a board.
+_MAGNITUDE = const(0x3FFFFFFF)
+# The exponent of number / divisor, less the divisor's: 150, of a whole number of 24 bits, + bias.
+_WHOLE_EXPONENT = const(277)
 
 
 @micropython.viper
 def mantissas(number: int, divisor: int) -> int:
     """Return the mantissa of number / divisor, both of 24 bits, rounded to even; 24 bits or 2**24.
 
-    number / divisor must be from 1 to 2. Long division, with 7 bits per digit.
+    number / divisor must be from 1 to 2. Long division of what is above 1: four digits of 7 bits,
+    so that a remainder << 7 has 31 bits.
     """
     rest = number - divisor
     number = 1
@@ -26,7 +35,8 @@ def mantissas(number: int, divisor: int) -> int:
         digit = rest // divisor
         number = (number << 7) + digit
         rest -= digit * divisor
-    # The quotient has five extra bits. Any remainder counts only as "more than half".
+    # The quotient has five extra bits, which are rounded off. Any remainder counts only as "more
+    # than half"; a half exactly (16) is rounded up only if the bit above it is set.
     if rest:
         number |= 1
     return (number + 15 + ((number >> 5) & 1)) >> 5
@@ -45,11 +55,11 @@ def mantissa_product(number: int, factor: int) -> int:
     number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
     low &= 0xFFFFFF
     small = 0
-    if number < 1 << 23:
+    if number < _LEADING:  # the product has 47 bits: keep one more
         number = (number << 1) | (low >> 23)
         low = (low << 1) & 0xFFFFFF
         small = SMALL
-    if low > 0x800000 or (low == 0x800000 and number & 1):
+    if low > _HALF or (low == _HALF and number & 1):
         number += 1
     return number | small
 
@@ -63,12 +73,13 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
     """
     for i in range(count):
         number = numbers[i]
-        minus = ptr8(numbers)[4 * i + 3] & MINUS
-        if minus:
+        sign = ptr8(numbers)[4 * i + 3] & MINUS
+        if sign:
             number = 0 - number
-        number &= 0x3FFFFFFF
+        number &= _MAGNITUDE
         quotients[i] = 0
         if number:
+            # Round to a mantissa of 24 bits, times 2**exponent.
             exponent = 0
             while number >> exponent >= 1 << 24:
                 exponent += 1
@@ -76,29 +87,29 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
                 number += (1 << (exponent - 1)) - 1 + ((number >> exponent) & 1)
                 number >>= exponent
             divisor = divisors[at + i]
-            # A whole number of 24 bits has the exponent 150, and the bias is 127.
-            exponent += 277 - (divisor >> 23)
-            divisor = (divisor & 0x7FFFFF) | 0x800000
+            exponent += _WHOLE_EXPONENT - (divisor >> 23)
+            divisor = (divisor & _FRACTION) | _LEADING
             while number < divisor:
                 number <<= 1
                 exponent -= 1
-            store(quotients, i, int(mantissas(number, divisor)), exponent, minus)
+            store(quotients, i, int(mantissas(number, divisor)), exponent, sign)
     return 0
 
 
 @micropython.viper
 def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
-    """Multiply values[at] by factors[of], both floats as bits. Rounds to even."""
+    """Multiply values[at] by factors[of], both floats as bits. Rounds to even. Returns 0."""
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
-    power = (factors[of] >> 23) & 255
-    if power == 0:
-        exponent = 0
-    exponent += power - 126
+    other_exponent = (factors[of] >> 23) & 255
+    if other_exponent == 0:
+        exponent = 0  # a factor of 0: with that, store() makes the product 0, too
+    # The bias of one of them goes, and mantissa_product() returns half a product from 2 to 4.
+    exponent += other_exponent - 126
     sign = (ptr8(values)[4 * at + 3] ^ ptr8(factors)[4 * of + 3]) & MINUS
-    factor = (factors[of] & 0x7FFFFF) | 0x800000
-    number = int(mantissa_product((values[at] & 0x7FFFFF) | 0x800000, factor))
+    factor = (factors[of] & _FRACTION) | _LEADING
+    number = int(mantissa_product((values[at] & _FRACTION) | _LEADING, factor))
     if number & SMALL:
         number ^= SMALL
         exponent -= 1
@@ -113,9 +124,9 @@ def quotient(values: ptr32, at: int, divisors: ptr32, of: int) -> int:
         return 0
     sign = (ptr8(values)[4 * at + 3] ^ ptr8(divisors)[4 * of + 3]) & MINUS
     exponent += 127 - ((divisors[of] >> 23) & 255)
-    number = (values[at] & 0x7FFFFF) | 0x800000
-    divisor = (divisors[of] & 0x7FFFFF) | 0x800000
-    if number < divisor:
+    number = (values[at] & _FRACTION) | _LEADING
+    divisor = (divisors[of] & _FRACTION) | _LEADING
+    if number < divisor:  # mantissas() needs a quotient of 1 or more
         number <<= 1
         exponent -= 1
     return int(store(values, at, int(mantissas(number, divisor)), exponent, sign))
@@ -123,7 +134,8 @@ def quotient(values: ptr32, at: int, divisors: ptr32, of: int) -> int:
 
 @micropython.viper
 def store(values: ptr32, at: int, number: int, exponent: int, sign: int) -> int:
-    """Store a mantissa (24 bits, or 2**24), exponent (with bias) and sign as values[at]."""
+    """Store a mantissa (24 bits, or 2**24 after rounding), exponent (with bias) and sign (0 or
+    MINUS) as the float values[at]. Returns 0."""
     if number >> 24:
         number >>= 1
         exponent += 1
@@ -133,37 +145,42 @@ def store(values: ptr32, at: int, number: int, exponent: int, sign: int) -> int:
     elif exponent < 1:
         exponent = 0  # boards have no subnormal numbers
         number = 0
-    values[at] = (exponent << 23) | (number & 0x7FFFFF)
+    values[at] = (exponent << 23) | (number & _FRACTION)
     ptr8(values)[4 * at + 3] |= sign
     return 0
 
 
 @micropython.viper
 def root(values: ptr32, at: int) -> int:
-    """Replace values[at], a float that is not negative, by its square root, rounded to nearest."""
+    """Replace values[at], a float that is not negative, by its square root, rounded to nearest.
+
+    Digit by digit, as on paper: a bit of the result is 1 where the remainder is large enough for
+    (2 * result + 1).
+    """
     exponent = values[at] >> 23
     if exponent == 0:
         return 0
     # With an even exponent, the radicand has two bits above the mantissa's 24, and 24 zero bits
     # below it. The root has 25 bits; each step uses two bits of the radicand.
-    number = ((values[at] & 0x7FFFFF) | 0x800000) << (2 - (exponent & 1))
-    found = 0
+    number = ((values[at] & _FRACTION) | _LEADING) << (2 - (exponent & 1))
+    result = 0
     rest = 0
     for _ in range(25):
         rest = (rest << 2) | (number >> 24)
         number = (number & 0xFFFFFF) << 2
-        if rest > found << 1:
-            rest -= (found << 1) + 1
-            found += 1
-        found <<= 1
-    return int(store(values, at, ((found >> 1) + 1) >> 1, ((exponent - 127) >> 1) + 127, 0))
+        if rest > result << 1:
+            rest -= (result << 1) + 1
+            result += 1
+        result <<= 1
+    return int(store(values, at, ((result >> 1) + 1) >> 1, ((exponent - 127) >> 1) + 127, 0))
 
 
 @micropython.viper
 def whole_part(values: ptr32, at: int, power: int) -> int:
     """Return values[at], a float, times 2**power, truncated; 0 if that has more than 30 bits."""
+    # A mantissa, as a whole number of 24 bits, has the exponent 150.
     shift = ((values[at] >> 23) & 255) - 150 + power
-    number = (values[at] & 0x7FFFFF) | 0x800000
+    number = (values[at] & _FRACTION) | _LEADING
     if shift > 6 or shift < -24:
         return 0
     number = number << shift if shift >= 0 else number >> (0 - shift)
@@ -171,22 +188,23 @@ def whole_part(values: ptr32, at: int, power: int) -> int:
 
 
 @micropython.viper
-def store_if_changed(kept: ptr32, at: int, values: ptr32, of: int) -> int:
-    """Copy values[of] to kept[at]. Returns 1 if it has changed, else 0."""
-    if kept[at] == values[of]:
+def store_if_changed(stored: ptr32, at: int, values: ptr32, of: int) -> int:
+    """Copy values[of] to stored[at]. Returns 1 if that has changed it, else 0."""
+    if stored[at] == values[of]:
         return 0
-    kept[at] = values[of]
+    stored[at] = values[of]
     return 1
 
 
 @micropython.viper
 def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
-    """Set b[j] to a[i] + b[j], all floats as bits. Rounds to even."""
+    """Set b[j] to a[i] + b[j], all floats as bits. Rounds to even. Returns 0."""
     sign_a = ptr8(a)[4 * i + 3] >> 7
     sign_b = ptr8(b)[4 * j + 3] >> 7
-    x = (a[i] & 0x3FFFFFFF) | ((ptr8(a)[4 * i + 3] & 64) << 24)
-    y = (b[j] & 0x3FFFFFFF) | ((ptr8(b)[4 * j + 3] & 64) << 24)
-    if x < y:
+    # The bits without the sign: 30, and bit 30 from the last byte. They compare as the floats do.
+    x = (a[i] & _MAGNITUDE) | ((ptr8(a)[4 * i + 3] & 64) << 24)
+    y = (b[j] & _MAGNITUDE) | ((ptr8(b)[4 * j + 3] & 64) << 24)
+    if x < y:  # exchange them, so that x is the larger
         shift = x
         x = y
         y = shift
@@ -195,16 +213,18 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
         sign_b = shift
     exponent = x >> 23
     shift = exponent - (y >> 23)
-    if y >> 23 and shift < 27:
-        # Three extra bits, the last one sticky, are enough for correct rounding.
-        y = ((y & 0x7FFFFF) | 0x800000) << 3
+    if y >> 23 and shift < 27:  # else y is 0, or too small to change the sum
+        # Three extra bits are enough for correct rounding; the last one is set where anything
+        # below it is lost.
+        y = ((y & _FRACTION) | _LEADING) << 3
         rest = y & ((1 << shift) - 1)
         y = (y >> shift) | (1 if rest else 0)
-        x = ((x & 0x7FFFFF) | 0x800000) << 3
+        x = ((x & _FRACTION) | _LEADING) << 3
         x = x + y if sign_a == sign_b else x - y
         if x == 0:
             exponent = 0
             sign_a = 0
+        # Back to 24 bits and the three extra ones: the top bit is bit 26.
         while x and x < 1 << 26:
             x <<= 1
             exponent -= 1
@@ -213,12 +233,12 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
             exponent += 1
         rest = x & 7
         x >>= 3
-        if rest > 4 or (rest == 4 and x & 1):
+        if rest > 4 or (rest == 4 and x & 1):  # of 8
             x += 1
         return int(store(b, j, x, exponent, sign_a << 7))
     b[j] = x
     if sign_a:
-        ptr8(b)[4 * j + 3] = ptr8(b)[4 * j + 3] | 128
+        ptr8(b)[4 * j + 3] = ptr8(b)[4 * j + 3] | MINUS
     return 0
 
 

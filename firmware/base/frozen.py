@@ -27,15 +27,16 @@ def in_memory(function: "Callable[..., object]") -> "Callable[..., object]":
     """Copy the function's code to RAM and make the function run from there.
 
     Kernels keep data words among their code (tools/compiling/machine_code.py), and words that the
-    code reads may lie where flash cannot be read as data.
+    code reads may lie where flash cannot be read as data. In MicroPython's function object, the
+    address of the code is replaced by that of the copy. Returns the function.
     """
-    at = id(function)
+    object_at = id(function)
     if type(function).__name__ == "closure":
-        at = array("I", uctypes.bytearray_at(at + _FUNCTION_AT, _ADDRESS))[0]
-    place = uctypes.bytearray_at(at + _CODE_AT, _ADDRESS)
-    there = array("I", place)[0]
-    head = uctypes.bytearray_at(there, _HEAD)
-    code = bytearray(head[2] | head[3] << 8)
-    code[:] = uctypes.bytearray_at(there + _HEAD, len(code))
-    place[:] = bytes(array("I", (uctypes.addressof(code),)))
+        object_at = array("I", uctypes.bytearray_at(object_at + _FUNCTION_AT, _ADDRESS))[0]
+    pointer = uctypes.bytearray_at(object_at + _CODE_AT, _ADDRESS)
+    code_at = array("I", pointer)[0]
+    head = uctypes.bytearray_at(code_at, _HEAD)
+    code = bytearray(head[2] | head[3] << 8)  # the jump's length
+    code[:] = uctypes.bytearray_at(code_at + _HEAD, len(code))
+    pointer[:] = bytes(array("I", (uctypes.addressof(code),)))
     return function

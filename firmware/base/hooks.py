@@ -72,8 +72,9 @@ class Hooks:
 
 
 def call_all(calls: "Calls") -> None:
-    """Call each function. A caller with little stack left first tests for an empty tuple: a loop
-    in its own frame would take 24 bytes even then."""
+    """Call each of an event's functions, in their order."""
+    # A caller with little stack left first tests for an empty tuple: this loop is a function,
+    # because in the caller's own frame it would take 24 bytes even then.
     for call in calls:
         call()
 

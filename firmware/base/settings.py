@@ -91,6 +91,7 @@ _TABLE: "Rows" = (
     # Maximum travel, one value per axis, from the homing switch.
     (130, "max_travel", AXIS, 200.0, "millimeters"),
 )
+_SHORTEST_PULSE_US = const(3)
 _BEYOND = float("3.5e38")  # above single precision; a literal could not be frozen
 
 # Stored internally in mm/min2, as Grbl does in single precision, and shown in the row's unit.
@@ -164,7 +165,7 @@ class Settings:
     def load(self) -> bool:
         """Read the stored settings; False if they are lost and defaults were restored."""
         lines = self._store.load(self.file)
-        if not lines:
+        if not lines:  # None: they are damaged; an empty list: none were ever stored
             self.restore()
             self.is_new = lines is not None
             return self.is_new
@@ -180,7 +181,7 @@ class Settings:
         return True
 
     def _read(self, line: str) -> None:
-        """Apply a stored line. Raises ValueError if save() cannot have written it."""
+        """Apply a line ($100=250). Raises ValueError if save() cannot have written it."""
         number, _, amount = line.partition("=")
         key, value = int(number[1:]), float(amount)
         if not abs(value) < _BEYOND:
@@ -222,57 +223,70 @@ class Settings:
             for number, row in self._numbers()
         ]
 
-    def _numbers(self) -> "list[tuple[int, tuple[int, str, int, float, str]]]":
+    def _numbers(self) -> "list[tuple[int, Row]]":
+        """Return (number, row) of every setting; a row of AXIS has a number per axis."""
         numbers = []
         for row in self.rows:
-            for axis in range(self._axes if row[2] == AXIS else 1):
-                numbers.append((row[0] + axis, row))
+            first, _, kind, _, _ = row
+            for axis in range(self._axes if kind == AXIS else 1):
+                numbers.append((first + axis, row))
         return numbers
 
     def _decimals(self, row: "Row") -> int:
-        return 3 if row[2] > WHOLE else 0
+        """Return how many decimals $$ shows."""
+        _, _, kind, _, _ = row
+        return 3 if kind > WHOLE else 0
 
     def _shown(self, number: int, row: "Row") -> float:
-        amount: float = getattr(self, row[1])
-        if row[2] == AXIS:
-            amount = getattr(self, row[1])[number - row[0]]
-            if row[0] == _ACCELERATION:
+        """Return a setting's value in the unit of its row."""
+        first, attribute, kind, _, _ = row
+        amount: float = getattr(self, attribute)
+        if kind == AXIS:
+            amount = getattr(self, attribute)[number - first]
+            if first == _ACCELERATION:
                 amount = f32(amount / _PER_SECOND_SQR)
         return amount
 
     def _set_defaults(self) -> None:
+        """Set every setting to the board's default, or else to that of its row."""
         for row in self.rows:
-            if row[2] == AXIS:
-                setattr(self, row[1], array("f", (0.0 for _ in range(self._axes))))
-            for axis in range(self._axes if row[2] == AXIS else 1):
-                self._store_value(row, axis, self._board_defaults.get(row[0] + axis, row[3]))
+            first, attribute, kind, default, _ = row
+            if kind == AXIS:
+                setattr(self, attribute, array("f", (0.0 for _ in range(self._axes))))
+            for axis in range(self._axes if kind == AXIS else 1):
+                self._store_value(row, axis, self._board_defaults.get(first + axis, default))
 
     def _store_value(self, row: "Row", axis: int, amount: float) -> None:
-        if row[2] == AXIS:
-            if row[0] == _ACCELERATION:
+        """Set the attribute of a row, converted to its kind. axis: 0 unless the kind is AXIS."""
+        first, attribute, kind, _, _ = row
+        if kind == AXIS:
+            if first == _ACCELERATION:
                 amount = amount * _PER_SECOND_SQR
-            getattr(self, row[1])[axis] = amount
-        elif row[2] == INT:
-            setattr(self, row[1], truncate(amount) & 255)
-        elif row[2] == BOOL:
-            setattr(self, row[1], 1 if truncate(amount) & 255 else 0)
+            getattr(self, attribute)[axis] = amount
+        elif kind == INT:
+            setattr(self, attribute, truncate(amount) & 255)  # larger numbers wrap
+        elif kind == BOOL:
+            setattr(self, attribute, 1 if truncate(amount) & 255 else 0)
         else:
-            setattr(self, row[1], f32(amount))
+            setattr(self, attribute, f32(amount))
 
     def row(self, number: int) -> "tuple[Row, int]":
         """Return the row of a number, and its axis. Raises GrblError if there is no such row."""
         for row in self.rows:
-            axis = number - row[0]
-            if axis == 0 or (row[2] == AXIS and 0 < axis < self._axes):
+            first, _, kind, _, _ = row
+            axis = number - first
+            if axis == 0 or (kind == AXIS and 0 < axis < self._axes):
                 return row, axis
         raise GrblError(errors.INVALID_STATEMENT)
 
     def _fault(self, number: int, amount: float) -> int:
+        """Return Grbl's error number if the sign or size of the amount is wrong, or 0."""
         if number not in self.signed:
             return 0 if amount >= 0 else errors.NEGATIVE_VALUE
         return 0 if abs(amount) <= self.signed[number] else errors.INVALID_STATEMENT
 
     def _assign(self, number: int, amount: float) -> None:
+        """Check a setting's new value and set the attribute; raises GrblError before that."""
         fault = self._fault(number, amount)
         if fault:
             raise GrblError(fault)
@@ -282,10 +296,11 @@ class Settings:
             check(self, axis, amount)
         self._store_value(row, axis, amount)
 
-    # Checks that involve other settings, by number.
+    # Checks of one setting each, which may involve others. A board's step rate is limited in Hz;
+    # rates are in mm/min, resolutions in steps/mm.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
-        if truncate(amount) & 255 < 3:
+        if truncate(amount) & 255 < _SHORTEST_PULSE_US:
             raise GrblError(errors.SETTING_STEP_PULSE_MIN)
 
     def _check_soft_limits(self, axis: int, amount: float) -> None:

@@ -108,12 +108,13 @@ class State:
         """Change the run state. Raises RuntimeError, an internal fault, if it may not follow."""
         if not _FOLLOWS[run] & (self.run or _IDLE_BIT):
             raise RuntimeError("state %d cannot follow %d" % (run, self.run))
-        if (self.run | run) & CHECK:
+        if (self.run | run) & CHECK:  # check mode begins or ends: it changes what lines do
             self.invalidate_lines()
         self.run = self.running[0] = run
 
     def invalidate_lines(self) -> None:
-        """Invalidate what lines derive from settings, overrides and modes."""
+        """Invalidate what lines derive from settings, overrides and modes: a counter is changed,
+        which an arc compares between its chords."""
         self.changes[0] = (self.changes[0] + 1) & 0xFFFF
 
     def post(self, event: int) -> None:

@@ -91,7 +91,8 @@ class Options:
             self.driver_wire = driver_wire.of_board(board)
 
     def identity(self) -> str:
-        """Return the text of [VER:…]: "Grbl" for senders, the rest for `ugrbl doctor`."""
+        """Return the text of [VER:…]: "Grbl" for senders, then engine and step rate for `ugrbl
+        doctor`."""
         rate = "%dHz" % self.max_step_hz if self.max_step_hz else ""
         return " ".join([word for word in ("Grbl", self.engine, rate) if word])
 

@@ -32,10 +32,6 @@ if TYPE_CHECKING:
         tuple[Oldest, ...],
     ]
 
-# Left out of the search path at start: it has none of our modules, and looking there for each of
-# MicroPython's modules takes 3 ms.
-_USERS = "/lib"
-
 # Longest time without a feed before the chip resets. Writing flash, the longest work, takes less.
 _WATCHDOG_MS = const(5000)
 
@@ -46,6 +42,8 @@ _LOOP_MS = const(250)
 # Added to $I where Ctrl-X takes effect only when the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
+# Modules that are needed only while the machine is built, 5 kB together.
+_BUILDING = ("boot.wiring", "boot.options", "boot.select_extras", "ports.storage.user_files")
 # Extras that are needed only while the machine is built, a kilobyte each.
 _MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.motor_matrix")
 
@@ -189,9 +187,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     """
     link: "BoardLink | None" = None
     port: "BoardPort | None" = None
-    path = sys.path[:]
     try:
-        sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
 
         option = board.__dict__.get
@@ -213,17 +209,17 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
             port.safe()
         stay(link, fault)
         return None
-    finally:
-        sys.path[:] = path
     if watch_health:
         machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
+    # All long-lived objects: these, and those that they refer to.
     made: "list[object]" = [machine, link, port, engine, watch]
     for owner in (machine, machine.interpreter, machine.planner, engine, link):
         made.extend(owner.__dict__.values())
     del sys.modules["board"]
 
     def make_room() -> None:
+        """Free the functions that built the machine, once it has started."""
         _forget_makers(made)
 
     watch.start(feed, machine.motor_control.note_reset)
@@ -233,6 +229,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
 
 
 def _link(kind: str) -> "BoardLink":
+    """Create the link that LINK of the board file names. Raises ValueError for another name."""
     if kind not in _LINKS:
         raise ValueError("LINK %s is not one there is" % kind)
     return _LINKS[kind]()
@@ -245,7 +242,7 @@ def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
     from boot import select_extras
 
     _check_engine(board)
-    _, _, pins, _, _ = _ENGINES[board.ENGINE]
+    _, _, pins, _, _ = _ENGINES[board.ENGINE]  # the board file's names for the engine's pins
     pin_check.check(board, pins, select_extras.pin_options(board))
     forget("ports.pin_check")
     return make(board, link)
@@ -270,7 +267,7 @@ def _check_engine(board: "ModuleType") -> None:
 def too_old(engine: str, chip: str, version: "tuple[int, ...]") -> str:
     """Return why this MicroPython is too old for that engine, or "".
 
-    chip: MicroPython's name for it, perhaps with that of the board.
+    chip: MicroPython's name for it, perhaps with that of the board; version: (major, minor).
     """
     _, _, _, _, rows = _ENGINES[engine]
     for name, oldest, why in rows:
@@ -300,19 +297,20 @@ def _build(
     watch: "Supervisor",
     ring: "array[int]",
 ) -> "Controller":
+    """Build the machine on its hardware, and free the modules that did it. ring: the planner's."""
     from ports.storage.flash_store import FlashStore
 
     from boot import wiring
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    forget("boot.wiring")  # 5 kB, with these
-    forget("boot.options")
-    forget("boot.select_extras")
-    forget("ports.storage.user_files")
+    for name in _BUILDING:
+        # Empty, because a word that looks like an address in it would retain all of it.
+        sys.modules[name].__dict__.clear()
+        forget(name)
     for extra in _MAKING:
         forget(extra)
-    if link.is_slow:
+    if link.is_slow:  # Ctrl-X waits for the main loop
         machine.report.identity += _SLOW_RESET
     written = getattr(engine, "flash_written", None)
     store.before, store.after = machine.around_saves(watch.allow, written)
@@ -325,36 +323,37 @@ def _build(
 
 def forget(module: str) -> None:
     """Remove a module from sys.modules and from its package."""
-    there = sys.modules.pop(module, None)
+    removed = sys.modules.pop(module, None)
     folder, _, name = module.rpartition(".")
-    if there and folder:
+    if removed and folder:
         sys.modules[folder].__dict__.pop(name, None)
 
 
 def _forget_makers(parts: "Iterable[object]") -> None:
     """Free the functions that built these objects, because none is built twice: in their classes,
     the base classes, the modules of all these, and the extras. (Names: see MAKERS.)"""
-    left = [type(part) for part in parts]
-    seen: "set[object]" = set()
+    classes = [type(part) for part in parts]
+    done: "set[object]" = set()
     for name, module in sys.modules.items():
         if name.startswith("extras."):
-            seen.add(module)
+            done.add(module)
             _forget_in(module)
-    while left:
-        kind = left.pop()
-        if "__module__" in kind.__dict__:
-            left.extend(kind.__bases__)
-            for thing in (kind, sys.modules[kind.__module__]):
-                if thing not in seen:
-                    seen.add(thing)
-                    _forget_in(thing)
+    while classes:
+        kind = classes.pop()
+        if "__module__" in kind.__dict__:  # a class of ours: built-in ones have none
+            classes.extend(kind.__bases__)
+            for owner in (kind, sys.modules[kind.__module__]):
+                if owner not in done:
+                    done.add(owner)
+                    _forget_in(owner)
 
 
-def _forget_in(thing: object) -> None:
-    names, maker = thing.__dict__, MAKER  # locals, because a thousand names are checked
+def _forget_in(owner: object) -> None:
+    """Free the functions of a class or module that are needed only while the machine is built."""
+    names, maker = owner.__dict__, MAKER  # locals, because a thousand names are checked
     made = [name for name in MAKERS if name in names]
     for name in names:
         if maker in name:
             made.append(name)
     for name in made:
-        setattr(thing, name, None)  # deleting would leave the slot in the table
+        setattr(owner, name, None)  # deleting would leave the slot in the table

@@ -56,33 +56,35 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
     """Return the names of the modules; with_custom: the user has custom modules. Raises ValueError
     if an option has an unknown value."""
     option = board.__dict__.get  # getattr() would intern the names for good
-    found = [_module(word, option(word), module) for word, module in _ORDER]
+    selected = [_module(word, option(word), module) for word, module in _ORDER]
     own: "tuple[str, ...]" = option("EXTRAS", ())
     # Last, because they handle only words that nothing else accepts.
     last = [
         "custom.user_modules" if with_custom else "",
         "dialects.lenient" if option("LENIENT") else "",
     ]
-    return _ours(found) + list(own) + _ours(last)
+    return _ours(selected) + list(own) + _ours(last)
 
 
-def _module(word: str, value: "Any", module: str) -> str:
-    """Return the module that an option selects, or ""."""
-    if word in WORDS:
-        return "" if value is None else _known(word, value, WORDS[word])
-    if word == "LINK":
+def _module(option: str, value: "Any", module: str) -> str:
+    """Return the module that the option selects by its value, or "". module: that of _ORDER."""
+    if option in WORDS:
+        return "" if value is None else _known(option, value, WORDS[option])
+    if option == "LINK":
         return module if value in _NETWORKS else ""
-    if word == "LIMIT":
+    if option == "LIMIT":  # only if two axes share a pin
         pins = [pin for pin in value or () if pin is not None]
         return module if len(set(pins)) < len(pins) else ""
     return module if value else ""
 
 
 def _ours(names: "list[str]") -> "list[str]":
+    """Return the full names of our extras; "" is none."""
     return ["extras." + name for name in names if name]
 
 
 def _known(option: str, word: str, known: "dict[str, str]") -> str:
+    """Return known[word]. Raises ValueError, with the words that are possible, for another one."""
     if word not in known:
         words = list(known)
         last = words.pop()
@@ -106,7 +108,7 @@ def import_extras(asked: "list[str]") -> "list[Extra]":
 
 def pin_options(board: "ModuleType") -> "tuple[str, ...]":
     """Return the board file's names for pins of the selected extras."""
-    found: "tuple[str, ...]" = ()
+    options: "tuple[str, ...]" = ()
     for module in import_extras(extra_names(board, False)):
-        found += getattr(module, "PINS", ())
-    return found
+        options += getattr(module, "PINS", ())
+    return options

@@ -46,18 +46,20 @@ BELOW = const(8)
 def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
     """Return why a line to target is impossible: OUTSIDE the machine's travel, ring FULL (mask).
 
-    target: floats, mm. The bits of floats that are not negative compare as the floats do; infinity
-    and NaN compare as outside.
+    target: floats, mm; travel: see above. The bits of floats that are not negative compare as the
+    floats do; infinity and NaN compare as outside.
     """
     signs = ptr8(target)
-    found = 0
+    reasons = 0
     for i in range(travel[_AXES]):
+        # The distance from 0, without the sign: 30 bits, and bit 30 from the last byte.
         mm = (target[i] & 0x3FFFFFFF) | ((signs[4 * i + 3] & 0x40) << 24)
         if mm:
+            # The axis's bit in SHUT; + BELOW if the target is negative.
             side = i + ((signs[4 * i + 3] >> 7) << 3)
             if mm > travel[TRAVEL + i] or (travel[SHUT] >> side) & 1:
-                found = OUTSIDE
-    return found | int(full(flow))
+                reasons = OUTSIDE
+    return reasons | int(full(flow))
 
 
 class Canon:
@@ -87,6 +89,7 @@ class Canon:
         """Apply the settings of travel ($20, $23, $130 and following) and the arc tolerance."""
         settings = self._settings
         travel = self.travel
+        # Axes (a mask) whose travel is above 0; that of the others is below. SHUT is the reverse.
         positive = settings.homing_dir_invert if self._positive_origin else 0
         travel[SHUT] = 255 - positive | positive << BELOW if settings.soft_limits else 0
         for i in range(self.planner.axes):
@@ -101,7 +104,7 @@ class Canon:
         arcs.stray(self.course, settings.arc_tolerance_mm)
 
     def limit(self, axis: int, far: float) -> None:
-        """Set the greatest distance of an axis from 0, mm."""
+        """Set the greatest distance of an axis from 0, mm, as a float's bits."""
         copy(array("f", (far,)), memoryview(self.travel)[TRAVEL + axis :], 1)
 
     # Moves
@@ -131,15 +134,17 @@ class Canon:
             self._motor_control.start(st.JOG)
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
+        """Plan a line, once a block is free. A target beyond the soft limits is an alarm; a jog's
+        was checked before."""
         state = self._state
-        found = check_travel(target, self.travel, self._flow)
-        if found & OUTSIDE and state.run != st.JOG:
+        reasons = check_travel(target, self.travel, self._flow)
+        if reasons & OUTSIDE and state.run != st.JOG:
             self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
             return
         if state.pending[st.ANY] or state.suspend:
             self.service()
-        if found & FULL:
+        if reasons & FULL:
             self.wait_for_room()
         if not self.planner.line(target, move, self.power_of(move)):
             self._apply_zero_length(move)
@@ -161,23 +166,24 @@ class Canon:
         """Plan all chords of an arc except the last, which is a line to its target."""
         state, move, course = self._state, self._move, self.course
         moves = state.run != st.CHECK
-        power, known = 0, -1
-        looks = state.pending[st.ANY] or state.suspend  # else the loop has just called service()
+        power, known_changes = 0, -1  # known: State.changes when power was computed
+        # Otherwise the loop has just called service().
+        must_look = state.pending[st.ANY] or state.suspend
         while course[arcs.LEFT]:
-            if looks:
+            if must_look:
                 self.service()
-            looks = 1
-            if moves and known != state.changes[0]:
-                known = state.changes[0]
+            must_look = 1
+            if moves and known_changes != state.changes[0]:
+                known_changes = state.changes[0]
                 power = self.power_of(move)
-            found = self.planner.chords(course, move, power, moves)
+            reason = self.planner.chords(course, move, power, moves)
             if state.hooks.planned:
                 call_all(state.hooks.planned)
-            if found == OUTSIDE:
+            if reason == OUTSIDE:
                 self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
-            elif found == FULL:
+            elif reason == FULL:
                 self.auto_start()
-            elif found:
+            elif reason:  # NOWHERE: a chord without steps
                 self._apply_zero_length(move)
 
     def _apply_zero_length(self, move: "Move") -> None:
@@ -214,7 +220,7 @@ class Canon:
             move.flags &= ~layout.INVERSE_TIME
 
     def dwell(self, seconds: float) -> None:
-        """Wait without motion; hold and reset work meanwhile."""
+        """Wait without motion, in ticks of 50 ms, rounded up; hold and reset work meanwhile."""
         if self._state.run == st.CHECK:
             return
         self.synchronise()
@@ -259,6 +265,7 @@ class Canon:
         self._spin(direction, rpm)
 
     def _spin(self, direction: int, rpm: float) -> None:
+        """Set spindle direction and speed at once, and notify the extras."""
         self._spindle.set_speed(direction, rpm)
         for call in self._state.hooks.spun:
             call(direction, rpm)
@@ -271,6 +278,7 @@ class Canon:
         self._cool(mask)
 
     def _cool(self, mask: int) -> None:
+        """Switch coolant at once, and notify the extras."""
         self._coolant.set(mask)
         for call in self._state.hooks.cooled:
             call(mask)
@@ -294,8 +302,8 @@ class Canon:
 
     def pause_program(self) -> None:
         """Execute M0: hold until cycle start."""
-        for take in self._state.hooks.paused:
-            if take():
+        for takes_over in self._state.hooks.paused:
+            if takes_over():
                 return
         self.hold_program()
 
@@ -314,7 +322,7 @@ class Canon:
     def stop_with_alarm(self, alarm: int) -> None:
         """Stop by a hold, so that the position stays certain, then alarm and reset."""
         state = self._state
-        state.soft_limit = True  # a hold ends in Idle then
+        state.soft_limit = True  # with this, a hold ends in Idle
         if state.run & (st.RUN | st.JOG):
             state.post(st.FEED_HOLD)
             self.service()

@@ -34,13 +34,14 @@ class Coords:
         self._axes = axes
         self.length_axis = length_axis
         self.offsets = vector((_COUNT + 1) * axes + 1)
+        # Parts of that array: memoryviews, which behave as arrays.
         views: "Any" = memoryview(self.offsets)
         self.systems: "list[array[float]]" = [
             views[i * axes : (i + 1) * axes] for i in range(_COUNT)
         ]
         self.g92: "array[float]" = views[_COUNT * axes : -1]
         self.active = 0
-        self._zero = vector(max(axes, length_axis + 1))
+        self._zero = vector(max(axes, length_axis + 1))  # also without an axis for the length
 
     @property
     def tool_length(self) -> float:
@@ -60,6 +61,7 @@ class Coords:
         return True
 
     def _parse(self, lines: "list[str]") -> bool:
+        """Read lines such as "G54=1,2,3". Returns False if a value is no number."""
         for line in lines:
             name, _, values = line.partition("=")
             if name not in NAMES:
@@ -74,6 +76,7 @@ class Coords:
         return True
 
     def _save(self) -> None:
+        """Store the systems and G28, G30, a line each."""
         lines = []
         for i in range(_COUNT):
             lines.append(NAMES[i] + "=" + ",".join(["%.9g" % x for x in self.systems[i]]))

@@ -63,7 +63,7 @@ class HomingProbing:
             return True
         self._canon.synchronise()
         state.probe_succeeded = False
-        if self._inputs.probe() != away:
+        if self._inputs.probe() != away:  # the probe must not touch yet; with away it must
             self._motor_control.fail(errors.ALARM_PROBE_FAIL_INITIAL)
             return False
         self._contact = False
@@ -94,6 +94,7 @@ class HomingProbing:
         return not state.probe_succeeded
 
     def _end_probe(self) -> None:
+        """Release the motors, as after any motion, and report the contact."""
         self._motor_control.release()
         self._motor_control.wait_idle_delay()
         self._report_probe()
@@ -114,6 +115,7 @@ class HomingProbing:
         return self._contact
 
     def _end_watch(self) -> None:
+        """Stop watching the probe."""
         self._port.watch_probe(None, False)
         self._motor_control.touches = None
 
@@ -127,6 +129,7 @@ class HomingProbing:
             state.post(st.CANCEL_MOTION)
 
     def _report_probe(self) -> None:
+        """Send [PRB:...] with the last contact."""
         self._planner.to_mm(self.probe_steps, self._target)
         self._voice.probe(self._target)
 
@@ -160,6 +163,7 @@ class HomingProbing:
     def find_switches(self, axes: int) -> None:
         """Find the switches of these axes (a mask), all in the same moves."""
         settings = self._settings
+        # The first approach: far enough for the axis of the longest travel.
         travel = 0.0
         count = 0
         for i in range(self._planner.axes):
@@ -173,7 +177,7 @@ class HomingProbing:
             approach = phase % 2 == 0
             self._state.hooks.home_phase(axes, approach, travel, rate * diagonal)
             self._motor_control.wait_unanswered(settings.homing_debounce_ms)
-            if approach:
+            if approach:  # next, a pull-off
                 travel = settings.homing_pull_off_mm
                 rate = settings.homing_seek
             else:
@@ -185,12 +189,14 @@ class HomingProbing:
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """Execute one move, until all switches are found, or the pull-off is complete.
 
-        axes: mask; travel: mm; rate: mm/min along the diagonal.
+        axes: mask; approach: towards the switches, else away from them; travel: mm; rate: mm/min
+        along the diagonal.
         """
         engine = self._engine
         planner = self._planner
         engine.position(self._steps)
         self._position(self._target)
+        # The axes start at 0 and go as far as they may; the others stay where they are.
         for i in range(planner.axes):
             if axes >> i & 1:
                 planner.set_axis(self._steps, i, 0.0)
@@ -205,13 +211,13 @@ class HomingProbing:
         planner.system_line(self._target, move, 0, self._steps)
         self._motor_control.start(st.HOMING)
         self._state.spindle[st.RPM] = 0.0  # these moves have no power
-        searching = axes
+        searching = axes  # those that still move; on an approach, until their switch is hit
         while searching:
             if approach:
-                found = self._inputs.limits() & searching
-                if found:
-                    searching &= ~found
-                    engine.lock(self._kinematics.stopped_by(found) if self._kinematics else found)
+                hit = self._inputs.limits() & searching
+                if hit:  # stop the motors of these axes; the others go on
+                    searching &= ~hit
+                    engine.lock(self._kinematics.stopped_by(hit) if self._kinematics else hit)
             if self._failed(approach, axes):
                 self._motor_control.reset()
                 self._canon.service()
@@ -240,16 +246,18 @@ class HomingProbing:
         return state.alarm != 0
 
     def _set_origin(self, axes: int) -> None:
+        """Set the machine position of homed axes (a mask), a pull-off from their switch: 0 with
+        zero_origin; else travel is below 0, with the switch above unless $23 inverts that."""
         settings = self._settings
         engine = self._engine
         engine.position(self._steps)
         pull_off = settings.homing_pull_off_mm
         for i in range(self._planner.axes):
             if axes >> i & 1:
-                place = -pull_off
+                position_mm = -pull_off
                 if self._zero_origin:
-                    place = 0.0
+                    position_mm = 0.0
                 elif settings.homing_dir_invert >> i & 1:
-                    place = f32(pull_off - settings.max_travel[i])
-                self._planner.set_axis(self._steps, i, place)
+                    position_mm = f32(pull_off - settings.max_travel[i])
+                self._planner.set_axis(self._steps, i, position_mm)
         engine.set_position(self._steps)

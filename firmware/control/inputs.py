@@ -37,7 +37,7 @@ class Inputs:
 
     def limits(self) -> int:
         """Return a mask of the axes whose limit switch is hit."""
-        return self._port.limits() ^ self._limit_invert
+        return self._port.limits() ^ self._limit_invert  # a low pin is a 1, unless $5
 
     def closed(self) -> int:
         """Return all closed inputs, a bit each: probe, limits of six axes, door, reset, hold,
@@ -45,6 +45,8 @@ class Inputs:
         levels = (self._levels() ^ self._inverted) & self._watched
         if not levels:
             return 0  # the common case
+        # Bit 0 is the probe; then six limits, bits 1 to 6; the controls, lower in levels, follow:
+        # door 7, reset 8, hold 9, start 10.
         return levels >> PROBE_AT | (levels & DOOR) << 4 | (levels & (RESET | HOLD | START)) << 8
 
     def estop(self) -> bool:
@@ -57,7 +59,7 @@ class Inputs:
         return self._port.probe() != self._probe_invert
 
     def contact_level(self, away: bool) -> bool:
-        """Return the level of the probe pin that ends a cycle, towards or away."""
+        """Return the level of the probe pin that ends a cycle: contact, or none if away."""
         return (not away) != self._probe_invert
 
     def door_open(self) -> bool:

@@ -75,6 +75,7 @@ class MotorControl:
         """Note that everything was stopped: set the alarm, 0 for none, and post a reset."""
         state = self._state
         if not state.pending[st.RESET]:
+            # A reset during motion is an alarm: steps may be lost.
             moving = state.run & (st.RUN | st.HOMING | st.JOG)
             if (moving or state.holding or state.system_motion) and state.alarm == 0:
                 state.alarm = errors.ALARM_ABORT_CYCLE
@@ -88,8 +89,8 @@ class MotorControl:
     def on_limits(self) -> None:
         """Handle a change of a limit switch. Interrupt."""
         state = self._state
-        heard = self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING)
-        if heard and state.alarm == 0:
+        matters = self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING)
+        if matters and state.alarm == 0:
             self._port.kill()
             self._engine.stop()
             self.note_reset(errors.ALARM_HARD_LIMIT)
@@ -135,7 +136,8 @@ class MotorControl:
     def enter_alarm(self) -> "Callable[[], None] | None":
         """Enter Alarm with nothing turning. Returns what to call after the alarm is reported."""
         state = self._state
-        if state.pending[st.RESET]:  # the port's kill() lasts until arm(); these last
+        # A reset has stopped all by the port's kill(), which lasts until arm(); this lasts longer.
+        if state.pending[st.RESET]:
             self._spindle.stop()
             self._coolant.stop()
             if self.moving:
@@ -147,6 +149,7 @@ class MotorControl:
         return self._report_fault if state.alarm == errors.ALARM_INTERNAL else after
 
     def _report_fault(self) -> None:
+        """Send the text of an exception that a callback of the port has caught."""
         self._voice.message(self._port.fault)
 
     # Motors: they stay powered a little longer than they move ($1)
@@ -212,12 +215,14 @@ class MotorControl:
             self._end_idle_delay()
 
     def _end_idle_delay(self) -> None:
+        """End the delay once its time ($1) is over: power the motors off, unless $1 is 255, and
+        post a cycle stop if motion preceded."""
         state = self._state
         if state.run & (st.RUN | st.JOG) and not state.holding and not self._planner.empty():
             self._restart()  # more was planned in the meantime
             return
         delay = self._settings.idle_lock_ms
-        stay = delay == _FOR_EVER and state.run != st.SLEEP
+        stay = delay == _FOR_EVER and state.run != st.SLEEP  # the motors stay powered
         if not (stay or self._is_new) and self._port.elapsed_ms(self._since) < delay:
             return
         self.in_idle_delay = self._is_new = False
@@ -236,7 +241,7 @@ class MotorControl:
 
     def power(self, on: bool) -> None:
         """Switch the motors on or off ($4)."""
-        level = (0 if on else 1) ^ self._settings.enable_invert
+        level = (0 if on else 1) ^ self._settings.enable_invert  # low enables, unless $4
         if level != self._level:
             self._level = level
             self._port.enable(level)

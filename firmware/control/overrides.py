@@ -66,21 +66,22 @@ class Overrides:
     def apply_requests(self) -> None:
         """Apply the override bytes received."""
         state = self._state
+        # In percent, by _FEED, _RAPID and _SPINDLE.
         new = [state.feed_override, state.rapid_override, state.spindle_override]
         for byte in range(st.FIRST_OVERRIDE_BYTE, _SPINDLE_STOP):  # in Grbl's order
             times = self._asked(byte)
             if times and byte in _OVERRIDES:
                 which, change = _OVERRIDES[byte]
                 if which == _RAPID or change == 0:
-                    new[which] = change or 100
+                    new[which] = change or 100  # rapids have fixed values; 0 restores
                 else:
                     new[which] = min(max(new[which] + times * change, _LOWEST), _HIGHEST)
-        if new[0] != state.feed_override or new[1] != state.rapid_override:
-            state.feed_override, state.rapid_override = new[0], new[1]
+        if new[_FEED] != state.feed_override or new[_RAPID] != state.rapid_override:
+            state.feed_override, state.rapid_override = new[_FEED], new[_RAPID]
             state.override_countdown = 0
             self._planner.override()
-        if new[2] != state.spindle_override:
-            state.override_spindle(new[2])
+        if new[_SPINDLE] != state.spindle_override:
+            state.override_spindle(new[_SPINDLE])
             state.override_countdown = 0
             self._override_spindle()
         self._accessory_overrides()
@@ -100,6 +101,8 @@ class Overrides:
             self._planner.each_power(self._spindle.block_power)
 
     def _accessory_overrides(self) -> None:
+        """Apply the toggles of spindle stop, flood and mist. An even number for a coolant changes
+        nothing."""
         state = self._state
         if self._asked(_SPINDLE_STOP):
             self.stop_spindle()

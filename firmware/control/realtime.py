@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _SOFT_RESET = const(0x18)
 _JOG_CANCEL = const(0x85)
+_END = const(-3)  # where the end of a report begins: >\r\n
 _HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)
 
 
@@ -72,21 +73,22 @@ class Realtime:
 
     def handle_events(self) -> None:
         """Do as run(), but do not wait for a suspension to end."""
-        state, drive = self._state, self._motor_control
+        state, motor_control = self._state, self._motor_control
         pending = state.pending
         if self._estop and self._estop():
-            drive.emergency()
-        if pending[st.ANY] or drive.in_idle_delay or drive.moving:  # rarely
+            motor_control.emergency()
+        # Rarely true, and every turn of a loop comes here.
+        if pending[st.ANY] or motor_control.in_idle_delay or motor_control.moving:
             if pending[st.RESET]:
                 raise Abort  # the loop then reports an alarm
             if pending[st.STATUS_REPORT]:
                 report = self._voice.status()
                 if state.hooks.fields:
                     report = _with_fields(report, state.hooks.fields)
-                drive.pump()
+                motor_control.pump()
                 pending[st.STATUS_REPORT] = 0  # also answers requests received meanwhile
                 self._voice.send(report)
-            drive.poll_motors()
+            motor_control.poll_motors()
             if pending[st.ANY]:
                 pending[st.ANY] = 0
                 if pending[st.RESET]:
@@ -116,7 +118,7 @@ class Realtime:
             if state.run & (st.RUN | st.JOG):
                 self._slow_down(sleep)
             elif state.run == st.IDLE:
-                state.suspend = st.HOLD_COMPLETE
+                state.suspend = st.HOLD_COMPLETE  # there is nothing to slow down
             if cancel and not state.run & st.JOG:
                 state.suspend |= st.MOTION_CANCEL
             if hold and not state.run & (st.DOOR | st.JOG | st.SLEEP):
@@ -124,12 +126,14 @@ class Realtime:
             if door:
                 self._open_door()
         if sleep:
-            if state.run == st.ALARM:
+            if state.run == st.ALARM:  # there is nothing to stop or retract
                 state.suspend |= st.RETRACT_COMPLETE | st.HOLD_COMPLETE
             state.enter(st.SLEEP)
         return bool(cancel or hold or door)
 
     def _slow_down(self, sleep: int) -> None:
+        """Slow down and stop, unless motion is being cancelled. A jog is cancelled by any hold,
+        but not by sleep."""
         state = self._state
         if state.suspend & (st.MOTION_CANCEL | st.JOG_CANCEL):
             return
@@ -139,11 +143,13 @@ class Realtime:
             state.suspend |= st.JOG_CANCEL
 
     def _open_door(self) -> None:
+        """Handle an open door. If the tool is being restored after an earlier opening, that stops
+        and the tool is retracted again. A jog is cancelled first."""
         state = self._state
         self._voice.message(errors.MSG_DOOR_AJAR)
         if not state.suspend & st.JOG_CANCEL:
             if state.run == st.DOOR and state.suspend & st.INITIATE_RESTORE:
-                if state.system_motion:
+                if state.system_motion:  # parking
                     self._segments.hold(True)
                     state.holding = True
                     state.suspend &= ~st.HOLD_COMPLETE
@@ -154,6 +160,8 @@ class Realtime:
         state.suspend |= st.DOOR_AJAR
 
     def _cycle_start(self) -> None:
+        """Handle a cycle start: resume after a hold or a closed door, or start planned motion.
+        After a door the tool is restored first, which posts another cycle start."""
         state = self._state
         if state.run == st.DOOR and not state.suspend & st.DOOR_AJAR:
             if state.suspend & st.RESTORE_COMPLETE:
@@ -163,19 +171,22 @@ class Realtime:
         held = state.run == st.HOLD
         if state.run != st.IDLE and not (held and state.suspend & st.HOLD_COMPLETE):
             return
+        # The spindle, stopped by its override, starts first; that posts another cycle start.
         if held and state.stop_override:
             state.stop_override |= st.STOP_RESTORE_CYCLE
             return
         state.holding = False
         self._segments.hold(False)
-        go = not self._planner.empty() and not state.suspend & st.MOTION_CANCEL
+        has_motion = not self._planner.empty() and not state.suspend & st.MOTION_CANCEL
         state.suspend = 0
         state.enter(st.IDLE)
         touches = self._motor_control.touches
-        if go and not (touches and touches()):
+        if has_motion and not (touches and touches()):
             self._motor_control.start(st.RUN)
 
     def _cycle_stop(self) -> None:
+        """Handle the end of motion: a hold is complete, a jog is cancelled, or the machine is
+        idle."""
         state = self._state
         cancelled = state.suspend & st.JOG_CANCEL
         if state.run & _HOLDS and not state.soft_limit and not cancelled:
@@ -189,7 +200,7 @@ class Realtime:
             self._resync()
             state.holding = False
         # As in Grbl, `holding` stays after a probe's contact: a reset before motion is an alarm.
-        if state.suspend & st.DOOR_AJAR:
+        if state.suspend & st.DOOR_AJAR:  # it was opened during a jog, which has ended now
             state.suspend = state.suspend & ~st.JOG_CANCEL | st.HOLD_COMPLETE
             state.enter(st.DOOR)
         else:
@@ -198,6 +209,9 @@ class Realtime:
 
 
 def _with_fields(report: "memoryview", fields: "tuple[Callable[[], str], ...]") -> "memoryview":
-    text = b"".join([b"|" + said.encode() for said in [field() for field in fields] if said])
-    told = bytes(report)
-    return memoryview(told[:-3] + text + told[-3:]) if text else report  # >\r\n
+    """Return a status report with the fields of extras before its end; each returns its text, or
+    "" for none."""
+    texts = [field() for field in fields]
+    added = b"".join([b"|" + text.encode() for text in texts if text])
+    whole = bytes(report)
+    return memoryview(whole[:_END] + added + whole[_END:]) if added else report

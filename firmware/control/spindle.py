@@ -39,6 +39,7 @@ _GRADIENT = const(7)
 _FINE = const(8)
 LASER = const(9)  # 0: not a laser
 _ONE = const(0x3F800000)  # the float 1
+_FINE_PER_POWER = const(64)
 _STEEPEST = 8388608.0  # 2**23, above power at $30 from 0 rpm: 64 times it must have 30 bits
 
 
@@ -46,9 +47,10 @@ _STEEPEST = 8388608.0  # 2**23, above power at $30 from 0 rpm: 64 times it must 
 def power_from_rpm(scale: ptr32, flags: int) -> int:
     """Return the power of a planner block with these flags: see slice_kernel.scaled_power().
 
-    scale: State.spindle. scale[ASKED], the programmed rpm, is lost. scale[RPM] becomes the speed
-    while idle: 0 for a laser in M4. Power is 1 + (rpm - $31) * gradient; with DYNAMIC it is
-    rpm * gradient in 1/64, rpm at most $30.
+    scale: State.spindle, floats as bits; those that are not negative compare as the floats do.
+    scale[ASKED], the programmed rpm, is lost. scale[RPM] becomes the speed while idle: 0 for a
+    laser in M4. Power is 1 + (rpm - $31) * gradient; with DYNAMIC it is rpm * gradient in 1/64,
+    rpm at most $30.
     """
     if not flags & _TURNING:
         return 0
@@ -66,7 +68,7 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
         lowest = scale[_LOWEST]
         if rpm >= highest or lowest >= highest:
             scale[RPM] = highest
-            return scale[_FULL]
+            return scale[_FULL]  # a whole number
         if rpm <= lowest:
             scale[RPM] = lowest if rpm > 0 else 0
             return _MIN_POWER if rpm > 0 else 0
@@ -74,7 +76,7 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
         add_single(scale, _LESS, scale, ASKED)
         multiply(scale, ASKED, scale, _GRADIENT)
         least = _MIN_POWER
-    rpm = scale[ASKED]
+    rpm = scale[ASKED]  # power, from here on
     # The float's whole part: a mantissa of 24 bits has the exponent 150.
     shift = 150 - (rpm >> 23)
     rpm = (rpm & 0x7FFFFF) | 0x800000
@@ -124,8 +126,8 @@ class Spindle:
         scale[_LOWEST] = settings.min_rpm
         scale[_LESS] = -settings.min_rpm
         scale[_GRADIENT] = gradient
-        scale[_FINE] = gradient * 64
-        table[layout.POWER_FLOOR] = int(settings.min_rpm * gradient * 64)
+        scale[_FINE] = gradient * _FINE_PER_POWER
+        table[layout.POWER_FLOOR] = int(settings.min_rpm * gradient * _FINE_PER_POWER)
         table[layout.POWER_MAX] = full
         # The integer's bits, in an array of floats: power_from_rpm() reads them as an integer.
         copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL:], 1)
@@ -163,6 +165,7 @@ class Spindle:
         self._reversed = direction == CCW
         self._direction = CW if self._has_enable else direction
         self._enabled = True
+        # The pin: 1 for CCW; 1 for either, if it is the enable pin.
         self._port.direction(1 if self._has_enable or direction == CCW else 0)
 
     def set_power(self, power: int) -> None:
@@ -186,5 +189,6 @@ class Spindle:
 
     def direction(self) -> int:
         """Return OFF, CW or CCW, from the pins' state."""
+        # Without an enable pin, a spindle without power is off.
         on = self._enabled if self._has_enable else self._power
         return self._direction if on else OFF

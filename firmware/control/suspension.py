@@ -30,7 +30,7 @@ _COOLANT_DELAY_MS = const(1000)
 
 _PARK_AXIS = Z
 _PARK_TARGET_MM = -5.0  # machine coordinates
-_PARK_RATE = 500.0
+_PARK_RATE = 500.0  # mm/min
 _PULL_OUT_RATE = 100.0
 _PULL_OUT_MM = 5.0
 
@@ -110,6 +110,8 @@ class Suspension:
             self._overrides.stop_spindle()
 
     def _hold(self) -> None:
+        """Do one turn of a complete hold: stop or restore the spindle if its stop override asks
+        for that, else apply a changed spindle override."""
         state = self._state
         stopping = state.stop_override
         if stopping & st.STOP_INITIATE:
@@ -131,10 +133,12 @@ class Suspension:
             state.update_spindle = False
 
     def _stop_spindle(self) -> None:
+        """Stop the spindle, and note whether a laser was on."""
         self._lit = self._lit or self._state.spindle[st.RPM] > 0
         self._spindle.set_speed(0, 0.0)
 
     def _restore_spindle(self) -> None:
+        """Start the spindle as it was. A laser with motion ahead gets its power from that."""
         spindle, direction = self._spindle, self._flags & plan.SPINDLE_MASK
         if not spindle.laser:
             spindle.set_speed(direction, self._rpm)
@@ -148,6 +152,7 @@ class Suspension:
     # Sleep
 
     def _sleep(self) -> "Iterator[None]":
+        """Routine: switch everything off, and wait for a reset."""
         self._voice.message(errors.MSG_SLEEP)
         self._stop_accessories()
         self._motor_control.release()
@@ -155,15 +160,19 @@ class Suspension:
             yield
 
     def _stop_accessories(self) -> None:
+        """Switch spindle and coolant off."""
         self._stop_spindle()
         self._coolant.set(0)
 
     # Door
 
     def _interrupted(self) -> bool:
+        """Return whether the door was opened again, which ends a routine early."""
         return bool(self._state.suspend & st.RESTART_RETRACT)
 
     def _retract(self) -> "Iterator[None]":
+        """Routine: after a hold by door or sleep, park if the board does, and switch spindle and
+        coolant off."""
         state = self._state
         state.stop_override = 0
         if self._parks:
@@ -174,6 +183,7 @@ class Suspension:
         state.suspend |= st.RETRACT_COMPLETE
 
     def _door(self) -> None:
+        """Do one turn of an open door: note when it is closed; restore after a cycle start."""
         state = self._state
         if not self._inputs.door_open():
             state.suspend &= ~st.DOOR_AJAR
@@ -181,6 +191,8 @@ class Suspension:
             self._routine = self._restore()
 
     def _restore(self) -> "Iterator[None]":
+        """Routine: undo _retract(), in the reverse order, then post a cycle start. It ends early
+        if the door opens."""
         state = self._state
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
@@ -201,6 +213,7 @@ class Suspension:
     # Parking
 
     def _may_park(self) -> bool:
+        """Return whether parking is possible now: machine coordinates must be valid."""
         return (
             bool(self._settings.homing)
             and not self._spindle.laser
@@ -210,10 +223,11 @@ class Suspension:
         )
 
     def _park(self) -> "Iterator[None]":
-        """Pull out slowly with the spindle on, then retract fast with it off."""
+        """Routine: pull out slowly with the spindle on, then retract fast with it off. Without
+        parking, only spindle and coolant are switched off."""
         target = self._target
         self._position(target)
-        if not self._interrupted():
+        if not self._interrupted():  # else these are those of the first retract
             self._resume_at[:] = target
             self._waypoint = min(target[_PARK_AXIS] + _PULL_OUT_MM, _PARK_TARGET_MM)
         if not self._may_park() or target[_PARK_AXIS] >= _PARK_TARGET_MM:
@@ -230,6 +244,8 @@ class Suspension:
     def _park_move(
         self, target: "array[float]", rate: float, with_accessories: bool
     ) -> "Iterator[None]":
+        """Routine: move to target (mm) at a rate (mm/min), outside the planner's ring; with
+        spindle and coolant as in the held block, or without."""
         state = self._state
         move = self._move
         move.clear()

@@ -28,6 +28,7 @@ _ESP32_S3 = (48, 4, 81, 0x60004554)
 
 
 def _chip() -> "tuple[int, int, int, int]":
+    """Return this chip's row of the numbers above. ValueError for an ESP32-S2."""
     name = sys.implementation._machine.split(" with ")[-1].replace("-", "")
     if name.startswith("ESP32S2"):
         raise ValueError("ENGINE = rmt is for ESP32 and ESP32-S3")
@@ -44,14 +45,14 @@ class Channel:
     """number: from 0, one per axis. axes: how many there are; they share RMT's memory."""
 
     def __init__(self, number: int, pin: int, axes: int) -> None:
-        symbols, blocks, signal, word = _chip()
+        symbols, blocks, first_signal, word_0 = _chip()
         step = machine.Pin(pin, machine.Pin.OUT, value=0)
         self._rmt = esp32.RMT(
             number, pin=step, resolution_hz=RESOLUTION_HZ, num_symbols=symbols * (blocks // axes)
         )
-        self._word = word + 4 * pin
+        self._word = word_0 + 4 * pin  # address of the pin's word in the GPIO matrix
         self._signal = machine.mem32[self._word] & _SIGNAL
-        if not 0 <= self._signal - signal < blocks:
+        if not 0 <= self._signal - first_signal < blocks:
             raise ValueError("pin %d does not show what RMT makes" % pin)
         self._inverted = 0
         self.cut()
@@ -66,6 +67,6 @@ class Channel:
         machine.mem32[self._word] = _REGISTER | self._inverted
 
     def play(self, durations: "list[int]") -> None:
-        """Start a train, which begins with a pause; the last one must have ended."""
+        """Start a train: durations in us, a pause first; the last train must have ended."""
         machine.mem32[self._word] = self._signal | self._inverted
         self._rmt.write_pulses(durations, False)

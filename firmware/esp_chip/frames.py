@@ -60,7 +60,7 @@ def blank(frames: ptr32, word: int) -> int:
 def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
     """Start the next buffer: no steps yet, but the due changes of direction.
 
-    Returns its first word.
+    Returns its first word. lanes: LANE integers per axis.
     """
     start = timing[WORD] | timing[ENABLE]
     for i in range(FRAMES):
@@ -95,7 +95,7 @@ def end_buffer(timing: ptr32, lanes: ptr32) -> int:
 @micropython.viper
 def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
     """Make a row that takes the owed steps back, `gap` ticks apart. Returns the most steps
-    of an axis."""
+    of an axis; 0 if none is owed. owed: per axis, positive or negative; becomes 0."""
     most = 0
     dirs = 0
     for i in range(axes):
@@ -124,49 +124,52 @@ def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
     overlap.
     """
     late = 0
-    at = timing[ROW_END]
+    start = timing[ROW_END]
     for i in range(timing[AXES]):
         base = ROW_AXES + ROW_STRIDE * i
         if row[base] and (timing[LOCKED] >> i) & 1 == 0:
             lane = LANE * i
-            earliest = lanes[lane + FREE]
+            earliest = lanes[lane + FREE]  # frame of the first step
             if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
-                turn = at >> FRAME_LOG2
+                turn = start >> FRAME_LOG2  # frame in which the direction changes
                 if turn > earliest:
                     earliest = turn
                 earliest += timing[SETUP]
-            lack = (earliest << FRAME_LOG2) - at - row[base + 1]
-            if lack > late:
-                late = lack
+            needed = (earliest << FRAME_LOG2) - start - row[base + 1]
+            if needed > late:
+                late = needed
     return late
 
 
 @micropython.viper
 def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int) -> int:
-    """Start a row `late` ticks after the end of the last one."""
+    """Start a row `late` ticks after the end of the last one. Due directions change.
+
+    A row has per axis, from `base` on, its steps and the ticks of the first and of the last one.
+    """
     now = timing[ROW_END] >> FRAME_LOG2
-    at = timing[ROW_END] + late
-    timing[ROW_END] = at + row[ROW_TICKS]
+    start = timing[ROW_END] + late
+    timing[ROW_END] = start + row[ROW_TICKS]
     for i in range(timing[AXES]):
         lane = LANE * i
         base = ROW_AXES + ROW_STRIDE * i
         steps = row[base] if (timing[LOCKED] >> i) & 1 == 0 else 0
         lanes[lane + LEFT] = steps
         if steps:
-            lanes[lane + NEXT] = at + row[base + 1]
+            lanes[lane + NEXT] = start + row[base + 1]
             if steps > 1:
                 span = row[base + 2] - row[base + 1]
                 lanes[lane + GAP] = span // (steps - 1)
-                longer = span % (steps - 1)
-                front = int(leading(steps - 1, lanes[lane + GAP], longer))
-                lanes[lane + LONGER] = front
-                lanes[lane + LAST_LONGER] = longer - front
+                longer = span % (steps - 1)  # gaps that are one tick longer: some of the first,
+                first_longer = int(leading(steps - 1, lanes[lane + GAP], longer))
+                lanes[lane + LONGER] = first_longer
+                lanes[lane + LAST_LONGER] = longer - first_longer  # and the others of the last
             if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
                 lanes[lane + BACK] = 1 - lanes[lane + BACK]
-                turn = lanes[lane + FREE]
+                turn = lanes[lane + FREE]  # frame in which the direction changes
                 if now > turn:
                     turn = now
-                if turn >= FRAMES:
+                if turn >= FRAMES:  # in a later buffer
                     lanes[lane + TURN] = turn + 1
                 else:
                     flip = lanes[lane + DIR]
@@ -189,18 +192,18 @@ def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
             frame = lanes[lane + NEXT] >> FRAME_LOG2
             if frame < lanes[lane + FREE]:
                 frame = lanes[lane + FREE]
-            if frame < FRAMES and frame + pulse > FRAMES:
+            if frame < FRAMES and frame + pulse > FRAMES:  # the pulse would cross the end
                 frame = FRAMES
                 lanes[lane + FREE] = FRAMES
-            if frame >= FRAMES:
+            if frame >= FRAMES:  # in the next buffer
                 over = 0
                 break
             for k in range(frame, frame + pulse):
                 frames[k] = frames[k] | bit
-            lanes[lane + FREE] = frame + pulse + 1
+            lanes[lane + FREE] = frame + pulse + 1  # one frame between two pulses
             lanes[lane + LEFT] = lanes[lane + LEFT] - 1
             gap = lanes[lane + GAP]
-            if lanes[lane + LONGER]:
+            if lanes[lane + LONGER]:  # the gaps that are one tick longer are the first and last
                 lanes[lane + LONGER] = lanes[lane + LONGER] - 1
                 gap += 1
             elif lanes[lane + LEFT] <= lanes[lane + LAST_LONGER]:
@@ -213,7 +216,7 @@ def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def drop_row(timing: ptr32, lanes: ptr32) -> int:
-    """Drop the row in progress; set direction outputs from the lanes."""
+    """Drop the row in progress; set WORD, the direction outputs, from the lanes."""
     word = 0
     timing[ROW_END] = 0
     for i in range(timing[AXES]):
@@ -229,7 +232,11 @@ def drop_row(timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) -> int:
-    """Add to steps those in the first frames of a buffer: the truth, counted from its bits."""
+    """Add to steps (positions per axis) those in the first `until` frames of a buffer.
+
+    They are counted from its bits: a step is a rising edge of the axis' step output, and the
+    direction output in the same frame gives its sign.
+    """
     for i in range(timing[AXES]):
         lane = LANE * i
         bit = lanes[lane + STEP]
@@ -249,7 +256,10 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
 
 @micropython.viper
 def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
-    """Update PLAYING, the buffer being played. Returns for how long it has been played, in us."""
+    """Update PLAYING, the buffer being played. Returns for how long it has been played, in us.
+
+    now: us, masked by base/times.py. buffer_us: length of a buffer.
+    """
     passed = (now - state[BEGAN]) & MASK
     if passed > NEGATIVE:
         return 0  # a turn of the timer since `now` has moved BEGAN past it
@@ -263,7 +273,11 @@ def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
 @micropython.viper
 def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     """Return the slot of the buffer being played. While zeros are played, it is the next buffer's
-    slot - BEFORE, or NOWHERE if there is none."""
+    slot - BEFORE, or NOWHERE if there is none.
+
+    notes: `size` integers per slot of our ring (i2s_layout.py). Buffer n has slot n % slots, and
+    NUMBER is the number under which the stream plays it. Buffers still in the ring are searched.
+    """
     sent = state[SENT]
     first = sent - slots + 1
     if first < 0:

@@ -70,7 +70,7 @@ _TURN_MS = const(4)
 _SPARE = const(2)  # buffers of DMA's ring that are not filled
 _DEPTH_AT_REST = const(5)
 # So close to the end of a DMA buffer, in us, it is uncertain which buffer the next write would be.
-_DOUBT = const(300)
+_DOUBT_US = const(300)
 # A locked axis returns to its position at this rate, without a ramp.
 _BACK_HZ = const(1000)
 
@@ -98,8 +98,7 @@ class I2sEngine(TimerEngine):
         enables = (enable,) if isinstance(enable, int) else enable
         if max(step + direction + enables) > _HIGHEST_OUTPUT:
             raise ValueError("outputs have numbers from 0 to 29")
-        axes = len(step)
-        self._axes = axes
+        self._axes = axes = len(step)
         self._rate_hz = rate_hz
         self._buffers = buffers
         self._stream = Stream(pins, rate_hz, buffers)
@@ -119,8 +118,8 @@ class I2sEngine(TimerEngine):
         self._memory = bytearray(BYTES * self._slots)
         whole = memoryview(self._memory)
         self._ring = [whole[BYTES * k : BYTES * (k + 1)] for k in range(self._slots)]
-        self._pause = bytearray(BYTES)
-        self._size = NOTE + axes
+        self._pause = bytearray(BYTES)  # a buffer without steps
+        self._size = NOTE + axes  # integers in the notes of a buffer
         self._notes = array("i", (0 for _ in range(self._size * self._slots)))
         # Per axis that is or was locked: where, and the steps made since then, which are taken
         # back before the next motion. _steps is scratch for position().
@@ -136,13 +135,13 @@ class I2sEngine(TimerEngine):
         self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._refill)
 
     def _open(self) -> None:
+        """Open a new stream, which plays zeros until its first buffer is handed over."""
         state = self._state
         state[BEGAN] = self._stream.open() & MASK
-        state[PLAYING] = 0
+        state[PLAYING] = state[STALE] = 0
         state[WRITTEN] = self._buffers
         state[LAST] = -1
         state[PAUSE] = 1
-        state[STALE] = 0
         for slot in range(self._slots):  # buffers are numbered from 0 again
             self._notes[slot * self._size + NUMBER] = -1
 
@@ -153,6 +152,7 @@ class I2sEngine(TimerEngine):
         return self._rate_hz // (self._frames_of(pulse_us) + 1)
 
     def _frames_of(self, us: int) -> int:
+        """Return the number of frames in so many us, rounded up."""
         return -(-us * self._rate_hz // 1_000_000)
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
@@ -195,8 +195,7 @@ class I2sEngine(TimerEngine):
             state[HALT] = 0
         state[TAKEN] = time.ticks_us() & MASK
         state[REPORTED] = state[LATEST] = -1
-        state[PULLING] = 1
-        state[MOVING] = 1
+        state[PULLING] = state[MOVING] = 1
 
     def stop(self) -> None:
         """Stop at once, until arm(); safe in a soft interrupt. Drops queued steps and locks."""
@@ -204,8 +203,9 @@ class I2sEngine(TimerEngine):
         self._state[MOVING] = 0
 
     def _halt(self) -> None:
+        """Close the stream, and drop everything that was not played; MOVING stays set."""
         state, lanes, steps = self._state, self._lanes, self._steps
-        halted = state[HALT]  # 1 if the interrupted code has set it
+        halt_before = state[HALT]  # 1 if the interrupted code has set it
         state[STOPPED] = state[HALT] = 1
         state[LATEST] = -1
         if state[MOVING] or state[PULLING]:
@@ -221,11 +221,10 @@ class I2sEngine(TimerEngine):
         for i in range(self._axes):
             locked = self._timing[frames.LOCKED] >> i & 1
             self._owed[i] = lanes[LANE * i + PLACE] - self._locked_at[i] if locked else 0
-        state[PULLING] = 0
-        state[ROW] = 0
+        state[PULLING] = state[ROW] = 0
         self._timing[frames.LOCKED] = 0
         state[MOVING] = 1
-        state[HALT] = halted
+        state[HALT] = halt_before
 
     def _renew(self) -> None:
         """Drop all frames that were not played, and begin a new stream."""
@@ -254,25 +253,27 @@ class I2sEngine(TimerEngine):
         return not self._state[MOVING]
 
     def _is_late(self) -> bool:
-        state = self._state
-        late = time.ticks_diff(time.ticks_us(), state[TAKEN])
-        return bool(state[MOVING]) and late > LOST_US
+        """Return whether the stream has accepted nothing for so long that it never will."""
+        since_us = time.ticks_diff(time.ticks_us(), self._state[TAKEN])
+        return bool(self._state[MOVING]) and since_us > LOST_US
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor, to the frame, without those to be taken back."""
         self._find_note(steps, time.ticks_us())
 
     def _find_note(self, steps: "array[int]", now: int) -> None:
+        """Compute the positions at a time (us) from the notes and bits of the buffer played."""
         state, axes = self._state, self._axes
         passed = frames.find_playing(state, now, self._buffer_us)
         slot = frames.playing_slot(state, self._notes, self._slots, self._size)
+        # Where zeros are played, the positions are those at the start of the next buffer.
         note = (slot if slot >= 0 else slot + BEFORE) * self._size + NOTE
         for i in range(axes):
             place = self._lanes[LANE * i + PLACE] if slot == NOWHERE else self._notes[note + i]
             steps[i] = place - self._owed[i]
         if slot >= 0:
-            until = passed * FRAMES // self._buffer_us + 1
-            frames.count(self._ring[slot], until, self._timing, self._lanes, steps)
+            frames_played = passed * FRAMES // self._buffer_us + 1
+            frames.count(self._ring[slot], frames_played, self._timing, self._lanes, steps)
 
     def set_position(self, steps: "array[int]") -> None:
         """Set the present position, also of locked motors. Only while idle.
@@ -285,8 +286,7 @@ class I2sEngine(TimerEngine):
             self._locked_at[i] = steps[i]
             place = steps[i] + self._owed[i]
             self._lanes[LANE * i + PLACE] = place
-            # position() counts from the note of the buffer being played; from NOTE on it has the
-            # positions at the buffer's start. Buffers are played while idle, too.
+            # Buffers are played while idle, too, and position() counts from their notes.
             for slot in range(self._slots):
                 self._notes[slot * self._size + NOTE + i] = place
         self._state[HALT] = 0
@@ -298,6 +298,7 @@ class I2sEngine(TimerEngine):
     # The timer's turns: no other soft interrupt runs within them
 
     def _advance(self) -> None:
+        """Do one turn: report power, and fill and hand over buffers until enough are queued."""
         state = self._state
         if state[HALT]:
             return
@@ -306,7 +307,7 @@ class I2sEngine(TimerEngine):
         passed = frames.find_playing(state, time.ticks_us(), self._buffer_us)
         self._report_power()
         if state[WRITTEN] <= state[PLAYING] + 1:
-            if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
+            if passed < _DOUBT_US or passed > self._buffer_us - _DOUBT_US:
                 return
             # The stream is out of data, or may be.
             state[WRITTEN] = state[PLAYING] + 1
@@ -322,6 +323,7 @@ class I2sEngine(TimerEngine):
             state[TAKEN] = time.ticks_us() & MASK
 
     def _report_power(self) -> None:
+        """Report the spindle power of the buffer being played, and the end of motion."""
         slot = frames.playing_slot(self._state, self._notes, self._slots, self._size)
         # Not while idle, because code that sees idle() may set the spindle.
         if slot >= 0 and self._notes[slot * self._size + MOVES]:
@@ -329,8 +331,7 @@ class I2sEngine(TimerEngine):
         self._check_idle()
 
     def _check_idle(self) -> None:
-        """After the last buffer: report the last row's power, then the end of motion, whose
-        callback may change it."""
+        """After the last buffer, report the last row's power, then the end of motion."""
         state = self._state
         played = state[MOVED] <= state[SENT] and state[LAST] < state[PLAYING]
         if state[MOVING] and not state[PULLING] and played:
@@ -339,6 +340,7 @@ class I2sEngine(TimerEngine):
             self._on_rest()
 
     def _tell(self, power: int) -> None:
+        """Report a spindle power, if it is known (not -1) and another than the last."""
         if power >= 0 and power != self._state[REPORTED]:
             self._state[REPORTED] = power
             self._on_power(power)
@@ -356,7 +358,7 @@ class I2sEngine(TimerEngine):
         notes[note + MOVES] = state[PULLING]
         if state[PULLING]:
             state[MOVED] = state[MADE] + 1
-            if not state[ROW]:
+            if not state[ROW]:  # motion begins
                 timing[frames.ROW_END] = 0
                 if frames.make_return_row(row, self._owed, self._axes, self.tick_hz // _BACK_HZ):
                     late = frames.lateness(row, timing, lanes)
@@ -364,8 +366,7 @@ class I2sEngine(TimerEngine):
                     state[ROW] = 1
             while not state[ROW] or frames.render(buffer, timing, lanes):
                 if not self._next_segment(row):
-                    state[PULLING] = 0
-                    state[ROW] = 0
+                    state[PULLING] = state[ROW] = 0
                     break
                 late = frames.lateness(row, timing, lanes)
                 frames.begin_row(buffer, row, timing, lanes, late)

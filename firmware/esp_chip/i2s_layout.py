@@ -30,6 +30,7 @@ POWER = const(2)  # spindle power while it is played; -1: unknown
 MOVES = const(3)  # 1: it is part of a motion
 NOTE = const(4)
 
-# Values for "no slot".
+# Results of frames.playing_slot() that are no slot: zeros are played before that slot's buffer;
+# and before a buffer that is not filled yet.
 BEFORE = const(1000)
 NOWHERE = const(-2000)

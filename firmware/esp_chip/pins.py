@@ -38,11 +38,12 @@ class EspPort(PortPins):
         timers = Timer(_LOOK_TIMER), Timer(_CONTROL_TIMER)
         super().__init__(board, timers, pins, False)
         self._set_enable = enable
+        # Levels that poll_inputs() has found last.
         self._limits_looked = self._estop_looked = 0
         self._sensors_looked = -1  # nothing watches them
 
     def attach(self, listener: "InputListener") -> None:
-        """Do as on other chips; only changes from now on count."""
+        """Call the listener for changed inputs, as PortPins; only changes from now on count."""
         self._limits_looked = self.limits()
         self._controls_seen = self.controls()
         super().attach(listener)

@@ -51,6 +51,8 @@ _RETURN_US = const(10)
 # First estimate of the time of write_pulses(): us, and per duration in 1/8 us.
 _CALL_US = const(150)
 _CALL_EIGHTHS = const(2)
+_LEAST_CALL_US = const(20)  # the estimate is between these
+_MOST_CALL_US = const(1000)
 # A later start than that was delayed by flash or a radio.
 _HELD_UP_US = const(60)
 
@@ -62,7 +64,7 @@ _READY = const(3)  # the next train is prepared
 _DUE = const(4)  # when the next train is due, in us
 _FREE = const(5)  # when the channels have ended
 _BEGAN = const(6)  # when the train being played was due
-_TOLD = const(7)  # last spindle power reported
+_REPORTED = const(7)  # last spindle power reported
 _GAP = const(8)  # longest standstill between trains, in us,
 _SKEW = const(9)  # largest error of a channel's start, us,
 _TRAINS = const(10)  # and number of trains
@@ -81,7 +83,10 @@ _CALL = const(5)  # time of write_pulses(), without that per duration, us
 
 @micropython.viper
 def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
-    """Return the position of a motor at a time."""
+    """Return the position of a motor at a time: us, masked by base/times.py.
+
+    playing: the durations of the axis' train, which began at _START.
+    """
     lane = _LANE * axis
     place = lanes[lane + _PLACE]
     if lanes[lane + _COUNT] == 0:
@@ -101,8 +106,7 @@ class RmtEngine(TimerEngine):
 
     def __init__(self, step: "tuple[int, ...]", direction: "tuple[int, ...]") -> None:
         super().__init__()
-        axes = len(step)
-        self._axes = axes
+        self._axes = axes = len(step)
         self._direction = [machine.Pin(pin, machine.Pin.OUT, value=0) for pin in direction]
         self._channels = [Channel(i, step[i], axes) for i in range(axes)]
         self._dir_invert = 0
@@ -158,14 +162,14 @@ class RmtEngine(TimerEngine):
             return
         state[_PULLING] = 1
         if not state[_RUNNING]:
-            state[_TOLD] = -1
+            state[_REPORTED] = -1
             now = time.ticks_us()
-            rest = time.ticks_diff(state[_FREE], now)
-            if not (state[_CUT] and 0 < rest < LOST_US):
+            rest_us = time.ticks_diff(state[_FREE], now)
+            if not (state[_CUT] and 0 < rest_us < LOST_US):  # no train is being played
                 state[_FREE] = now & MASK
             state[_CUT] = 0
             state[_DUE] = (state[_FREE] + _FROM_REST_US) & MASK
-            self._powers[0] = MASK
+            self._powers[0] = MASK  # no power is due, because that time never comes
             state[_RUNNING] = 1
             self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._refill)
 
@@ -175,16 +179,14 @@ class RmtEngine(TimerEngine):
         self._state[_RUNNING] = 0
 
     def _halt(self) -> None:
+        """Cut off all trains and drop what is queued; _RUNNING stays set."""
         state, timing = self._state, self._timing
         state[_HALT] = 1
         self._cut_off((1 << self._axes) - 1)
         state[_CUT] = 1
         state[_RUNNING] = 1
-        state[_PULLING] = 0
-        state[_READY] = 0
-        timing[trains.HELD] = 0
-        timing[trains.DONE] = 0
-        timing[trains.LOCKED] = 0
+        state[_PULLING] = state[_READY] = 0
+        timing[trains.HELD] = timing[trains.DONE] = timing[trains.LOCKED] = 0
 
     def _cut_off(self, axes: int) -> None:
         """End these axes' trains now; their positions are the clock's."""
@@ -211,9 +213,9 @@ class RmtEngine(TimerEngine):
         return not self._state[_RUNNING]
 
     def _is_late(self) -> bool:
-        state = self._state
-        late = time.ticks_diff(time.ticks_us(), state[_DUE])
-        return bool(state[_RUNNING]) and late > LOST_US
+        """Return whether the next train is so late that it will never begin."""
+        late_us = time.ticks_diff(time.ticks_us(), self._state[_DUE])
+        return bool(self._state[_RUNNING]) and late_us > LOST_US
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps made, per motor, by the clock."""
@@ -237,6 +239,7 @@ class RmtEngine(TimerEngine):
     # The timer's turns: no other soft interrupt runs within them
 
     def _advance(self) -> None:
+        """Do one turn: prepare the next train, and start it when the last one has ended."""
         state = self._state
         if state[_HALT] or not state[_RUNNING]:  # turns queued before deinit() still run
             state[_RUNNING] = 0
@@ -274,9 +277,9 @@ class RmtEngine(TimerEngine):
             if not self._next_segment(self._row):
                 state[_PULLING] = 0
                 break
-            at = (timing[trains.FIRST] + timing[trains.HELD]) % trains.ROWS * size
+            index = (timing[trains.FIRST] + timing[trains.HELD]) % trains.ROWS * size
             for k in range(size):
-                rows[at + k] = self._row[k]
+                rows[index + k] = self._row[k]
             timing[trains.HELD] += 1
         if not timing[trains.HELD]:
             return False
@@ -294,37 +297,38 @@ class RmtEngine(TimerEngine):
     def _note_powers(self) -> None:
         """Store the spindle powers of the next train, with their start times."""
         timing, rows = self._timing, self._rows
-        at_us = -timing[trains.DONE]
+        start_us = -timing[trains.DONE]
         for k in range(trains.ROWS):
-            at = (timing[trains.FIRST] + k) % trains.ROWS * self._size
-            valid = k < timing[trains.TAKEN] or (k == 0 and timing[trains.PART])
-            self._next_powers[2 * k] = at_us if valid else MASK
-            self._next_powers[2 * k + 1] = rows[at + ROW_POWER]
-            at_us += rows[at]
+            row = (timing[trains.FIRST] + k) % trains.ROWS * self._size
+            is_in_train = k < timing[trains.TAKEN] or (k == 0 and timing[trains.PART])
+            self._next_powers[2 * k] = start_us if is_in_train else MASK
+            self._next_powers[2 * k + 1] = rows[row + ROW_POWER]
+            start_us += rows[row]  # a row begins with its length
 
     def _report_power(self, now: int) -> None:
+        """Report the spindle power that is due at `now`, us, in the train being played."""
         state = self._state
         passed = time.ticks_diff(now, state[_BEGAN])
-        power = state[_TOLD]
+        power = state[_REPORTED]
         for k in range(trains.ROWS):
             if self._powers[2 * k] > passed:
                 break
             power = self._powers[2 * k + 1]
-        if power < MASK and power != state[_TOLD]:
-            state[_TOLD] = power
+        if power < MASK and power != state[_REPORTED]:
+            state[_REPORTED] = power
             self._on_power(power)
 
     def _end_train(self) -> None:
         """Add the steps of the train, which has been played, to the positions."""
         for i in range(self._axes):
             lane = _LANE * i
-            steps = self._lanes[lane + _COUNT] // 2
+            steps = self._lanes[lane + _COUNT] // 2  # each has a pause and a pulse
             self._lanes[lane + _COUNT] = 0
             back = self._lanes[lane + _BACK]
             self._lanes[lane + _PLACE] += -steps if back else steps
 
     def _call_us(self, axis: int) -> int:
-        """Return the expected time of write_pulses()."""
+        """Return the expected time of write_pulses() for the next train of an axis, in us."""
         return self._lanes[_LANE * axis + _CALL] + (self._counts[axis] * _CALL_EIGHTHS >> 3)
 
     def _send(self) -> None:
@@ -354,13 +358,13 @@ class RmtEngine(TimerEngine):
         state[_FREE] = state[_BEGAN]
         self._playing, self._next = self._next, self._playing
         self._powers, self._next_powers = self._next_powers, self._powers
-        behind = 0
+        delay = 0
         for i in range(self._axes):
             if self._counts[i]:
-                behind = max(behind, self._start_channel(i))
+                delay = max(delay, self._start_channel(i))
         # The next train waits for the slowest: no interval between steps is shorter than planned.
-        state[_GAP] = max(state[_GAP], late + behind)
-        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH] + behind) & MASK
+        state[_GAP] = max(state[_GAP], late + delay)
+        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH] + delay) & MASK
         state[_READY] = 0
         state[_TRAINS] += 1
 
@@ -372,7 +376,7 @@ class RmtEngine(TimerEngine):
         count = self._counts[axis]
         playing = self._playing[axis]
         pulses = self._lists[axis]
-        first = playing[0]
+        first = playing[0]  # time from the train's begin to its first step
         call = self._call_us(axis)
         del pulses[:]
         pulses.extend(memoryview(playing)[:count])
@@ -386,10 +390,11 @@ class RmtEngine(TimerEngine):
         lanes[lane + _COUNT] = count
         state[_SKEW] = max(state[_SKEW], abs(took - call))
         learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4
-        lanes[lane + _CALL] = min(max(lanes[lane + _CALL] + learned, 20), 1000)
+        estimate = max(lanes[lane + _CALL] + learned, _LEAST_CALL_US)
+        lanes[lane + _CALL] = min(estimate, _MOST_CALL_US)
         end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK
         if time.ticks_diff(end, state[_FREE]) > 0:
             state[_FREE] = end
         first_edge = (began + playing[0]) & MASK
-        behind = time.ticks_diff(first_edge, (state[_BEGAN] + first) & MASK)
-        return behind if behind > _HELD_UP_US else 0
+        delay = time.ticks_diff(first_edge, (state[_BEGAN] + first) & MASK)
+        return delay if delay > _HELD_UP_US else 0

@@ -61,10 +61,12 @@ class TimerEngine:
                 type(self._failure).__name__,
                 self._failure,
             )
+            # A sender must not read it as an answer to a line.
             return words.replace("rror", "rr").replace("ok", "o-k")
         return "motion is behind its own schedule" if self._is_late() else ""
 
     def _refill(self, _timer: object) -> None:
+        """Do one turn, in the timer's interrupt. After a fault only the inputs are checked."""
         try:
             self.on_poll()
             if self._failure is None:
@@ -73,6 +75,7 @@ class TimerEngine:
             self._fail(why)
 
     def _fail(self, why: BaseException) -> None:
+        """Note a fault, switch the tool off, and stop the motors."""
         self._failure = why
         try:
             self.on_fault()
@@ -84,7 +87,7 @@ class TimerEngine:
             self._failure = worse
 
     def _collect(self, room_us: int) -> None:
-        """Collect garbage, if that is due and room_us is enough.
+        """Collect garbage, if that is due and room_us, the time until the next turn, is enough.
 
         An automatic collection between two trains delays motion by its whole time, because soft
         interrupts wait for it.

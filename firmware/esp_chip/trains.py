@@ -21,6 +21,7 @@ _ROWS_MASK = const(15)
 # only where steps are at most a quarter faster than at the last possible end.
 LONGEST = const(18000)
 _WORTH = const(9000)
+_LEAST_PAUSE = const(2)  # us between two pulses
 
 # Integers shared by all axes.
 AXES = const(0)
@@ -52,18 +53,18 @@ def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
 def cut(rows: ptr32, timing: ptr32, size: int) -> int:
     """Choose the end of the next train: the end of a row, where steps are slow. Returns its
     length, us."""
-    known = 0
-    dirs = 0
-    total = 0 - timing[DONE]
-    room = timing[MOST]
-    best = 0
+    known = 0  # mask of axes that step in the train so far,
+    dirs = 0  # and their directions
+    total = 0 - timing[DONE]  # its length
+    room = timing[MOST]  # steps that still fit into a channel
+    best = 0  # interval between steps in the row that ends the train best so far
     timing[TAKEN] = 0
     timing[PART] = 0
     timing[LENGTH] = 0
     for k in range(timing[HELD]):
         at = ((timing[FIRST] + k) & _ROWS_MASK) * size
-        busy = 0
-        most = 0
+        busy = 0  # mask of axes that step in this row
+        most = 0  # steps of one of them
         least = rows[at]  # gap from step to step
         for i in range(timing[AXES]):
             base = at + ROW_AXES + ROW_STRIDE * i
@@ -78,8 +79,8 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
                         least = gap
         if known & busy & (dirs ^ rows[at + ROW_DIRS]):
             break  # an axis reverses here
-        rest = rows[at] if k else total + rows[at]
-        count = most
+        rest = rows[at] if k else total + rows[at]  # the first row was begun in the last train
+        count = most  # steps that a channel needs for the row
         if least > 0 and rest // least + 1 < most:
             count = rest // least + 1
         total += rows[at]
@@ -97,6 +98,7 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
             break
         room -= count
         interval = rows[at] // most if most else LONGEST
+        # At most a quarter faster than the best end so far.
         if total < _WORTH or interval + (interval >> 2) >= best:
             timing[TAKEN] = k + 1
             timing[LENGTH] = total
@@ -106,8 +108,8 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
 
 @micropython.viper
 def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
-    """Return where to cut a long row, in us: after the last step before `end`, or at `end` if that
-    step is too early."""
+    """Return where to cut a long row, in us from its start: after the last step before `end`, or
+    at `end` if that step is in the first half of what is left. at: the row's index in rows."""
     latest = timing[DONE]
     for i in range(timing[AXES]):
         base = at + ROW_AXES + ROW_STRIDE * i
@@ -116,11 +118,11 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
             tick = rows[base + 1]
             gap = (rows[base + 2] - tick) // (steps - 1) if steps > 1 else 1
             if tick < end:
-                # Without the longer gaps: one tick too early does no harm.
-                made = (end - 1 - tick) // (gap + 1)
-                if made >= steps:
-                    made = steps - 1
-                tick += made * gap + 1
+                # As if all gaps were longer: a cut that is too early by a step does no harm.
+                gaps = (end - 1 - tick) // (gap + 1)
+                if gaps >= steps:
+                    gaps = steps - 1
+                tick += gaps * gap + 1
                 if tick > latest:
                     latest = tick
     return latest if latest > (timing[DONE] + end) >> 1 else end
@@ -128,17 +130,17 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
 
 @micropython.viper
 def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> int:
-    """Make one axis' train. Returns the number of durations; 0 if it does not step.
+    """Make one axis' train in `out`. Returns the number of durations; 0 if it does not step.
 
-    -1: it is longer than a channel, which would lose steps.
+    -1: it is longer than a channel, which would lose steps. size: integers in a row.
     """
     if (timing[LOCKED] >> axis) & 1:
         return 0
     pulse = timing[PULSE]
     count = 0
-    origin = 0 - timing[DONE]
-    last = 0 - pulse - 2  # end of the last pulse
-    done = timing[DONE]
+    origin = 0 - timing[DONE]  # start of the row, from the start of the train
+    last = 0 - pulse - _LEAST_PAUSE  # end of the last pulse
+    done = timing[DONE]  # steps before this time of the row were in the last train
     for k in range(timing[TAKEN] + (1 if timing[PART] else 0)):
         at = ((timing[FIRST] + k) & _ROWS_MASK) * size
         base = at + ROW_AXES + ROW_STRIDE * axis
@@ -148,8 +150,8 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
             end = timing[PART]
         tick = rows[base + 1]
         gap = 0
-        longer = 0
-        front = 0
+        longer = 0  # gaps that are one tick longer,
+        front = 0  # and how many of them come first; the others come last
         if steps > 1:
             gap = (rows[base + 2] - tick) // (steps - 1)
             longer = (rows[base + 2] - tick) % (steps - 1)
@@ -161,8 +163,8 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
                 if count >> 1 >= timing[MOST]:
                     return -1
                 edge = origin + tick
-                if count and edge < last + 2:
-                    edge = last + 2
+                if count and edge < last + _LEAST_PAUSE:
+                    edge = last + _LEAST_PAUSE
                 out[count] = edge - last if count else edge
                 out[count + 1] = pulse
                 count += 2
@@ -195,7 +197,7 @@ def made(durations: ptr32, count: int, passed: int) -> int:
         passed -= durations[k]
         if passed < 0:
             break
-        if k & 1 == 0:
+        if k & 1 == 0:  # a pause has ended: the pulse after it has begun
             steps += 1
     return steps
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from extras.cycles import Step
 
-_CYCLES_END = const(100)
+_CYCLES_END = const(100)  # canned cycles are G81 to G99
+_FIRST_UPPER = const(0x80)  # real-time bytes above ASCII begin here
 
 # Old names of Cnc's methods. They work for one release, and a message reports the new name.
 _RENAMED = {
@@ -94,31 +95,31 @@ class Cnc:
         number.
         """
         settings = self._machine.settings
-        for row in settings.rows:
-            if row[0] in without:
-                setattr(settings, row[1], row[3])
-        left = [row for row in settings.rows if row[0] not in without]
-        settings.rows = tuple(sorted(left + list(rows)))
+        for number, attribute, _, default, _ in settings.rows:
+            if number in without:
+                setattr(settings, attribute, default)
+        kept = [row for row in settings.rows if row[0] not in without]  # row[0]: its number
+        settings.rows = tuple(sorted(kept + list(rows)))
         settings.file = file or settings.file
-        told = getattr(self._machine.report, "words", None)
-        if told is not None and words:
-            told.update(words)
+        descriptions = getattr(self._machine.report, "words", None)  # only in 0.9's reports
+        if descriptions is not None and words:
+            descriptions.update(words)
 
     def check_setting(self, number: int, check: "Callable[[float], object]") -> None:
         """Register a check of a setting's new value. It raises GrblError to refuse the value."""
         settings = self._machine.settings
 
-        def check_one(which: int, amount: float) -> None:
-            if which == number:
-                check(amount)
+        def check_one(changed: int, value: float) -> None:
+            if changed == number:
+                check(value)
 
         settings.checks += (check_one,)
 
     def add_alarms(self, words: "dict[int, str]") -> None:
         """Add the texts by which Grbl 0.9 reports alarms, because it has no alarm numbers."""
-        told = getattr(self._machine.report, "alarms", None)
-        if told is not None:
-            told.update(words)
+        texts = getattr(self._machine.report, "alarms", None)  # only in 0.9's reports
+        if texts is not None:
+            texts.update(words)
 
     def add_m(
         self, number: int, call: "Callable[..., object]", letters: str = "", sync: bool = True
@@ -187,19 +188,21 @@ class Cnc:
         name: the text after the $. states: of base/state.py, in which the command is accepted.
         """
         state, hooks = self._machine.state, self._hooks
-        usual = hooks.find_command
+        previous_find = hooks.find_command
 
         def execute(line: bytearray, length: int) -> None:
-            call(bytes(line[1 + len(name) : length]))
+            call(bytes(line[1 + len(name) : length]))  # without $ and the name
 
-        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+        def find(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            """Return what executes a $ line: ours for this name, else Grbl's. GrblError if the
+            state does not allow it."""
             if bytes(line[1 : 1 + len(name)]) != name:
-                return usual(line, length)
+                return previous_find(line, length)
             if state.run not in states:
                 raise GrblError(errors.IDLE_ERROR)
             return execute
 
-        hooks.find_command = whose
+        hooks.find_command = find
 
     def after_command(self, name: bytes, call: "Callable[[int], object]") -> None:
         """Register a function for after a $ command that begins with `name` (without the $).
@@ -207,21 +210,22 @@ class Cnc:
         call gets the state before the command (base/state.py).
         """
         state, hooks = self._machine.state, self._hooks
-        usual = hooks.find_command
+        previous_find = hooks.find_command
 
-        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
-            execute = usual(line, length)
+        def find(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            """Return what executes a $ line; for this name, it also calls the function."""
+            execute = previous_find(line, length)
             if bytes(line[1 : 1 + len(name)]) != name:
                 return execute
-            was = state.run
+            state_before = state.run
 
-            def execute_and_tell(line: bytearray, length: int) -> None:
+            def execute_and_call(line: bytearray, length: int) -> None:
                 execute(line, length)
-                call(was)
+                call(state_before)
 
-            return execute_and_tell
+            return execute_and_call
 
-        hooks.find_command = whose
+        hooks.find_command = find
 
     def add_field(self, field: "Callable[[], str]") -> None:
         """Add a status report field. `field` returns its text, such as `Xx:1`, or "" for none."""
@@ -232,25 +236,27 @@ class Cnc:
 
         ValueError if Grbl uses that byte.
         """
-        if byte < 0x80 or byte in st.EVENTS or 0x90 <= byte <= 0xA1:
+        is_override = st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE
+        if byte < _FIRST_UPPER or byte in st.EVENTS or is_override:
             raise ValueError("byte 0x%X is taken" % byte)
         reader = self._machine.reader
-        usual = reader.post
-        asked = bytearray(1)
+        previous_post = reader.post
+        is_received = bytearray(1)  # a flag that post() can set without allocating memory
 
         def post(received: int) -> None:
+            """Note this real-time byte, or pass another one on to Grbl."""
             if received == byte:
-                asked[0] = 1
+                is_received[0] = 1
             else:
-                usual(received)
+                previous_post(received)
 
-        def turn() -> None:
-            if asked[0]:
-                asked[0] = 0
+        def call_if_received() -> None:
+            if is_received[0]:
+                is_received[0] = 0
                 call()
 
         reader.post = post
-        self._hooks.poll += (turn,)
+        self._hooks.poll += (call_if_received,)
 
     # Events
 
@@ -301,25 +307,25 @@ class Cnc:
         It runs in an interrupt: it must not allocate, and has almost no stack.
         """
         port = self._machine.port
-        usual = port.after_controls
+        previous = port.after_controls
 
-        if usual is None:
+        if previous is None:
             port.after_controls = call
             return
 
         @micropython.native
-        def both(active: int) -> None:
-            usual(active)
+        def call_both(active: int) -> None:
+            previous(active)
             call(active)
 
-        port.after_controls = both
+        port.after_controls = call_both
 
     def after_alarm(self, call: "Callable[[int], object]") -> None:
         """Register a function for reported alarms. It gets the number. Nothing moves then."""
-        usual = self._hooks.alarm
+        previous = self._hooks.alarm
 
         def alarm(code: int) -> None:
-            usual(code)
+            previous(code)
             call(code)
 
         self._hooks.alarm = alarm

@@ -26,28 +26,36 @@ if TYPE_CHECKING:
     Key = tuple[str, int, int]
 
 _G10 = const(100)  # in tenths
-_GRBLS_L = (2, 20)
+_GRBLS_L = (2, 20)  # the L that Grbl has with G10
 
 
 def word_of(letter: str, number: "float | str") -> "Key":
     """Return the key of a word: 81, 81.0 and "81" are the same. ValueError if not a number."""
-    plain, _, its_l = str(number).partition(" L")
-    return letter, _tenths(float(plain)), _tenths(float(its_l or 0))
+    plain, _, l_number = str(number).partition(" L")
+    return letter, _tenths(float(plain)), _tenths(float(l_number or 0))
 
 
 def _tenths(number: float) -> int:
+    """Return the number of a word in tenths, rounded: 382 for 38.2."""
     return truncate(number * 10 + 0.5)
 
 
 def is_grbls(letter: str, tenths: int) -> bool:
-    """Return whether Grbl has that G or M word, or has an error of its own for its decimals."""
-    number = tenths // 10
+    """Return whether Grbl has that G or M word, or has an error of its own for its decimals.
+
+    tenths: the word's number in tenths.
+    """
+    number, decimal = tenths // 10, tenths % 10
     if letter == "G" and number >= block.M_WORDS:
         return False
+    # A mask of the decimals that Grbl has for this number, or -1 if it does not have the number.
     decimals = block.decimals_of(number + block.M_WORDS if letter == "M" else number)
-    if decimals < 0 or tenths % 10 == 0:
-        return decimals >= 0 and decimals & block.NEEDED == 0
-    return decimals & block.OTHERS == 0 or decimals & block.TENTHS & 1 << tenths % 10 - 1 > 0
+    if decimals < 0:
+        return False
+    if decimal == 0:
+        return decimals & block.NEEDED == 0
+    # Without OTHERS Grbl has an error for any other decimal.
+    return decimals & block.OTHERS == 0 or decimals & block.TENTHS & 1 << decimal - 1 > 0
 
 
 class CustomCodes:
@@ -63,10 +71,11 @@ class CustomCodes:
         key = word_of(letter, number)
         if key in self._words:
             return True
-        is_free = key[1] == _G10 and key[2] and key[2] // 10 not in _GRBLS_L
-        if letter == "G" and key[1] // 10 in self._machine.interpreter.motions:
+        _, tenths, l_tenths = key
+        is_free_l = tenths == _G10 and l_tenths and l_tenths // 10 not in _GRBLS_L
+        if letter == "G" and tenths // 10 in self._machine.interpreter.motions:  # a canned cycle
             return True
-        return is_grbls(letter, key[1]) and not is_free
+        return is_grbls(letter, tenths) and not is_free_l
 
     def add(
         self,
@@ -82,21 +91,24 @@ class CustomCodes:
         if not self._words:
             self._wrap_lines()
         key = word_of(letter, number)
-        self._words[key] = call, letters, sync, letters.upper() + ("NL" if key[2] else "N")
+        has_l = key[2] > 0
+        self._words[key] = call, letters, sync, letters.upper() + ("NL" if has_l else "N")
 
     def _wrap_lines(self) -> None:
+        """Execute lines with an added word here, all others as before."""
         hooks = self._machine.state.hooks
-        usual = hooks.execute
+        previous = hooks.execute
 
         @micropython.native
         def execute(line: bytearray, length: int) -> None:
+            """Execute a line; one with an added word does nothing in check mode."""
             word = self.find(line, length)
             if word is None:
-                usual(line, length)
+                previous(line, length)
             else:
                 numbers = self._numbers(word)
                 if self._machine.state.run != st.CHECK:
-                    word[0](*numbers)
+                    word[0](*numbers)  # its function
 
         hooks.execute = execute
 
@@ -105,43 +117,52 @@ class CustomCodes:
         words = self._read
         words.read(line, 0, length)
         count = words.count
-        at = words.letters.find(b"L", 0, count)
-        its_l = _tenths(words.values[at]) if at >= 0 else 0
+        index_of_l = words.letters.find(b"L", 0, count)
+        l_tenths = _tenths(words.values[index_of_l]) if index_of_l >= 0 else 0
         for i in range(count):
             letter, tenths = "%c" % words.letters[i], _tenths(words.values[i])
-            word = self._words.get((letter, tenths, its_l)) or self._words.get((letter, tenths, 0))
+            word = self._words.get((letter, tenths, l_tenths)) or self._words.get(
+                (letter, tenths, 0)
+            )
             if word:
                 return word
         return None
 
     def _numbers(self, word: "Word") -> "list[float | None]":
-        """Check the line, wait for motion to end if the word wants that, return its numbers."""
+        """Check the line read last, and return its numbers in the order of the word's letters.
+
+        None stands for an optional letter (lower case) that the line does not have. If the word
+        waits for motion, this returns when motion has ended.
+        """
         _, letters, sync, allowed = word
-        there = self._arguments(allowed)
-        missing = [c for c in letters if c == c.upper() and there.get(c) is None]
+        numbers = self._arguments(allowed)
+        missing = [letter for letter in letters if letter.isupper() and letter not in numbers]
         if missing:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         if sync:
             self._machine.canon.synchronise()
-        return [there.get(c.upper()) for c in letters]
+        return [numbers.get(letter.upper()) for letter in letters]
 
     def _arguments(self, allowed: str) -> "dict[str, float]":
-        """Return the line's numbers by letter. GrblError for a wrong or repeated letter."""
+        """Return the numbers of the line read last, by letter. allowed: letters it may have.
+
+        GrblError for another letter, a repeated one, or a second G or M word.
+        """
         words = self._read
-        found: "dict[str, float]" = {}
-        own = 0
+        numbers: "dict[str, float]" = {}
+        codes = 0  # G and M words on the line
         for i in range(words.count):
             letter, value = "%c" % words.letters[i], words.values[i]
             if letter in "GM":
-                own += 1
-            elif letter in found:
+                codes += 1
+            elif letter in numbers:
                 raise GrblError(errors.GCODE_WORD_REPEATED)
             elif letter not in allowed:
                 raise GrblError(errors.GCODE_UNUSED_WORDS)
             else:
-                found[letter] = value
+                numbers[letter] = value
         if words.fault:
             raise GrblError(words.fault)
-        if own != 1:
+        if codes != 1:
             raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
-        return found
+        return numbers

@@ -39,13 +39,13 @@ class Cycle:
         self._modes, self._coords, self._canon = machine.modes, machine.coords, machine.canon
         self._plan = plan
         self._letters = letters
-        self._uses = 0
+        self._uses = 0  # mask of the words that the cycle has, as b.WORDS
         for letter in letters.upper():
             self._uses |= _LETTERS[letter][0]
         # The numbers that hold for the next line, Z first, and those of the line being checked.
         self.kept: "list[float | None]" = []
         self._numbers: "list[float | None]" = []
-        self._steps: "Iterable[Step]" = ()
+        self._steps: "Iterable[Step]" = ()  # the moves of the line being checked
 
     def check(self, block: "Block") -> None:
         """Refuse a wrong line, or compute its moves. Nothing changes."""
@@ -54,27 +54,28 @@ class Cycle:
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
         if ints[b.WORDS] & b.MOTION_WORDS & ~self._uses:
             raise GrblError(errors.GCODE_UNUSED_WORDS)
-        goes_on = modes.modal[MOTION] == ints[MOTION]
-        kept = self.kept if goes_on and self.kept else [None] * (1 + len(self._letters))
-        depth = block.xyz[Z] if ints[b.WORDS] >> Z & 1 else kept[0]
-        found = [depth]
-        for at, letter in enumerate(self._letters):
+        is_repeated = modes.modal[MOTION] == ints[MOTION]
+        kept = self.kept if is_repeated and self.kept else [None] * (1 + len(self._letters))
+        has_z = ints[b.WORDS] >> Z & 1
+        depth = block.xyz[Z] if has_z else kept[0]
+        numbers = [depth]
+        for i, letter in enumerate(self._letters):
             number = self._number_of(block, letter.upper())
-            found.append(kept[1 + at] if number is None else number)
-        for letter, number in zip("Z" + self._letters, found):
-            if number is None and letter < "a":
+            numbers.append(kept[1 + i] if number is None else number)  # kept[0] is Z
+        for letter, number in zip("Z" + self._letters, numbers):
+            if number is None and letter < "a":  # capital letters are required
                 raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         target = list(block.xyz)
         target[Z] = depth  # type: ignore[assignment]  # Z is no small letter
-        self._steps = self._plan(list(modes.position), target, *found[1:])
-        self._numbers = found
+        self._steps = self._plan(list(modes.position), target, *numbers[1:])
+        self._numbers = numbers
 
     def _number_of(self, block: "Block", letter: str) -> "float | None":
         """Return a letter's number in mm, or None. R is a height in machine coordinates."""
-        bit, place = _LETTERS[letter]
+        bit, index = _LETTERS[letter]
         if not block.ints[b.WORDS] & bit:
             return None
-        number = block.singles[place]
+        number = block.singles[index]
         if block.ints[INCHES] and letter not in "LP":
             number *= block.singles[b.INCH_MM]
         if letter == "R":

@@ -7,16 +7,16 @@ def clean(line: str) -> bytearray:
 
 
 def code_of(line: str) -> str:
-    """Return the same as text, without the 0."""
+    """Return a line's G-code as text: upper case, no spaces, no comments, no block delete (/)."""
     code = ""
-    within = False
+    in_comment = False
     for c in line.upper():
-        if within:
-            within = c != ")"
+        if in_comment:
+            in_comment = c != ")"
         elif c == ";":
             break
         elif c == "(":
-            within = True
+            in_comment = True
         elif c > " " and c != "/":
             code += c
     return code
@@ -28,11 +28,11 @@ def words_of(text: str) -> "list[tuple[str, float]]":
 
 
 def as_written(text: str) -> "list[tuple[str, str]]":
-    """Return each letter and the text after it, up to the next letter."""
-    found = []
+    """Return each letter and the text after it, up to the next letter. G1X2: (G, 1), (X, 2)."""
+    words = []
     start = 0
     for end in range(1, len(text) + 1):
         if end == len(text) or "A" <= text[end] <= "Z":
-            found.append((text[start], text[start + 1 : end]))
+            words.append((text[start], text[start + 1 : end]))
             start = end
-    return found
+    return words

@@ -46,10 +46,10 @@ class Underruns:
         self._asked = True
 
     def _probes(self, *asked: "Any") -> bool:
-        """Replace Seek.probe, because a probing move ends without an underrun."""
-        found: bool = self._probe(*asked)
+        """Probe, as the hook before; note that the move's end was expected. Return its result."""
+        result: bool = self._probe(*asked)
         self._asked = True
-        return found
+        return result
 
     def on_start(self) -> None:
         """Count the start if it ends an underrun."""
@@ -62,12 +62,12 @@ class Underruns:
         """Forget the last stop, after power-up or a reset."""
         self._stopped = self._asked = False
         commands = self._cnc.machine.commands
-        if commands.health != self._report:  # power-up has set it only now
+        if commands.health != self._report:  # at power-up it is set only after this extra
             self._health = commands.health
             commands.health = self._report
 
     def _report(self) -> str:
-        """Return the line that $I+ adds."""
+        """Return the last line that $I+ adds; if the board has another line, send ours before."""
         underruns = "Drains: %d" % self.count
         if self._health is None:
             return underruns
@@ -75,7 +75,7 @@ class Underruns:
         return self._health()
 
     def field(self) -> str:
-        """Return the field of the status report."""
+        """Return the field of the status report, "" without underruns."""
         return "Dr:%d" % self.count if self.count else ""
 
 

@@ -1,5 +1,10 @@
 # mypy: disable-error-code="arg-type, attr-defined"
-"""The words of an arc: from its target and offsets, or radius, to an Arc, checked as Grbl does."""
+"""The words of an arc: from its target and offsets, or radius, to an Arc, checked as Grbl does.
+
+Arguments: ints, singles, xyz, the block's integers, numbers and axis words (block_layout.py);
+position, the parser's, as xyz in mm; plane and r, the arc's plane and numbers (arc_geometry.py).
+Floats are handled as their bits; & 0x7FFFFFFF removes the sign.
+"""
 
 import micropython
 from base import errors
@@ -24,7 +29,7 @@ def find_arc(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, r: ptr32
 ) -> int:
     """Find plane, centre and radius of a block's arc from position to xyz. Returns Grbl's error
-    number, or 0. r: the arc's numbers."""
+    number, or 0. r: the arc's numbers; its centre is relative to the start."""
     words = ints[b.WORDS]
     if words & b.AXIS_WORDS == 0:
         return errors.GCODE_NO_AXIS_WORDS
@@ -48,13 +53,14 @@ def find_arc(
     r[arc.RADIUS] = r[arc.CENTRE_0]
     r[arc.A] = r[arc.CENTRE_1]
     length(r, arc.RADIUS, arc.A)
+    # A and B: the target, as seen from the centre.
     r[arc.A] = xyz[one]
     subtract(r, arc.A, position, one)
     subtract(r, arc.A, r, arc.CENTRE_0)
     r[arc.B] = xyz[other]
     subtract(r, arc.B, position, other)
     subtract(r, arc.B, r, arc.CENTRE_1)
-    # The target's distance from the centre, less the radius.
+    # How far the target is off the circle: its distance from the centre, less the radius.
     length(r, arc.A, arc.B)
     subtract(r, arc.A, r, arc.RADIUS)
     off = r[arc.A] & int(0x7FFFFFFF)
@@ -65,7 +71,7 @@ def find_arc(
 
 @micropython.viper
 def same_position(position: ptr32, xyz: ptr32, axes: int) -> int:
-    """Return 1 if the two positions are equal, else 0."""
+    """Return 1 if the two positions are equal, else 0. 0 and -0 are equal."""
     for i in range(axes):
         if position[i] != xyz[i] and (position[i] | xyz[i]) & int(0x7FFFFFFF):
             return 0
@@ -79,7 +85,8 @@ def _by_radius(
     """Find the centre of the arc with radius R over the chord to the target.
 
     The centre is on the chord's perpendicular bisector: left of the direction of motion for a
-    counterclockwise arc of less than half a circle. R < 0 requests the longer arc.
+    counterclockwise arc of less than half a circle. R < 0 requests the longer arc. Returns Grbl's
+    error number, or 0.
     """
     if int(same_position(position, xyz, axes)):
         return errors.GCODE_INVALID_TARGET
@@ -112,8 +119,10 @@ def _by_radius(
         quotient(r, arc.A, r, arc.B)
     else:
         r[arc.A] = 0
+    # To the right, if either R is negative or the arc is clockwise.
     if (ptr8(singles)[4 * b.R + 3] >> 7) != plane[arc.CLOCKWISE]:
         ptr8(r)[4 * arc.A + 3] ^= MINUS
+    # With the fraction f in A and the chord (x, y): centre = (x - f * y, y + f * x) / 2.
     r[arc.B] = r[arc.CENTRE_1]
     multiply(r, arc.B, r, arc.A)
     multiply(r, arc.A, r, arc.CENTRE_0)

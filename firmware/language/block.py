@@ -30,6 +30,9 @@ _BEYOND = 2147483648.0
 # Value words, in the order of their bits.
 VALUE_LETTERS = b"XYZABCIJKFLNPRST"
 _NOT_NEGATIVE = const(0xDA00)  # F, N, P, S, T
+_A = const(65)  # letters
+_G = const(71)
+_M = const(77)
 _BIT_C = const(5)
 _BIT_I = const(6)
 _BIT_T = const(15)
@@ -98,9 +101,8 @@ add_word(92, b.GROUP_0, NOWHERE, b.SET_G92, b.AXES_NON_MODAL, OTHERS | 0b10)
 add_word(93, b.GROUP_5, mode.INVERSE_TIME, 1)
 add_word(94, b.GROUP_5, mode.INVERSE_TIME, 0)
 add_word(M_WORDS + 0, b.GROUP_M4, mode.PROGRAM_FLOW, b.PAUSED)
-add_word(
-    M_WORDS + 1, b.GROUP_M4, mode.PROGRAM_FLOW, b.RUNNING
-)  # optional stop: no input for it, so it is ignored
+# Optional stop: no input for it, so it is ignored.
+add_word(M_WORDS + 1, b.GROUP_M4, mode.PROGRAM_FLOW, b.RUNNING)
 add_word(M_WORDS + 2, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M2)
 add_word(M_WORDS + 30, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M30)
 add_word(M_WORDS + 3, b.GROUP_M7, mode.SPINDLE, 0x10)
@@ -111,7 +113,7 @@ add_word(M_WORDS + 8, b.GROUP_M8, mode.COOLANT, 1)
 add_word(M_WORDS + 9, b.GROUP_M8, mode.COOLANT, 0)
 add_word(M_WORDS + 56, b.GROUP_M9, mode.OVERRIDE_CONTROL, 1)
 for _bit in range(len(VALUE_LETTERS)):
-    index[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
+    index[_INDEXED + VALUE_LETTERS[_bit] - _A] = _bit
 
 
 def decimals_of(at: int) -> int:
@@ -124,19 +126,23 @@ def decimals_of(at: int) -> int:
 def byte(value: int, top: int) -> int:
     """Return the float as a whole number from 0 to 255, or 256 if it is not one.
 
-    value: its bits; top: the last byte of these.
+    value: its bits; top: the last byte of these, above 127 if the float is negative.
     """
+    # 127 is the exponent of 1, 134 that of 128 to 255. A mantissa of 24 bits has 150.
     exponent = (value >> 23) & 255
     if top > 127 or exponent > 134 or (exponent < 127 and exponent):
         return 256
     number = ((value & 0x7FFFFF) | 0x800000) if exponent else 0
-    shift = (150 - exponent) & 31
+    shift = (150 - exponent) & 31  # masked, because the exponent of 0 is 0
     return number >> shift if (number >> shift) << shift == number else 256
 
 
 @micropython.viper
 def enter(place: int, setting: int, claim: int, group: int, ints: ptr32) -> int:
-    """Store a G or M word by its row of the dictionary. Returns Grbl's error number, or 0."""
+    """Store a G or M word in a block's ints. Returns Grbl's error number, or 0.
+
+    place, setting, claim, group: from the word's row of the dictionary, see above.
+    """
     if claim:
         if ints[b.CLAIM]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
@@ -158,39 +164,40 @@ def store_words(
     letters: ptr8,
     values: ptr32,
     count: int,
-    at: ptr8,
+    index: ptr8,
     words: ptr8,
     ints: ptr32,
     xyz: ptr32,
     singles: ptr32,
-    take_odd: object,
+    store_rare: object,
 ) -> int:
     """Store words in their order. Returns Grbl's error number of the first wrong one, or 0.
 
-    at: a block's index; words: the dictionary. take_odd: a function that stores word i, a G or M
-    word that `byte` cannot read, or that needs decimals.
+    letters, values: count words, as of words.scan(). index: a block's; words: the dictionary.
+    ints, xyz, singles: the block's. store_rare: a function that stores word i, a G or M word that
+    `byte` cannot read, or that needs decimals.
     """
-    wrong = 0
+    error = 0
     i = 0
-    while i < count and wrong == 0:
+    while i < count and error == 0:
         letter = letters[i]
         value = values[i]
-        top = ptr8(values)[4 * i + 3]
-        if letter == 71 or letter == 77:  # noqa: PLR1714 (a viper cannot ask `in`)
+        top = ptr8(values)[4 * i + 3]  # the sign is its highest bit
+        if letter == _G or letter == _M:  # noqa: PLR1714 (a viper cannot ask `in`)
             code = int(byte(value, top))
-            if letter == 77:
+            if letter == _M:
                 code += M_WORDS
             row = 0
-            if code < (_INDEXED if letter == 77 else M_WORDS):
-                row = ROW * at[code]
+            if code < (_INDEXED if letter == _M else M_WORDS):
+                row = ROW * index[code]
             if row == 0 or words[row + _DECIMALS] & NEEDED:
-                wrong = int(take_odd(i))  # type: ignore[operator]
+                error = int(store_rare(i))  # type: ignore[operator]
             else:
                 setting = words[row + SETTING]
                 group = words[row + GROUP] | (words[row + GROUP + 1] << 8)
-                wrong = int(enter(words[row], setting, words[row + _CLAIM], group, ints))
+                error = int(enter(words[row], setting, words[row + _CLAIM], group, ints))
         else:
-            bit = at[_INDEXED + letter - 65]
+            bit = index[_INDEXED + letter - _A]
             if bit == _NO_LETTER:
                 return errors.GCODE_UNSUPPORTED_COMMAND
             if bit <= _BIT_C:
@@ -198,14 +205,15 @@ def store_words(
             else:
                 singles[bit - _BIT_I] = value
             if bit == _BIT_T and top < 128 and value > singles[b.TOOL_LIMIT]:
-                wrong = errors.GCODE_MAX_VALUE_EXCEEDED
+                error = errors.GCODE_MAX_VALUE_EXCEEDED
             elif (ints[b.WORDS] >> bit) & 1:
-                wrong = errors.GCODE_WORD_REPEATED
+                error = errors.GCODE_WORD_REPEATED
+            # Negative: the sign bit is set, and another bit is, because -0 is 0.
             elif (_NOT_NEGATIVE >> bit) & 1 and top > 127 and (top > 128 or value & 0xFFFFFF):
-                wrong = errors.NEGATIVE_VALUE
+                error = errors.NEGATIVE_VALUE
             ints[b.WORDS] = ints[b.WORDS] | (1 << bit)
         i += 1
-    return wrong
+    return error
 
 
 @micropython.viper
@@ -224,18 +232,21 @@ def read(
     span: end << 8 | start. ints, singles, xyz: those of a block; words: Block.words. Returns
     Grbl's error number of the first wrong word, or 0.
     """
-    _letters, _values, index, rows, read_on, own, take_odd = words
+    _letters, _values, index, rows, read_on, own, store_rare = words
     letters = ptr8(_letters)
     values = ptr32(_values)
     _begin(ints, xyz, axes, singles, modal)
-    found = int(scan(ptr8(line), span, letters, values))
-    if found >> 8 and read_on:
-        found = int(read_on(line, span, found, own))
-    count = found & 255
-    wrong = int(
-        store_words(letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, take_odd)
+    # The result: the count of words, an error number << 8.
+    scanned = int(scan(ptr8(line), span, letters, values))
+    if scanned >> 8 and read_on:  # an extra may know what follows
+        scanned = int(read_on(line, span, scanned, own))
+    count = scanned & 255
+    error = int(
+        store_words(
+            letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, store_rare
+        )
     )
-    return wrong if wrong else found >> 8 & 255
+    return error if error else scanned >> 8 & 255
 
 
 @micropython.viper
@@ -243,7 +254,7 @@ def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> 
     """Clear a block and copy the modal state into it."""
     for i in range(axes):
         xyz[i] = 0
-    for i in range(b.TOOL_LIMIT):
+    for i in range(b.TOOL_LIMIT):  # constants follow
         singles[i] = 0
     for i in range(mode.MODAL_ROOM):
         ints[i] = modal[i]
@@ -280,7 +291,7 @@ class Block:
         if not has_override_control:
             self._index[M_WORDS + 56] = 0
         for i in range(axes, _BIT_I):
-            self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
+            self._index[_INDEXED + VALUE_LETTERS[i] - _A] = _NO_LETTER
         self._rows = dictionary
 
     @property
@@ -293,6 +304,7 @@ class Block:
     def add_motion(self, number: int) -> None:
         """Add a G number as a motion mode of this block only."""
         self._index[number] = len(self._rows) // ROW
+        # As add_word(), in a dictionary of its own.
         row = bytes((mode.MOTION, number, b.AXES_MOTION, 0, b.GROUP_1, 0))
         self._rows = self._rows + row
 
@@ -302,8 +314,8 @@ class Block:
         value = self._words.values[i]
         number = truncate(value) & 255
         hundredths = _round(100 * f32(value - number))
-        at, end = number, M_WORDS
-        if self._words.letters[i] == 77:
+        at, end = number, M_WORDS  # in the index: the word's place, and where its letter's end
+        if self._words.letters[i] == _M:
             if hundredths:
                 return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
             at, end = number + M_WORDS, _INDEXED
@@ -313,6 +325,8 @@ class Block:
         return self._enter_rare(self._rows[ROW * row :], number, hundredths)
 
     def _enter_rare(self, row: bytearray, number: int, hundredths: int) -> int:
+        """Store a word with its row of the dictionary; its number is number + hundredths / 100.
+        Returns Grbl's error number, or 0."""
         place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]
         group = row[GROUP] | row[GROUP + 1] << 8
         if hundredths and claim == b.AXES_NON_MODAL:  # G28.1, G30.1, G92.1
@@ -321,13 +335,14 @@ class Block:
         if claim and self.ints[b.CLAIM]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
         if (hundredths and decimals & OTHERS) or decimals & NEEDED:
+            # One decimal, which the row allows.
             if hundredths % 10 or not (decimals & TENTHS) >> hundredths // 10 & 1:
                 return errors.GCODE_UNSUPPORTED_COMMAND
             if number == 91:
                 group, place = b.GROUP_4, NOWHERE  # G91.1: arc distance is always relative
             elif number == 38:
-                setting += hundredths + 100
-        elif hundredths and number != 49:
+                setting += hundredths + 100  # G38.n is 138 + 10 n: see block_layout.py
+        elif hundredths and number != 49:  # those of G49 are ignored, as in Grbl
             return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
         return enter(place, setting, claim, group, self.ints)
 
@@ -336,5 +351,5 @@ def _round(x: float) -> int:
     """Return x rounded, halves away from zero, modulo 2**16."""
     x = f32(x)
     if abs(x) >= _BEYOND:
-        return 0xFFFF
+        return 0xFFFF  # no word has such a number
     return (truncate(x + 0.5) if x >= 0 else -truncate(0.5 - x)) & 0xFFFF

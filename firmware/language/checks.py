@@ -1,10 +1,17 @@
 # mypy: disable-error-code="arg-type, attr-defined, call-overload, has-type, misc"
-"""Checks: step three of the interpreter, in kernels. Everything that can refuse a block is here.
+"""Checks: step three of the interpreter, in kernels: what can refuse a block as a whole.
+
+block.py has refused single words before; arc_words.py checks arcs for this module.
 
 The checks also convert the block's values for execution: mm, absolute, machine coordinates. Their
 order is the standard's order of execution (NIST RS274NGC v3, table 8), which decides the error
 number of a block with two errors. They do not change the modal state. The sections named here are
 the standard's.
+
+Arguments: ints, singles, xyz, the block's integers, numbers and axis words; stored, what G10
+stores or where G28 and G30 go; machine, Interpreter.machine (all: block_layout.py); modal, rates,
+position, the modes in force (modes.py); offsets, all work offsets (coords.py). A float is its
+bits; & 0x7FFFFFFF removes its sign, so that -0 is 0, too.
 """
 
 import micropython
@@ -46,20 +53,20 @@ def check(
     if singles[b.N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
         return 0 - errors.GCODE_INVALID_LINE_NUMBER
     # 3.5.19: feed rate and feed rate mode.
-    wrong = int(_rate(ints, singles, modal, rates, jog))
-    if wrong:
-        return 0 - wrong
+    error = int(_rate(ints, singles, modal, rates, jog))
+    if error:
+        return 0 - error
     if words & b.WORD_S == 0:
         singles[b.S] = rates[mode.RPM]
-    used = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
+    used_words = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
     if ints[b.COMMANDS] & b.GROUP_M9:
         # Grbl's own: M56 P0 disables parking, M56 or M56 P1 enables it.
         ints[mode.OVERRIDE_CONTROL] = 1
         if words & b.WORD_P and singles[b.P] & int(0x7FFFFFFF) == 0:
             ints[mode.OVERRIDE_CONTROL] = 0
-        used |= b.WORD_P
+        used_words |= b.WORD_P
     if ints[b.NON_MODAL] == b.DWELL:  # 3.5.4
-        used |= b.WORD_P
+        used_words |= b.WORD_P
         if words & b.WORD_P == 0:
             return 0 - errors.GCODE_VALUE_WORD_MISSING
     if ints[mode.INCHES]:
@@ -67,26 +74,28 @@ def check(
     if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
         if words & b.AXIS_WORDS != 1 << machine[b.LENGTH_AXIS]:
             return 0 - errors.GCODE_G43_DYNAMIC_AXIS_ERROR
-    found = int(_targets(ints, singles, xyz, position, offsets, machine, stored))
-    if found < 0:
-        return found
-    used |= found
-    found = int(_motion(ints, singles, xyz, position, machine[b.AXES], plane, arc))
-    if found < 0:
-        return found
-    used |= found | (b.AXIS_WORDS if ints[b.CLAIM] else 0)
-    if words & ~used:
+    result = int(_targets(ints, singles, xyz, position, offsets, machine, stored))
+    if result < 0:
+        return result
+    used_words |= result
+    result = int(_motion(ints, singles, xyz, position, machine[b.AXES], plane, arc))
+    if result < 0:
+        return result
+    used_words |= result | (b.AXIS_WORDS if ints[b.CLAIM] else 0)
+    if words & ~used_words:
         return 0 - errors.GCODE_UNUSED_WORDS
     if jog:
-        plain = ints[b.NON_MODAL] == 0 or ints[b.NON_MODAL] == b.ABSOLUTE_OVERRIDE
-        if ints[b.COMMANDS] & ~(b.GROUP_0 | b.GROUP_3 | b.GROUP_6) or not plain:
+        # G53, distance mode and units are allowed.
+        allowed = ints[b.NON_MODAL] == 0 or ints[b.NON_MODAL] == b.ABSOLUTE_OVERRIDE
+        if ints[b.COMMANDS] & ~(b.GROUP_0 | b.GROUP_3 | b.GROUP_6) or not allowed:
             return 0 - errors.INVALID_JOG_COMMAND
     return int(_asked(ints, singles, modal, rates, laser))
 
 
 @micropython.viper
 def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> int:
-    """Compute the block's feed rate, mm/min or 1/min. Returns Grbl's error number, or 0."""
+    """Compute the block's feed rate, mm/min, or 1/min in inverse time mode, into F. Returns Grbl's
+    error number, or 0. Without an F word the last rate stays in force, but not in inverse time."""
     has_f = ints[b.WORDS] & b.WORD_F
     motion = ints[mode.MOTION]
     if jog:
@@ -98,7 +107,7 @@ def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> 
         cuts = motion != b.SEEK and motion != b.NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
         if ints[b.CLAIM] == b.AXES_MOTION and cuts and has_f == 0:
             return errors.GCODE_UNDEFINED_FEED_RATE
-    elif modal[mode.INVERSE_TIME] == 0:
+    elif modal[mode.INVERSE_TIME] == 0:  # else the last F was not a rate in mm/min
         if has_f == 0:
             singles[b.F] = rates[mode.FEED]
         elif ints[mode.INCHES]:
@@ -169,15 +178,15 @@ def _set_coords(
         return 0 - errors.GCODE_NO_AXIS_WORDS
     if words & (b.WORD_P | b.WORD_L) == 0:
         return 0 - errors.GCODE_VALUE_WORD_MISSING
-    system = int(whole_part(singles, b.P, 0)) & 255
+    system = int(whole_part(singles, b.P, 0)) & 255  # P: 1 to 6; 0: the active one
     if system > SYSTEMS:
         return 0 - errors.GCODE_UNSUPPORTED_COORD_SYS
-    kind = int(whole_part(singles, b.L, 0)) & 255
+    kind = int(whole_part(singles, b.L, 0)) & 255  # L
     if kind != 20 and (kind != 2 or words & b.WORD_R):
         return 0 - errors.GCODE_UNSUPPORTED_COMMAND
     ints[b.INDEX] = system - 1 if system else ints[mode.SYSTEM]
     axes = machine[b.AXES]
-    at = ints[b.INDEX] * axes
+    at = ints[b.INDEX] * axes  # the system's first place in offsets
     if kind == 20:
         _offset(ints, singles, xyz, position, offsets, machine, G92 * axes, at, stored)
     else:
@@ -205,13 +214,13 @@ def _offset(
     """
     axes = machine[b.AXES]
     for i in range(axes):
-        singles[b.SCRATCH] = offsets[old + i]
+        singles[b.SCRATCH] = offsets[old + i]  # an axis without a word keeps its offset
         if (ints[b.WORDS] >> i) & 1:
             singles[b.SCRATCH] = position[i]
             subtract(singles, b.SCRATCH, offsets, other + i)
             subtract(singles, b.SCRATCH, xyz, i)
             if i == machine[b.LENGTH_AXIS]:
-                subtract(singles, b.SCRATCH, offsets, (G92 + 1) * axes)
+                subtract(singles, b.SCRATCH, offsets, (G92 + 1) * axes)  # tool length
         new[i] = singles[b.SCRATCH]
     return 0
 
@@ -235,7 +244,7 @@ def _target(
                 add_single(offsets, G92 * axes + i, singles, b.SCRATCH)
                 add_single(singles, b.SCRATCH, xyz, i)
                 if i == machine[b.LENGTH_AXIS]:
-                    add_single(offsets, (G92 + 1) * axes, xyz, i)
+                    add_single(offsets, (G92 + 1) * axes, xyz, i)  # tool length
     return 0
 
 
@@ -243,10 +252,13 @@ def _target(
 def _where_stored(
     ints: ptr32, stored: ptr32, position: ptr32, offsets: ptr32, system: int, axes: int
 ) -> int:
-    """3.5.8: compute where G28 or G30 goes; with axis words, on those axes only."""
+    """3.5.8: compute where G28 or G30 goes, into stored; with axis words, on those axes only.
+
+    system: G28 or G30, the number of the stored position in offsets.
+    """
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if axis_words == 0:
-        ints[b.CLAIM] = b.AXES_UNCLAIMED
+        ints[b.CLAIM] = b.AXES_UNCLAIMED  # there is no move to a target before
     for i in range(axes):
         stored[i] = offsets[system * axes + i]
         if axis_words and (axis_words >> i) & 1 == 0:
@@ -258,7 +270,7 @@ def _where_stored(
 def _motion(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, arc: ptr32
 ) -> int:
-    """Check group 1. Returns the value words it uses, or minus Grbl's error number."""
+    """Check group 1, the motion. Returns the value words it uses, or minus Grbl's error number."""
     motion = ints[mode.MOTION]
     words = ints[b.WORDS]
     axis_words = words & b.AXIS_WORDS
@@ -271,11 +283,11 @@ def _motion(
     if axis_words == 0:
         if motion > b.LINEAR:
             return 0 - errors.GCODE_NO_AXIS_WORDS
-        ints[b.CLAIM] = b.AXES_UNCLAIMED
+        ints[b.CLAIM] = b.AXES_UNCLAIMED  # a line without axis words only sets the mode
     elif motion == b.CW_ARC or motion == b.CCW_ARC:  # noqa: PLR1714 (a viper cannot ask `in`); 3.5.3
-        wrong = int(find_arc(ints, singles, xyz, position, axes, plane, arc))
-        if wrong:
-            return 0 - wrong
+        error = int(find_arc(ints, singles, xyz, position, axes, plane, arc))
+        if error:
+            return 0 - error
         return b.WORD_R if words & b.WORD_R else b.WORD_IJK
     elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # an extra's: see interfaces.Motion
         return b.MOTION_WORDS
@@ -288,6 +300,7 @@ def _motion(
 def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) -> int:
     """Return the requests of a valid block: bits of block_layout.py."""
     asked = b.CHECKED
+    # Another speed, unless both are 0.
     if rates[mode.RPM] != singles[b.S] and (rates[mode.RPM] | singles[b.S]) & int(0x7FFFFFFF):
         asked |= b.SPEED
     if ints[b.WORDS] & b.WORD_T:
@@ -307,12 +320,13 @@ def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) 
     if ints[mode.PROGRAM_FLOW]:
         asked |= b.FLOW
     if laser:
+        # Whether this line's motion mode cuts, and whether the last one's did.
         cuts = 1 if ints[mode.MOTION] <= b.CCW_ARC and (_CUTS >> ints[mode.MOTION]) & 1 else 0
-        cut = 1 if modal[mode.MOTION] <= b.CCW_ARC and (_CUTS >> modal[mode.MOTION]) & 1 else 0
+        did_cut = 1 if modal[mode.MOTION] <= b.CCW_ARC and (_CUTS >> modal[mode.MOTION]) & 1 else 0
         if cuts == 0:
             asked |= b.DARK
         if ints[b.WORDS] & b.AXIS_WORDS and ints[b.CLAIM] == b.AXES_MOTION:
             asked |= b.IN_MOTION
-        elif modal[mode.SPINDLE] == SPINDLE_CW and cut != cuts:
+        elif modal[mode.SPINDLE] == SPINDLE_CW and did_cut != cuts:
             asked |= b.SYNC
     return asked

@@ -60,6 +60,7 @@ class Interpreter:
         self.machine[b.LENGTHS] = (1 << block.axes) - 1
         self.machine[b.LENGTH_AXIS] = machine.coords.length_axis
         self.machine[b.IS_OPEN] = 1
+        # The part of memory() that stays the same.
         self._kept = (
             block.ints,
             block.singles,
@@ -118,12 +119,14 @@ class Interpreter:
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which ends with a 0. Raises GrblError if it is refused."""
         modal, machine = self._modes.modal, self.machine
-        asked = machine[b.ASKED] if line is self.line else 0  # the loop has checked it already
+        # Requests of the line, if the loop has checked it already; minus an error number; or 0.
+        asked = machine[b.ASKED] if line is self.line else 0
         machine[b.ASKED] = 0
         if asked == 0:
             asked = self.check_line(line, length << 8, modal, 0)
         elif asked < 0:
             raise GrblError(-asked)
+        # A move-only line: wait for a free block, then a kernel executes it.
         if not asked & (~ln.PLAIN | machine[b.WATCHED] & (b.MOVE | b.SPECIAL)):
             if asked & b.MOVE and self._state.run != st.CHECK:
                 machine[b.ASKED] = asked
@@ -187,7 +190,8 @@ class Interpreter:
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
         """Return the move of a block, with its feed rate and the active spindle and coolant."""
-        move, numbers, modes = self._move, self._numbers, self._modes  # four would need a tuple
+        # (More than three at once would allocate a tuple.)
+        move, numbers, modes = self._move, self._numbers, self._modes
         if store_if_changed(numbers, mode.FEED, block.singles, b.F):
             move.feed = block.singles[b.F]
         if block.ints[mode.INVERSE_TIME]:
@@ -199,22 +203,23 @@ class Interpreter:
         move.line_number = whole_part(block.singles, b.N, 0) if self._line_numbers else 0
         return move
 
-    def _switch(self, block: "Block", left: int) -> None:
-        """Execute what precedes motion: speed, M words, a dwell, offsets."""
+    def _switch(self, block: "Block", asked: int) -> None:
+        """Execute what precedes motion: speed, M words, a dwell, offsets. asked: requests."""
         modes, new = self._modes, block.ints
-        if left & (b.SPEED | b.SYNC):
-            self._set_speed(block, left)
-        if left & b.ACCESSORIES:
-            self._set_accessories(new, 0.0 if left & b.DARK else modes.rates[mode.RPM])
+        if asked & (b.SPEED | b.SYNC):
+            self._set_speed(block, asked)
+        if asked & b.ACCESSORIES:
+            self._set_accessories(new, 0.0 if asked & b.DARK else modes.rates[mode.RPM])
         if new[b.NON_MODAL] == b.DWELL:
             self._canon.dwell(block.singles[b.P])
-        if left & b.OFFSETS and self._set_offsets(block):
+        if asked & b.OFFSETS and self._set_offsets(block):
             self._offsets_changed()
 
-    def _set_speed(self, block: "Block", beam: int) -> None:
+    def _set_speed(self, block: "Block", asked: int) -> None:
+        """Set S, after all motion; a laser's S that belongs to a motion is only stored."""
         modes, speed = self._modes, block.singles[b.S]
-        if modes.modal[mode.SPINDLE] and not beam & b.IN_MOTION:
-            self._canon.spin(modes.modal[mode.SPINDLE], 0.0 if beam & b.DARK else speed)
+        if modes.modal[mode.SPINDLE] and not asked & b.IN_MOTION:
+            self._canon.spin(modes.modal[mode.SPINDLE], 0.0 if asked & b.DARK else speed)
         modes.rates[mode.RPM] = speed
 
     def _set_accessories(self, new: "array[int]", rpm: float) -> None:
@@ -251,6 +256,7 @@ class Interpreter:
         self._state.wco_countdown = 0
 
     def _non_modal(self, block: "Block", move: "plan.Move") -> None:
+        """Execute G10, G28, G30, G92 and those with decimals; the block has their values."""
         command = block.ints[b.NON_MODAL]
         coords, modes = self._coords, self._modes
         if command == b.SET_COORDS:
@@ -260,7 +266,7 @@ class Interpreter:
                 self._offsets_changed()
         elif command in (b.GO_G28, b.GO_G30):
             move.flags |= layout.RAPID_MOTION
-            if block.ints[b.CLAIM]:
+            if block.ints[b.CLAIM]:  # axis words: first to that point
                 self._canon.line(block.xyz, move)
             self._canon.line(block.stored, move)
             copy(block.stored, modes.position, block.axes)

@@ -5,6 +5,8 @@ An arc is executed here, too, if one chord is enough, and in check mode if there
 that a chord could violate.
 
 The loop (talk/stream_loop.py) calls this for every line. The interpreter executes other lines.
+`memory`, a tuple, is Interpreter.memory()'s: words for block.read(); the block and the modes; the
+planner. Kernels unpack it, because they have no attributes.
 """
 
 import micropython
@@ -36,7 +38,7 @@ PLAIN = const(b.CHECKED | b.MOVE | b.SPECIAL | b.SPEED | b.SET_TOOL | b.DARK | b
 @micropython.viper
 def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: object) -> int:
     """Execute a move-only line, if nothing makes it wait. Returns 1; or 0, and then nothing has
-    changed, except that the block is ready, with check_line()'s result in machine[ASKED].
+    moved, and the block is ready, with check_line()'s result in machine[ASKED].
 
     machine, memory: an interpreter's.
     """
@@ -62,9 +64,9 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
     xyz = ptr32(_xyz)
     machine = ptr32(_machine)
     machine[b.ASKED] = 0
-    wrong = int(read(text, span, modal, ints, singles, xyz, machine[b.AXES], words))
-    if wrong:
-        return 0 - wrong
+    error = int(read(text, span, modal, ints, singles, xyz, machine[b.AXES], words))
+    if error:
+        return 0 - error
     asked = int(
         check(
             modal,
@@ -82,7 +84,7 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
             ptr32(arc),
         )
     )
-    only = ints[b.ONLY]
+    only = ints[b.ONLY]  # an extra has read text that is valid with these requests only
     if asked > 0 and only and (asked & ~b.SPEED != only or ints[mode.INVERSE_TIME]):
         return 0 - errors.GCODE_UNSUPPORTED_COMMAND
     return asked
@@ -92,6 +94,7 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
 def run_move(asked: int, modal: ptr32, memory: object) -> int:
     """Execute a block with those requests, if it is one line and the ring has a free block.
     Returns 1; or 0, and the interpreter must do the rest. memory: the interpreter's."""
+    # Another S of a turning spindle has to wait for the end of motion, except a laser's.
     if asked & ~PLAIN or (asked & b.SPEED and modal[mode.SPINDLE] and asked & b.IN_MOTION == 0):
         return 0
     _, block, plans = memory
@@ -106,11 +109,11 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
     scale = ptr32(_scale)
     travel = ptr32(_travel)
     flow = ptr32(_flow)
-    moves = 0
+    moves = 0  # 1: there is a move to plan
     if asked & b.MOVE:
-        found = int(check_travel(xyz, travel, flow))
+        obstacles = int(check_travel(xyz, travel, flow))
         moves = 0 if ptr32(running)[0] & CHECK else 1
-        if found & OUTSIDE or (moves and found & FULL):
+        if obstacles & OUTSIDE or (moves and obstacles & FULL):
             return 0
     if asked & b.SPECIAL:
         if ints[mode.MOTION] > b.CCW_ARC or ints[mode.INVERSE_TIME]:
@@ -138,7 +141,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
             planned = int(
                 plan_block(xyz, ptr32(table), ptr32(ring), flow, flags, line, power, rate)
             )
-        if planned == 0:
+        if planned == 0:  # no step: a laser may still need its power
             return 0
         ptr32(speeds)[at] = speed
     if asked & b.MOVE:
@@ -148,9 +151,9 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
 
 @micropython.viper
 def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
-    """Return the flags of a block's move, for the planner."""
+    """Return the flags of a block's move, for the planner. laser: 0 unless in laser mode."""
     flags = modal[mode.SPINDLE] | modal[mode.COOLANT] << COOLANT_SHIFT
-    if laser and flags & SPINDLE_CCW:
+    if laser and flags & SPINDLE_CCW:  # M4: power follows the speed
         flags |= layout.DYNAMIC
     if ints[mode.MOTION] == b.SEEK:
         flags |= layout.RAPID_MOTION
@@ -161,14 +164,15 @@ def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
 
 @micropython.viper
 def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object) -> int:
-    """Return 0 if one chord is enough for an arc."""
+    """Return 0 if one chord is enough for an arc, from position to xyz; else how many more it
+    takes. Uses the planner's course as scratch."""
     _, plane, arc = rare
     _, _, _, _, _, _, _, steps_per_mm, course = plans
-    way = ptr32(course)
-    lay(ptr32(arc), ptr32(plane), position, xyz, ptr32(steps_per_mm), way, axes)
-    left = way[LEFT]
-    way[LEFT] = 0
-    return left
+    places = ptr32(course)
+    lay(ptr32(arc), ptr32(plane), position, xyz, ptr32(steps_per_mm), places, axes)
+    more = places[LEFT]
+    places[LEFT] = 0
+    return more
 
 
 @micropython.viper

@@ -14,26 +14,39 @@ from base.float32_math import SMALL, mantissa_product
 from micropython import const
 
 LINE_LENGTH = const(79)  # characters, as in Grbl
+_DIGITS = const(8)  # so many count
+_PLUS = const(43)  # characters
+_MINUS = const(45)
+_POINT = const(46)
+_ZERO = const(48)
+_A = const(65)
+_Z = const(90)
+_FRACTION = const(0x7FFFFF)  # the stored bits of a float's mantissa
+# Mantissas, of 24 bits: 0.01 * 2**30, 0.1 * 2**27, 10 * 2**20.
+_HUNDREDTH = const(0xA3D70A)
+_TENTH = const(0xCCCCCD)
+_TEN = const(0xA00000)
 
 
 @micropython.viper
 def store_single(number: int, power: int, values: ptr32, at: int) -> int:
     """Store number * 10**power in single precision as values[at]; number < 2**27.
 
-    Multiplies by 0.01, 0.1 or 10, and rounds each product to even. A factor is 0.01 * 2**30,
-    0.1 * 2**27 or 10 * 2**20, of 24 bits; products are divided by 2**24.
+    Multiplies by 0.01, 0.1 or 10, and rounds each product to even, as Grbl does.
     """
     # The exponent of a whole number of 24 bits.
     exponent = 150
+    # Round to 24 bits. rest: the bits dropped, as a part of unit.
     rest = 0
-    half = 1
+    unit = 1
     while number >= 1 << 24:
-        rest |= (number & 1) * half
-        half <<= 1
+        rest |= (number & 1) * unit
+        unit <<= 1
         number >>= 1
         exponent += 1
-    if rest << 1 > half or (rest << 1 == half and number & 1):
+    if rest << 1 > unit or (rest << 1 == unit and number & 1):
         number += 1
+    # The leading bit becomes bit 23, as in a mantissa.
     if number:
         while number < 1 << 16:
             number <<= 8
@@ -43,16 +56,16 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
             exponent -= 1
     while number and power:
         if power < -1:
-            factor = 0xA3D70A
-            exponent -= 6
+            factor = _HUNDREDTH
+            exponent -= 6  # the factor is 0.01 * 2**30, and the product loses 24 bits
             power += 2
         elif power < 0:
-            factor = 0xCCCCCD
-            exponent -= 3
+            factor = _TENTH
+            exponent -= 3  # 0.1 * 2**27
             power = 0
         else:
-            factor = 0xA00000
-            exponent += 4
+            factor = _TEN
+            exponent += 4  # 10 * 2**20
             power -= 1
         number = int(mantissa_product(number, factor))
         if number & SMALL:
@@ -66,30 +79,33 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
         number = 0
     elif number == 0:
         exponent = 0
-    values[at] = (exponent << 23) | (number & 0x7FFFFF)
+    values[at] = (exponent << 23) | (number & _FRACTION)
     return 0
 
 
 @micropython.viper
 def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
-    """Read a number at text[pos] into values[at]. Returns the index after it, 0 for none."""
+    """Read a number at text[pos] into values[at]. Returns the index after it, 0 for none.
+
+    The number is mantissa * 10**power; point is 1 after the decimal point.
+    """
     sign = text[pos]
-    if sign == 45 or sign == 43:  # noqa: PLR1714 (a viper cannot ask `in`)
+    if sign == _MINUS or sign == _PLUS:  # noqa: PLR1714 (a viper cannot ask `in`)
         pos += 1
     mantissa = 0
     digits = 0
     power = 0
     point = 0
     while True:
-        c = text[pos] - 48
+        c = text[pos] - _ZERO
         if c >= 0 and c <= 9:
             digits += 1
-            if digits <= 8:
+            if digits <= _DIGITS:
                 mantissa = mantissa * 10 + c
                 power -= point
             else:
                 power += 1 - point
-        elif c == -2 and point == 0:
+        elif c == _POINT - _ZERO and point == 0:
             point = 1
         else:
             break
@@ -97,9 +113,9 @@ def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
     if digits == 0:
         return 0
     store_single(mantissa, power, values, at)
-    if sign == 45:
+    if sign == _MINUS:
         signs = ptr8(values)
-        signs[4 * at + 3] = signs[4 * at + 3] | 128
+        signs[4 * at + 3] = signs[4 * at + 3] | 128  # the sign bit
     return pos
 
 
@@ -117,7 +133,7 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
     count = span >> 16
     while pos < end:
         letter = text[pos]
-        if letter < 65 or letter > 90:
+        if letter < _A or letter > _Z:
             return count | errors.EXPECTED_COMMAND_LETTER << 8 | pos << 16
         letters[count] = letter
         pos = int(number(text, pos + 1, values, count))
@@ -131,7 +147,7 @@ class Words:
     """The words of one line. letters[i] is a character code, values[i] its number."""
 
     def __init__(self, longest: int = LINE_LENGTH) -> None:
-        most = longest // 2 + 1
+        most = longest // 2 + 1  # a word has at least two characters
         self.letters = bytearray(most)
         self.values = array("f", (0.0 for _ in range(most)))
         self.count = 0
@@ -139,9 +155,9 @@ class Words:
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which ends with a 0. Sets fault to Grbl's error number, or 0."""
-        found = scan(text, end << 8 | start, self.letters, self.values)
-        self.count = found & 255
-        self.fault = found >> 8 & 255
+        scanned = scan(text, end << 8 | start, self.letters, self.values)
+        self.count = scanned & 255
+        self.fault = scanned >> 8 & 255
 
 
 _bare = array("f", (0.0,))

@@ -2,8 +2,9 @@
 """The geometry of an arc: from its ends and its centre to a course (arcs.py).
 
 In single precision, as Grbl's, but on the bits of floats (base/float32_math.py), so that nothing
-is left on the heap. An arc's numbers are an array, r: the arc's own, scratch places,
-constants. A function names the places of its results; A, B and C may be lost.
+is left on the heap. An arc's numbers are an array, r: the arc's own, scratch places, constants. A
+function names the places of its results; A, B and C may be lost. To the bits of a float, + _TWICE
+doubles it and - _TWICE halves it, & 0x7FFFFFFF removes its sign, ^ MINUS (last byte) negates it.
 """
 
 from array import array
@@ -70,7 +71,7 @@ def subtract(r: ptr32, at: int, other: ptr32, i: int) -> int:
     ptr8(r)[4 * at + 3] ^= MINUS
     add_single(other, i, r, at)
     if r[at] & int(0x7FFFFFFF):
-        ptr8(r)[4 * at + 3] ^= MINUS
+        ptr8(r)[4 * at + 3] ^= MINUS  # negate
     return 0
 
 
@@ -87,8 +88,8 @@ def length(r: ptr32, at: int, of: int) -> int:
 def _series(r: ptr32, at: int, first: int, terms: int) -> int:
     """Set x = r[at] to x + x * (f0 x**2 + f1 x**4 + …) by Horner's rule; r[first] is f0."""
     r[A] = r[at]
-    multiply(r, A, r, A)
-    terms += first - 1
+    multiply(r, A, r, A)  # x**2
+    terms += first - 1  # from here on, the place of a factor: the last one first
     r[B] = r[terms]
     while terms > first:
         terms -= 1
@@ -106,8 +107,8 @@ def _direction(r: ptr32, y: int, x: int) -> int:
     The smaller of the two by the larger is a tangent t from 0 to 1. Above tan(pi / 8) it is
     replaced by (t - 1) / (t + 1), whose angle is pi / 4 less, so that the series is short.
     """
-    behind = ptr8(r)[4 * x + 3] & MINUS
-    below = ptr8(r)[4 * y + 3] & MINUS
+    x_negative = ptr8(r)[4 * x + 3] & MINUS
+    y_negative = ptr8(r)[4 * y + 3] & MINUS
     r[x] = r[x] & int(0x7FFFFFFF)
     r[y] = r[y] & int(0x7FFFFFFF)
     r[ANGLE] = 0
@@ -130,12 +131,12 @@ def _direction(r: ptr32, y: int, x: int) -> int:
     if wide:
         add_single(r, _EIGHTH, r, ANGLE)
     if steep:
-        ptr8(r)[4 * ANGLE + 3] ^= MINUS
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
         add_single(r, _QUARTER, r, ANGLE)
-    if behind:
-        ptr8(r)[4 * ANGLE + 3] ^= MINUS
+    if x_negative:
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
         add_single(r, _HALF, r, ANGLE)
-    ptr8(r)[4 * ANGLE + 3] ^= below
+    ptr8(r)[4 * ANGLE + 3] ^= y_negative
     return 0
 
 
@@ -145,7 +146,7 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     than rounding: it is short, and no full circle. ANGLE is distance / radius then."""
     if r[RADIUS] == 0:
         return 0
-    r[C] = _SAME
+    r[C] = _SAME  # becomes the largest difference that may be rounding, mm
     for i in range(2):
         axis = plane[i]  # ONE_AXIS, OTHER_AXIS
         r[A + i] = target[axis]
@@ -157,9 +158,9 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
         if r[C] < rounding:
             r[C] = rounding
     if r[A] & int(0x7FFFFFFF) <= r[C] and r[B] & int(0x7FFFFFFF) <= r[C]:
-        return 0
+        return 0  # the ends are the same
     r[C] = r[C] + _TWICE
-    quotient(r, C, r, RADIUS)
+    quotient(r, C, r, RADIUS)  # as an angle: a larger ANGLE is not rounding, but nearly a circle
     if r[ANGLE] & int(0x7FFFFFFF) > _NO_SWEEP and r[ANGLE] & int(0x7FFFFFFF) > r[C]:
         return 0
     length(r, A, B)
@@ -183,22 +184,22 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     subtract(r, _SINE, start, one)
     r[_TANGENT] = target[other]
     subtract(r, _TANGENT, start, other)
-    # Across: CENTRE_1 * x - CENTRE_0 * y.
+    # C, the cross product: CENTRE_1 * x - CENTRE_0 * y.
     r[C] = r[_SINE]
     multiply(r, C, r, CENTRE_1)
     r[A] = r[_TANGENT]
     multiply(r, A, r, CENTRE_0)
     subtract(r, C, r, A)
-    # Along: the radius squared, less CENTRE_0 * x and CENTRE_1 * y.
+    # _SINE, the scalar product: the radius squared, less CENTRE_0 * x and CENTRE_1 * y.
     subtract(r, _SINE, r, CENTRE_0)
     subtract(r, _TANGENT, r, CENTRE_1)
     multiply(r, _SINE, r, CENTRE_0)
     multiply(r, _TANGENT, r, CENTRE_1)
     add_single(r, _TANGENT, r, _SINE)
-    ptr8(r)[4 * _SINE + 3] ^= MINUS
+    ptr8(r)[4 * _SINE + 3] ^= MINUS  # negate
     _direction(r, C, _SINE)
     if plane[CLOCKWISE]:
-        ptr8(r)[4 * ANGLE + 3] ^= MINUS
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
     if ptr8(r)[4 * ANGLE + 3] & MINUS or r[ANGLE] <= _NO_SWEEP:
         if int(_is_short(r, plane, start, target)) == 0:
             add_single(r, _CIRCLE, r, ANGLE)
@@ -233,7 +234,7 @@ def _turn(r: ptr32, chords: int) -> int:
     bits = 0
     while chords >> bits:
         bits += 1
-    store(r, C, chords << (24 - bits), 126 + bits, 0)
+    store(r, C, chords << (24 - bits), 126 + bits, 0)  # chords, as a float
     r[_TANGENT] = r[ANGLE]
     quotient(r, _TANGENT, r, C)
     r[_TANGENT] = r[_TANGENT] - _TWICE
@@ -241,13 +242,13 @@ def _turn(r: ptr32, chords: int) -> int:
     # _TANGENT is h here, and C becomes c.
     r[C] = r[_TANGENT]
     multiply(r, C, r, C)
-    ptr8(r)[4 * C + 3] ^= MINUS
+    ptr8(r)[4 * C + 3] ^= MINUS  # negate
     add_single(r, _ONE, r, C)
     root(r, C)
     r[_SINE] = r[_TANGENT] + _TWICE
     multiply(r, _SINE, r, C)
     quotient(r, _TANGENT, r, C)
-    shift = 126 - (r[_SINE] >> 23)
+    shift = 126 - (r[_SINE] >> 23)  # 126: the exponent of 0.5 and of all up to 1
     return shift if shift < bits else bits
 
 
@@ -259,7 +260,7 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
     if r[RADIUS] >= farthest:
         return 0
     # On its way a position is up to three radii from the start, because shears overshoot.
-    r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0
+    r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0  # four; then five, 1 mm, and the ends
     add_single(r, RADIUS, r, A)
     add_single(r, _ONE, r, A)
     finest = 0
@@ -278,24 +279,24 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
     multiply(r, A, steps_per_mm, finest)
     if r[A] >= farthest:
         return 0
-    most = steps_per_mm[coarsest] + _FINEST * _TWICE
-    if r[_SCALE] > most:
-        r[_SCALE] = most
+    greatest = steps_per_mm[coarsest] + _FINEST * _TWICE
+    if r[_SCALE] > greatest:
+        r[_SCALE] = greatest
     return 1
 
 
 @micropython.viper
-def _share(way: int, shift: int, chords: int) -> int:
-    """Return way / chords in 2**-shift, rounded towards 0: a long division, bit by bit."""
-    part = (0 - way if way < 0 else way) // chords
-    rest = (0 - way if way < 0 else way) - part * chords
+def _share(distance: int, shift: int, chords: int) -> int:
+    """Return distance / chords in 2**-shift, rounded towards 0: a long division, bit by bit."""
+    result = (0 - distance if distance < 0 else distance) // chords
+    rest = (0 - distance if distance < 0 else distance) - result * chords
     for _ in range(shift):
         rest <<= 1
-        part <<= 1
+        result <<= 1
         if rest >= chords:
             rest -= chords
-            part += 1
-    return 0 - part if way < 0 else part
+            result += 1
+    return 0 - result if distance < 0 else result
 
 
 @micropython.viper
@@ -318,12 +319,12 @@ def _place(
     for i in range(axes):
         r[B] = r[_SCALE]
         quotient(r, B, steps_per_mm, i)
-        bits = (r[B] >> 23) - 126
+        bits = (r[B] >> 23) - 126  # 2**bits is more than _SCALE / steps_per_mm, at most twice
         r[A] = steps_per_mm[i] + bits * _TWICE  # units per mm
         r[B] = start[i]
         multiply(r, B, r, A)
-        place = int(whole_part(r, B, 0))
-        course[at] = arcs.FAR + place + (1 << bits >> 1)
+        position = int(whole_part(r, B, 0))
+        course[at] = arcs.FAR + position + (1 << bits >> 1)  # half a step, so that >> bits rounds
         course[at + arcs.REST] = 0
         course[at + arcs.BITS] = bits
         course[at + arcs.WAY] = int(0x40000000)  # 1 << WAY_BIAS
@@ -332,14 +333,14 @@ def _place(
             r[B] = r[CENTRE_0] if is_one else r[CENTRE_1]
             multiply(r, B, r, A)
             course[at + arcs.CENTRE] = course[at] + int(whole_part(r, B, 0))
-            second = 1 if is_one == plane[CLOCKWISE] else 0
+            second = 1 if is_one == plane[CLOCKWISE] else 0  # the axes' order is the direction
             course[arcs.TURNING + second] = at
             r[C if second else _RATIO] = r[A]
         else:
             r[B] = target[i]
             multiply(r, B, r, A)
-            way = int(whole_part(r, B, 0)) - place
-            course[at + arcs.WAY] += int(_share(way, course[arcs.SHIFT], chords))
+            distance = int(whole_part(r, B, 0)) - position
+            course[at + arcs.WAY] += int(_share(distance, course[arcs.SHIFT], chords))
         at += arcs.STRIDE
     return int(quotient(r, _RATIO, r, C))
 
@@ -365,7 +366,7 @@ def lay(
     chords = int(_count(r))
     if chords > 1:
         if chords < _FEW and int(whole_part(r, ANGLE, 16)) > _WIDEST * chords:
-            chords *= 2
+            chords *= 2  # each was too wide
         course[arcs.LEFT] = chords - 1
         shift = int(_turn(r, chords))
         course[arcs.SHIFT] = shift
@@ -378,7 +379,7 @@ def lay(
 
 
 class Arc:
-    """One arc: its numbers and its plane, see above."""
+    """One arc: its numbers and its plane."""
 
     def __init__(self) -> None:
         self.plane = array("i", (0, 1, 0))
@@ -393,11 +394,11 @@ class Arc:
         steps_per_mm: "array[float]",
         course: "array[int]",
     ) -> int:
-        """Lay its course, between places in mm. Returns how many chords it takes; 0 and 1 mean a
-        straight line."""
+        """Fill its course, from start to target in mm. Returns how many chords it has; 0 and 1
+        mean a straight line."""
         return lay(self.numbers, self.plane, start, target, steps_per_mm, course, len(start))
 
     def sweep(self, start: "array[float]", target: "array[float]") -> float:
-        """The angle travelled, in radians."""
+        """Return the angle travelled, in radians."""
         sweep(self.numbers, self.plane, start, target)
         return self.numbers[ANGLE]

@@ -47,19 +47,20 @@ WAY_BIAS = const(30)  # added to ways, as a power of two
 
 
 def course_length(axes: int) -> int:
-    """Integers in a course."""
+    """Return the number of integers in a course."""
     return FIRST + STRIDE * axes
 
 
 def limit(course: "array[int]", axis: int, least: float, greatest: float) -> None:
-    """Say between which steps the places of an axis have to be."""
+    """Set the steps from 0 between which an axis must stay. They are cut to what a course can
+    hold."""
     at = FIRST + STRIDE * axis
     course[at + _LEAST] = FAR + int(max(least, -FARTHEST))
     course[at + _GREATEST] = FAR + int(min(greatest, FARTHEST))
 
 
 def stray(course: "array[int]", mm: float) -> None:
-    """Say how far chords may stray from an arc."""
+    """Set how far chords may stray from an arc, mm. The float is stored as its bits."""
     copy(array("f", (mm,)), memoryview(course)[STRAY:], 1)
 
 
@@ -77,22 +78,24 @@ def rotate(course: ptr32, shift: int) -> int:
     in REST for the next chord: errors grow with the angle, not with the number of chords.
     Positions and centres: up to 2**28 units; shears: 2**-(28 + shift), + FAR.
     """
-    one = course[TURNING]
-    other = course[TURNING + 1]
+    # Each shear changes one axis of the plane by the other's distance from the centre.
+    changed = course[TURNING]
+    source = course[TURNING + 1]
     for i in range(3):
-        away = course[other] - course[other + CENTRE]
-        shear = course[SHEARS + (i & 1)] - FAR
+        away = course[source] - course[source + CENTRE]
+        shear = course[SHEARS + (i & 1)] - FAR  # -t, s, -t
         # away * shear / 2**28, in halves of 14 bits so that each product fits 31.
         above = away >> 14
         high = shear >> 14
         change = ((away - (above << 14)) * high) >> 14
-        change += above * high + ((above * (shear - (high << 14))) >> 14) + course[one + REST]
+        change += above * high + ((above * (shear - (high << 14))) >> 14) + course[changed + REST]
         above = change >> shift
-        course[one + REST] = change - (above << shift)
-        course[one] = course[one] + above
-        above = one
-        one = other
-        other = above
+        course[changed + REST] = change - (above << shift)
+        course[changed] = course[changed] + above
+        # The axes change places.
+        above = changed
+        changed = source
+        source = above
     return 0
 
 
@@ -104,17 +107,19 @@ def advance(course: ptr32, table: ptr32) -> int:
     """
     shift = course[SHIFT]
     rotate(course, shift)
-    target = LIMITS + TARGET * table[AXES]
+    first = LIMITS + TARGET * table[AXES]
     at = FIRST
     beyond = 0
-    for i in range(target, target + table[AXES]):
+    for place in range(first, first + table[AXES]):
+        # Units first, then whole steps. WAY has a bias of 1 << WAY_BIAS, a position one of FAR.
         rest = course[at + REST] + course[at + WAY]
         steps = rest >> shift
         course[at + REST] = rest - (steps << shift)
         steps += course[at] - (1 << (WAY_BIAS - shift))
         course[at] = steps
         steps = ((steps - FAR) >> course[at + BITS]) + FAR
-        table[i] = steps
+        table[place] = steps
+        # Negative where steps is less than _LEAST, or more than _GREATEST.
         beyond |= (steps - course[at + _LEAST]) | (course[at + _GREATEST] - steps)
         at += STRIDE
     return OUTSIDE if beyond < 0 else 0
@@ -138,8 +143,8 @@ def follow(
     Returns why the next chord cannot be planned, OUTSIDE or FULL; NOWHERE where the last one had
     no steps; else 0. speeds[ROWS + 1] is the arc's programmed speed, for reports.
     """
-    found = 0
-    while found == 0:
+    reason = 0
+    while reason == 0:
         if course[KNOWN] == 0:
             course[KNOWN] = 1
             if int(advance(course, table)):
@@ -147,14 +152,14 @@ def follow(
         if flags:
             if int(full(flow)):
                 return FULL
-            at = flow[HEAD]
+            at = flow[HEAD]  # the row that plan() fills
             if int(plan(course, table, ring, flow, flags, line, power, rate)):
                 speeds[at] = speeds[flow[ROWS] + 1]
             else:
-                found = NOWHERE
+                reason = NOWHERE
         course[KNOWN] = 0
-        at = course[LEFT] - 1
+        at = course[LEFT] - 1  # chords still to be made
         course[LEFT] = at
-        if at & SOME == 0:
+        if at & SOME == 0:  # each eighth one
             break
-    return found
+    return reason

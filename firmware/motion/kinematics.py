@@ -38,7 +38,7 @@ class Kinematics:
         several motors move only this axis, it is the first one's."""
         if self.moves[axis] == 1 << axis:
             return motors[axis]
-        total = count = 0
+        total = count = 0  # of the motors that this axis turns
         for i in self._motors:
             moves = self.moves[i] >> axis
             if moves & 1:
@@ -60,6 +60,7 @@ class Kinematics:
         self._find(motors)
         self._places[axis] = steps
         changed = self.motors_of(1 << axis)
+        # After the axes' steps, places has zeros: a motor's steps from there.
         for i in self._motors:
             if changed >> i & 1:
                 motors[i] = motor_steps(self._places, 0, len(self._axes), self.moves[i])
@@ -78,6 +79,6 @@ class Kinematics:
         return self.motors_of(switches & ~self.alone) | switches & self.alone
 
     def _find(self, motors: "array[int]") -> None:
-        """Compute the steps of the axes into places."""
+        """Compute the steps of the axes, from those of the motors, into _places."""
         for i in self._axes:
             self._places[i] = self.axis_steps(motors, i)

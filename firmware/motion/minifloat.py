@@ -19,21 +19,22 @@ from micropython import const
 _INFINITE = 1e18  # no limit of a machine is as high
 SMALLEST = const(16384)  # a mantissa has 15 bits
 LIMIT = const(32768)
+MANTISSA = const(32767)  # the mask of a mantissa; its exponent is >> 15
 BIAS = const(64)  # the exponent of whole numbers
 HIGHEST = const(0x3FFFFFFF)
 ONE = const(0x194000)  # the real 1
 
 
 def real(x: float) -> int:
-    """The real nearest below x >= 0."""
+    """Return the greatest real that is not above x; 0 if x is not positive."""
     if x <= 0:
         return 0
-    mantissa, exponent = math.frexp(min(x, _INFINITE))
+    mantissa, exponent = math.frexp(min(x, _INFINITE))  # mantissa: a float from 0.5 to 1
     return (exponent - 15 + BIAS) * LIMIT + int(mantissa * LIMIT)
 
 
 def value(r: int) -> float:
-    """The number that the real r stands for."""
+    """Return the number that the real r stands for, as a float."""
     return float(r % LIMIT) * 2.0 ** (r // LIMIT - BIAS)
 
 
@@ -44,7 +45,7 @@ def per_minute(r: int) -> int:
     twice = r % LIMIT * 120
     shift = BIAS - r // LIMIT
     if shift <= 0:
-        return twice << (0 - shift if shift > -9 else 9) >> 1
+        return twice << (0 - shift if shift > -9 else 9) >> 1  # more would not fit
     return ((twice >> (shift if shift < 31 else 31)) + 1) >> 1
 
 
@@ -56,7 +57,7 @@ def per_second(rate: ptr32, at: int) -> int:
         return 0
     # A float is (2**23 + fraction) * 2**(e - 150); a sixtieth of its 24 bits has 18 or 19.
     mantissa = (((bits & 0x7FFFFF) | 0x800000) // 60) >> 3  # from 17476 to 34952
-    exponent = (bits >> 23) - 147 + BIAS
+    exponent = (bits >> 23) - 147 + BIAS  # 150, less the three bits that were dropped
     if mantissa >= LIMIT:
         mantissa >>= 1
         exponent += 1
@@ -81,7 +82,7 @@ def pack(mantissa: int, exponent: int) -> int:
 def mul(a: int, b: int) -> int:
     """Return the product of two reals."""
     # 2**14 <= m < 2**15 each: the product has 29 or 30 bits, and 15 or 16 once 14 are dropped.
-    mantissa = ((a & 32767) * (b & 32767)) >> 14
+    mantissa = ((a & MANTISSA) * (b & MANTISSA)) >> 14
     if mantissa == 0:
         return 0
     exponent = (a >> 15) + (b >> 15) - BIAS + 14
@@ -104,7 +105,7 @@ def ratio(n: int, b: int) -> int:
     while n < SMALLEST:
         n <<= 1
         exponent -= 1
-    n = (n << 15) // (b & 32767)
+    n = (n << 15) // (b & MANTISSA)
     if n >= LIMIT:
         n >>= 1
         exponent += 1
@@ -136,7 +137,8 @@ def square_root(n: int) -> int:
 def product(a: int, b: int, c: int) -> int:
     """Return the whole part of a * b * c, three reals; HIGHEST where it is more."""
     # Two mantissas, back at 15 or 16 bits, times the third: at most 2147287044, just below 2**31.
-    mantissa = (((a & 32767) * (b & 32767)) >> 14) * (c & 32767)
+    mantissa = (((a & MANTISSA) * (b & MANTISSA)) >> 14) * (c & MANTISSA)
+    # Three exponents, each with a bias; 14 bits of the product were dropped.
     shift = (a >> 15) + (b >> 15) + (c >> 15) - 3 * BIAS + 14
     if mantissa == 0 or shift < -30:
         return 0

@@ -62,6 +62,7 @@ from motion.minifloat import (
     BIAS,
     HIGHEST,
     LIMIT,
+    MANTISSA,
     ONE,
     SMALLEST,
     mul,
@@ -81,6 +82,9 @@ AT_ONCE = const(4)
 # What may stand against a block (mask).
 OUTSIDE = const(1)
 FULL = const(2)
+_UNIT = const(16384)  # 1, of a component of a direction: in 2**-14
+_REVERSAL = const(0x3FFFFC00)  # nearly 2**30, the square of 2 in 2**-28
+_STRAIGHT = const(16)
 
 
 @micropython.viper
@@ -104,7 +108,7 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
     length = ring[at + LENGTH]
     rapid = HIGHEST
     accel = HIGHEST
-    direction = LIMITS + 4 * axes
+    direction = LIMITS + 4 * axes  # its place in the table; the distances follow
     for i in range(axes):
         mm = table[direction + axes + i]
         component = 0
@@ -112,15 +116,16 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
             # Both are reals. mm <= length, so shift >= 0; beyond 14 the component is nothing.
             shift = (length >> 15) - (mm >> 15)
             if shift < 15:
-                component = (((mm & 32767) << 14) // (length & 32767)) >> shift
-            if component > 16384:
-                component = 16384
+                component = (((mm & MANTISSA) << 14) // (length & MANTISSA)) >> shift
+            if component > _UNIT:
+                component = _UNIT
             # length / mm = scale * 2**(shift - 14), with scale between 2**13 and 2**15; k: the
             # axis's speed, then its acceleration.
-            scale = ((length & 32767) << 14) // (mm & 32767)
+            scale = ((length & MANTISSA) << 14) // (mm & MANTISSA)
             for k in range(1, 3):
+                # The real limit * length / mm.
                 limiting = table[LIMITS + 3 * i + k]
-                mantissa = ((limiting & 32767) * scale) >> 14
+                mantissa = ((limiting & MANTISSA) * scale) >> 14
                 exponent = (limiting >> 15) + shift
                 if mantissa >= LIMIT:
                     mantissa >>= 1
@@ -156,21 +161,22 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
     previous one of the next corner.
     """
     axes = table[AXES]
-    previous = LIMITS + 3 * axes
+    previous = LIMITS + 3 * axes  # places: the last direction, followed by this one
     squares = 0
     least = HIGHEST
     for i in range(axes):
         component = table[previous + axes + i]
-        component = 16384 - component if (dirs >> i) & 1 else 16384 + component
+        component = _UNIT - component if (dirs >> i) & 1 else _UNIT + component
         change = component - table[previous + i]
         table[previous + i] = component
         if change < 0:
             change = 0 - change
         squares += change * change
-        if change or component != 16384:
-            # change + 1: an axis whose change is rounded to 0 may still be the weakest.
-            accel = table[LIMITS + 3 * i + 2]
-            mantissa = ((accel & 32767) << 15) // (change + 1)
+        if change or component != _UNIT:
+            # accel / |D_i|, a real; + 1, because an axis whose change is rounded to 0 may still be
+            # the weakest.
+            accel = table[LIMITS + 3 * i + 2]  # a real, mm/s2
+            mantissa = ((accel & MANTISSA) << 15) // (change + 1)
             exponent = (accel >> 15) - 15
             while mantissa >= LIMIT:
                 mantissa >>= 1
@@ -179,11 +185,11 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
             if accel < least:
                 least = accel
     # |D|**2 in 2**-28, so 2**30 is a reversal.
-    if squares < 16:
+    if squares < _STRAIGHT:
         return HIGHEST
-    if squares >= 0x3FFFFC00:
+    if squares >= _REVERSAL:
         return 0
-    # First turn: the root of squares, |D| in 2**-14. Second: that of 4 - |D|**2, twice the cosine.
+    # Two roots: |D| in 2**-14, kept as change; then that of 4 - |D|**2, twice the cosine.
     cosine = 0
     for _ in range(2):
         change = cosine
@@ -191,7 +197,7 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         squares = 0x3FFFFFFF - squares
     cosine >>= 1
     # c (1 + c) / |D| in 2**-15. JUNCTION's 2**16 makes up for the 2**-14 of D_i, and is the 4.
-    shape = (((cosine * (16384 + cosine)) >> 14) << 15) // change
+    shape = (((cosine * (_UNIT + cosine)) >> 14) << 15) // change
     return int(product(int(pack(shape, BIAS - 15)), least, table[JUNCTION]))
 
 
@@ -221,25 +227,26 @@ def compute_profile(table: ptr32, ring: ptr32, at: int) -> int:
     per_mm = int(ratio(ring[at + EVENTS], ring[at + LENGTH]))
     factor = int(mul(per_mm, table[SEGMENT_RATE]))
     ring[at + FACTOR] = factor
-    # One loop for the five products: product() is inlined, and code takes memory.
+    # One loop for the five products, in their order in layout.py: product() is inlined, and code
+    # takes memory.
     a = accel
     b = per_mm
     c = table[SEGMENT_ACCEL]
-    for to in range(RAMP, RAMP + 5):
+    for place in range(RAMP, RAMP + 5):
         number = int(product(a, b, c))
-        if to <= CRUISE and number == 0:
-            number = 1
-        ring[at + to] = number
-        if to < PROGRAMMED:
-            a = nominal if to == RAMP else rate
+        if place <= CRUISE and number == 0:
+            number = 1  # so that every block proceeds
+        ring[at + place] = number
+        if place < PROGRAMMED:
+            a = nominal if place == RAMP else rate
             b = factor
             c = ONE
-        elif to == PROGRAMMED:
+        elif place == PROGRAMMED:
             a = nominal
             b = nominal
             c = table[SQR_SCALE]
         else:
-            a = accel + LIMIT  # twice accel: its exponent and one
+            a = accel + LIMIT  # twice accel: its exponent and one; c is still SQR_SCALE
             b = ring[at + LENGTH]
     return 0
 
@@ -251,28 +258,29 @@ def step_ratios(ring: ptr32, at: int, motors: int) -> int:
     Long division, as many bits at once as a remainder below EVENTS leaves room for in 31.
     """
     events = ring[at + EVENTS]
-    width = 15 if events < LIMIT else (9 if events < 1 << 21 else 1)
+    width = 15 if events < LIMIT else (9 if events < 1 << 21 else 1)  # bits per digit
     for i in range(motors):
         rest = ring[at + STEPS + i]
         ratio = 0
         if rest == events:
-            ratio = 0x20000000
+            ratio = 0x20000000  # 1: this motor makes the most steps
         elif rest:
-            bits = 29
+            bits = 29  # bits of the ratio still to be computed
             while bits:
-                take = width if width < bits else bits
-                rest <<= take
-                part = rest // events
-                ratio = (ratio << take) + part
-                rest -= part * events
-                bits -= take
+                digit_bits = width if width < bits else bits
+                rest <<= digit_bits
+                digit = rest // events
+                ratio = (ratio << digit_bits) + digit
+                rest -= digit * events
+                bits -= digit_bits
         ring[at + STEPS + motors + i] = ratio
     return 0
 
 
 @micropython.viper
 def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
-    """Append the block made at HEAD to the ring: its corner's speed, then the backward pass."""
+    """Append the block made at HEAD to the ring: its corner's speed, then the backward pass.
+    Returns 0."""
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     at = head * size
@@ -287,29 +295,30 @@ def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     axes = table[AXES]
     target = LIMITS + TARGET * axes
     for i in range(axes):
-        table[target + axes + i] = table[target + i]
+        table[target + axes + i] = table[target + i]  # POSITION, after TARGET
     head += 1
     flow[HEAD] = head if head < flow[ROWS] else 0
     flow[UNPLANNED] += 1
-    waiting = head - flow[TAIL]
-    if waiting < 0:
-        waiting += flow[ROWS]
-    if waiting < NEAR or flow[UNPLANNED] >= AT_ONCE:
+    blocks = head - flow[TAIL]
+    if blocks < 0:
+        blocks += flow[ROWS]
+    if blocks < NEAR or flow[UNPLANNED] >= AT_ONCE:
         reverse_pass(ring, flow, 0)
     return 0
 
 
 @micropython.viper
 def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
-    """Set a block's MAX_ENTRY_SQR: what it, the one before, and the corner between them allow."""
+    """Set a block's MAX_ENTRY_SQR: the least of its corner's speed squared and of the nominal
+    ones of the block and the one before. row: its number in the ring. Returns 0."""
     size = flow[ROW_SIZE]
     at = row * size
-    before = (row if row else flow[ROWS]) * size - size
+    previous = (row if row else flow[ROWS]) * size - size
     entry = ring[at + JUNCTION_SQR]
     if entry > ring[at + NOMINAL_SQR]:
         entry = ring[at + NOMINAL_SQR]
-    if entry > ring[before + NOMINAL_SQR]:
-        entry = ring[before + NOMINAL_SQR]
+    if entry > ring[previous + NOMINAL_SQR]:
+        entry = ring[previous + NOMINAL_SQR]
     ring[at + MAX_ENTRY_SQR] = entry
     return 0
 
@@ -370,7 +379,7 @@ def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
     head = flow[HEAD]
     tail = flow[TAIL]
     exit_sqr = 0
-    seen = 0
+    visited = 0
     while head != tail:
         head = head - 1 if head else flow[ROWS] - 1
         if head == tail:
@@ -379,10 +388,10 @@ def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
         entry = exit_sqr + ring[at + DELTA_SQR]
         if entry > ring[at + MAX_ENTRY_SQR]:
             entry = ring[at + MAX_ENTRY_SQR]
-        seen += 1
-        if entry == ring[at + ENTRY_SQR] and everything == 0 and seen > flow[UNPLANNED]:
+        visited += 1
+        if entry == ring[at + ENTRY_SQR] and everything == 0 and visited > flow[UNPLANNED]:
             break
         ring[at + ENTRY_SQR] = entry
         exit_sqr = entry
     flow[UNPLANNED] = 0
-    return seen
+    return visited

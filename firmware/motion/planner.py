@@ -32,7 +32,10 @@ COOLANT_SHIFT = const(8)  # flood 0x100, mist 0x200
 SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
 
-_BIAS = const(0x20000000)
+_BIAS = const(0x20000000)  # 2**29, added to positions in the table
+# Speeds in a block are in 2**-18 step per full segment; slices in 2**-17 of one.
+_SPEED_UNITS = const(262144)
+_FULL_TIME = const(131072)
 _NO_DIRECTION = const(0x4000)  # see plan_kernel.limit()
 # Where the speed changes, a segment is cut into at most so many slices, of 1 ms or more.
 _SLICES = const(8)
@@ -40,6 +43,7 @@ _SLICES = const(8)
 # that is 390 to 410 kHz; where an axis is faster, full segments are half as long.
 _MOST_STEPS = const(4095)
 _SLOWEST_MM_S = 1 / 60
+_JUNCTION_SCALE = 65536.0  # see JUNCTION in layout.py
 _LEAST = 1e-8  # lowest limit, mm/s and mm/s2: kernels would compute negative reals from 0
 # Greatest distance of a motor from 0, in steps. Kernels count from -2**29 to 2**29; the rest is
 # for rounding in single precision.
@@ -89,7 +93,7 @@ class Planner:
         self.motors = motors
         self.kinematics = kinematics
         self._state = state
-        if ring is None or len(ring) != size * (blocks + 1):
+        if ring is None or len(ring) != size * (blocks + 1):  # kinematics may add motors
             ring = layout.ring(motors, blocks)
         self.ring = ring
         self.flow = array("i", (0 for _ in range(layout.FLOW_LENGTH + 2 * motors)))
@@ -115,7 +119,11 @@ class Planner:
     def configure(
         self, settings: "AxisLimits", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
-        """Apply rates, accelerations and resolution. step_hz: the engine's highest rate."""
+        """Apply rates, accelerations and resolution: compute the table for the kernels.
+
+        tick_hz: ticks per second; a full segment has 2**segment_log2 of them, or less where an
+        axis is fast. step_hz: the engine's highest rate.
+        """
         table = self.table
         fastest_sqr = fastest_hz = 0.0
         for i in range(self.axes):
@@ -124,32 +132,38 @@ class Planner:
             acceleration = settings.acceleration[i] / 3600
             fastest_sqr += max(rate, _SLOWEST_MM_S) ** 2
             fastest_hz = max(fastest_hz, rate * resolution)
-            at = layout.LIMITS + 3 * i
+            at = layout.LIMITS + 3 * i  # an axis's mm per step, mm/s, mm/s2
             table[at] = minifloat.real(1 / resolution)
             table[at + 1] = minifloat.real(max(rate, _LEAST))
             table[at + 2] = minifloat.real(max(acceleration, _LEAST))
             self.steps_per_mm[i] = resolution
         at = layout.LIMITS + layout.RESOLUTION * self.axes
         copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
-        scale = (1 << 30) / fastest_sqr
+        scale = (1 << 30) / fastest_sqr  # 2**30 is the square of the highest speed
         table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)
+        # Full segments must have few enough steps, also on the fastest axis.
         while fastest_hz * (1 << segment_log2) > tick_hz * _MOST_STEPS:
             segment_log2 -= 1
         seconds = (1 << segment_log2) / tick_hz
         table[layout.SQR_SCALE] = minifloat.real(scale)
-        table[layout.JUNCTION] = minifloat.real(65536.0 * settings.junction_deviation_mm * scale)
-        table[layout.SEGMENT_RATE] = minifloat.real(seconds * 262144)
-        table[layout.SEGMENT_ACCEL] = minifloat.real(seconds * seconds * 262144)
+        table[layout.JUNCTION] = minifloat.real(
+            _JUNCTION_SCALE * settings.junction_deviation_mm * scale
+        )
+        table[layout.SEGMENT_RATE] = minifloat.real(seconds * _SPEED_UNITS)
+        table[layout.SEGMENT_ACCEL] = minifloat.real(seconds * seconds * _SPEED_UNITS)
         table[layout.SEGMENT_LOG2] = segment_log2
-        table[layout.SLICE] = 131072 // max(min(int(seconds * 1000), _SLICES), 1)
+        table[layout.SLICE] = _FULL_TIME // max(min(int(seconds * 1000), _SLICES), 1)
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
 
     def reach_mm(self, axis: int) -> float:
         """Return how far from 0 an axis may be. A motor of several axes counts the steps of
         all."""
         moves = self.kinematics.moves if self.kinematics else (1,)
-        most = max([sum([move >> i & 1 for i in range(2 * layout.REVERSE)]) for move in moves])
-        return _REACH / most / self.steps_per_mm[axis]
+        # The most axes that one motor moves: the bits of its number.
+        most_axes = max(
+            [sum([move >> i & 1 for i in range(2 * layout.REVERSE)]) for move in moves]
+        )
+        return _REACH / most_axes / self.steps_per_mm[axis]
 
     def free(self) -> int:
         """Return how many blocks can still be added."""
@@ -194,11 +208,12 @@ class Planner:
 
     @micropython.native  # a replacement must be, too: the stack has no space for bytecode's frame
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Add a line to the ring: see plan_kernel.plan()."""
+        """Plan a line to target (mm) in the ring. Returns 0 if it has no steps, else 1: see
+        plan_kernel.plan()."""
         return plan_kernel.plan(target, self.table, self.ring, self.flow, flags, line, power, rate)
 
     def rate(self, feed: float) -> int:
-        """Convert a feed in mm/min to a real in mm/s."""
+        """Convert a feed in mm/min to a real in mm/s (minifloat.py)."""
         self._feed[0] = feed
         return minifloat.per_second(self._feed, 0)
 
@@ -225,12 +240,13 @@ class Planner:
 
         start: motor positions, in steps. Returns False if the move has no steps.
         """
-        # The target of the next block may already be set: TARGET, with POSITION after it.
+        # The target of the next block may already be set: TARGET, with POSITION after it. Both are
+        # restored at the end.
         places = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
-        before = array("i", places[: 2 * self.axes])
+        saved = array("i", places[: 2 * self.axes])
         self.sync_motors(start)
         planned = self.line(target, move, power)
-        copy(before, places, 2 * self.axes)
+        copy(saved, places, 2 * self.axes)
         return planned
 
     def catch_up(self) -> None:
@@ -251,7 +267,7 @@ class Planner:
         at = flow[TAIL]
         while at != flow[HEAD]:
             plan_kernel.compute_profile(self.table, self.ring, at * flow[layout.ROW_SIZE])
-            if at != flow[TAIL]:
+            if at != flow[TAIL]:  # the block being executed has been entered
                 plan_kernel.limit_entry(self.ring, flow, at)
             at = (at + 1) % flow[ROWS]
         plan_kernel.reverse_pass(self.ring, flow, 1)
@@ -292,6 +308,7 @@ class Planner:
         reach = self.reach_mm(axis)
         mm = max(min(mm, reach), -reach)
         product = f32(mm * self.steps_per_mm[axis])
+        # Rounded, halves away from zero.
         steps = truncate(product + 0.5) if product >= 0 else -truncate(0.5 - product)
         if self.kinematics:
             self.kinematics.set_axis(motors, axis, steps)

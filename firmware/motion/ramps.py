@@ -8,18 +8,23 @@ interrupt.
 """
 
 import micropython
+from micropython import const
 
-from motion.minifloat import BIAS, HIGHEST, LIMIT, SMALLEST, mul, pack, square_root
+from motion.minifloat import BIAS, HIGHEST, LIMIT, MANTISSA, SMALLEST, mul, pack, square_root
+
+# 2**17: the time of a full segment, and 1 of a part in 2**-17.
+FULL_TIME = const(131072)
 
 
 @micropython.viper
 def share(part: int, whole: int) -> int:
-    """Return part / whole in 2**-17; 2**17, which is 1, where part >= whole. Both: 0 to 2**30 - 1.
+    """Return part / whole in 2**-17; FULL_TIME, which is 1, where part >= whole. Both: 0 to
+    2**30 - 1.
 
-    A long division in two digits of base 256: whole is below 2**22, so remainders << 8 fit.
+    A long division in two digits, of 9 and 8 bits: whole is kept below 2**22, so they fit.
     """
     if part >= whole:
-        return 131072
+        return FULL_TIME
     while whole >= 1 << 22:
         whole >>= 1
         part >>= 1
@@ -84,13 +89,13 @@ def after(speed: int, ramp: int, distance: int, down: int) -> int:
     if change >> 15 > exponent:
         exponent = change >> 15
     shift = exponent - (square >> 15)
-    mantissa = ((square & 32767) << 14) >> shift if shift < 30 else 0
+    mantissa = ((square & MANTISSA) << 14) >> shift if shift < 30 else 0
     shift = exponent - (change >> 15)
-    other = ((change & 32767) << 14) >> shift if shift < 30 else 0
+    other = ((change & MANTISSA) << 14) >> shift if shift < 30 else 0
     mantissa = mantissa - other if down else mantissa + other
     if mantissa <= 0:
         return 0
-    exponent -= BIAS + 14
+    exponent -= BIAS + 14  # from here on the sum is mantissa * 2**exponent
     if exponent & 1:  # the root of 2**exponent has half of it
         mantissa >>= 1
         exponent += 1

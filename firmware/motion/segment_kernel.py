@@ -66,18 +66,22 @@ from motion.layout import (
     WHOLE,
 )
 from motion.minifloat import BIAS, HIGHEST, ONE, product, ratio, square_root
-from motion.ramps import after, braking, share, times
+from motion.ramps import FULL_TIME, after, braking, share, times
 from motion.slice_kernel import STEP_BIAS, next_row, place_steps, scaled_power, slices, speed_share
 
+_COUNTED = const(4095)  # from so many steps on, distances are counted in whole steps
 _LEAST = const(0x50000)  # a segment covers at least 1.25 steps, if the block has them,
 _LONGEST = const(0x8000000)  # or lasts 1024 full ones: at low speed it is prolonged
+_HALF_STEP = const(0x20000)
+_STEP_FRACTION = const(0x3FFFF)  # a step is 1 << 18
 _SPLINTER = const(64)  # time: less is not worth a piece, the segment ends there
 
 
 @micropython.viper
 def load(flow: ptr32, ring: ptr32, motors: int) -> int:
-    """Begin the block at TAIL, or the system's own. Returns 0 where there is none."""
-    at = flow[ROWS] if flow[SYSTEM] else flow[TAIL]
+    """Begin the block at TAIL, or the system's own: copy its numbers to the flow. Returns 0 where
+    there is none, else 1."""
+    at = flow[ROWS] if flow[SYSTEM] else flow[TAIL]  # the system's block follows the others
     if flow[SYSTEM] == 2 or at == flow[HEAD]:
         return 0
     at *= flow[ROW_SIZE]
@@ -96,7 +100,7 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     flow[SPARE] = 0
     for i in range(motors):
         flow[MOTORS + 2 * i] = ring[at + STEPS + i]
-        flow[MOTORS + 2 * i + 1] = 131072  # half a step: a motor steps nearest to the line
+        flow[MOTORS + 2 * i + 1] = _HALF_STEP  # a motor steps nearest to the line
     flow[LOADED] = 1
     return 1
 
@@ -116,11 +120,12 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
         sqr = ring[following * flow[ROW_SIZE] + ENTRY_SQR]
     if sqr != flow[LEAVE_SQR]:
         flow[LEAVE_SQR] = sqr
+        # The root as a real: sqr becomes large enough for a root of 15 bits, a mantissa.
         exponent = BIAS
         while sqr and sqr < 1 << 28:
             sqr <<= 2
             exponent -= 1
-        root = int(square_root(sqr))  # 15 bits, unless 0
+        root = int(square_root(sqr))
         root = (exponent << 15) + root if root else 0
         flow[LEAVE] = int(product(root, scale, ring[flow[AT] + FACTOR]))
     return flow[LEAVE]
@@ -138,23 +143,23 @@ def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
     """
     speed = flow[NOW]
     down = 1 if goal < speed else 0
-    part = int(share(speed - goal if down else goal - speed, ramp))
+    time = int(share(speed - goal if down else goal - speed, ramp))
     end = goal
-    if part >= flow[LEFT]:
-        part = flow[LEFT]
-        end = speed - int(times(ramp, part)) if down else speed + int(times(ramp, part))
-    distance = int(times((speed + end) >> 1, part))
+    if time >= flow[LEFT]:
+        time = flow[LEFT]
+        end = speed - int(times(ramp, time)) if down else speed + int(times(ramp, time))
+    distance = int(times((speed + end) >> 1, time))
     if distance >= room:
         distance = room
         end = int(after(speed, ramp, room, down))
-        part = -1
+        time = -1  # its time is computed below
     if end < goal if down else end > goal:
-        end = goal
-    if part < 0:
-        part = int(share(room, (speed + end) >> 1))
+        end = goal  # rounding has passed it
+    if time < 0:
+        time = int(share(room, (speed + end) >> 1))
     flow[NOW] = end
     flow[WAY] = distance
-    return part
+    return time
 
 
 @micropython.viper
@@ -171,44 +176,48 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     rest: s, or HIGHEST. Results as change_speed().
     """
     speed = flow[NOW]
-    left = flow[LEFT]
+    time = flow[LEFT]
     end = leave
     mean = (speed + leave) >> 1
-    if rest > int(times(mean, left)):
-        most = int(times(ramp, left))
+    if rest > int(times(mean, time)):
+        most_change = int(times(ramp, time))
         if rest < HIGHEST:
-            change = int(times(speed - leave, int(share(int(times(mean, left)), rest))))
+            change = int(times(speed - leave, int(share(int(times(mean, time)), rest))))
         else:
-            change = int(times(most, int(share(flow[BRAKE_WAY], flow[WHOLE]))))
+            # share() is at most 1: where more is needed, the excess is added.
+            change = int(times(most_change, int(share(flow[BRAKE_WAY], flow[WHOLE]))))
             if flow[BRAKE_WAY] > flow[WHOLE]:
                 late = flow[BRAKE_WAY] - flow[WHOLE]
-                change += int(times(most, int(share(late, flow[WHOLE]))))
-        most += most >> 4
-        if change > most:
-            change = most
+                change += int(times(most_change, int(share(late, flow[WHOLE]))))
+        most_change += most_change >> 4  # a sixteenth more
+        if change > most_change:
+            change = most_change
         end = speed - change
         mean = speed - (change >> 1)
-        distance = int(times(mean, left))
+        distance = int(times(mean, time))
         if distance > rest:
             distance = rest
-            left = int(share(rest, mean))
+            time = int(share(rest, mean))
     else:
         distance = rest
-        left = int(share(rest, mean)) if mean else 1
-        if speed - leave > int(times(ramp + (ramp >> 4), left)) + 4:
+        time = int(share(rest, mean)) if mean else 1
+        # More than a sixteenth above ramp, rounding apart: brake as ramp allows, and leave faster.
+        if speed - leave > int(times(ramp + (ramp >> 4), time)) + 4:
             end = int(after(speed, ramp, rest, 1))
             if end < leave:
                 end = leave
-            left = int(share(rest, (speed + end) >> 1))
+            time = int(share(rest, (speed + end) >> 1))
     flow[NOW] = end
     flow[WAY] = distance
-    return left
+    return time
 
 
 @micropython.viper
 def add_piece(flow: ptr32, part: int) -> int:
-    """Add the piece that ends at NOW after WAY to the segment; part: its time. Returns 0 where the
-    block has nothing left: its whole steps and fraction, less WAY, are still to go."""
+    """Add the piece that ends at NOW after WAY to the segment; part: its time.
+
+    WAY is subtracted from the distance that the block has left. Returns 0 where that is nothing.
+    """
     if part > flow[LEFT]:
         part = flow[LEFT]
     flow[LEFT] = flow[LEFT] - part
@@ -223,7 +232,7 @@ def add_piece(flow: ptr32, part: int) -> int:
     flow[ADVANCE] = flow[ADVANCE] + flow[WAY]
     distance = flow[FRACTION] - flow[WAY]
     if distance < 0:
-        steps = (0 - distance + 0x3FFFF) >> 18
+        steps = (0 - distance + _STEP_FRACTION) >> 18  # whole steps, rounded up
         distance += steps << 18
         flow[WHOLE] = flow[WHOLE] - steps
     flow[FRACTION] = distance
@@ -247,10 +256,10 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
     ramp = ring[at + RAMP]
     top = ring[at + CRUISE]
     speed = flow[NOW]
-    unit = 18 if flow[WHOLE] < 4095 else 0
+    unit = 18 if flow[WHOLE] < _COUNTED else 0
     rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else HIGHEST
     room = rest
-    due = 0
+    due = 0  # 1: braking has to begin
     leave = int(look_ahead(flow, ring, scale))
     if leave > top:
         leave = top
@@ -271,7 +280,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 slack += way if way < slack else slack
             else:
                 slack -= way
-                if slack <= (speed >> 8 if unit else (way >> 12) + 1):
+                if slack <= (speed >> 8 if unit else (way >> 12) + 1):  # 1/256 segment
                     due = 1
         if due == 0 and speed <= top:
             if unit == 0:
@@ -280,22 +289,23 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 slack = (slack + 1) >> 1
             if slack < rest:
                 room = slack
-    part = flow[LEFT]
+    time = flow[LEFT]
     if due:
-        part = int(brake(flow, ramp, leave, rest))
+        time = int(brake(flow, ramp, leave, rest))
     elif speed != top:
-        part = int(change_speed(flow, ramp, top, room))
+        time = int(change_speed(flow, ramp, top, room))
     else:
-        flow[WAY] = speed if part == 131072 else int(times(speed, part))
+        flow[WAY] = speed if time == FULL_TIME else int(times(speed, time))
         if room <= flow[WAY]:
             flow[WAY] = room
-            part = int(share(room, speed))
-    return int(add_piece(flow, part))
+            time = int(share(room, speed))
+    return int(add_piece(flow, time))
 
 
 @micropython.viper
 def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
-    """Return 1 where there is a segment to plan: a block, which no hold has stopped."""
+    """Return 1 where there is a segment to plan, else 0: a block, loaded here if none is, which no
+    hold has stopped."""
     if flow[LOADED]:
         return 0 if flow[HOLD] and flow[NOW] == 0 else 1
     if flow[HOLD] and flow[CARRY] == 0:
@@ -314,17 +324,17 @@ def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
         return 0
     flow[REACHED] = flow[NOW]
     flow[PIECE] = PIECES
-    flow[LEFT] = 131072
+    flow[LEFT] = FULL_TIME
     flow[ADVANCE] = 0
-    span = 131072
-    going = 1
-    while going and not (flow[HOLD] and flow[NOW] == 0):
+    span = FULL_TIME
+    more = 1  # the block has distance left
+    while more and not (flow[HOLD] and flow[NOW] == 0):
         if flow[LEFT] <= _SPLINTER:
             if flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span == _LONGEST:
                 break
-            flow[LEFT] = flow[LEFT] + 131072
-            span += 131072
-        going = int(next_piece(flow, ring, table[ROOT_SCALE]))
+            flow[LEFT] = flow[LEFT] + FULL_TIME
+            span += FULL_TIME
+        more = int(next_piece(flow, ring, table[ROOT_SCALE]))
     flow[TIME] = span - flow[LEFT]
     flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
     flow[PIECE] = PIECES
@@ -339,8 +349,8 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
         if int(plan(flow, ring, table)) == 0:
             return 0
     steps = int(next_row(flow, row, table[SEGMENT_LOG2]))
-    going = flow[SLICES] or flow[WHOLE] or flow[FRACTION]
-    if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:
+    more = flow[SLICES] or flow[WHOLE] or flow[FRACTION]  # 0: the block ends with this row
+    if steps == 0 and more and flow[HOLD] and flow[NOW] == 0:
         return 0  # held: stopped between two steps
     at = flow[AT]
     row[ROW_DIRS] = ring[at + DIRS]
@@ -348,7 +358,7 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
     if ring[at + FLAGS] & DYNAMIC:
         row[ROW_POWER] = int(scaled_power(table, row[ROW_POWER], int(speed_share(flow, ring))))
     place_steps(flow, ring, row, table[MOTOR_COUNT], steps)
-    if going == 0:
+    if more == 0:
         flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))
         flow[LOADED] = 0
         if flow[SYSTEM]:

@@ -50,10 +50,12 @@ class Segments:
     def progress(self) -> int:
         """Return a number that changes as motion is executed."""
         flow = self._flow
+        # Any mixture of the three: two such numbers are only compared.
         return flow[layout.TAIL] ^ flow[layout.WHOLE] << 6 ^ flow[LOADED] << 5
 
     def begin_system(self) -> None:
-        """Save the stopped block in progress, so that the system's own moves can be executed."""
+        """Save the stopped block in progress, so that the system's own moves can be executed. The
+        machine stands still; the next move begins at speed 0."""
         if self._saved is None:
             self._saved = type(self._flow)("i", self._flow)
         self._flow[LOADED] = 0
@@ -64,7 +66,7 @@ class Segments:
         """Restore the saved block in progress."""
         self._flow[layout.SYSTEM] = 0
         if self._saved is not None:
-            for i in range(LOADED, len(self._flow)):
+            for i in range(LOADED, len(self._flow)):  # the interrupt's part of the flow
                 self._flow[i] = self._saved[i]
             self._saved = None
 

@@ -34,11 +34,12 @@ from motion.layout import (
     TIME,
     WHOLE,
 )
-from motion.ramps import share, times
+from motion.ramps import FULL_TIME, share, times
 
 # In 2**-18 step: distances begin with so much too many, so that rounding never loses the last step
 # of a hold.
 STEP_BIAS = const(0x800)
+_STEP_FRACTION = const(0x3FFFF)  # a step is 1 << 18
 
 
 @micropython.viper
@@ -56,7 +57,9 @@ def leading(gaps: int, gap: int, longer: int) -> int:
 def step_tick(row: ptr32, base: int, k: int) -> int:
     """Return the tick, from the start of the row, of step k (from 0) of the motor at row[base].
 
-    k beyond the last step continues with gaps of the shorter kind.
+    row[base] is its number of steps; the ticks of the first and of the last follow. The gaps
+    between steps differ by at most one tick: see leading(). k beyond the last step continues with
+    gaps of the shorter kind.
     """
     tick = row[base + 1]
     gaps = row[base] - 1
@@ -65,11 +68,11 @@ def step_tick(row: ptr32, base: int, k: int) -> int:
     span = row[base + 2] - tick
     gap = span // gaps
     longer = span - gap * gaps
-    front = int(leading(gaps, gap, longer))
-    tick += gap * k + (k if k < front else front)
-    k -= gaps - longer + front  # of the longer gaps at the end, so many are before the step
+    first_longer = int(leading(gaps, gap, longer))
+    tick += gap * k + (k if k < first_longer else first_longer)
+    k -= gaps - longer + first_longer  # of the longer gaps at the end, so many are before the step
     if k > 0:
-        tick += k if k < longer - front else longer - front
+        tick += k if k < longer - first_longer else longer - first_longer
     return tick
 
 
@@ -83,6 +86,7 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
     the half of rounding: a row of n steps in t ticks is off by n**2 / 8t steps (leading()), so a
     full segment of 2**log2 ticks and n steps, up to 4095, takes n**2 / 2**(log2 + 1) rows.
     """
+    # The segment's lowest and highest speed: its first, and that at the end of each piece.
     slow = flow[REACHED]
     fast = slow
     at = PIECES
@@ -93,13 +97,13 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
             slow = speed
         if speed > fast:
             fast = speed
-    if flow[TIME] > 131072:
+    if flow[TIME] > FULL_TIME:
         return 1  # it is so long for the sake of one step
     shortest = table[SLICE]
     if dynamic:
-        shortest -= shortest >> 2
+        shortest -= shortest >> 2  # a quarter shorter
     count = (flow[TIME] + (shortest >> 1)) // shortest or 1
-    slight = fast >> (8 if dynamic else 5)
+    slight_change = fast >> (8 if dynamic else 5)
     steps = fast >> 18
     log2 = table[SEGMENT_LOG2]
     least = (steps * steps + (1 << log2)) >> (log2 + 1)
@@ -107,14 +111,15 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
         least = 1
     if least > count:
         least = count
-    while count > 1 and fast - slow <= slight * (count >> 1):
-        count >>= 1
+    while count > 1 and fast - slow <= slight_change * (count >> 1):
+        count >>= 1  # half as many rows are still even enough
     return count if count > least else least
 
 
 @micropython.viper
 def is_alone(flow: ptr32, motors: int) -> int:
-    """Whether the block's steps left are those of one motor, which has no line to leave."""
+    """Return 1 if the block's steps left are those of one motor, which has no line to leave, else
+    0."""
     moving = 0
     for i in range(motors):
         if flow[MOTORS + 2 * i]:
@@ -124,7 +129,8 @@ def is_alone(flow: ptr32, motors: int) -> int:
 
 @micropython.viper
 def travel(flow: ptr32, part: int) -> int:
-    """Consume the segment's pieces for the time part. Returns the distance.
+    """Consume the segment's pieces for the time part, 2**-17 of a full segment. Returns the
+    distance, in 2**-18 step, and leaves the speed at its end in REACHED.
 
     A piece that lasts longer is split: its speed there is speed + (end - speed) * part / time,
     with both times in units of 64, so that the product fits.
@@ -155,15 +161,17 @@ def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
     It has at least one step of the longest axis, so slices are merged at low speed; the last row
     gets all that is left, also where the rest would make no step.
     """
+    # Whole steps are counted from the last row's end: PARTIAL is the distance since its last step.
     distance = 0
     time = 0
     steps = 0
     while flow[SLICES] > 1 and steps == 0:
-        part = flow[TIME] // flow[SLICES] >> 6 << 6  # times() and travel() are exact for these
+        # A multiple of 64: times() and travel() are exact for these.
+        slice_time = flow[TIME] // flow[SLICES] >> 6 << 6
         flow[SLICES] = flow[SLICES] - 1
-        flow[TIME] = flow[TIME] - part
-        time += part
-        distance += int(travel(flow, part))
+        flow[TIME] = flow[TIME] - slice_time
+        time += slice_time
+        distance += int(travel(flow, slice_time))
         steps = (flow[PARTIAL] + distance) >> 18
     if steps == 0 or steps >= (flow[PARTIAL] + flow[ADVANCE]) >> 18:
         distance = flow[ADVANCE]
@@ -185,11 +193,12 @@ def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
     distance += flow[PARTIAL]
     ticks += flow[SPARE]
     steps = distance >> 18
-    rest = distance & 0x3FFFF
+    rest = distance & _STEP_FRACTION
     flow[PARTIAL] = rest
     flow[SPARE] = 0
     if rest > STEP_BIAS and steps:
         part = int(share(steps << 18, distance))
+        # ticks * part >> 17, in halves so that the products fit.
         whole_ticks = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
         flow[SPARE] = ticks - whole_ticks
         ticks = whole_ticks
@@ -214,35 +223,36 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
     events <<= 3
     ticks = row[ROW_TICKS]
     ratios = flow[AT] + STEPS + motors
-    last = flow[WHOLE] == 0 and flow[FRACTION] == 0 and flow[SLICES] == 0
+    last = flow[WHOLE] == 0 and flow[FRACTION] == 0 and flow[SLICES] == 0  # row of the block
     # ticks may have 27 bits: 18 are kept, for the products below.
-    long = 0
-    while ticks >> long >= 1 << 18:
-        long += 1
+    dropped = 0
+    while ticks >> dropped >= 1 << 18:
+        dropped += 1
     for i in range(motors):
         ratio = ring[ratios + i]
         phase = flow[MOTORS + 2 * i + 1]
         gain = ((events * (ratio >> 15)) << 1) + ((events * (ratio & 32767)) >> 14)
         steps = (phase + gain) >> 18
-        left = flow[MOTORS + 2 * i]
-        if last or steps > left:
-            steps = left
+        steps_left = flow[MOTORS + 2 * i]
+        if last or steps > steps_left:
+            steps = steps_left
         at = ROW_AXES + ROW_STRIDE * i
         row[at] = steps
-        flow[MOTORS + 2 * i] = left - steps
-        flow[MOTORS + 2 * i + 1] = (phase + gain) & 0x3FFFF
+        flow[MOTORS + 2 * i] = steps_left - steps
+        flow[MOTORS + 2 * i + 1] = (phase + gain) & _STEP_FRACTION
         scale = 0
         while gain >= 1 << 21:
             gain >>= 1
             scale += 1
-        for k in range(2 if steps else 0):
+        for k in range(2 if steps else 0):  # its first step, then its last
+            # The phase still to go to that step.
             part = (((steps if k else 1) << 18) - phase) >> scale
             if part < gain:
                 # ticks * part / gain, ticks as two digits of 9 bits; gain has 21 bits at most.
-                coarse = (ticks >> long >> 9) * part
+                coarse = (ticks >> dropped >> 9) * part
                 quotient = coarse // gain
-                rest = ((coarse - quotient * gain) << 9) + ((ticks >> long) & 511) * part
-                part = ((quotient << 9) + (rest + (gain >> 1)) // gain) << long
+                rest = ((coarse - quotient * gain) << 9) + ((ticks >> dropped) & 511) * part
+                part = ((quotient << 9) + (rest + (gain >> 1)) // gain) << dropped
             else:
                 part = ticks
             row[at + 1 + k] = part
@@ -262,11 +272,11 @@ def scaled_power(table: ptr32, full: int, part: int) -> int:
     full: the power at all of it, in 1/64; POWER_FLOOR and below give the least power, 1. As Grbl's
     laser mode: linear in the speed, never 0 while S is not.
     """
-    if part < 131072:
+    if part < FULL_TIME:
         full = int(times(full, part))
     if full == 0:
         return 0
     if full <= table[POWER_FLOOR]:
         return 1
-    full = ((full - table[POWER_FLOOR]) >> 6) + 1
+    full = ((full - table[POWER_FLOOR]) >> 6) + 1  # from 1/64, above the least
     return full if full < table[POWER_MAX] else table[POWER_MAX]

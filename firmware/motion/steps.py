@@ -6,6 +6,7 @@ Viper, for plan_kernel.py. layout.py has the places in ring and table.
 
 import micropython
 from base.float32_math import SMALL, mantissa_product
+from micropython import const
 
 from motion.layout import (
     AXES,
@@ -20,7 +21,12 @@ from motion.layout import (
     STEPS,
     TARGET,
 )
-from motion.minifloat import LIMIT, pack, square_root
+from motion.minifloat import LIMIT, MANTISSA, pack, square_root
+
+_BIAS = const(0x20000000)  # 2**29, added to positions in the table
+_FARTHEST = const(0x1FFFFFFF)  # 2**29 - 1 steps
+_FRACTION = const(0x7FFFFF)  # the stored bits of a float's mantissa
+_LEADING = const(0x800000)  # its leading 1
 
 
 @micropython.viper
@@ -36,26 +42,28 @@ def to_steps(target: ptr32, table: ptr32) -> int:
     resolution = LIMITS + RESOLUTION * axes
     signs = ptr8(target)
     for i in range(axes):
+        # mm * steps/mm = product * 2**(exponent - 23). 253: two biases, less 1, because a
+        # product is from 2 to 4.
         a = target[i] & 0x3FFFFFFF
-        high = (signs[4 * i + 3] & 0x40) << 24
+        high = (signs[4 * i + 3] & 0x40) << 24  # bit 30
         b = table[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 253
-        product = int(mantissa_product((a & 0x7FFFFF) | 0x800000, (b & 0x7FFFFF) | 0x800000))
+        product = int(mantissa_product((a & _FRACTION) | _LEADING, (b & _FRACTION) | _LEADING))
         if product & SMALL:
             product ^= SMALL
             exponent -= 1
         if exponent > 28:
             inside = 0
-            product = 0x1FFFFFFF  # as far as it goes, on the right side
+            product = _FARTHEST  # as far as it goes, on the right side
         elif exponent >= 23:
             product <<= exponent - 23
-        elif exponent >= -1:
+        elif exponent >= -1:  # half a step or more: one bit of the fraction decides
             product = ((product >> (22 - exponent)) + 1) >> 1
         else:
             product = 0
         if signs[4 * i + 3] & 0x80:
             product = 0 - product
-        table[resolution + axes + i] = 0x20000000 + product
+        table[resolution + axes + i] = _BIAS + product  # TARGET follows RESOLUTION
     return inside
 
 
@@ -67,8 +75,8 @@ def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
     """
     steps = 0
     for i in range(axes):
-        turns = ((moves >> i) & 1) - ((moves >> (i + REVERSE)) & 1)
-        steps += turns * (places[at + i] - places[at + axes + i])
+        direction = ((moves >> i) & 1) - ((moves >> (i + REVERSE)) & 1)
+        steps += direction * (places[at + i] - places[at + axes + i])
     return steps
 
 
@@ -81,24 +89,26 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
     limit(). EVENTS: steps of the motor that makes the most; 0: nothing is to move.
     """
     axes = table[AXES]
+    # Places in the table.
     distance = LIMITS + 5 * axes
     target = LIMITS + TARGET * axes
     moves = LIMITS + MOVES * axes
-    top = 0
+    largest_exponent = 0
     dirs = 0
     events = 0
     for i in range(table[MOTOR_COUNT]):
-        does = table[moves + i]
-        if does == 1 << i:
+        moved = table[moves + i]
+        if moved == 1 << i:  # the common case: it turns the axis of its number
             steps = table[target + i] - table[target + axes + i]
         else:
-            steps = int(motor_steps(table, target, axes, does))
+            steps = int(motor_steps(table, target, axes, moved))
         if steps < 0:
             dirs |= 1 << i
             steps = 0 - steps
         ring[at + STEPS + i] = steps
         if i >= axes:
             continue  # a second motor of an axis goes the distance of the first
+        # The real steps * mm per step.
         mantissa = 0
         exponent = 0
         if steps:
@@ -107,13 +117,13 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
                 mantissa >>= 1
                 exponent += 1
             mm_per_step = table[LIMITS + 3 * i]
-            mantissa *= mm_per_step & 32767
+            mantissa *= mm_per_step & MANTISSA
             exponent += mm_per_step >> 15
             while mantissa >= LIMIT:
                 mantissa >>= 1
                 exponent += 1
-            if exponent > top:
-                top = exponent
+            if exponent > largest_exponent:
+                largest_exponent = exponent
             if steps > events:
                 events = steps
         table[distance + i] = (exponent << 15) + mantissa
@@ -122,11 +132,11 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
     for i in range(axes):
         mantissa = table[distance + i]
         if mantissa:
-            shift = top - (mantissa >> 15) + 1
-            mantissa = (mantissa & 32767) >> shift if shift < 15 else 0
+            shift = largest_exponent - (mantissa >> 15) + 1
+            mantissa = (mantissa & MANTISSA) >> shift if shift < 15 else 0
             squares += mantissa * mantissa
     ring[at + EVENTS] = events
     ring[at + DIRS] = dirs
     if events:
-        ring[at + LENGTH] = int(pack(int(square_root(squares)), top + 1))
+        ring[at + LENGTH] = int(pack(int(square_root(squares)), largest_exponent + 1))
     return events

@@ -43,7 +43,7 @@ _PWM_2350 = const(0x400A8000)
 _SLICE = const(0x14)  # bytes from one slice to the next; two pins each
 _COMPARE = const(0x0C)  # compare levels of both its pins
 _TOP = const(0x10)
-_BOTH = const(0x10001)
+_BOTH = const(0x10001)  # factor: a level in the lower 16 bits becomes that of both pins
 
 _LAST_OF_8 = const(31)  # pins above have slices from the ninth on (RP2350B)
 
@@ -55,8 +55,9 @@ _BYTES = const(1024)  # size of the ring of levels, which is aligned to its size
 def slice_of(pin: int) -> int:
     """Return the address of a pin's PWM slice."""
     base = _PWM_2350 if "RP2350" in sys.implementation._machine else _PWM
-    which = pin >> 1 & 3 | 8 if RP2350 and pin > _LAST_OF_8 else pin >> 1 & 7
-    return base + _SLICE * which
+    # Two neighbouring pins share a slice: eight slices, or on an RP2350B 8 to 11 for pins above.
+    number = pin >> 1 & 3 | 8 if RP2350 and pin > _LAST_OF_8 else pin >> 1 & 7
+    return base + _SLICE * number
 
 
 class BeamEngine(PioEngine):
@@ -80,6 +81,7 @@ class BeamEngine(PioEngine):
         self._engine_state[MOTORS] = len(step)
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
+        """Return a lane's state machine: of a motor, or for the last lane of the beam."""
         if axis < len(self._step):
             return super()._make_machine(axis)
         import rp2
@@ -106,12 +108,12 @@ class BeamEngine(PioEngine):
         mover.config(read=memory, write=unused)
         address, self._nowhere = (machine.mem32[mover_at + 4 * n] for n in (READ, WRITE))
         self._ring = (address + _BYTES - 1) // _BYTES * _BYTES
-        first = (self._ring - address) // 4
+        first = (self._ring - address) // 4  # index of the ring's first word in memory
         self.levels = memoryview(memory)[first : first + _BYTES // 4]
         self._nothing = unused  # DMA has only its address: the reference keeps it allocated
         number = lane & IN_BLOCK
         control = taker.pack_ctrl(
-            size=2,
+            size=2,  # words of 32 bits
             inc_read=False,
             inc_write=False,
             treq_sel=_RX + lane + (lane & 4),  # DREQ of the RX FIFO: 4 to 7, PIO 1's 12 to 15
@@ -122,7 +124,7 @@ class BeamEngine(PioEngine):
         control = mover.pack_ctrl(
             size=2,
             inc_write=False,
-            ring_size=bm.LEVELS_LOG2 + 2,
+            ring_size=bm.LEVELS_LOG2 + 2,  # log2 of its bytes
             treq_sel=_UNPACED,
             chain_to=taker.channel,
         )

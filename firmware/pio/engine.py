@@ -67,8 +67,8 @@ class PioEngine:
     """A StepEngine on PIO. step, direction: pin numbers per axis; hold_us, setup_us: of DIR after
     and before a step.
 
-    on_fault: called in the interrupt if that has failed, to switch the tool off. It must be a
-    leaf, because next to no stack may be left.
+    on_fault: called in the interrupt if that has failed, to switch the tool off. It must call
+    nothing, because next to no stack may be left.
     """
 
     tick_hz = _TICK_HZ
@@ -88,6 +88,7 @@ class PioEngine:
         self._direction = direction
         self._hold_us = hold_us
         self._setup_us = setup_us
+        # The control register of pin 0, and the place of OUTOVER in it.
         self._pin_control, self._invert_shift = 0x40014004, 8
         lanes, most, rp2350 = len(step) + more_lanes, _MOST, False
         if s.RP2350:
@@ -117,6 +118,7 @@ class PioEngine:
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
+        """Return the state machine of a motor, on its pins. It is started later."""
         import rp2
 
         from pio import programs
@@ -130,13 +132,14 @@ class PioEngine:
         )
 
     def _make_lane(self, axis: int) -> "tuple[rp2.StateMachine, rp2.DMA]":
+        """Return a lane's state machine, and the DMA channel that copies its ring to the FIFO."""
         import rp2
 
         stepper = self._make_machine(axis)
         channel = rp2.DMA()
         control = channel.pack_ctrl(
             size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis + (axis & 4)
-        )
+        )  # words of 32 bits; DREQ of the TX FIFO: 0 to 3, PIO 1's 8 to 11
         ring = self._engine_state[s.WORDS] + (4 * axis << pulses.RING_LOG2)
         channel.config(read=ring, write=stepper, ctrl=control)
         self._memory.connect(axis, channel.channel)
@@ -169,6 +172,7 @@ class PioEngine:
             self._invert(self._direction[i], dir_invert >> i & 1)
 
     def _invert(self, pin: int, invert: int) -> None:
+        """Invert a pin's output (1) or not (0), by OUTOVER of its control register."""
         address = self._pin_control + 8 * pin
         others = machine.mem32[address] & ~(3 << self._invert_shift)
         machine.mem32[address] = others | invert << self._invert_shift
@@ -213,8 +217,9 @@ class PioEngine:
         """Set the present position, also of locked motors. Only while idle."""
         lanes = self._memory.lanes
         for i in range(len(self._step)):
-            at, here = pulses.LANE * i, steps[i]
-            lanes[at + pulses.END] = lanes[at + pulses.PLACE] = lanes[at + pulses.FROZEN] = here
+            lane, place = pulses.LANE * i, steps[i]
+            lanes[lane + pulses.END] = lanes[lane + pulses.PLACE] = place
+            lanes[lane + pulses.FROZEN] = place
 
     @micropython.viper
     def _refill(self, _source: object) -> int:

@@ -50,6 +50,13 @@ _SET_X = const(0xE020)  # five bits are added
 _SHIFT_IN = const(0x4025)  # shifts them into ISR from below
 _STEP_LOW = const(0xE000)
 
+_LEVEL = const(15)  # FLEVEL has 8 bits per machine: the lower four are its TX FIFO's words
+_ADDRESS = const(31)  # a program's address has five bits
+_TO_US = const(12)  # divides ticks into us: 12.5 of them, rounded down
+# A mask of machines times this is a value for CTRL: bits 0 to 3 enable them, bits 8 to 11 restart
+# their dividers.
+_ENABLE_RESTART = const(0x101)
+
 _CLOCK_INSTR = const(reg.MACHINES + reg.SM * s.CLOCK + reg.INSTR)
 _CLOCK_OVERHEAD = const(4)  # ticks of its loop in addition to the count
 
@@ -57,9 +64,12 @@ _CLOCK_OVERHEAD = const(4)  # ticks of its loop in addition to the count
 @micropython.viper
 def read_progress(state: ptr32) -> int:
     """Update the state from what the hardware has played. Returns the power to set, or
-    KEEP_POWER."""
+    KEEP_POWER.
+
+    The clock has read `beat` of its words. A row ends with the word whose number is row[ends].
+    """
     pio = ptr32(state[s.CLOCK_PIO])
-    level = (pio[reg.FLEVEL] >> 8 * s.CLOCK) & 15
+    level = (pio[reg.FLEVEL] >> 8 * s.CLOCK) & _LEVEL
     beat = state[s.BEATS] - level
     ends = ROW_AXES + ROW_STRIDE * state[s.AXES] + 2
     row = ptr32(state[s.ROW + (state[s.BEGUN] & s.LAST_ROW)])
@@ -130,7 +140,7 @@ def _prepare(state: ptr32) -> int:
     timing = ptr32(state[s.TIMING])
     timer = ptr32(state[s.TIMER])
     patience = 1000
-    while ((timer[0] & MASK) - state[s.END_US]) & MASK <= timing[PULSE] // 12 + 1 and patience:
+    while ((timer[0] & MASK) - state[s.END_US]) & MASK <= timing[PULSE] // _TO_US + 1 and patience:
         patience -= 1  # let the last pulses end at their full length
     first = state[s.OURS]
     second = state[s.OURS + 1]
@@ -141,15 +151,15 @@ def _prepare(state: ptr32) -> int:
     if s.RP2350 and state[s.THIRD]:
         clock[reg.CTRL + reg.CLEAR] = state[s.THIRD]
         clock[reg.CTRL + reg.SET] = state[s.THIRD] << 4
-    while (clock[reg.FLEVEL] >> 8 * s.CLOCK) & 15:
+    while (clock[reg.FLEVEL] >> 8 * s.CLOCK) & _LEVEL:
         clock[_CLOCK_INSTR] = _PULL
     patience = 1000
     for i in range(axes):
         player = ptr32(lanes[LANE * i + MACHINE])
         pio = ptr32(state[s.PIO0 + (i >> s.BLOCK_LOG2)])
         dma = ptr32(state[s.DMA + i])
-        level = 8 * (i & s.IN_BLOCK)
-        while patience and (dma[reg.STATUS] & state[s.BUSY] or (pio[reg.FLEVEL] >> level) & 15):
+        bit = 8 * (i & s.IN_BLOCK)  # the first bit of its level in FLEVEL
+        while patience and (dma[reg.STATUS] & state[s.BUSY] or (pio[reg.FLEVEL] >> bit) & _LEVEL):
             player[reg.INSTR] = _PULL
             patience -= 1
     if patience == 0:
@@ -168,7 +178,7 @@ def _prepare(state: ptr32) -> int:
         lanes[lane + DIR] = (levels >> (player[reg.PINCTRL] & 31)) & 1
         _load(player, timing[PULSE] - 3)  # the program adds 3 ticks to ISR
         player[reg.INSTR] = _STEP_LOW
-        player[reg.INSTR] = (player[reg.EXECCTRL] >> 7) & 31  # jmp to WRAP_BOTTOM, the start
+        player[reg.INSTR] = (player[reg.EXECCTRL] >> 7) & _ADDRESS  # jmp to WRAP_BOTTOM, the start
     clock[_CLOCK_INSTR] = state[s.CLOCK_AT] - 1  # jmp to the irq before the clock's pull
     state[s.END_US] = 0
     state[s.END_REST] = 0
@@ -182,8 +192,9 @@ def feed(state: ptr32) -> int:
     axes = state[s.AXES]
     space = s.CLOCK_FIFO
     if state[s.RUNNING]:
+        # us until the words handed over end, negative if they have ended.
         left = (state[s.END_US] - (ptr32(state[s.TIMER])[0] & MASK)) & MASK
-        if left >= NEGATIVE or left < _MARGIN + ptr32(state[s.TIMING])[KEEP] // 12:
+        if left >= NEGATIVE or left < _MARGIN + ptr32(state[s.TIMING])[KEEP] // _TO_US:
             return 0  # too late: all machines are restarted once the last has stopped
         for i in range(axes):
             if (
@@ -191,7 +202,7 @@ def feed(state: ptr32) -> int:
                 and (state[s.LOCKED] >> i) & 1 == 0
             ):
                 return 0
-        space -= (ptr32(state[s.CLOCK_PIO])[reg.FLEVEL] >> 8 * s.CLOCK) & 15
+        space -= (ptr32(state[s.CLOCK_PIO])[reg.FLEVEL] >> 8 * s.CLOCK) & _LEVEL
         if space == 0:
             return 0
     else:
@@ -203,7 +214,7 @@ def feed(state: ptr32) -> int:
     while fed != state[s.MADE] and count < space:
         row = ptr32(state[s.ROW + (fed & s.LAST_ROW)])
         ticks = row[ROW_TICKS]
-        long = ticks >= 2 * LEAD
+        long = ticks >= 2 * LEAD  # it takes two of the clock's words
         if long and count + 1 == space:
             break
         late = int(convert(row, state[s.LANES], state[s.WORDS], state[s.TIMING]))
@@ -273,24 +284,24 @@ def _start_transfer(state: ptr32, fed: int, count: int) -> int:
 
 @micropython.viper
 def _launch(state: ptr32, fed: int) -> int:
-    """Start all machines within one tick, and add the present time to the times of rows, which
-    were counted from 0."""
+    """Start all machines within one tick, and add the present time to the times of rows up to
+    `fed`, which were counted from 0."""
     axes = state[s.AXES]
     for i in range(axes):
         pio = ptr32(state[s.PIO0 + (i >> s.BLOCK_LOG2)])
         patience = 100
-        while (pio[reg.FLEVEL] >> 8 * (i & s.IN_BLOCK)) & 15 == 0 and patience:
+        while (pio[reg.FLEVEL] >> 8 * (i & s.IN_BLOCK)) & _LEVEL == 0 and patience:
             patience -= 1  # wait for DMA to write the first word
     now = ptr32(state[s.TIMER])[0] & MASK
-    first = state[s.OURS] * 0x101  # bits 0 to 3 enable, bits 8 to 11 restart the divider
-    second = state[s.OURS + 1] * 0x101
+    first = state[s.OURS] * _ENABLE_RESTART
+    second = state[s.OURS + 1] * _ENABLE_RESTART
     pio = ptr32(state[s.PIO0] + 4 * (reg.CTRL + reg.SET))
     clock = ptr32(state[s.CLOCK_PIO] + 4 * (reg.CTRL + reg.SET))
     other = clock
     third = 0
     if s.RP2350:
         other = ptr32(state[s.PIO1] + 4 * (reg.CTRL + reg.SET))
-        third = state[s.THIRD] * 0x101
+        third = state[s.THIRD] * _ENABLE_RESTART
     # No interrupt can come in between (_start_transfer masks them). The writes compile to nine
     # cycles, a tick has ten; with the third, an RP2350's tick has twelve.
     pio[0] = first

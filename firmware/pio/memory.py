@@ -18,10 +18,12 @@ from pio.pulses import LANE, MACHINE
 
 @micropython.viper
 def _make_address(memory: ptr8) -> int:
+    """Return the address of an array's data, which viper passes as a pointer."""
     return int(memory)  # type: ignore[call-overload, no-any-return]
 
 
 def _make_array(length: int) -> "array[int]":
+    """Return an array of so many integers (32 bits), all 0."""
     return array("i", (0 for _ in range(length)))
 
 

@@ -28,11 +28,14 @@ if TYPE_CHECKING:
 # lower value comes first.
 _PRIORITIES = const(0xE000E400)
 _FIRST = const(0x40)
+_PINS_IRQ = const(13)  # number of the pins' interrupt, IO_IRQ_BANK0
+_PINS_IRQ_2350 = const(21)
 
 # The watchdog's control register, and the offset of its alias where ones clear bits.
 _WATCHDOG = const(0x40058000)
 _WATCHDOG_2350 = const(0x400D8000)
 _CLEAR = const(0x3000)
+_WATCHDOG_ENABLE = const(1 << 30)
 
 # The control register of pin 0, in the alias where ones set bits; bytes from one pin to the next;
 # words to the alias where ones clear bits. Its field OUTOVER says what comes out: 0 the output as
@@ -118,8 +121,9 @@ class GpioPort(PortPins):
             _release(self._pads, self._all_bits)
 
     def _begin_pulses(self, index: int, hz: int) -> PWM:
-        """Start PWM on an output of an extra. ValueError on a conflict: the two pins of a slice
-        have one frequency, and two pins of the same channel of a slice have the same pulses."""
+        """Start PWM on an output of an extra, by its index. ValueError on a conflict: the two pins
+        of a slice have one frequency, and two pins of the same channel of a slice have the same
+        pulses. Which pins share a slice: see _SLICES."""
         own = self._own_numbers[index]
         others: "list[tuple[int | None, int]]" = list(zip(self._own_numbers, self._own_hz))
         slices = _SLICES
@@ -149,7 +153,7 @@ class GpioPort(PortPins):
             watchdog: "Callable[[], None]" = machine.WDT(timeout=timeout_ms).feed
             return watchdog
         # MicroPython cannot stop the watchdog; clearing its enable bit can.
-        machine.mem32[(_WATCHDOG_2350 if _is_rp2350() else _WATCHDOG) + _CLEAR] = 1 << 30
+        machine.mem32[(_WATCHDOG_2350 if _is_rp2350() else _WATCHDOG) + _CLEAR] = _WATCHDOG_ENABLE
         return None
 
 
@@ -167,6 +171,7 @@ def _levels(gpio_in: ptr32, pins: ptr8, count: int, inverted: int) -> int:
 
 @micropython.viper
 def _release(pads: ptr32, bits: int) -> int:
+    """Clear these bits of all pads' control registers. pads: the table of kill()."""
     pads[0] = 0
     i = 1
     while pads[i]:
@@ -178,8 +183,8 @@ def _release(pads: ptr32, bits: int) -> int:
 
 def _make_urgent() -> None:
     """Give the interrupt of pins a higher priority than all others have."""
-    number = 21 if _is_rp2350() else 13
-    address = _PRIORITIES + number // 4 * 4
+    number = _PINS_IRQ_2350 if _is_rp2350() else _PINS_IRQ
+    address = _PRIORITIES + number // 4 * 4  # of the word with the interrupt's byte
     shift = number % 4 * 8
     others = machine.mem32[address] & ~(0xFF << shift)
     machine.mem32[address] = others | _FIRST << shift

@@ -119,7 +119,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     late = 0
     for i in range(timing[AXES]):
         base = ROW_AXES + ROW_STRIDE * i
-        if row[base]:
+        if row[base]:  # lack: by how much its first step would be too early
             lack = _FETCH - lanes[LANE * i + CARRY] - row[base + _FIRST]
             if (row[ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
                 lack += _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
@@ -241,11 +241,11 @@ def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
             longer = span - gap * (made - 1)
             front = int(leading(made - 1, gap, longer))
             rest = tick - row[base + _FIRST]
-            behind = span - rest  # ticks before the last step
+            ticks_to_last = span - rest  # ticks before the last step
             if rest < front * (gap + 1):
                 made = rest // (gap + 1) + 1
-            elif behind <= (longer - front) * (gap + 1):
-                made -= (behind + gap) // (gap + 1)
+            elif ticks_to_last <= (longer - front) * (gap + 1):
+                made -= (ticks_to_last + gap) // (gap + 1)
             else:
                 made = (rest - front) // gap + 1
         steps[i] = start[i] - made if (row[ROW_DIRS] >> i) & 1 else start[i] + made

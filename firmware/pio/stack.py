@@ -23,6 +23,7 @@ _CALLS = const(256)  # bytes that paint() itself and its calls may use
 
 @micropython.viper
 def _fill(words: ptr32, count: int) -> int:
+    """Write the pattern into so many words from an address on."""
     for i in range(count):
         words[i] = _PATTERN
     return 0
@@ -38,6 +39,7 @@ def _untouched(words: ptr32, count: int) -> int:
 
 
 def _bottom() -> int:
+    """Return the lowest address of the stack, which grows downwards."""
     return (_TOP_2350 if "RP2350" in sys.implementation._machine else _TOP) - SIZE
 
 

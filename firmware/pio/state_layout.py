@@ -7,7 +7,7 @@ registers in registers.py.
 from micropython import const
 
 # Whether the chip may be an RP2350, which has a third PIO. A build for an RP2040 sets 0 here
-# (tools/compiling/for_chip.py), and the code for a third PIO is left out.
+# (tools/compiling/build.py), and the code for a third PIO is left out.
 RP2350 = const(1)
 
 HALF_TICKS_PER_US = const(25)  # a tick is 80 ns

@@ -18,6 +18,9 @@ from pio.pulses import END, FROZEN, LANE, MACHINE, PLACE, SENT, places, undone
 _SAVE_X = const(0xA0C1)
 _PUSH = const(0x8000)
 _FIFO = const(4)  # words that a FIFO holds
+_LEVEL = const(15)  # FLEVEL has 8 bits per machine: the lower four are its TX FIFO's words
+_ADDRESS = const(31)  # a program's address has five bits
+_LONGEST_US = const(1 << 20)  # no row is that long
 
 # The interrupt may be late by so much: writing a flash page takes less.
 _PATIENCE_US = const(50_000)
@@ -25,7 +28,12 @@ _PATIENCE_US = const(50_000)
 
 @micropython.viper
 def _stopped_position(state: ptr32, axis: int) -> int:
-    """Return the position of a machine that has just been stopped."""
+    """Return the position of a lane's motor, whose machine has just been stopped, in steps.
+
+    It is the position at the end of all words sent, less the steps not made: those of words in
+    DMA and in the FIFO, and those left of the word in the machine. X, which counts them, is read
+    by pushing it into the machine's RX FIFO.
+    """
     pio = ptr32(state[s.PIO0 + (axis >> s.BLOCK_LOG2)])
     number = axis & s.IN_BLOCK
     dma = ptr32(state[s.DMA + axis])
@@ -42,16 +50,16 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     patience = 100
     while busy and waiting < _FIFO and patience:
         busy = dma[reg.STATUS] & state[s.BUSY]
-        waiting = (pio[reg.FLEVEL] >> 8 * number) & 15
+        waiting = (pio[reg.FLEVEL] >> 8 * number) & _LEVEL
         patience -= 1
-    left = dma[reg.COUNT] if busy else 0
+    left = dma[reg.COUNT] if busy else 0  # words in memory
     if patience == 0:
         state[s.FAULT] = s.JAMMED
-    at = player[reg.ADDR] - ((player[reg.EXECCTRL] >> 7) & 31)
+    address = player[reg.ADDR] - ((player[reg.EXECCTRL] >> 7) & _ADDRESS)  # in the program
     player[reg.INSTR] = _PUSH
     sent = lanes[LANE * axis + SENT]
     x = pio[reg.RXF + number]
-    return end - int(undone(state[s.WORDS], axis, sent, waiting + left, at, x))
+    return end - int(undone(state[s.WORDS], axis, sent, waiting + left, address, x))
 
 
 @micropython.viper
@@ -143,7 +151,10 @@ def fault_code(state: ptr32) -> int:
 
 @micropython.viper
 def position(state: ptr32, steps: ptr32) -> int:
-    """Copy the present position of each motor, in steps."""
+    """Copy the present position of each motor, in steps.
+
+    During motion it follows from the row that has begun last, and the time since then.
+    """
     motors = state[s.MOTORS]
     lanes = ptr32(state[s.LANES])
     begins = ROW_AXES + ROW_STRIDE * state[s.AXES]
@@ -154,7 +165,7 @@ def position(state: ptr32, steps: ptr32) -> int:
     else:
         now = ptr32(state[s.TIMER])[0] & MASK
         fed = state[s.FED]
-        passed = NEGATIVE
+        passed = NEGATIVE  # us since the row began; from NEGATIVE on it has not begun
         k = 0
         while passed >= NEGATIVE and k < s.LAST_ROW:
             k += 1
@@ -162,8 +173,8 @@ def position(state: ptr32, steps: ptr32) -> int:
             passed = (now - row[begins]) & MASK
         tick = -1  # the row has not begun yet
         if passed < NEGATIVE:
-            if passed > 1 << 20:
-                passed = 1 << 20  # or the product wraps; no row is that long (1 s)
+            if passed > _LONGEST_US:
+                passed = _LONGEST_US  # or the product wraps
             tick = (passed * s.HALF_TICKS_PER_US - row[begins + 1]) >> 1
         places(row, tick, int(row) + 4 * (begins + s.ROW_EXTRA), steps, motors)  # type: ignore[call-overload]
     for i in range(motors):

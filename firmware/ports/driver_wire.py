@@ -33,6 +33,7 @@ def of_board(board: "ModuleType") -> "DriverWire":
 
 
 def _make_uart(number: int, tx: int, rx: int) -> "Any":
+    """Return UART `number` on these pins. ValueError if it cannot use them."""
     return UART(
         number,
         _BAUD,
@@ -55,12 +56,12 @@ class DriverWire:
     def exchange(self, request: "bytes | bytearray", answer_bytes: int) -> "bytes | None":
         """Send a request and return the answer, which is short or empty if the driver did not
         answer in time. None if not even the request came back: the wire is broken."""
-        uart, sent = self._uart, len(request)
-        while uart.any():
+        uart, length = self._uart, len(request)
+        while uart.any():  # drop what came late
             uart.readinto(self._in)
         uart.write(request)
-        whole = memoryview(self._in)[: sent + answer_bytes]
-        count: int = uart.readinto(whole) or 0
-        if bytes(whole[:sent]) != bytes(request):
+        echo_and_answer = memoryview(self._in)[: length + answer_bytes]
+        count: int = uart.readinto(echo_and_answer) or 0
+        if bytes(echo_and_answer[:length]) != bytes(request):
             return None
-        return bytes(whole[sent:count])
+        return bytes(echo_and_answer[length:count])

@@ -23,7 +23,10 @@ _PATIENCE = const(3)  # Ctrl-C, so many times
 
 @micropython.viper
 def _follow(buf: ptr8, count: int, interrupts: int) -> int:
-    """Return how many times in a row Ctrl-C was received; -1 - i if byte i requests the prompt."""
+    """Return how many times in a row Ctrl-C was received; -1 - i if byte i requests the prompt.
+
+    interrupts: the result for the bytes before. CR does not end a row: mpremote sends it first.
+    """
     for i in range(count):
         byte = buf[i]
         if byte == CTRL_C:
@@ -48,15 +51,15 @@ class Escape:
 
     def listen(self, buf: bytearray, count: int) -> None:
         """Check the bytes received. Raises KeyboardInterrupt if they request the prompt."""
-        found = _follow(buf, count, self._interrupts)
-        self._interrupts = max(found, 0)
-        if found < 0 and self.at_rest():
-            at = -1 - found
-            if buf[at] == CTRL_C:
-                at += 1  # or it would interrupt the code that follows
+        result = _follow(buf, count, self._interrupts)
+        self._interrupts = max(result, 0)
+        if result < 0 and self.at_rest():
+            next_byte = -1 - result
+            if buf[next_byte] == CTRL_C:
+                next_byte += 1  # or it would interrupt the code that follows
             self._close()
-            if at < count:
-                push(bytes(buf[at:count]))  # the prompt reads the remaining bytes
+            if next_byte < count:
+                push(bytes(buf[next_byte:count]))  # the prompt reads the remaining bytes
             raise KeyboardInterrupt
 
 
@@ -68,6 +71,7 @@ class _Pusher(io.IOBase):
         self._at = 0
 
     def readinto(self, buf: bytearray) -> "int | None":
+        """Put the next byte into buf, and return 1; None after the last one."""
         if self._at == len(self._data):
             return None
         buf[0] = self._data[self._at]
@@ -82,7 +86,7 @@ class _Pusher(io.IOBase):
 
 
 def push(data: bytes) -> None:
-    """Append bytes to those received."""
+    """Append bytes to those received. dupterm_notify() makes MicroPython read the stream empty."""
     before = os.dupterm(_Pusher(data))
     os.dupterm_notify(None)
     os.dupterm(before)

@@ -48,12 +48,12 @@ class PortInputs:
         self.fault = ""  # the fault of the inputs, as text
         self.limit_invert = 0
         self._limits_enabled = False
-        self._limits_seen = 0
+        self._limits_seen = 0  # mask of the limits reported last
         # Some of these pins are disarmed until the timer reads them.
         self._limits_wait = self._sensors_wait = False
         self._looks_soon = False  # that timer is running
         self._quiet = False  # a button was pressed and may bounce
-        self._controls_seen = 0
+        self._controls_seen = 0  # mask of the controls reported last
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
         self._misses = 0  # edges of the probe that were over when it was read
@@ -62,6 +62,7 @@ class PortInputs:
         self._settle = self._settled
 
     def _make_inputs(self, board: "ModuleType") -> None:
+        """Make the pins that the board file names, and read its other options of inputs."""
         option = board.__dict__.get  # getattr() would intern the names for good
         self._without_pull: "tuple[int, ...]" = option("NO_PULL_UP", ())
         self._limits = [self._make_input(pin) for pin in option("LIMIT", ())]
@@ -83,6 +84,7 @@ class PortInputs:
         self._input_numbers = bytes(NOT_WIRED if n is None else n for n in numbers)
 
     def _make_input(self, pin: "int | None") -> "Pin | None":
+        """Return an input, with pull-up unless the board file excludes it; None of None."""
         if pin is None:
             return None
         if pin in self._without_pull:
@@ -172,8 +174,9 @@ class PortInputs:
 
     @micropython.native
     def _limit_changed(self, pin: "Pin") -> None:
+        """Report a changed limit at once, or let the timer read it after the debounce time."""
         try:
-            pin.irq().trigger(0)
+            pin.irq().trigger(0)  # disarm it
             if not self._limit_debounce_ms:
                 self._listener.on_limits()
                 self._limits_seen = self.limits()
@@ -183,6 +186,10 @@ class PortInputs:
             self._fail()
 
     def _look_at_limits(self) -> None:
+        """Arm the limits again, and report them if one has changed since then.
+
+        With a debounce time they are reported while one is closed.
+        """
         if not self._limits_enabled:
             return
         _arm(self._limits, _BOTH_EDGES)
@@ -199,8 +206,9 @@ class PortInputs:
 
     @micropython.native
     def _control_changed(self, pin: "Pin") -> None:
+        """Report a changed control input, then ignore bounces until _settled()."""
         try:
-            pin.irq().trigger(0)
+            pin.irq().trigger(0)  # disarm it
             if self._quiet and self._debounce_ms and pin is not self._estop:
                 return
             seen = self._seen_by(pin)
@@ -223,6 +231,7 @@ class PortInputs:
         return (0 if pin.value() else bit) ^ (self._control_invert & bit)
 
     def _await_quiet(self) -> None:
+        """Let the timer call _settled() after the debounce time."""
         self._quiet = True
         self._control_timer.init(
             mode=Timer.PERIODIC,
@@ -232,6 +241,7 @@ class PortInputs:
         )
 
     def _settled(self, timer: "Timer") -> None:
+        """Arm the control inputs again, and report them if they have changed meanwhile."""
         try:
             timer.deinit()
             self._quiet = False
@@ -273,24 +283,27 @@ class PortInputs:
         self._look_at_probe()
 
     def _arm_probe(self) -> None:
+        """Enable the probe's interrupt for the edge of a contact, or none if nothing watches."""
         if self._probe:
             edge = Pin.IRQ_FALLING if self._contact_level else Pin.IRQ_RISING
             self._probe.irq().trigger(edge if self._on_contact else 0)
 
     @micropython.native
     def _probe_changed(self, pin: "Pin") -> None:
+        """Report a contact if it lasts. After too many bounces disarm the pin for a while."""
         try:
             self._misses += 1  # one too many if this is the contact
-            enough = self._misses >= _MOST_MISSES
-            if enough:
+            is_bouncing = self._misses >= _MOST_MISSES
+            if is_bouncing:
                 pin.irq().trigger(0)
             self._look_at_probe()
-            if enough:
+            if is_bouncing:
                 self._look_in(0)
         except BaseException:
             self._fail()
 
     def _look_at_probe(self) -> None:
+        """Call on_contact, once, if the probe has the level that is waited for."""
         if self.probe() != self._contact_level:
             return
         on_contact = self._on_contact  # after the pin is read: an interrupt may have come first
@@ -310,7 +323,7 @@ class PortInputs:
     # Inputs of extras
 
     def sense(self) -> int:
-        """Return the levels of an extra's inputs, a bit each."""
+        """Return the levels of an extra's inputs, a bit each: 0 is closed."""
         return (1 << len(self._sensors)) - 1 ^ _mask(self._sensors)
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
@@ -322,6 +335,7 @@ class PortInputs:
 
     @micropython.native
     def _sensor_changed(self, pin: "Pin") -> None:
+        """Report a changed input of an extra. The timer arms it again."""
         try:
             pin.irq().trigger(0)
             self._sensors_wait = True
@@ -332,6 +346,7 @@ class PortInputs:
 
 
 def _arm(pins: "Iterable[Pin | None]", edges: int) -> None:
+    """Enable the pins' interrupts for these edges; 0 disarms them."""
     for pin in pins:
         if pin:
             pin.irq().trigger(edges)
@@ -339,6 +354,7 @@ def _arm(pins: "Iterable[Pin | None]", edges: int) -> None:
 
 @micropython.native
 def _mask(pins: "list[Pin | None] | tuple[Pin | None, ...]") -> int:
+    """Return a mask of the pins that are closed (pulled to ground): bit i for pins[i]."""
     mask = 0
     bit = 1
     for pin in pins:

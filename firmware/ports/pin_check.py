@@ -7,6 +7,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
+_CONTROLS = const(4)  # reset, hold, start, door: bits of CONTROL_INVERT
+
 # Names whose values are pins of the chip, tuples of pins, or custom.py's dicts of pins by name, on
 # every board; None is not wired.
 _NAMES = (
@@ -38,7 +40,7 @@ def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ..
             except (TypeError, ValueError):
                 raise ValueError("%s: there is no pin %s" % (name, pin))
     controls = board.__dict__.get("CONTROL", ())
-    for bit in range(4):
-        wired = bit < len(controls) and controls[bit] is not None
-        if board.__dict__.get("CONTROL_INVERT", 0) >> bit & 1 and not wired:
+    for bit in range(_CONTROLS):
+        is_wired = bit < len(controls) and controls[bit] is not None
+        if board.__dict__.get("CONTROL_INVERT", 0) >> bit & 1 and not is_wired:
             raise ValueError("CONTROL_INVERT: there is no input of value %d" % (1 << bit))

@@ -42,6 +42,7 @@ class PortPins(PortInputs):
         self._make_outputs(board)
 
     def _make_outputs(self, board: "ModuleType") -> None:
+        """Make the outputs of spindle and coolant that the board file names, all off."""
         option = board.__dict__.get
         inverted: "tuple[str, ...]" = option("INVERT", ())
         off = [1 if name in inverted else 0 for name in _INVERTIBLE]
@@ -61,6 +62,7 @@ class PortPins(PortInputs):
         self._direction = make(option("SPINDLE_DIR", None), self._direction_off)
 
     def _make_tool(self, number: "int | None", off: int) -> "Pin | None":
+        """Return an output that kill() switches off. off: its level then."""
         pin = _make_output(number, off)
         if pin and number is not None:
             self._tools.append((number, pin, off))
@@ -174,7 +176,7 @@ class PortPins(PortInputs):
     def rest(self, levels: int) -> None:
         """Set the levels that kill() gives to those outputs."""
         own = self._own
-        tools = [tool for tool in self._tools if tool[1] not in own]
+        tools = [(number, pin, off) for number, pin, off in self._tools if pin not in own]
         for i in range(len(own)):
             tools.append((self._own_numbers[i], own[i], levels >> i & 1))
         self._tools = tools
@@ -187,4 +189,5 @@ class PortPins(PortInputs):
 
 
 def _make_output(number: "int | None", level: int) -> "Pin | None":
+    """Return an output that has this level now; None without a pin."""
     return None if number is None else Pin(number, Pin.OUT, value=level)

@@ -92,10 +92,11 @@ class Supervisor:
             if shared[TURNED]:
                 shared[TURNED] = 0
                 shared[AWAY] = 0
-            else:
+            else:  # the main loop has not read the link since the last beat
                 shared[AWAY] += int(self._beat_ms)
                 if shared[AWAY] == 0:
                     shared[AWAY] = 1  # the allowance is used up; 0 means not away
+            # viper's numbers are unsigned here: below 0 is an absence that is allowed.
             if shared[AWAY] & NEGATIVE == 0 and shared[AWAY] >= int(self._limit_ms):
                 stops = 1
                 shared[STOPPED] = shared[AWAY]

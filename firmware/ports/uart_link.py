@@ -71,6 +71,7 @@ class UartLink:
             self.read_into(piece)
 
     def _waiting(self) -> bool:
+        """Return whether a byte can be read without waiting."""
         for _ in self._arrived.ipoll(0):
             return True
         return False
@@ -85,6 +86,7 @@ class UartLink:
             self._send(whole[at : at + _PIECE])
 
     def _send(self, piece: "bytes | bytearray | memoryview") -> None:
+        """Write a piece; the supervisor allows the wait that this may take."""
         self.shared[AWAY] = -WRITE_MS
         self._out.write(piece)
         self.shared[AWAY] = 0

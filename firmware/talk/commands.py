@@ -37,6 +37,11 @@ STARTUP_LINES = const(2)
 _HIGHEST_SETTING = const(999)  # Grbl's end at 255; extras have higher ones
 _MOVES = const(st.RUN | st.JOG)
 _JOG = const(74)  # $J
+_EQUALS = const(61)  # characters
+_PLUS = const(43)
+_HASH = const(35)
+_DOLLAR = const(36)
+_STAR = const(42)
 _AT_ANY_TIME = b"\0$GCX"
 READ_ONLY = b"G$#IN"  # such a command, with nothing after it, changes nothing
 
@@ -85,6 +90,7 @@ class Commands:
             self._keep_startup()
 
     def _keep_startup(self) -> None:
+        """Store the startup lines."""
         self._store.save(_STARTUP, self._startup)
 
     def run_startup(self) -> None:
@@ -100,13 +106,15 @@ class Commands:
     # Dispatch
 
     def _make_letters(self) -> "dict[int, Callable[[bytearray, int], None]]":
+        """Return the commands by the character after $; 0 ends a line that is only a $. Each is
+        passed the line and its length."""
         return {
             0: self._help,
             36: self._show_settings,  # $$
             71: self._show_modes,  # $G
             67: self._check_mode,  # $C
             88: self._unlock,  # $X
-            74: self._jog,
+            _JOG: self._jog,
             35: self._show_offsets,  # $#
             72: self._home,  # $H
             83: self._sleep,  # $SLP
@@ -137,9 +145,10 @@ class Commands:
             self._letters.pop(letter, None)
 
     def _jog(self, line: bytearray, length: int) -> None:
+        """Execute $J=…, only while idle or jogging."""
         if self._state.run not in (st.IDLE, st.JOG):
             raise GrblError(errors.IDLE_ERROR)
-        if line[2] != 61:
+        if line[2] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
         self._interpreter.jog(line, length)
 
@@ -162,14 +171,14 @@ class Commands:
     def modes(self) -> str:
         """Return the modal state as text, as $G prints it."""
         modes, modal, report = self._modes, self._modes.modal, self._report
-        motion = modal[MOTION]
+        motion = modal[MOTION]  # 138 + 10 n for a probe, G38.n
         words = ["G%d" % motion if motion < PROBE_TOWARD else "G38.%d" % ((motion - 138) // 10)]
         words.append("G%d" % (54 + modal[SYSTEM]))
         words.append("G%d" % (17 + modal[PLANE]))
         words.append("G%d" % (20 if modal[INCHES] else 21))
         words.append("G%d" % (91 if modal[RELATIVE] else 90))
         words.append("G%d" % (93 if modal[INVERSE_TIME] else 94))
-        numbers = [(5, 3, 4)[modal[SPINDLE] >> 4]]
+        numbers = [(5, 3, 4)[modal[SPINDLE] >> 4]]  # SPINDLE: 0, 0x10 or 0x20; M5, M3 or M4
         if modal[COOLANT] & MIST:
             numbers.append(7)
         if modal[COOLANT] & FLOOD:
@@ -183,6 +192,7 @@ class Commands:
         return " ".join(words) + " S" + report.speed(modes.rates[RPM])
 
     def _check_mode(self, _line: bytearray, _length: int) -> None:
+        """Execute $C: begin check mode, or end it by a reset, as Grbl does."""
         state = self._state
         if state.run == st.CHECK:
             self._motor_control.reset()
@@ -195,6 +205,7 @@ class Commands:
             self._report.message(errors.MSG_ENABLED)
 
     def _unlock(self, _line: bytearray, _length: int) -> None:
+        """Execute $X: end an alarm, unless the emergency stop is pressed or the door is open."""
         if self._state.run == st.ALARM:
             self._check_stop()
             if self._inputs.door_open():
@@ -203,6 +214,7 @@ class Commands:
             self._state.enter(st.IDLE)
 
     def _check_stop(self) -> None:
+        """Raise GrblError while the emergency stop is pressed."""
         if self._inputs.estop():
             self._report.message(errors.MSG_EMERGENCY_STOP)
             raise GrblError(errors.SYSTEM_GC_LOCK)
@@ -210,6 +222,7 @@ class Commands:
     # Commands that need an idle machine
 
     def _show_offsets(self, line: bytearray, length: int) -> None:
+        """Execute $#: print all offsets and the last probe position."""
         if length != 2:
             raise GrblError(errors.INVALID_STATEMENT)
         self._report.offsets(self._state.hooks.probed_at())
@@ -240,15 +253,18 @@ class Commands:
             self.run_startup()
 
     def _sleep(self, line: bytearray, length: int) -> None:
+        """Execute $SLP: request sleep, which a reset ends."""
         if bytes(line[2:length]) != b"LP":
             raise GrblError(errors.INVALID_STATEMENT)
         self._state.post(st.SLEEP_REQUEST)
 
     def _build_info(self, line: bytearray, length: int) -> None:
-        is_long = length == 3 and line[2] == 43  # $I+
+        """Execute $I, which prints version and options, $I+, which prints more, or $I=…, which
+        stores a text for them."""
+        is_long = length == 3 and line[2] == _PLUS
         if length == 2 or is_long:
-            kept = self._store.load(_BUILD_INFO)
-            self._report.build_info(kept[0] if kept else "", self._options)
+            stored = self._store.load(_BUILD_INFO)
+            self._report.build_info(stored[0] if stored else "", self._options)
             call_all(self._state.hooks.build_info)
             if is_long:
                 message = self._report.message
@@ -258,21 +274,22 @@ class Commands:
                     message(self.health())
                 if self.fault:
                     message("Last fault: " + self.fault)
-        elif line[2] != 61:
+        elif line[2] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
         else:
             self._canon.synchronise()
             self._store.save(_BUILD_INFO, [text_of(line[3:length])])
 
     def _restore(self, line: bytearray, length: int) -> None:
-        what = line[5] if length == 6 else 0
-        if bytes(line[2:5]) != b"ST=" or what not in b"$#*":
+        """Execute $RST=$, # or *: restore settings, offsets, or everything stored; then reset."""
+        which = line[5] if length == 6 else 0
+        if bytes(line[2:5]) != b"ST=" or which not in b"$#*":
             raise GrblError(errors.INVALID_STATEMENT)
-        if what != 35:  # $ or *
+        if which != _HASH:
             self._settings.restore()
-        if what != 36:  # # or *
+        if which != _DOLLAR:
             self._coords.restore()
-        if what == 42:  # *
+        if which == _STAR:
             self.forget()
         self._report.message(errors.MSG_RESTORE_DEFAULTS)
         self._motor_control.reset()
@@ -284,6 +301,8 @@ class Commands:
         self._store.save(_BUILD_INFO, [""])
 
     def _startup_lines(self, line: bytearray, length: int) -> None:
+        """Execute $N, which prints the startup lines, or $N0=… and $N1=…, which execute a line
+        and, if it is not refused, store it."""
         if length == 2:
             for i in range(STARTUP_LINES):
                 self._report.startup_line(i, self._startup[i])
@@ -293,21 +312,22 @@ class Commands:
         at, number = bare(line, 2)
         if at < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != 61:
+        if line[at] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
-        kept = line[at + 1 : length + 1]
-        self._state.hooks.execute(kept, length - at - 1)
+        startup = line[at + 1 : length + 1]  # with the 0 that ends it
+        self._state.hooks.execute(startup, length - at - 1)
         self._canon.synchronise()  # flash is written while idle
         index = truncate(number)
         if 0 <= index < STARTUP_LINES:
-            self._startup[index] = text_of(kept[: length - at - 1])
+            self._startup[index] = text_of(startup[: length - at - 1])
             self._keep_startup()
 
     def _set(self, line: bytearray, _length: int) -> None:
+        """Execute $number=value, after all planned motion."""
         at, number = bare(line, 1)
         if at < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != 61:
+        if line[at] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
         at, value = bare(line, at + 1)
         if at < 0:

@@ -12,6 +12,12 @@ from micropython import const
 # A save erases at most six sectors of flash, each in 400 ms.
 _FLASH_MS = const(2500)
 
+# Settings whose change acts at once.
+_REPORT_INCHES = const(13)
+_HARD_LIMITS = const(21)
+_MAX_RPM = const(30)
+_MIN_RPM = const(31)
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,11 +105,11 @@ class Controller:
         )
         self.spindle.configure(settings, self.planner.table)
         # These depend on the setting that changed; a reset applies the rest.
-        if settings.changed == 21:
+        if settings.changed == _HARD_LIMITS:
             self.port.enable_limits(bool(settings.hard_limits))
-        if settings.changed in (30, 31):
+        if settings.changed in (_MAX_RPM, _MIN_RPM):
             self.spindle.stop()
-        if settings.changed == 13:
+        if settings.changed == _REPORT_INCHES:
             self.state.wco_countdown = 0
 
     # Life
@@ -114,14 +120,14 @@ class Controller:
         self.engine.attach(
             self.state.hooks.next_segment, self.spindle.set_power, self.spindle.on_motion_end
         )
-        whole = self._loads(self.settings.load)
-        if not whole:
+        settings_valid = self._loads(self.settings.load)
+        if not settings_valid:
             # As Grbl does with erased memory: report it and print the settings in force.
             self.report.error(errors.SETTING_READ_FAIL)
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
-        if whole and self.saves.damaged:  # the banner says which
+        if settings_valid and self.saves.damaged:  # the banner says which
             self.report.error(errors.SETTING_READ_FAIL)
         self.port.attach(self.motor_control)
         if self.settings.homing:
@@ -129,10 +135,11 @@ class Controller:
         self.motor_control.power(True)
 
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
-        """Load stored data; write the defaults at once if there is none."""
-        whole = load()
+        """Load stored data; write the defaults at once if there is none. Returns the result of
+        load, False if data was invalid."""
+        valid = load()
         self.save_due()
-        return whole
+        return valid
 
     def at_rest(self) -> bool:
         """Return whether nothing moves and no extra is about to move."""
@@ -168,13 +175,15 @@ class Controller:
         interrupts.
 
         The machine is idle then. A spindle keeps turning. A laser that M3 has switched on would
-        burn longer than the program says, so it is off during the write. allow: the supervisor's;
-        written: notifies the engine, if it needs that.
+        burn longer than the program says, so it is off during the write. allow: sets by
+        how many ms the loop's next turn may be longer; written: notifies the engine, if it needs
+        that.
         """
         lit = False
         state, spindle, modes = self.state, self.spindle, self.modes
 
         def before() -> None:
+            """Allow the loop a long turn, and switch off a laser that shines without motion."""
             nonlocal lit
             allow(_FLASH_MS)
             lit = spindle.laser and modes.modal[SPINDLE] == sp.CW and state.spindle[st.RPM] > 0
@@ -182,6 +191,7 @@ class Controller:
                 spindle.stop()
 
         def after() -> None:
+            """Undo before(), unless a reset has come."""
             if written:
                 written()
             allow(0)
@@ -207,6 +217,7 @@ class Controller:
             self.report.message(errors.MSG_NOT_KEPT)
 
     def _reset(self) -> None:
+        """Stop everything and set the modes of a fresh start; the position is kept."""
         state = self.state
         state.clear()
         state.pending[:] = bytes(len(state.pending))
@@ -229,6 +240,7 @@ class Controller:
         self.motor_control.arm()
 
     def _greet(self) -> None:
+        """Print the banner, decide between Idle and Alarm, and in Idle run the startup lines."""
         state = self.state
         self._banner()
         if self.settings.is_new:  # a message, not an error: senders stop at errors

@@ -17,6 +17,14 @@ from micropython import const
 END = const(0)  # length of the text written so far
 VALUES = const(1)  # integers and masks, in the order in which the form uses them
 
+# Characters: the placeholders of a form, and those of a number.
+_SINGLE = const(35)  # #
+_INTEGER = const(37)  # %
+_LETTER = const(63)  # ?
+_MINUS = const(45)
+_POINT = const(46)
+_ZERO = const(48)
+
 
 @micropython.viper
 def scaled(x: ptr32, at: int, decimals: int) -> int:
@@ -26,21 +34,23 @@ def scaled(x: ptr32, at: int, decimals: int) -> int:
     100` fits 31 bits.
     """
     exponent = ((x[at] >> 23) & 255) - 150  # |x| = number * 2**exponent
-    if exponent == 105:  # infinite, or not a number
+    if exponent == 105:  # 255 - 150: infinite, or not a number
         return -1
     number = (x[at] & 0x7FFFFF) | 0x800000
     while decimals > 0:
         number *= 100 if decimals > 1 else 10
         decimals -= 2
+        # Round to 24 bits again.
         shift = 3
         while number >> shift >= 1 << 24:
             shift += 1
         number += (1 << (shift - 1)) - 1 + ((number >> shift) & 1)  # to nearest, halves to even
         number >>= shift
         exponent += shift
-    if number >> 24:
+    if number >> 24:  # rounded up to 2**24
         number >>= 1
         exponent += 1
+    # The whole number is number * 2**exponent + 0.5, without its fraction.
     if exponent >= 0:
         if exponent == 0:  # adding 0.5 is a tie: to even
             number += number & 1
@@ -62,55 +72,55 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
     of the next of the VALUES is set; the value is then shifted right, for the next letter.
     """
     end = ints[END]
-    value = VALUES
-    single = 0
+    value_at = VALUES
+    single_at = 0
     i = 0
     c = form[0]
     while c:
-        # 35 is #, 37 is %, 63 is ?; any other byte is copied.
-        if c > 63 or (c < 63 and c != 35 and c != 37):  # noqa: PLR1714 (a viper cannot ask `in`)
+        # Any byte that is no placeholder is copied.
+        if c > _LETTER or (c < _LETTER and c != _SINGLE and c != _INTEGER):  # noqa: PLR1714
             out[end] = c
             end += 1
-        elif c < 63:
+        elif c < _LETTER:
             decimals = 0
-            if c == 37:
-                number = ints[value]
-                value += 1
+            if c == _INTEGER:
+                number = ints[value_at]
+                value_at += 1
             else:
                 i += 1
-                decimals = form[i] - 48
-                number = int(scaled(singles, single, decimals))
-                if ptr8(singles)[4 * single + 3] > 128:  # negative, and not -0.0
-                    out[end] = 45
+                decimals = form[i] - _ZERO
+                number = int(scaled(singles, single_at, decimals))
+                if ptr8(singles)[4 * single_at + 3] > 128:  # negative, and not -0.0
+                    out[end] = _MINUS
                     end += 1
-                single += 1
+                single_at += 1
             # Written backwards from the last digit, at end + 12 at most, then moved to `end`. n *
             # 26215 >> 18 is n // 10 up to 43689: a division takes the chip ten times as long.
             at = end + 12
-            c = at
+            c = at  # where the digits end
             while number or decimals >= 0:
-                rest = number // 10 if number < 0 or number > 43689 else (number * 26215) >> 18
-                digit = number - 10 * rest
+                tenth = number // 10 if number < 0 or number > 43689 else (number * 26215) >> 18
+                digit = number - 10 * tenth
                 if number < 0:
-                    rest = 214748364  # Grbl's 32 bits end with 2147483648
+                    tenth = 214748364  # Grbl's 32 bits end with 2147483648
                     digit = 8
-                number = rest
+                number = tenth
                 at -= 1
-                out[at] = 48 + digit
+                out[at] = _ZERO + digit
                 decimals -= 1
                 if decimals == 0:
                     at -= 1
-                    out[at] = 46
+                    out[at] = _POINT
             while at < c:
                 out[end] = out[at]
                 end += 1
                 at += 1
         else:
             i += 1
-            if ints[value] & 1:
+            if ints[value_at] & 1:
                 out[end] = form[i]
                 end += 1
-            ints[value] >>= 1
+            ints[value_at] >>= 1
         i += 1
         c = form[i]
     ints[END] = end

@@ -21,7 +21,7 @@ MOVING = const(HOMING | RUN | HOLD | JOG | DOOR)
 @micropython.viper
 def begin(name: ptr8, memory: object) -> int:
     """Begin a report: write the name of the state, and compute machine position in mm, without
-    writing it.
+    writing it. name: a form that a 0 ends.
 
     memory: text, integers, singles, axes, steps, the planner's table, and the index in it of steps
     per mm.
@@ -75,11 +75,11 @@ def _speeds(
     spindle: ptr32,
     state: int,
 ) -> int:
-    """Fill in free blocks, free bytes, feed rate (mm/min) and spindle speed; then write the
-    form."""
+    """Fill in free blocks, free bytes, feed rate (mm/min) and spindle speed; then write the form.
+    Returns the report's length. state: the run state; spindle: the array with the speed (RPM)."""
     value = VALUES
     if buffers:
-        free = flow[TAIL] - flow[HEAD] - 1
+        free = flow[TAIL] - flow[HEAD] - 1  # of a ring; one block always stays free
         ints[value] = free + flow[ROWS] if free < 0 else free
         ints[value + 1] = int(free_space(reader))
         value += 2

@@ -41,6 +41,10 @@ _NOTHING = const(3)
 _COMMENT = const(4)
 _LOWER_CASE = const(5)
 
+_OPENING = const(40)  # (
+_CLOSING = const(41)  # )
+_TO_UPPER = const(32)  # less, in ASCII
+
 # LineReader's `reads`: the first of the upper real-time bytes; one more real-time byte; and what
 # to do with the rest of a line that is too long: _OVERFLOW skips it, 0 makes it a line of its own.
 READS = (0x80, 0x84, _OVERFLOW)
@@ -49,9 +53,10 @@ READS = (0x80, 0x84, _OVERFLOW)
 @micropython.viper
 def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
     """Continue the line from the ring: make letters upper case; drop spaces, control characters,
-    slashes and comments.
+    slashes and comments. A 0 is stored after the line.
 
-    at: the reader's state. Returns NOTHING, or length << 2 | LINE or TOO_LONG.
+    at: the reader's state; kinds: the kind of each byte value. Returns NOTHING if the ring is
+    empty before the line ends, else length << 2 | LINE or TOO_LONG.
     """
     tail = at[TAIL]
     head = at[HEAD]
@@ -61,7 +66,7 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
     if skipping & COMPLETE:
         length = 0
         skipping = 0
-    room = 0 if skipping else at[_LONGEST]
+    room = 0 if skipping else at[_LONGEST]  # the length that the line may have; 0 stores nothing
     found = NOTHING
     while tail != head and found == NOTHING:
         c = ring[tail]
@@ -75,18 +80,19 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
         elif kind == END:
             found = TOO_LONG if skipping & _OVERFLOW else LINE
         elif skipping:
-            if c == 41 and skipping & _IN_PARENTHESES:  # )
+            if c == _CLOSING and skipping & _IN_PARENTHESES:
                 skipping &= ~_IN_PARENTHESES
                 room = 0 if skipping else at[_LONGEST]
         elif kind == _NOTHING:
             pass
         elif kind == _COMMENT:
-            skipping = _IN_PARENTHESES if c == 40 else _AFTER_SEMICOLON  # ( or ;
+            skipping = _IN_PARENTHESES if c == _OPENING else _AFTER_SEMICOLON
             room = 0
         elif length < room:
-            line[length] = c - 32
+            line[length] = c - _TO_UPPER
             length += 1
         else:
+            # The line is too long.
             skipping = at[_TOO_MUCH]
             room = 0
             if skipping == 0:
@@ -100,7 +106,7 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
 
 @micropython.viper
 def free_space(at: ptr32) -> int:
-    """Return how many bytes a sender may still send."""
+    """Return how many bytes a sender may still send. at: the reader's state."""
     used = at[HEAD] - at[TAIL]
     if used < 0:
         used += at[_SIZE]
@@ -109,7 +115,7 @@ def free_space(at: ptr32) -> int:
 
 @micropython.viper
 def has_bytes(at: ptr32) -> int:
-    """Return whether the ring holds bytes."""
+    """Return 1 if the ring holds bytes, else 0. at: the reader's state."""
     return 1 if at[HEAD] != at[TAIL] else 0
 
 
@@ -129,7 +135,7 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
             following = head + 1
             if following == size:
                 following = 0
-            if following != tail:
+            if following != tail:  # the ring is not full
                 ring[head] = c
                 head = following
     at[HEAD] = head
@@ -139,8 +145,8 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
 def _make_kinds(first: int, extra: int) -> bytearray:
     """Return the kind of each byte value. Real-time bytes: those from `first` on, and `extra`, in
     addition to the common ones."""
-    kinds = bytearray(bytes([_NOTHING]) * 33 + bytes(223))
-    kinds[97:123] = bytes([_LOWER_CASE]) * 26
+    kinds = bytearray(bytes([_NOTHING]) * 33 + bytes(223))  # up to the space; then _AS_IT_IS
+    kinds[97:123] = bytes([_LOWER_CASE]) * 26  # a to z
     for chars, kind in (
         (b"/", _NOTHING),
         (b"\r\n", END),
@@ -173,6 +179,7 @@ class LineReader:
         self.line = bytearray(longest + 1)
         self.post = on_realtime
         self._ring = bytearray(size + more + 1)
+        # By index, from _SIZE to _ADVERTISED.
         self._at = array("i", (len(self._ring), 0, 0, 0, longest, reads[2], 0, size))
         self._kinds = _make_kinds(reads[0], reads[1])
 

@@ -73,8 +73,8 @@ class Protocol:
         # an extra may have replaced it.
         self._interpret = state.hooks.execute
         interpreter.line = line = reader.line
-        needed = kernel_args(reader, interpreter, self.link, self._buffer)
-        heard, at, _, kinds = reader.memory()
+        loop_args = kernel_args(reader, interpreter, self.link, self._buffer)
+        ring, reader_state, _, kinds = reader.memory()
         counts = interpreter.machine
         echoes = self._echoes
         while True:
@@ -83,35 +83,35 @@ class Protocol:
                     self._motor_control.by_pin = False
                     self.link.discard()
                 self.restart()
-                asked = 0
+                asked = 0  # not 0: this turn answers a ?
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
-                        found = clean(heard, at, line, kinds)
+                        result = clean(ring, reader_state, line, kinds)
                         counts[ASKED] = 0
-                        if found == NOTHING:
+                        if result == NOTHING:
                             self.pump()
                     else:
-                        found = run_lines(pending, needed)
+                        result = run_lines(pending, loop_args)  # executes move-only lines
                     # Events and hooks are handled here, not at each line; always before a $ line,
                     # which may ask about their effect.
                     counts[LINES_LEFT] -= _IN_PYTHON
                     waits = pending[st.ANY] or state.suspend or counts[LINES_LEFT] <= 0
-                    if waits or found & LINE == 0 or line[0] == _DOLLAR:
+                    if waits or result & LINE == 0 or line[0] == _DOLLAR:
                         counts[LINES_LEFT] = LINES
                         # Answer a ? before auto_start(), which delays it, but not twice in a row.
                         asked = pending[st.STATUS_REPORT] and not asked
-                        if found == NOTHING and not asked and not reader.waiting():
+                        if result == NOTHING and not asked and not reader.waiting():
                             self._canon.auto_start()
                         self._realtime.run()
-                        if found == NOTHING:
+                        if result == NOTHING:
                             if pending[st.ANY]:  # something posts an event in every turn
                                 self.pump()
                             continue
                         counts[ASKED] = 0  # the event may have changed the check
-                    if found & LINE == 0:
+                    if result & LINE == 0:
                         state.hooks.refuse(errors.OVERFLOW)
                         continue
-                    length = found >> 2
+                    length = result >> 2
                     try:  # as in execute()
                         self._find_command(line, length)(line, length)
                         if due:
@@ -159,20 +159,21 @@ class Protocol:
         return self._interpret
 
     def _report_alarm(self) -> None:
-        """Report a pending alarm. Done here because the stack is nearly empty here."""
-        state, report, drive = self._state, self._report, self._motor_control
+        """Report a pending alarm, then read without answering for half a second; after a limit
+        switch or a soft limit, until a reset. Done here because the stack is nearly empty here."""
+        state, report, motor_control = self._state, self._report, self._motor_control
         code = state.alarm
         if code == 0:
             return
-        after = drive.enter_alarm()
+        after = motor_control.enter_alarm()
         state.hooks.alarm(code)
-        drive.wait_unanswered(_DEAF_MS)
+        motor_control.wait_unanswered(_DEAF_MS)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
             # Only a reset is accepted: the user must look at the machine first.
             report.message(errors.MSG_CRITICAL_EVENT)
             state.pending[st.RESET] = 0
             while not state.pending[st.RESET]:
-                drive.wait_unanswered(1)
+                motor_control.wait_unanswered(1)
         state.alarm = 0
         if after:
             if not state.pending[st.RESET]:

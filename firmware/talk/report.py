@@ -105,10 +105,10 @@ class Report:
         self._reader = machine.reader.memory()[1]  # the reader's indices into its ring
         self._steps = array("i", bytes(4 * machine.planner.motors))
         # Arguments of begin() and write_common(); each look-up of an attribute costs 5 us.
-        self._written = self._text, self._ints, self._mm, self._axes
+        self._write_args = self._text, self._ints, self._mm, self._axes
         resolution = LIMITS + RESOLUTION * self._axes
-        self._begun = self._written + (self._steps, machine.planner.table, resolution)
-        self._count = machine.engine.position
+        self._begin_args = self._write_args + (self._steps, machine.planner.table, resolution)
+        self._read_steps = machine.engine.position
         self._kinematics = machine.planner.kinematics
 
     def configure(self) -> None:
@@ -122,13 +122,14 @@ class Report:
         name = b"|MPos:" if settings.report_mask & _REPORT_MPOS else b"|WPos:"
         self._place_form = name + self._form
         if settings.report_mask & _REPORT_BUFFERS:
-            self._place_form = self._place_form[:-1] + b"|Bf:%,%\0"
+            self._place_form = self._place_form[:-1] + b"|Bf:%,%\0"  # without its 0
         self._is_laser = settings.laser_mode
         # The common report is written by one kernel, if it needs no other field.
         form = self._place_form[:-1] + b"|FS:%,#0>\r\n\0"
         planner, buffers = self._planner, settings.report_mask & _REPORT_BUFFERS
         asked = planner.flow, planner.ring, self._reader, buffers
-        self._usual = (form, self._begun) + self._written + asked
+        self._common_args = (form, self._begin_args) + self._write_args + asked
+        # With work position, inches or line numbers a report is not the common one.
         in_mm = settings.report_mask & _REPORT_MPOS and not settings.report_inches
         self._is_common = bool(in_mm and not self._line_numbers)
 
@@ -208,6 +209,7 @@ class Report:
         return text_of(self._text[: self._ints[END]])
 
     def _length(self, mm: float) -> str:
+        """Return a length as text, in the units of reports."""
         if self._settings.report_inches:
             return number(f32(mm * INCH_PER_MM), 4)
         return number(mm, 3)
@@ -223,6 +225,7 @@ class Report:
         return number(rpm, 0)
 
     def _line(self, text: str) -> None:
+        """Send the text as a line."""
         self._link.write((text + "\r\n").encode())
 
     # The status report
@@ -230,7 +233,7 @@ class Report:
     def status(self) -> "memoryview":
         """Return the answer to ?. The buffer is reused: send it before the next call."""
         state = self._state
-        self._count(self._steps)
+        self._read_steps(self._steps)
         if self._kinematics:
             self._kinematics.to_axes(self._steps)
         name = _STATES.get(state.run) or self._suspended()
@@ -241,7 +244,7 @@ class Report:
             state.wco_countdown -= 1
             state.override_countdown -= 1
             spindle = self._beam() if self._is_laser and state.run & MOVING else state.spindle
-            end = write_common(name, self._usual, spindle, state.run)
+            end = write_common(name, self._common_args, spindle, state.run)
         if end != self._sent:
             # A slice allocates an object; most reports are as long as the last one.
             self._sent = end
@@ -253,7 +256,7 @@ class Report:
     def _long(self, name: bytes, closed: int) -> int:
         """Write a report with rare fields, or in inches. Returns its length. closed: mask of
         active inputs."""
-        begin(name, self._begun)
+        begin(name, self._begin_args)
         text, ints, mm = self._text, self._ints, self._mm
         self._fields(text, ints, mm, closed)
         return write(b">\r\n\0", text, ints, mm)
@@ -290,7 +293,8 @@ class Report:
             self._extras(text, ints)
 
     def _speeds(self, text: bytearray, ints: "array[int]", moves: int, inches: int) -> None:
-        """Write feed rate and spindle speed."""
+        """Write feed rate and spindle speed. moves: not 0 in a state that has a feed rate; inches:
+        not 0 for inches per minute."""
         shown, rate = self._shown, self._segments.rate() if moves else 0
         spindle = self._beam() if moves and self._is_laser else self._state.spindle
         copy(spindle, shown, 2)  # index 0 is the feed rate, index 1 RPM
@@ -335,6 +339,7 @@ class Report:
         return b"<Door:%\0"
 
     def _door_phase(self) -> int:
+        """Return Grbl's number: 0 door closed, 1 still open, 2 retracting, 3 restoring."""
         suspend = self._state.suspend
         if suspend & st.INITIATE_RESTORE:
             return 3
@@ -346,7 +351,7 @@ class Report:
         """Return machine position minus work position, per axis."""
         coords, offset = self._coords, self._shown
         copy(coords.zero(coords.active), offset, self._axes)
-        if coords.length_axis < self._axes:
+        if coords.length_axis < self._axes:  # the tool length is the last of the offsets
             add_single(coords.offsets, len(coords.offsets) - 1, offset, coords.length_axis)
         return offset
 
@@ -358,7 +363,7 @@ class Report:
             state.wco_countdown -= 1
         else:
             state.wco_countdown = (_WCO_BUSY if busy else _WCO_IDLE) - 1
-            if state.override_countdown == 0:
+            if state.override_countdown == 0:  # due too: in the next report
                 state.override_countdown = 1
             self._lengths(b"|WCO:\0", self._work_offset())
         if state.override_countdown > 0:
@@ -369,6 +374,7 @@ class Report:
         ints[VALUES + 1] = state.rapid_override
         ints[VALUES + 2] = state.spindle_override
         write(b"|Ov:%,%,%\0", text, ints, self._mm)
+        # Bits 0 and 1: spindle clockwise and counterclockwise; 2 and 3: flood and mist.
         accessories = self._spindle.direction() >> 4 | self._coolant.mask << 2
         if accessories:
             ints[VALUES] = accessories

@@ -36,71 +36,80 @@ def kernel_args(
 ) -> "tuple[Any, ...]":
     """Return the second argument of run_lines(). buffer: for received bytes."""
     long, short = bytearray(_LONG), bytearray(_SHORT)
-    hears = link.read_into, reader.post, len(buffer), buffer, long, short
+    receiving = link.read_into, reader.post, len(buffer), buffer, long, short
     modal, machine, memory = interpreter.memory()
-    return reader.memory() + (modal, machine, memory, link.write, OK, OK + OK, hears)
+    return reader.memory() + (modal, machine, memory, link.write, OK, OK + OK, receiving)
 
 
 @micropython.viper
-def run_lines(pending: ptr8, needed: object) -> int:
+def run_lines(pending: ptr8, loop_args: object) -> int:
     """Execute lines until one is not move-only or none is complete, an event is posted, or the
     main loop is due. Returns the last result of clean(), whose line has not been executed.
 
-    needed: kernel_args(). Answers are sent in pairs, because a write takes as long as a third of a
-    line: one is owed if an odd number is left.
+    loop_args: kernel_args(). Answers are sent in pairs, because a write takes as long as a third
+    of a line: one is owed if an odd number is left.
     """
-    ring, places, line, all_kinds, modes, machine, memory, write, one, both, hears = needed
-    heard = ptr8(ring)
-    at = ptr32(places)
+    _ring, _reader, line, _kinds, _modal, _machine, memory, write, one_ok, two_oks, receiving = (
+        loop_args
+    )
+    ring = ptr8(_ring)
+    reader = ptr32(_reader)
     text = ptr8(line)
-    kinds = ptr8(all_kinds)
-    modal = ptr32(modes)
-    counts = ptr32(machine)
-    left = counts[LINES_LEFT]
-    if int(has_bytes(at)):  # a ? must not wait for the line that is complete
-        _receive(pending, hears, heard, at, kinds)
-    while left > 0:
-        found = int(clean(heard, at, text, kinds))
-        done = 0 if pending[ANY] else found & LINE
+    kinds = ptr8(_kinds)
+    modal = ptr32(_modal)
+    counts = ptr32(_machine)
+    lines_left = counts[LINES_LEFT]
+    if int(has_bytes(reader)):  # a ? must not wait for the line that is complete
+        _receive(pending, receiving, ring, reader, kinds)
+    while lines_left > 0:
+        result = int(clean(ring, reader, text, kinds))
+        done = 0 if pending[ANY] else result & LINE
         if done:
-            done = int(execute(line, found >> 2, modal, counts, memory))
+            done = int(execute(line, result >> 2, modal, counts, memory))
         if done:
-            left -= 1
-            counts[LINES_LEFT] = left
-            if left & 1 == 0:
-                write(both)
-                _receive(pending, hears, heard, at, kinds)
+            lines_left -= 1
+            counts[LINES_LEFT] = lines_left
+            if lines_left & 1 == 0:  # two answers are owed
+                write(two_oks)
+                _receive(pending, receiving, ring, reader, kinds)
         else:
-            if left & 1:
-                write(one)
-            left = (left - 1) & -2  # a part of a line counts as one line
-            counts[LINES_LEFT] = left
-            if found or pending[ANY] or int(_receive(pending, hears, heard, at, kinds)) == 0:
-                return found
+            if lines_left & 1:
+                write(one_ok)
+            # A part of a line counts as one line. An even number: no answer is owed.
+            lines_left = (lines_left - 1) & -2
+            counts[LINES_LEFT] = lines_left
+            if (
+                result
+                or pending[ANY]
+                or int(_receive(pending, receiving, ring, reader, kinds)) == 0
+            ):
+                return result
     return NOTHING
 
 
 @micropython.viper
-def _receive(pending: ptr8, hears: object, heard: ptr8, at: ptr32, kinds: ptr8) -> int:
+def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds: ptr8) -> int:
     """Read the bytes received, because a ? after lines must not wait for them.
 
     It reads no more than the ring has space for, so nothing is lost if a sender does not count.
     After a full piece of _LONG or _SHORT bytes it reads on; a piece that is not full means that
     nothing more has arrived. Returns how many bytes, or 0 if an event is posted.
+
+    receiving: of kernel_args().
     """
-    read_into, post, size, piece, long, short = hears
-    free = int(free_space(at))
+    read_into, post, size, piece, long, short = receiving
+    free = int(free_space(reader))
     count = 0
     more = 1
     while more and free >= _SHORT:
-        most = int(size)
-        if free < most:
+        piece_size = int(size)
+        if free < piece_size:
             piece = long if free >= _LONG else short
-            most = _LONG if free >= _LONG else _SHORT
+            piece_size = _LONG if free >= _LONG else _SHORT
         read = int(read_into(piece))
         if read:
-            feed(ptr8(piece), read, heard, at, kinds, post)
+            feed(ptr8(piece), read, ring, reader, kinds, post)
         count += read
-        more = 1 if read == most and most <= _LONG else 0
-        free = int(free_space(at))
+        more = 1 if read == piece_size and piece_size <= _LONG else 0
+        free = int(free_space(reader))
     return 0 if pending[ANY] else count

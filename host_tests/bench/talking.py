@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 import prompt
 import streaming
 from bench_setup import Bench, inside, reset, set_up
-from emulated import files_of, firmware
+from emulated import files_of, firmware, for_this_chip
 from on_board import GAPS, MAIN, PLAIN, STAGES
 from rows import Row
 from streaming import (
@@ -270,7 +270,7 @@ def of_axes(bench: Bench, name: str) -> Iterator[Row]:
     with TemporaryDirectory() as folder:
         file = Path(folder, "axes.py")
         file.write_text(text, "utf-8")
-        made_of = build.for_board(file).files
+        made_of = build.for_board(for_this_chip(file)).files
     board = bench.board({**dict.fromkeys(firmware()), **made_of, "main.py": MAIN})
     for pin in (*range(9, 16), *range(15, 23), 0, 1, 28):
         board.pico.drive(pin, 1)

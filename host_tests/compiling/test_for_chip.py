@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
-from ugrbl.compiling.for_chip import for_chip
+from ugrbl.compiling.build import for_chip
 
 _LAYOUT = "pio.state_layout"
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 from test_both_pythons import PATHS, STANDINS
-from ugrbl.compiling import machine_code
+from ugrbl.compiling import compilers, machine_code
 
 pytest.importorskip("unicorn")
-if not machine_code.is_there():
+if not compilers.llvm_is_there():
     pytest.skip("ziglang is not installed", allow_module_level=True)
 
 from arm_model import CODE, Board, c_of, kernels_of
@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.xdist_group("machine code"), pytest.mark.thorough]
 @pytest.fixture(scope="module")
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> "dict[str, Path]":
     """Write a file for each processor, with all kernels of a board (arm_model.kernels_of())."""
-    files = {arch: tmp_path_factory.mktemp("kernels") / arch for arch in machine_code.PROCESSORS}
+    files = {arch: tmp_path_factory.mktemp("kernels") / arch for arch in compilers.PROCESSORS}
     for arch, file in files.items():
         file.write_text(repr(kernels_of(arch)))
     return files
@@ -104,7 +104,7 @@ def none() -> int:
 """
 
 
-@pytest.fixture(scope="module", params=[*machine_code.PROCESSORS])
+@pytest.fixture(scope="module", params=[*compilers.PROCESSORS])
 def made(request: pytest.FixtureRequest) -> Board:
     """Load the test kernels."""
     return Board(*c_of(_MADE), request.param)
@@ -144,7 +144,7 @@ def test_none_differs_from_an_existing_object(made: Board) -> None:
     assert made.call(("made", "is_there"), print, 5) == 5
 
 
-@pytest.mark.parametrize("arch", machine_code.PROCESSORS)
+@pytest.mark.parametrize("arch", compilers.PROCESSORS)
 def test_machine_code_runs_at_any_address(arch: str) -> None:
     for moved in (16, 0x12340):
         board = Board(*c_of(_MADE), arch, moved)
@@ -161,5 +161,5 @@ def test_only_requested_kernels_are_linked() -> None:
 
 
 def test_compiler_refusal_is_reported() -> None:
-    with pytest.raises(machine_code.CompilerError, match="share"):
+    with pytest.raises(compilers.CompilerError, match="share"):
         machine_code.compiled("int share(void) { return missing; }", "armv6m")

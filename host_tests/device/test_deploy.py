@@ -14,12 +14,12 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl.boardfile import engines, files
+from ugrbl.boardfile import engines, files, page_files
 from ugrbl.boardfile.files import BoardFileError, boards, load_board
 from ugrbl.cli import deploy as deploy_cli
 from ugrbl.cli import ports
 from ugrbl.cli.app import app
-from ugrbl.compiling import build, freeze, page_files
+from ugrbl.compiling import build, freeze
 from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline, pruned
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy

@@ -386,6 +386,17 @@ def test_port_without_grbl_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     os.close(slave)
 
 
+def test_greeting_right_after_an_answer_is_not_the_answer() -> None:
+    """A board greets a port some milliseconds after it was opened."""
+    master, slave = os.openpty()
+    connection = Connection(os.ttyname(slave))
+    os.write(master, b"[VER:1.1h.20261121:]\r\nok\r\n\r\nGrbl 1.1h ['$' for help]\r\n")
+    assert connection.ask("$I") == ["[VER:1.1h.20261121:]", "ok"]
+    connection.close()
+    os.close(master)
+    os.close(slave)
+
+
 def test_missing_port_is_named() -> None:
     with pytest.raises(SendError, match="/dev/nowhere"):
         Connection("/dev/nowhere")

@@ -62,10 +62,16 @@ def build_id() -> str:
 
 
 def for_this_chip(board: Path, more: str = "") -> Path:
-    """Return one of our board files for the chip that tests run on, with these lines added."""
+    """Return one of our board files for the chip that tests run on, with these lines added.
+
+    A board with a radio gets the module with that chip and a radio.
+    """
+    text = board.read_text("utf-8")
     chip = re.findall(r"^(?:CHIP|MPY_ARCH) = .*$", BOARD_FILE.read_text("utf-8"), re.MULTILINE)
+    if re.search(r'^CHIP = "\w+_w"', text, re.MULTILINE):
+        chip[0] = chip[0][:-1] + '_w"'
     made = Path(mkdtemp()) / board.name
-    made.write_text("\n".join((board.read_text("utf-8"), *chip, more)), "utf-8")
+    made.write_text("\n".join((text, *chip, more)), "utf-8")
     return made
 
 

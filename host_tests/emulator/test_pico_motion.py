@@ -53,7 +53,7 @@ from talk import commands
 usual = commands.Commands.find_command
 
 
-def whose(self, line, length):
+def find_command(self, line, length):
     what = bytes(line[1:length])
     if what == b"BLOCK":
         since = time.ticks_ms()
@@ -71,7 +71,7 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.find_command = whose
+commands.Commands.find_command = find_command
 power_up.run_machine(power_up.build())
 """
 

@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 from emulated import Board, files_of
 from page_bench import PING, WS_UPGRADE, frame, request
+from ugrbl.boardfile import page_files
 from ugrbl.boardfile.files import load_board
-from ugrbl.compiling import build, page_files
+from ugrbl.compiling import build
 from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico network")
@@ -123,10 +124,10 @@ socket.SAYS
 power = power_up.build()
 commands = power[0].commands
 hooks = power[0].state.hooks
-usual = hooks.whose
+usual = hooks.find_command
 
 
-def whose(line, length):
+def find_command(line, length):
     if line[1] == 77:
         gc.collect()
         commands._report.message("free %d." % gc.mem_free())
@@ -137,7 +138,7 @@ def whose(line, length):
     return lambda line, length: None
 
 
-hooks.whose = whose
+hooks.find_command = find_command
 machine = power_up.run_machine(power)
 """
 

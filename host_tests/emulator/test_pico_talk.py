@@ -27,7 +27,7 @@ from talk import commands
 usual = commands.Commands.find_command
 
 
-def whose(self, line, length):
+def find_command(self, line, length):
     if line[1] == 77:
         gc.collect()
         self._report.message("free %d." % gc.mem_free())
@@ -36,7 +36,7 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.find_command = whose
+commands.Commands.find_command = find_command
 rp2 = None  # as the firmware's own main.py
 machine = power_up.run_machine(power_up.build())
 """

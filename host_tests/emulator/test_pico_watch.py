@@ -21,7 +21,7 @@ from talk import commands
 usual = commands.Commands.find_command
 
 
-def whose(self, line, length):
+def find_command(self, line, length):
     what = bytes(line[1:length])
     if what == b"HANG":
         while True:
@@ -35,7 +35,7 @@ def whose(self, line, length):
     return lambda line, length: None
 
 
-commands.Commands.find_command = whose
+commands.Commands.find_command = find_command
 machine = power_up.run_machine(power_up.build())
 """
 
@@ -218,7 +218,7 @@ def test_events_during_a_flash_erasure_are_handled_afterwards(machine: Board) ->
 
 
 def test_last_request_shows_an_opened_port_when_control_lines_are_unknown(uf2: Path) -> None:
-    hidden = b"from boot import parts\nparts.find_line = lambda memory: 0\n"
+    hidden = b"from ports.usb import usb_ring\nusb_ring.find_line = lambda memory: 0\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     for orders in _REOPENED.values():
         if orders[0][-1] == 0:  # otherwise the last request says that it is open
@@ -228,7 +228,7 @@ def test_last_request_shows_an_opened_port_when_control_lines_are_unknown(uf2: P
 
 
 def test_board_without_the_usb_ring_works_and_reports_a_slow_reset(uf2: Path) -> None:
-    hidden = b"from boot import parts\nparts.find = lambda at, drain, take: None\n"
+    hidden = b"from ports.usb import usb_ring\nusb_ring.find = lambda at, drain, take: None\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     assert "[VER:1.1h." in machine.ask("$I") and " slow-reset]" in machine.said
     machine.pico.record([*STEP, SPINDLE_PWM])

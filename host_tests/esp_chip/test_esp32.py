@@ -7,7 +7,7 @@ import sys
 from array import array
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
@@ -347,6 +347,12 @@ def test_module_without_psram_is_reported_with_the_remedy(monkeypatch: pytest.Mo
     assert prepared()[1].startswith(
         "63000 bytes free of the 150000 that the firmware wants: take a module with PSRAM"
     )
+
+
+def test_frozen_firmware_needs_no_memory_for_its_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(esp32, "psram", 0)
+    monkeypatch.setitem(sys.modules, "base.frozen", ModuleType("frozen"))
+    assert prepared() == (240_000_000, "")
 
 
 # The stand-ins refuse the same as the hardware's modules

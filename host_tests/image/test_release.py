@@ -9,12 +9,20 @@ from pathlib import Path
 
 import pytest
 from ugrbl import __version__, paths
-from ugrbl.boardfile.files import board_file
-from ugrbl.compiling import build, motion_package, page_files
+from ugrbl.boardfile import page_files
+from ugrbl.boardfile.chips import BUILT_IN
+from ugrbl.boardfile.files import board_file, load_board
+from ugrbl.compiling import build, motion_package
 from ugrbl.image import release
 
 _ROOT = Path(__file__).parents[2]
 _WORKFLOW = (_ROOT / ".github" / "workflows" / "release.yml").read_text()
+# Modules that MicroPython 1.28 freezes for an ESP32 (ports/esp32/boards/manifest.py).
+_FROZEN_ON_ESP32 = (
+    *("_boot", "aioespnow", "apa106", "asyncio", "dht", "ds18x20", "espnow", "flashbdev"),
+    *("inisetup", "mip", "neopixel", "ntptime", "onewire", "requests", "ssl", "umqtt", "upysh"),
+    "webrepl",
+)
 _WIZARD = (paths.TOOLS / "web" / "page" / "board_wizard.js").read_text(encoding="utf-8")
 
 
@@ -79,6 +87,25 @@ def test_the_page_and_the_workflow_use_the_same_image_names() -> None:
     assert "ugrbl-…-${IMAGES[name]}.uf2" in _WIZARD
     for board in re.findall(r"file: (\w+)", _WORKFLOW):
         assert board_file(board).is_file()
+
+
+def test_each_esp32_image_has_a_board_file_of_its_chip_and_is_documented() -> None:
+    rows = re.findall(
+        r"\{board: (ESP32\w+),(?: variant: (\w+),)? image: (\S+), file: (\w+)\}", _WORKFLOW
+    )
+    documented = (_ROOT / "docs" / "boards.md").read_text(encoding="utf-8")
+    assert len(rows) == 3
+    for board, variant, image, file in rows:
+        assert image == "-".join(filter(None, (board, variant)))
+        chip = getattr(load_board(file), "CHIP", "esp32")
+        assert chip == ("esp32s3" if board.endswith("_S3") else "esp32")
+        assert f"`ugrbl-…-{image}.bin`" in documented
+    assert "ugrbl-$GITHUB_REF_NAME-${{ matrix.image }}.bin" in _WORKFLOW
+
+
+def test_no_frozen_package_hides_a_module_of_micropython() -> None:
+    ours = {source.partition("/")[0].removesuffix(".py") for source in build.sources()}
+    assert not ours & {*BUILT_IN, *_FROZEN_ON_ESP32}
 
 
 def test_the_workflow_makes_the_same_files_as_the_dry_run() -> None:

@@ -22,7 +22,7 @@ from micropython_runner import MICROPYTHON, needs_micropython, placed_firmware
 from net_bench import KEY
 from page_bench import PING, PONG, WS_UPGRADE, frame, request
 from sim_bench import free_port
-from ugrbl.compiling import page_files
+from ugrbl.boardfile import page_files
 from ugrbl.paths import TOOLS
 
 pytestmark = [needs_micropython, pytest.mark.thorough]

@@ -5,6 +5,7 @@ with the key do that are not in control, except stops. Lines that a controlling 
 its connection was lost are executed as if it were still there.
 """
 
+import os
 import random
 import socket
 from collections.abc import Iterator
@@ -195,9 +196,15 @@ class Reloads:
             self._pipe.send(request(self._next))
 
 
-def stream(bench: NetBench, put: Any, answers: Any, events: "dict[int, str]") -> Iterator[Any]:
+def stream(
+    bench: NetBench,
+    put: Any,
+    answers: Any,
+    events: "dict[int, str]",
+    program: "list[str]" = PROGRAM,
+) -> Iterator[Any]:
     """Stream with character counting; events: bytes by their ms. End when the program is done."""
-    left, sent = list(PROGRAM), []
+    left, sent = list(program), []
     begun, done = bench.rig.now, 0
     due = [(bench.rig.ms(ms), what) for ms, what in sorted(events.items())]
     while left or sent or due:
@@ -409,3 +416,54 @@ def test_all_complete_lines_of_a_lost_client_are_executed(
         return out[0]
 
     assert run(True) == run(False)
+
+
+# The program from zero and back to it, so that each round has the same segments; the dwell is
+# answered after all motion.
+_ROUND = [*PROGRAM, "G90G1X0Y0Z0F3000", "G4P0.01"]
+_ACT_MS = 50
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(0 if os.environ.get("UGRBL_SOAK_HOURS") else 600)
+def test_a_soak_of_clients_changes_no_segment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounds of one program for UGRBL_SOAK_HOURS of the machine's time, or for a minute."""
+    limit_ms = float(os.environ.get("UGRBL_SOAK_HOURS", "0")) * 3_600_000 or 60_000
+    real, visits, folder = HostCalls(), HostCalls(), TemporaryDirectory()
+    bench = PageBench(monkeypatch, Path(folder.name), FAST, real, visits)
+    storm = Storm(bench, (real.port, visits.port), 1)
+    rounds = 0
+
+    def script(bench: NetBench) -> Iterator[Any]:
+        nonlocal rounds
+        heard: list[str] = []
+
+        def answers() -> int:
+            heard.extend(line for line in bench.sender.take() if line == "ok")
+            return len(heard)
+
+        def put(text: str) -> None:
+            bench.rig.link.cable.send(text.encode("latin-1"))
+
+        bench.rig.port.push({"limit_x": False})
+        quiet_round: Any = None
+        while bench.rig.now < bench.rig.ticks_per_ms * limit_ms or rounds < 3:
+            bench.rows.clear()
+            heard.clear()
+            for wake in stream(bench, put, answers, {}, _ROUND):
+                if rounds > 1 and int(bench.rig.now / bench.rig.ticks_per_ms) % _ACT_MS == 0:
+                    storm.act()
+                yield wake
+            found = stretches((bench.rows, bench.steps()))
+            if rounds == 1:  # rows of the first round lack old times of axes at rest
+                quiet_round = found
+            assert rounds < 2 or found == quiet_round, f"round {rounds}"
+            rounds += 1
+
+    bench.run(script)
+    hours = bench.rig.now / bench.rig.ticks_per_ms / 3_600_000
+    storm.end()
+    bench.page.close()
+    folder.cleanup()
+    assert storm.acts > 500
+    print(f"{hours:.2f} hours, {rounds} rounds, {storm.acts} acts of clients: the same segments")

@@ -17,7 +17,7 @@ import pytest
 from micropython_runner import needs_micropython, placed_firmware, run_micropython
 from page_bench import PING, PONG, WS_UPGRADE, frame, request
 from sim_bench import free_port
-from ugrbl.compiling import page_files
+from ugrbl.boardfile import page_files
 from ugrbl.paths import FIRMWARE
 
 pytestmark = [needs_micropython, pytest.mark.thorough]

@@ -7,7 +7,7 @@ import pytest
 from net_bench import HOST, KEY
 from page_bench import BINARY, CLOSE, MASK, PING, PONG, TEXT, WS_UPGRADE, PageBench, frame, request
 from ports.net.page import PIECE
-from ugrbl.compiling import page_files
+from ugrbl.boardfile import page_files
 
 WHOLE = page_files.page(from_board=True).encode()
 

@@ -1,11 +1,12 @@
 """A simulated machine with a body of its own, whatever its settings say: pitch, ends and wiring.
 
 Run as a program it is `ugrbl sim --stdio` for that body; options are a line of JSON: "settings", a
-file; "steps_per_mm" and "travel_mm" of each axis as it is built; "swapped", letters of motors that
-are wired the other way round; "ruler", a file in which it says where the tool really is, in mm,
-and when. The tool begins in the middle. Switches are at both ends of each axis. What the probe
-touches, if it is there: "surface", its height in the middle and rise per mm along X and Y;
-"block", its left front corner; "hole", its middle and half its width.
+file; "board", if it is not the simulator's, a name or a file; "steps_per_mm" and "travel_mm" of
+each axis as it is built; "swapped", letters of motors that are wired the other way round; "ruler",
+a file with the tool's real position in mm, and its time. The tool begins in the middle. Switches
+are at both ends of each axis. What the probe touches, if it is there: "surface", its height in the
+middle and rise per mm along X and Y; "block", its left front corner; "hole", its middle and half
+its width.
 """
 
 import json
@@ -96,7 +97,9 @@ def main() -> None:
     options = json.loads(sys.argv[1])
     wire = Stdio()
     rig = machine.build(
-        "sim", lambda rig: LiveLink(rig, wire, fast=False), Path(options["settings"])
+        options.get("board", "sim"),
+        lambda rig: LiveLink(rig, wire, fast=False),
+        Path(options["settings"]),
     )
     body, ruler = Body(rig, options), Path(options["ruler"])
 

@@ -26,7 +26,7 @@ def _load() -> "tuple[Any, Any, Any, Any, Any]":
     """Import engines and pins with the ESP32's own modules instead of others of the same name."""
     stand_ins: dict[str, Any] = {
         "machine": esp_machine,
-        "sys": SimpleNamespace(implementation=CHIP),
+        "sys": SimpleNamespace(implementation=CHIP, modules=sys.modules),
         "time": SimpleNamespace(
             ticks_us=clock.ticks_us, ticks_ms=clock.ticks_ms, ticks_diff=clock.ticks_diff
         ),

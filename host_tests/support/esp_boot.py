@@ -287,6 +287,8 @@ def main() -> None:
     if getattr(made, "RUN", None):
         run(made.RUN)
         return
+    # The start imports it, as other modules do on a board.
+    sys.modules.setdefault("machine", esp_machine)  # type: ignore[arg-type]
     __import__("main")
     print("the prompt reads", list(wire.left()))
     if sender.punch:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from net_bench import Door, NetBench, Pipe
-from ugrbl.compiling import page_files
+from ugrbl.boardfile import page_files
 from ugrbl.run.tcp_link import LOOPBACK
 
 # Chromium's request headers.

@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from as_users import as_users
-from ugrbl.compiling import page_files
+from ugrbl.boardfile import page_files
 
 # Saved as `ugrbl web --save` saves it.
 _FOLDER = TemporaryDirectory(prefix="ugrbl-page-")

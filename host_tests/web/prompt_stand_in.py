@@ -106,6 +106,14 @@ class PromptBoard:
         """Start as after plugging in."""
         self._start()
 
+    def cut_power(self) -> None:
+        """Stop everything at once, and close the connections, as after unplugging."""
+        if self.machine:
+            self.machine.close()
+            self.machine = None
+        for sink in self._sinks:
+            sink.close()
+
     # The prompt
 
     def _say(self, data: bytes) -> None:

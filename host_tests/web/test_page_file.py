@@ -6,7 +6,7 @@ import re
 
 from bridge import PAGE
 from ugrbl import paths
-from ugrbl.compiling import page_files
+from ugrbl.boardfile import page_files
 from ugrbl.docs import browser
 from ugrbl.grbl.comments import setting_comments
 

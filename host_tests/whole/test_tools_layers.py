@@ -21,7 +21,7 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "replay": ("boardfile", "compiling"),
     "device": ("grbl", "boardfile", "compiling", "run"),
     "image": ("boardfile", "compiling", "run", "device"),
-    "web": ("grbl", "sim", "run", "draw", "compiling", "device"),
+    "web": ("grbl", "sim", "boardfile", "run", "draw", "device"),
     "docs": ("grbl", "boardfile", "replay"),
 }
 ROOMS["cli"] = tuple(ROOMS)
@@ -29,15 +29,15 @@ GROUND = ("", "paths")  # the package itself, for its version
 # Modules for terminals and exit. `make docs` is a command, too; kernels asks typer for the user's
 # folder.
 SCREEN = ("typer", "rich", "prompt_toolkit")
-SCREENS = ("cli", "docs.__main__", "compiling.kernels")
+SCREENS = ("cli", "docs.__main__", "run.kernels")
 
 # Modules that write without paths.write(): into a temporary or new folder, a disk's image, or our
 # docs.
 WRITERS = {
     "compiling.compilers",
-    "compiling.kernels",
+    "run.kernels",
     "compiling.machine_code",
-    "compiling.page_files",
+    "boardfile.page_files",
     "docs.__main__",
     "image.file_system",
     "paths",

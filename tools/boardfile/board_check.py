@@ -53,13 +53,13 @@ def problems(board: ModuleType) -> list[str]:
     values = [*_values(board), *_unknown(board), *_network(board)]
     if is_simulated(board):
         return values or list(_firmware(board))
-    found = list(_missing(board)) or list(_parts(board)) or list(_kinds(board))
-    if found:
-        return found
+    without_pins = list(_missing(board)) or list(_parts(board)) or list(_kinds(board))
+    if without_pins:
+        return without_pins
     check = _inputs if _has_registers(board) else _pins
     pins = min((list(check(board, chip)) for chip in chips_of(board)), key=len)
-    rest = values or (() if pins else _firmware(board))  # it relies on correct pins
-    return [*pins, *_wires(board), *_card(board), *rest, *_defaults(board)]
+    others = values or (() if pins else _firmware(board))  # it relies on correct pins
+    return [*pins, *_wires(board), *_card(board), *others, *_defaults(board)]
 
 
 def notes(board: ModuleType) -> list[str]:
@@ -68,11 +68,12 @@ def notes(board: ModuleType) -> list[str]:
         return []
     check = _inputs if _has_registers(board) else _pins
     chip = min(chips_of(board), key=lambda chip: len(list(check(board, chip))))
-    behind = ("STEP", "DIR", "ENABLE") if _has_registers(board) else ()
-    held = [(name, pin) for name, pins in _held(board) for pin in pins if name not in behind]
-    odd = [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
+    # With shift registers these are outputs of the registers, and not pins of the chip.
+    not_pins = ("STEP", "DIR", "ENABLE") if _has_registers(board) else ()
+    held = [(name, pin) for name, pins in _held(board) for pin in pins if name not in not_pins]
+    hints = [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
     values = (f"${number}={value:g}" for number, value in getattr(board, "DEFAULTS", {}).items())
-    return odd + [f"DEFAULTS: {words}" for words in zeros(values)]
+    return hints + [f"DEFAULTS: {words}" for words in zeros(values)]
 
 
 def imports(text: str) -> Iterator[str]:
@@ -100,6 +101,7 @@ def chips_of(board: ModuleType) -> list[Chip]:
 
 
 def _missing(board: ModuleType) -> Iterator[str]:
+    """Report the first required option that is missing; which ones are, depends on the engine."""
     engine = engines().get(getattr(board, "ENGINE", ""))
     for name in ("ENGINE", "MPY_ARCH", *(engine.needed if engine else ())):
         if not hasattr(board, name):
@@ -121,6 +123,7 @@ def _parts(board: ModuleType) -> Iterator[str]:
 
 
 def _problem(board: ModuleType, name: str) -> str:
+    """Return what is wrong with an option's value; "" if nothing, or if the option is absent."""
     return BY_NAME[name].problem(getattr(board, name)) if hasattr(board, name) else ""
 
 
@@ -141,13 +144,15 @@ def _kinds(board: ModuleType) -> Iterator[str]:
 
 
 def _unknown(board: ModuleType) -> Iterator[str]:
+    """Report names in capitals that nothing reads, with a similar known name."""
     known = set(BY_NAME) | _names_of_extras(board)
     for name in (name for name in vars(board) if name.isupper() and name not in known):
-        meant = difflib.get_close_matches(name, known, 1)
-        yield f"{name}: nothing reads it" + "".join(f"; is {one} meant?" for one in meant)
+        similar = difflib.get_close_matches(name, known, 1)
+        yield f"{name}: nothing reads it" + "".join(f"; is {guess} meant?" for guess in similar)
 
 
 def _pins_of_extras(board: ModuleType) -> tuple[str, ...]:
+    """Return the options with pins that the board's extras have; () if an extra fails."""
     paths.use_firmware()
     from boot import select_extras
 
@@ -164,6 +169,7 @@ def _others(board: ModuleType) -> dict[str, str]:
 
 
 def _as_tuple(value: Any) -> tuple[Any, ...]:
+    """Return the pins of an option: one pin, a tuple, or a dict of pins by name."""
     if isinstance(value, dict):  # pins by name
         return tuple(value.values())
     return value if isinstance(value, tuple) else (value,)
@@ -209,6 +215,7 @@ def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
 
 
 def _loose(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
+    """Check that pins exist and are used once. known: the board with the pins checked so far."""
     used = {pin: other for other, held in known.pins.items() for pin in held}
     for count, pin in enumerate(pins):
         if pin is None:
@@ -240,8 +247,9 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
 
 def _names_of_extras(board: ModuleType) -> set[str]:
     """Return the names that the user's modules read from the board file."""
+    # Each match has a name for each of the two forms of _READ, one of them empty.
     matches = [match for text in _own_extras(board).values() for match in _READ.findall(text)]
-    return {one or other for one, other in matches}
+    return {by_option or by_attribute for by_option, by_attribute in matches}
 
 
 def own_modules(board: Any) -> tuple[str, ...]:
@@ -317,13 +325,15 @@ def _card(board: ModuleType) -> Iterator[str]:
     if len(pins) != len(_SPI) + 1 or None in pins:
         yield "SD_CARD wants four pins: clock, to the card, from the card, select"
     elif board.ENGINE == "pio":
-        used = {(pin >> _SPI_LOG2) % 2 for pin in pins[: len(_SPI)]}
-        if len(used) > 1 or any(pin % 4 != rest for pin, rest in zip(pins, _SPI, strict=False)):
-            which = ", ".join(map(str, pins[: len(_SPI)]))
-            yield f"SD_CARD: {which} are not SCK, TX and RX of one SPI, as 10, 11, 12 are"
+        spis = {(pin >> _SPI_LOG2) % 2 for pin in pins[: len(_SPI)]}
+        roles = zip(pins, _SPI, strict=False)
+        if len(spis) > 1 or any(pin % 4 != remainder for pin, remainder in roles):
+            numbers = ", ".join(map(str, pins[: len(_SPI)]))
+            yield f"SD_CARD: {numbers} are not SCK, TX and RX of one SPI, as 10, 11, 12 are"
 
 
 def _wired(board: ModuleType, name: str) -> bool:
+    """Return whether there is a pin for the "mist" or the "door", the last control input."""
     if name == "mist":
         return getattr(board, "MIST_PIN", None) is not None
     return len(getattr(board, "CONTROL", ())) == len(CONTROLS) and board.CONTROL[-1] is not None
@@ -348,6 +358,7 @@ def _firmware(board: ModuleType) -> Iterator[str]:
 
 
 def _defaults(board: ModuleType) -> Iterator[str]:
+    """Report defaults of settings that the firmware would refuse."""
     paths.use_firmware()
     from base.errors import GrblError
     from base.settings import Settings

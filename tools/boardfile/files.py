@@ -44,6 +44,7 @@ def board_file(name: str) -> Path:
 
 
 def _check_name(name: str) -> None:
+    """Raise BoardFileError unless it is the name of a board in boards/."""
     if Path(name).suffix or Path(name).name != name:
         raise BoardFileError(
             f"{name} is no board file: its name ends in .py; see ugrbl new-board, or name one of "
@@ -85,6 +86,7 @@ def load_for_build(file: Path) -> ModuleType:
 
 
 def _checked(file: Path, may_be_simulated: bool) -> ModuleType:
+    """Return a board file as a module; BoardFileError with all its problems if it has any."""
     try:
         source = read_bytes(file)
         check_utf8(source, file)
@@ -101,11 +103,11 @@ def _checked(file: Path, may_be_simulated: bool) -> ModuleType:
         if may_be_simulated:
             return board
         raise BoardFileError(f"{file.stem} is a machine of the simulator: it has no pins")
-    found = [f"{file.name}: {problem}" for problem in problems(board)]
+    texts = [f"{file.name}: {problem}" for problem in problems(board)]
     if imported:
-        found.append(
+        texts.append(
             f"{file.name}: it imports {imported[0]}, and is alone on the board: copy that"
         )
-    if found:
-        raise BoardFileError(*found)
+    if texts:
+        raise BoardFileError(*texts)
     return board

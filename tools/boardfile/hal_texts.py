@@ -103,6 +103,7 @@ def made(board: ModuleType) -> dict[str, bytes]:
 
 
 def _rows(board: ModuleType) -> Iterator[str]:
+    """Yield the file's rows: settings twice, their groups, alarms and errors."""
     settings = _settings(board)
     yield from (setting.row() for setting in settings)
     yield f"ESH 0 {_HEADER}"
@@ -129,22 +130,24 @@ def _settings(board: ModuleType) -> list[_Setting]:
 
 
 def _of_row(module: str, row: "Row", board: ModuleType) -> Iterator[_Setting]:
-    said = row_meaning(module, row)
-    text = said.text.translate(_PLAIN)
-    kind = _kind(row, said.limits == "any number")
+    """Yield the settings of a row of base/settings.py: one, or one per axis."""
+    meaning = row_meaning(module, row)
+    text = meaning.text.translate(_PLAIN)
+    kind = _kind(row, meaning.limits == "any number")
     if not is_per_axis(row):
         group = _GROUP_OF.get(row[0], _GENERAL)
-        yield _Setting(row[0], group, said.name, said.unit, kind, text)
+        yield _Setting(row[0], group, meaning.name, meaning.unit, kind, text)
         return
     rotary = getattr(board, "ROTARY", "")
     for axis, letter in enumerate(AXES[: motor_names.axes_of(board)]):
-        label, unit = f"{said.name} {letter}", said.unit
+        label, unit = f"{meaning.name} {letter}", meaning.unit
         for mm, degrees in _IN_DEGREES if letter in rotary else ():
             label, unit = label.replace(mm, degrees), unit.replace(mm, degrees)
         yield _Setting(row[0] + axis, _AXIS_GROUP + 1 + axis, label, unit, kind, text)
 
 
 def _kind(row: "Row", is_signed: bool) -> _Kind:
+    """Return the type of a setting's value, as grblHAL numbers and names it."""
     from base import settings
 
     number, _, kind, _, unit = row

@@ -126,6 +126,7 @@ class Board:
         return "\n".join(lines) + "\n"
 
     def _controls(self) -> list[str]:
+        """Return the line of the control inputs; no line if none is wired."""
         held = [self.pins.get(name, ()) for name in CONTROLS]
         if not any(held):
             return []
@@ -144,6 +145,7 @@ class Board:
 
 
 def _tuple(pins: Sequence[int | None]) -> str:
+    """Return pins as the text of a tuple, with a comma after a single one."""
     return f"({', '.join(map(str, pins))}{',' if len(pins) == 1 else ''})"
 
 
@@ -177,8 +179,8 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
     if len(pins) not in wanted:
         many = " or ".join(map(str, sorted(wanted)))
         raise BoardError(f"{item.name} wants {many} pin{'s' * (many != '1')}, not {len(pins)}")
-    used = {p: name for name, held in board.pins.items() if name != item.name for p in held}
-    for count, pin in enumerate(pins):
+    used = {pin: name for name, held in board.pins.items() if name != item.name for pin in held}
+    for index, pin in enumerate(pins):
         if pin is None:
             if item.name != "LIMIT":
                 raise BoardError(f"{item.name}: None is for limit switches that are not there")
@@ -194,7 +196,7 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
             raise BoardError(f"{item.name}: pin {pin} of {board.chip.title} can only read")
         if pin in used:
             raise BoardError(f"{item.name}: pin {pin} is {used[pin]} already")
-        if pin in pins[:count] and item.name != "LIMIT":  # limit switches may share a pin
+        if pin in pins[:index] and item.name != "LIMIT":  # limit switches may share a pin
             raise BoardError(f"{item.name} names pin {pin} twice")
 
 
@@ -248,6 +250,7 @@ def check(board: Board) -> None:
 
 
 def _check_defaults(board: Board) -> None:
+    """Raise BoardError for a default that the firmware would refuse."""
     paths.use_firmware()
     from base.errors import GrblError
     from base.settings import Settings

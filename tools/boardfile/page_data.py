@@ -59,6 +59,7 @@ def data() -> dict[str, Any]:
 
 
 def _chip(name: str) -> dict[str, Any]:
+    """Return a row of CHIPS with its drawing."""
     chip = CHIPS[name]
     return {
         **chip._asdict(),
@@ -70,6 +71,7 @@ def _chip(name: str) -> dict[str, Any]:
 
 
 def _option(option: Option) -> dict[str, Any]:
+    """Return an option for a form. words: values that it may have; choices: those to be shown."""
     words = list(option.words()) if option.words and option.kind in (WORD, NAMES) else None
     left_out = _LEFT_OUT.get(option.name, ())
     return {
@@ -90,16 +92,16 @@ def _apart() -> dict[str, tuple[str, ...]]:
     from extras.kinematics import skew
     from extras.motors import backlash
 
-    return {"BACKLASH": backlash._WORDS, "SKEW": skew._WORDS}
+    return {"BACKLASH": backlash._EXCLUDED, "SKEW": skew._EXCLUDED}
 
 
 def _board(name: str) -> dict[str, Any]:
     """Return a board file: its text, its values, and its chip."""
     file = paths.BOARDS / f"{name}.py"
-    made = load(file)
-    values = {word: value for word, value in vars(made).items() if word.isupper()}
-    chip = next(one for one in CHIPS if CHIPS[one] in board_check.chips_of(made))
-    about = (made.__doc__ or "").strip().partition("\n")[0]
+    module_of_board = load(file)
+    values = {word: value for word, value in vars(module_of_board).items() if word.isupper()}
+    chip = next(one for one in CHIPS if CHIPS[one] in board_check.chips_of(module_of_board))
+    about = (module_of_board.__doc__ or "").strip().partition("\n")[0]
     return {
         "about": about,
         "chip": chip,

@@ -75,6 +75,7 @@ app.add_typer(settings.app, name="settings")
 
 
 def _tell_version(wanted: bool) -> None:
+    """Print the versions and end the command, if --version is given."""
     if not wanted:
         return
     paths.use_firmware()

@@ -95,8 +95,8 @@ def _make(board: str | None, arch: str, progress: Progress, kind: str) -> Build:
         return motion_package.compile_for(arch, progress)
     if not board:
         return build.compile_all(arch, None, progress)
-    made = freeze.for_board if kind else build.for_board
-    return made(board_file(board), progress)
+    compile_for = freeze.for_board if kind else build.for_board
+    return compile_for(board_file(board), progress)
 
 
 def failed(why: Exception) -> typer.Exit:

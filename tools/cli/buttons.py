@@ -31,6 +31,7 @@ class Buttons:
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
+        """Store the lines of stdin until it ends. Runs in the thread; poll() processes them."""
         try:
             for line in sys.stdin:
                 self._lines.append(line)

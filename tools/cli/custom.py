@@ -93,21 +93,24 @@ def _own(surroundings: Around) -> OwnPython:
 
 
 def _tell(console: Console, own: OwnPython, verdict: Verdict, board: str) -> None:
+    """Show problems, the handlers tried, notes, and a last line with the verdict."""
+
     def say(mark: str, text: str, end: str = "") -> None:
         console.print(f"{mark}{escape(text)}{end}", highlight=False, soft_wrap=True)
 
     for problem in verdict.problems:
         say("[red]BAD [/] ", problem)
-    for what, said, well in verdict.tried:
-        say(
-            "[green]ok  [/] " if well else "[red]BAD [/] ", said if not well else f"{what}: {said}"
-        )
+    for handler, result, is_good in verdict.tried:
+        if is_good:
+            say("[green]ok  [/] ", f"{handler}: {result}")
+        else:
+            say("[red]BAD [/] ", result)
     for lack in verdict.untried:
         say("[yellow]note[/] ", f"cannot be tried here: {lack}")
     for note in verdict.notes + _assumed(own, board):
         say("[yellow]note[/] ", note)
     count = len(verdict.handlers)
-    bad = len(verdict.problems) + sum(not well for _, _, well in verdict.tried)
+    bad = len(verdict.problems) + sum(not is_good for _, _, is_good in verdict.tried)
     words = f"{own.path}: {count} handler{'s' * (count != 1)}, " if count else f"{own.path}: "
     if bad:
         words += f"{bad} wrong"

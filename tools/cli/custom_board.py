@@ -34,6 +34,9 @@ __all__ = ["app"]  # includes the commands that need no board
 Anyway = Annotated[bool, typer.Option("--anyway", help="Push it even if only the dry run fails.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
+# Messages of the firmware after its start.
+_RUNS = "Custom: "
+_LEFT_OUT = "Custom left out: "
 _NEW = '''"""My own words for the machine: see docs/custom.md of ugrbl."""
 
 from ugrbl import mcode
@@ -80,6 +83,7 @@ def _judged(
 
 
 def _push(console: Console, port: str, own: OwnPython) -> None:
+    """Put the files on the board, restart it, and show what the firmware reports."""
     with _shelf(port) as shelf:
         options = shelf.options()
         name = shelves.name_of(options)
@@ -109,19 +113,22 @@ def renamed(own: OwnPython, name: str) -> dict[str, bytes]:
     return {path.replace(own.name, name, 1): content for path, content in own.files.items()}
 
 
-def _tell_start(console: Console, what: str, told: "list[str]") -> None:
-    """Show what the firmware reports about it. Ends the command if it was left out."""
-    for text in told:
-        if text.startswith("Custom: "):
+def _tell_start(console: Console, what: str, messages: "list[str]") -> None:
+    """Show what the firmware reports about it. Ends the command if it was left out.
+
+    what: the files and the port. messages: those of the start, without [MSG:].
+    """
+    for text in messages:
+        if text.startswith(_RUNS):
             console.print(
-                f"[green]ok  [/] {escape(what)}: {escape(text[8:])}",
+                f"[green]ok  [/] {escape(what)}: {escape(text.removeprefix(_RUNS))}",
                 highlight=False,
                 soft_wrap=True,
             )
             return
-        if text.startswith("Custom left out: "):
+        if text.startswith(_LEFT_OUT):
             raise DeployError(
-                f"{what}: the board has it, and leaves it out: {text[17:]}",
+                f"{what}: the board has it, and leaves it out: {text.removeprefix(_LEFT_OUT)}",
                 "mend it and push it again, or take it away: ugrbl custom remove",
             )
     raise DeployError(
@@ -144,19 +151,20 @@ def pull(
             raise DeployError(f"{file} is there already", "--force replaces it")
         paths.check_writable(file / "one" if file.is_dir() else file)
         where = ports.choose(port)
-        found = _fetch(where)
-        if not found:
+        files = _fetch(where)
+        if not files:
             raise DeployError(f"there is none on the board at {where}", "ugrbl custom push FILE")
-        made = keep(found, file)
-        Console().print(f"{made} is what is at {where}", highlight=False, soft_wrap=True)
+        path = keep(files, file)
+        Console().print(f"{path} is what is at {where}", highlight=False, soft_wrap=True)
 
 
 def _fetch(port: str) -> dict[str, bytes]:
+    """Return the user's files that are on the board, by path, and restart the board."""
     with _shelf(port) as shelf:
         name = shelves.name_of(shelf.options())
-        found = shelves.pull(shelf, name)
+        files = shelves.pull(shelf, name)
         shelf.restart()
-        return found
+        return files
 
 
 def keep(found: Mapping[str, bytes], file: Path) -> Path:
@@ -187,10 +195,10 @@ def edit(
     with _told():
         editor = _editor()
         where = ports.choose(port)
-        found = _fetch(where) or {"custom.py": _NEW.encode()}
+        files = _fetch(where) or {"custom.py": _NEW.encode()}
         folder = Path(tempfile.mkdtemp(prefix="ugrbl-custom-"))
-        is_single = all("/" not in path for path in found)
-        copy = keep(found, folder / ("custom.py" if is_single else "custom"))
+        is_single = all("/" not in path for path in files)
+        copy = keep(files, folder / ("custom.py" if is_single else "custom"))
         try:
             done = _edit(Console(), editor, copy, where, board, inputs, anyway)
         except (typer.Exit, Exception):
@@ -204,12 +212,12 @@ def edit(
 
 def _editor() -> list[str]:
     """Return the words of $VISUAL or $EDITOR. DeployError if neither is set."""
-    said = os.environ.get("VISUAL") or os.environ.get("EDITOR") or ""
+    command = os.environ.get("VISUAL") or os.environ.get("EDITOR") or ""
     todo = "say which: export EDITOR=nano"
     try:
-        words = shlex.split(said)
+        words = shlex.split(command)
     except ValueError as error:
-        raise DeployError(f"$VISUAL or $EDITOR is no command: {said}", todo) from error
+        raise DeployError(f"$VISUAL or $EDITOR is no command: {command}", todo) from error
     if not words:
         raise DeployError("no editor is known", todo)
     return words
@@ -241,6 +249,7 @@ def _edit(
 
 
 def _digests(copy: Path) -> dict[str, str]:
+    """Return a digest of each file, so that a change is seen."""
     files = [copy] if copy.is_file() else sorted(copy.rglob("*.py"))
     return {str(file): digest(file.read_bytes()) for file in files}
 
@@ -287,6 +296,7 @@ def _told() -> "Iterator[None]":
 
 
 def _failed(why: str, todo: str) -> typer.Exit:
+    """Show a cause and the next step on stderr; returns the exception to raise."""
     console = Console(stderr=True)
     console.print(f"[red]{escape(why)}", highlight=False, soft_wrap=True)
     if todo:

@@ -91,6 +91,7 @@ def demo(console: Console) -> bool:
 
 
 def _stream(running: Simulator, lines: Sequence[bytes], console: Console) -> tuple[Report, float]:
+    """Send the settings and the program; returns the result, and the seconds that it took."""
     connection = Connection(str(running.port))
     try:
         connection.start()
@@ -108,6 +109,7 @@ def _stream(running: Simulator, lines: Sequence[bytes], console: Console) -> tup
 
 
 def _summary(report: Report, totals: Totals, seconds: float) -> object:
+    """Return a table of the result. seconds: time of streaming."""
     return summary(
         [
             ("lines", str(report.answered)),

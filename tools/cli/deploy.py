@@ -109,6 +109,7 @@ def command(
 
 
 def _deploy(console: Console, port: str, made: Build, replace: bool) -> Result:
+    """Copy a build to the board at a port, with a progress bar."""
     from ..device.deploy_device import MpremoteDevice  # it needs a moment to be imported
 
     with Bar(console) as bar:
@@ -120,6 +121,7 @@ def _deploy(console: Console, port: str, made: Build, replace: bool) -> Result:
 
 
 def _show(console: Console, result: Result, port: str) -> None:
+    """Show a table of what was copied, and what the board reports."""
     rows = [
         ("board", f"{result.micropython}, at {port}"),
         *_frozen(result),

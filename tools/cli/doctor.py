@@ -25,8 +25,11 @@ EXAMPLES = examples(
     "ugrbl doctor --port COM3 --no-move --json -",
 )
 _MARKS = {OK: "[green]ok  [/]", NOTE: "[yellow]note[/]", BAD: "[red]BAD [/]"}
-_PINS_S = 15.0
-_TEST_RATE = 200.0
+_PINS_S = 15.0  # how long inputs are watched by default
+_TEST_RATE = 200.0  # mm/min
+# The first numbers of settings that each axis has.
+_STEPS_PER_MM = 100
+_MAX_RATE = 110
 
 
 class Doctor:
@@ -81,6 +84,10 @@ class Doctor:
         may_move: Callable[[], bool],
         ask: bool,
     ) -> None:
+        """Examine a Grbl that answers: firmware, settings, inputs, and a small move of each axis.
+
+        pins_s: how long to watch the inputs; None: ask the user, if `ask`.
+        """
         settings = sync.pull(connection)
         self.add(checkup.firmware(settings.firmware, _our_build()))
         self.add(*checkup.link(settings.firmware))
@@ -93,7 +100,7 @@ class Doctor:
         self.add(*checkup.settings(values, settings.firmware))
         board_under_test.report(connection)
         self.add(*checkup.pins_at_rest(board_under_test.pins(connection), values))
-        axes = sum(100 + axis in values for axis in range(len(AXES)))
+        axes = sum(_STEPS_PER_MM + axis in values for axis in range(len(AXES)))
         if pins_s is None and ask and typer.confirm("Watch the inputs while you press them?"):
             pins_s = _PINS_S
         if pins_s:
@@ -102,12 +109,13 @@ class Doctor:
             self.add(*checkup.pins_pressed(seen, values, axes))
         if may_move():
             for axis in range(axes):
-                rate = min(_TEST_RATE, values.get(110 + axis, _TEST_RATE))
+                rate = min(_TEST_RATE, values.get(_MAX_RATE + axis, _TEST_RATE))
                 self.add(board_under_test.move(connection, axis, AXES[axis], rate))
                 if self.findings[-1].verdict != OK:
                     break
 
     def _state(self, connection: Connection) -> None:
+        """Add a finding about the machine's state: any but Idle is worth a look."""
         state = connection.state()
         if state == "Idle":
             self.add(Finding("state", OK, "Idle"))
@@ -134,6 +142,7 @@ def _health(connection: Connection, found: Firmware) -> list[str]:
 
 
 def _our_build() -> str:
+    """Return the build of the firmware in this package."""
     use_firmware()
     from talk import report
 
@@ -141,14 +150,14 @@ def _our_build() -> str:
 
 
 def _numbers(settings: Settings) -> dict[int, float]:
+    """Return the values of settings as numbers, by setting."""
     return {number: float(value) for number, value in settings.values.items()}
 
 
 def _find(doctor: Doctor, port: str | None) -> str:
     """Return the port to examine, and show all ports with a controller."""
-    found = ports.find()
-    for one in found:
-        doctor.add(Finding("usb", OK, f"{one.port}: {one.what}"))
+    for controller in ports.find():
+        doctor.add(Finding("usb", OK, f"{controller.port}: {controller.what}"))
     return ports.choose(port)
 
 
@@ -193,6 +202,7 @@ def command(
 
 
 def _close(doctor: Doctor, findings: Sequence[Finding], json_file: Path | None) -> None:
+    """Show the verdict and write the findings. The exit code is 1 if something is wrong."""
     doctor.console.print(f"[b]{doctor.verdict()}[/b]", highlight=False)
     if json_file:
         rows = [finding.as_json() for finding in findings]

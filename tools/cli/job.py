@@ -137,6 +137,7 @@ def button(
 
 
 def _called(name: str) -> str:
+    """Return a job's name as the board has it. A name that it cannot have ends the command."""
     try:
         return jobs.name_of(name)
     except ValueError as error:

@@ -71,6 +71,7 @@ class Keys:
         return commands(self._read())
 
     def _read(self) -> str:
+        """Return the keys pressed since the last call; "" if none, or without a terminal."""
         if sys.platform == "win32":
             import msvcrt
 

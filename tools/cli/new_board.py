@@ -144,6 +144,7 @@ def _given(words: list[str]) -> dict[str, str]:
 
 
 def _chip(console: Console, chip: Chip | None, asking: bool) -> Chip:
+    """Return the chip from its option, or ask the user; BoardError if nobody can be asked."""
     if chip is None:
         if not asking:
             raise BoardError(f"which chip? --chip, one of {', '.join(CHIPS)}")
@@ -221,6 +222,7 @@ def _letters(
 
 
 def _defaults(settings: list[str]) -> dict[int, float]:
+    """Return settings given as 100=800, by number. BoardError for other texts."""
     values = {}
     for text in settings:
         number, _, value = as_line(text)[1:].partition("=")
@@ -248,6 +250,7 @@ def _write(board: Board, file: Path) -> None:
 
 
 def _show(console: Console, board: Board, file: Path) -> None:
+    """Show the wiring, hints about the pins, and the file's name."""
     rows = [(f"GPIO {pin}", what) for pin, what in board.wiring()]
     console.print(summary(rows))
     for text in new_board.oddities(board):

@@ -91,6 +91,8 @@ def _jobs(
     board: str,
     around: machine.Around,
 ) -> list[Job]:
+    """Run the program with the machine's settings, and again with those of --set. Errors and hints
+    are shown. ValueError if it does not come to its end."""
     lines = read_program(file)
     base = from_file(settings) if settings else []
     show_zeros(console, base)
@@ -112,6 +114,7 @@ def _jobs(
 
 
 def _tell(console: Console, jobs: Sequence[Job], words: str, target: Path) -> None:
+    """Show the time of each run, the picture's file, and the comparison (words), if any."""
     rows = [(job.name, short(job.seconds)) for job in jobs]
     console.print(summary([*rows, ("drawn in", str(target))]))
     if words:

@@ -46,13 +46,13 @@ class Found(NamedTuple):
 
 def find() -> list[Found]:
     """Return the ports that may have a controller, recognised by their USB numbers."""
-    found = []
+    controllers = []
     for port in list_ports.comports():
-        for vendor, product, what in _KNOWN:
+        for vendor, product, name in _KNOWN:
             if port.vid == vendor and product in (0, port.pid):
-                found.append(Found(port.device, what))
+                controllers.append(Found(port.device, name))
                 break
-    return found
+    return controllers
 
 
 def command(
@@ -62,12 +62,12 @@ def command(
 
     The exit code is 1 if there is none.
     """
-    found = find()
+    controllers = find()
     if json_out:
-        print(json.dumps([one._asdict() for one in found], indent=1))
-    for one in [] if json_out else found:
-        Console().print(f"{one.port}: {one.what}", highlight=False, soft_wrap=True)
-    if not found:
+        print(json.dumps([found._asdict() for found in controllers], indent=1))
+    for found in [] if json_out else controllers:
+        Console().print(f"{found.port}: {found.what}", highlight=False, soft_wrap=True)
+    if not controllers:
         Console(stderr=True).print("no controller is plugged in, as far as USB tells")
         raise typer.Exit(1)
 
@@ -76,15 +76,15 @@ def choose(port: str | None) -> str:
     """Return the given port, or the only one there is; SendError if there is none or several."""
     if port:
         return port
-    found = find()
-    if not found:
+    controllers = find()
+    if not controllers:
         raise SendError(
             "no controller is plugged in, as far as USB tells; if there is one, say where: --port"
         )
-    if len(found) > 1:
-        which = ", ".join(f"{one.port} ({one.what})" for one in found)
-        raise SendError(f"there are several: {which}; say which with --port")
-    return found[0].port
+    if len(controllers) > 1:
+        listed = ", ".join(f"{found.port} ({found.what})" for found in controllers)
+        raise SendError(f"there are several: {listed}; say which with --port")
+    return controllers[0].port
 
 
 @contextmanager

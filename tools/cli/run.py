@@ -111,6 +111,7 @@ def _chosen(console: Console, file: Path | None, more: Sequence[str]) -> list[st
 
 
 def _late(console: Console, recorder: Paced, lines: Sequence[bytes]) -> list[Stretch]:
+    """Return the stretches of the program whose lines come too fast, the worst first."""
     with console.status("looking whether lines come in time …"):
         return recorder.starves(lines)
 
@@ -163,15 +164,16 @@ _KINDS = {
 def _too_fast(late: Sequence[Stretch], whose: str) -> str:
     """Return a text about the worst stretch of lines that come too fast, with the next step."""
     worst = late[0]
-    what, instead = _KINDS[worst.kind]
-    others = {1: "", 2: ", and at one more place"}.get(
+    kind_name, instead = _KINDS[worst.kind]
+    elsewhere = {1: "", 2: ", and at one more place"}.get(
         len(late), f", and at {len(late) - 1} more places"
     )
     lost = sum(stretch.lost_s for stretch in late)
     return (
         f"lines {worst.first} to {worst.last} come too fast: {worst.needed:.0f} a second, mostly "
-        f"{what}, of which {whose} takes {worst.taken:.0f}. Motion will falter there{others}, and "
-        f"take about {lost:.1f} s longer. A feed of {worst.feed} % would do, or {instead}."
+        f"{kind_name}, of which {whose} takes {worst.taken:.0f}. Motion will falter "
+        f"there{elsewhere}, and take about {lost:.1f} s longer. "
+        f"A feed of {worst.feed} % would do, or {instead}."
     )
 
 

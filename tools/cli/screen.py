@@ -100,13 +100,13 @@ class Screen:
             Console(stderr=True).print(why, highlight=False)
 
     def progress(self, answered: int, status: str = "") -> None:
-        """Show that `answered` lines are done."""
-        left = self._seconds_left(answered)
+        """Show that `answered` lines are done. status: a report with state and position, or ""."""
+        seconds_left = self._seconds_left(answered)
         if found := _OVERRIDES.search(status):
             self._overrides = "" if found[1] == "100,100,100" else f"  {found[1]} %"
         state = brief(status) + self._overrides
-        if left is not None and state_of(status) != "Idle":
-            state += f"  {clock(left)[:-4]} left"
+        if seconds_left is not None and state_of(status) != "Idle":
+            state += f"  {clock(seconds_left)[: -len('.000')]} left"
         self._progress.update(self._task, completed=answered, state=escape(state))
 
     def message(self, words: str) -> None:
@@ -130,6 +130,7 @@ class Screen:
             self._progress.start()
 
     def _choice(self, why: str) -> Choice:
+        """Return the answer to r, k or a; k is offered only after a refused line."""
         keep = "k to keep going whatever is refused, " if why.endswith("refused") else ""
         self.message(f"{why}; the machine is held")
         self.message(f"Type r to resume, {keep}or a to abort, then Enter; Ctrl-C aborts, too.")
@@ -192,6 +193,7 @@ def show_foreign(
 
 
 def _where(numbers: Sequence[int]) -> str:
+    """Return numbers of lines as text, at most _MOST_NAMED of them."""
     named = ", ".join(map(str, numbers[:_MOST_NAMED])) + ", …" * (len(numbers) > _MOST_NAMED)
     return f"line{'s' * (len(numbers) > 1)} {named}"
 
@@ -208,19 +210,20 @@ def show_messages(console: Console, output: Sequence[tuple[int, str]]) -> None:
     """Show the machine's messages to its sender, by line."""
     for number, line in output:
         if line.startswith("[MSG:"):
-            console.print(f"line {number}: {line[5:-1]}", highlight=False, markup=False)
+            text = line.removeprefix("[MSG:").removesuffix("]")
+            console.print(f"line {number}: {text}", highlight=False, markup=False)
 
 
 def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
     """Show bytes that act at once. Returns whether some are outside of comments."""
-    found = problems(lines)
-    bad = [one for one in found if not one.in_comment]
-    for one in bad[:_MOST_ERRORS]:
-        words = f"line {one.line}: {one.text}, wherever it stands: take it out"
+    all_problems = problems(lines)
+    bad = [problem for problem in all_problems if not problem.in_comment]
+    for problem in bad[:_MOST_ERRORS]:
+        words = f"line {problem.line}: {problem.text}, wherever it stands: take it out"
         console.print(escape(words), highlight=False)
     if len(bad) > _MOST_ERRORS:
         console.print(f"… and {len(bad) - _MOST_ERRORS} more such lines")
-    harmless = [one for one in found if one.in_comment]
+    harmless = [problem for problem in all_problems if problem.in_comment]
     if harmless:
         first = f"line {harmless[0].line}: {harmless[0].text}"
         more = f", and {len(harmless) - 1} more" if len(harmless) > 1 else ""

@@ -106,6 +106,7 @@ def _open(port: str) -> Board:
 
 
 def _test(board: Board, report: Report, quick: bool, yes: bool, seed: int) -> None:
+    """Run all checks. If they cannot be run, or the user declines, start the firmware again."""
     chip, wiring = look(board)
     try:
         pwm = _consent(wiring, yes)

@@ -121,6 +121,7 @@ class Job:
         return ""
 
     def _rehearsal_job(self) -> rehearsal.Job:
+        """Return what the simulator is to run: the program, from the machine's own state."""
         options = self._options
         ask_at = options.from_line if options.from_line > 1 else 0
         return rehearsal.Job(
@@ -135,27 +136,31 @@ class Job:
         )
 
     def _check(self, job: rehearsal.Job) -> None:
+        """Let the simulator run the program, and show what it refuses.
+
+        Raises Stopped if it is not to be sent.
+        """
         total = len(self._lines)
         with self._console.status("checking …") as status:
             result, line = rehearsal.check(
                 job, lambda done: status.update(f"checking: line {done} of {total} …")
             )
         self._check_file(result.own)
-        errors = [one for one in result.errors if not self._is_own(*one)]
+        errors = [error for error in result.errors if not self._is_own(*error)]
         self._tell_unknown(
             [number for number, reply in result.errors if (number, reply) not in errors]
         )
         show_errors(self._console, errors, self._lines)
         show_foreign(self._console, errors, self._lines)
         show_wide_arcs(self._console, result.wide_arcs)
-        found = len(errors)
+        wrong = len(errors)
         if result.stopped:
-            found += 1
+            wrong += 1
             why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
             self._say(": ".join(filter(None, [f"line {line}", result.stopped, why])))
-        if not found or self._options.keep_going:
+        if not wrong or self._options.keep_going:
             return
-        words = "1 line would be refused" if found == 1 else f"{found} lines would be refused"
+        words = "1 line would be refused" if wrong == 1 else f"{wrong} lines would be refused"
         if not self._confirm(f"{words}. Send it nevertheless?"):
             raise Stopped(f"{words}; nothing was sent (--no-check sends it)")
 
@@ -207,16 +212,16 @@ class Job:
                 f"{self._own.text or 'nothing'} there, {own} here; nothing was sent"
             )
 
-    def _cautions(self, way: Approach) -> list[str]:
+    def _cautions(self, approach: Approach) -> list[str]:
         """Return cautions about the approach, including those about the machine's own Python."""
-        found = list(way.cautions)
-        for line in way.lines:
+        cautions = list(approach.cautions)
+        for line in approach.lines:
             if handler := self._own.handler_of(line.data):
-                found.append(f"{handler} is run on the way, by {line.text}")
+                cautions.append(f"{handler} is run on the way, by {line.text}")
         custom = self._options.custom
         if custom and own_python.read(custom).has_attribute("keep"):
-            found.append(f"{custom} reads what is kept (m.keep): the simulator began with none")
-        return found
+            cautions.append(f"{custom} reads what is kept (m.keep): the simulator began with none")
+        return cautions
 
     def _approach(self, running: Rehearsal) -> list[Line]:
         """Return the lines that approach the first line, if the user agrees."""
@@ -237,26 +242,31 @@ class Job:
         return way.lines
 
     def _confirm(self, question: str) -> bool:
+        """Return whether the user agrees; False without a terminal."""
         return sys.stdin.isatty() and typer.confirm(question)
 
     def _send(self, to_send: Sequence[Line]) -> Report:
+        """Send the lines, with a progress bar and keys, and show how many were done."""
         options = self._options
         if sys.stdin.isatty():
             self._say(keys.HELP)
-        left = self._seconds_left
-        with Screen(self._console, options.name, len(to_send), left, listen=True) as screen:
+        seconds_left = self._seconds_left
+        with Screen(
+            self._console, options.name, len(to_send), seconds_left, listen=True
+        ) as screen:
             stream = Stream(self._connection, to_send, screen, options.by_line, options.keep_going)
             with stopping_signals(stream):
                 report = stream.run()
             screen.progress(report.answered, f"<{report.state}>")
         done = max(0, report.answered - self._lead)
-        wrong = len(report.errors)
-        self._say(f"{done} lines, {wrong} error{'' if wrong == 1 else 's'}")
+        errors = len(report.errors)
+        self._say(f"{done} lines, {errors} error{'' if errors == 1 else 's'}")
         if report.drains > 0:
             self._say(f"{checkup.held_up(report.drains, 'meanwhile')}: {checkup.WHY_DRAINED}")
         return report
 
     def _seconds_left(self, done: int) -> float | None:
+        """Return the time left after so many lines sent; None while the rehearsal has none."""
         forecast = self._rehearsal.forecast if self._rehearsal else None
         if forecast is None:
             return None
@@ -307,6 +317,7 @@ class Job:
         return not self._options.custom and any(map(self._own.handler_of, lines))
 
     def _say(self, words: str) -> None:
+        """Show a text to the user, on stderr if stdout fails."""
         try:
             self._console.print(words, highlight=False, markup=False, soft_wrap=True)
         except OSError:  # a full disk: stderr may still be a terminal

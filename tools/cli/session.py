@@ -40,8 +40,9 @@ JOGS = {
 _LINES = {"h": "$H", "u": "$X", "x": "G10 L20 P0 X0", "y": "G10 L20 P0 Y0", "z": "G10 L20 P0 Z0"}
 # A key that is held repeats 10 to 30 times a second; fingers are slower.
 _REPEAT_S = 0.15
-_PIECE_S = 0.1
-_AHEAD = 3
+_PIECE_S = 0.1  # motion in a piece of a jog
+_AHEAD = 3  # pieces that may be unanswered
+_FIRST_OVERRIDE = 0x80  # real-time bytes from here on
 _SETTING = re.compile(r"\$(\d+)=(\S+)")
 _SPEEDS = re.compile(r"\|FS?:(\d+)(?:,(\d+))?")
 _OVERRIDES = re.compile(r"\|Ov:(\d+,\d+,\d+)")
@@ -57,15 +58,15 @@ class Session:
         # Lines to send, and lines sent, each with whether its ok should be shown.
         self._waiting: deque[tuple[bytes, bool]] = deque()
         self._unanswered: deque[tuple[bytes, bool]] = deque()
-        self._polled = 0.0
-        self._overrides = ""
-        self._step = 2
+        self._polled = 0.0  # time of the last ?
+        self._overrides = ""  # as reported: feed, rapids, spindle
+        self._step = 2  # indices in STEPS_MM and FEEDS_MM_MIN
         self._feed = 3
         self._key = ""  # the last key that jogs
         self._heard = 0.0  # time of its last event
         self._held = False  # it repeats: the jog continues until it stops repeating
-        self._pieced = 0.0
-        self._told = ""
+        self._pieced = 0.0  # time of the last piece of a jog
+        self._told = ""  # the last state, so that each is explained once
 
     # Input of the user
 
@@ -142,6 +143,7 @@ class Session:
         return f"step {STEPS_MM[self._step]:g} mm, {FEEDS_MM_MIN[self._feed]} mm/min"
 
     def _send(self) -> None:
+        """Send waiting lines, as far as the machine's buffer has space for them."""
         while self._waiting:
             line, shown = self._waiting[0]
             under_way = sum(len(sent) + 1 for sent, _ in self._unanswered)
@@ -152,6 +154,10 @@ class Session:
             self._unanswered.append((line, shown))
 
     def _receive(self, line: str) -> None:
+        """Process a line of the machine: a status report, an answer, or other output.
+
+        Answers to lines that the user has not typed are not shown, unless they are errors.
+        """
         shown, sent = line != "", b""
         if line.startswith("<"):
             found = _OVERRIDES.search(line)
@@ -173,7 +179,8 @@ class Session:
         self._told = state
 
     def _real_time(self, command: bytes) -> None:
-        if command[0] >= 0x80 and not self._connection.takes_overrides:
+        """Send a real-time command, unless it is an override and the machine has none."""
+        if command[0] >= _FIRST_OVERRIDE and not self._connection.takes_overrides:
             self._show("Grbl 0.9 has no overrides")
             return
         self._connection.write(command)
@@ -181,6 +188,7 @@ class Session:
     # Jogging
 
     def _jog(self, key: str) -> None:
+        """Jog by a step when a key is pressed, and continuously while it repeats."""
         if not self._connection.takes_overrides:
             self._show("Grbl 0.9 has no jogging: move it with G-code")
             return
@@ -196,6 +204,7 @@ class Session:
         self._piece(key, STEPS_MM[self._step])
 
     def _keep_jogging(self, now: float) -> None:
+        """Send the next piece of a jog while its key repeats, and end it then."""
         if not self._held:
             return
         if now - self._heard >= _REPEAT_S:
@@ -204,12 +213,14 @@ class Session:
             self._piece(self._key, FEEDS_MM_MIN[self._feed] / 60 * _PIECE_S)
 
     def _piece(self, key: str, mm: float) -> None:
+        """Queue a jog by so many mm in the direction of a key."""
         self._pieced = time.monotonic()
         axis, sign = JOGS[key][0], JOGS[key][1:]
         line = f"$J=G91 G21 {axis}{sign}{mm:.3f} F{FEEDS_MM_MIN[self._feed]}"
         self._waiting.append((line.encode("ascii"), False))
 
     def _stop_jog(self) -> None:
+        """Cancel the jog; the machine slows down to a stop."""
         self._connection.write(JOG_CANCEL)
         self._waiting.clear()
         self._held = False
@@ -227,4 +238,5 @@ def explained(line: str, sent: str = "") -> str:
 
 
 def _moved(index: int, up: bool, choices: tuple[float, ...]) -> int:
+    """Return the index of the next choice up or down; it stays at the ends."""
     return min(index + 1, len(choices) - 1) if up else max(index - 1, 0)

@@ -157,12 +157,17 @@ def _write(
     json_file: Path | None,
     complete: bool,
 ) -> None:
+    """Write the settings of a file to the machine, after a question; save the old ones.
+
+    complete: the file must have all settings of the machine. The exit code is 1 if the machine
+    refuses one.
+    """
     wanted = _read(file)
     from_stdin = str(file) == STDIN
     if from_stdin and not yes:
         raise failed("settings from stdin leave nobody to ask: say --yes")
-    kept = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
-    check_output(kept, json_file, given=locals())
+    backup = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
+    check_output(backup, json_file, given=locals())
     console = Console(stderr=True)
     with _machine(port, baud) as connection:
         machine = sync.pull(connection)
@@ -174,9 +179,9 @@ def _write(
             agree(f"Change {_count(todo)}?", "nothing has been changed")
         refusals: Sequence[tuple[Change, str]] = ()
         if todo:
-            _keep(machine, kept, "before a push")
-            console.print(f"what is there now is kept in {kept}", highlight=False)
-            refusals = _push(connection, todo, console, kept)
+            _keep(machine, backup, "before a push")
+            console.print(f"what is there now is kept in {backup}", highlight=False)
+            refusals = _push(connection, todo, console, backup)
     _save_json(machine, todo, json_file, refusals)
     for change, reply in refusals:
         words = reply_meaning(reply) if reply.startswith("error") else "it was not taken"
@@ -210,6 +215,7 @@ def _push(
 
 
 def _read(file: Path) -> Settings:
+    """Return the settings of a file. A bad file ends the command with a message."""
     try:
         return read_settings(file)
     except SettingsError as error:
@@ -217,6 +223,7 @@ def _read(file: Path) -> Settings:
 
 
 def _keep(settings: Settings, file: Path, why: str) -> None:
+    """Write settings to a file, with a first line that says why and when."""
     when = datetime.now().strftime("%Y-%m-%d %H:%M")
     save_text(settings.text(f"{why}, {when}"), file)
 
@@ -226,14 +233,15 @@ def _count(todo: Sequence[Change]) -> str:
 
 
 def _show(machine: Settings, todo: Sequence[Change]) -> None:
+    """Show a table of the changes, and a note for values of 0 that stop an axis."""
     console = Console()
     if not todo:
         console.print(f"nothing would change: {machine.firmware} has it all", highlight=False)
         return
     table = Table("", "now", "then", "unit", "what it is", box=None, pad_edge=False)
     for change in todo:
-        said = meaning(change.number)
-        table.add_row(f"${change.number}", change.before, change.after, said.unit, said.name)
+        text = meaning(change.number)
+        table.add_row(f"${change.number}", change.before, change.after, text.unit, text.name)
     console.print(table)
     show_zeros(console, (f"${change.number}={change.after}" for change in todo))
 
@@ -250,15 +258,16 @@ def _save_json(
     json_file: Path | None,
     refusals: Sequence[tuple[Change, str]] = (),
 ) -> None:
+    """Write the changes and the refused ones to a file, if one is named."""
     if json_file is None:
         return
     refused = [{**change.as_json(), "reply": reply} for change, reply in refusals]
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "firmware": vars(machine.firmware),
         "changes": [change.as_json() for change in todo],
         "refused": refused,
     }
-    save_json(found, json_file)
+    save_json(result, json_file)
 
 
 @contextmanager

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from rich.console import Console
 
 from .. import paths
+from ..boardfile import page_files
 from ..boardfile.engines import WIRELESS
 from ..boardfile.files import load_board
-from ..compiling import page_files
 from ..draw import plot
 from ..draw.job import job_of
 from ..draw.motion_trace import MotionTrace
@@ -119,6 +119,7 @@ def _wire(options: Options) -> "Pty | Tcp | Stdio":
 
 
 def _publish(wire: "Pty | Tcp | Stdio", link: Path | None) -> None:
+    """Show where the simulated Grbl is, and make the link to it that --port names."""
     name = getattr(wire, "name", "")
     if link:
         wire.link(link)  # type: ignore[union-attr]  # a Pty, see _wire()

@@ -60,11 +60,13 @@ class Terminal:
             task.result()
 
     async def _turn(self) -> None:
+        """Poll the machine until this is cancelled, or the connection fails."""
         while True:
             self._machine_session.poll()
             await asyncio.sleep(_TURN_S)
 
     async def _ask(self) -> None:
+        """Read lines from the user and enter them, until the end of input (Ctrl-D)."""
         while True:
             try:
                 with patch_stdout():
@@ -83,6 +85,7 @@ class Terminal:
         return "\n".join(line for text in shown for line in wrapped(text, columns))
 
     def _bindings(self) -> KeyBindings:
+        """Return the keys: Tab and Ctrl-X always, those that move the machine only in key mode."""
         bindings = KeyBindings()
         by_keys = Condition(lambda: self._by_keys)
 

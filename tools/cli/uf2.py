@@ -69,25 +69,25 @@ def command(
         check_output(file, given=locals())
         if file.suffix.lower() != ".uf2":
             raise Uf2Error(f"{file}: the name of what is dragged onto a board ends in .uf2")
-        theirs = contents.read(micropython)
+        micropython_image = contents.read(micropython)
         described = load_for_build(board_file(board))
-        contents.check_fit(theirs, described.MPY_ARCH, described.ENGINE)
+        contents.check_fit(micropython_image, described.MPY_ARCH, described.ENGINE)
         if keep:
             _check_nothing_else(settings or custom)
         own = _own(console, board, settings, custom)
-        made = build.for_board(board_file(board))
+        compiled = build.for_board(board_file(board))
         files: dict[str, bytes] = {}
         if keep:
-            data = contents.frozen_only(theirs, made)
+            data = contents.frozen_only(micropython_image, compiled)
         else:
-            files = contents.files(made, own, theirs.frozen)
-            data = contents.join(theirs, files)
+            files = contents.files(compiled, own, micropython_image.frozen)
+            data = contents.join(micropython_image, files)
         paths.write(file, data)
     except (BoardFileError, BuildError) as error:
         raise failed("\n".join(error.problems)) from error
     except (ValueError, SettingsError, OSError) as error:
         raise failed(error) from error
-    _show(console, file, theirs, files)
+    _show(console, file, micropython_image, files)
 
 
 def _check_nothing_else(wanted: Path | None) -> None:
@@ -112,6 +112,7 @@ def _own(
 
 
 def _show(console: Console, file: Path, micropython: MicroPython, files: dict[str, bytes]) -> None:
+    """Show what the file has, and what to do with it. files: those that it puts on the board."""
     about, chip = micropython.about, micropython.chip
     size = sum(map(len, files.values()))
     console.print(

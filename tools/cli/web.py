@@ -15,8 +15,8 @@ from typing import Annotated
 import typer
 
 from .. import paths
+from ..boardfile import page_files
 from ..boardfile.files import load_board
-from ..compiling import page_files
 from ..device.connection import BAUD, SendError
 from ..run import machine
 from .outputs import examples, failed

@@ -6,22 +6,22 @@ modules it needs.
 
 import ast
 import hashlib
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from .. import paths
-from ..boardfile import engines, hal_texts, options
+from ..boardfile import engines, hal_texts, options, page_files
 from ..boardfile.board_check import own_modules
-from ..boardfile.chips import CHIPS
+from ..boardfile.chips import CHIPS, processors
 from ..boardfile.files import load_for_build
-from . import compilers, kernel_module, machine_code, page_files, prebuilt
+from . import compilers, kernel_module, prebuilt
 from .cache import cached
-from .for_chip import for_chip
-from .inline import inline, pruned
+from .inline import inline
 from .kernel_module import Apart
 
 # MicroPython runs main.py at start, but never main.mpy, so this file is not compiled.
@@ -51,6 +51,10 @@ _EXTRAS_API = "extras.api"
 # The placeholder for the id in base/errors.py; compiled firmware has its own id here.
 _OF_SOURCES = '"--------"'
 _DIGITS = 8
+# The module whose constant says that the chip may be an RP2350.
+_LAYOUT = "pio.state_layout"
+_CHIP = "RP2350"
+_MAY_BE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
 
 
 class BuildError(Exception):
@@ -59,13 +63,6 @@ class BuildError(Exception):
     def __init__(self, *problems: str) -> None:
         super().__init__("\n".join(problems))
         self.problems = problems
-
-
-class Firmware(NamedTuple):
-    """All modules for a processor, compiled, by name. id: differs for different sources."""
-
-    id: str
-    modules: dict[str, bytes]
 
 
 @dataclass
@@ -120,6 +117,20 @@ def _text(source: str) -> str:
     return (paths.FIRMWARE / source).read_text(encoding="utf-8")
 
 
+def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
+    """Return the modules, by name, for the chips with this processor.
+
+    If no RP2350 has it, the constant of that chip becomes 0, and the compilers drop the code that
+    depends on it. ValueError if the line with the constant is missing.
+    """
+    made = dict(sources)
+    if _CHIP not in processors(arch):
+        made[_LAYOUT], count = _MAY_BE.subn(f"{_CHIP} = const(0)", made[_LAYOUT])
+        if count != 1:
+            raise ValueError(f"{_LAYOUT} does not say whether the chip may be an {_CHIP}")
+    return made
+
+
 def id_of(arch: str) -> str:
     """Return the id of this firmware. It depends on the sources and the processor, not on what the
     passes make of them."""
@@ -138,7 +149,7 @@ def prepared(arch: str) -> Apart:
     """Return the modules as they are compiled. Kernels are apart if the processor has machine
     code."""
     texts = in_place(arch)
-    if arch not in machine_code.PROCESSORS:
+    if arch not in compilers.PROCESSORS:
         return Apart(texts, "", {})
     return _apart(tuple(texts.items()), tuple(_reached(texts, _plain(arch))))
 
@@ -156,8 +167,7 @@ def _id(written: tuple[tuple[str, str], ...]) -> str:
 def _in_place(written: tuple[tuple[str, str], ...]) -> dict[str, str]:
     stamped = f'"{_id(written)}"'
     return {
-        name: text.replace(_OF_SOURCES, stamped)
-        for name, text in pruned(inline(dict(written))).items()
+        name: text.replace(_OF_SOURCES, stamped) for name, text in inline(dict(written)).items()
     }
 
 
@@ -243,35 +253,28 @@ def _imported(node: ast.AST, without: Collection[str]) -> Iterator[str]:
 # Compiling
 
 
-def firmware(arch: str) -> Firmware:
-    """Return all modules compiled; from the package if the compilers are missing. BuildError."""
+def firmware(arch: str) -> dict[str, bytes]:
+    """Return all modules, by name, compiled; from the package if the compilers are missing.
+    BuildError."""
     if compilers.are_there(arch):
-        return Firmware(id_of(arch), compiled(arch, prepared(arch)))
+        return compiled(arch, prepared(arch))
     try:
-        return Firmware(id_of(arch), prebuilt.find(texts(), arch))
+        return prebuilt.find(texts(), arch)
     except prebuilt.NotThere as why:
         raise BuildError(compilers.missing(str(why))) from why
 
 
 def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[str, bytes]:
     """Compile each module. told: returns the file name for tracebacks, from the module name."""
-    code = {name: _compile(told(name), text, arch) for name, text in made.texts.items()}
     try:
+        code = {
+            name: compilers.compiled(told(name), text, arch) for name, text in made.texts.items()
+        }
         for name in made.pieces:
             code[name] = kernel_module.with_code(code[name], name, made, arch)
-    except machine_code.CompilerError as error:
-        raise BuildError(f"kernels cannot be compiled: {error}") from error
-    return code
-
-
-@lru_cache(1000)
-@cached
-def _compile(name: str, text: str, arch: str) -> bytes:
-    """Compile a module to MicroPython's .mpy format."""
-    try:
-        return compilers.compiled(name, text, arch)
     except compilers.CompilerError as error:
         raise BuildError(str(error)) from error
+    return code
 
 
 def compile_all(
@@ -282,12 +285,12 @@ def compile_all(
     Raises BuildError if the package does not have them either.
     """
     whole = firmware(arch)
-    wanted = _reached(prepared(arch).texts, board) if board else [*whole.modules]
-    files = {path_of(name): whole.modules[name] for name in wanted}
+    wanted = _reached(prepared(arch).texts, board) if board else whole
+    files = {path_of(name): whole[name] for name in wanted}
     files[START] = _text(START).encode()
     for path, content in sorted(files.items()):
         progress(path, len(content))
-    return Build(arch, files, id=whole.id)
+    return Build(arch, files, id=id_of(arch))
 
 
 def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build:
@@ -296,16 +299,14 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
     board: Any = load_for_build(file)
     made = compile_all(board.MPY_ARCH, board, progress)
     made.engine = board.ENGINE
-    own = [f"{name}.py" for name in own_modules(board)]
-    for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
-        made.files[path] = source.read_bytes()
-        progress(path, len(made.files[path]))
-    data = page_files.made() if getattr(board, "PAGE", False) else {}
-    data |= hal_texts.made(board)
-    for path, content in data.items():
-        made.files[path] = content
+    own = {BOARD: file.read_bytes()}
+    own |= {f"{name}.py": file.with_name(f"{name}.py").read_bytes() for name in own_modules(board)}
+    own |= page_files.made() if getattr(board, "PAGE", False) else {}
+    own |= hal_texts.made(board)
+    for path, content in own.items():
         progress(path, len(content))
-    made.own = (BOARD, *own, *data)
+    made.files |= own
+    made.own = tuple(own)
     return made
 
 

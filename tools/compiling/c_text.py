@@ -21,13 +21,8 @@ _BY_FUNCTION = {
     ast.LShift: "left",
     ast.RShift: "right",
 }
-_COMPARE = dict(
-    zip(
-        (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE),
-        ("==", "!=", "<", "<=", ">", ">="),
-        strict=True,
-    )
-)
+_COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+_COMPARE = dict(zip(_COMPARED, "== != < <= > >=".split(), strict=True))
 _PLACE = "@"  # stands for an index that has been computed already; not a name in the sources
 
 
@@ -58,7 +53,7 @@ class Function:
         }
         self._types = self.parameters | {
             name: type if type in BITS or type == "object" else "int"
-            for name, type in viper.types(function).items()
+            for name, type in viper.types(function, module.numbers).items()
             if name not in self.parameters
         }
 
@@ -201,6 +196,8 @@ class Function:
                 return self.number(int(value))
             case ast.Name(name) if name in self._types:
                 return f"{name}_"
+            case ast.Name(name) if name in self._module.numbers:
+                return self.number(self._module.numbers[name])
             case ast.Name(name) if name == _PLACE:
                 return "place"
             case ast.Subscript(pointer, index):

@@ -10,10 +10,10 @@ import pickle
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, wraps
 from importlib import metadata
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import ParamSpec, TypeVar, cast
 
 from .. import paths
@@ -41,7 +41,9 @@ def cached(function: Callable[_P, _R]) -> Callable[_P, _R]:
             return cast(_R, found)
         except (OSError, EOFError, pickle.UnpicklingError):
             made = function(*args, **kwargs)
-        _write(file, pickle.dumps(made))
+        with suppress(OSError):  # if the folder is not writable, it is computed each time
+            _tidy(file.parent)
+            paths.write(file, pickle.dumps(made))
         return made
 
     return found_or_made
@@ -59,19 +61,6 @@ def _passes() -> str:
         except metadata.PackageNotFoundError:
             digest.update(b"none")
     return digest.hexdigest()
-
-
-def _write(file: Path, content: bytes) -> None:
-    """Write the file completely or not at all, because other processes may read or write it."""
-    made = file
-    try:
-        _tidy(file.parent)
-        with NamedTemporaryFile(dir=file.parent, delete=False) as written:
-            made = Path(written.name)
-            written.write(content)
-        made.replace(file)
-    except OSError:  # the folder is not writable: the result is computed each time
-        made.unlink(missing_ok=True)
 
 
 @cache

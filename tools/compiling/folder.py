@@ -38,8 +38,8 @@ def package_list(made: Build) -> str:
     main.py comes last, so that a board with half an installation starts with MicroPython's prompt.
     """
     order = sorted(made.files, key=lambda path: (path == START, path))
-    rows = ",\n".join(f"    {json.dumps([path, path])}" for path in order)
-    return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'
+    listed = {"version": __version__, "urls": [[path, path] for path in order]}
+    return json.dumps(listed, indent=1) + "\n"
 
 
 def save_to_freeze(made: Build, folder: Path) -> None:
@@ -62,7 +62,7 @@ def folders(made: Build) -> list[str]:
 def fill_stock() -> None:
     """Compile the firmware for every processor, and write it into the package."""
     archs = {chip.mpy_arch for chip in CHIPS.values()}
-    prebuilt.save(texts(), {arch: firmware(arch).modules for arch in archs})
+    prebuilt.save(texts(), {arch: firmware(arch) for arch in archs})
 
 
 def place(folder: Path) -> None:

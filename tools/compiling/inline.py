@@ -8,23 +8,16 @@ line moves, and CPython behaves the same without this pass.
 """
 
 import ast
-import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from types import SimpleNamespace
 from typing import NamedTuple
 
 Constants = dict[str, int]
-_Import = ast.Import | ast.ImportFrom
+# What global names are: numbers, and modules with their constants.
+Names = Mapping[str, "int | SimpleNamespace"]
 
 
-class _Module(NamedTuple):
-    """A module's tree, and results that are needed repeatedly."""
-
-    tree: ast.Module
-    imports: list[_Import]
-    stored: list[str]  # each name that is assigned, once per assignment
-
-
-class _Edit(NamedTuple):
+class Edit(NamedTuple):
     """New text for a node."""
 
     node: ast.expr | ast.stmt
@@ -34,44 +27,62 @@ class _Edit(NamedTuple):
 def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
     """Replace public constants of all modules by numbers. Returns the modules by name.
 
-    keep: the definitions stay, for programs that are not among these modules.
+    keep: definitions and imports stay, for programs that are not among these modules.
     """
-    modules = {name: _read(text) for name, text in sources.items()}
-    known: dict[str, Constants] = {name: {} for name in modules}
+    trees = {name: ast.parse(text) for name, text in sources.items()}
+    known: dict[str, Constants] = {name: {} for name in trees}
     while True:  # a constant may depend on another module's
-        found = {name: _public(module, known) for name, module in modules.items()}
+        found = {name: _public(tree, known) for name, tree in trees.items()}
         if found == known:
             break
         known = found
-    return {
-        name: _apply(text, list(_edits(modules[name], known[name], known, keep)))
+    made = {
+        name: edited(text, _edits(trees[name], known[name], known, keep))
         for name, text in sources.items()
     }
+    return made if keep else pruned(made)
 
 
-def pruned(sources: Mapping[str, str]) -> dict[str, str]:
-    """Return the modules, by name, without unused imports of const and of these modules."""
+def pruned(sources: Mapping[str, str], ours: Iterable[str] = ()) -> dict[str, str]:
+    """Return the modules, by name, without unused imports of const and of these modules.
+
+    ours: names of further modules whose unused imports are dropped.
+    """
     trees = {name: ast.parse(text) for name, text in sources.items()}
     asked = {key for tree in trees.values() for key in _asked(tree)}
+    known = {"micropython", *sources, *ours}
     found = {}
     for name, text in sources.items():
-        used = {*_used(trees[name]), *(what for module, what in asked if module in (name, ""))}
+        used = {*_used(trees[name]), *(what for module, what in asked if module == name)}
         edits = []
         for node in ast.walk(trees[name]):
-            if isinstance(node, _Import) and _is_ours(node, sources):
-                gone = [alias for alias in node.names if _bound(alias) not in used]
-                edits += [_Edit(node, _import(node, gone))] if gone else []
-        found[name] = _apply(text, edits)
+            if isinstance(node, ast.Import | ast.ImportFrom) and _is_of(node, known):
+                left = [alias for alias in node.names if _bound(alias) in used]
+                if len(left) < len(node.names):
+                    edits.append(Edit(node, imports(node, left)))
+        found[name] = edited(text, edits)
     return found
 
 
-def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """Yield module and name for each use of another module; module "" stands for any."""
+def imported(tree: ast.AST) -> Iterator[tuple[str, str, str]]:
+    """Yield for each import the name there, the module, and the name in it; "" for a module."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            yield from ((node.module, alias.name) for alias in node.names)
-        elif isinstance(node, ast.Attribute):
-            yield "", node.attr
+        if isinstance(node, ast.Import):
+            yield from ((n.asname or n.name, n.name, "") for n in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((n.asname or n.name, node.module, n.name) for n in node.names)
+
+
+def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Yield module and name for each use of another module."""
+    aliases = {}
+    for here, module, name in imported(tree):
+        aliases[here] = f"{module}.{name}" if name else module
+        yield module, name
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(ast.Name(alias), name) if alias in aliases:
+                yield aliases[alias], name
 
 
 def _used(tree: ast.Module) -> Iterator[str]:
@@ -89,50 +100,38 @@ def _bound(alias: ast.alias) -> str:
     return (alias.asname or alias.name).partition(".")[0]
 
 
-def _is_ours(node: _Import, sources: Mapping[str, str]) -> bool:
+def _is_of(node: ast.Import | ast.ImportFrom, modules: set[str]) -> bool:
+    """Return whether all that is imported is of these modules."""
     if isinstance(node, ast.ImportFrom):
-        known = (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
-        return node.module == "micropython" or any(name in sources for name in known)
-    return all(alias.name in sources for alias in node.names)
+        return bool(modules & {node.module, *(f"{node.module}.{n.name}" for n in node.names)})
+    return all(alias.name in modules for alias in node.names)
 
 
-def _read(text: str) -> _Module:
-    tree = ast.parse(text)
-    imports = [node for node in ast.walk(tree) if isinstance(node, _Import)]
-    return _Module(tree, imports, [node.id for node in _names(tree, ast.Store)])
-
-
-def _public(module: _Module, known: Mapping[str, Constants]) -> Constants:
-    """Return the public constants that a module assigns exactly once."""
-    own: Constants = {}
-    values, modules = _imported(module, known)
-    for statement in module.tree.body:
+def constants(tree: ast.Module, names: Names) -> Constants:
+    """Return the constants that a module assigns exactly once, as `NAME = const(…)`. names: those
+    that it imports."""
+    there, found = dict(names), {}
+    for statement in tree.body:
         name, value = _definition(statement)
-        if name and value is not None:
-            try:
-                own[name] = values[name] = _evaluate(value, values, modules)
-            except (KeyError, ValueError):
-                continue
-    return {n: v for n, v in own.items() if n[0] != "_" and module.stored.count(n) == 1}
+        if value and (number := _number(value, there)) is not None:
+            there[name] = found[name] = number
+    stored = _stored(tree)
+    return {name: number for name, number in found.items() if stored.count(name) == 1}
 
 
-def _imported(
-    module: _Module, known: Mapping[str, Constants]
-) -> tuple[Constants, dict[str, Constants]]:
-    """Return imported constants, and imported modules with their constants, by their local
-    names."""
-    names: Constants = {}
-    modules: dict[str, Constants] = {}
-    for node in module.imports:
-        if isinstance(node, ast.Import):
-            modules.update((n.asname or n.name, known.get(n.name, {})) for n in node.names)
-        elif node.module:
-            constants = known.get(node.module, {})
-            for n in node.names:
-                modules[n.asname or n.name] = known.get(f"{node.module}.{n.name}", {})
-                if n.name in constants:
-                    names[n.asname or n.name] = constants[n.name]
-    return names, modules
+def _public(tree: ast.Module, known: Mapping[str, Constants]) -> Constants:
+    found = constants(tree, _imported(tree, known))
+    return {name: number for name, number in found.items() if name[0] != "_"}
+
+
+def _imported(tree: ast.Module, known: Mapping[str, Constants]) -> Names:
+    """Return the constants that a module imports, and the modules, by their names there."""
+    found: dict[str, int | SimpleNamespace] = {}
+    for here, module, name in imported(tree):
+        whole = f"{module}.{name}" if name else module
+        number = known.get(module, {}).get(name)
+        found[here] = SimpleNamespace(**known.get(whole, {})) if number is None else number
+    return found
 
 
 def _definition(statement: ast.stmt) -> tuple[str, ast.expr | None]:
@@ -143,85 +142,45 @@ def _definition(statement: ast.stmt) -> tuple[str, ast.expr | None]:
     return "", None
 
 
-def _evaluate(node: ast.expr, known: Constants, modules: Mapping[str, Constants]) -> int:
-    """Evaluate an expression of integers; ValueError or KeyError if it is not one."""
-    node = _WithoutModules(modules).visit(copy.deepcopy(node))
-    for name in _names(node, ast.Load):
-        known[name.id]
-    if any(isinstance(part, ast.Call | ast.Attribute | ast.Subscript) for part in ast.walk(node)):
-        raise ValueError
-    expression = ast.fix_missing_locations(ast.Expression(node))
-    value = eval(compile(expression, "", "eval"), {"__builtins__": {}}, dict(known))
-    if type(value) is not int:
-        raise ValueError
-    return value
+def _number(node: ast.expr, names: Names) -> int | None:
+    """Return the value of an expression; None if it is not an integer, or has unknown names."""
+    code = compile(ast.Expression(node), "", "eval")
+    try:
+        value = eval(code, {"__builtins__": {}}, dict(names))
+    except (NameError, AttributeError, TypeError):
+        return None
+    return value if type(value) is int else None
 
 
-class _WithoutModules(ast.NodeTransformer):
-    """Replaces `module.NAME` by its number; KeyError if it is not a constant."""
-
-    def __init__(self, modules: Mapping[str, Constants]) -> None:
-        self._modules = modules
-
-    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
-        if isinstance(node.value, ast.Name):
-            return ast.Constant(self._modules[node.value.id][node.attr])
-        return node
-
-
-def _names(tree: ast.AST, context: type[ast.expr_context]) -> Iterator[ast.Name]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, context):
-            yield node
+def _stored(tree: ast.Module) -> list[str]:
+    """Return each name that is assigned, once per assignment."""
+    names = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
+    return [node.id for node in names if isinstance(node.ctx, ast.Store)]
 
 
 def _edits(
-    module: _Module, own: Constants, known: Mapping[str, Constants], keep: bool
-) -> Iterator[_Edit]:
-    tree = module.tree
-    stored = {*module.stored, *(node.arg for node in ast.walk(tree) if isinstance(node, ast.arg))}
-    names, modules = _imported(module, known)
-    here = own | {n: v for n, v in names.items() if n not in stored}
-    for node in module.imports:
-        if isinstance(node, ast.ImportFrom) and node.module:
-            gone = [n for n in node.names if _is_gone(n, known.get(node.module, {}), stored)]
-            if gone:
-                yield _Edit(node, _import(node, gone))
+    tree: ast.Module, own: Constants, known: Mapping[str, Constants], keep: bool
+) -> Iterator[Edit]:
+    stored = {*_stored(tree), *(n.arg for n in ast.walk(tree) if isinstance(n, ast.arg))}
+    names = {n: v for n, v in _imported(tree, known).items() if n not in stored} | own
     for statement in tree.body:
         name, value = _definition(statement)
-        if name in own and value is not None:
-            yield _Edit(value, _literal(own[name])) if keep else _Edit(statement, "pass")
-    seen = {alias: constants for alias, constants in modules.items() if alias not in stored}
-    yield from _uses(tree, here, seen)
+        if name in own and value:
+            yield Edit(value, _literal(own[name])) if keep else Edit(statement, "pass")
+        else:
+            yield from _uses(statement, names)
 
 
-def _is_gone(name: ast.alias, constants: Constants, stored: set[str]) -> bool:
-    return name.name in constants and name.name not in stored
-
-
-def _import(node: _Import, gone: list[ast.alias]) -> str:
-    """Return what remains of an import."""
-    left = ", ".join(ast.unparse(alias) for alias in node.names if alias not in gone)
-    if not left:
-        return "pass"
-    source = f"from {node.module} " if isinstance(node, ast.ImportFrom) else ""
-    return f"{source}import {left}"
-
-
-def _uses(tree: ast.Module, here: Constants, modules: Mapping[str, Constants]) -> Iterator[_Edit]:
-    inside = set()
-    for statement in tree.body:
-        if _definition(statement)[0] in here:
-            inside |= set(ast.walk(statement))
-    for node in ast.walk(tree):
-        if node in inside:
-            continue
+def _uses(statement: ast.stmt, names: Names) -> Iterator[Edit]:
+    for node in ast.walk(statement):
+        number = None
         match node:
-            case ast.Name(name, ast.Load()) if name in here:
-                yield _Edit(node, _literal(here[name]))
+            case ast.Name(name, ast.Load()):
+                number = names.get(name)
             case ast.Attribute(ast.Name(module), name, ast.Load()):
-                if name in modules.get(module, {}):
-                    yield _Edit(node, _literal(modules[module][name]))
+                number = getattr(names.get(module), name, None)
+        if isinstance(node, ast.expr) and isinstance(number, int):
+            yield Edit(node, _literal(number))
 
 
 def _literal(value: int) -> str:
@@ -236,11 +195,17 @@ def moved(text: str, names: Mapping[str, str]) -> str:
     edits = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.ImportFrom) and (new := names.get(node.module or "")):
-            edits.append(_Edit(node, ast.unparse(ast.ImportFrom(new, node.names, 0))))
-    return _apply(text, edits)
+            edits.append(Edit(node, ast.unparse(ast.ImportFrom(new, node.names, 0))))
+    return edited(text, edits)
 
 
-def _apply(text: str, edits: list[_Edit]) -> str:
+def imports(node: ast.Import | ast.ImportFrom, names: list[ast.alias]) -> str:
+    """Return an import with these names only; "pass" if there are none."""
+    source = f"from {node.module} " if isinstance(node, ast.ImportFrom) else ""
+    return f"{source}import {', '.join(map(ast.unparse, names))}" if names else "pass"
+
+
+def edited(text: str, edits: Iterable[Edit]) -> str:
     """Apply edits from the end to the start, so that positions stay valid; keep the line count."""
     lines = text.splitlines(keepends=True)
     for edit in sorted(edits, key=lambda e: (e.node.lineno, e.node.col_offset), reverse=True):

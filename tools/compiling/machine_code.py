@@ -12,9 +12,6 @@ to `start` keeps them alive.
 """
 
 import ast
-import importlib.util
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -23,10 +20,8 @@ from tempfile import TemporaryDirectory
 from . import viper
 from .c_text import BITS, Function, c_name
 from .cache import cached
+from .compilers import PROCESSORS, llvm
 from .viper import Key, Module
-
-# The processors with such code, by MicroPython's name for the architecture.
-PROCESSORS = {"armv6m": "cortex_m0plus", "armv7emsp": "cortex_m33"}
 
 _TARGET = "thumb-freestanding-eabi"
 _FLAGS = (
@@ -136,10 +131,6 @@ struct function export_{name} = {{0, {signature}, (uintptr_t)use_{name}}};
 """
 
 
-class CompilerError(Exception):
-    """The compiler's message."""
-
-
 def in_c(modules: Mapping[str, Module], keys: "Sequence[Key]") -> str:
     """Return the C text of these functions."""
     functions = [_Function(modules, key) for key in keys]
@@ -147,11 +138,6 @@ def in_c(modules: Mapping[str, Module], keys: "Sequence[Key]") -> str:
     return "".join(
         [_HEAD, *declared, *(part for f in functions for part in (f.body(), f.outer()))]
     )
-
-
-def is_there() -> bool:
-    """Return whether the compiler is installed."""
-    return importlib.util.find_spec("ziglang") is not None
 
 
 @lru_cache(4)
@@ -162,7 +148,7 @@ def compiled(text: str, arch: str) -> bytes:
         source, made = Path(folder, "kernels.c"), Path(folder, "kernels.o")
         source.write_text(text, encoding="utf-8")
         target = ("-target", _TARGET, f"-mcpu={PROCESSORS[arch]}")
-        _zig("cc", *target, *_FLAGS, "-c", "-o", str(made), str(source))
+        llvm("cc", *target, *_FLAGS, "-c", "-o", str(made), str(source))
         return made.read_bytes()
 
 
@@ -177,16 +163,9 @@ def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
         )
         made.write_bytes(compiled(text, arch))
         script.write_text(_LINKED.format(exports="\n        ".join(kept)), encoding="utf-8")
-        _zig("ld.lld", "--gc-sections", "-T", str(script), "-o", str(whole), str(made))
-        _zig("objcopy", "-O", "binary", str(whole), str(code))
+        llvm("ld.lld", "--gc-sections", "-T", str(script), "-o", str(whole), str(made))
+        llvm("objcopy", "-O", "binary", str(whole), str(code))
         return code.read_bytes()
-
-
-def _zig(*arguments: str) -> None:
-    command = [sys.executable, "-m", "ziglang", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise CompilerError(done.stderr.strip())
 
 
 class _Function(Function):

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from .. import paths
 from ..boardfile import engines
 from ..boardfile.chips import CHIPS
-from . import build, machine_code
+from . import build, compilers
 from .build import LIBRARY, Build, Progress
 from .inline import moved
 from .kernel_module import Apart, taken_apart
@@ -48,7 +48,7 @@ def _in_one_package(arch: str) -> Apart:
     engine = next(chip.engine for chip in CHIPS.values() if chip.mpy_arch == arch)
     first = {name: whole[name] for name in sorted(_reached(whole, engine))}
     apart = Apart(first, "", {})
-    if arch in machine_code.PROCESSORS:
+    if arch in compilers.PROCESSORS:
         apart = taken_apart(first, first)
     left = set(_reached(apart.texts, engine))  # without modules that were kernels only
     names = {name: _new_name(name) for name in left}

@@ -15,8 +15,8 @@ _HAS_CHILDREN = 4
 _KIND_BITS = 3
 _VIPER_SECTIONS = 0x70  # flags of code that is linked from elsewhere: it has data sections too
 _GENERATOR = 0x40  # in a prelude's second byte, if it has one
-_TABLE = 0  # kinds of constants
-_TUPLE = 10
+_IS_ROM = 1  # in the length of a name: it is in MicroPython's own table
+_TUPLE = 10  # kinds of constants
 _STR, _BYTES = 5, 6
 _WITHOUT_TEXT = 4  # kinds of constants up to this one, such as None and True, have no text
 
@@ -25,23 +25,7 @@ def rewritten(compiled: bytes, rewrite: Rewrite) -> bytes:
     """Return the module with the code of each function replaced by rewrite(code)."""
     reader = _Reader(compiled)
     reader.pass_tables()
-    return compiled[: reader.at] + b"".join(reader.module(rewrite))
-
-
-def names(compiled: bytes) -> "list[str]":
-    """Return the names in the module's table, by number; "" for a name in MicroPython's own
-    table."""
-    reader = _Reader(compiled)
-    reader.pass_tables()
-    return reader.names
-
-
-def table_place(compiled: bytes) -> int:
-    """Return the index of MicroPython's function table among the module's constants; -1 if
-    absent."""
-    reader = _Reader(compiled)
-    reader.pass_tables()
-    return reader.table
+    return compiled[: reader.at] + b"".join(reader.function(rewrite))
 
 
 def number(value: int) -> bytes:
@@ -56,26 +40,19 @@ class _Reader:
     def __init__(self, compiled: bytes) -> None:
         self._compiled = compiled
         self.at = _HEAD
-        self.names: list[str] = []
-        self.table = -1
 
     def pass_tables(self) -> None:
         """Read over the tables of names and constants."""
         names, constants = self._number(), self._number()
         for _ in range(names):
             length = self._number()
-            is_rom = length & 1
-            self.names.append("" if is_rom else self._take((length >> 1) + 1)[:-1].decode())
-        for place in range(constants):
-            if self._compiled[self.at] == _TABLE:
-                self.table = place
+            if not length & _IS_ROM:
+                self._take((length >> 1) + 1)
+        for _ in range(constants):
             self._pass_constant()
 
-    def module(self, rewrite: Rewrite) -> Iterator[bytes]:
-        """Yield the module's function, rewritten, and the functions within it."""
-        return self._function(rewrite)
-
-    def _function(self, rewrite: Rewrite) -> Iterator[bytes]:
+    def function(self, rewrite: Rewrite) -> Iterator[bytes]:
+        """Yield a function, rewritten, and the functions within it. The first is the module's."""
         head = self._number()
         kind = head & _KINDS
         code = self._take(head >> _KIND_BITS)
@@ -96,7 +73,7 @@ class _Reader:
             children = self._number()
             yield number(children)
             for _ in range(children):
-                yield from self._function(rewrite)
+                yield from self.function(rewrite)
 
     def _pass_constant(self) -> None:
         kind = self._take(1)[0]

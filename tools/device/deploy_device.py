@@ -13,8 +13,8 @@ import serial
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
 
-from ..boardfile import hal_texts
-from ..compiling import freeze, page_files
+from ..boardfile import hal_texts, page_files
+from ..compiling import freeze
 from .connection import Connection, SendError, broke, is_simulator, way_out
 from .deploy import LIST, About, DeployError, Running
 
@@ -139,6 +139,8 @@ class MpremoteDevice:
                 raise self._stranger(state) from error
 
     def _stranger(self, state: str) -> DeployError:
+        """Return why the prompt cannot be entered, with the next step. state: of a Grbl that
+        answers, or ""."""
         if state and is_simulator(self._port):
             return DeployError(
                 f"it is the simulator that answers on {self._port}; no MicroPython is in it",
@@ -180,12 +182,12 @@ class MpremoteDevice:
 
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
         """Create or replace a file. Raises OSError with MicroPython's error number."""
-        told = 0
+        reported = 0
 
         def tell(count: int, total: int) -> None:
-            nonlocal told
-            progress(count - told)
-            told = count
+            nonlocal reported
+            progress(count - reported)
+            reported = count
 
         with self._mended():
             self._transport.fs_writefile(f"/{path}", content, _PIECE, tell)
@@ -236,18 +238,21 @@ class MpremoteDevice:
             return Running(banner, build, self._free_bytes())
 
     def _start(self) -> str:
+        """Start main.py from the prompt, and return the welcome."""
         found = self._hear(_STARTED, _START_S, _END)
         if not found or not found[1]:
             raise DeployError(f"the firmware does not start{self._last_words()}", _NOT_STARTED)
         return found[1].decode("latin-1")
 
     def _last_words(self) -> str:
-        told = _MESSAGE.findall(self._heard)
+        """Return the last message or line received, for an error's text."""
+        messages = _MESSAGE.findall(self._heard)
         lines = [line for line in self._heard.split(b"\r\n") if line.strip()]
-        last = told[-1:] or lines[-1:]
+        last = messages[-1:] or lines[-1:]
         return f": {last[0].decode('latin-1')}" if last else ": it says nothing"
 
     def _build(self) -> str:
+        """Return the build that the firmware reports in $I; "" if it does not."""
         if not self._hear(_ANSWERED, _ANSWER_S, b"$I\n"):
             return ""
         found = _BUILD.search(self._heard)
@@ -266,10 +271,12 @@ class MpremoteDevice:
         return free if free >= 0 else None
 
     def _enter_raw(self, soft_reset: bool) -> None:
+        """Enter the raw prompt, in which scripts are run."""
         with contextlib.redirect_stdout(io.StringIO()):  # mpremote also reports failures there
             self._transport.enter_raw_repl(soft_reset, _RAW_S)
 
     def _leave_raw(self) -> None:
+        """Leave the raw prompt, and wait for the normal one."""
         self._transport.exit_raw_repl()
         self._hear(_PROMPT, _PROMPT_S, b"")
 
@@ -301,10 +308,12 @@ class MpremoteDevice:
         return bytes(port.read(waiting))
 
     def _run(self, script: str) -> str:
+        """Run a script at the prompt, and return what it prints."""
         with self._mended():
             return bytes(self._transport.exec(script)).decode("utf-8")
 
     def _evaluate(self, expression: str) -> Any:
+        """Return the value of an expression at the prompt."""
         with self._mended():
             return self._transport.eval(expression)
 

@@ -44,23 +44,26 @@ class Approach:
 def approach(
     lines: Sequence[bytes], number: int, forecast: Forecast, here: MachineSnapshot
 ) -> Approach:
-    """Return the way from the machine's position to a line of a program."""
+    """Return the way from the machine's position to a line of a program, number from 1.
+
+    here: the machine's state now. forecast: the simulator's, after the lines before.
+    """
     if forecast.stopped:
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
-    there = read(forecast.at_line)
+    state = read(forecast.at_line)
     place = forecast.at_place
-    _check_motion(lines[number - 1], number, there.modes, here.laser())
+    _check_motion(lines[number - 1], number, state.modes, here.laser())
     _check_cycle(lines, number)
     _check_settings(lines[: number - 1], here)
-    _check_places(lines[number - 1 :], here, there)
-    way = _Way(here, there, place, max(forecast.highest_mm(number), here.place[2]))
-    steps = [step for step in way.steps() if step[0]]
-    made = [Line(0, text.encode("ascii"), text) for text, _ in steps]
-    words = [said for _, said in steps if said]
+    _check_places(lines[number - 1 :], here, state)
+    path = _Way(here, state, place, max(forecast.highest_mm(number), here.place[2]))
+    steps = [step for step in path.steps() if step[0]]
+    to_send = [Line(0, text.encode("ascii"), text) for text, _ in steps]
+    words = [words_of_step for _, words_of_step in steps if words_of_step]
     cautions = _cautions(lines[: number - 1])
     cautions += _later(lines, number)
     cautions += [f"{name} is on by then: see that it is" for name in forecast.outputs_on]
-    return Approach(made, words, cautions)
+    return Approach(to_send, words, cautions)
 
 
 def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -> None:
@@ -77,11 +80,11 @@ def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -
 def _check_cycle(lines: Sequence[bytes], number: int) -> None:
     """Raise CannotEnter within a drilling cycle, because its depth, height and retract are in its
     first line."""
-    begun = 0
-    for at, line in enumerate(lines[: number - 1], 1):
+    begun = 0  # number of the line that began the active cycle
+    for line_number, line in enumerate(lines[: number - 1], 1):
         code = _code(line)
         if _CYCLE.search(code):
-            begun = begun or at
+            begun = begun or line_number
         elif _CYCLE_ENDS.search(code):
             begun = 0
     if begun and not _CYCLE_ENDS.search(_code(lines[number - 1])):
@@ -92,12 +95,14 @@ def _check_cycle(lines: Sequence[bytes], number: int) -> None:
 def _check_settings(before: Sequence[bytes], here: MachineSnapshot) -> None:
     """Raise CannotEnter if the machine's settings differ from those that the lines before have
     stored."""
-    for at, line in enumerate(before, 1):
+    for number, line in enumerate(before, 1):
         match = _SETTING.fullmatch(_code(line))
         if not match or (now := here.settings.get(int(match[1]))) is None:
             continue
         if abs(float(match[2]) - float(now)) > _SAME:
-            raise CannotEnter(f"line {at} sets ${int(match[1])}, which is {now} now: set it first")
+            raise CannotEnter(
+                f"line {number} sets ${int(match[1])}, which is {now} now: set it first"
+            )
 
 
 def _check_places(after: Sequence[bytes], here: MachineSnapshot, there: MachineSnapshot) -> None:
@@ -145,29 +150,35 @@ class _Way:
     def _words(self, place: Sequence[float]) -> str:
         """Return X and Y of a position as words, in the work coordinates of the program."""
         offset = self._there.work_offset()
-        work = [at - by for at, by in zip(place, offset, strict=False)]
+        work = [machine - shift for machine, shift in zip(place, offset, strict=False)]
         return axis_words(work[:2])
 
     def _height(self, z_mm: float) -> str:
+        """Return a height in machine coordinates as a word in work coordinates."""
         return f"Z{z_mm - self._there.work_offset()[2]:.3f}"
 
     def _up(self) -> tuple[str, str]:
+        """Return the line up to the safe height with its description; ("", "") if it is there."""
         if self._safe_mm - self._here.place[2] < _NEAR_MM:
             return "", ""
-        said = f"up to {self._height(self._safe_mm)}, the highest the program has been by then"
-        return f"G53 G0 Z{self._safe_mm:.3f}", said
+        description = (
+            f"up to {self._height(self._safe_mm)}, the highest the program has been by then"
+        )
+        return f"G53 G0 Z{self._safe_mm:.3f}", description
 
     def _down(self) -> tuple[str, str]:
+        """Return the line down to the program's position, at feed rate, with its description."""
         if self._safe_mm - self._place[2] < _NEAR_MM:
             return "", ""
-        said = f"down to {self._height(self._place[2])} at {self._feed()} mm/min"
-        return f"G53 G1 Z{self._place[2]:.3f} F{self._feed()}", said
+        description = f"down to {self._height(self._place[2])} at {self._feed()} mm/min"
+        return f"G53 G1 Z{self._place[2]:.3f} F{self._feed()}", description
 
     def _feed(self) -> str:
         """Return the feed in mm/min."""
         return number_word(self._there.feed_mm_min() or _SLOW_MM_MIN)
 
     def _speed(self) -> str:
+        """Return the program's S word."""
         return f"S{number_word(self._there.word('S'))}"
 
     def _tool(self) -> list[tuple[str, str]]:
@@ -198,11 +209,13 @@ class _Way:
             steps.append((f"G43.1 Z{length:.3f}", f"tool length offset {length:.3f}"))
         if self._there.offsets.get("G92") != self._here.offsets.get("G92"):
             there = self._there
-            work = [at - by for at, by in zip(self._place, there.work_offset(), strict=False)]
+            places = zip(self._place, there.work_offset(), strict=False)
+            work = [machine - shift for machine, shift in places]
             steps.append((f"{there.system()} G92 {axis_words(work)}", f"G92 {axis_words(work)}"))
         return steps
 
     def _modal(self) -> str:
+        """Return a line that sets the program's modes and S."""
         wanted: tuple[str, ...] = ("G17", "G18", "G19", "G20", "G21", "G90", "G91", "G94")
         # else the line itself names its motion
         if not (self._here.laser() and "M3" in self._modes):
@@ -214,9 +227,9 @@ class _Way:
 def _later(lines: Sequence[bytes], number: int) -> list[str]:
     """Return a warning if a line still to come stores offsets and may have been executed
     before."""
-    for at, line in enumerate(lines[number - 1 :], number):
+    for number_of_line, line in enumerate(lines[number - 1 :], number):
         if _STORES.search(_code(line)):
-            text = f"line {at} stores offsets: where it has been done already"
+            text = f"line {number_of_line} stores offsets: where it has been done already"
             return [f"{text}, see that those in front of it are as they were before"]
     return []
 
@@ -236,4 +249,5 @@ def _cautions(before: Sequence[bytes]) -> list[str]:
 
 
 def _code(line: bytes) -> bytes:
+    """Return a line's G-code in capitals, without comments and spaces."""
     return without_comments(line).replace(b" ", b"").upper()

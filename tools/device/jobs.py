@@ -53,33 +53,34 @@ def push(connection: Connection, name: str, data: bytes, progress: Callable[[int
         raise SendError("an empty file is no job")
     connection.write(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n".encode())
     heard = _Heard(connection)
-    for at in range(0, len(data), _PIECE):
-        heard.until(f"[FU:{at}]")
-        progress(at)
-        connection.write(b"".join(_lines(data[at : at + _PIECE])) + b"\n")
+    for start in range(0, len(data), _PIECE):
+        heard.until(f"[FU:{start}]")
+        progress(start)
+        connection.write(b"".join(_lines(data[start : start + _PIECE])) + b"\n")
     heard.until("ok", _SILENCE_S + len(data) / _LOOKED_THROUGH_PER_S)
     progress(len(data))
 
 
 def _lines(piece: bytes) -> Iterator[bytes]:
+    """Yield the lines that carry a piece of a file: compressed (raw deflate), then base64."""
     packing = zlib.compressobj(9, zlib.DEFLATED, -_WINDOW_LOG2)
     packed = packing.compress(piece) + packing.flush()
-    for at in range(0, len(packed), _LINE):
-        yield base64.b64encode(packed[at : at + _LINE]) + b"\n"
+    for start in range(0, len(packed), _LINE):
+        yield base64.b64encode(packed[start : start + _LINE]) + b"\n"
 
 
 def files(connection: Connection) -> tuple[list[File], str]:
     """Return all jobs, and the free space in words."""
-    said = _ask(connection, "$F")
-    found = [File(match[1], int(match[2])) for line in said if (match := _FILE.fullmatch(line))]
-    return found, next((match[1] for line in said if (match := _MESSAGE.fullmatch(line))), "")
+    replies = _ask(connection, "$F")
+    jobs = [File(match[1], int(match[2])) for line in replies if (match := _FILE.fullmatch(line))]
+    return jobs, next((match[1] for line in replies if (match := _MESSAGE.fullmatch(line))), "")
 
 
 def check_there(connection: Connection, name: str) -> None:
     """Raise SendError if the machine has no jobs, or none of that name. An empty name stands for
     any."""
-    found, _ = files(connection)
-    if name and name not in (one.name.upper() for one in found):
+    jobs, _ = files(connection)
+    if name and name not in (one.name.upper() for one in jobs):
         raise SendError(f"There is no job {name}: `ugrbl job list` shows what there is")
 
 
@@ -107,23 +108,24 @@ def start(connection: Connection, name: str, line: str = "") -> str:
     _FIRST_S. SendError if there is no message, or if a line was refused.
     """
     _ask(connection, f"$F={name}{line}")
-    said: list[str] = []
+    messages: list[str] = []
     until = time.monotonic() + _BEGUN_S
     while time.monotonic() < until:
         for text in connection.lines():
             match = _MESSAGE.fullmatch(text)
             if match and match[1].startswith("Job "):
-                said.append(_REFUSED.sub(_with_meaning, match[1]))
+                messages.append(_REFUSED.sub(_with_meaning, match[1]))
                 until = time.monotonic() + _FIRST_S
-    if not said:
+    if not messages:
         raise SendError("the machine does not say that the job has begun")
-    text = "\n".join(said)
+    text = "\n".join(messages)
     if _REFUSED.search(text):
         raise SendError(text)
     return text
 
 
 def _with_meaning(refused: re.Match[str]) -> str:
+    """Return `refused with 20: ` and the meaning of that error."""
     return f"{refused[0]}: {meaning(f'error:{refused[1]}')}"
 
 
@@ -161,7 +163,11 @@ class _Heard:
 
 
 def _why(seen: list[str]) -> str:
-    said = [match[1] for line in seen if (match := _MESSAGE.fullmatch(line))]
-    if said:
-        return said[-1]
+    """Return why the machine has refused: its last message, or the meaning of its answer.
+
+    seen: the lines received, the answer last.
+    """
+    messages = [match[1] for line in seen if (match := _MESSAGE.fullmatch(line))]
+    if messages:
+        return messages[-1]
     return NO_JOBS if seen[-1] in ("error:3", "error:2") else f"{seen[-1]}: {meaning(seen[-1])}"

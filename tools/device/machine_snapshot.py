@@ -18,7 +18,8 @@ _PLACE_S = 3.0
 # left out.
 _SETTINGS = (11, 12, 30, 31, 32, *range(100, 106), *range(110, 116), *range(120, 126))
 _TRAVEL = range(130, 136)
-_HOMING, _SOFT_LIMITS, _INCHES = 22, 20, 13
+_HOMING, _SOFT_LIMITS, _INCHES, _LASER, _STEPS_PER_MM = 22, 20, 13, 32, 100
+_Z = 2
 _SETTING = re.compile(r"\$(\d+)=([\d.]+)")
 _OFFSET = re.compile(r"\[(G5[4-9]|G28|G30|G92|TLO):([-\d.,]+)\]")
 _MODES = re.compile(r"\[(?:GC:)?(G\d[^\]:]*)\]")
@@ -41,18 +42,18 @@ class MachineSnapshot:
 
     def laser(self) -> bool:
         """Return whether the tool is a laser ($32)."""
-        return float(self.settings.get(32, "0")) != 0
+        return float(self.settings.get(_LASER, "0")) != 0
 
     def axes(self) -> int:
         """Return the number of axes."""
-        return sum(100 + axis in self.settings for axis in range(len(AXES)))
+        return sum(_STEPS_PER_MM + axis in self.settings for axis in range(len(AXES)))
 
     def work_offset(self) -> list[float]:
         """Return the work offset: machine position minus work position."""
         total = [0.0] * self._count()
         for name in (self.system(), "G92"):
-            total = [a + b for a, b in zip(total, self._offset(name), strict=True)]
-        total[2] += self.tool_length()
+            total = [mm + more for mm, more in zip(total, self._offset(name), strict=True)]
+        total[_Z] += self.tool_length()
         return total
 
     def tool_length(self) -> float:
@@ -83,8 +84,8 @@ class MachineSnapshot:
         if self.tool_length():
             lines.append(f"G43.1 Z{self.tool_length():.3f}")
         if any(self._offset("G92")) and self.place:
-            here = [at - by for at, by in zip(self.place, self.work_offset(), strict=False)]
-            lines.append(f"G92 {axis_words(here)}")
+            places = zip(self.place, self.work_offset(), strict=False)
+            lines.append(f"G92 {axis_words([machine - shift for machine, shift in places])}")
         if self.feed_mm_min():
             lines.append(f"F{number_word(self.feed_mm_min())}")
         words = [word for word in self.modes if _KEPT_MODES.fullmatch(word)]
@@ -105,9 +106,11 @@ class MachineSnapshot:
         return next((word for word in self.modes if word in SYSTEMS), SYSTEMS[0])
 
     def _offset(self, name: str) -> list[float]:
+        """Return an offset of $#, a number per axis; 0 where the machine reports none."""
         return (self.offsets.get(name, []) + [0.0] * len(AXES))[: self._count()]
 
     def _count(self) -> int:
+        """Return the number of axes, at least X, Y and Z."""
         return max(self.axes(), 3)
 
 
@@ -115,24 +118,24 @@ def read_machine(connection: Connection) -> MachineSnapshot:
     """Read the state of an idle machine. Values it does not report stay as in a simulator."""
     replies = [reply for line in ("$$", "$#", "$G") for reply in connection.ask(line)]
     connection.wait_for(lambda line: bool(connection.place()), _PLACE_S)
-    stage = read(replies)
-    stage.place = [at * stage.unit_mm() for at in connection.place()]
-    return stage
+    snapshot = read(replies)
+    snapshot.place = [number * snapshot.unit_mm() for number in connection.place()]
+    return snapshot
 
 
 def read(replies: Iterable[str]) -> MachineSnapshot:
     """Parse replies to $$, $# and $G."""
-    stage = MachineSnapshot()
+    snapshot = MachineSnapshot()
     for reply in replies:
         if match := _SETTING.match(reply):
-            stage.settings[int(match[1])] = match[2]
+            snapshot.settings[int(match[1])] = match[2]
         elif match := _OFFSET.fullmatch(reply):
-            stage.offsets[match[1]] = [float(number) for number in match[2].split(",")]
+            snapshot.offsets[match[1]] = [float(number) for number in match[2].split(",")]
         elif match := _MODES.fullmatch(reply):
-            stage.modes = match[1].split()
-    for values in stage.offsets.values():
-        values[:] = [value * stage.unit_mm() for value in values]
-    return stage
+            snapshot.modes = match[1].split()
+    for values in snapshot.offsets.values():
+        values[:] = [value * snapshot.unit_mm() for value in values]
+    return snapshot
 
 
 def number_word(number: float) -> str:

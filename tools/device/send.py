@@ -113,11 +113,11 @@ class Ready(Sequence[Line]):
     def __getitem__(self, index: slice) -> list[Line]: ...
     def __getitem__(self, index: "int | slice") -> "Line | list[Line]":
         if isinstance(index, slice):
-            return [self[at] for at in range(*index.indices(len(self)))]
-        at = range(len(self))[index] - len(self._lead)
-        if at < 0:
-            return self._lead[at]
-        number = self._first + at
+            return [self[i] for i in range(*index.indices(len(self)))]
+        offset = range(len(self))[index] - len(self._lead)
+        if offset < 0:  # lines of lead come first; it counts from their end
+            return self._lead[offset]
+        number = self._first + offset
         line = self._lines[number - 1]
         return Line(number, sanitize(line), shown(line))
 
@@ -141,10 +141,7 @@ class _Mute:
 
 
 class Stream:
-    """Sends one program through a connection.
-
-    by_line: one line at a time. keep_going: continue after refused lines.
-    """
+    """Sends one program. by_line: one line at a time. keep_going: also after refused lines."""
 
     def __init__(
         self,
@@ -160,13 +157,13 @@ class Stream:
         self._view = view
         self._by_line = by_line
         self._keep_going = keep_going
-        self._sent = 0
+        self._sent = 0  # number of lines sent
         self._unanswered: deque[int] = deque()  # lengths of the lines sent and not yet answered
-        self._polled = 0.0
-        self._drains_before: int | None = None
+        self._polled = 0.0  # time of the last ?
+        self._drains_before: int | None = None  # underruns before this program
         self._rests = 0  # status reports in a row, since the last answer, with a state of rest
-        self._why_hold = ""
-        self._asking = False
+        self._why_hold = ""  # why the machine is to be held; "" if it is not
+        self._asking = False  # the user is being asked
         self._told = ""  # the state that the user was last notified of
         self._held_by_key = False
 
@@ -197,6 +194,7 @@ class Stream:
         return self.report
 
     def _stream(self) -> None:
+        """Take turns until the program has ended, or something has stopped it."""
         self._connection.status = ""
         self._connection.heard = time.monotonic()  # questions to the user may have taken long
         try:
@@ -209,6 +207,7 @@ class Stream:
             self._hold()
 
     def _turn(self) -> None:
+        """Send as much as fits, process what was received, and hold if that is due."""
         if not self._why_hold:
             self._fill()
         self._poll()
@@ -219,6 +218,7 @@ class Stream:
             self._hold()
 
     def _press(self, keys: bytes) -> None:
+        """Send real-time commands of the user, those from 0x80 on only to a Grbl that has them."""
         if not self._connection.takes_overrides:
             keys = bytes(byte for byte in keys if byte < 0x80)
         if keys:
@@ -234,6 +234,7 @@ class Stream:
         return self._sent == len(self._lines) and not self._unanswered
 
     def _fill(self) -> None:
+        """Send lines as long as they fit into Grbl's buffer, or one by one (by_line)."""
         while self._sent < len(self._lines):
             line = self._lines[self._sent].data + b"\n"
             # Lines that prepare for a program are sent one by one, so that none follows a refused
@@ -249,6 +250,7 @@ class Stream:
         return not self._by_line and sum(self._unanswered) + length <= self._connection.window
 
     def _poll(self) -> None:
+        """Request the status from time to time, and report a silent machine to the user."""
         now = time.monotonic()
         if now - self._polled >= POLL_S:
             self._polled = now
@@ -258,6 +260,7 @@ class Stream:
             self._view.message(f"the machine has said nothing for {_SILENCE_S:g} s")
 
     def _handle(self, line: str) -> None:
+        """Process a line from the machine: an answer, an alarm, a reset, a status or a message."""
         report = self.report
         if is_answer(line) and self._unanswered:
             self._answered(line)
@@ -275,6 +278,7 @@ class Stream:
             self._view.message(line)
 
     def _answered(self, answer: str) -> None:
+        """Count the answer to the oldest line. After a refusal hold, unless keep_going."""
         self._unanswered.popleft()
         self._connection.status = ""  # it may be older than the answer
         self._rests = 0
@@ -291,6 +295,7 @@ class Stream:
             self._why_hold = f"{name}{REFUSED}"
 
     def _note_place(self) -> None:
+        """Store what the last status report says: state, position, blocks left, underruns."""
         if self._drains_before is None:
             self._drains_before = self._connection.drains()
         self.report.drains = self._connection.drains() - self._drains_before
@@ -339,6 +344,7 @@ class Stream:
         self._connection.write(CYCLE_START)
 
     def _ask(self, why: str) -> Choice:
+        """Ask the user what to do next. Ctrl-C meanwhile means abort."""
         self._asking = True
         try:
             return self._view.ask(why)
@@ -358,6 +364,7 @@ class Stream:
         self.report.state = self._connection.state()
 
     def _is_at_rest(self, line: str) -> bool:
+        """Process a line; return whether the machine stands still, or the program has ended."""
         self._handle(line)
         if self.report.stopped:
             return True
@@ -367,7 +374,6 @@ class Stream:
 @contextmanager
 def stopping_signals(stream: Stream) -> Iterator[None]:
     """Within this context, Ctrl-C, a closed terminal and SIGTERM first hold the machine."""
-
     terminals = [number for number in range(3) if os.isatty(number)]
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -388,8 +394,7 @@ def stopping_signals(stream: Stream) -> Iterator[None]:
 
 
 def _leave(terminals: Sequence[int]) -> None:
-    """Redirect to /dev/null: the terminal is closed, and writing to it would fail while a machine
-    must be stopped."""
+    """Redirect a closed terminal to /dev/null: an exception must not keep us from stopping."""
     nothing = os.open(os.devnull, os.O_RDWR)
     for number in terminals:
         os.dup2(nothing, number)

@@ -78,6 +78,7 @@ def factory(connection: Connection) -> None:
 
 
 def _ask(connection: Connection, line: str) -> list[str]:
+    """Send a line and return its replies. SendError if it is refused."""
     replies = connection.ask(line)
     if replies[-1] != "ok":
         raise SendError(f"{line}: {replies[-1]}: {meaning(replies[-1], line)}")

@@ -51,6 +51,8 @@ def orders(wanted: Wanted) -> Iterator[str]:
 
 
 def _hex(what: str, text: str, fewest: int, most: int) -> str:
+    """Return a text's bytes as hexadecimal digits. ValueError names it (what) if its length is
+    wrong."""
     data = text.encode()
     if not fewest <= len(data) <= most:
         raise ValueError(f"{what} has {len(data)} bytes, and may have {fewest} to {most}")
@@ -79,6 +81,7 @@ def switch_off(connection: Connection) -> None:
 
 
 def _told(replies: list[str], prefix: str) -> str:
+    """Return the text of the message that begins with a prefix; SendError if there is none."""
     for reply in replies:
         if reply.startswith(prefix):
             return reply[len(prefix) : -1]
@@ -86,6 +89,7 @@ def _told(replies: list[str], prefix: str) -> str:
 
 
 def _ask(connection: Connection, line: str) -> list[str]:
+    """Send a line and return its replies. SendError, with the board's reason, if it is refused."""
     replies = connection.ask(line)
     if replies[-1] == "ok":
         return replies

@@ -25,6 +25,7 @@ def main(
 
 
 def _renew(file: Path, new: str) -> None:
+    """Write a file if its text has changed, and print which."""
     old = file.read_text(encoding="utf-8") if file.exists() else ""
     if new != old:
         file.write_text(new, encoding="utf-8")

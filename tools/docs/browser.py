@@ -15,9 +15,9 @@ _TOOLS = {"laser": "extras/tools/laser", "punch": "extras/tools/punch"}
 
 
 def update(text: str) -> str:
-    """Return the page with its words up to date."""
-    before, _, rest = text.partition(_BEGIN)
-    _, end, after = rest.partition(_END)
+    """Return the page with its words up to date: what is between _BEGIN and _END."""
+    before, _, words_and_after = text.partition(_BEGIN)
+    _, end, after = words_and_after.partition(_END)
     return before + _BEGIN + _as_json(words()) + end + after
 
 
@@ -39,16 +39,18 @@ def words() -> dict[str, dict[str, Any]]:
 
 
 def _words(module: str, row: Any) -> list[Any]:
-    said = settings_file.row_meaning(module, row)
-    return [*said, *([True] if settings_file.is_per_axis(row) else [])]
+    """Return the words of a setting's row; True at the end if it has a number per axis."""
+    meaning = settings_file.row_meaning(module, row)
+    return [*meaning, *([True] if settings_file.is_per_axis(row) else [])]
 
 
-def _as_json(found: dict[str, dict[str, Any]]) -> str:
+def _as_json(tables: dict[str, dict[str, Any]]) -> str:
     """Return JSON with a line for each number, so that a change is visible."""
     parts = []
-    for kind, rows in found.items():
+    for kind, rows in tables.items():
         lines = [
-            f"{json.dumps(n)}: {json.dumps(row, ensure_ascii=False)}" for n, row in rows.items()
+            f"{json.dumps(number)}: {json.dumps(row, ensure_ascii=False)}"
+            for number, row in rows.items()
         ]
         parts.append(f"{json.dumps(kind)}: {{\n" + ",\n".join(lines) + "\n}")
     return "{" + ",\n".join(parts) + "}"

@@ -34,10 +34,12 @@ def machine_api_methods() -> Iterator[ast.FunctionDef]:
 
 
 def _call(method: ast.FunctionDef) -> str:
+    """Return a method as it is called: `wait_for(name, closed=True)`; a property by its name."""
     if "property" in map(ast.unparse, method.decorator_list):
         return method.name
     names = [argument.arg for argument in method.args.args[1:]]
     defaults = [ast.unparse(default) for default in method.args.defaults]
-    plain = names[: len(names) - len(defaults)]
-    named = [f"{n}={d}" for n, d in zip(names[len(plain) :], defaults, strict=True)]
-    return f"{method.name}({', '.join(plain + named)})"
+    required = names[: len(names) - len(defaults)]
+    pairs = zip(names[len(required) :], defaults, strict=True)
+    optional = [f"{name}={default}" for name, default in pairs]
+    return f"{method.name}({', '.join(required + optional)})"

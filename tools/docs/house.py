@@ -25,6 +25,7 @@ def imports() -> set[tuple[str, str]]:
 
 
 def _folders(tree: ast.Module) -> Iterator[str]:
+    """Yield the folders of the firmware from which a module imports."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -57,6 +58,7 @@ def rooms_table() -> str:
 
 
 def _first_sentence(path: Path) -> str:
+    """Return the first sentence of a module's docstring."""
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
     if not text:
         raise ValueError(f"{path} does not say what it is")

@@ -29,6 +29,7 @@ def settings_table() -> str:
 
 
 def _replies(kind: str, numbers: dict[int, str]) -> str:
+    """Return a table of replies such as error:1, with their meanings."""
     rows = [(f"`{kind}:{number}`", as_code(words)) for number, words in numbers.items()]
     return table(("Reply", "Meaning"), rows)
 

@@ -30,17 +30,20 @@ def _taken(word: str, modal: "array[int]") -> "Block | None":
 
     block = Block(3, has_mist=True, has_override_control=True)
     line = bytearray(word.encode() + b"\0")
-    kept = block.ints, block.singles, block.xyz, block.axes
-    return None if read(line, len(word) << 8, modal, *kept, block.words) else block
+    span = len(word) << 8  # the line's end, with its start, 0, in the lower byte
+    parts = block.ints, block.singles, block.xyz, block.axes
+    return None if read(line, span, modal, *parts, block.words) else block
 
 
 def _at_reset() -> "array[int]":
+    """Return the modal state after a reset."""
     from control.modes import Modes
 
     return Modes(3).modal
 
 
 def _known(words: "Iterable[str]") -> list[str]:
+    """Return those of the words that the interpreter accepts after a reset."""
     paths.use_firmware()
     modal = _at_reset()
     return [word for word in words if _taken(word, modal)]
@@ -79,11 +82,12 @@ def _at_start(word: str) -> bool:
     return any(i != PROGRAM_FLOW and _at_reset()[i] == value for i, value in set_to.items())
 
 
-def _words_table(words: list[str], said: dict[str, str]) -> str:
+def _words_table(words: list[str], meanings: dict[str, str]) -> str:
+    """Return a Markdown table of words with their groups and meanings."""
     rows = []
     for word in words:
         start = " In force at start." if _at_start(word) else ""
-        rows.append((f"`{word}`", _group(word), said[word] + start))
+        rows.append((f"`{word}`", _group(word), meanings[word] + start))
     return table(("Word", "Group", "Meaning"), rows)
 
 

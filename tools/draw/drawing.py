@@ -51,13 +51,18 @@ class Drawing:
         return np.asarray(self.speed[self._of(rapid)])
 
     def _of(self, rapid: bool) -> Numbers:
+        """Return a mask of the points that end strokes of one kind."""
         chosen = np.asarray(self.rapid == rapid)
         chosen[:1] = False  # the first point ends no stroke
         return chosen
 
 
 def draw(job: "Job", most: int, tolerance_mm: float = TOLERANCE_MM) -> Drawing:
-    """Return a job with at most so many points, plus those between rapids and cuts."""
+    """Return a job with at most so many points, plus those between rapids and cuts.
+
+    Points are left out where path and speed stay within a tolerance, which grows until the rest
+    are few enough. Speed of a stroke: its length along the path, divided by its time.
+    """
     motion = job.motion
     points, rapid = motion.points, motion.rapids
     time_s = np.frombuffer(motion.time_s)
@@ -68,14 +73,16 @@ def draw(job: "Job", most: int, tolerance_mm: float = TOLERANCE_MM) -> Drawing:
     rows, tolerance_mm = fitted(
         np.column_stack([points, speed * np.float32(shade)]), tolerance_mm, parting, most
     )
-    way = np.concatenate([[0.0], np.cumsum(_lengths(points))])[: len(points)]
-    length, seconds = np.diff(way[rows], prepend=0), np.diff(time_s[rows], prepend=0)
+    # Distance along the path up to each point.
+    path_mm = np.concatenate([[0.0], np.cumsum(_lengths(points))])[: len(points)]
+    length, seconds = np.diff(path_mm[rows], prepend=0), np.diff(time_s[rows], prepend=0)
     mm_s = np.divide(length, seconds, out=np.zeros(len(rows)), where=seconds > 0)
     line, power = motion.lines[rows], np.frombuffer(motion.power, np.float32)[rows]
     return Drawing(tolerance_mm, time_s[rows], points[rows], 60 * mm_s, rapid[rows], line, power)
 
 
 def _lengths(points: Numbers) -> Numbers:
+    """Return the distances from each point to the next."""
     return np.asarray(np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1, dtype=float)))
 
 
@@ -83,9 +90,9 @@ def fastest(drawings: Sequence[Drawing]) -> float:
     """Return the end of the colour scale, in mm/min: the fastest cut, or the fastest rapid if
     nothing cuts."""
     for rapid in (False, True):
-        most = max(float(one.stroke_speeds(rapid).max(initial=0)) for one in drawings)
-        if most:
-            return most
+        highest = max(float(each.stroke_speeds(rapid).max(initial=0)) for each in drawings)
+        if highest:
+            return highest
     return 1.0
 
 
@@ -145,11 +152,11 @@ def envelope(time_s: Numbers, values: Numbers, most: int) -> tuple[Numbers, Numb
     count = len(time_s)
     if count <= most:
         return np.asarray(time_s), np.asarray(values)
-    stretch = -(-count // (most // 2))
-    begins = np.arange(0, count, stretch)
-    padded = np.full(len(begins) * stretch, values[-1])
+    section = -(-count // (most // 2))  # points of a section, rounded up
+    begins = np.arange(0, count, section)
+    padded = np.full(len(begins) * section, values[-1])
     padded[:count] = values
-    table = padded.reshape(len(begins), stretch)
+    table = padded.reshape(len(begins), section)  # a row per section
     rows = np.concatenate([begins + table.argmin(axis=1), begins + table.argmax(axis=1)])
     rows = np.unique(np.minimum(rows, count - 1))
     return np.asarray(time_s)[rows], np.asarray(values)[rows]

@@ -67,11 +67,13 @@ def _places(figure: "Figure", count: int) -> list[list[Any]]:
 
 
 def _draw(job: Job, most: int) -> Drawing:
+    """Return a job with at most so many points, and no finer than the picture's dots."""
     longest = max(high - low for low, high in job.result.totals.bounds_mm.values())
     return drawing.draw(job, most, max(drawing.TOLERANCE_MM, longest / _DOTS))
 
 
 def _heading(job: Job, drawn: Drawing) -> str:
+    """Return the job's name, time and figures in some lines."""
     rows = [f"{name} {what}" for name, what in drawing.figures(job)]
     rows.append(f"drawn within {drawn.tolerance_mm:.2g} mm; rapids dashed")
     return "\n".join([f"{job.name}: {short(job.seconds)}", *_filled(rows[1:])])
@@ -89,6 +91,7 @@ def _filled(rows: Sequence[str]) -> list[str]:
 
 
 def _from_above(axes: "Axes", job: Job, drawn: Drawing, look: dict[str, Any]) -> Any:
+    """Draw the path from above; returns the cuts, whose colours the colour scale explains."""
     from matplotlib.collections import LineCollection
 
     rapids = LineCollection(
@@ -120,6 +123,7 @@ def _travel(axes: "Axes", job: Job, drawn: Drawing) -> None:
 
 
 def _in_space(axes: Any, drawn: Drawing, look: dict[str, Any]) -> None:
+    """Draw the path in 3D. look: the colours of speeds."""
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
 

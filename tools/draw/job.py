@@ -14,6 +14,8 @@ from .motion_trace import LETTERS, Motion, MotionTrace, trace_program
 
 # A simulated machine without switches would start locked, or end in an alarm, with these.
 _WITHOUT = frozenset({20, 21, 22})
+# The first numbers of settings that each axis has.
+_STEPS_PER_MM, _MAX_RATE, _ACCELERATION, _TRAVEL = 100, 110, 120, 130
 
 
 @dataclass
@@ -79,6 +81,7 @@ def check_settings(settings: Sequence[str], board: str, around: machine.Around) 
 
 
 def _check_accepted(result: Result) -> None:
+    """Raise ValueError if the program was not run because a setting was refused."""
     if why := refused(result.stopped):
         raise ValueError(f"{result.stopped}: {why}")
 
@@ -118,15 +121,16 @@ def _limits(board: str, settings: Sequence[str], axes: int) -> dict[str, list[fl
     for line in settings:
         number, _, value = line.lstrip("$").partition("=")
         values[int(number)] = float(value)
-    hz = [values[110 + axis] / 60 * values[100 + axis] for axis in range(axes)]
+    mm_s = [values[_MAX_RATE + axis] / 60 for axis in range(axes)]
     return {
-        "step_hz": hz,
-        "acceleration": [values[120 + axis] for axis in range(axes)],
-        "travel": [values[130 + axis] for axis in range(axes)],
+        "step_hz": [mm_s[axis] * values[_STEPS_PER_MM + axis] for axis in range(axes)],
+        "acceleration": [values[_ACCELERATION + axis] for axis in range(axes)],
+        "travel": [values[_TRAVEL + axis] for axis in range(axes)],
     }
 
 
 def _defaults(board: str) -> dict[int, float]:
+    """Return the default settings of a board by number."""
     from base import settings
 
     given = getattr(load_board(board), "DEFAULTS", {})
@@ -142,8 +146,8 @@ def describe(settings: Sequence[str]) -> str:
     words = []
     for line in settings:
         number, _, value = line.lstrip("$").partition("=")
-        said = meaning(int(number))
-        words.append(f"{said.name} {value} {said.unit}".strip())
+        text = meaning(int(number))
+        words.append(f"{text.name} {value} {text.unit}".strip())
     return ", ".join(words)
 
 

@@ -99,8 +99,9 @@ class Motion:
         changed = np.cumsum(change * _view(self.share[axis])[_view(self.block)], dtype=float)
         ends = np.append(0.0, time_s), np.append(0.0, changed)
         middle = time_s - self.seconds / 2
-        until, since = (np.interp(middle + s, *ends) for s in (MEAN_S / 2, -MEAN_S / 2))
-        return np.asarray((until - since) / MEAN_S)
+        # The change of speed up to half of MEAN_S after, and before, the middle of each segment.
+        after, before = (np.interp(middle + s, *ends) for s in (MEAN_S / 2, -MEAN_S / 2))
+        return np.asarray((after - before) / MEAN_S)
 
     def step_hz(self, motor: int) -> Column:
         """Return the steps per second."""
@@ -139,6 +140,7 @@ class MotionTrace(Paced):
         self._add(0.0, 0.0, 0, self._to_mm(self._place))
 
     def _attach(self) -> None:
+        """Attach to the machine, as Paced._attach(), also to the generator of segments."""
         super()._attach()
         from motion.minifloat import value
 
@@ -148,18 +150,20 @@ class MotionTrace(Paced):
         self._next = replace_method(hooks, "next_segment", self._noted)
 
     def _note(self, row: int) -> None:
+        """Note a block that was planned in this row of the planner's ring."""
         super()._note(row)
         layout, ring = self._layout, self._planner.ring
         at = row * self._planner.flow[layout.ROW_SIZE]
         length = self._value(ring[at + layout.LENGTH]) or 1.0
         steps = ring[at + layout.STEPS : at + layout.STEPS + len(self._motors)]
         dirs, flags = ring[at + layout.DIRS], ring[at + layout.FLAGS]
-        per_mm = [(-n if dirs >> i & 1 else n) / length for i, n in enumerate(steps)]
+        per_mm = [(-count if dirs >> i & 1 else count) / length for i, count in enumerate(steps)]
         self._blocks[at] = len(self.motion.line)
         rapid = bool(flags & (layout.RAPID_MOTION | layout.SYSTEM_MOTION))
         self._add_block(self._rig.link.now_at(), rapid, per_mm)
 
     def _add_block(self, line: int, rapid: bool, per_mm: Sequence[float]) -> None:
+        """Add a block. per_mm: steps of each motor per mm of its path, negative if backwards."""
         motion = self.motion
         motion.line.append(line)
         motion.rapid.append(rapid)
@@ -169,14 +173,16 @@ class MotionTrace(Paced):
             share.append(abs(mm))
 
     def _noted(self, row: "array[int]") -> int:
-        """Replace Segments.next: note the speed of the segment, and its block."""
-        made = int(self._next(row))
-        if made:
-            at = self._planner.flow[self._layout.AT]
-            self._plans[id(row)] = (self._value(self._segments.rate()), self._blocks.get(at, 0))
-        return made
+        """Replace Segments.next: note the speed of the segment, and its block. Return its result,
+        0 if there is no segment."""
+        has_segment = int(self._next(row))
+        if has_segment:
+            block = self._planner.flow[self._layout.AT]
+            self._plans[id(row)] = (self._value(self._segments.rate()), self._blocks.get(block, 0))
+        return has_segment
 
     def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
+        """Add a segment that begins at `start`, in ticks, and ends at this position, in mm."""
         if not self.motion.time_s:
             self._begun_at = start
             self._add(0.0, 0.0, 0, [0.0 for _ in self._axes])
@@ -191,6 +197,7 @@ class MotionTrace(Paced):
         self._add(begin + row[self._layout.ROW_TICKS] / hz, speed, block, at)
 
     def _add(self, time_s: float, speed: float, block: int, at: Sequence[float]) -> None:
+        """Add a row: time, speed in mm/s, block, position in mm; power as it is now."""
         motion, port = self.motion, self._port
         motion.time_s.append(time_s)
         motion.speed_mm_s.append(speed)

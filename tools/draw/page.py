@@ -46,17 +46,18 @@ def page(jobs: Sequence[Job], title: str, words: str) -> str:
         "program": "\n".join(line.decode("latin-1") for line in jobs[0].program),
         "jobs": [_job(job, drawn) for job, drawn in zip(jobs, drawings, strict=True)],
     }
-    said = {
+    parts = {
         "title": html.escape(title),
         "words": html.escape(words),
         "figures": _packed(json.dumps(figures, separators=(",", ":"))),
         "library": _library(),
         "script": SCRIPT,
     }
-    return re.sub(r"@(\w+)@", lambda match: said[match[1]], PAGE)
+    return re.sub(r"@(\w+)@", lambda match: parts[match[1]], PAGE)
 
 
 def _packed(text: str) -> str:
+    """Return a text compressed (gzip), in base64."""
     return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
 
 
@@ -75,6 +76,7 @@ def _column(values: Numbers, kind: str) -> tuple[str, str]:
 
 
 def _job(job: Job, drawn: Drawing) -> dict[str, Any]:
+    """Return the data of a job for the script (script.py): figures, columns and curves."""
     figures = [
         *drawing.figures(job),
         ("drawn", f"nowhere more than {drawn.tolerance_mm:g} mm beside the path"),
@@ -135,6 +137,7 @@ def _curves(job: Job) -> "Sequence[list[dict[str, Any]]]":
 
 
 def _curve(job: Job, values: Numbers, name: str, colour: str) -> dict[str, Any]:
+    """Return a curve for the script, with at most _POINTS points."""
     times, kept = envelope(np.frombuffer(job.motion.time_s), values, _POINTS)
     return {
         "name": name,

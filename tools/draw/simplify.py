@@ -35,13 +35,17 @@ def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) 
 
 
 def _cut(points: Points, is_kept: NDArray[np.bool_], tolerance: float) -> None:
-    """Mark the points to keep, between points that are kept already."""
+    """Mark the points to keep, between points that are kept already.
+
+    first, last: rows of the ends of sections. Each section with a point too far from its chord is
+    cut there into two, until none is left.
+    """
     ends = np.flatnonzero(is_kept)
     first, last = ends[:-1], ends[1:]
-    while len(first := first[wide := last - first > 1]):
+    while len(first := first[wide := last - first > 1]):  # sections with points between the ends
         last = last[wide]
-        worst, far = _farthest(points, first, last)
-        cut = far > tolerance
+        worst, distance = _farthest(points, first, last)
+        cut = distance > tolerance
         first, last, worst = first[cut], last[cut], worst[cut]
         is_kept[worst] = True
         first, last = np.concatenate((first, worst)), np.concatenate((worst, last))
@@ -65,21 +69,23 @@ def _farthest(points: Points, first: Rows, last: Rows) -> tuple[Rows, NDArray[np
     """Return for each section the point farthest from its chord: its row, and its distance."""
     sizes = last - first - 1  # points between the ends
     begins = np.cumsum(sizes) - sizes
-    stretch = np.repeat(np.arange(len(first)), sizes)
-    rows = np.arange(len(stretch)) - begins[stretch] + first[stretch] + 1
-    far = _distance_sqr(points, rows, first[stretch], last[stretch])
-    most = np.maximum.reduceat(far, begins)
-    is_most = np.flatnonzero(far == most[stretch])
-    _, earliest = np.unique(stretch[is_most], return_index=True)
-    return rows[is_most[earliest]], np.sqrt(most)
+    # The points of all sections in one array: their sections, their rows, their distances.
+    section = np.repeat(np.arange(len(first)), sizes)
+    rows = np.arange(len(section)) - begins[section] + first[section] + 1
+    distance_sqr = _distance_sqr(points, rows, first[section], last[section])
+    highest = np.maximum.reduceat(distance_sqr, begins)
+    is_highest = np.flatnonzero(distance_sqr == highest[section])
+    _, earliest = np.unique(section[is_highest], return_index=True)
+    return rows[is_highest[earliest]], np.sqrt(highest)
 
 
 def _distance_sqr(points: Points, rows: Rows, first: Rows, last: Rows) -> NDArray[np.float64]:
     """Return the squared distance of each row from the line segment between two others."""
     begin = points[first].astype(float)
-    way, off = points[last] - begin, points[rows] - begin
-    length_sqr = np.einsum("ij,ij->i", way, way)
-    along = np.einsum("ij,ij->i", off, way)
+    chord, offset = points[last] - begin, points[rows] - begin
+    # einsum: scalar products, row by row.
+    length_sqr = np.einsum("ij,ij->i", chord, chord)
+    along = np.einsum("ij,ij->i", offset, chord)
     share = np.divide(along, length_sqr, out=np.zeros_like(along), where=length_sqr > 0)
-    off -= np.clip(share, 0, 1)[:, None] * way
-    return np.asarray(np.einsum("ij,ij->i", off, off))
+    offset -= np.clip(share, 0, 1)[:, None] * chord  # from the nearest point of the segment
+    return np.asarray(np.einsum("ij,ij->i", offset, offset))

@@ -64,6 +64,7 @@ class CustomCodes:
 
 
 def _code(line: bytes) -> str:
+    """Return a line's G-code in capitals, without comments and spaces."""
     return without_comments(line).decode("latin-1").upper().replace(" ", "").strip()
 
 

@@ -120,6 +120,7 @@ def language_of(line: bytes) -> str:
 
 
 def _bare(line: bytes) -> bytes:
+    """Return a line's G-code in capitals, without comments and spaces."""
     return without_comments(line).replace(b" ", b"").upper()
 
 
@@ -198,6 +199,7 @@ def problems(lines: Iterable[bytes]) -> list[Problem]:
 
 
 def _what(line: bytes, byte: bytes) -> str:
+    """Return in words what a byte of this line would do, if it is sent."""
     if byte in _NAMES:
         return _NAMES[byte]
     sign = next((sign for sign in text(line) if not sign.isascii()), "")
@@ -207,6 +209,7 @@ def _what(line: bytes, byte: bytes) -> str:
 
 
 def _plain(part: bytes) -> bytes:
+    """Return a comment in printable ASCII, with accents removed, and without ! ~ ?."""
     letters = unicodedata.normalize("NFKD", text(part).translate(_HARMLESS))
     return bytes(byte for byte in letters.encode("ascii", "ignore") if byte >= 0x20)
 

@@ -46,6 +46,7 @@ class Lines(Sequence[bytes]):
     @overload
     def __getitem__(self, index: slice) -> "Lines": ...
     def __getitem__(self, index: "int | slice") -> "bytes | Lines":
+        """Return a line without its end; for a slice, Lines of the same data."""
         if isinstance(index, slice):
             part = Lines(b"")
             part._data, part._begin, part._numbers = self._data, self._begin, self._numbers[index]
@@ -54,6 +55,7 @@ class Lines(Sequence[bytes]):
         return self._data[self._begin[number] : self._begin[number + 1]].rstrip(b"\r\n")
 
     def __iter__(self) -> Iterator[bytes]:
+        """Yield the lines; many at once are split faster than one by one."""
         numbers = self._numbers
         if numbers.step != 1:
             yield from map(self.__getitem__, range(len(self)))

@@ -23,6 +23,7 @@ _OF_A_HANDLER = "the machine's own Python (custom.py) refuses it; its message be
 
 @cache
 def _table() -> dict[tuple[str, int], str]:
+    """Return the meanings by kind (`error` or `ALARM`) and number: the firmware's comments."""
     errors = (FIRMWARE / "base" / "errors.py").read_text(encoding="utf-8")
     found = {
         ("ALARM" if alarm else "error", int(number)): _words(comment)
@@ -36,6 +37,7 @@ def _table() -> dict[tuple[str, int], str]:
 
 
 def _words(comment: str) -> str:
+    """Return the text of some lines of comment as one line."""
     return " ".join(line.lstrip("# ") for line in comment.splitlines())
 
 

@@ -154,6 +154,7 @@ class Change(NamedTuple):
 
 
 def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
+    """Store a setting. SettingsError names its line if it is invalid or repeated."""
     try:
         good = isfinite(float(value)) and (float(value) >= 0 or number in SIGNED)
     except ValueError:
@@ -216,6 +217,7 @@ def is_per_axis(row: "Row") -> bool:
 
 
 def _limits(kind: int) -> str:
+    """Return which values a setting of this kind may have, in words."""
     from base import settings
 
     return {settings.INT: "0 to 255", settings.BOOL: "0 or 1"}.get(kind, "0 or more")
@@ -228,12 +230,12 @@ def _table() -> dict[int, Meaning]:
     table = {}
     for module, rows in tables().items():
         for row in rows:
-            said = row_meaning(module, row)
+            text = row_meaning(module, row)
             if is_per_axis(row):
                 for axis, letter in enumerate(AXES):
-                    table[row[0] + axis] = said._replace(name=f"{said.name} {letter}")
+                    table[row[0] + axis] = text._replace(name=f"{text.name} {letter}")
             else:
-                table[row[0]] = said
+                table[row[0]] = text
     return table
 
 
@@ -264,10 +266,11 @@ def zeros(lines: Iterable[str]) -> list[str]:
 
 
 def _comment(number: int) -> str:
-    said = meaning(number)
-    if not said.name:
+    """Return the comment for a setting's line in a file; "" for an unknown setting."""
+    text = meaning(number)
+    if not text.name:
         return ""
-    return f"; {said.name}, {said.unit}. {said.text}".strip()
+    return f"; {text.name}, {text.unit}. {text.text}".strip()
 
 
 def same(one: str, other: str) -> bool:

@@ -50,10 +50,11 @@ def about(flash: Flash) -> About:
 
 
 def _entries(flash: Flash) -> Iterator[int]:
+    """Yield the addresses of the entries in the list between the two marks."""
     words = struct.unpack(f"<{_SEARCHED // 4}I", flash.read(_XIP, _SEARCHED))
     for i in range(len(words) - 4):
         if (words[i], words[i + 4]) == _MARKS:
             first, end = words[i + 1], words[i + 2]
-            for at in range(first, min(end, first + 4 * _MOST), 4):
-                yield from struct.unpack("<I", flash.read(at, 4))
+            for address in range(first, min(end, first + 4 * _MOST), 4):
+                yield from struct.unpack("<I", flash.read(address, 4))
             return

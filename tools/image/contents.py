@@ -53,6 +53,7 @@ def check_fit(micropython: MicroPython, arch: str, engine: str) -> None:
 
 
 def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
+    """Return why a board with this architecture and engine cannot run with it; "" if it can."""
     chip, version = micropython.chip, micropython.about.version
     wanted = chips.processors(arch)
     if chip not in wanted:
@@ -72,6 +73,7 @@ def frozen_only(micropython: MicroPython, made: Build) -> bytes:
 
 
 def _lacking(frozen: "Frozen | None", made: Build) -> str:
+    """Return why the frozen firmware is not that of this build; "" if it is."""
     if frozen is None:
         return (
             "the firmware is not frozen into it, and would have to go where settings are kept: "
@@ -86,8 +88,8 @@ def files(
     made: Build, own: Mapping[str, bytes], frozen: "Frozen | None" = None
 ) -> dict[str, bytes]:
     """Return the files by path. own: the user's. frozen: the firmware in its MicroPython."""
-    left = freeze.beside(made, frozen)
-    return {**left.files, LIST: listing(left), **own}
+    not_frozen = freeze.beside(made, frozen)
+    return {**not_frozen.files, LIST: listing(not_frozen), **own}
 
 
 def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:

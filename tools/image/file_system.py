@@ -73,6 +73,7 @@ def _revisions(chip: _Chip) -> bytes:
 
 
 def _littlefs(chip: _Chip) -> LittleFS:
+    """Return littlefs on a chip, with MicroPython's block sizes, not mounted."""
     return LittleFS(
         context=chip,
         block_size=SECTOR,
@@ -85,6 +86,7 @@ def _littlefs(chip: _Chip) -> LittleFS:
 
 
 def _look_at_all(disk: LittleFS) -> None:
+    """Read every file, as a board may, so that the chip records all blocks in use."""
     disk.mount()
     for folder, _, names in disk.walk("/"):
         for name in names:

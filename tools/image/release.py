@@ -16,9 +16,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from .. import __version__, paths
+from ..boardfile import page_files
 from ..boardfile.chips import ARCHS
 from ..boardfile.files import board_file, boards
-from ..compiling import build, folder, motion_package, page_files
+from ..compiling import build, folder, motion_package
 
 CHECKSUMS = "SHA256SUMS"
 UNRELEASED = "Unreleased"
@@ -67,7 +68,7 @@ def _zip(name: str, save: Callable[[Path], None]) -> bytes:
     data = io.BytesIO()
     with TemporaryDirectory() as place, zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
         save(Path(place))
-        for path in sorted(one for one in Path(place).rglob("*") if one.is_file()):
+        for path in sorted(path for path in Path(place).rglob("*") if path.is_file()):
             entry = zipfile.ZipInfo(f"{name}/{path.relative_to(place).as_posix()}", _MADE)
             entry.compress_type = zipfile.ZIP_DEFLATED
             file.writestr(entry, path.read_bytes())
@@ -89,8 +90,8 @@ def make(tag: str, place: Path, names: Iterable[str]) -> None:
         paths.write(place / f"ugrbl-{tag or 'dry'}-{name}.zip", board_zip(name))
     for arch in ARCHS:
         paths.write(place / f"{build.LIBRARY}-{tag or 'dry'}-{arch}.zip", motion_zip(arch))
-    there = sorted(one for one in place.iterdir() if one.is_file() and one.name != CHECKSUMS)
-    paths.write(place / CHECKSUMS, checksums(there).encode())
+    files = sorted(file for file in place.iterdir() if file.is_file() and file.name != CHECKSUMS)
+    paths.write(place / CHECKSUMS, checksums(files).encode())
     paths.write(place / "notes" / "notes.md", text.encode())
 
 

@@ -52,8 +52,8 @@ class Flash:
         """Return bytes, possibly from several pages; 0xFF where there is no page."""
         first = address - address % PAGE
         pages = range(first, address + size, PAGE)
-        found = b"".join(self.pages.get(page, b"\xff" * PAGE) for page in pages)
-        return found[address - first : address - first + size]
+        content = b"".join(self.pages.get(page, b"\xff" * PAGE) for page in pages)
+        return content[address - first : address - first + size]
 
     def put(self, address: int, sector: bytes) -> None:
         """Add a sector."""
@@ -65,12 +65,12 @@ def read(data: bytes) -> Flash:
     """Return the content of a file. Uf2Error if it is not a UF2 file, or for none of CHIPS."""
     if not data or len(data) % _BLOCK:
         raise Uf2Error("it is no UF2 file: those are made of blocks of 512 bytes")
-    found: dict[int, Flash] = {}
+    flashes: dict[int, Flash] = {}
     others = []
     blocks = 0
-    for number, at in enumerate(range(0, len(data), _BLOCK)):
-        block = data[at : at + _BLOCK]
-        *magic, flags, address, size, _, of, family = _HEAD.unpack_from(block)
+    for number, begin in enumerate(range(0, len(data), _BLOCK)):
+        block = data[begin : begin + _BLOCK]
+        *magic, flags, address, size, _, count, family = _HEAD.unpack_from(block)
         if tuple(magic) != _MAGIC or block[-4:] != _MAGIC_END.to_bytes(4, "little"):
             raise Uf2Error(f"it is no UF2 file: block {number} is damaged")
         if family not in CHIPS or not flags & _HAS_FAMILY:
@@ -78,15 +78,15 @@ def read(data: bytes) -> Flash:
         elif size != PAGE or address % PAGE:
             raise Uf2Error(f"block {number} is no page of flash")
         else:
-            blocks = max(blocks, of)
-            flash = found.setdefault(family, Flash(family))
+            blocks = max(blocks, count)
+            flash = flashes.setdefault(family, Flash(family))
             flash.pages[address] = block[_HEAD.size : _HEAD.size + PAGE]
-    if len(found) != 1:
+    if len(flashes) != 1:
         raise Uf2Error(f"it is not for one of {' and '.join(CHIPS.values())}")
-    (flash,) = found.values()
+    (flash,) = flashes.values()
     if len(flash.pages) < blocks:
-        there = f"{len(flash.pages)} of its {blocks} blocks are there"
-        raise Uf2Error(f"it is cut off: {there}; download it again")
+        present = f"{len(flash.pages)} of its {blocks} blocks are there"
+        raise Uf2Error(f"it is cut off: {present}; download it again")
     flash.others = others
     return flash
 

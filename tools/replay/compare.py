@@ -41,6 +41,7 @@ class _Line(NamedTuple):
 
 
 def _same_line(line: _Line, got: str, used: list[str]) -> bool:
+    """Return whether a line was received as expected, or differs in a known way."""
     expected = line.text
     if expected == got:
         return True
@@ -53,9 +54,10 @@ def _same_line(line: _Line, got: str, used: list[str]) -> bool:
     return False
 
 
-def _shape(line: _Line, said: str) -> tuple[str, list[str]]:
-    kept = _OVERRIDES.findall(said) + ([] if line.lasers else _SPEED.findall(said))
-    return _NUMBER.sub("#", said), kept
+def _shape(line: _Line, text: str) -> tuple[str, list[str]]:
+    """Return a text with # for each number, and the numbers that must be equal all the same."""
+    exact = _OVERRIDES.findall(text) + ([] if line.lasers else _SPEED.findall(text))
+    return _NUMBER.sub("#", text), exact
 
 
 def same_lines(expected: list[_Line], got: list[str], used: list[str]) -> bool:
@@ -75,6 +77,10 @@ def expected_lines(step: Json, lasers: bool = False) -> list[_Line]:
 def _judge_lines(
     steps: list[Json], got: list[Json], places: Places, lenient: bool, used: list[str]
 ) -> list[str]:
+    """Return the steps whose lines differ. steps: as recorded; got: as replayed.
+
+    lenient: a line may also come in any other step.
+    """
     wrong = []
     for number, (step, mine) in enumerate(zip(steps, got, strict=False)):
         if step.get("compare") == "info":
@@ -118,6 +124,8 @@ def _with_late_alarms(steps: list[Json], got: list[Json], used: list[str]) -> li
 
 
 def _judge_moves(steps: list[Json], got: list[Json], places: Places, used: list[str]) -> list[str]:
+    """Return the steps whose moves or outputs differ. Where single steps may vary, all moves
+    together must be equal."""
     wrong = []
     axes = places.axes
     for number, (step, mine) in enumerate(zip(steps, got, strict=False)):
@@ -154,6 +162,7 @@ def _same_outputs(step: Json, got: Json, used: list[str]) -> bool:
 
 
 def _total(moves: list[list[int]]) -> list[int]:
+    """Return the sum of moves, per axis."""
     return [sum(steps) for steps in zip(*moves)]
 
 

@@ -12,6 +12,7 @@ from .known_differences import explain_motion
 _SETTING_STEPS = re.compile(r"\$10([0-5])=([\d.]+)")
 _AXIS_WORD = re.compile(r"([XYZABC])\s*(-?\d*\.?\d+)", re.IGNORECASE)
 _MM_PER_INCH = 25.4
+# Allowed differences: of the duration, a share or a time; of rates; of samples, time and steps.
 _TIME_SHARE, _TIME_S = 0.01, 0.020
 _RATE_SHARE = 0.02
 _SLACK_MS = 15.0
@@ -49,6 +50,7 @@ def judge_motion(record: Json, observed: Json, used: list[str]) -> list[str]:
 
 
 def _judge_times(record: Json, observed: Json, used: list[str]) -> list[str]:
+    """Return what is wrong with duration, step rates, and positions over time."""
     wrong = []
     late = observed["duration_s"] - record["duration_s"]
     if abs(late) > max(_TIME_SHARE * record["duration_s"], _TIME_S):
@@ -99,48 +101,49 @@ def _half_step_axes(record: Json) -> set[str]:
 
 
 def _judge_samples(record: Json, observed: Json, steps: float) -> list[str]:
+    """Check the positions of each axis at the recorded times. steps: the slack of a position."""
     samples, mine = record["samples"], observed["samples"]
     wrong = []
     for i, axis in enumerate("xyz"):
         track = samples[axis]
-        worst, at = 0.0, 0
-        for k in range(len(track)):
-            place = mine[min(k, len(mine) - 1)][i] if mine else 0
-            low, high = _envelope(track, k, samples["dt_ms"])
-            slack = steps + _stop_slack(record, track, k)
+        worst, worst_sample = 0.0, 0
+        for number in range(len(track)):
+            place = mine[min(number, len(mine) - 1)][i] if mine else 0
+            low, high = _envelope(track, number, samples["dt_ms"])
+            slack = steps + _stop_slack(record, track, number)
             off = max(low - slack - place, place - high - slack)
             if off > worst:
-                worst, at = off, k
+                worst, worst_sample = off, number
         if worst:
-            ms = at * samples["dt_ms"]
+            ms = worst_sample * samples["dt_ms"]
             wrong.append(f"{axis.upper()} at {ms} ms is {worst:.0f} steps outside what is allowed")
     return wrong
 
 
 def _judge_path(record: Json, observed: Json) -> list[str]:
     """Check that the positions are on the recorded path, at whatever times."""
-    samples, at = record["samples"], 0
+    samples, reached = record["samples"], 0  # reached: index of a part of the path
     track = list(zip(*(samples[axis] for axis in "xyz"), strict=True))
-    ways = list(pairwise(track)) or [(track[0], track[0])]
+    parts = list(pairwise(track)) or [(track[0], track[0])]
     for k, place in enumerate(observed["samples"]):
-        near = range(at, min(at + _LOOK_AHEAD, len(ways)))
-        at = min(near, key=lambda way: (_distance(place, *ways[way]), -way))
+        near = range(reached, min(reached + _LOOK_AHEAD, len(parts)))
+        reached = min(near, key=lambda part: (_distance(place, *parts[part]), -part))
         # Between two samples the path may have a corner.
-        slack = _SLACK_STEPS + math.dist(*ways[at]) / 2
-        if _distance(place, *ways[at]) > slack:
+        slack = _SLACK_STEPS + math.dist(*parts[reached]) / 2
+        if _distance(place, *parts[reached]) > slack:
             return [f"at {k * samples['dt_ms']} ms off the path: {place}"]
-    if at + _LOOK_AHEAD < len(ways):
-        return [f"only {at} of {len(ways)} parts of the path have been made"]
+    if reached + _LOOK_AHEAD < len(parts):
+        return [f"only {reached} of {len(parts)} parts of the path have been made"]
     return []
 
 
 def _distance(place: Sequence[float], begin: Sequence[int], end: Sequence[int]) -> float:
     """Return the distance of a position from a line segment."""
-    way = [b - a for a, b in zip(begin, end, strict=True)]
-    length = sum(x * x for x in way)
-    along = sum(x * (p - a) for x, p, a in zip(way, place, begin, strict=True)) / (length or 1)
-    part = min(max(along, 0.0), 1.0)
-    return math.dist(place, [a + part * x for a, x in zip(begin, way, strict=True)])
+    segment = [b - a for a, b in zip(begin, end, strict=True)]
+    length_sqr = sum(x * x for x in segment)
+    product = sum(x * (p - a) for x, p, a in zip(segment, place, begin, strict=True))
+    part = min(max(product / (length_sqr or 1), 0.0), 1.0)  # of the segment, to the nearest point
+    return math.dist(place, [a + part * x for a, x in zip(begin, segment, strict=True)])
 
 
 def _envelope(track: list[int], k: int, dt_ms: float) -> tuple[float, float]:
@@ -153,6 +156,7 @@ def _envelope(track: list[int], k: int, dt_ms: float) -> tuple[float, float]:
 
 
 def _between(track: list[int], k: float) -> float:
+    """Return the position at sample k, which may be between two samples."""
     k = min(max(k, 0.0), len(track) - 1.0)
     low = int(k)
     high = min(low + 1, len(track) - 1)

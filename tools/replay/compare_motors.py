@@ -27,20 +27,34 @@ def judge_motors(case: Json, observed: Json, used: list[str]) -> list[str]:
         start = 1 - first
     theirs = _levels(changes, start)
     delays = _delays(case)
-    wrong = [f"step {n}: moved without power" for n, step in enumerate(got) if step["unpowered"]]
-    for n, (step, level) in enumerate(zip(steps, ours, strict=False)):
-        if level == theirs[n] or step.get("moving") or step.get("compare") == "info":
+    wrong = [
+        f"step {number}: moved without power"
+        for number, step in enumerate(got)
+        if step["unpowered"]
+    ]
+    for number, (step, level) in enumerate(zip(steps, ours, strict=False)):
+        if level == theirs[number] or step.get("moving") or step.get("compare") == "info":
             continue
-        is_last = n + 1 == len(ours)
-        late = level == [start, *theirs][n] if is_last else ours[n + 1] == theirs[n + 1]
-        if late and delays[n] != _FOR_EVER:
+        is_last = number + 1 == len(ours)
+        late = (
+            level == [start, *theirs][number]
+            if is_last
+            else ours[number + 1] == theirs[number + 1]
+        )
+        if late and delays[number] != _FOR_EVER:
             used.append(IDLE_DELAY[0])
-        elif delays[n] == _FOR_EVER and level == _ON and _stopped_by_switch(steps[: n + 1]):
+        elif (
+            delays[number] == _FOR_EVER
+            and level == _ON
+            and _stopped_by_switch(steps[: number + 1])
+        ):
             used.append(HELD[0])
-        elif level == _ON and got[n]["moving"] and SLOW.begins(steps[: n + 1]) is not None:
+        elif (
+            level == _ON and got[number]["moving"] and SLOW.begins(steps[: number + 1]) is not None
+        ):
             used.append(SLOW.name)
         else:
-            wrong.append(f"step {n}: motors")
+            wrong.append(f"step {number}: motors")
     return wrong
 
 
@@ -66,6 +80,6 @@ def _delays(case: Json) -> list[int]:
 
 def _stopped_by_switch(steps: list[Json]) -> bool:
     """Return whether a limit switch has stopped the machine without a reset since."""
-    said = [line for step in steps for line in step["expect"]]
-    banner = max([n for n, line in enumerate(said) if line.startswith("Grbl")], default=-1)
-    return "ALARM:1" in said[banner + 1 :]
+    lines = [line for step in steps for line in step["expect"]]
+    banner = max([i for i, line in enumerate(lines) if line.startswith("Grbl")], default=-1)
+    return "ALARM:1" in lines[banner + 1 :]

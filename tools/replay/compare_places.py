@@ -52,8 +52,8 @@ class Places:
 
     def _hear(self, sent: str) -> None:
         """Update speeds and step lengths from the sent lines."""
-        said = [float(next(filter(None, found))) for found in _FEED.findall(sent)]
-        self._fastest = max([self._fastest, *said])
+        feeds = [float(next(filter(None, found))) for found in _FEED.findall(sent)]
+        self._fastest = max([self._fastest, *feeds])
         self.lasers = self.lasers or "$32=1" in sent
         for axis, steps in _SETTING.findall(sent):
             if not axis:
@@ -62,45 +62,54 @@ class Places:
                 self._per_mm[int(axis)] = float(steps)
 
     def _walk(self) -> None:
+        """Compare the moves of all steps, and fill the attributes.
+
+        off: steps from Grbl's position to ours when motion last stopped. doubt: the axes for which
+        that is not certain. busy: axes that have moved since then.
+        """
         off, doubt = [0] * self.axes, [False] * self.axes
         apart = list(off)  # since motion last stopped
         first, busy = 0, [False] * self.axes
         restarts = _restarts(self._steps)
-        for n, (step, mine) in enumerate(zip(self._steps, self._got, strict=False)):
+        for number, (step, mine) in enumerate(zip(self._steps, self._got, strict=False)):
             self._hear(step["send"])
             moved = padded(step.get("moved", []), self.axes)
             apart = [a + ours - theirs for a, ours, theirs in zip(apart, mine["moved"], moved)]
             busy = [was or bool(a or b) for was, a, b in zip(busy, mine["moved"], moved)]
-            mm = self._fastest * self._stop_ms(first, n) / 60_000
+            mm = self._fastest * self._stop_ms(first, number) / 60_000
             self.slack.append([mm * steps * on for steps, on in zip(self._per_mm, busy)])
             if not step.get("moving"):
                 for axis in range(self.axes):
-                    name = self._reason(first, n, apart[axis], off[axis], self.slack[n][axis])
-                    if n in restarts and apart[axis] == -moved[axis] != 0:
+                    name = self._reason(
+                        first, number, apart[axis], off[axis], self.slack[number][axis]
+                    )
+                    if number in restarts and apart[axis] == -moved[axis] != 0:
                         name = HELD_CONTACT[0]
                     if name is None:
-                        self.wrong.add(n)
+                        self.wrong.add(number)
                     elif name:
-                        self.names[n] = name
+                        self.names[number] = name
                 doubt = [
                     bool(way) or (doubted and not (axis_off and axis_off == -axis_apart))
-                    for way, doubted, axis_off, axis_apart in zip(self.slack[n], doubt, off, apart)
+                    for way, doubted, axis_off, axis_apart in zip(
+                        self.slack[number], doubt, off, apart
+                    )
                 ]
                 off = [a + b for a, b in zip(off, apart)]
-                apart, busy, first = [0] * self.axes, [False] * self.axes, n + 1
+                apart, busy, first = [0] * self.axes, [False] * self.axes, number + 1
             if step.get("power"):
                 off, doubt = [0] * self.axes, [False] * self.axes
             self.offset.append(off)
             self._doubt.append(doubt)
 
-    def _reason(self, first: int, n: int, apart: int, off: int, way: float) -> str | None:
+    def _reason(self, first: int, number: int, apart: int, off: int, slack: float) -> str | None:
         """Return why an axis may have moved so many steps more than recorded; "" if no reason is
         needed, None if it may not."""
         if apart in (0, -off):
             return ""
-        if abs(apart) <= 1 and self._ends_on_step(first, n):
+        if abs(apart) <= 1 and self._ends_on_step(first, number):
             return EXACT_STOP[0]
-        return STOPPED[0] if min(abs(apart), abs(apart + off)) <= way else None
+        return STOPPED[0] if min(abs(apart), abs(apart + off)) <= slack else None
 
     def _stop_ms(self, first: int, last: int) -> float:
         """Return the time in ms within which a hold, a jog cancel, a probe or an alarm ended a
@@ -129,10 +138,10 @@ class Places:
         used += sorted(set(self.names.values()))
         return not self.wrong
 
-    def same_reports(self, n: int, used: list[str]) -> bool:
+    def same_reports(self, number: int, used: list[str]) -> bool:
         """Return whether the lines of a step are the recorded ones except for positions that are
         off."""
-        expected, lines = self._steps[n]["expect"], self._got[n]["lines"]
+        expected, lines = self._steps[number]["expect"], self._got[number]["lines"]
         if len(expected) != len(lines):
             return False
         names: set[str | None] = set()
@@ -143,11 +152,11 @@ class Places:
             theirs, ours = [_PLACES.split(line) for line in sides]
             if theirs[::2] != ours[::2]:
                 return False
-            runs = sides[0].startswith("<Run") and bool(self._steps[n].get("moving"))
+            runs = sides[0].startswith("<Run") and bool(self._steps[number].get("moving"))
             for places in zip(theirs[1::2], ours[1::2], strict=True):
                 numbers = [place.split(",") for place in places]
                 names |= {
-                    self._reason_of(n, axis, float(ours) - float(theirs), runs)
+                    self._reason_of(number, axis, float(ours) - float(theirs), runs)
                     for axis, (theirs, ours) in enumerate(zip(*numbers, strict=False))
                     if theirs != ours
                 }
@@ -172,15 +181,15 @@ class Places:
 def _restarts(steps: list[Json]) -> set[int]:
     """Return the steps in which motion resumes after a probe was touched, by hand, during a
     hold."""
-    found, held, touched = set(), False, False
-    for n, step in enumerate(steps):
+    restarts, held, touched = set(), False, False
+    for number, step in enumerate(steps):
         held = held or bool(_HOLD.search(step["send"]))
         touched = touched or (held and "probe" in step.get("pins", {}))
         if "~" in step["send"]:
             if touched:
-                found.add(n)
+                restarts.add(number)
             held = touched = False
-    return found
+    return restarts
 
 
 def _alarms(step: Json) -> bool:

@@ -80,6 +80,7 @@ class Results:
         return bool(self.required()) and not self.failures()
 
     def as_json(self) -> Json:
+        """Return the results for a report in JSON."""
         passed = len(self.required()) - len(self.failures())
         return {
             "python": self.python,
@@ -110,6 +111,7 @@ def find_micropython() -> str | None:
 
 
 def _command(python: str, program: Path) -> list[str]:
+    """Return the command that runs a program under this Python."""
     if python == "cpython":
         return [sys.executable, str(program)]
     found = find_micropython()
@@ -167,6 +169,7 @@ class _Replayer:
             self._process = None
 
     def _start(self) -> "subprocess.Popen[str]":
+        """Start the process, and two threads that read its output and its errors."""
         self._process = process = subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
@@ -198,12 +201,14 @@ def replayer(python: str) -> Iterator[_Replayer]:
 
 
 def _feed(stream: Iterable[str], put: Any) -> None:
+    """Pass each line of a stream to put(), and "" at its end. Runs in a thread."""
     for line in stream:
         put(line)
     put("")
 
 
 def _skip(case: Json) -> str:
+    """Return why a case is not required; "" if it is."""
     reasons = [reason for tag, reason in _SKIPPED_TAGS.items() if tag in case.get("tags", ())]
     return reasons[0] if reasons else ""
 
@@ -252,6 +257,7 @@ def run_folder(
     own = threading.local()  # a process for each thread
 
     def work(chosen: "tuple[Recording, Json]") -> Outcome:
+        """Replay and judge a case; each thread has its own replayer."""
         job, case = chosen
         if not hasattr(own, "replayer"):
             own.replayer = _Replayer(command, environment)

@@ -24,17 +24,25 @@ _HOME_ONE = re.compile(r"\$H[^\n]")
 _OPTIONS = re.compile(r"\[OPT:([^,]*)(,\d+,\d+)\]")
 
 
+# The rewriting functions of DIFFERENCES: each returns Grbl's line if ours differs from it only in
+# what the row names, else our own.
+
+
 def _version(ours: str, grbls: str, _sent: str) -> str:
+    """Return Grbl's line if both name the same version, else ours."""
     mine, theirs = _VERSION.fullmatch(ours), _VERSION.fullmatch(grbls)
     return grbls if mine and theirs and theirs[1] in mine[1] else ours
 
 
 def _version_09(ours: str, grbls: str, _sent: str) -> str:
+    """Return Grbl's line if both name the same version 0.9, else ours."""
     mine, theirs = _VERSION_09.fullmatch(ours), _VERSION_09.fullmatch(grbls)
     return grbls if mine and theirs and mine.groups() == theirs.groups() else ours
 
 
 def _probe_09(ours: str, grbls: str, sent: str) -> str:
+    """Return our line with the probing word as Grbl 0.9 writes it."""
+    # Grbl 0.9 reports the tenths less 4, as a byte: 254, 255, 0, 1 for 2 to 5.
     slip = _PROBE_09.match(grbls)
     if sent != "$G\n" or slip is None:
         return ours
@@ -42,6 +50,7 @@ def _probe_09(ours: str, grbls: str, sent: str) -> str:
 
 
 def _options(ours: str, grbls: str, _sent: str) -> str:
+    """Return Grbl's line if we have its options and perhaps more, else ours."""
     mine, theirs = _OPTIONS.fullmatch(ours), _OPTIONS.fullmatch(grbls)
     same = mine and theirs and mine[2] == theirs[2] and set(theirs[1]) <= set(mine[1])
     return grbls if same else ours
@@ -61,7 +70,8 @@ class Quirk(NamedTuple):
     begins: Callable[[list[dict[str, Any]]], int | None]
 
 
-def _behind_refused_homing(steps: list[dict[str, Any]]) -> int | None:
+def _after_refused_homing(steps: list[dict[str, Any]]) -> int | None:
+    """Return the step after a refused $HX."""
     refused = (
         n + 1
         for n, step in enumerate(steps)
@@ -71,6 +81,7 @@ def _behind_refused_homing(steps: list[dict[str, Any]]) -> int | None:
 
 
 def _probes_in_contact(steps: list[dict[str, Any]]) -> int | None:
+    """Return the step that probes although the probe is closed, and is answered by an alarm."""
     closed = False
     for n, step in enumerate(steps):
         closed = step.get("pins", {}).get("probe", "closed" if closed else "") == "closed"
@@ -84,7 +95,7 @@ QUIRKS = (
         "refused homing",
         "$HX is refused with error:3 and leaves the machine as it was; Grbl sticks in Home, "
         "takes moves and never makes them.",
-        _behind_refused_homing,
+        _after_refused_homing,
     ),
     Quirk(
         "probe in contact",

@@ -64,37 +64,45 @@ def _blocks(lines: list[str]) -> Iterator[tuple[int, float, float]]:
             per_mm["XYZ"[int(axis)]] = float(steps)
         relative = "G91" in text or (relative and "G90" not in text)
         inverse = "G93" in text or (inverse and "G94" not in text)
-        if found := _FEED.search(text):
-            feed = float(found[1])
+        if match := _FEED.search(text):
+            feed = float(match[1])
         before = dict(place)
         for axis, mm in _AXIS.findall(text):
             place[axis] = float(mm) + (place[axis] if relative else 0.0)
-        way = math.dist(place.values(), before.values())
-        minutes = 0.0 if not feed else 1 / feed if inverse else way / feed
-        if way and minutes and not text.startswith(("$", "G0")):
+        distance = math.dist(place.values(), before.values())
+        minutes = 0.0 if not feed else 1 / feed if inverse else distance / feed
+        if distance and minutes and not text.startswith(("$", "G0")):
             steps = max(abs(place[axis] - before[axis]) * per_mm[axis] for axis in place)
             yield number, minutes * 60_000, steps / minutes / 60
 
 
 def _slow_step(steps: list[Json]) -> int | None:
-    lines = [(line, n) for n, step in enumerate(steps) for line in step["send"].split("\n")]
-    slow = (k for k, _, hz in _blocks([line for line, _ in lines]) if hz < _SLOWEST_HZ)
-    return next((lines[k][1] for k in slow), None)
+    """Return the step that sends the first motion slower than _SLOWEST_HZ."""
+    lines = [
+        (line, number) for number, step in enumerate(steps) for line in step["send"].split("\n")
+    ]
+    slow = (index for index, _, hz in _blocks([line for line, _ in lines]) if hz < _SLOWEST_HZ)
+    return next((lines[index][1] for index in slow), None)
 
 
 def _slow(record: Json) -> float:
+    """Return how much longer a record with motion slower than _SLOWEST_HZ may take; 0 without."""
     rates = [hz for _, _, hz in _blocks(record["settings"] + record["program"])]
     slowest = min(rates, default=_SLOWEST_HZ)
     return 1.1 * _SLOWEST_HZ / slowest if slowest < _SLOWEST_HZ else 0.0
 
 
 def _starved(record: Json) -> float:
+    """Return the longest duration of a record whose blocks an AVR cannot plan in time; 0 for
+    others."""
     ms = [ms for _, ms, _ in _blocks(record["program"])]
     runs = [ms[i : i + _BLOCKS] for i in range(len(ms) - _BLOCKS)]
     return 1.01 * any(sum(run) < _BLOCKS * _STARVED_MS for run in runs)
 
 
 def _burst(record: Json) -> float:
+    """Return the longest duration of a record with several equal overrides at once; 0 for
+    others."""
     events = record.get("events_ms_after_first_step", ())
     return 2.0 * any(_REPEATED.search(sent) for _, sent in events)
 
@@ -117,47 +125,52 @@ def _pause_alarm(step: Json) -> str:
 
 
 def _pause(step: Json, lines: list[str]) -> list[str]:
+    """Return the lines with Grbl's alarm in place of ours."""
     return ["ALARM:8" if line == _pause_alarm(step) else line for line in lines]
 
 
 def _startup_jog_step(steps: list[Json]) -> int | None:
+    """Return the step that stores a jog as a startup line."""
     return next((n for n, step in enumerate(steps) if _STARTUP_JOG.match(step["send"])), None)
 
 
 def _without_startup(step: Json, lines: list[str]) -> list[str]:
+    """Return the lines without those of startup lines; any answer to storing one is right."""
     lines = [line for line in lines if not _OF_STARTUP.match(line)]
     return ["an answer", *lines[1:]] if lines and _STARTUP_JOG.match(step["send"]) else lines
 
 
 def _cut_step(steps: list[Json]) -> int | None:
+    """Return the step in which a reset cuts a program's end short."""
     cut = (n for n, step in enumerate(steps) if step["expect"][:2] == ["ALARM:3", _END])
     return next(cut, None)
 
 
 def _without_end(_step: Json, lines: list[str]) -> list[str]:
+    """Return the lines without Grbl's message that the program has ended."""
     return [lines[0], *lines[2:]] if lines[:2] == ["ALARM:3", _END] else lines
 
 
 def _read_step(steps: list[Json]) -> int | None:
     """Return the step in which Grbl refuses, in motion, a command that only reads."""
-    asked = False
-    for n, step in enumerate(steps):
-        asked = asked or bool(_READS.search(step["send"]))
-        if asked and not _REFUSED.isdisjoint(step["expect"]):
-            return n
+    was_sent = False
+    for number, step in enumerate(steps):
+        was_sent = was_sent or bool(_READS.search(step["send"]))
+        if was_sent and not _REFUSED.isdisjoint(step["expect"]):
+            return number
     return None
 
 
 def _without_listings(_step: Json, lines: list[str]) -> list[str]:
     """Replace each listing with its ok, and each refusal, by the same word, because both are
     right."""
-    left: list[str] = []
+    kept_lines: list[str] = []
     for line in lines:
-        is_end = line == "ok" and left and _LISTED.match(left[-1])
-        while is_end and left and _LISTED.match(left[-1]):
-            left.pop()
-        left.append("refused" if is_end or line in _REFUSED else line)
-    return left
+        is_end = line == "ok" and kept_lines and _LISTED.match(kept_lines[-1])
+        while is_end and kept_lines and _LISTED.match(kept_lines[-1]):
+            kept_lines.pop()
+        kept_lines.append("refused" if is_end or line in _REFUSED else line)
+    return kept_lines
 
 
 _SLOW = (
@@ -226,12 +239,12 @@ def explain_case(
     astray: the steps whose moves differ without a reason.
     """
     steps, got = case["steps"], observed.get("steps", [])
-    numbers = [_STEP.match(said) for said in wrong]
+    numbers = [_STEP.match(problem) for problem in wrong]
     if len(steps) != len(got):
         return False
     for row in CASES:
         first = row.begins(steps)
-        if first is None or not all(found and int(found[1]) >= first for found in numbers):
+        if first is None or not all(match and int(match[1]) >= first for match in numbers):
             continue
         if _answers(row, steps, [step["expect"] for step in steps]) != _answers(
             row, steps, [mine["lines"] for mine in got]

@@ -47,18 +47,19 @@ def load(folder: Path, only: str | None, board: str | None) -> list[Recording]:
     files += [("motion", path) for path in sorted(folder.glob("motion/*.json"))]
     contents = [(category, path, _cases(path)) for category, path in files]
     contents = [row for row in contents if _has_cases(row[2])]
-    whole = _dialects(case for _, _, cases in contents for case in cases)
-    found = [
-        Recording(category, board or _board(path, cases, whole), cases)
+    dialects = _dialects(case for _, _, cases in contents for case in cases)
+    recordings = [
+        Recording(category, board or _board(path, cases, dialects), cases)
         for category, path, cases in contents
         if only in (None, category)
     ]
-    if not found:
+    if not recordings:
         raise ValueError(f"no recordings{f' of {only}' if only else ''} in {folder}")
-    return found
+    return recordings
 
 
 def _cases(path: Path) -> list[Json]:
+    """Return the cases of a file: a list of them, or one. ValueError if it is not JSON."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -67,6 +68,7 @@ def _cases(path: Path) -> list[Json]:
 
 
 def _has_cases(cases: list[Json]) -> bool:
+    """Return whether these are cases of conversations, or motion records."""
     return all(isinstance(case, dict) and ("steps" in case or "program" in case) for case in cases)
 
 

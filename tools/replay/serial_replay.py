@@ -57,32 +57,40 @@ class SerialReplay:
     def _step(
         self, send: str, wait: str, t_ms: float, settle_ms: float | None = None
     ) -> list[str]:
+        """Send a text, and return the lines received until its wait is over, and some ms longer.
+
+        wait: as in the recordings, "ok", "report" and so on, or "ms 200". t_ms: how long it took
+        then.
+        """
         self._lines = []
         self._serial.write(send.encode("latin-1"))
         self._serial.flush()
         if wait.startswith("ms "):
-            self._listen(lambda: False, float(wait[3:]))
+            self._listen(lambda: False, float(wait.removeprefix("ms ")))
         else:
             wanted = send.count("\n") + send.count("\r")
-            held = {
+            is_over = {
                 "ok": lambda: self._answers() >= wanted,
                 "idle": lambda: self._answers() >= wanted,
                 "report": lambda: self._starts("<"),
                 "banner": lambda: self._starts("Grbl"),
             }[wait]
-            self._listen(held, t_ms * 3 + 20_000)
+            self._listen(is_over, t_ms * 3 + 20_000)
             if wait == "idle":
                 self._listen(lambda: False, t_ms * 1.1 + 300)
             self._listen(lambda: False, settle_ms or {"banner": 60}.get(wait, 50))
         return self._lines
 
     def _answers(self) -> int:
+        """Return how many answers were received in this step."""
         return sum(line == "ok" or line.startswith("error:") for line in self._lines)
 
     def _starts(self, start: str) -> bool:
+        """Return whether a line that begins so was received in this step."""
         return any(line.startswith(start) for line in self._lines)
 
     def _listen(self, until: Callable[[], bool], milliseconds: float) -> None:
+        """Collect lines until until() is true, or the time is over."""
         end = time.monotonic() + milliseconds / 1000
         while not until() and time.monotonic() < end:
             self._text += self._serial.read(4096).decode("latin-1")

@@ -9,7 +9,7 @@ from ..grbl.gcode_file import has_realtime
 if TYPE_CHECKING:
     from ..sim.rig import Rig
 
-_BYTES = 1 << 16
+_BYTES = 1 << 16  # capacity of the buffer: lines of a larger batch are sent one by one
 
 
 class CheckedLines:
@@ -26,18 +26,19 @@ class CheckedLines:
         from ..sim.check_kernel import check_lines
 
         controller = rig.controller
-        _, at, text, kinds = controller.reader.memory()
+        # The kernel gets a copy of the reader's indices, so that the reader does not change.
+        _, indices, text, kinds = controller.reader.memory()
         self._state, self._drive = controller.state, controller.motor_control
         self._in_check_mode, self._any = CHECK, ANY
         self._check_lines = check_lines
-        self._places = lines
+        self._layout = lines  # names of the indices: HEAD, TAIL, …
         # One buffer for all lines, because the kernels keep its address.
-        self._heard = bytearray(_BYTES)
-        self._at = array("i", at)
-        self._at[lines._SIZE] = _BYTES
+        self._received = bytearray(_BYTES)
+        self._indices = array("i", indices)
+        self._indices[lines._SIZE] = _BYTES
         modal, counts, memory = controller.interpreter.memory()
-        self._memory = (
-            *(self._heard, self._at, bytearray(len(text)), kinds),
+        self._kernel_arguments = (
+            *(self._received, self._indices, bytearray(len(text)), kinds),
             *(modal, counts, memory),
         )
 
@@ -46,28 +47,31 @@ class CheckedLines:
         data = b"\n".join(lines) + b"\n"
         if not self._is_checking() or len(data) >= _BYTES or has_realtime(data):
             return False
-        self._heard[: len(data)] = data
-        self._at[self._places.HEAD] = len(data)
+        self._received[: len(data)] = data
+        self._indices[self._layout.HEAD] = len(data)
         self._begin_at(0)
         return True
 
     def check(self) -> int:
         """Check lines up to one that is not move-only. Returns how many; the next call continues
         after that line."""
-        at, places = self._at, self._places
+        indices, layout = self._indices, self._layout
         if not self._is_checking():  # all further lines must be sent
-            self._begin_at(at[places.HEAD])
+            self._begin_at(indices[layout.HEAD])
             return 0
-        count = int(self._check_lines(*self._memory))
+        count = int(self._check_lines(*self._kernel_arguments))
         # The firmware may have stopped within a line that is too long for it.
-        self._begin_at(self._heard.find(b"\n", at[places.TAIL] - 1) + 1)
+        self._begin_at(self._received.find(b"\n", indices[layout.TAIL] - 1) + 1)
         return count
 
     def _is_checking(self) -> bool:
+        """Return whether the machine is in check mode, and stays in it."""
         # After a $C, check mode stays active until the reset that it requests is complete.
         is_over = self._state.pending[self._any] or self._drive.in_idle_delay
         return self._state.run == self._in_check_mode and not is_over
 
     def _begin_at(self, index: int) -> None:
-        at, places = self._at, self._places
-        at[places.TAIL], at[places.LENGTH], at[places.SKIPPING] = index, 0, places.COMPLETE
+        """Continue at a byte of the buffer, with an empty line."""
+        indices, layout = self._indices, self._layout
+        indices[layout.TAIL], indices[layout.LENGTH] = index, 0
+        indices[layout.SKIPPING] = layout.COMPLETE

@@ -34,6 +34,7 @@ _VALUES: dict[str, tuple[object, ...]] = {
     "coolant": (True, False),
     "input": (True,),
 }
+# When a word's handler runs, by its `sync`; True is the usual: after motion.
 _WHEN = {True: "", False: ", during motion", None: ", before motion"}
 _LETTERS = "ABCDEFHIJKLOPQRSTUVWXYZ"  # G and M are separate words, N is the line number
 
@@ -53,11 +54,11 @@ class Verdict:
     @property
     def is_good(self) -> bool:
         """Return whether nothing is wrong and the handlers could be tried."""
-        return not self.problems and not self.untried and all(well for _, _, well in self.tried)
+        return not self.problems and not self.untried and all(good for _, _, good in self.tried)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result for other programs."""
-        tried = [{"handler": what, "said": said, "ok": well} for what, said, well in self.tried]
+        tried = [{"handler": name, "said": words, "ok": good} for name, words, good in self.tried]
         return {**vars(self), "tried": tried, "ok": self.is_good}
 
 
@@ -73,19 +74,19 @@ def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
 
 def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[str]) -> list[str]:
     """Return a message for each name of a pin that the board file does not define."""
-    found = []
-    for asked, option, names in (
+    messages = []
+    for used, option, names in (
         (own.outputs(), "OUTPUTS", outputs),
         (own.inputs(), "INPUTS", inputs),
     ):
         known = f"there are {', '.join(names)}" if names else f"{option} names none"
-        for module, line, name in asked:
+        for module, line, name in used:
             if name not in names:
-                what = f"{option[:-1].lower()} {name}"
-                found.append(
-                    f"{module.file}, line {line}: the board file names no {what}; {known}"
+                pin = f"{option[:-1].lower()} {name}"  # "output air"
+                messages.append(
+                    f"{module.file}, line {line}: the board file names no {pin}; {known}"
                 )
-    return found
+    return messages
 
 
 def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
@@ -189,35 +190,43 @@ def title(note: Any) -> str:
 
 
 def _examine(own: OwnPython, cnc: Any, notes: "list[Any]", verdict: Verdict) -> None:
-    seen: dict[tuple[str, Any], str] = {}
+    """Add each registered handler and its problems to the verdict. cnc: the firmware's machine.
+    OwnPythonError if there is a problem."""
+    first_place: dict[tuple[str, Any], str] = {}  # of each word
     for note in notes:
         kind, key, letters, _, function = note
         verdict.handlers.append(title(note))
         where = _place(function)
-        found = [*_word(cnc, kind, key, letters)] if kind in "MG" else []
-        if kind in "MG" and (kind, key) in seen:
-            found.append(f"{kind}{key} stands twice: {seen[kind, key]}")
-        seen.setdefault((kind, key), where)
-        found += _parameters(kind, letters, function)
-        verdict.problems += [f"{where}: {problem}" for problem in found]
+        problems = [*_word(cnc, kind, key, letters)] if kind in "MG" else []
+        if kind in "MG" and (kind, key) in first_place:
+            problems.append(f"{kind}{key} stands twice: {first_place[kind, key]}")
+        first_place.setdefault((kind, key), where)
+        problems += _parameters(kind, letters, function)
+        verdict.problems += [f"{where}: {problem}" for problem in problems]
     if verdict.problems:
         raise OwnPythonError(verdict.problems[0])
 
 
 def _place(function: "Callable[..., Any]") -> str:
+    """Return file and line of a function."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return f"{code.co_filename}, line {code.co_firstlineno}" if code else repr(function)
 
 
 def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
+    """Yield what is wrong with a word: its number, or its parameters' letters.
+
+    letter, number: `M`, 100, as registered, so the number may be anything; G may have `10 L1`.
+    letters: its parameters, `Pq`.
+    """
     word = f"{letter}{number}"
     if letter == "G" and re.fullmatch(r"\d+(\.\d)? L\d+", str(number)):
         number, is_number = float(str(number).split(" ")[0]), True
     else:
         is_number = isinstance(number, int | float) and not isinstance(number, bool)
     if not is_number or number < 0 or (letter == "M" and number != int(number)):
-        whole = "a whole number" if letter == "M" else 'a number such as 81 or 81.1, or "10 L1",'
-        yield f"{word}: {whole} stands behind {letter}"
+        right = "a whole number" if letter == "M" else 'a number such as 81 or 81.1, or "10 L1",'
+        yield f"{word}: {right} stands behind {letter}"
     elif abs(number * 10 - round(number * 10)) > 1e-6:
         yield f"{word}: words have tenths at the most"
     elif cnc.is_taken(letter, word[1:]):
@@ -225,11 +234,11 @@ def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
     if not isinstance(letters, str):
         yield f'{word}: its letters are a text: "Pq"'
         return
-    for c in letters:
-        if c.upper() not in _LETTERS:
-            yield f"{word}: {c!r} cannot be a parameter: letters are, but G, M and N"
-    for c in {c for c in letters.upper() if letters.upper().count(c) > 1}:
-        yield f"{word}: {c} stands twice in {letters!r}"
+    for each in letters:
+        if each.upper() not in _LETTERS:
+            yield f"{word}: {each!r} cannot be a parameter: letters are, but G, M and N"
+    for repeated in {each for each in letters.upper() if letters.upper().count(each) > 1}:
+        yield f"{word}: {repeated} stands twice in {letters!r}"
 
 
 def _parameters(kind: str, letters: Any, function: "Callable[..., Any]") -> Iterator[str]:
@@ -240,12 +249,12 @@ def _parameters(kind: str, letters: Any, function: "Callable[..., Any]") -> Iter
     if inspect.iscoroutinefunction(function):
         yield f"{function.__name__} is async: none of it would run"
         return
-    there = inspect.signature(function).parameters
-    if not there:
+    parameters = inspect.signature(function).parameters
+    if not parameters:
         yield f"{function.__name__}() takes no m: it is handed the machine first"
         return
     if kind in "MG":
-        yield from _letters(str(letters), there, function.__name__)
+        yield from _letters(str(letters), parameters, function.__name__)
         return
     values = _VALUES.get(kind, ())
     try:

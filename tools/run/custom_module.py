@@ -23,7 +23,7 @@ from extras.custom.user_modules import Custom
 from . import board_modules
 from .own_python import LackError, OwnPython, OwnPythonError
 
-_TOLD = "Custom: "
+_PREFIX = "Custom: "  # of the line in $I
 _MODULE = "_module"  # the board's attribute for the module
 
 
@@ -53,7 +53,8 @@ class CustomModule:
     def handler_names(self) -> str:
         """Return its handlers, as $I lists them after `Custom: `."""
         names = [user_modules.title(note[0], note[1]) for note in self.notes]
-        return sanitize(_TOLD + ", ".join(names))[len(_TOLD) :]
+        # With the prefix, because the firmware limits the length of the whole line.
+        return sanitize(_PREFIX + ", ".join(names))[len(_PREFIX) :]
 
     def describe(self, fault: BaseException) -> str:
         """Return a fault in words, with the last line of the user's own code before it."""
@@ -68,18 +69,22 @@ class CustomModule:
         return place
 
     def note_wait(self, name: str, closed: bool, seconds: "float | None", is_so: bool) -> None:
-        """Note that a handler waits for an input, and report a wait that may never end."""
+        """Note that a handler waits for an input, and report a wait that may never end.
+
+        closed: the level that it waits for. seconds: its time limit, if any. is_so: whether the
+        input has that level already.
+        """
         may_come = self.inputs.await_(name, closed)
         if is_so or seconds is not None:
             return
-        what, state = self.running[-1], "close" if closed else "open"
+        handler, change = self.running[-1], "close" if closed else "open"
         if self.on_person_wait:
-            self.on_person_wait(f"{what} waits for the input {name} to {state}")
+            self.on_person_wait(f"{handler} waits for the input {name} to {change}")
         elif self.on_endless_wait and not may_come:
-            way = "on" if closed else "off"
+            level = "on" if closed else "off"
             self.on_endless_wait(
-                f"{what} waits for the input {name} to {state}, and nobody is there to do that: "
-                f"--input {name}={way}, or {name}=2s for two seconds later"
+                f"{handler} waits for the input {name} to {change}, and nobody is there to do "
+                f"that: --input {name}={level}, or {name}=2s for two seconds later"
             )
 
 
@@ -98,7 +103,7 @@ class _Importer:
         modules = self.module.own.modules
         if name in modules:
             return spec_from_loader(name, self, origin=str(modules[name].file))  # type: ignore[arg-type]
-        if any(there.startswith(name + ".") for there in modules):
+        if any(module_name.startswith(name + ".") for module_name in modules):  # the folder
             return spec_from_loader(name, self, is_package=True)  # type: ignore[arg-type]
         return None
 
@@ -108,10 +113,10 @@ class _Importer:
     def exec_module(self, module: ModuleType) -> None:
         """Compile and run the file, without a __pycache__."""
         assert self.module
-        found = self.module.own.modules.get(module.__name__)
-        if found:
-            module.__file__ = str(found.file)
-            code = compile(found.source, str(found.file), "exec", dont_inherit=True)
+        own_file = self.module.own.modules.get(module.__name__)
+        if own_file:
+            module.__file__ = str(own_file.file)
+            code = compile(own_file.source, str(own_file.file), "exec", dont_inherit=True)
             exec(code, vars(module))
 
 
@@ -154,14 +159,15 @@ class WatchedRunner(Runner):
         values: "tuple[Any, ...]" = (),
         given: "dict[str, Any] | None" = None,
     ) -> Any:
-        """Run a handler, and record it."""
+        """Run a handler, and record it. what: its name, such as `M100`. values, given: its
+        arguments. Returns its result."""
         module = self.module
         module.running.append(what)
         try:
-            found = super().run(what, function, may_move, values, given)
-            if what == "on.report" and not isinstance(found, str | None):
-                module.faults.append(f"{what}: it returns {found!r}, and not a text or None")
-            return found
+            returned = super().run(what, function, may_move, values, given)
+            if what == "on.report" and not isinstance(returned, str | None):
+                module.faults.append(f"{what}: it returns {returned!r}, and not a text or None")
+            return returned
         except KeyboardInterrupt as stop:
             module.interrupted = f"{what}: {module.place(stop)}".removesuffix(": ")
             raise
@@ -170,12 +176,14 @@ class WatchedRunner(Runner):
             module.ran.append(what)
 
     def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
+        """Record a handler's failure, then react to it as on the board."""
         self.module.faults.append(f"{what}: {self.module.describe(fault)}")
         if board_modules.is_lacking(fault):
             self.module.lacks.append(self.module.faults[-1])
         super()._fail(what, fault, may_move)
 
     def _is_own(self, file: str) -> bool:
+        """Return whether a file is of the user's own Python."""
         return file in self.module.files
 
 

@@ -5,6 +5,7 @@ that a handler waits for changes after a moment, and so does the probe. Nothing 
 real machine: a handler that depends on more may fail here, and the message says where.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,8 @@ _HOMING = (b"$22=1", b"$H")
 # more moves than the planner holds, so the machine moves at the reset
 _BROKEN_OFF = (*(_MOVE,) * 20, b"\x18")
 _SHORT = b"G4 P0.2"
+_PERIODS = 3  # a program for a periodic handler lasts so many periods
+_MESSAGE = re.compile(r"\[MSG:(.*)\]")  # a message to the sender
 _UNLOCKED = (*_BROKEN_OFF, b"$X", _SHORT)
 _IN_ALARM = ": in Alarm, behind a reset in motion; look at m.state before m.g"
 # Lines that trigger an event.
@@ -59,60 +62,66 @@ def try_all(notes: Sequence[Any], board: str, around: Around, verdict: Verdict) 
     """Try each handler on a machine of its own, and add the results to the verdict."""
     patient = replace(around, others_ms=_WAIT_MS)
     for note in notes:
-        said, well = _try(note, board, patient)
-        verdict.tried.append((title(note), said, well))
+        words, is_good = _try(note, board, patient)
+        verdict.tried.append((title(note), words, is_good))
 
 
 def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
     """Return the result in words, and whether it is a success."""
     kind, key, letters, _, _ = note
-    what = called(note)
-    runs = _words(what, letters) if kind in "MG" else _events(kind, key)
-    said = ""
-    for lines in runs:
+    name = called(note)
+    programs = _words(name, letters) if kind in "MG" else _events(kind, key)
+    refusal = ""
+    for lines in programs:
         rig = _rig(lines, kind, key, board, around)
         try:
-            stopped = _run(rig, what)
+            stopped = _run(rig, name)
         except OwnPythonError as error:
             return str(error), False
-        told = [text[5:-1] for _, text in rig.link.result.other_output if text[:5] == "[MSG:"]
-        faults = [fault for fault in rig.custom_module.faults if fault.startswith(f"{what}: ")]
+        faults = [fault for fault in rig.custom_module.faults if fault.startswith(f"{name}: ")]
         if lacks := [fault for fault in faults if fault in rig.custom_module.lacks]:
             return f"not tried: {lacks[0]}: boards have it, the simulator does not", True
         if stopped or faults or rig.link.result.stopped:
             why = (faults or [stopped or rig.link.result.stopped])[0]
             return why + (_IN_ALARM if lines is _UNLOCKED and kind == "after_reset" else ""), False
-        if what not in rig.custom_module.ran:
+        if name not in rig.custom_module.ran:
             return "not tried: could not be brought about here", True
-        refused = [reply for _, reply in rig.link.result.errors]
-        said = f"refuses its line: {told[-1] if told else refused[0]}" if refused else said
-    return said or "runs", True
+        if refused := [reply for _, reply in rig.link.result.errors]:
+            output = [text for _, text in rig.link.result.other_output]
+            messages = [m[1] for m in map(_MESSAGE.match, output) if m]
+            refusal = f"refuses its line: {messages[-1] if messages else refused[0]}"
+    return refusal or "runs", True
 
 
 def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:
     """Return programs for a word: with the required letters, and with all."""
-    must = "".join(f" {c}1" for c in letters if c.isupper())
-    every = "".join(f" {c.upper()}1" for c in letters)
-    lines = [f"{word}{given}".encode() for given in dict.fromkeys((must, every))]
+    required = "".join(f" {letter}1" for letter in letters if letter.isupper())
+    all_letters = "".join(f" {letter.upper()}1" for letter in letters)
+    both = dict.fromkeys((required, all_letters))  # one of them if they are the same
+    lines = [f"{word}{parameters}".encode() for parameters in both]
     return [(line, _SHORT) for line in lines]
 
 
 def _events(kind: str, key: Any) -> list[tuple[bytes, ...]]:
     """Return programs for an event. One for a reset also runs after a reset that causes an
     alarm."""
-    if kind == "every":
-        return [(f"G4 P{3 * key / 1000:.3f}".encode(), _SHORT)]
+    if kind == "every":  # key: its period in ms
+        return [(f"G4 P{_PERIODS * key / 1000:.3f}".encode(), _SHORT)]
     lines = LINES.get(kind, (_SHORT,))
     return [lines, _UNLOCKED] if kind == "after_reset" else [lines]
 
 
 def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around) -> "Rig":
+    """Return a machine whose sender sends the lines. kind, key: of the handler, because some
+    events need inputs that change."""
+
     def script(link: ProgramLink) -> Iterator[Step]:
+        """Unlock the machine, then send the lines."""
         from base import state
 
         if link.rig.controller.state.run == state.ALARM:
             yield 0, b"$X"
-        link.rig.inputs.push("probe", kind == "alarm")
+        link.rig.inputs.push("probe", kind == "alarm")  # see LINES
         for number, line in enumerate(lines, 1):
             yield number, line
         yield None
@@ -131,10 +140,10 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
     return rig
 
 
-def _run(rig: "Rig", what: str) -> str:
-    """Run the machine, within the time limit. Returns why it was ended, or ""."""
+def _run(rig: "Rig", name: str) -> str:
+    """Run the machine, within the time limit, to try a handler. Returns why it was ended, or
+    ""."""
     if watch.is_late(lambda: machine.run(rig)):
-        return (
-            f"{rig.custom_module.interrupted or what}: no end of it within {watch.LONGEST_S:g} s"
-        )
+        handler = rig.custom_module.interrupted or name
+        return f"{handler}: no end of it within {watch.LONGEST_S:g} s"
     return ""

@@ -35,7 +35,7 @@ class FileStore:
         self._path = Path(os.path.realpath(path))  # a link stays a link
         self._firmware = firmware or Firmware()
         self.damaged: dict[str, bool] = {}  # always empty, because a damaged file is refused
-        self._text = self._there()
+        self._text = self._there()  # the file as last read or written, to notice other changes
         self._kept = {name: list(lines) for name, lines in (factory or {}).items()}
         if self._text is None:
             _check_folder(self._path)
@@ -58,6 +58,7 @@ class FileStore:
         self._kept, self._text = kept, text
 
     def _there(self) -> bytes | None:
+        """Return the file's content now; None if there is no file."""
         try:
             return self._path.read_bytes()
         except FileNotFoundError:
@@ -67,6 +68,7 @@ class FileStore:
 
 
 def _decoded(data: bytes) -> str:
+    """Return the data as text, without a byte order mark. SettingsError if they are no text."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -74,21 +76,22 @@ def _decoded(data: bytes) -> str:
 
 
 def _read(text: str, firmware: Firmware) -> dict[str, list[str]]:
-    """Return the stored lines in a file, by name."""
+    """Return the stored lines in a file, by name. SettingsError if it is no settings file, or one
+    of another firmware."""
     settings = Settings.read("\n".join(line for line in text.splitlines() if not _other(line)))
-    theirs = settings.firmware.version
-    if theirs and firmware.version and theirs != firmware.version:
+    version = settings.firmware.version
+    if version and firmware.version and version != firmware.version:
         raise SettingsError(f"it is for {settings.firmware}, the machine is a {firmware}")
-    kept: dict[str, list[str]] = {}
+    stored: dict[str, list[str]] = {}
     for match in filter(None, map(_other, text.splitlines())):
-        kept.setdefault(match[1], []).append(match[2])
+        stored.setdefault(match[1], []).append(match[2])
     for number, value in settings.values.items():
         if not float(value) < _BEYOND:
             raise SettingsError(f"${number} cannot be {value}")
-        kept.setdefault(_SETTINGS, []).append(f"${number}={value}")
-    if text.strip() and not kept:
+        stored.setdefault(_SETTINGS, []).append(f"${number}={value}")
+    if text.strip() and not stored:
         raise SettingsError("it holds no settings, lines of $n=v")
-    return kept
+    return stored
 
 
 def _other(line: str) -> re.Match[str] | None:
@@ -119,7 +122,7 @@ def _renewed(before: str, values: dict[int, str]) -> Iterator[str]:
             yield line
         elif (number := int(match[1])) in values:
             value, indent = values.pop(number), len(line) - len(line.lstrip())
-            begin, end = (indent + place for place in match.span(2))
+            begin, end = (indent + index for index in match.span(2))
             yield line if same(value, match[2]) else line[:begin] + value + line[end:]
 
 

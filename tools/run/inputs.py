@@ -43,17 +43,18 @@ def rule(text: str) -> Rule:
         raise ValueError(f"--input {text}: say NAME=WHEN, WHEN being {_WHEN}")
     if when in ("on", "off"):
         return Rule(name, closed=when == "on")
-    if found := _TIME.fullmatch(when):
-        scale = 1 if found[2] == "ms" else 1000
-        return Rule(name, wait_ms=int(float(found[1]) * scale))
-    found = _PLACE.fullmatch(when)
-    if not found:
+    if match := _TIME.fullmatch(when):
+        unit_ms = 1 if match[2] == "ms" else 1000
+        return Rule(name, wait_ms=int(float(match[1]) * unit_ms))
+    match = _PLACE.fullmatch(when)
+    if not match:
         raise ValueError(f"--input {text}: WHEN is {_WHEN}")
-    mm = float(found[3])
-    if not found[2] and not mm:
-        raise ValueError(f"--input {text}: on which side of it? {found[1]}<0 or {found[1]}>0")
-    above = found[2] == ">" if found[2] else mm > 0
-    return Rule(name, axis=AXIS_LETTERS.index(found[1].upper()), mm=mm, above=above)
+    axis, side, mm = match[1], match[2], float(match[3])
+    if not side and not mm:
+        raise ValueError(f"--input {text}: on which side of it? {axis}<0 or {axis}>0")
+    # Without < or > it is closed from there on away from 0.
+    above = side == ">" if side else mm > 0
+    return Rule(name, axis=AXIS_LETTERS.index(axis.upper()), mm=mm, above=above)
 
 
 def names(rig: "Rig") -> dict[str, str]:
@@ -79,38 +80,40 @@ class Inputs:
     def __init__(self, rig: "Rig", rules: Iterable[Rule] = (), others_ms: "int | None" = None):
         self._rig = rig
         self.names = names(rig)
-        self._waits: dict[str, int] = {}
+        self._wait_ms: dict[str, int] = {}  # by name: it changes after being waited for so long
         if others_ms is not None:
-            self._waits = dict.fromkeys(self.names, others_ms)
-        self._ruled: set[str] = set(self._waits)
-        self._awaited: "tuple[str, bool, int] | None" = None  # name, closed, since when
-        self._probing_since: "int | None" = None
+            self._wait_ms = dict.fromkeys(self.names, others_ms)
+        self._ruled: set[str] = set(self._wait_ms)  # names of inputs that may change
+        self._awaited: "tuple[str, bool, int] | None" = None  # name, closed, since when in ms
+        self._probing_since: "int | None" = None  # in ms; None: no probing motion
         # positions last, because they need a machine
-        for each in sorted(rules, key=lambda one: one.axis):
-            self._add(each)
+        for added in sorted(rules, key=lambda added: added.axis):
+            self._add(added)
 
-    def _add(self, each: Rule) -> None:
-        if each.name not in self.names:
-            raise ValueError(f"there is no input {each.name}; there are {', '.join(self.names)}")
-        self._ruled.add(each.name)
-        self._waits.pop(each.name, None)
-        if each.wait_ms is not None:
-            self._waits[each.name] = each.wait_ms
-        elif each.axis >= 0:
-            self._rig.engine.switches.append(self._switch(each))
+    def _add(self, added: Rule) -> None:
+        """Apply a rule. It replaces the general rule for inputs without one."""
+        if added.name not in self.names:
+            raise ValueError(f"there is no input {added.name}; there are {', '.join(self.names)}")
+        self._ruled.add(added.name)
+        self._wait_ms.pop(added.name, None)
+        if added.wait_ms is not None:
+            self._wait_ms[added.name] = added.wait_ms
+        elif added.axis >= 0:
+            self._rig.engine.switches.append(self._switch(added))
         else:
-            self.push(each.name, each.closed)
+            self.push(added.name, added.closed)
 
-    def _switch(self, each: Rule) -> "Switch":
+    def _switch(self, added: Rule) -> "Switch":
+        """Return a switch at the rule's position. ValueError if no motor alone moves its axis."""
         from ..sim.switches import PlaceSwitch
 
-        if each.axis >= motor_names.axes_of(self._rig.board):
-            raise ValueError(f"{each.name}: this machine has no axis {AXIS_LETTERS[each.axis]}")
+        if added.axis >= motor_names.axes_of(self._rig.board):
+            raise ValueError(f"{added.name}: this machine has no axis {AXIS_LETTERS[added.axis]}")
         together = motor_names.shared(self._rig.board)
-        if AXIS_LETTERS[each.axis] in together:
-            which = " and ".join(together)
-            raise ValueError(f"{each.name}: motors move {which} together: take another axis")
-        return PlaceSwitch(self._rig, self.names[each.name], each.axis, each.above, each.mm)
+        if AXIS_LETTERS[added.axis] in together:
+            axes = " and ".join(together)
+            raise ValueError(f"{added.name}: motors move {axes} together: take another axis")
+        return PlaceSwitch(self._rig, self.names[added.name], added.axis, added.above, added.mm)
 
     # By hand
 
@@ -138,12 +141,14 @@ class Inputs:
         port = self._rig.port
         if self._awaited:
             name, closed, since = self._awaited
-            if name in self._waits and port.elapsed_ms(since) >= self._waits[name]:
+            if name in self._wait_ms and port.elapsed_ms(since) >= self._wait_ms[name]:
                 self.push(name, closed)
-        if PROBE in self._waits:
+        if PROBE in self._wait_ms:
             self._turn_probe()
 
     def _turn_probe(self) -> None:
+        """Give the probe the level that a motion seeks, after its waiting time, and open it after
+        the motion."""
         port = self._rig.port
         level = port.awaits_probe()
         if level is None or not self._rig.moving():
@@ -152,5 +157,5 @@ class Inputs:
                 self.push(PROBE, False)
         elif self._probing_since is None:
             self._probing_since = port.ticks_ms()
-        elif port.elapsed_ms(self._probing_since) >= self._waits[PROBE]:
+        elif port.elapsed_ms(self._probing_since) >= self._wait_ms[PROBE]:
             self.push(PROBE, level)

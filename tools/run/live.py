@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 # Reads without data before the firmware is assumed to wait for the machine. It reads the line more
 # than once between two blocks, and these reads take no time.
 _LOOKS = 3
-_PIECE = 64
 _RESET = 0x18  # the reset itself causes a welcome
-_PIECES = 16  # enough to hold all that a board would have received
+# Bytes and number of pieces to drop: enough to hold all that a board would have received.
+_PIECE = 64
+_PIECES = 16
 # How long the machine waits, in wall time, for a sender that could keep it busy.
 _PATIENCE_S = 0.01
 _AT_REST_S = 0.02
@@ -65,10 +66,10 @@ class LiveLink(UntimedLink):
         self._greeted = False  # the first banner is out; nothing is read before
         self._has_opened = False  # a sender has connected and has not been greeted
         wire.on_open = self._open
-        self._looks = 0
+        self._looks = 0  # reads without data since the last byte
         self._open_lines = 0  # received lines that have not been answered
         self._heard = monotonic()  # time of the last byte in either direction
-        self._wall = self._heard
+        self._wall = self._heard  # wall time up to which the machine's time has passed
         self._late = False  # motion lags behind wall time
 
     # The Link interface
@@ -133,12 +134,14 @@ class LiveLink(UntimedLink):
         return self._open_lines > 0 or not self._rig.controller.planner.empty()
 
     def _touch(self) -> None:
+        """Note that bytes were sent or received now."""
         self._looks = 0
         self._heard = monotonic()
 
     def _pass_time(self) -> None:
+        """Wait for the sender, or let virtual time jump ahead."""
         if self._late:
-            return
+            return  # no time to wait
         busy = self.busy()
         if not self._fast:
             self._wire.wait(_MOVING_S if busy else _AT_REST_S)
@@ -153,21 +156,22 @@ class LiveLink(UntimedLink):
         self._looks += 1
         if self._looks <= _LOOKS:
             return
-        left = self._heard + _PATIENCE_S - monotonic()
-        if self._open_lines == 0 and not self._wire.closed and left > 0:
-            self._wire.wait(left)
+        patience_s = self._heard + _PATIENCE_S - monotonic()
+        if self._open_lines == 0 and not self._wire.closed and patience_s > 0:
+            self._wire.wait(patience_s)
             return
         self._rig.skip()
         self._wall = monotonic()
 
     def _follow_wall(self) -> None:
+        """Advance the machine's time to wall time; motion by one short piece at most."""
         now = monotonic()
         if self._rig.moving():
-            passed = min(now - self._wall, _UNSEEN_S)
-            self._wall += passed
+            passed_s = min(now - self._wall, _UNSEEN_S)
+            self._wall += passed_s
             self._late = self._wall < now
         else:  # motion that lags behind does not catch up
-            passed = 0.0 if self._late else now - self._wall
+            passed_s = 0.0 if self._late else now - self._wall
             self._wall = now
             self._late = False
-        self._rig.engine.advance(self._rig.ms(passed * 1000))
+        self._rig.engine.advance(self._rig.ms(passed_s * 1000))

@@ -11,9 +11,9 @@ from .. import paths
 from ..boardfile import hal_texts
 from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
-from ..compiling import kernels
 from ..grbl.messages import meaning
 from ..grbl.settings_file import Firmware, SettingsError, check_known, read_settings
+from . import kernels
 from .file_store import FileStore
 from .inputs import Inputs, Rule
 from .own_python import NAME, OwnPython, read
@@ -113,11 +113,11 @@ def build(
     store: Any = MemoryStore() if blank else factory_store(module)
     if settings is not None:
         try:
-            kept = FileStore(settings, store.files, firmware(module))
-            _check_values(module, kept.load("settings") or ())
+            file_store = FileStore(settings, store.files, firmware(module))
+            _check_values(module, file_store.load("settings") or ())
         except SettingsError as error:
             raise ValueError(f"{settings} is left as it is: {error}") from error
-        store = kept
+        store = file_store
     return _with(around, module, lambda board: Rig(board, store, link, coarse))
 
 
@@ -129,7 +129,7 @@ def _serve(texts: bytes) -> None:
 
 
 def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
-    """Make a rig with these surroundings."""
+    """Return a rig with these surroundings, made by `make` for the board or a copy of it."""
     if around.custom is None:
         rig = make(board)
         rig.inputs = Inputs(rig, around.rules, around.others_ms)
@@ -137,10 +137,10 @@ def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
     from .custom_module import load_custom
 
     copy = _copy(board, board.__name__, **assumed_pins(board, around.custom))
-    guest = load_custom(copy, around.custom)
+    custom_module = load_custom(copy, around.custom)
     rig = make(copy)
-    guest.inputs = rig.inputs = Inputs(rig, around.rules, around.others_ms)
-    rig.custom_module = guest
+    custom_module.inputs = rig.inputs = Inputs(rig, around.rules, around.others_ms)
+    rig.custom_module = custom_module
     return rig
 
 
@@ -168,10 +168,10 @@ def _like(board: Any, letters: str, axes: int) -> Any:
 
 def _copy(board: Any, name: str, **options: Any) -> Any:
     """Return a copy of a board with another name and other options."""
-    made = ModuleType(name)
-    vars(made).update({name: value for name, value in vars(board).items() if name[:2] != "__"})
-    vars(made).update(options)
-    return made
+    copied = ModuleType(name)
+    vars(copied).update({name: value for name, value in vars(board).items() if name[:2] != "__"})
+    vars(copied).update(options)
+    return copied
 
 
 def _check_values(board: Any, lines: Iterable[str]) -> None:
@@ -188,12 +188,12 @@ def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
     lines. SettingsError for a file that is no settings file, or has values that the machine
     refuses."""
     paths.use_firmware()
-    found = read_settings(file).values
+    values = read_settings(file).values
     controller, store = _controller(_copy(load_board(board), board, CUSTOM=""))
-    lines = {number: f"${number}={value}" for number, value in found.items()}
+    lines = {number: f"${number}={value}" for number, value in values.items()}
     try:
-        taken = _take(controller.settings, lines.values())
-        check_known(found, [number for number, line in lines.items() if line in taken])
+        accepted = _take(controller.settings, lines.values())
+        check_known(values, [number for number, line in lines.items() if line in accepted])
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from error
     controller.saves.write_due()
@@ -223,12 +223,12 @@ def taken(board: str, lines: Iterable[str]) -> list[str]:
 def _take(settings: "Settings", lines: Iterable[str]) -> list[str]:
     """Set the lines, in any order that works. SettingsError if some are refused. Returns those
     that the machine has."""
-    taken, refused = _set(settings, lines)
+    accepted, refused = _set(settings, lines)
     if refused:
         raise SettingsError(
-            "; ".join(f"{line}: {why}: {meaning(why, line)}" for line, why in refused)
+            "; ".join(f"{line}: {answer}: {meaning(answer, line)}" for line, answer in refused)
         )
-    return taken
+    return accepted
 
 
 def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tuple[str, str]]]:
@@ -237,22 +237,23 @@ def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tu
     from base import errors
     from base.errors import GrblError
 
-    done: list[str] = []
-    left = list(lines)
-    while left:
+    accepted: list[str] = []
+    remaining = list(lines)
+    # Again while some become possible: a setting may need another one first.
+    while remaining:
         refused = []
-        for line in left:
+        for line in remaining:
             number, _, value = line[1:].partition("=")
             try:
                 settings.set(int(number), float(value))
-                done.append(line)
+                accepted.append(line)
             except GrblError as error:
                 if error.args[0] != errors.INVALID_STATEMENT:
                     refused.append((line, f"error:{error.args[0]}"))
-        if len(refused) == len(left):
-            return done, refused
-        left = [line for line, _ in refused]
-    return done, []
+        if len(refused) == len(remaining):
+            return accepted, refused
+        remaining = [line for line, _ in refused]
+    return accepted, []
 
 
 def firmware(board: Any) -> Firmware:

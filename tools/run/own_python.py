@@ -113,12 +113,13 @@ def read(path: Path, name: str = NAME) -> OwnPython:
             )
         return OwnPython(path, name, {f"{name}.{file.stem}": _module(file) for file in files})
     if path.suffix != ".py":
-        there = "is no Python file: its name ends in .py" if path.exists() else "is not there"
-        raise OwnPythonError(f"{path} {there}")
+        why = "is no Python file: its name ends in .py" if path.exists() else "is not there"
+        raise OwnPythonError(f"{path} {why}")
     return OwnPython(path, name, {name: _module(path)})
 
 
 def _module(file: Path) -> Module:
+    """Read and compile one file. OwnPythonError if that fails."""
     try:
         source = file.read_bytes()
     except OSError as error:
@@ -127,6 +128,8 @@ def _module(file: Path) -> Module:
 
 
 def _compiled(file: Path, source: bytes) -> ast.Module:
+    """Return the syntax tree of a file that CPython can compile; else OwnPythonError, with the
+    line."""
     try:
         check_utf8(source, file)
         with warnings.catch_warnings():

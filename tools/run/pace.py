@@ -32,7 +32,7 @@ _GROUPS = [
         *(b"G90 G91", b"G93 G94", b"M3 M4 M5", b"M7 M8 M9"),
     )
 ]
-# a move-only line may repeat them
+# A move-only line may contain these words, because kernels read them too.
 _MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91 G93 G94".split())
 _AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
 # Shortest wait that is reported, and how many lines in time may be between two late ones of the
@@ -69,7 +69,7 @@ class Paced(Recorder):
         self.from_rest: set[int] = set()  # lines before which motion had ended
         self._line_of_block: dict[int, int] = {}  # by row in the planner's ring
         self._line_of_row: dict[int, int] = {}  # by id of the engine's row
-        self._end = -1
+        self._end = -1  # tick at which the last segment ended
 
     def _attach(self) -> None:
         super()._attach()
@@ -77,6 +77,7 @@ class Paced(Recorder):
         self._make_segment = replace_method(hooks, "next_segment", self._follow_segment)
 
     def _note(self, row: int) -> None:
+        """Note a planned block, and count it for its line."""
         super()._note(row)
         line = self._rig.link.now_at()
         self._line_of_block[row] = line
@@ -88,14 +89,15 @@ class Paced(Recorder):
 
     def _follow_segment(self, row: "array[int]") -> int:
         """Replace Segments.next, and note the line that a segment belongs to."""
-        made = int(self._make_segment(row))
-        if made:
+        has_segment = int(self._make_segment(row))
+        if has_segment:
             flow, layout = self._planner.flow, self._layout
             block = flow[layout.AT] // flow[layout.ROW_SIZE]
             self._line_of_row[id(row)] = self._line_of_block.get(block, 0)
-        return made
+        return has_segment
 
     def _segment(self, start: int, row: "array[int]") -> None:
+        """Record a segment, add its time to its line, and note a start from rest."""
         super()._segment(start, row)
         line = self._line_of_row.get(id(row), 0)
         self.ticks[line] += row[self._layout.ROW_TICKS]
@@ -111,38 +113,42 @@ class Paced(Recorder):
         """Return the stretches for which this machine's board would be too slow, worst first."""
         if len(self.blocks) == 1:
             return []  # nothing has moved
-        taken = self.intake()
+        board_intake = self.intake()
         kinds = list(_kinds(lines, bool(self._rig.controller.settings.laser_mode)))
-        late = self._late(lines, kinds, taken)
-        found = [self._stretch(part, late, lines, kinds, taken) for part in _parts(late)]
-        return sorted(
-            (one for one in found if one.lost_s >= _LEAST_S), key=lambda one: -one.lost_s
-        )
+        late = self._late(lines, kinds, board_intake)
+        stretches = [
+            self._stretch(part, late, lines, kinds, board_intake) for part in _parts(late)
+        ]
+        stretches.sort(key=lambda stretch: -stretch.lost_s)
+        return [stretch for stretch in stretches if stretch.lost_s >= _LEAST_S]
 
     def _late(
-        self, lines: Sequence[bytes], kinds: Sequence[str], taken: Intake
+        self, lines: Sequence[bytes], kinds: Sequence[str], board_intake: Intake
     ) -> dict[int, float]:
-        """Return the time in s that motion would wait for each late line, with a ring of as many
-        blocks as the board's."""
+        """Return the time in s that motion would wait for each late line.
+
+        The board processes one line after the other, at the speed of its intake. It is ahead of
+        its motors by at most as many blocks as its ring has.
+        """
         hz = self._rig.engine.tick_hz
-        made: deque[float] = deque(maxlen=self._planner.flow[self._layout.ROWS] - 1)
-        chord_s = 1 / taken.rates.chords
+        ends: deque[float] = deque(maxlen=self._planner.flow[self._layout.ROWS] - 1)
+        chord_s = 1 / board_intake.rates.chords
         late: dict[int, float] = {}
-        now = end = 0.0
+        now = motion_end = 0.0  # in s: of the board's processing, and of the motion planned so far
         for number, line, kind in zip(range(1, len(self.blocks)), lines, kinds, strict=False):
-            now += _cost_s(line, kind, taken)
+            now += _cost_s(line, kind, board_intake)
             blocks = self.blocks[number]
             for block in range(blocks):
                 now += chord_s if block else 0.0
-                if len(made) == made.maxlen:
-                    now = max(now, made[0])  # until the ring has space
-                if block == 0 and number in self.from_rest:
-                    now = end = max(now, end)
-                elif now > end:
-                    late[number] = late.get(number, 0.0) + now - end
-                    end = now
-                end += self.ticks[number] / hz / blocks
-                made.append(end)
+                if len(ends) == ends.maxlen:
+                    now = max(now, ends[0])  # until the ring has space
+                if block == 0 and number in self.from_rest:  # not late: nothing moves anyway
+                    now = motion_end = max(now, motion_end)
+                elif now > motion_end:
+                    late[number] = late.get(number, 0.0) + now - motion_end
+                    motion_end = now
+                motion_end += self.ticks[number] / hz / blocks
+                ends.append(motion_end)
         return late
 
     def _stretch(
@@ -151,32 +157,34 @@ class Paced(Recorder):
         late: dict[int, float],
         lines: Sequence[bytes],
         kinds: Sequence[str],
-        taken: Intake,
+        board_intake: Intake,
     ) -> Stretch:
+        """Return the stretch between two lines: its speed, the board's, and the kind of line that
+        costs most."""
         numbers = range(part[0], part[1] + 1)
-        moved_s = sum(self.ticks[n] for n in numbers) / self._rig.engine.tick_hz
+        moved_s = sum(self.ticks[number] for number in numbers) / self._rig.engine.tick_hz
         costs: defaultdict[str, float] = defaultdict(float)
-        for n in numbers:
-            kind = kinds[n - 1]
-            costs[kind] += _cost_s(lines[n - 1], kind, taken)
-            if self.blocks[n] > 1:
-                costs[_CHORDS] += (self.blocks[n] - 1) / taken.rates.chords
-        took_s = sum(costs.values())
+        for number in numbers:
+            kind = kinds[number - 1]
+            costs[kind] += _cost_s(lines[number - 1], kind, board_intake)
+            if self.blocks[number] > 1:
+                costs[_CHORDS] += (self.blocks[number] - 1) / board_intake.rates.chords
+        needed_s = sum(costs.values())
         return Stretch(
             *part,
             round(len(numbers) / max(moved_s, 1e-6), 1),
-            round(len(numbers) / took_s, 1),
-            round(sum(late.get(n, 0.0) for n in numbers), 3),
+            round(len(numbers) / needed_s, 1),
+            round(sum(late.get(number, 0.0) for number in numbers), 3),
             max(costs, key=lambda kind: costs[kind]),
-            int(100 * moved_s / took_s),
+            int(100 * moved_s / needed_s),
         )
 
 
-def _cost_s(line: bytes, kind: str, taken: Intake) -> float:
+def _cost_s(line: bytes, kind: str, board_intake: Intake) -> float:
     """Return the time in s that a board needs for a line. The link transfers it in the same
     time."""
-    link_s = (len(line) + 1) / taken.bytes_s if taken.bytes_s else 0.0
-    return max(link_s, taken.rates.line_s(kind))
+    link_s = (len(line) + 1) / board_intake.bytes_s if board_intake.bytes_s else 0.0
+    return max(link_s, board_intake.rates.line_s(kind))
 
 
 def _parts(late: dict[int, float]) -> Iterator[tuple[int, int]]:

@@ -47,9 +47,8 @@ class Result:
     # line, name and level of outputs of custom.py
     switched: list[tuple[int, str, bool]] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)  # failures of handlers of custom.py
-    wide_arcs: list[tuple[int, str]] = field(
-        default_factory=list
-    )  # line and description of unusual arcs
+    # line and description of unusual arcs
+    wide_arcs: list[tuple[int, str]] = field(default_factory=list)
     own: str = ""  # handlers of custom.py, as $I names them
     totals: Totals = field(default_factory=Totals)
 
@@ -86,20 +85,20 @@ class ProgramLink(machine.UntimedLink):
         self.rig = rig
         self.result = Result()
         self.replies: list[str] = []  # to lines that are not in the program
-        self._greeted = False
+        self._greeted = False  # the banner has come; nothing is sent before
         self._script = script(self)
-        self._step: Step = None
-        self._sent = 0  # lines of the program
+        self._step: Step = None  # the next one
+        self._sent = 0  # number of lines of the program
         self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
         self._unanswered_bytes = 0
         self._alone = False  # the last line must be answered before another is sent
         self._full = False  # the next line does not fit until another is answered
         self._last = 0  # the last line answered
-        self._out = bytearray()
-        self._in = ""
-        self._looks = 0
+        self._out = bytearray()  # sent, and not yet read by the firmware
+        self._in = ""  # the beginning of an output line
+        self._looks = 0  # reads without data since the last byte
         self.news: int = rig.now  # tick of the last event
-        self._resume_at = 0
+        self._resume_at = 0  # tick of the next cycle start for a held machine
 
     def program(
         self,
@@ -163,6 +162,7 @@ class ProgramLink(machine.UntimedLink):
     # Replies
 
     def _receive(self, line: str) -> None:
+        """Process a line of the firmware's output."""
         self.news = self.rig.now
         if self.result.stopped:
             return  # lines already passed are refused in alarm; this is no news
@@ -178,6 +178,7 @@ class ProgramLink(machine.UntimedLink):
             self._other(line)
 
     def _answer(self, line: str) -> None:
+        """Process the answer to the oldest line that has none."""
         self._last, length = self._unanswered.popleft()
         self._unanswered_bytes -= length
         self._full = False
@@ -189,6 +190,7 @@ class ProgramLink(machine.UntimedLink):
             self.result.errors.append((self._last, line))
 
     def _other(self, line: str) -> None:
+        """Process output that is no answer. An alarm stops the program."""
         if self.now_at() == 0:
             self.replies.append(line)
         else:
@@ -201,9 +203,10 @@ class ProgramLink(machine.UntimedLink):
         program."""
         from language.block_layout import LINES_LEFT
 
-        done = self.rig.controller.interpreter.machine[LINES_LEFT] & 1  # and not yet answered
-        if done < len(self._unanswered):
-            return self._unanswered[done][0]
+        # The number of lines interpreted and not yet answered: 0 or 1.
+        interpreted = self.rig.controller.interpreter.machine[LINES_LEFT] & 1
+        if interpreted < len(self._unanswered):
+            return self._unanswered[interpreted][0]
         return self._unanswered[-1][0] if self._unanswered else self._last
 
     def note_output(self, name: str, on: bool) -> None:
@@ -228,6 +231,7 @@ class ProgramLink(machine.UntimedLink):
                 self.rig.power_off()
 
     def _fits(self, line: bytes) -> bool:
+        """Return whether a line can be sent now."""
         if not self._unanswered:
             return True
         if self._alone or has_realtime(line):
@@ -235,6 +239,7 @@ class ProgramLink(machine.UntimedLink):
         return self._unanswered_bytes + len(line) < _WINDOW
 
     def _send(self, number: int, line: bytes) -> None:
+        """Send a line, and expect an answer to it."""
         self._out += line + b"\n"
         self._unanswered.append((number, len(line) + 1))
         self._unanswered_bytes += len(line) + 1
@@ -274,6 +279,7 @@ class ProgramLink(machine.UntimedLink):
         )
 
     def _pass_time(self) -> None:
+        """Let motion continue, resume a held machine, or stop if nothing can happen any more."""
         from base import state
 
         rig = self.rig
@@ -293,14 +299,15 @@ class ProgramLink(machine.UntimedLink):
         if rig.inputs:
             rig.inputs.advance()
 
-    def _watch_handler(self, what: str) -> None:
+    def _watch_handler(self, name: str) -> None:
         """Stop if a handler waits too long without motion."""
         if self.rig.now - self.news > _WAITING_MS * self.rig.ticks_per_ms:
             minutes = _WAITING_MS // 60_000
-            long = f"{minutes} minute{'s' * (minutes > 1)}"
-            self.stop(f"{what} has waited for {long}: what for does never come here")
+            time = f"{minutes} minute{'s' * (minutes > 1)}"
+            self.stop(f"{name} has waited for {time}: what for does never come here")
 
     def _resume(self) -> None:
+        """Send a cycle start, and note the pause."""
         self._out += CYCLE_START
         self._resume_at = self.rig.ms(_RESUME_MS)
         if self.now_at() not in self.result.pauses[-1:]:
@@ -348,7 +355,8 @@ def watch_program(
         link.replies.clear()
         yield 0, b"$G"
         yield None
-        link.result.final_state = next((r for r in link.replies if r.startswith("[G")), "")
+        states = [reply for reply in link.replies if reply.startswith("[G")]
+        link.result.final_state = states[0] if states else ""
 
     rig = machine.build(board, lambda rig: ProgramLink(rig, script), coarse=coarse, around=around)
     if rig.custom_module:

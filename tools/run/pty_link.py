@@ -43,8 +43,8 @@ class Pty(Wire):
         except FileExistsError as error:
             why = f"{place} is there already; it is left as it is"
             is_ours = place.is_symlink() and os.readlink(place).startswith(_OURS)
-            todo = "; if no simulator runs there, remove it" if is_ours else ""
-            raise FileExistsError(why + todo) from error
+            remedy = "; if no simulator runs there, remove it" if is_ours else ""
+            raise FileExistsError(why + remedy) from error
         except OSError as error:
             raise OSError(f"{place} cannot be made: {paths.why(error)}") from error
         self._link = place
@@ -61,10 +61,11 @@ class Pty(Wire):
         if not place.is_symlink():
             return False
         target = os.readlink(place)
-        gone = target.startswith(_OURS) and not place.exists()
-        return gone or target == self._target()
+        is_dead = target.startswith(_OURS) and not place.exists()
+        return is_dead or target == self._target()
 
     def _target(self) -> str:
+        """Return the terminal's path with our prefix, for a link."""
         return self.name.replace("/dev/", _OURS, 1)
 
     def _take(self, limit: int) -> bytes | None:
@@ -103,7 +104,7 @@ class Stdio:
         if self.closed or not select.select([0], [], [], 0)[0]:
             return b""
         data = os.read(0, limit)
-        self.closed = not data
+        self.closed = not data  # the end of input
         return data
 
     def write(self, data: bytes) -> None:

@@ -59,6 +59,7 @@ class Recorder:
         # Kinematics whose motors deviate from their axes: backlash.py and skew.py of extras.
         self._beside: Any = None
         self._nonlinear: Any = None  # or of the user's own: extras/kinematics/nonlinear.py
+        # Steps of each motor, in both directions together.
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
         self._probed = [0 for _ in self._motors]  # planned, but not made after a probe's contact
@@ -67,9 +68,10 @@ class Recorder:
         self._distance_mm = 0.0
         self._place = [0 for _ in self._motors]  # steps per motor, as the firmware counts
         self._mm_per_step = [0.0 for _ in self._axes]
+        # The lowest and the highest position of each axis, in mm.
         self._low = [0.0 for _ in self._axes]
         self._high = [0.0 for _ in self._axes]
-        self._begun: int | None = None
+        self._begun: int | None = None  # the first and the last tick of the time counted
         self._ended = 0
         self.is_plain = False  # nothing intercepts move-only lines
         self.wide_arcs: list[tuple[int, str]] = []  # line number and warning of unusual arcs
@@ -78,7 +80,7 @@ class Recorder:
             rig.port.on_hole = self._mark
         rig.on_built = self._attach
         rig.engine.trace = self._segment
-        self._is_on = True
+        self._is_on = True  # the machine's power
         self._set_position = replace_method(rig.engine, "set_position", self._rename)
         self._power_off = replace_method(rig.engine, "power_off", self._switch_off)
 
@@ -142,14 +144,16 @@ class Recorder:
         done: bool = self._probe(*asked)
         self._is_probing = False
         if self._before_probe is not None:
-            left = zip(self._not_made(), self._before_probe, strict=True)
-            self._probed = [n + a - b for n, (a, b) in zip(self._probed, left, strict=True)]
+            steps = zip(self._probed, self._not_made(), self._before_probe, strict=True)
+            self._probed = [count + now - before for count, now, before in steps]
         return done
 
     def _not_made(self) -> list[int]:
-        return [a - b for a, b in zip(self._planned, self._made, strict=True)]
+        """Return how many steps of each motor are planned and not made."""
+        return [planned - made for planned, made in zip(self._planned, self._made, strict=True)]
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
+        """Return values of motors or axes by their names."""
         return dict(zip(self._names, values, strict=False))
 
     def _plan_line(self, target: Any, flags: int, *asked: int) -> int:
@@ -185,9 +189,9 @@ class Recorder:
     def _follow_arc(self, *asked: Any) -> int:
         """Replace Planner.chords."""
         row = self._planner.flow[self._layout.HEAD]
-        found: int = self._chords(*asked)
+        returned: int = self._chords(*asked)
         self._note_from(row)
-        return found
+        return returned
 
     def _note_from(self, row: int) -> None:
         """Note the rows of the ring from that one on, which have been planned."""
@@ -200,33 +204,31 @@ class Recorder:
         """Note a row of the ring that has been planned."""
         from motion import minifloat
 
-        layout = self._layout
-        at = row * self._planner.flow[layout.ROW_SIZE] + layout.STEPS
-        steps = self._planner.ring[at : at + len(self._motors)]
+        layout, ring = self._layout, self._planner.ring
+        first = row * self._planner.flow[layout.ROW_SIZE]  # index of the row's first word
+        steps = ring[first + layout.STEPS : first + layout.STEPS + len(self._motors)]
         if self._is_probing and self._before_probe is None:
             self._before_probe = self._not_made()
-        dirs = self._planner.ring[at - layout.STEPS + layout.DIRS]
+        dirs = ring[first + layout.DIRS]  # bit i set: motor i moves backward
         planned = self._planned
-        for i, count in enumerate(steps):
-            planned[i] += count
+        for motor, count in enumerate(steps):
+            planned[motor] += count
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
-        signed = [-n if dirs >> i & 1 else n for i, n in enumerate(steps)]
         if self._nonlinear:
-            self._distance_mm += minifloat.value(
-                self._planner.ring[at - layout.STEPS + layout.LENGTH]
-            )
+            self._distance_mm += minifloat.value(ring[first + layout.LENGTH])
             return
-        way = self._to_mm(signed)
+        moved = [-count if dirs >> motor & 1 else count for motor, count in enumerate(steps)]
+        displacement = self._to_mm(moved)
         if hasattr(self._beside, "skew"):
-            self._lean(way)
-        self._distance_mm += hypot(*[way[axis] for axis in self._linear])
+            self._lean(displacement)
+        self._distance_mm += hypot(*[displacement[axis] for axis in self._linear])
 
-    def _lean(self, way: list[float]) -> None:
-        """Correct the tool's displacement for axes that are not at right angles."""
-        skew: Any = self._settings
-        _, y, z = way[:3]
-        way[0] += (skew.skew_xy * y + skew.skew_xz * z) / 1000
-        way[1] += skew.skew_yz * z / 1000
+    def _lean(self, displacement: list[float]) -> None:
+        """Correct the tool's displacement, in mm, for axes that are not at right angles."""
+        skew: Any = self._settings  # in mm per m
+        _, y, z = displacement[:3]
+        displacement[0] += (skew.skew_xy * y + skew.skew_xz * z) / 1000
+        displacement[1] += skew.skew_yz * z / 1000
 
     def _segment(self, start: int, row: "array[int]") -> None:
         """Record a segment. Called by the engine for each one played, with the steps really
@@ -237,12 +239,12 @@ class Recorder:
         self._ended = start + row[layout.ROW_TICKS]
         dirs = row[layout.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware counts
         made, place = self._made, self._place
-        for i, count in enumerate(row[layout.ROW_AXES :: layout.ROW_STRIDE]):
-            made[i] += count
-            place[i] += -count if dirs >> i & 1 else count
-        at = self._at()
-        self._extend(at)
-        self._moved(start, row, at)
+        for motor, count in enumerate(row[layout.ROW_AXES :: layout.ROW_STRIDE]):
+            made[motor] += count
+            place[motor] += -count if dirs >> motor & 1 else count
+        position = self._at()
+        self._extend(position)
+        self._moved(start, row, position)
 
     def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
         """Receive the end of a segment, in mm; for subclasses."""
@@ -264,20 +266,22 @@ class Recorder:
         self._power_off()
         self._is_on = True
 
-    def _extend(self, at: Sequence[float]) -> None:
+    def _extend(self, position: Sequence[float]) -> None:
+        """Extend the bounds to a position of the axes, in mm."""
         low, high = self._low, self._high
-        for i, mm in enumerate(at):
-            if mm < low[i]:
-                low[i] = mm
-            elif mm > high[i]:
-                high[i] = mm
+        for axis, mm in enumerate(position):
+            if mm < low[axis]:
+                low[axis] = mm
+            elif mm > high[axis]:
+                high[axis] = mm
 
     def _at(self) -> list[float]:
         """Return the position of the axes in mm, without the deviation of their motors."""
         if not self._beside:
             return self._to_mm(self._place)
         steps = array("i", self._place)
-        return [self._beside.axis_steps(steps, i) * mm for i, mm in enumerate(self._mm_per_step)]
+        mm_per_step = enumerate(self._mm_per_step)
+        return [self._beside.axis_steps(steps, axis) * mm for axis, mm in mm_per_step]
 
     def _to_mm(self, motors: Sequence[float]) -> list[float]:
         """Convert steps of motors to mm of axes."""
@@ -288,7 +292,7 @@ class Recorder:
         steps: Sequence[float] = motors
         if self._moves:
             steps = [self._axis_steps(motors, axis) for axis in range(len(self._mm_per_step))]
-        return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=False)]
+        return [count * mm for count, mm in zip(steps, self._mm_per_step, strict=False)]
 
     def _axis_steps(self, motors: Sequence[float], axis: int) -> float:
         """Return the steps of an axis, as in motion/kinematics.py, but as a float."""
@@ -296,9 +300,10 @@ class Recorder:
 
         if self._moves[axis] == 1 << axis:
             return motors[axis]  # a second motor of an axis adds no displacement
-        ways = [(moves >> axis & 1) - (moves >> axis + REVERSE & 1) for moves in self._moves]
-        made = sum(way * steps for way, steps in zip(ways, motors, strict=True))
-        return made / sum(map(abs, ways))
+        # Of each motor: 1 if the axis moves it forward, -1 backward, 0 if it does not move it.
+        signs = [(moves >> axis & 1) - (moves >> axis + REVERSE & 1) for moves in self._moves]
+        total = sum(sign * steps for sign, steps in zip(signs, motors, strict=True))
+        return total / sum(map(abs, signs))
 
 
 def replace_method(owner: object, name: str, stand_in: object) -> Any:

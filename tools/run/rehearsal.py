@@ -28,8 +28,8 @@ from .recorder import Recorder
 if TYPE_CHECKING:
     from ..sim.rig import Rig
 
-_ON_PATH_MM = 0.005
-_OFF_PATH_MM = 1.0
+_ON_PATH_MM = 0.005  # a block must be closer than another one by more than that
+_OFF_PATH_MM = 1.0  # a position further from all blocks is on none of them
 _XYZ = 3  # numbers of a position
 
 
@@ -68,19 +68,20 @@ class Forecast:
         in the planner, if the machine reports them. Where the path crosses itself, the earlier
         line is returned, because it is better to repeat a part than to leave one out.
         """
-        end = bisect_right(self.block_line, answered)
+        end = bisect_right(self.block_line, answered)  # number of blocks of the lines answered
+        # With one block in the next line at most, the blocks in the planner are the last ones.
         if left is not None and bisect_right(self.block_line, answered + 1) <= end + 1:
             return self.block_line[max(0, end - left)] if left and end else answered
         first = max(0, end - planned - 1)
         last = bisect_right(self.block_line, answered + 1)
-        near, best = inf, None
+        least_mm, nearest = inf, None
         for block in range(first, last):
-            far = _distance(place[:_XYZ], self._begin(block), self.block_end(block))
-            if far < near - _ON_PATH_MM:
-                near, best = far, block
-        if best is None or near > _OFF_PATH_MM:
+            mm = _distance(place[:_XYZ], self._begin(block), self.block_end(block))
+            if mm < least_mm - _ON_PATH_MM:
+                least_mm, nearest = mm, block
+        if nearest is None or least_mm > _OFF_PATH_MM:
             return None
-        return self.block_line[best]
+        return self.block_line[nearest]
 
     def highest_mm(self, line: int) -> float:
         """Return the highest Z before a line: safe for moves to every position so far."""
@@ -96,17 +97,18 @@ class Forecast:
         return self.block_ends[_XYZ * block : _XYZ * (block + 1)]
 
     def _begin(self, block: int) -> Sequence[float]:
+        """Return the beginning of a block."""
         return self.block_end(block - 1) if block else self.start
 
 
 def _distance(place: Sequence[float], begin: Sequence[float], end: Sequence[float]) -> float:
-    """Return the distance from a point to a line segment."""
+    """Return the distance from a point to a line segment, in mm."""
     length_sqr = dist(begin, end) ** 2
-    along = 0.0
+    share = 0.0  # part of the segment's length up to the nearest point
     if length_sqr:
         dot = sum((p - b) * (e - b) for p, b, e in zip(place, begin, end, strict=True))
-        along = min(1.0, max(0.0, dot / length_sqr))
-    nearest = [b + along * (e - b) for b, e in zip(begin, end, strict=True)]
+        share = min(1.0, max(0.0, dot / length_sqr))
+    nearest = [b + share * (e - b) for b, e in zip(begin, end, strict=True)]
     return dist(place, nearest)
 
 
@@ -149,6 +151,7 @@ class _Watcher(Recorder):
         self.forecast.start = self._planned_place()
 
     def _note(self, row: int) -> None:
+        """Note a planned block, with its end and its line."""
         super()._note(row)
         if self._watching and row != self._planner.flow[self._layout.ROWS]:
             self.forecast.block_line.append(self._rig.link.now_at())
@@ -160,18 +163,18 @@ class _Watcher(Recorder):
         self.forecast.at_place = self._planned_place()
 
     def _planned_place(self) -> list[float]:
-        """Return the end of the last block."""
-        from motion import planner
+        """Return the end of the last block, in mm."""
+        from motion import planner as planners
         from motion.steps import motor_steps
 
-        made = self._rig.controller.planner
-        steps = [position - planner._BIAS for position in made.position]
+        planner = self._rig.controller.planner
+        steps = [position - planners._BIAS for position in planner.position]
         if hasattr(self._beside, "skew"):  # its planner has positions of motors, not of axes
             places = array("i", steps + [0 for _ in steps])
-            motors = [motor_steps(places, 0, made.axes, moves) for moves in self._moves]
-            steps = [self._beside.axis_steps(motors, i) for i in range(made.axes)]
-        per_mm = made.steps_per_mm
-        return [round(n / mm, 4) for n, mm in zip(steps[:_XYZ], per_mm, strict=False)]
+            motors = [motor_steps(places, 0, planner.axes, moves) for moves in self._moves]
+            steps = [self._beside.axis_steps(motors, axis) for axis in range(planner.axes)]
+        resolutions = planner.steps_per_mm
+        return [round(n / per_mm, 4) for n, per_mm in zip(steps[:_XYZ], resolutions, strict=False)]
 
 
 class _Link(ProgramLink):
@@ -182,8 +185,9 @@ class _Link(ProgramLink):
         self.answered = array("q")  # in ticks
 
     def _answer(self, line: str) -> None:
+        """Process an answer, and note its time."""
         super()._answer(line)
-        if self._last:
+        if self._last:  # a line of the program
             self.answered.append(self.rig.now)
 
 
@@ -236,12 +240,12 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
 
 
 def _ask(link: ProgramLink, watcher: _Watcher) -> Iterator[Step]:
+    """Yield the steps that put position, outputs, modes and offsets into the forecast."""
     yield None
     forecast = watcher.forecast
     watcher.ask_place()
-    forecast.outputs_on = [
-        name for name, on in {name: on for _, name, on in link.result.switched}.items() if on
-    ]
+    last_levels = {name: on for _, name, on in link.result.switched}
+    forecast.outputs_on = [name for name, on in last_levels.items() if on]
     link.replies.clear()
     yield 0, b"$G"
     yield 0, b"$#"
@@ -250,6 +254,7 @@ def _ask(link: ProgramLink, watcher: _Watcher) -> Iterator[Step]:
 
 
 def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
+    """Return the complete forecast. begun: the tick of its start if nothing was recorded."""
     forecast = watcher.forecast
     begun = watcher._begun or begun
     hz = link.rig.engine.tick_hz
@@ -272,6 +277,7 @@ def check(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Resu
 
 
 def _without_dollar(line: bytes) -> bytes:
+    """Return the line, or an empty one instead of a line that begins with $."""
     return b"" if line.lstrip().startswith(b"$") else line
 
 
@@ -303,11 +309,12 @@ class Rehearsal:
         self._thread.join()
 
     def _talk(self, job: Job) -> None:
+        """Send the job to the process, and receive its forecast."""
         try:
             with self._process as process:
                 assert process.stdin and process.stdout
-                with process.stdin as there:
-                    pickle.dump(vars(job), there)
+                with process.stdin as stdin:
+                    pickle.dump(vars(job), stdin)
                 forecast = pickle.load(process.stdout)
         except (OSError, EOFError, pickle.UnpicklingError):  # the process has failed or was killed
             return
@@ -322,6 +329,7 @@ def main() -> None:
     parent = os.getppid()
 
     def needed(line: int) -> None:
+        """Stop if the process that waits for the forecast has ended."""
         if os.getppid() != parent:
             raise KeyboardInterrupt("who has asked for it is gone")
 

@@ -31,11 +31,11 @@ def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
     OSError if listening is not possible."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        made = socket.create_server((host, port), family=family, backlog=backlog)
+        listening = socket.create_server((host, port), family=family, backlog=backlog)
     except OSError as error:
         raise OSError(f"{host}:{port} cannot be listened at: {why_not(error)}") from error
-    made.setblocking(False)
-    return made
+    listening.setblocking(False)
+    return listening
 
 
 def why_not(error: OSError) -> str:
@@ -62,10 +62,12 @@ class Tcp(Wire):
         self._listener.close()
 
     def _take(self, limit: int) -> bytes | None:
+        """Return received bytes that a sender may send to Grbl; None without a sender."""
         data = self._receive(limit)
         return permitted(data) if data else data
 
     def _receive(self, limit: int) -> bytes | None:
+        """Return received bytes, from a new sender if there is none; None without a sender."""
         if self._sender is None:
             self._accept()
         if self._sender is None:
@@ -75,13 +77,14 @@ class Tcp(Wire):
         except BlockingIOError:
             return b""
         except OSError:
-            data = b""
+            data = b""  # as at the end
         if not data:
             self._hang_up()
             return None
         return data
 
     def _accept(self) -> None:
+        """Take the next sender that waits, if any."""
         with suppress(BlockingIOError):
             caller, _ = self._listener.accept()
             caller.setblocking(False)
@@ -90,6 +93,7 @@ class Tcp(Wire):
             self._sender = caller
 
     def _hang_up(self) -> None:
+        """Disconnect the sender, if any."""
         if self._sender is not None:
             self._sender.close()
         self._sender = None
@@ -106,6 +110,7 @@ class Tcp(Wire):
         select.select(self._open(), [], [], seconds)
 
     def _open(self) -> list[socket.socket]:
+        """Return the sender's socket, if any, for select()."""
         return [self._sender] if self._sender else []
 
 
@@ -119,17 +124,20 @@ class Rfc2217(Tcp):
     _port: PortManager | None = None
 
     def _accept(self) -> None:
+        """Take the next sender, with a serial port that takes its settings."""
         super()._accept()
         if self._sender is not None:
-            nowhere: Any = serial_for_url("loop://")
+            dummy_port: Any = serial_for_url("loop://")
             answers: Any = SimpleNamespace(write=self._negotiate)
-            self._port = PortManager(nowhere, answers)
+            self._port = PortManager(dummy_port, answers)
 
     def _receive(self, limit: int) -> bytes | None:
+        """Return received bytes without the protocol's commands, which are answered."""
         data = super()._receive(limit)
         return b"".join(self._port.filter(data)) if data and self._port else data
 
     def _negotiate(self, data: bytes) -> None:
+        """Send an answer of the protocol."""
         with suppress(OSError):  # the sender does not read, or has disconnected
             self._put(data)
 
@@ -137,10 +145,10 @@ class Rfc2217(Tcp):
 class HostConnection:
     """A non-blocking socket with MicroPython's interface."""
 
-    def __init__(self, made: socket.socket) -> None:
-        made.setblocking(False)
-        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket = made
+    def __init__(self, accepted: socket.socket) -> None:
+        accepted.setblocking(False)
+        accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = accepted
 
     def readinto(self, buf: bytearray) -> int | None:
         """Return the number of bytes received; None if there are none, 0 at the end."""
@@ -173,8 +181,8 @@ class HostCalls:
     def next(self) -> tuple[HostConnection, str] | None:
         """Return the next client and its address; None if there is none."""
         with suppress(BlockingIOError, ConnectionError):
-            made, address = self._listener.accept()
-            return HostConnection(made), str(address[0])
+            accepted, address = self._listener.accept()
+            return HostConnection(accepted), str(address[0])
         return None
 
     def close(self) -> None:

@@ -22,10 +22,10 @@ class Wire(ABC):
 
     def __init__(self) -> None:
         self._connected = False
-        self._since = 0.0
-        self._welcomed = False
+        self._since = 0.0  # when the sender connected
+        self._welcomed = False  # the sender has got its banner
         self._early: bytes | None = b""  # kept for the first sender; None after it was sent
-        self._deaf = False
+        self._deaf = False  # the sender did not read in time
 
     @abstractmethod
     def _take(self, limit: int) -> bytes | None:
@@ -62,6 +62,7 @@ class Wire(ABC):
         return data
 
     def _welcome(self) -> None:
+        """Send a new sender what was kept for it, or have the machine greet it."""
         self._welcomed = True
         early, self._early = self._early, None
         if early is None:
@@ -84,14 +85,15 @@ class Wire(ABC):
             time.sleep(seconds)
 
     def _send(self, data: bytes) -> None:
-        until = time.monotonic() + (0 if self._deaf else _DEAF_S)
+        """Send bytes; those that the sender does not accept in time are lost."""
+        deadline = time.monotonic() + (0 if self._deaf else _DEAF_S)
         while data:
             try:
                 data = data[self._put(data) :]
                 self._deaf = False
             except BlockingIOError:
-                self._wait_to_put(max(0.0, until - time.monotonic()))
-                if time.monotonic() >= until:
+                self._wait_to_put(max(0.0, deadline - time.monotonic()))
+                if time.monotonic() >= deadline:
                     self._deaf = True
                     return
             except OSError:

@@ -8,16 +8,26 @@ from talk.lines import LINE, clean
 
 @micropython.viper
 def check_lines(
-    heard: ptr8, at: ptr32, line: object, kinds: ptr8, modal: ptr32, machine: ptr32, memory: object
+    received: ptr8,
+    indices: ptr32,
+    line: object,
+    kinds: ptr8,
+    modal: ptr32,
+    machine: ptr32,
+    memory: object,
 ) -> int:
     """Do in check mode what the firmware's loop does with move-only lines (talk/stream_loop.py),
-    up to a line that is not move-only. Returns how many were done."""
+    up to a line that is not move-only. Returns how many were done.
+
+    received, indices, line, kinds: memory of talk/lines.py. modal, machine, memory: that of the
+    interpreter.
+    """
     done = 0
     text = ptr8(line)
-    found = int(clean(heard, at, text, kinds))
+    found = int(clean(received, indices, text, kinds))  # flags, and the length from bit 2
     while found & LINE:
         if int(execute(line, found >> 2, modal, machine, memory)) == 0:
             return done
         done += 1
-        found = int(clean(heard, at, text, kinds))
+        found = int(clean(received, indices, text, kinds))
     return done

@@ -14,16 +14,24 @@ if TYPE_CHECKING:
 
     from interfaces import NextSegment
 
-_NEVER = 1 << 60
+_NEVER = 1 << 60  # a tick that never comes
 
 
 def leading(gaps: int, gap: int, longer: int) -> int:
-    """Return slice_kernel.leading(), in Python because it is called for each step."""
+    """Return how many of the longer gaps come first, as slice_kernel.leading() does. This is in
+    Python because it is called for each step.
+
+    gaps: number of all gaps between a segment's steps. gap: ticks of a short one; the `longer`
+    ones have one more.
+    """
     return longer >> 1 if gaps > gap >> 1 else longer
 
 
-def step_tick(row: "array[int]", base: int, k: int) -> int:
-    """Return the tick, from the start of the segment, of step k (from 0) of the axis at row[base].
+def step_tick(row: "array[int]", base: int, index: int) -> int:
+    """Return the tick, from the start of the segment, of a step of the axis at row[base].
+
+    index: of the step, from 0. row[base] is the number of steps, and the next two are the ticks of
+    the first and of the last one.
 
     The gaps between a segment's steps differ by one tick at most. Their order is that of
     slice_kernel.leading(), as in every engine.
@@ -33,8 +41,8 @@ def step_tick(row: "array[int]", base: int, k: int) -> int:
         return row[base + 1]
     gap, longer = divmod(row[base + 2] - row[base + 1], gaps)
     front = leading(gaps, gap, longer)
-    last = max(k - gaps + longer - front, 0)  # longer gaps at the end, before step k
-    return row[base + 1] + k * gap + min(k, front) + last
+    last = max(index - gaps + longer - front, 0)  # longer gaps at the end, before this step
+    return row[base + 1] + index * gap + min(index, front) + last
 
 
 def steps_until(row: "array[int]", base: int, tick: int) -> int:
@@ -51,7 +59,7 @@ def steps_until(row: "array[int]", base: int, tick: int) -> int:
     tick -= row[base + 1]
     if tick < front * (gap + 1):
         return tick // (gap + 1) + 1
-    if span - tick <= (longer - front) * (gap + 1):
+    if span - tick <= (longer - front) * (gap + 1):  # among the longer gaps at the end
         return count - -(-(span - tick) // (gap + 1))
     return (tick - front) // gap + 1
 
@@ -76,18 +84,19 @@ class Switch:
 
     def crossing(self, start: int, end: int) -> int:
         """Return after how many steps, on the way from start to end, it changes; 0 if never."""
-        way = 1 if end > start else -1
-        here = self.closed(start)
-        if self.bounces == 0 and here == self.closed(end):
+        sign = 1 if end > start else -1
+        was_closed = self.closed(start)
+        if self.bounces == 0 and was_closed == self.closed(end):
             return 0
-        first, last = self.steps - 2 * self.bounces - 1, self.steps + 2 * self.bounces + 1
-        near = first if way > 0 else last  # nothing changes before it
-        made = max(0, (near - start) * way)
+        # It changes only between these two positions.
+        low, high = self.steps - 2 * self.bounces - 1, self.steps + 2 * self.bounces + 1
+        near = low if sign > 0 else high  # nothing changes before it
+        made = max(0, (near - start) * sign)
         while made < abs(end - start):
             made += 1
-            if self.closed(start + way * made) != here:
+            if self.closed(start + sign * made) != was_closed:
                 return made
-            if made > (last - first) + abs(near - start):
+            if made > (high - low) + abs(near - start):
                 break
         return 0
 
@@ -107,21 +116,22 @@ class SimEngine:
     def __init__(self, axes: int, depth: int = 3, segment_log2: int = 17) -> None:
         self.segment_log2 = segment_log2
         self.prepare: "Callable[[], None] | None" = None
-        self.now = 0
+        self.now = 0  # virtual time in ticks
         self.trace: "Callable[[int, array[int]], None] | None" = None
         self.pins_changed: "Callable[[], None] | None" = None
         self.switches: "list[Switch]" = []
-        self.starts = 0
+        self.starts = 0  # how often motion has begun
         self._axes = axes
+        # A ring of segments. The one at _head runs; it and the following are _held.
         self._queue = [array("i", [0] * row_length(axes)) for _ in range(depth)]
         self._head = 0
         self._held = 0
-        self._start = 0
+        self._start = 0  # tick at which the running segment began
         self._running = False
-        self._stopped = True
-        self._locked = 0
-        self._physical = array("i", [0] * axes)
-        self._offset = array("i", [0] * axes)
+        self._stopped = True  # no motion before arm()
+        self._locked = 0  # mask of motors that make no steps
+        self._physical = array("i", [0] * axes)  # steps at the pins before the running segment
+        self._offset = array("i", [0] * axes)  # the firmware's position minus the steps made
         self._next_segment: "NextSegment"
         self._on_power: "Callable[[int], None]"
         self.pulse_us = 10
@@ -138,21 +148,24 @@ class SimEngine:
         on_power: "Callable[[int], None]",
         on_rest: "Callable[[], None]",
     ) -> None:
+        """Set what is called: for a segment, at its power, and when motion has ended."""
         self._next_segment = next_segment
         self._on_power = on_power
         self._on_rest = on_rest
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
+        """Take settings over; the firmware's position stays the same."""
         self.pulse_us = pulse_us
-        place = self._physical[:]
-        self.position(place)
+        steps = self._physical[:]
+        self.position(steps)
         self.dir_invert = dir_invert
-        self.set_position(place)
+        self.set_position(steps)
 
     def arm(self) -> None:
         self._stopped = False
 
     def start(self) -> None:
+        """Begin motion, if there is any and arm() allows it."""
         if not self._running and not self._stopped:
             if self.prepare:
                 self.prepare()
@@ -166,6 +179,7 @@ class SimEngine:
                 self.stop()  # stopped meanwhile
 
     def stop(self) -> None:
+        """End motion at once, and drop the segments held."""
         self._stopped = True
         if self._running:
             self._finish(self.now - self._start)
@@ -174,6 +188,7 @@ class SimEngine:
         self._locked = 0
 
     def lock(self, motors: int) -> None:
+        """Let these motors, a mask, make no more steps until stop()."""
         if self._running and motors & ~self._locked:
             self._split()
         self._locked |= motors
@@ -220,12 +235,12 @@ class SimEngine:
         if not self._running:
             return _NEVER
         row = self._queue[self._head]
-        first = row[ROW_TICKS]
+        earliest = row[ROW_TICKS]
         for switch in self.switches:
             tick = self._crossing_tick(row, switch)
-            if tick < first:
-                first = tick
-        return self._start + first
+            if tick < earliest:
+                earliest = tick
+        return self._start + earliest
 
     def advance(self, to: int) -> None:
         """Let time pass until `to`, play segments and report pins that change."""
@@ -242,12 +257,15 @@ class SimEngine:
         self.now = to
 
     def _made(self, row: "array[int]", axis: int, tick: int) -> int:
+        """Return the steps of a motor, with their sign, in the first `tick` ticks of a segment."""
         if self._locked >> axis & 1:
             return 0
         made = steps_until(row, ROW_AXES + ROW_STRIDE * axis, tick)
         return -made if row[ROW_DIRS] >> axis & 1 else made
 
     def _crossing_tick(self, row: "array[int]", switch: "Switch") -> int:
+        """Return the tick, from the start of the running segment, at which a switch changes next;
+        _NEVER if it does not in this segment."""
         axis = switch.axis
         start = self._physical[axis]
         end = start + self._made(row, axis, row[ROW_TICKS])
@@ -259,6 +277,7 @@ class SimEngine:
         return step_tick(row, base, abs(made) + crossing - 1)
 
     def _refill(self) -> None:
+        """Pull segments until the queue is full or there are no more."""
         size = len(self._queue)
         while self._held < size:
             row = self._queue[(self._head + self._held) % size]
@@ -268,9 +287,11 @@ class SimEngine:
             self._held += 1
 
     def _begin(self) -> None:
+        """Set the power of the segment that begins."""
         self._on_power(self._queue[self._head][ROW_POWER])
 
     def _next(self, row: "array[int]") -> None:
+        """End the running segment, and begin the next one or rest."""
         self._finish(row[ROW_TICKS])
         self._start += row[ROW_TICKS]
         self._head = (self._head + 1) % len(self._queue)

@@ -24,6 +24,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from talk.controller import Controller
 
+# A step in the units of the planner's PARTIAL, and half of one.
 _STEP = 1 << 18
 _HALF_STEP = 1 << 17
 
@@ -43,39 +44,42 @@ class FullSegments:
         self._hooks.next_segment = self.next
 
     def next(self, row: "array[int]") -> int:
-        """Replace Segments.next()."""
+        """Replace Segments.next(): fill the row with a segment. Returns 0 if there is none."""
         flow = self._flow
-        fresh = not flow[LOADED]
-        phases = [_HALF_STEP] * self._motors if fresh else self._phases()
-        before = 0 if fresh else flow[SPARE]
-        found = self._next(row)
-        if found:
+        is_new_block = not flow[LOADED]
+        phases = [_HALF_STEP] * self._motors if is_new_block else self._phases()
+        spare_before = 0 if is_new_block else flow[SPARE]
+        has_segment = self._next(row)
+        if has_segment:
             while flow[SLICES]:
                 self._add(row)
-            row[ROW_TICKS] += flow[SPARE] - before
-            self._close(row, fresh)
+            row[ROW_TICKS] += flow[SPARE] - spare_before
+            self._close(row, is_new_block)
             self._space(row, phases)
         elif not flow[SPARE]:
             self._spares.clear()
-        return found
+        return has_segment
 
     def _phases(self) -> "list[int]":
+        """Return the part of a step that each motor has moved beyond its last one; 1 << 18 is a
+        step."""
         return [self._flow[MOTORS + 2 * i + 1] for i in range(self._motors)]
 
     def _add(self, row: "array[int]") -> None:
-        """Add the next slice."""
+        """Add the next slice's time and steps to a segment."""
         slice = array("i", row)
         self._next(slice)
         row[ROW_TICKS] += slice[ROW_TICKS]
         row[ROW_POWER] = slice[ROW_POWER]
-        for at in range(ROW_AXES, len(row), ROW_STRIDE):
-            row[at] += slice[at]
+        for base in range(ROW_AXES, len(row), ROW_STRIDE):
+            row[base] += slice[base]
 
-    def _close(self, row: "array[int]", fresh: bool) -> None:
-        """End the segment with a step. The rest of the time follows from its mean speed."""
+    def _close(self, row: "array[int]", is_new_block: bool) -> None:
+        """End the segment with a step. The rest of the time follows from its mean speed, and is
+        added to the block's next segment."""
         flow = self._flow
-        ticks = row[ROW_TICKS] + (0 if fresh else self._spares.get(flow[AT], 0))
-        steps = max(row[at] for at in range(ROW_AXES, len(row), ROW_STRIDE))
+        ticks = row[ROW_TICKS] + (0 if is_new_block else self._spares.get(flow[AT], 0))
+        steps = max(row[base] for base in range(ROW_AXES, len(row), ROW_STRIDE))
         spare = 0
         if steps and flow[PARTIAL] > STEP_BIAS:
             spare = ticks - ticks * steps * _STEP // (steps * _STEP + flow[PARTIAL])
@@ -83,11 +87,14 @@ class FullSegments:
         row[ROW_TICKS] = max(ticks - spare, 1)
 
     def _space(self, row: "array[int]", before: "list[int]") -> None:
-        """Place the first and the last step of each motor, from the distance it has moved."""
+        """Set the ticks of the first and the last step of each motor, from the distance it has
+        moved. before: its phases at the beginning."""
         after = self._phases()
         ticks = row[ROW_TICKS]
         for i in range(self._motors):
-            at = ROW_AXES + ROW_STRIDE * i
-            come = row[at] * _STEP + after[i] - before[i]
-            for k, step in ((1, 1), (2, row[at])) if row[at] else ():
-                row[at + k] = min((step * _STEP - before[i]) * ticks // max(come, 1), ticks)
+            base = ROW_AXES + ROW_STRIDE * i
+            count = row[base]
+            distance = max(count * _STEP + after[i] - before[i], 1)
+            # row[base + 1] is the tick of the first step, row[base + 2] of the last one.
+            for place, step in ((1, 1), (2, count)) if count else ():
+                row[base + place] = min((step * _STEP - before[i]) * ticks // distance, ticks)

@@ -21,10 +21,11 @@ class SimBeamEngine(SimEngine):
         self.beam[bm.BOTH] = 1
         self.beam[bm.LEVEL] = bm.UNKNOWN
         self.levels = array("i", [0] * (bm.LEVELS_MASK + 1))
+        # The segment as it was pulled; the beam is its last axis, with a step for each change.
         self._whole = array("i", [0] * row_length(axes + 1))
         self._pieces: "list[array[int]]" = []
         self._taken = 0  # number of levels taken from the ring
-        self._level = 0
+        self._level = 0  # the power at the end of the pieces
         self.burning: "Callable[[], int]" = int  # the power when idle
 
     # The interface of a beam
@@ -43,6 +44,7 @@ class SimBeamEngine(SimEngine):
         self._taken = self.beam[bm.COUNT]
 
     def start(self) -> None:
+        """Begin motion with the power as it is."""
         if not self._running and not self._stopped:
             self.beam[bm.LEVEL] = bm.UNKNOWN
             self._level = self.burning()
@@ -55,6 +57,7 @@ class SimBeamEngine(SimEngine):
     # Interface for the simulator
 
     def _refill(self) -> None:
+        """Put pieces into the queue, of more segments if needed, until it is full."""
         size = len(self._queue)
         while self._held < size:
             if not self._pieces and self._next_segment(self._whole):
@@ -69,8 +72,8 @@ class SimBeamEngine(SimEngine):
         row, base = self._whole, ROW_AXES + ROW_STRIDE * self._axes
         row[ROW_DIRS] ^= self.dir_invert  # as at the pins
         begin = 0
-        for k in range(row[base]):
-            tick = min(step_tick(row, base, k), row[ROW_TICKS])
+        for change in range(row[base]):
+            tick = min(step_tick(row, base, change), row[ROW_TICKS])
             self._piece(begin, tick)
             begin = tick
             self._level = self.levels[self._taken & bm.LEVELS_MASK]
@@ -82,14 +85,14 @@ class SimBeamEngine(SimEngine):
         if begin == end:
             return
         row = self._whole
-        made = array("i", row[: row_length(self._axes)])
-        made[ROW_TICKS], made[ROW_POWER] = end - begin, self._level
+        piece = array("i", row[: row_length(self._axes)])
+        piece[ROW_TICKS], piece[ROW_POWER] = end - begin, self._level
         for i in range(self._axes):
             base = ROW_AXES + ROW_STRIDE * i
             before = steps_until(row, base, begin) if begin else 0
             steps = steps_until(row, base, end) - before
-            made[base] = steps
-            if steps:
-                made[base + 1] = step_tick(row, base, before) - begin
-                made[base + 2] = step_tick(row, base, before + steps - 1) - begin
-        self._pieces.append(made)
+            piece[base] = steps
+            if steps:  # the ticks of its first and its last step
+                piece[base + 1] = step_tick(row, base, before) - begin
+                piece[base + 2] = step_tick(row, base, before + steps - 1) - begin
+        self._pieces.append(piece)

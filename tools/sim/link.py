@@ -11,6 +11,7 @@ TX_BAUD = 117647
 # Bytes that the device may queue before write() waits.
 _TX_QUEUE = 104
 _OK = b"ok\r\n"
+_BITS = 10  # of a byte on the wire, with its start and stop bits
 
 
 class SimLink:
@@ -19,16 +20,17 @@ class SimLink:
 
     def __init__(self, rig: "Clock", rx_baud: int = RX_BAUD, tx_baud: int = TX_BAUD) -> None:
         self.received = bytearray()
-        self.last_arrival = 0
-        self.wire_free = 0
+        self.last_arrival = 0  # tick at which the last byte reached the sender
+        self.wire_free = 0  # tick at which the last byte to the device arrives
         self._rig = rig
-        self._rx_ticks = rig.engine.tick_hz * 10 // rx_baud
-        self._tx_ticks = rig.engine.tick_hz * 10 // tx_baud
-        self._turn = 0
+        self._rx_ticks = rig.engine.tick_hz * _BITS // rx_baud  # per byte
+        self._tx_ticks = rig.engine.tick_hz * _BITS // tx_baud
+        self._turn = 0  # tick of the firmware's last read
+        # In each direction the bytes on the wire, and the tick when the first of them arrives.
         self._rx = bytearray()
-        self._rx_due = 0  # when the first byte of _rx arrives
+        self._rx_due = 0
         self._tx = bytearray()
-        self._tx_due = 0  # when the first byte of _tx has been sent
+        self._tx_due = 0
 
     # The Link interface
 
@@ -55,6 +57,7 @@ class SimLink:
         self._rx_due += count * self._rx_ticks
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
+        """Queue bytes to the sender; while the queue is full, time passes."""
         rig = self._rig
         # Lines that were processed one after another are answered at once.
         rig.pass_time(rig.now + rig.answer_ticks * max(1, bytes(data).count(_OK)))
@@ -100,6 +103,7 @@ class SimLink:
         self._tx = bytearray()
 
     def _arrived(self, limit: int) -> int:
+        """Return the number of bytes that have arrived at the device; at most `limit`."""
         if not self._rx or self._rx_due > self._rig.now:
             return 0
         return min(limit, len(self._rx), (self._rig.now - self._rx_due) // self._rx_ticks + 1)

@@ -48,9 +48,12 @@ class Machine:
 
         module: "Any" = _load(board) if isinstance(board, (str, Path)) else board
         store = factory_store(module)
-        store.files["settings"] += [f"${n}={value}" for n, value in (settings or {}).items()]
+        store.files["settings"] += [
+            f"${number}={value}" for number, value in (settings or {}).items()
+        ]
         self.rig = Rig(module, store)
         self._sender = Sender(self.rig)
+        # For the firmware's thread: jobs; None is the end. From it: the result of each one.
         self._jobs: "queue.SimpleQueue[Job | None]" = queue.SimpleQueue()
         self._done: "queue.SimpleQueue[list[str] | BaseException]" = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._live, daemon=True)
@@ -105,8 +108,8 @@ class Machine:
 
     def settings(self) -> "dict[int, str]":
         """Return the settings that `$$` shows."""
-        found = [_SETTING.fullmatch(line) for line in self.ask("$$")]
-        return {int(row[1]): row[2] for row in found if row}
+        matches = [_SETTING.fullmatch(line) for line in self.ask("$$")]
+        return {int(match[1]): match[2] for match in matches if match}
 
     # Time
 
@@ -161,32 +164,35 @@ class Machine:
     # The firmware's thread
 
     def _live(self) -> None:
+        """Run the firmware until the machine is switched off. This is the thread."""
         try:
             self.rig.run(self._script())
         except BaseException as error:  # raised in the next call
             self._done.put(error)
 
     def _script(self) -> "Generator[Any, None, None]":
+        """Do one job after another, and wait while there is none. The rig runs this script."""
         while (job := self._jobs.get()) is not None:
             try:
-                done: "list[str] | BaseException" = yield from job()
+                result: "list[str] | BaseException" = yield from job()
             except Exception as error:
-                done = error
-            self._done.put(done)
+                result = error
+            self._done.put(result)
 
     def _do(self, job: "Job", limit_ms: float = _LIMIT_MS) -> "list[str]":
+        """Have the firmware's thread do a job; returns its result, or raises its exception."""
         from .sender import TooLong
 
         if not self._thread.is_alive():
             raise RuntimeError("the machine is switched off")
         self._sender.allow(limit_ms)
         self._jobs.put(job)
-        done = self._done.get()
-        if isinstance(done, TooLong):
-            raise TimeoutError(f"not within {limit_ms:g} ms of the machine's time") from done
-        if isinstance(done, BaseException):
-            raise done
-        return done
+        result = self._done.get()
+        if isinstance(result, TooLong):
+            raise TimeoutError(f"not within {limit_ms:g} ms of the machine's time") from result
+        if isinstance(result, BaseException):
+            raise result
+        return result
 
     def _act(self, action: "Callable[[], None]") -> None:
         """Run an action in the firmware's thread; no time passes."""
@@ -199,10 +205,12 @@ class Machine:
         self._do(job)
 
     def _until(self, condition: "Callable[[], bool]") -> "Generator[Any, None, list[str]]":
+        """Wait until a condition is true. Returns the lines received."""
         yield from self._sender.until(condition)
         return self._sender.take()
 
     def _reports(self) -> "list[str]":
+        """Return the status reports received."""
         return [line for line in self._sender.lines if line.startswith("<")]
 
     def _has_welcomed(self) -> bool:
@@ -214,9 +222,9 @@ def _load(board: "str | Path") -> "ModuleType":
     if str(paths.BOARDS.parent) not in sys.path:
         sys.path.append(str(paths.BOARDS.parent))  # board files import each other
     file = Path(board) if str(board).endswith(".py") else paths.BOARDS / f"{board}.py"
-    found = importlib.util.spec_from_file_location(file.stem, file)
-    if not file.is_file() or found is None or found.loader is None:
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    if not file.is_file() or spec is None or spec.loader is None:
         raise ValueError(f"no board {str(board)!r}: there is no {file}")
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
     return module

@@ -32,5 +32,7 @@ def shared(board: "Any") -> str:
     """Return the axes whose motors also move others: XY of a CoreXY."""
     if getattr(board, "COREXY", False):
         return "XY"
-    words = [word.strip("+-") for word in getattr(board, "MOVES", ())]
-    return "".join([a for i, a in enumerate(AXIS_LETTERS) if i < len(words) and words[i] != a])
+    # By motor, the axes that it moves: X+Z; a single one, X or -X, is its own.
+    moved = [word.strip("+-") for word in getattr(board, "MOVES", ())]
+    pairs = zip(AXIS_LETTERS, moved)
+    return "".join([letter for letter, axes in pairs if axes != letter])

@@ -24,6 +24,7 @@ class RigLink(NetLink):
     _OF_CABLE = ("received", "stopping", "turn")
 
     def __init__(self, rig: "Rig", cable: "Any", calls: "Incoming | None", *more: "Any") -> None:
+        # What a NetLink expects of a board's cable: USB.
         cable.shared = array("i", (0, 0, 0))
         cable.poll_reset = None
         cable.is_slow = False
@@ -36,15 +37,18 @@ class RigLink(NetLink):
         return self._rig.controller.at_rest()
 
     def _accept(self, conn: "Any", address: str, now_ms: int) -> None:
+        """Accept a client; one at a trusted address needs no key."""
         super()._accept(conn, address, now_ms)
         for caller in self._clients:
             if caller.conn is conn and address in self.trusts:
                 caller.trusted = True
 
     def __getattr__(self, name: str) -> "Any":
+        """Return an attribute of the cable."""
         return getattr(self.__dict__["cable"], name)
 
     def __setattr__(self, name: str, value: "Any") -> None:
+        """Set an attribute, on the cable if it belongs there."""
         if name in self._OF_CABLE:
             setattr(self.cable, name, value)
         else:

@@ -34,8 +34,11 @@ def limit_names(board: "ModuleType") -> "tuple[str, ...]":
 def shared_inputs(board: "ModuleType") -> "list[int]":
     """Return masks of limit inputs that share one pin."""
     wired = getattr(board, "LIMIT", ())
-    bits = {pin: [i for i, one in enumerate(wired) if one == pin] for pin in wired}
-    return [sum(1 << i for i in same) for pin, same in bits.items() if pin is not None]
+    masks: "dict[int, int]" = {}  # by pin
+    for bit, pin in enumerate(wired):
+        if pin is not None:
+            masks[pin] = masks.get(pin, 0) | 1 << bit
+    return list(masks.values())
 
 
 class SimPwm:
@@ -67,14 +70,14 @@ class SimPort:
         self.flood = 0
         self.mist = 0
         self._rig = rig
-        self._pushed: "dict[str, bool]" = {}
-        self._closed: "set[str]" = set()
+        self._pushed: "dict[str, bool]" = {}  # by hand: whether closed, by name
+        self._closed: "set[str]" = set()  # names, by hand or by a switch
         self._listener: "InputListener | None" = None
         self.after_controls: "Callable[[int], object] | None" = None
         self._on_contact: "Callable[[], None] | None" = None
-        self._contact_level = True
+        self._contact_level = True  # the probe's level that ends the motion
         self._limits_enabled = False
-        self._killed = False
+        self._killed = False  # outputs stay off until revive()
         # Pins of an extra: levels of outputs, those of kill(), names of inputs as for push().
         self.own_outputs = self._rest = 0
         self.own_pulses: "dict[int, tuple[int, int]]" = {}  # Hz and duty, by output
@@ -107,6 +110,7 @@ class SimPort:
             self._killed = False
 
     def _switch_off(self) -> None:
+        """Switch spindle, coolant and an extra's outputs off."""
         self.spindle_on = False
         self.spindle_pwm = self.flood = self.mist = 0
         self.own_outputs = self._rest
@@ -115,11 +119,13 @@ class SimPort:
             self.spindle_dir = 0
 
     def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
+        """Call on_contact once when the probe has that level; None: no more."""
         self._on_contact = on_contact
         self._contact_level = closed
         self._look_at_probe()
 
     def limits(self) -> int:
+        """Return a mask of the closed limit inputs, by motor."""
         closed = self._mask(self.limit_names)
         for mask in self._shared:
             if closed & mask:
@@ -164,6 +170,7 @@ class SimPort:
             self._switch_off()
 
     def pulse(self, index: int, hz: int, duty: int) -> None:
+        """Set the frequency and duty of an extra's output."""
         self.own_pulses[index] = hz, duty
         bit = 1 << index
         self.own_outputs = self.own_outputs | bit if duty else self.own_outputs & ~bit
@@ -228,23 +235,26 @@ class SimPort:
             and any(name in changed for name in self.limit_names)
         ):
             self._listener.on_limits()
-        buttons = any(name in changed for name in self._controls)
-        if self._listener and (buttons or ESTOP in changed):
+        has_button = any(name in changed for name in self._controls)
+        if self._listener and (has_button or ESTOP in changed):
             stop = EMERGENCY_STOP if self.estop and self.estop() else 0
             self._listener.on_controls(self.controls() | stop)
             if self.after_controls:
                 self.after_controls(self.controls() | stop)
 
     def _stop_is_open(self) -> bool:
+        """Return whether the emergency stop is pressed, or its wire broken."""
         return ESTOP not in self._closed
 
     def _look_at_probe(self) -> None:
+        """Report the contact if the probe has the level that ends the motion."""
         if self._on_contact and self.probe() == self._contact_level:
             on_contact = self._on_contact
             self._on_contact = None
             on_contact()
 
     def _mask(self, names: "tuple[str, ...]") -> int:
+        """Return a mask of the inputs that are closed, in the order of the names."""
         mask = 0
         for bit, name in enumerate(names):
             if name in self._closed:

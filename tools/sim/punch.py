@@ -47,6 +47,7 @@ class PunchPort(SimPort):
         self._place = UP
         self._since = rig.now  # time of that position
         self._speed = 0  # 1: down, -1: up
+        # It is or was up between these ticks; None: until now.
         self._up_from = rig.now
         self._up_until: "int | None" = None
         self._has_rest = False  # the outputs at rest are known
@@ -70,6 +71,8 @@ class PunchPort(SimPort):
             self._drive(self._rest & 1, self._rest >> 1)
 
     def _drive(self, down: int, up: int) -> None:
+        """Set both actuators by the levels of their outputs. BrokenLaw if the punch would go down
+        during motion."""
         down ^= self.wiring & 1
         up ^= self.wiring >> 1 & 1
         self.place()
@@ -84,8 +87,8 @@ class PunchPort(SimPort):
 
     def sense(self) -> int:
         place = self.place()
-        seen = SENSOR_DOWN if place == DOWN else SENSOR_UP if place == UP else 0
-        return seen & ~self.dead ^ self.wiring >> 2
+        sensors = SENSOR_DOWN if place == DOWN else SENSOR_UP if place == UP else 0
+        return sensors & ~self.dead ^ self.wiring >> 2
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
         self._on_change = on_change
@@ -96,11 +99,11 @@ class PunchPort(SimPort):
         """Return its position now, UP to DOWN."""
         was, since = self._place, self._since
         self._since = self._rig.now
-        way = 0.0 if self.stuck else self._speed * (self._since - since) / self._stroke_ticks
-        if way > 0:
-            self._place = max(was, min(was + way, self.lowest))
-        elif way < 0:
-            self._place = max(was + way, UP)
+        stroke = 0.0 if self.stuck else self._speed * (self._since - since) / self._stroke_ticks
+        if stroke > 0:
+            self._place = max(was, min(was + stroke, self.lowest))
+        elif stroke < 0:
+            self._place = max(was + stroke, UP)
         if was == UP < self._place:
             self._up_until = since
         if was < DOWN == self._place:
@@ -111,6 +114,7 @@ class PunchPort(SimPort):
         return self._place
 
     def _note_hole(self) -> None:
+        """Note the motors' positions, and report the hole."""
         steps = self._rig.scratch
         self._rig.engine.physical(steps)
         self.holes.append(tuple(steps))
@@ -144,6 +148,7 @@ class PunchEngine(SimEngine):
     watch: "Callable[[int, int], None] | None" = None
 
     def _finish(self, ticks: int) -> None:
+        """End a segment, and check its first and last step of each motor."""
         super()._finish(ticks)
         row: "array[int]" = self._queue[self._head]
         for i in range(self._axes):

@@ -25,7 +25,12 @@ if TYPE_CHECKING:
 
 _OUTPUTS = ("enable_pin", "spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
 _AXES = "XYZABC"
-_PEAK_INTERVALS = 16
+_PEAK_INTERVALS = 16  # consecutive intervals between steps whose mean is a peak rate
+_PARTIAL_STEP = 1 << 18  # a step in the units of PARTIAL
+# Time limits: for the banner or a setting, and in addition to the time of a step.
+_START_MS = 20_000
+_SPARE_MS = 20_000
+_SLOWER = 3  # a step may take so many times as long as in the recording
 
 
 def describe(error: Exception) -> str:
@@ -47,20 +52,20 @@ _factory: "dict[str, dict[str, list[str]]]" = {}
 
 def factory_store(board: "ModuleType") -> MemoryStore:
     """Return a store as the firmware leaves it after its very first start on this board."""
-    options = [name for name in dir(board) if name.isupper()]
-    says = repr([(name, board.__dict__[name]) for name in options])
-    if says not in _factory:
+    names = [name for name in dir(board) if name.isupper()]
+    options = repr([(name, board.__dict__[name]) for name in names])
+    if options not in _factory:
         rig = Rig(board, MemoryStore())
         sender = Sender(rig)
 
         def script() -> "Script":
-            sender.allow(20_000)
+            sender.allow(_START_MS)
             yield from sender.wait("banner", "", 500)
 
         rig.run(script())
-        _factory[says] = rig.store.files
+        _factory[options] = rig.store.files
     store = MemoryStore()
-    for name, lines in _factory[says].items():
+    for name, lines in _factory[options].items():
         store.files[name] = list(lines)
     return store
 
@@ -70,15 +75,16 @@ class _Case:
 
     def __init__(self, case: "Json", board: "ModuleType") -> None:
         self.case = case
-        self.blank = case["init"] == "blank"
+        self.blank = case["init"] == "blank"  # the memory is erased, and the power still off
         self.rig = Rig(board, MemoryStore() if self.blank else factory_store(board), full=True)
         self.rig.engine.trace = self.segment
         self.sender = Sender(self.rig)
         self.place = array("i", self.rig.scratch)
-        self.unpowered = False
+        self.unpowered = False  # steps were lost because motors had no power
         self.result: "Json" = {"setup": [], "steps": []}
 
     def run(self) -> "Json":
+        """Return what was observed; an exception is part of it."""
         try:
             self.rig.run(self.script())
         except Exception as error:
@@ -86,17 +92,18 @@ class _Case:
         return self.result
 
     def script(self) -> "Script":
+        """Do all steps of the case, and note what each one has changed."""
         sender = self.sender
         current = None
         try:
-            sender.allow(20_000)
+            sender.allow(_START_MS)
             if not self.blank:
                 yield from sender.wait("banner", "")
             sender.take()
             for part, items in (("setup", self.case["setup"]), ("steps", self.case["steps"])):
                 for item in items:
                     step = item
-                    if not isinstance(item, dict):
+                    if not isinstance(item, dict):  # the short form: a line and its answer
                         step = {"send": item[0] + "\n", "wait": "ok", "t_ms": 0}
                     current = self.begin(part)
                     yield from self.step(step)
@@ -116,6 +123,7 @@ class _Case:
             self.unpowered = self.unpowered or any(made)
 
     def begin(self, part: str) -> "Json":
+        """Return the observations of a new step, with its initial values. part: setup or steps."""
         observed = {"lines": [], "moved": [], "out": self.outputs()}
         self.unpowered = False
         self.result[part].append(observed)
@@ -132,23 +140,27 @@ class _Case:
         self.rig.engine.physical(self.place)
         observed["moved"] = [self.place[i] - before[i] for i in range(len(before))]
         # The exact position's distance from a whole step of the longest axis.
-        beyond = self.rig.controller.planner.flow[PARTIAL] / 262144
+        beyond = self.rig.controller.planner.flow[PARTIAL] / _PARTIAL_STEP
         observed["off_step"] = min(beyond, 1 - beyond)
         observed["unpowered"] = self.unpowered
         observed["moving"] = self.rig.moving()
-        now = self.outputs()
-        was = observed["out"]
-        observed["out"] = {name: now[name] for name in _OUTPUTS if now[name] != was[name]}
+        levels = self.outputs()
+        initial = observed["out"]
+        changed = [name for name in _OUTPUTS if levels[name] != initial[name]]
+        observed["out"] = {name: levels[name] for name in changed}
 
     def outputs(self) -> "dict[str, int]":
+        """Return the levels of the outputs now, by name."""
         port = self.rig.port
         levels = [port.enable_pin, port.spindle_on, port.spindle_pwm, port.spindle_dir]
         levels += [port.flood, port.mist]
         return {name: int(level) for name, level in zip(_OUTPUTS, levels)}
 
     def step(self, step: "Json") -> "Script":
+        """Do a step: switches, inputs, power, and then the bytes, until its wait has ended."""
         rig = self.rig
-        self.sender.allow(step.get("t_ms", 0) * 3 + step.get("settle_ms", 0) + 20_000)
+        limit_ms = step.get("t_ms", 0) * _SLOWER + step.get("settle_ms", 0) + _SPARE_MS
+        self.sender.allow(limit_ms)
         for row in step.get("switches", ()):
             _attach(rig, row)
         pins = step.get("pins", {})
@@ -163,6 +175,7 @@ class _Case:
 
 
 def _attach(rig: Rig, row: "Any") -> None:
+    """Give the rig a switch of a recording: pin, axis, `ge` or `le`, steps."""
     pin, axis, relation, steps = row
     rig.engine.switches.append(Switch(pin, _AXES.index(axis), relation == "ge", steps))
     rig.port.push({pin: False})  # it is no longer pushed by hand
@@ -172,30 +185,26 @@ class _Trace:
     """Follows the segments from the first step on: counts, times, peak rates and samples."""
 
     def __init__(self, axes: int, tick_hz: int, dt_ms: float) -> None:
-        self.first: "int | None" = None
+        self.first: "int | None" = None  # ticks of the first and the last step
         self.last = 0
-        self.net = [0] * axes
-        self.pulses = [0] * axes
+        self.net = [0] * axes  # steps forward minus steps backward
+        self.pulses = [0] * axes  # steps in both directions
         self.samples: "list[list[int]]" = []
         self._hz = tick_hz
-        self._dt = int(dt_ms * tick_hz // 1000)
+        self._dt = int(dt_ms * tick_hz // 1000)  # ticks between samples
+        # By axis: the ticks of the last steps, and the shortest time of _PEAK_INTERVALS intervals.
         self._recent: "list[list[int]]" = [[] for _ in range(axes)]
-        self._shortest: "list[int | None]" = [
-            None
-        ] * axes  # ticks of _PEAK_INTERVALS consecutive intervals
+        self._shortest: "list[int | None]" = [None] * axes
 
     def segment(self, start: int, row: "array[int]") -> None:
         """Follow a segment. Called by the engine for every segment that has been played."""
         axes = range(len(self.net))
         if self.first is None:
-            begun = [
-                start + row[base + 1]
-                for base in [ROW_AXES + ROW_STRIDE * i for i in axes]
-                if row[base]
-            ]
-            if not begun:
+            bases = [ROW_AXES + ROW_STRIDE * i for i in axes]
+            first_steps = [start + row[base + 1] for base in bases if row[base]]
+            if not first_steps:
                 return
-            self.first = min(begun)
+            self.first = min(first_steps)
         self.sample_until(start + row[ROW_TICKS], start, row)
         for i in axes:
             base = ROW_AXES + ROW_STRIDE * i
@@ -229,10 +238,11 @@ class _Trace:
         }
 
     def _rates(self, axis: int, start: int, row: "array[int]", base: int, count: int) -> None:
+        """Follow the peak rate of an axis through the `count` steps of its segment."""
         recent = self._recent[axis]
         shortest = self._shortest[axis]
-        for k in range(count):
-            tick = start + step_tick(row, base, k)
+        for index in range(count):
+            tick = start + step_tick(row, base, index)
             recent.append(tick)
             if len(recent) > _PEAK_INTERVALS:
                 span = tick - recent.pop(0)
@@ -242,6 +252,7 @@ class _Trace:
 
 
 def _by_letter(values: "list[int]") -> "dict[str, int]":
+    """Return values of axes by their letters."""
     return {_AXES[i]: value for i, value in enumerate(values)}
 
 
@@ -257,6 +268,7 @@ class _Motion:
         self.result: "Json" = {"settings": [], "replies": [], "final_report": ""}
 
     def run(self) -> "Json":
+        """Return what was observed; an exception is part of it."""
         try:
             self.rig.run(self.script())
         except Exception as error:
@@ -265,22 +277,23 @@ class _Motion:
         return self.result
 
     def script(self) -> "Script":
+        """Set the settings, run the program, ask for a report."""
         record = self.record
         sender = self.sender
         rig = self.rig
         try:
-            sender.allow(20_000)
+            sender.allow(_START_MS)
             yield from sender.wait("banner", "")
             sender.take()
             for row in record.get("switches", ()):
                 _attach(rig, row)
             rig.port.update()
             for line in record["settings"]:
-                sender.allow(20_000)
+                sender.allow(_START_MS)
                 yield from sender.wait("ok", line + "\n")
                 self.result["settings"].extend(sender.take())
             rig.engine.trace = self.trace.segment
-            sender.allow(record["duration_s"] * 3000 + 20_000)
+            sender.allow(record["duration_s"] * 1000 * _SLOWER + _SPARE_MS)
             yield from self.program()
             self.result["replies"] = sender.take()
             yield from sender.wait("report", "?")
@@ -298,7 +311,7 @@ class _Motion:
         lines = [line + "\n" for line in self.record["program"]]
         events = list(self.record.get("events_ms_after_first_step", ()))
         sent = 0
-        unanswered: "list[int]" = []
+        unanswered: "list[int]" = []  # lengths of the lines sent and not answered
         answered = 0
         while sent < len(lines) or unanswered or events:
             sender.poll()
@@ -322,6 +335,7 @@ class _Motion:
         yield from sender.wait("idle", "", 100)
 
     def summary(self) -> None:
+        """Put the counts, samples and rates of the motion into the result."""
         trace = self.trace
         result = self.result
         trace.sample_until(self.rig.now)

@@ -86,11 +86,11 @@ class _Board:
 def _without_custom(board: "Any") -> "Any":
     """Return a copy of a board that reads no Python of the user's, whatever is in the current
     folder."""
-    made = _Board()
+    copied = _Board()
     for name, value in dict(board.__dict__, CUSTOM="").items():
         if name[:2] != "__":
-            setattr(made, name, value)
-    return made
+            setattr(copied, name, value)
+    return copied
 
 
 class Rig:
@@ -122,7 +122,8 @@ class Rig:
         self._full = full or coarse > 1
         self.ticks_per_ms = self.engine.tick_hz / 1000
         self.drivers = DriverBus(getattr(board, "TMC2209", ()), self.engine.idle)
-        self.scratch = array("i", [0] * axes)
+        self.scratch = array("i", [0] * axes)  # for steps of motors that are used at once
+        # How long parts of the firmware take: a turn of its loop, an answer, the start of motion.
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
         start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
         if start_ticks:
@@ -136,12 +137,11 @@ class Rig:
         self.custom_module: "Any" = None
         self.link: "Any" = link(self)
         self.controller: "Controller"  # set by run()
-        self.on_built: "Callable[[], None] | None" = (
-            None  # called whenever a new controller has been built
-        )
+        # called whenever a new controller has been built
+        self.on_built: "Callable[[], None] | None" = None
         self._script: "Script"
-        self._wake: "Wake"
-        self._cycle = False
+        self._wake: "Wake"  # when to resume the script
+        self._cycle = False  # the script restarts the firmware
 
     @property
     def now(self) -> int:
@@ -183,6 +183,7 @@ class Rig:
         report."""
 
         def field() -> str:
+            """Return nothing for the report, after the time that it takes."""
             self.pass_time(self.now + self.answer_ticks)
             return ""
 
@@ -204,32 +205,32 @@ class Rig:
 
     def wait(self) -> None:
         """Let time pass to the next event. Called when the firmware has nothing to read."""
-        looked_at = self.inputs or not self.engine.idle()
-        self.pass_time(self.ms(_POLL_MS if looked_at else self.idle_poll_ms), True)
+        must_poll = self.inputs or not self.engine.idle()
+        self.pass_time(self.ms(_POLL_MS if must_poll else self.idle_poll_ms), True)
 
     def skip(self) -> None:
         """Let time pass, without a script, until something may have changed by itself."""
         engine = self.engine
-        to = self.ms(_POLL_MS) if engine.idle() else engine.next_event()
-        engine.advance(max(to, self.now))
+        event = self.ms(_POLL_MS) if engine.idle() else engine.next_event()
+        engine.advance(max(event, self.now))
 
     def pass_time(self, to: int, or_arrival: bool = False) -> None:
         """Let time pass until `to`, or until a byte arrives, and resume the script when it asked
         for it."""
         engine, link = self.engine, self.link
         while True:
-            step = to
+            stop = to  # the next tick at which something other than the engine may act
             arrival = link.next_event() if or_arrival else None
-            if arrival is not None and arrival < step:
-                step = arrival
+            if arrival is not None and arrival < stop:
+                stop = arrival
             wake = self._wake
-            if not callable(wake) and wake < step:
-                step = wake
+            if not callable(wake) and wake < stop:
+                stop = wake
             event = engine.next_event()
-            if event > step >= engine.now:
-                engine.now = step  # the common case: nothing happens in the engine until then
+            if event > stop >= engine.now:
+                engine.now = stop  # the common case: nothing happens in the engine until then
             else:
-                engine.advance(max(min(event, step), engine.now))
+                engine.advance(max(min(event, stop), engine.now))
             link.advance()
             self._wake_script()
             arrival = link.next_event() if or_arrival else None
@@ -237,6 +238,7 @@ class Rig:
                 return
 
     def _wake_script(self) -> None:
+        """Resume the script as long as what it waits for is there. PowerOff when it ends."""
         while self._wake() if callable(self._wake) else self._wake <= self.engine.now:
             try:
                 self._wake = next(self._script)

@@ -42,7 +42,7 @@ class Sender:
         self.rig = rig
         self.lines: "list[str]" = []  # received since take()
         self.answers = 0  # how many of them are answers
-        self.deadline = 0
+        self.deadline = 0  # tick at which waits end with TooLong
 
     def take(self) -> "list[str]":
         """Return the lines received since the last call."""
@@ -97,22 +97,23 @@ class Sender:
 
     def stream(self, lines: "list[str]") -> "Script":
         """Send by character counting until every line is answered."""
-        lengths: "list[int]" = []
-        unanswered = 0
-        done = self.answers
+        lengths: "list[int]" = []  # of the lines without an answer
+        unanswered = 0  # their bytes
+        counted = self.answers  # number of answers taken into account
 
         def another() -> bool:
-            return self.answers > done
+            """Return whether a further answer has come."""
+            return self.answers > counted
 
         for line in lines:
             while unanswered + len(line) > WINDOW and lengths:
                 yield from self.until(another)
                 unanswered -= lengths.pop(0)
-                done += 1
+                counted += 1
             lengths.append(len(line))
             unanswered += len(line)
             self.rig.link.send(to_bytes(line))
-        wanted = done + len(lengths)
+        wanted = counted + len(lengths)
         yield from self.until(lambda: self.answers >= wanted)
 
     def at_rest(self) -> bool:
@@ -129,7 +130,12 @@ class Sender:
         return machine.run in (state.IDLE, state.CHECK) and controller.planner.empty()
 
     def wait(self, how: str, text: str, settle: "int | None" = None) -> "Script":
-        """Send text and wait as a step object says."""
+        """Send text and wait as a step object says.
+
+        how: `ok`: until every line is answered; `idle`: until motion has ended, too; `stream`:
+        the same as `ok` while sending by character counting; `report`, `banner`: until one has
+        come; `ms 50`: so long. settle: ms of silence that end it; None: the usual time.
+        """
         rig = self.rig
         if how == "stream":
             yield from self.stream([line + "\n" for line in text.split("\n")[:-1]])

@@ -41,8 +41,9 @@ class PlaceSwitch(Switch):
 
     def __init__(self, rig: "Rig", pin: str, axis: int, above: bool, mm: float) -> None:
         names, letters = rig.port.limit_names, motor_names.letters(rig.board)
-        own = names.index(pin) if pin in names else axis
-        super().__init__(pin, own if letters[own] == letters[axis] else axis, above, 0)
+        limit_motor = names.index(pin) if pin in names else axis
+        is_same_axis = letters[limit_motor] == letters[axis]
+        super().__init__(pin, limit_motor if is_same_axis else axis, above, 0)
         self._rig = rig
         self._number = axis  # the axis whose settings give the length of a step
         self._mm = mm

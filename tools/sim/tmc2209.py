@@ -23,6 +23,10 @@ _BEGIN = {
 _READABLE = (GCONF, GSTAT, IFCNT, IOIN, CHOPCONF, DRV_STATUS)
 _WRITABLE = (GCONF, GSTAT, NODECONF, IHOLD_IRUN, 0x11, 0x13, TCOOLTHRS, SGTHRS, CHOPCONF)
 _READ_BYTES, _WRITE_BYTES = 4, 8
+# A datagram: sync, address, register with the write flag, data, CRC. The address of the master,
+# in answers, is 255.
+_SYNC, _SYNC_BITS, _MASTER = 5, 0xF, 0xFF
+_WRITE = 0x80
 
 
 def crc(data: bytes) -> int:
@@ -45,7 +49,7 @@ class Driver:
 
     def __init__(self, address: int) -> None:
         self.address = address
-        self.registers: "dict[int, int]" = {}
+        self.registers: "dict[int, int]" = {}  # by address
         self.stuck = 0
         self.switch_on()
 
@@ -53,18 +57,18 @@ class Driver:
         """Switch the supply on."""
         self.has_supply = True
         self.registers = dict(_BEGIN)
-        self._writes = 0
+        self._writes = 0  # datagrams that were accepted, for IFCNT
 
     def take(self, data: bytes) -> bytes:
         """Process a datagram to this address; returns the answer, or b""."""
-        register = data[2] & 0x7F
-        if not self.has_supply or data[0] & 0xF != 5 or crc(data[:-1]) != data[-1]:
+        register = data[2] & ~_WRITE
+        if not self.has_supply or data[0] & _SYNC_BITS != _SYNC or crc(data[:-1]) != data[-1]:
             return b""
-        if not data[2] & 0x80:
+        if not data[2] & _WRITE:
             if len(data) != _READ_BYTES or register not in _READABLE:
                 return b""
             value = self._writes & 0xFF if register == IFCNT else self.registers.get(register, 0)
-            answer = bytes((5, 0xFF, register)) + value.to_bytes(4, "big")
+            answer = bytes((_SYNC, _MASTER, register)) + value.to_bytes(4, "big")
             return answer + bytes((crc(answer),))
         if len(data) == _WRITE_BYTES and register in _WRITABLE:
             self._writes += 1
@@ -83,7 +87,7 @@ class DriverBus:
         self.drivers = [Driver(address) for address in addresses]
         self.spoil: "Callable[[bytes], bytes] | None" = None
         self.is_broken = False
-        self.datagrams = 0
+        self.datagrams = 0  # number of all
         self.in_motion = 0  # number of datagrams while motors turned
         self._at_rest = at_rest
 

@@ -4,5 +4,5 @@ It passes bytes both ways, shares a job's progress between browsers, and simulat
 beforehand.
 
 Imports `grbl`, `run` for the simulator, of `sim` its switches, `draw` for a program's path,
-`compiling` for the page as one file, and `device` for the board's port.
+`boardfile` for the page as one file, and `device` for the board's port.
 """

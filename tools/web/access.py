@@ -19,7 +19,7 @@ class Access:
     """The conditions for a request to a server that is bound to host."""
 
     def __init__(self, host: str) -> None:
-        self._bound = host.strip("[]").lower()
+        self._bound = host.strip("[]").lower()  # [::1] has brackets
         self._own_name = socket.gethostname().lower()
         self.is_local = is_loopback(self._bound)
         self.token = "" if self.is_local else secrets.token_urlsafe(_TOKEN_BYTES)
@@ -37,8 +37,9 @@ class Access:
             return (
                 f"a page of {origin} may not talk to a machine here: open the page of this server"
             )
-        given = query.get("token", "")
-        if self.token and not hmac.compare_digest(given.encode(), self.token.encode()):
+        token = query.get("token", "")
+        # In constant time, so that its duration does not show how much of a guess is right.
+        if self.token and not hmac.compare_digest(token.encode(), self.token.encode()):
             return "the token is missing or wrong: use the address that was printed at the start"
         return ""
 
@@ -76,6 +77,7 @@ def _name(host: str) -> str:
 
 
 def _is_number(host: str) -> bool:
+    """Return whether a host is an IP address in numbers."""
     try:
         ipaddress.ip_address(host)
     except ValueError:

@@ -14,7 +14,7 @@ _READ_S = 0.05
 _AGAIN_S = 1.0
 _READ_BYTES = 4096
 _WRITE_BYTES = 256
-# Time limit for the last bytes at the end, above all a feed hold.
+# Time limit for the last bytes when the link is closed; a feed hold among them must be sent.
 _LAST_S = 1.0
 
 
@@ -64,13 +64,13 @@ class BoardLink:
     ) -> None:
         self._source = source
         self._heard, self._changed, self._log = heard, changed, log
-        self._port: Any = None
+        self._port: Any = None  # None: no board is connected
         self._closing = threading.Event()
         self._news = threading.Condition()  # signals bytes to write, and changes of the port
-        self._urgent = bytearray()
+        self._urgent = bytearray()  # realtime bytes to write, before all lines
         self._lines: deque[bytes] = deque()
-        self._writing = False
-        self._told = ""  # the last logged reason why the port could not be opened
+        self._writing = False  # bytes taken from them are being written
+        self._last_reason = ""  # the last logged reason why the port could not be opened
         self._threads = [
             threading.Thread(target=work, name=f"board link, {work.__name__}", daemon=True)
             for work in (self._read_on, self._write_on)
@@ -132,10 +132,12 @@ class BoardLink:
         return len(self._lines)
 
     def _is_empty(self) -> bool:
+        """Return whether nothing waits to be written, or nothing can be."""
         idle = not (self._urgent or self._lines or self._writing)
         return idle or self._port is None
 
     def _write_on(self) -> None:
+        """Write what is queued until the link is closed. This is a thread."""
         while True:
             with self._news:
                 self._writing = False
@@ -153,6 +155,7 @@ class BoardLink:
                 self._lose(port)
 
     def _next(self) -> bytes:
+        """Take the bytes to write next from the queues: all urgent ones, or some whole lines."""
         if self._urgent:
             data = bytes(self._urgent)
             self._urgent.clear()
@@ -165,6 +168,8 @@ class BoardLink:
     # From the board
 
     def _read_on(self) -> None:
+        """Read until the link is closed; open the port again while there is none. This is a
+        thread."""
         while not self._closing.is_set():
             port = self._port
             if port is None:
@@ -179,18 +184,19 @@ class BoardLink:
                 self._heard(data)
 
     def _open_again(self) -> None:
+        """After a pause, try once to open the port; log each new reason for a failure once."""
         self._closing.wait(_AGAIN_S)
         if self._closing.is_set():
             return
         try:
             port = self._source.open()
         except SendError as error:
-            if str(error) != self._told:
-                self._told = str(error)
-                self._log(f"{self._told}; it is tried again")
+            if str(error) != self._last_reason:
+                self._last_reason = str(error)
+                self._log(f"{self._last_reason}; it is tried again")
             return
         with self._news:
-            self._port, self._told = port, ""
+            self._port, self._last_reason = port, ""
         self._log(f"{self.name} is there again")
         self._changed()
 

@@ -32,7 +32,7 @@ class Framing:
                 line = bytes(self._line + part)
                 self._line.clear()
                 yield line, False
-            elif len(part) == 1 and _acts(part):
+            elif len(part) == 1 and _is_realtime(part):
                 if part == RESET:
                     self.forget()  # Grbl drops its incomplete line as well
                 yield part, True
@@ -44,5 +44,6 @@ class Framing:
         self._line.clear()
 
 
-def _acts(part: bytes) -> bool:
+def _is_realtime(part: bytes) -> bool:
+    """Return whether Grbl executes this byte at once, instead of reading it as a line."""
     return part in b"?~!\x18" or part >= b"\x80"

@@ -71,8 +71,8 @@ class Browser:
         self.drop = drop
         self._socket = socket
         self._parts: deque[bytes | str] = deque()
-        self._unread = 0
-        self._news = asyncio.Event()
+        self._unread = 0  # bytes and characters in the queue
+        self._news = asyncio.Event()  # signals a new part
 
     def put(self, part: bytes | str) -> bool:
         """Queue a part for sending. Return whether space was free for it."""
@@ -112,12 +112,12 @@ class LastState:
     """Track the state in the last status report."""
 
     def __init__(self) -> None:
-        self.state = ""
-        self._line = b""
+        self.state = ""  # Idle, Run, …; "" if it is not known
+        self._line = b""  # the beginning of a line
 
     def hear(self, data: bytes) -> bool:
         """Read bytes from the board. Return whether the machine has restarted."""
-        began = False
+        has_restarted = False
         *lines, rest = (self._line + data).split(b"\n")
         self._line = rest[-_LONGEST_LINE:]
         for line in lines:
@@ -125,8 +125,8 @@ class LastState:
                 self.state = state_of(line.decode("latin-1")).partition(":")[0]
             elif line.startswith(b"Grbl"):
                 self.forget()
-                began = True
-        return began
+                has_restarted = True
+        return has_restarted
 
     def forget(self) -> None:
         """Mark the state as unknown."""
@@ -140,7 +140,7 @@ class Hub:
         self._board = board
         self._log = log
         self._browsers: list[Browser] = []
-        self._driver: Browser | None = None
+        self._driver: Browser | None = None  # the browser that controls the machine
         self._framing = Framing()
         self._last = LastState()
         self._job = SharedJob()
@@ -181,10 +181,10 @@ class Hub:
             self._board.write_now(STATUS)
         if browser is not self._driver:
             return
-        for part, acts in self._framing.take(data):
+        for part, is_realtime in self._framing.take(data):
             if part == RESET:
                 self._board.forget_lines()  # else they would be executed after the reset
-            if acts:
+            if is_realtime:
                 self._board.write_now(part)
             else:
                 self._board.write_line(part)
@@ -192,7 +192,10 @@ class Hub:
             await asyncio.sleep(_LOOK_S)
 
     def _abandon(self, how: str) -> None:
-        """Take control from the browser. Hold a running machine, and cancel a jog."""
+        """Take control from the browser. Hold a running machine, and cancel a jog.
+
+        how: for the log, such as `has gone`.
+        """
         who = self._driver.who if self._driver else ""
         self._driver = None
         self._leave_job()
@@ -201,8 +204,8 @@ class Hub:
         if stop is None or not self._board.is_open:
             return
         self._board.write_now(stop)
-        what = "held (!)" if stop == FEED_HOLD else "told to end its jog"
-        self._log(f"{who} {how}, and the machine was in {self._last.state}: it is {what}")
+        effect = "held (!)" if stop == FEED_HOLD else "told to end its jog"
+        self._log(f"{who} {how}, and the machine was in {self._last.state}: it is {effect}")
         self._last.forget()  # so the command is sent only once
 
     def _forget(self) -> None:
@@ -228,23 +231,26 @@ class Hub:
         """Return the open program; empty if none is open."""
         return self._job.program
 
-    async def tell_job(self, browser: Browser, told: dict[str, Any], lines: str) -> None:
+    async def tell_job(self, browser: Browser, progress: dict[str, Any], lines: str) -> None:
         """Share the controlling browser's progress and send its lines together."""
-        if browser is self._driver and self._job.update(told):
+        if browser is self._driver and self._job.update(progress):
             self._tell_job(other for other in self._browsers if other is not browser)
         await self.send(browser, lines.encode("latin-1", "ignore"))
 
     def _leave_job(self) -> None:
+        """Leave a job under way to the next controlling browser."""
         if self._job.is_under_way:
             self._job.leave()
             self._tell_job(self._browsers)
 
     def _stop_job(self, why: str) -> None:
+        """Stop a job under way; no browser can continue it."""
         if self._job.is_under_way:
             self._job.stop(why)
             self._tell_job(self._browsers)
 
     def _tell_job(self, browsers: Iterable[Browser]) -> None:
+        """Send the open program's name and its progress."""
         news = self._job.news()
         if news:
             self._put(news, browsers)
@@ -253,9 +259,9 @@ class Hub:
 
     def heard(self, data: bytes) -> None:
         """Pass bytes from the board to all browsers."""
-        began = self._last.hear(data)
+        has_restarted = self._last.hear(data)
         self._put(data, self._browsers)
-        if began:
+        if has_restarted:
             self._stop_job("the machine was reset")
 
     def link_changed(self) -> None:
@@ -271,6 +277,7 @@ class Hub:
             self._put(self._state_for(browser), [browser])
 
     def _state_for(self, browser: Browser) -> str:
+        """Return the JSON message: the link, whether this browser controls, and how many watch."""
         drivers = int(self._driver is not None)
         return json.dumps(
             {
@@ -282,6 +289,7 @@ class Hub:
         )
 
     def _put(self, part: bytes | str, browsers: Iterable[Browser]) -> None:
+        """Queue a part for browsers; one that has no space for it is disconnected."""
         for browser in tuple(browsers):
             if not browser.put(part) and browser in self._browsers:
                 self._log(f"{browser.who} does not read what comes, and is let go")

@@ -20,6 +20,8 @@ _FEED = re.compile(r"F\d{1,6}(?:\.\d{1,3})?")
 _AXES = 3
 _FARTHEST_MM = 1e5
 _BEYOND_MM = 0.005  # smaller differences are the rounding of steps
+# Numbers of settings; _TRAVEL is that of X.
+_SOFT_LIMITS, _HOMING_DIRECTIONS, _TRAVEL = 20, 23, 130
 
 Place = tuple[float, ...]
 
@@ -30,59 +32,65 @@ def lines(request: Mapping[str, Any]) -> list[str]:
     modes = [word for word in _words(request.get("modes")) if isinstance(word, str)]
     system = next((word for word in modes if word in _SYSTEMS), _SYSTEMS[0])
     place = _place(request.get("place")) or (0.0,) * _AXES
-    made = []
+    commands = []
     for name in _KEPT:
-        if name in offsets:
-            made += [_there(offsets[name]), f"{name}.1"]
+        if name in offsets:  # G28.1 stores the position at which the machine is
+            commands += [_move_to(offsets[name]), f"{name}.1"]
     for number, name in enumerate(_SYSTEMS, 1):
         if name in offsets:
-            made.append(f"G21 G10 L2 P{number} {_axes(offsets[name])}")
-    made += [_there(place), system]
+            commands.append(f"G21 G10 L2 P{number} {_axes(offsets[name])}")
+    commands += [_move_to(place), system]
     tool = offsets.get("TLO", (0.0,))[0]
     if tool:
-        made.append(f"G21 G43.1 Z{tool:.4f}")
+        commands.append(f"G21 G43.1 Z{tool:.4f}")
     if "G92" in offsets:
         shown = _shown(place, offsets.get(system), tool, offsets["G92"])
-        made.append(f"G21 G92 {_axes(shown)}")
-    made += [f"G21 G94 {word}" for word in modes if _FEED.fullmatch(word)]
-    kept = [word for word in modes if _MODE.fullmatch(word)]
-    return made + ([" ".join(kept)] if kept else [])
+        commands.append(f"G21 G92 {_axes(shown)}")
+    commands += [f"G21 G94 {word}" for word in modes if _FEED.fullmatch(word)]
+    # Last, because the other lines set modes, too.
+    mode_words = [word for word in modes if _MODE.fullmatch(word)]
+    return commands + ([" ".join(mode_words)] if mode_words else [])
 
 
-def _there(place: Place) -> str:
+def _move_to(place: Place) -> str:
+    """Return a rapid move to machine coordinates in mm."""
     return f"G21 G90 G53 G0 {_axes(place)}"
 
 
 def _axes(place: Place) -> str:
+    """Return the words of a position: X1.0000 Y2.0000 Z3.0000."""
     return " ".join(f"{letter}{mm:.4f}" for letter, mm in zip(LETTERS, place, strict=False))
 
 
 def _shown(place: Place, system: Place | None, tool: float, shift: Place) -> Place:
-    """Return the coordinates for a G92 that results in this shift."""
-    zero = system or (0.0,) * _AXES
-    longer = (0.0, 0.0, tool)
-    return tuple(at - of - z - more for at, of, z, more in zip(place, zero, longer, shift))
+    """Return the coordinates for a G92 that results in this shift. system: the offset of the
+    active coordinate system; tool: the length offset."""
+    offsets = system or (0.0,) * _AXES
+    lengths = (0.0, 0.0, tool)
+    parts = zip(place, offsets, lengths, shift)
+    return tuple(mm - offset - length - shift_mm for mm, offset, length, shift_mm in parts)
 
 
-def _offsets(found: Any) -> dict[str, Place]:
+def _offsets(value: Any) -> dict[str, Place]:
     """Return the valid positions by name, without those that are 0."""
-    if not isinstance(found, dict):
+    if not isinstance(value, dict):
         return {}
-    places = {name: _place(numbers) for name, numbers in found.items()}
+    places = {name: _place(numbers) for name, numbers in value.items()}
     return {name: place for name, place in places.items() if place and any(place)}
 
 
-def _place(found: Any) -> Place | None:
+def _place(value: Any) -> Place | None:
     """Return the coordinates of the first axes; None if they are invalid."""
-    numbers = _words(found)[:_AXES]
-    if not numbers or not all(isinstance(n, int | float) for n in numbers):
+    numbers = _words(value)[:_AXES]
+    if not numbers or not all(isinstance(number, int | float) for number in numbers):
         return None
     place = tuple(float(number) for number in numbers)
     return place if all(isfinite(mm) and abs(mm) < _FARTHEST_MM for mm in place) else None
 
 
-def _words(found: Any) -> Sequence[Any]:
-    return found if isinstance(found, list) else ()
+def _words(value: Any) -> Sequence[Any]:
+    """Return a list of a request; () if it is none."""
+    return value if isinstance(value, list) else ()
 
 
 # The end of the travel
@@ -96,17 +104,19 @@ def beyond(
     For each end of an axis: the first line beyond it, and its message. "options" of a request
     holds the letters of `[OPT:`.
     """
-    if float(settings.get(20, 0)) != 1:
+    if float(settings.get(_SOFT_LIMITS, 0)) != 1:
         return []
-    positive = int(float(settings.get(23, 0))) if "Z" in str(request.get("options", "")) else 0
-    found = []
+    # With FORCE_SET_ORIGIN (Z), an axis that homes at its lower end has positive coordinates.
+    has_origin = "Z" in str(request.get("options", ""))
+    positive = int(float(settings.get(_HOMING_DIRECTIONS, 0))) if has_origin else 0
+    problems = []
     for axis, column in enumerate(motion.place[:_AXES]):
-        travel = float(settings.get(130 + axis, 0))
+        travel = float(settings.get(_TRAVEL + axis, 0))
         low, high = (0.0, travel) if positive >> axis & 1 else (-travel, 0.0)
         if travel > 0:
-            found += _over(motion, np.frombuffer(column, np.float32), high, axis)
-            found += _over(motion, -np.frombuffer(column, np.float32), -low, axis, -1)
-    return sorted(found)
+            problems += _over(motion, np.frombuffer(column, np.float32), high, axis)
+            problems += _over(motion, -np.frombuffer(column, np.float32), -low, axis, -1)
+    return sorted(problems)
 
 
 def _over(
@@ -126,6 +136,6 @@ def _over(
         (
             int(motion.lines[rows[0]]),
             f"ALARM:2 - {LETTERS[axis]} would go to {farthest:.3f} mm in machine coordinates, and "
-            f"its travel ends at {last:g} ($20, ${130 + axis})",
+            f"its travel ends at {last:g} (${_SOFT_LIMITS}, ${_TRAVEL + axis})",
         )
     ]

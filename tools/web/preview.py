@@ -26,13 +26,14 @@ from ..run.program import Result
 from . import machine_state
 
 PROGRAM_BYTES = 32 << 20
+# At most so many rows of "times" and of "path".
 MOST_TIMES = 2000
 MOST_POINTS = 20_000
 # The drawn path differs from the real one by at most this, while MOST_POINTS are enough.
 _TOLERANCE_MM = 0.01
 RAPID, FEED = 0, 1
 _NUMBER = re.compile("[0-9]{1,3}")  # number of a setting
-_BEYOND = 3.4e38
+_BEYOND = 3.4e38  # more than single precision holds
 _DECIMALS = 4  # one more than Grbl prints
 REFUSED = 3  # exit code: the answer is a sentence
 
@@ -85,13 +86,13 @@ def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
     return name, [gcode_file.without_end(line) for line in lines]
 
 
-def _settings(found: Any) -> dict[int, str]:
+def _settings(posted: Any) -> dict[int, str]:
     """Return the valid settings by number; the machine checks their values later."""
-    if not isinstance(found, dict):
+    if not isinstance(posted, dict):
         raise Refused('"settings" are by number: {"110": "500.000"}')
     return {
         int(number): f"{value:.{_DECIMALS}f}"
-        for number, text in found.items()
+        for number, text in posted.items()
         if _NUMBER.fullmatch(number) and (value := _value(text)) is not None
     }
 
@@ -116,22 +117,22 @@ def _problems(
     These are refused lines, wide arcs, realtime characters, travel violations, and the line at
     which the program ended.
     """
-    found = [
+    problems = [
         _problem(number, f"{reply} - {meaning(reply, gcode_file.shown(lines[number - 1]))}")
         for number, reply in result.errors
     ]
-    found += [_problem(*row) for row in beyond]
-    found += [_problem(number, f"{text}: is it meant so?") for number, text in result.wide_arcs]
-    found += [
+    problems += [_problem(*row) for row in beyond]
+    problems += [_problem(number, f"{text}: is it meant so?") for number, text in result.wide_arcs]
+    problems += [
         _problem(problem.line, problem.text)
         for problem in gcode_file.problems(lines)
         if not problem.in_comment
     ]
     if result.stopped:
         last = result.other_output[-1][0] if result.other_output else result.lines
-        known = f" - {meaning(result.stopped)}" if result.stopped.startswith("ALARM:") else ""
-        found.append(_problem(last, f"{result.stopped}{known}"))
-    return sorted(found, key=lambda problem: int(problem["line"]))
+        cause = f" - {meaning(result.stopped)}" if result.stopped.startswith("ALARM:") else ""
+        problems.append(_problem(last, f"{result.stopped}{cause}"))
+    return sorted(problems, key=lambda problem: int(problem["line"]))
 
 
 def _problem(line: int, text: str) -> dict[str, Any]:
@@ -144,11 +145,12 @@ def _problem(line: int, text: str) -> dict[str, Any]:
 
 def _times(motion: Motion) -> list[list[float]]:
     """Return when the motion of each line ends, in s; at most MOST_TIMES rows."""
+    # Backwards, because np.unique() returns the first index of each line.
     lines = motion.lines
     numbers, from_end = np.unique(lines[::-1], return_index=True)
     seconds = np.frombuffer(motion.time_s)[::-1][from_end]
     seconds = np.maximum.accumulate(seconds[numbers > 0])
-    numbers = numbers[numbers > 0]
+    numbers = numbers[numbers > 0]  # 0 is no line of the program
     rows = _spread(len(numbers), MOST_TIMES)
     return [[int(numbers[row]), round(float(seconds[row]), 3)] for row in rows]
 
@@ -169,17 +171,22 @@ def _path(motion: Motion) -> list[list[float]]:
     moving_s = np.cumsum(np.where(moves, motion.seconds, 0.0))
     lengths = np.sqrt((np.diff(points, axis=0, prepend=points[:1]) ** 2).sum(axis=1, dtype=float))
     rows = _corners(points, rapid, line)
-    way, seconds = np.diff(np.cumsum(lengths)[rows], prepend=0), np.diff(moving_s[rows], prepend=0)
-    speed = np.divide(60 * way, seconds, out=np.zeros(len(rows)), where=seconds > 0)
+    # Between two of these rows: length in mm, time in s, and mean speed in mm/min.
+    mm, seconds = np.diff(np.cumsum(lengths)[rows], prepend=0), np.diff(moving_s[rows], prepend=0)
+    speed = np.divide(60 * mm, seconds, out=np.zeros(len(rows)), where=seconds > 0)
     return [
-        [*(round(float(mm), 4) for mm in points[row]), kind, int(line[row]), round(float(mm_min))]
+        [*(round(float(x), 4) for x in points[row]), kind, int(line[row]), round(float(mm_min))]
         for row, kind, mm_min in zip(rows, np.where(rapid[rows], RAPID, FEED).tolist(), speed)
         if mm_min > 0 or row == rows[0]
     ]
 
 
 def _corners(points: Any, rapid: Any, line: Any) -> Rows:
-    """Return the rows that describe the path within the tolerance, at most MOST_POINTS."""
+    """Return the rows that describe the path within the tolerance, at most MOST_POINTS.
+
+    Of these, at most half are for changes of line; if there are more, only for changes between
+    rapid and feed, and else for none.
+    """
     rapids = np.flatnonzero(rapid[1:] != rapid[:-1])
     lines = np.flatnonzero((rapid[1:] != rapid[:-1]) | (line[1:] != line[:-1]))
     none: Rows = np.empty(0, np.int64)
@@ -217,6 +224,7 @@ def main() -> None:
 
 
 def _request(body: bytes) -> dict[str, Any]:
+    """Return the posted request. Raises Refused if it is no JSON object."""
     try:
         request = json.loads(body)
     except (ValueError, RecursionError) as error:

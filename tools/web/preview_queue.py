@@ -9,7 +9,7 @@ from typing import NamedTuple
 from .preview import REFUSED
 
 LONGEST_S = 120.0
-_SHOWN_LINES = 20
+_SHOWN_LINES = 20  # of the output of a simulator that failed, in the log
 
 
 class Answer(NamedTuple):
@@ -28,7 +28,7 @@ class PreviewQueue:
         self._board = board
         self._log = log
         self._longest_s = longest_s
-        self._starting = asyncio.Lock()
+        self._starting = asyncio.Lock()  # one start at a time
         self._running: asyncio.subprocess.Process | None = None
 
     async def look(self, body: bytes) -> Answer:
@@ -61,6 +61,7 @@ class PreviewQueue:
             _end(process)
 
     async def _start(self) -> asyncio.subprocess.Process:
+        """End the running simulation, and start another process."""
         async with self._starting:
             self.close()
             self._running = await asyncio.create_subprocess_exec(
@@ -76,16 +77,19 @@ class PreviewQueue:
             return self._running
 
     def _too_long(self) -> Answer:
+        """Return the answer for a program that takes too long."""
         text = f"the simulator has not come to the program's end within {self._longest_s:g} s"
         return Answer(HTTPStatus.GATEWAY_TIMEOUT, f"{text}: `ugrbl run` has no such limit")
 
-    def _failed(self, said: str) -> Answer:
-        last = said.strip().splitlines()[-_SHOWN_LINES:]
-        self._log("\n".join(["the simulator has failed:", *last]))
-        why = last[-1] if last else "it has said nothing"
+    def _failed(self, output: str) -> Answer:
+        """Return the answer after a fault of the simulator, and log the end of its output."""
+        last_lines = output.strip().splitlines()[-_SHOWN_LINES:]
+        self._log("\n".join(["the simulator has failed:", *last_lines]))
+        why = last_lines[-1] if last_lines else "it has said nothing"
         return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, f"the simulator has failed: {why}")
 
 
 def _end(process: asyncio.subprocess.Process) -> None:
+    """Kill a process if it still runs."""
     if process.returncode is None:
         process.kill()

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from aiohttp import WSMessage, WSMsgType, web
 
-from ..compiling import page_files
+from ..boardfile import page_files
 from ..run.tcp_link import why_not
 from .access import Access
 from .board_link import BoardLink, Source
@@ -98,6 +98,7 @@ class Server:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
+        """Refuse a request that access does not accept, or that is too large."""
         refusal = self._access.refusal(request.headers, request.query)
         if refusal:
             return _sentence(403, refusal)
@@ -107,6 +108,7 @@ class Server:
             return _sentence(413, f"a program has {PROGRAM_BYTES >> 20} MB at the most")
 
     async def _get_page(self, request: web.Request) -> web.StreamResponse:
+        """Answer with the page, and with headers that restrict what it may load."""
         try:
             text = self._page()
         except FileNotFoundError as error:
@@ -124,15 +126,18 @@ class Server:
         )
 
     async def _post_look(self, request: web.Request) -> web.StreamResponse:
+        """Answer with the preview of the posted program."""
         answer = await self._previews.look(await request.read())
         if answer.status != 200:
             return _sentence(answer.status, answer.text)
         return web.Response(text=answer.text, content_type="application/json")
 
     async def _get_job(self, request: web.Request) -> web.StreamResponse:
+        """Answer with the open program."""
         return web.json_response(self._hub.get_program())
 
     async def _post_job(self, request: web.Request) -> web.StreamResponse:
+        """Open the posted program for all browsers."""
         program = program_of(await request.read())
         if program is None:
             return _sentence(400, 'a program is wanted: {"id", "name", "program"}, each a text')
@@ -141,6 +146,7 @@ class Server:
         return web.json_response({})
 
     async def _get_socket(self, request: web.Request) -> web.StreamResponse:
+        """Connect a browser to the board until its websocket ends."""
         socket = web.WebSocketResponse(
             heartbeat=_HEARTBEAT_S,
             max_msg_size=_MESSAGE_BYTES,
@@ -152,6 +158,7 @@ class Server:
         await socket.prepare(request)
 
         def drop() -> None:
+            """End the connection at once."""
             if request.transport is not None:
                 request.transport.abort()
 
@@ -168,6 +175,8 @@ class Server:
         return socket
 
     async def _listen(self, socket: web.WebSocketResponse, browser: Browser) -> None:
+        """Take a browser's messages until the connection ends: binary ones and text are bytes for
+        the board, JSON is for this server."""
         async for message in socket:
             if message.type is WSMsgType.BINARY:
                 await self._hub.send(browser, message.data)
@@ -177,14 +186,15 @@ class Server:
                 await self._hub.send(browser, message.data.encode("latin-1", "ignore"))
 
     async def _take_words(self, browser: Browser, message: WSMessage) -> None:
+        """Do what a JSON message says: take or leave control, or progress of a job with lines."""
         try:
-            words = message.json()
+            fields = message.json()
         except ValueError:
-            words = {}
-        if isinstance(words.get("drive"), bool):
-            self._hub.drive(browser, words["drive"])
-        elif isinstance(words.get("job"), dict) and isinstance(words.get("lines"), str):
-            await self._hub.tell_job(browser, words["job"], words["lines"])
+            fields = {}
+        if isinstance(fields.get("drive"), bool):
+            self._hub.drive(browser, fields["drive"])
+        elif isinstance(fields.get("job"), dict) and isinstance(fields.get("lines"), str):
+            await self._hub.tell_job(browser, fields["job"], fields["lines"])
         else:
             self._log(f"{browser.who} has sent words that mean nothing here: passed over")
 
@@ -195,13 +205,16 @@ class Server:
 
 
 async def _send_on(browser: Browser) -> None:
+    """Send a browser's queued parts until its connection breaks."""
     with suppress(ConnectionError):  # the reading side detects it, too
         await browser.send_on()
 
 
 async def _nothing_here(request: web.Request) -> web.StreamResponse:
+    """Answer for an unknown path."""
     return _sentence(404, f"there is no {request.path} here: the page is at /")
 
 
 def _sentence(status: int, text: str) -> web.Response:
+    """Return an answer of plain text, above all a refusal."""
     return web.Response(status=status, text=text + "\n")

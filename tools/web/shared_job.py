@@ -21,7 +21,7 @@ class SharedJob:
 
     def __init__(self) -> None:
         self.program: dict[str, str] = {}
-        self._progress: dict[str, Any] = {}
+        self._progress: dict[str, Any] = {}  # of the job; empty: none has begun
 
     @property
     def is_under_way(self) -> bool:
@@ -63,9 +63,11 @@ class SharedJob:
 def program_of(body: bytes) -> "dict[str, str] | None":
     """Return the posted program; None if it is invalid."""
     try:
-        found = json.loads(body)
+        posted = json.loads(body)
         return {
-            key: found[key] for key in ("id", "name", "program") if found[key] == str(found[key])
+            key: posted[key]
+            for key in ("id", "name", "program")
+            if posted[key] == str(posted[key])
         }
     except (ValueError, TypeError, KeyError, RecursionError):
         return None

@@ -23,7 +23,7 @@ from ..run.tcp_link import LOOPBACK, Tcp, address
 
 _READ_S = 0.05
 _READ_BYTES = 4096
-_PATIENCE_S = 5.0
+_PATIENCE_S = 5.0  # time limit for a connection, and for the end of the process
 
 
 class TcpPort:
@@ -36,20 +36,20 @@ class TcpPort:
     def __init__(self, place: str) -> None:
         self._socket = socket.create_connection(address(place), _PATIENCE_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._come = b""
+        self._received = b""  # and not yet read
 
     @property
     def in_waiting(self) -> int:
         """Return the number of bytes already received."""
-        return len(self._come)
+        return len(self._received)
 
     def read(self, limit: int) -> bytes:
         """Return at most limit bytes; wait up to 0.05 s for the first."""
-        if not self._come and select.select([self._socket], [], [], _READ_S)[0]:
-            self._come = self._socket.recv(_READ_BYTES)
-            if not self._come:
+        if not self._received and select.select([self._socket], [], [], _READ_S)[0]:
+            self._received = self._socket.recv(_READ_BYTES)
+            if not self._received:
                 raise ConnectionResetError("it has hung up")
-        data, self._come = self._come[:limit], self._come[limit:]
+        data, self._received = self._received[:limit], self._received[limit:]
         return data
 
     def write(self, data: bytes) -> None:
@@ -72,7 +72,7 @@ class Simulator:
     def __init__(self, board: str, settings: Path | None = None) -> None:
         self._options = {"board": board, "settings": str(settings) if settings else ""}
         self._process: subprocess.Popen[str] | None = None
-        self._place = ""
+        self._place = ""  # its TCP address, HOST:PORT
 
     def open(self) -> TcpPort:
         """Return its port; start it if it is not running. Raises SendError."""
@@ -95,6 +95,7 @@ class Simulator:
             process.communicate()
 
     def _start(self) -> None:
+        """Start the process and learn its address. Raises SendError if it does not start."""
         self.close()
         process = subprocess.Popen(
             [sys.executable, "-m", f"{__package__}.simulator"],
@@ -108,14 +109,14 @@ class Simulator:
         try:
             process.stdin.write(json.dumps(self._options) + "\n")
             process.stdin.flush()
-            said = json.loads(process.stdout.readline() or "{}")
+            answer = json.loads(process.stdout.readline() or "{}")
         except (OSError, ValueError):
-            said = {}  # it ended, or printed something else
+            answer = {}  # it ended, or printed something else
         self._process = process
-        if "place" not in said:
+        if "place" not in answer:
             self.close()
-            raise SendError(said.get("refused", "the simulator ended before it had begun"))
-        self._place = said["place"]
+            raise SendError(answer.get("refused", "the simulator ended before it had begun"))
+        self._place = answer["place"]
 
 
 def main() -> None:
@@ -149,6 +150,7 @@ def _build(options: Mapping[str, str], wire: Tcp) -> Any:
 
 
 def _end_with_stdin(link: LiveLink) -> None:
+    """End the simulation when stdin ends. This is a thread."""
     sys.stdin.read()
     link.stopping = True
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     Handler = tuple[str, Function]  # its name in messages, and itself
 
 _INPUT = "input "  # before an input's name
-_MOST_DUE = const(16)
+_MOST_DUE = const(16)  # events waiting for their handlers; later ones are dropped
 # Bytes of stack that may be in use when a handler during motion starts. Its own calls and
 # interrupts need the rest.
 _STACK_BYTES = const(3712)
@@ -46,14 +46,14 @@ _SENDERS = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
 
 
-def _field(found: "Any") -> str:
+def _field(result: "Any") -> str:
     """Return the text of a handler of on.report, without characters that end a report.
 
     "" if it is neither text nor number.
     """
-    if not isinstance(found, (str, int, float)):
+    if not isinstance(result, (str, int, float)):
         return ""
-    return sanitize(str(found)).replace("<", " ").replace(">", " ")
+    return sanitize(str(result)).replace("<", " ").replace(">", " ")
 
 
 class Events:
@@ -71,19 +71,22 @@ class Events:
         # Events to handle: by handlers that may move, and by the others.
         self._due: "list[tuple[str, tuple[Any, ...]]]" = []
         self._due_during_motion: "list[tuple[str, tuple[Any, ...]]]" = []
-        self._is_polling = False
-        self._has_started = False
-        self._run = cnc.machine.state.run
+        self._is_polling = False  # poll() is running: a handler's wait calls it again
+        self._has_started = False  # the welcome of power-up is over
+        self._run = cnc.machine.state.run  # the state at the last poll, of base/state.py
         self._pause: "Callable[[], None] | None" = None  # M0's hold, to be executed
-        self._field = ""
-        self._changed = bytearray(1)
+        self._field = ""  # the status report's field, as on.report made it last
+        self._changed = bytearray(1)  # 1: an interrupt has seen an input change
         # Handlers that failed after a welcome, and whether such a failure causes the next welcome.
         self._failed: "list[Function]" = []
         self._has_failed = False
         self._synced_words = SyncedWords(cnc.machine, runner)
 
     def subscribe(self, kind: str, key: "Any", what: str, function: "Function") -> None:
-        """Register a handler for an event. key: of an input its name, of a timer milliseconds."""
+        """Register a handler for an event. kind: an event's name, EVERY or INPUT.
+
+        key: of an input its name, of a timer milliseconds. what: the handler's name in messages.
+        """
         if kind == handlers.EVERY:
             self._timers.append([key, self._machine.port.ticks_ms(), what, function])
         elif kind == handlers.INPUT:
@@ -93,10 +96,12 @@ class Events:
             self._handlers.setdefault(kind, []).append((what, function))
 
     def _emit(self, name: str, *values: "Any") -> None:
+        """Queue an event for its handlers, except in check mode. values: their arguments."""
         if self._state.run != st.CHECK:
             self._queue(name, *values)
 
     def _queue(self, name: str, *values: "Any") -> None:
+        """Queue an event for its handlers. It is dropped without any, or if the queue is full."""
         if name not in self._handlers:
             return
         due = self._due if name in handlers.MOVING else self._due_during_motion
@@ -128,12 +133,13 @@ class Events:
         while self._due:
             name, values = self._due.pop(0)
             self._machine.canon.synchronise()
-            word: "dict[str, Any] | None" = {} if name == "tool_change" else None  # M6
+            # Only the handler of a word may refuse its line: here of M6, which has no parameters.
+            parameters: "dict[str, Any] | None" = {} if name == "tool_change" else None
             for what, function in self._handlers[name]:
                 if name in _GREETINGS:
                     self._run_reset_handler(what, function)
                 else:
-                    self._runner.run(what, function, True, values, word)
+                    self._runner.run(what, function, True, values, parameters)
 
     def _run_reset_handler(self, what: str, function: "Function") -> None:
         """Run a handler after a welcome.
@@ -169,8 +175,8 @@ class Events:
                 name, values = self._due_during_motion.pop(0)
                 fields = []
                 for what, function in self._handlers[name]:
-                    found = self._runner.run(what, function, False, values)
-                    text = _field(found) if name == handlers.REPORT else ""
+                    result = self._runner.run(what, function, False, values)
+                    text = _field(result) if name == handlers.REPORT else ""
                     if text:
                         fields.append(text)
                 if name == handlers.REPORT:
@@ -183,11 +189,12 @@ class Events:
             self._is_polling = False
 
     def _run_timers(self) -> None:
+        """Run the handlers of @every whose time has come."""
         port = self._machine.port
         for timer in self._timers:
             ms, since, what, function = timer
             if port.elapsed_ms(since) >= ms:
-                timer[1] = port.ticks_ms()
+                timer[1] = port.ticks_ms()  # `since`
                 self._runner.run(what, function, False)
 
     def _detect_changes(self) -> None:
@@ -205,9 +212,10 @@ class Events:
                     self._emit(_INPUT + name, closed)
 
     def defer(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
-        """Run the handler when the blocks planned so far have been executed.
+        """Run a word's handler when the blocks planned so far have been executed.
 
-        GrblError if the handler has failed before, and is disabled.
+        given: the word's parameters, by letter. GrblError if the handler has failed before, and
+        is disabled.
         """
         self._runner.refuse_disabled(what, function)
         self._synced_words.add(what, function, given)
@@ -220,27 +228,31 @@ class Events:
 
         during_motion: some handlers run during motion.
         """
-        heard = self._handlers
+        has_handlers = self._handlers  # by event
         if during_motion:
             self._hooks.poll += (self.poll,)
         self._wrap_lines()
         self._cnc.after_reset(self._after_reset)
-        if "after_homing" in heard or "after_unlock" in heard:
+        if "after_homing" in has_handlers or "after_unlock" in has_handlers:
             self._cnc.after_command(b"H", self._after_homing)
             self._cnc.after_command(b"X", self._after_unlock)
-        if "tool_change" in heard:
+        if "tool_change" in has_handlers:
             self._cnc.add_m(_M6, self._change_tool, "t")
-        if "probe_done" in heard:
+        if "probe_done" in has_handlers:
             self._wrap_probe()
-        if "spindle" in heard or "coolant" in heard or "program_done" in heard:
+        if (
+            "spindle" in has_handlers
+            or "coolant" in has_handlers
+            or "program_done" in has_handlers
+        ):
             self._hooks.spun += (self._spun,)
             self._hooks.cooled += (self._cooled,)
             self._cnc.after_program(lambda: self._emit("program_done"))
-        if "program_paused" in heard:
+        if "program_paused" in has_handlers:
             self._hooks.paused += (self._defer_pause,)
-        if "alarm" in heard:
+        if "alarm" in has_handlers:
             self._cnc.after_alarm(lambda code: self._emit("alarm", code))
-        if handlers.REPORT in heard:
+        if handlers.REPORT in has_handlers:
             self._cnc.add_field(self._report)
         if self._inputs:
             self._machine.port.watch_pins(self._on_change)
@@ -252,11 +264,12 @@ class Events:
         """
         hooks, modes = self._hooks, self._machine.modes
         self._machine.interpreter.watch(SET_TOOL)
-        usual = hooks.execute
+        previous = hooks.execute
 
         @micropython.native
         def execute(line: bytearray, length: int) -> None:
-            usual(line, length)
+            """Execute a line, then what was waiting for its end: events and a pause."""
+            previous(line, length)
             if line.find(b"T", 0, length) >= 0:
                 self._select(modes.tool)  # Grbl's parser clears it with the next line
             if self._due:
@@ -274,10 +287,12 @@ class Events:
             self._emit("tool_select", tool)
 
     def _after_reset(self) -> None:
+        """Drop what waits, except alarms to report, and emit the event of this welcome."""
         self._pause = None
         self._due.clear()
         self._synced_words.waiting.clear()
-        self._due_during_motion = [each for each in self._due_during_motion if each[0] == "alarm"]
+        alarms = [event for event in self._due_during_motion if event[0] == "alarm"]
+        self._due_during_motion = alarms
         if not self._has_failed:
             self._failed.clear()
         self._has_failed = False
@@ -285,18 +300,20 @@ class Events:
         self._queue("after_reset" if self._has_started else "startup")
         self._has_started = True
 
-    def _after_homing(self, was: int) -> None:
+    def _after_homing(self, state_before: int) -> None:
+        """Emit after_homing when $H has been executed without an alarm."""
         if not self._state.alarm:
             self._emit("after_homing")
             self.run_due()
 
-    def _after_unlock(self, was: int) -> None:
-        if was == st.ALARM and self._state.run == st.IDLE:
+    def _after_unlock(self, state_before: int) -> None:
+        """Emit after_unlock when $X has ended an alarm."""
+        if state_before == st.ALARM and self._state.run == st.IDLE:
             self._emit("after_unlock")
             self.run_due()
 
     def _change_tool(self, tool: "float | None") -> None:
-        """Execute M6, with T on its line or before it."""
+        """Execute M6, with T on its line or before it. tool: the number of that T, or None."""
         if tool is not None:
             if not 0 <= tool <= HIGHEST_TOOL:
                 raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
@@ -305,26 +322,33 @@ class Events:
         self.run_due()
 
     def _wrap_probe(self) -> None:
+        """Report each probing cycle as probe_done: with the contact position, or None."""
         hooks, state = self._hooks, self._state
-        usual = hooks.probe
+        previous = hooks.probe
 
         def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-            found = usual(target, move, away, alarms)
+            """Probe, then call the handlers with the contact position, or None."""
+            result = previous(target, move, away, alarms)
             self._emit(
                 "probe_done", Position(hooks.probed_at()) if state.probe_succeeded else None
             )
-            return found
+            return result
 
         hooks.probe = probe
 
     def _spun(self, direction: int, rpm: float) -> None:
+        """Emit the event of a spindle switched by the program. direction: of spindle.py."""
         self._emit("spindle", _SPINDLE[direction], rpm if direction else 0.0)
 
     def _cooled(self, mask: int) -> None:
+        """Emit the event of coolant switched by the program. mask: of coolant.py."""
         self._emit("coolant", bool(mask & coolant.FLOOD), bool(mask & coolant.MIST))
 
     def _defer_pause(self) -> bool:
-        """Delay the hold of M0 until its handlers have run. Return False if one runs already."""
+        """Delay the hold of M0 until its handlers have run.
+
+        Return False if a handler runs already: M0 then holds at once.
+        """
         if self._runner.is_running:
             return False
         self._pause = self._machine.canon.hold_program

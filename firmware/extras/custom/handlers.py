@@ -61,7 +61,8 @@ class Refuse(Exception):
 def _note(
     kind: str, key: "Any", letters: str, sync: "bool | None"
 ) -> "Callable[[Function], Function]":
-    if sync is not True and sync is not False and sync is not None:
+    """Return a decorator that notes its function, and leaves it as it is. See Note."""
+    if sync is not True and sync is not False and sync is not None:  # 0 and 1 are neither
         raise TypeError("sync is True, False or None, not %r" % (sync,))
 
     def note(function: "Function") -> "Function":
@@ -72,7 +73,10 @@ def _note(
 
 
 def _refuse_bare(argument: "Any", example: str) -> None:
-    """Raise TypeError for a decorator without parentheses, because its function would be lost."""
+    """Raise TypeError for a decorator without parentheses, because its function would be lost.
+
+    Python then passes the function as the decorator's first argument. example: correct use.
+    """
     if callable(argument):
         raise TypeError("write @" + example)
 
@@ -115,6 +119,7 @@ class On:
     """Events: on.tool_change and all of MOVING and DURING_MOTION, on.report, on.input(name)."""
 
     def __getattr__(self, name: str) -> "Callable[[Function], Function]":
+        """Return the decorator of an event. AttributeError if there is none of that name."""
         if name not in MOVING and name not in DURING_MOTION and name != REPORT:
             raise AttributeError("there is no event on.%s" % name)
         return _note(name, name, "", name in MOVING)

@@ -70,6 +70,7 @@ class MachineApi(PinApi):
         self.check_stopped()
 
     def _finish_wait(self) -> None:
+        """End a wait. Raises Stopped if a reset or an alarm has come meanwhile."""
         self.restart_clock()  # the wait is not the handler's own time
         self.check_stopped()
 
@@ -112,21 +113,21 @@ class MachineApi(PinApi):
         for line in text.split("\n"):
             self._line(line, line)
 
-    def _line(self, line: str, told: str) -> None:
-        """Execute a line. told: its name in the message of Refused."""
+    def _line(self, line: str, name: str) -> None:
+        """Execute a line of G-code. name: what the message of Refused calls it."""
         machine = self._machine
         self._check_may_wait()
         if self._state.run == st.ALARM:
-            raise Refused(errors.SYSTEM_GC_LOCK, told)
-        code = clean(line)
+            raise Refused(errors.SYSTEM_GC_LOCK, name)
+        code = clean(line)  # a 0 follows its characters
         if len(code) > len(machine.reader.line):
-            raise Refused(errors.OVERFLOW, told)
+            raise Refused(errors.OVERFLOW, name)
         if len(code) > 1:
             try:
                 machine.state.hooks.execute(code, len(code) - 1)
             except GrblError as reason:
                 self.restart_clock()
-                raise Refused(reason.code, told) from reason
+                raise Refused(reason.code, name) from reason
         self._finish_wait()
 
     def saved(self) -> ModalState:
@@ -155,18 +156,22 @@ class MachineApi(PinApi):
         return Position(self._machine.state.hooks.probed_at())
 
     def _in_work(self, words: str) -> str:
-        """Return the words without G53, with their positions in work coordinates."""
+        """Return the words without G53, with their positions in work coordinates.
+
+        Words without G53 are returned as they are. With it, G21 and G90 are set.
+        """
         text = code_of(words)
         if "G53" not in text:
             return text
         self.g("G21G90")
-        found = ""
+        converted = ""
         for letter, number in words_of(text.replace("G53", "")):
             axis = LETTERS.find(letter)
             if axis < 0 and letter != "F":
                 raise ValueError("m.probe: only axes and F go with G53, not %s" % letter)
-            found += "%s%.4f" % (letter, number if axis < 0 else number - self._zero(axis))
-        return found
+            work = number if axis < 0 else number - self._zero(axis)  # F stays as it is
+            converted += "%s%.4f" % (letter, work)
+        return converted
 
     def _zero(self, axis: int) -> float:
         """Return work zero of an axis, mm in machine coordinates, tool length included."""
@@ -190,8 +195,9 @@ class MachineApi(PinApi):
         axes = ""
         for letter, number in words_of(code_of(words)):
             axis = LETTERS.index(letter)
-            beyond = self._zero(axis) - coords.systems[coords.active][axis]
-            axes += "%s%.4f" % (letter, at[axis] - number - beyond)
+            # G92 and the tool length are part of work zero, and not of the offset that G10 sets.
+            other_offsets = self._zero(axis) - coords.systems[coords.active][axis]
+            axes += "%s%.4f" % (letter, at[axis] - number - other_offsets)
         with self.saved():
             self.g("G10L2P0" + axes)
 
@@ -212,7 +218,8 @@ class MachineApi(PinApi):
         line = bytearray(("$H%s\0" % axes).encode())
         length = len(line) - 1
         try:
-            self._machine.state.hooks.find_command(line, length)(line, length)
+            execute = self._machine.state.hooks.find_command(line, length)
+            execute(line, length)
         except GrblError as reason:
             raise Refused(reason.code, "$H" + axes) from reason
         self._finish_wait()
@@ -229,8 +236,8 @@ class MachineApi(PinApi):
         Raises OSError if the file is missing, and Refused if Grbl refuses a line.
         """
         with open(file, "rb") as lines:
-            for number, read in enumerate(lines, 1):
-                line = text_of(read.rstrip())
+            for number, line_bytes in enumerate(lines, 1):
+                line = text_of(line_bytes.rstrip())
                 self._line(line, "%s:%d: %s" % (file, number, line))
 
     # Motion requests, allowed during other motion too
@@ -304,17 +311,21 @@ class MachineApi(PinApi):
 
     @micropython.native
     def _until(self, done: "Callable[[], bool]", seconds: "float | None") -> bool:
+        """Wait until done() is true, at most `seconds` (None: no limit). Return its last result.
+
+        Planned motion is started, and goes on meanwhile.
+        """
         self._check_may_wait()
         machine = self._machine
         port, service = machine.port, machine.protocol.service
         machine.canon.auto_start()
         since = port.ticks_ms()
-        found = done()
-        while not found and (seconds is None or port.elapsed_ms(since) < seconds * 1000):
+        is_done = done()
+        while not is_done and (seconds is None or port.elapsed_ms(since) < seconds * 1000):
             service()
-            found = done()
+            is_done = done()
         self._finish_wait()
-        return found
+        return is_done
 
     def ask(self, text: str) -> None:
         """Send a message when motion has ended, and hold until cycle start (`~`)."""
@@ -342,6 +353,7 @@ class MachineApi(PinApi):
         return self._of_work(self._machine.modes.position)
 
     def _of_work(self, mm: "Position | array[float]") -> Position:
+        """Convert a position from machine to work coordinates, in mm."""
         place = vector(self._machine.planner.axes)
         for i in range(len(place)):
             place[i] = mm[i] - self._zero(i)
@@ -349,6 +361,7 @@ class MachineApi(PinApi):
 
     def mm(self, length: float) -> float:
         """Convert a length of the program to mm, from inches if the program is in G20."""
+        # Within m.saved() the program's own modes are those from before the outermost block.
         modal = self._open[0].modal if self._open else self._machine.modes.modal
         return length * _MM_PER_INCH if modal[INCHES] else length
 

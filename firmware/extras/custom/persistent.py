@@ -23,7 +23,7 @@ class PersistentValues:
     def __init__(self, saves: "Saves") -> None:
         self._saves = saves
         self._values: "dict[str, Any]" = {}
-        self.is_due = False
+        self.is_due = False  # a value has changed and is not stored yet
         for line in saves.load(_FILE) or ():
             try:
                 name, value = json.loads(line)

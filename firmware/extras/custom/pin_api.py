@@ -36,9 +36,9 @@ class PinApi:
         self._state = machine.state
         self._outputs = list(outputs)
         self._inputs = list(inputs)
-        self._levels = 0
+        self._levels = 0  # bit i: output i is on
         self._hz = [0] * len(outputs)  # pulse frequency of each output, 0 without pulses
-        self._since_ms = 0
+        self._since_ms = 0  # when the handler began, or its last wait ended
         self.slow_ms = 0  # the longest time a handler took without a call of m
         self.may_move = False  # whether the handler that runs now may move
 
@@ -108,6 +108,10 @@ class PinApi:
         self.pwm(name, us * _SERVO_HZ / 1000000, _SERVO_HZ)
 
     def _set_level(self, index: int, on: bool) -> None:
+        """Note an output's level, when the handler's motion has ended. The pin is not switched.
+
+        After a reset or an alarm it raises Stopped for `on`; off is noted at once.
+        """
         if on:
             self.check_stopped()
         if self.may_move and not (self._state.pending[st.RESET] or self._state.alarm):
@@ -122,10 +126,11 @@ class PinApi:
     def pin(self, name: str) -> bool:
         """Return whether an input is closed (pulled to ground). ValueError for an unknown name."""
         bit = _index(self._inputs, name, "input")
-        return not self._machine.port.sense() >> bit & 1
+        return not self._machine.port.sense() >> bit & 1  # sense(): bit i is 1 if i is open
 
 
 def _index(names: "list[str]", name: str, kind: str) -> int:
+    """Return a pin's index in names. kind: "output" or "input", for the message of ValueError."""
     if name not in names:
         raise ValueError("the board file names no %s %s" % (kind, name))
     return names.index(name)

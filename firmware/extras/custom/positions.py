@@ -19,8 +19,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from talk.controller import Controller
 
-_COOLANT = const(SPINDLE + 1)
-_A = const(3)
+_COOLANT = const(SPINDLE + 1)  # index in the modal state
+_A = const(3)  # index of axis A
 # Modes that m.saved() sets to 0: G17, G90, G94 and G21.
 _USUAL = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
 
@@ -69,11 +69,13 @@ class ModalState:
         self._within = within
 
     def __enter__(self) -> None:
+        """Copy what the block may change, then set the usual modes if asked for."""
         modes, coords = self._machine.modes, self._machine.coords
         self.modal = list(modes.modal)
         self._rates = modes.rates[:]
         self._length, self._g92 = coords.tool_length, array("f", coords.g92)
         motions = self._machine.interpreter.motions.values()
+        # Canned cycles of extras, each with the numbers that hold for its next line.
         self._motions = [(motion, motion.kept) for motion in motions]
         self._within.append(self)
         if self._usual:
@@ -85,6 +87,7 @@ class ModalState:
         self._length = self._machine.coords.tool_length
 
     def __exit__(self, *fault: object) -> None:
+        """Restore everything copied, unless a reset is pending. An exception goes on."""
         machine = self._machine
         modes, coords = machine.modes, machine.coords
         if self in self._within:
@@ -100,4 +103,4 @@ class ModalState:
         copy(self._rates, modes.rates, 2)
         coords.tool_length = self._length
         coords.set_g92(self._g92)
-        machine.state.wco_countdown = 0
+        machine.state.wco_countdown = 0  # the next status report has the offsets

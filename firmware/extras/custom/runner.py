@@ -60,19 +60,21 @@ class Runner:
         values: "tuple[Any, ...]" = (),
         given: "dict[str, Any] | None" = None,
     ) -> "Any":
-        """Call a handler and return its result. given: the parameters of a word, by letter.
+        """Call a handler and return its result: None if it was stopped, or is disabled.
 
-        Raises GrblError if it refuses its line, and Abort if the machine has been stopped.
+        what: its name in messages. values: an event's arguments. given: the parameters of a word
+        by letter, None for an event. Raises GrblError if the handler refuses its line, and Abort
+        if the machine has been stopped.
         """
         api, state = self.machine_api, self._machine.state
         if function in self._disabled and not may_move:
             return None
-        outer = api.begin_handler(may_move)
+        outer_may_move = api.begin_handler(may_move)
         was_running, self.is_running = self.is_running, True
         try:
-            found = function(api, *values, **(given or {}))
+            result = function(api, *values, **(given or {}))
             api.check_stopped()
-            return found
+            return result
         except Stopped:
             if state.pending[st.RESET]:
                 raise Abort
@@ -89,7 +91,7 @@ class Runner:
                 self._disabled.append(function)
             self._fail(what, fault, may_move)
         finally:
-            api.may_move = outer
+            api.may_move = outer_may_move
             self.is_running = was_running
             api.restart_clock()
             self._calls += 1
@@ -98,6 +100,7 @@ class Runner:
         return None
 
     def _report_slow(self, what: str) -> None:
+        """Report a handler, once, that took _SLOW_MS or longer without a call of m."""
         slow_ms, self.machine_api.slow_ms = self.machine_api.slow_ms, 0
         if slow_ms >= _SLOW_MS and what not in self._slow:
             self._slow.append(what)
@@ -106,20 +109,25 @@ class Runner:
     # Failing
 
     def text(self, lines: "list[str]") -> str:
-        """Return from a traceback the last line in the user's own files, and the exception."""
+        """Return from a traceback the last line in the user's own files, and the exception.
+
+        A traceback's lines are `File "custom.py", line 7, in probe`; the last is the exception.
+        """
         place = ""
         for line in [line.strip() for line in lines]:
-            if line.startswith('File "') and self._is_own(line[6:].split('"')[0]):
-                place = line.replace("\\", "/").split('"')[1].split("/")[-1]
-                place += line.split('"')[2] + ": "
+            if line.startswith('File "'):
+                parts = line.split('"')
+                if self._is_own(parts[1]):
+                    place = parts[1].replace("\\", "/").split("/")[-1] + parts[2] + ": "
         return place + lines[-1]
 
     def _is_own(self, file: str) -> bool:
+        """Return whether a file, from a traceback, is one of the user's modules."""
         name = file.replace("\\", "/").rsplit(".", 1)[0]
         return any((name == module or name.endswith("/" + module)) for module in self._modules)
 
     def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
-        """Report that a handler has failed, and stop the machine."""
+        """Report that a handler has failed, and stop the machine. Raises Abort."""
         machine = self._machine
         # MicroPython removes an interrupt handler that found the stack full. Attach it again.
         machine.port.attach(machine.motor_control)
@@ -157,8 +165,9 @@ class Runner:
             keep.write()
             machine.save_due()
         if self._calls >= _CALLS:
-            flow = machine.planner.flow
-            if machine.at_rest() or (flow[HEAD] - flow[TAIL]) % flow[ROWS] >= _BLOCKS:
+            flow = machine.planner.flow  # the planner's ring: indices of its ends, and its size
+            planned_blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
+            if machine.at_rest() or planned_blocks >= _BLOCKS:
                 self._calls = 0
                 gc.collect()
         api.start_jogs()

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 
 _FAR = const(1_000_000)  # mm: outside of every machine
 
+# Indices of a waiting word's fields; see SyncedWords.waiting.
+_BLOCKS = const(0)
+_END = const(1)
+_DISTANCE = const(2)
+_CALL = const(3)  # name, function and parameters
+
 
 class SyncedWords:
     """The words that wait for motion."""
@@ -30,11 +36,14 @@ class SyncedWords:
         # Per word: blocks still before it, their end position in mm, the distance to that at the
         # last look in mm, then name, function and parameters.
         self.waiting: "list[list[Any]]" = []
-        self._mm = vector(len(machine.modes.position))
-        self._tail = 0
+        self._mm = vector(len(machine.modes.position))  # the present position
+        self._tail = 0  # the planner's next block to read, at the last count
 
     def add(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
-        """Add a word after all planned blocks, and start motion if it has not started."""
+        """Add a word after all planned blocks, and start motion if it has not started.
+
+        what: the handler's name in messages. given: the word's parameters, by letter.
+        """
         machine, flow = self._machine, self._machine.planner.flow
         machine.canon.finish()
         machine.canon.auto_start()
@@ -48,8 +57,8 @@ class SyncedWords:
         self._count_passed()
         self._machine.state.pending[st.ANY] = 1  # check again after the next line
         waiting = self.waiting
-        while waiting and waiting[0][0] == 0 and self._is_reached(waiting[0]):
-            what, function, given = waiting.pop(0)[3:]
+        while waiting and waiting[0][_BLOCKS] == 0 and self._is_reached(waiting[0]):
+            what, function, given = waiting.pop(0)[_CALL:]
             self._runner.run(what, function, False, (), given)
 
     def _count_passed(self) -> None:
@@ -57,12 +66,13 @@ class SyncedWords:
         flow = self._machine.planner.flow
         passed = (flow[TAIL] - self._tail) % flow[ROWS]
         self._tail = flow[TAIL]
-        for mark in self.waiting:
-            mark[0] = max(0, mark[0] - passed)
+        for word in self.waiting:
+            word[_BLOCKS] = max(0, word[_BLOCKS] - passed)
 
-    def _is_reached(self, mark: "list[Any]") -> bool:
+    def _is_reached(self, word: "list[Any]") -> bool:
+        """Return whether the machine stands, or moves away from the word's position."""
         machine, mm = self._machine, self._mm
         machine.position(mm)
-        away = max([abs(a - b) for a, b in zip(mark[1], mm)])
-        before, mark[2] = mark[2], away
-        return away > before or machine.engine.idle()
+        distance = max([abs(end - now) for end, now in zip(word[_END], mm)])  # of the worst axis
+        last, word[_DISTANCE] = word[_DISTANCE], distance
+        return distance > last or machine.engine.idle()

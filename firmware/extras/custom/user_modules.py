@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _API = "ugrbl"  # custom.py imports handlers.py under this name
 
-_found: "dict[str, Any]" = {}
+_found: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -64,8 +64,11 @@ def install(cnc: "Cnc") -> None:
 
 
 def _read(modules: "tuple[str, ...]") -> "list[Note]":
-    """Import the user's modules. Return the handlers that they have noted."""
-    there = sys.modules.get(_API)
+    """Import the user's modules. Return the handlers that they have noted.
+
+    While they are read, `import ugrbl` gives handlers.api.
+    """
+    earlier_module = sys.modules.get(_API)
     sys.modules[_API] = handlers.api  # type: ignore[assignment]
     handlers.take_notes()
     try:
@@ -76,8 +79,8 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
             __import__(name)
     finally:
         sys.modules.pop(_API)
-        if there:
-            sys.modules[_API] = there
+        if earlier_module:
+            sys.modules[_API] = earlier_module
     return handlers.take_notes()
 
 
@@ -104,12 +107,13 @@ class Custom:
 
         ValueError if a word is taken or an input unknown, TypeError if letters are not text.
         """
-        kinds = (handlers.M, handlers.G)
-        words = [note for note in notes if note[0] in kinds]
-        events = [note for note in notes if note[0] not in kinds]
-        changes = [("M", 6, "t")] if "tool_change" in [note[0] for note in events] else []
+        word_kinds = (handlers.M, handlers.G)
+        words = [note for note in notes if note[0] in word_kinds]
+        events = [note for note in notes if note[0] not in word_kinds]
+        # A handler of tool changes defines M6, too.
+        m6 = [("M", 6, "t")] if "tool_change" in [kind for kind, _, _, _, _ in events] else []
         seen: "list[Key]" = []
-        for kind, key, letters in changes + [note[:3] for note in words]:
+        for kind, key, letters in m6 + [note[:3] for note in words]:
             if word_of(kind, key) in seen or self._cnc.is_taken(kind, key):
                 raise ValueError("%s%s is taken" % (kind, key))
             if not isinstance(letters, str):
@@ -120,12 +124,12 @@ class Custom:
                 self._runner.machine_api.pin(key)  # raises ValueError if there is none
         for kind, key, _, _, function in events:
             self._events.subscribe(kind, key, title(kind, key), function)
-        self._events.attach(any(note[3] is False for note in notes))
+        self._events.attach(any(sync is False for _, _, _, sync, _ in notes))
         for kind, key, letters, sync, function in words:
             call = self._word(title(kind, key), letters, sync, function)
             add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
             add(key, call, letters, bool(sync))
-        names = [title(note[0], note[1]) for note in notes]
+        names = [title(kind, key) for kind, key, _, _, _ in notes]
         self._cnc.after_reset(self._runner.machine_api.clear_requests)
         self._cnc.before_lines(self._events.between_lines)
         self._add_build_info(sanitize("Custom: " + ", ".join(names)))
@@ -142,7 +146,7 @@ class Custom:
         self._machine.state.hooks.build_info += (lambda: self._cnc.message(text),)
         self._cnc.after_command(b"I+", self._report_trace)
 
-    def _report_trace(self, was: int) -> None:
+    def _report_trace(self, state_before: int) -> None:
         """Report the last stored traceback at the end of $I+, for `ugrbl doctor`."""
         for text in self._machine.saves.load(TRACE) or ():
             self._machine.report.message("Trace: " + sanitize(text))
@@ -150,10 +154,15 @@ class Custom:
     def _word(
         self, what: str, letters: str, sync: "bool | None", function: "Function"
     ) -> "Function":
-        names = [c.upper() for c in letters]
+        """Return what the interpreter calls for a word: it runs the handler, now or later.
+
+        It gets the numbers of `letters`. The handler gets those that the line has, by name.
+        """
+        names = [letter.upper() for letter in letters]
 
         def call(*numbers: "float | None") -> None:
-            given = {n: x for n, x in zip(names, numbers) if x is not None}
+            """Call the handler with the numbers that the line has."""
+            given = {name: number for name, number in zip(names, numbers) if number is not None}
             if sync is False:
                 self._events.defer(what, function, given)
             else:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
+
+_BEFORE_SPINDLE = const(6)  # index in $G's words: six groups of G words come first
+
 # $10 in this dialect (mask).
 _MACHINE_POSITION = const(1)
 _WORK_POSITION = const(2)
@@ -130,7 +133,7 @@ class Report09(Report):
     def configure(self) -> None:
         """Apply $10 and $13."""
         super().configure()
-        self._is_common = False  # Report's fast path has another format
+        self._is_common = False  # no fast path, because that writes Grbl 1.1's format
 
     # Answers
 
@@ -156,10 +159,11 @@ class Report09(Report):
 
     def setting(self, key: int, value: float, decimals: int) -> None:
         """Send one line of $$."""
-        words = self.words.get(key) or self._settings.row(key)[0][4]
-        if words[-1] == ":":
+        _, _, _, _, unit = self._settings.row(key)[0]
+        words = self.words.get(key) or unit
+        if words[-1] == ":":  # a mask
             words += "{:08b}".format(int(value))
-        elif key // 10 in _AXIS_SETTINGS:
+        elif key // 10 in _AXIS_SETTINGS:  # the last digit is the axis
             words = "xyzabc"[key % 10] + _AXIS_SETTINGS[key // 10]
         self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
 
@@ -178,7 +182,7 @@ class Report09(Report):
     def modes(self, text: str) -> None:
         """Answer $G. M0 is always listed, before the spindle. T is T0: 0.9 drops its number."""
         words = ["T0" if word[0] == "T" else word for word in text.split(" ")]
-        words.insert(6, "M0")
+        words.insert(_BEFORE_SPINDLE, "M0")
         self._line("[" + " ".join(words) + "]")
 
     # Parts
@@ -197,7 +201,10 @@ class Report09(Report):
     def _fields(
         self, text: bytearray, ints: "array[int]", mm: "array[float]", _closed: int
     ) -> None:
-        """Write all fields after the state. mm: machine position, which is not written yet."""
+        """Write all fields after the state. mm: machine position, which becomes work position.
+
+        text, ints: where write() puts the text, and its values.
+        """
         mask = self._settings.report_mask
         if mask & _MACHINE_POSITION:
             self._lengths(b",MPos:\0", mm)
@@ -217,6 +224,7 @@ class Report09(Report):
                 self._number(b"%\0", limits >> (self._axes - 1 - i) & 1)
 
     def _number(self, form: bytes, value: int) -> None:
+        """Write a field. form: its text, which a 0 follows; value replaces its %."""
         self._ints[VALUES] = value
         write(form, self._text, self._ints, self._mm)
 
@@ -241,12 +249,15 @@ _SETTINGS: "Rows" = (
     (10, "report_mask", INT, _MACHINE_POSITION | _WORK_POSITION, "mask"),
 )
 _WITHOUT = (10, 30, 31, 32)
+# As LineReader's `reads`: no upper real-time bytes; @ is one (the safety door); the rest of a line
+# that is too long is a line of its own.
+_READS = (0x100, 0x40, 0)
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Before the machine is created, select the report class and the real-time bytes."""
     options.report = Report09i if board.__dict__["DIALECT"] == "0.9i" else Report09
-    options.reads = (0x100, 0x40, 0)  # no upper real-time bytes; @ is the safety door
+    options.reads = _READS
     options.highest_tool = 1 << 31
 
 

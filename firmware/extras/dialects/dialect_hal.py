@@ -39,7 +39,10 @@ _RX_BYTES = const(1024)
 _HOLD = const(0x21)
 _STOP = const(0x19)
 _COMPLETE_REPORT = const(0x87)
-_LIKE = {0x80: 0x3F, 0x81: 0x7E, 0x82: _HOLD, _COMPLETE_REPORT: 0x3F}
+_STATUS = const(0x3F)  # ?
+_RESUME = const(0x7E)  # ~
+# grblHAL's upper bytes, and those of Grbl that do the same.
+_LIKE = {0x80: _STATUS, 0x81: _RESUME, 0x82: _HOLD, _COMPLETE_REPORT: _STATUS}
 
 # States in which commands that only read are answered.
 _STATES = (st.IDLE, st.ALARM, st.CHECK, st.RUN, st.JOG)
@@ -67,7 +70,7 @@ class ReportHal(Report):
 
     def build_info(self, info: str, options: str) -> None:
         """Answer $I."""
-        name, axes = "GrblHAL" + self.identity[_GRBL:], self._axes
+        name, axes = "GrblHAL" + self.identity[_GRBL:], self._axes  # identity: Grbl and more
         self._line("[VER:%s.%s:%s]" % (self.VERSION, BUILD, name + " " + info if info else name))
         self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no tool table
         self._line("[AXS:%d:%s]" % (axes, LETTERS[:axes]))
@@ -88,13 +91,13 @@ class ReportHal(Report):
         self._line("[SPINDLE:0|0|0|*D%sV|PWM|%s,%s]" % ((laser,) + speeds))
 
     def status(self) -> "memoryview":
-        """Answer ?, or with all fields the byte for a complete report."""
+        """Return the answer to ?. After the byte for a complete report it has all fields."""
         if not self.is_complete:
             return super().status()
         self.is_complete = False
         state = self._state
         state.wco_countdown, state.override_countdown = 1, 0  # both do not fit in one report
-        text = bytes(super().status())[:-3]  # >\r\n
+        text = bytes(super().status())[: -len(">\r\n")]
         state.override_countdown = 0  # gSender needs Ov:, and reads it only in normal reports
         if self._alarm and state.run == st.ALARM:
             text = b"<Alarm:%d" % self._alarm + text[_ALARM:]
@@ -110,14 +113,14 @@ class Bytes:
         self._state = machine.state
         self._motor_control = machine.motor_control
         self._report = report
-        self._stopping = False
+        self._stopping = False  # a hold slows motion down, and a reset follows it
         self._usual_post = machine.reader.post
         machine.reader.post = self.post
         machine.state.hooks.poll += (self._turn,)
         machine.state.hooks.reset += (self._begin,)
 
     def post(self, byte: int) -> None:
-        """Handle a received real-time byte."""
+        """Handle a received real-time byte. It may run in an interrupt."""
         if byte == _STOP:
             self._stop()
         else:
@@ -138,15 +141,17 @@ class Bytes:
             self._motor_control.reset()
 
     def _begin(self) -> None:
+        """Forget a stop that was under way, after a reset."""
         if not self._state.pending[st.FEED_HOLD]:  # a feed hold received since
             self._stopping = False
 
     def _turn(self) -> None:
+        """Reset when the hold of a stop has ended. Runs at each turn of the main loop."""
         if self._stopping and not self._is_under_way():
             self._motor_control.reset()
 
     def _is_under_way(self) -> bool:
-        """Return whether motion has not ended: a reset would cause an alarm."""
+        """Return whether motion has not ended, so that a reset would cause an alarm."""
         return self._motor_control.moving or self._motor_control.in_idle_delay
 
 
@@ -156,18 +161,21 @@ def texts() -> "IO[bytes]":
 
 
 def _enumerate(cnc: "Cnc", command: bytes) -> None:
-    """Send the rows of a command. Of settings, send those that this machine has."""
+    """Send the rows of a command, such as ES. Of settings, send those that this machine has.
+
+    GrblError if FILE has no row of that command.
+    """
     try:
         rows = texts()
     except OSError:
         cnc.message(FILE + " is not on the board: ugrbl deploy puts it there")
         return
-    begins, is_known = command + b" ", False
+    prefix, is_known = command + b" ", False
     with rows:
         for row in rows:
-            if row.startswith(begins):
+            if row.startswith(prefix):
                 is_known = True
-                number, _, text = row[len(begins) :].partition(b" ")
+                number, _, text = row[len(prefix) :].partition(b" ")
                 if command[:2] != _SETTINGS or _has_setting(cnc, number):
                     cnc.machine.report.send(text)
                     cnc.service()
@@ -176,6 +184,7 @@ def _enumerate(cnc: "Cnc", command: bytes) -> None:
 
 
 def _has_setting(cnc: "Cnc", number: bytes) -> bool:
+    """Return whether this machine has the setting. number: its decimal digits."""
     try:
         cnc.machine.settings.row(int(number))
     except (GrblError, ValueError):
@@ -183,7 +192,7 @@ def _has_setting(cnc: "Cnc", number: bytes) -> bool:
     return True
 
 
-_found: "dict[str, bool]" = {}
+_found: "dict[str, bool]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:

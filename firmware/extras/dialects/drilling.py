@@ -86,20 +86,21 @@ class Holes:
 
     def lines(self) -> "Iterator[str]":
         """Yield the lines for all holes, one hole after the other."""
-        r = "G0" + self.letter + self.r
-        deep = self.now
-        if deep < float(self.r):
-            yield r
-            deep = float(self.r)
+        go_to_r = "G0" + self.letter + self.r
+        height = self.now  # of the tool
+        if height < float(self.r):
+            yield go_to_r
+            height = float(self.r)
         for place in self.places:
             if place:
                 yield "G0" + place
-            if deep != float(self.r):
-                yield r
+            if height != float(self.r):
+                yield go_to_r
             yield from self._hole()
-            deep = float(self.above)
+            height = float(self.above)
 
     def _hole(self) -> "Iterator[str]":
+        """Yield the lines of one hole, from R down to the bottom and up to where it ends."""
         feed, rapid = "G1" + self.letter, "G0" + self.letter
         if self.cycle in (_G73, _G83):
             yield from self._pecks(feed, rapid)
@@ -109,11 +110,14 @@ class Holes:
         yield (feed if self.cycle in (_G85, _G89) else rapid) + self.above
 
     def _pecks(self, feed: str, rapid: str) -> "Iterator[str]":
-        """Yield the pecks to all depths except the last, each with its retract to clear chips."""
-        top, bottom, q = float(self.r), float(self.bottom), float(self.kept["Q"])
+        """Yield the pecks to all depths except the last, each with its retract to clear chips.
+
+        feed, rapid: a move's words up to its number. Q is the depth of one peck.
+        """
+        top, bottom, peck = float(self.r), float(self.bottom), float(self.kept["Q"])
         count = 1
-        while top - count * q - bottom > _LEAST:
-            depth = top - count * q
+        while top - count * peck - bottom > _LEAST:
+            depth = top - count * peck
             yield feed + _text(depth)
             if self.cycle == _G83:
                 yield rapid + self.r
@@ -137,7 +141,7 @@ class Drilling:
         self.cycle = 0
         self._motion = 0  # the motion mode before the cycle
         self._begun_mm = 0.0  # position of the drilling axis then, in machine coordinates
-        self._manner = (0, 0, 0)
+        self._manner = (0, 0, 0)  # see Holes
         self._was_open = True  # the interpreter's is_open before the cycle
         self.forget()
 
@@ -176,7 +180,7 @@ class Drilling:
             interpreter.is_open = False  # in a cycle a line of axis words only is no move
         self.cycle, self._kept, self.to_r = holes.cycle, holes.kept, holes.to_r
         self._begun_mm, self._manner = holes.begun_mm, holes.manner
-        relative, modal[RELATIVE] = modal[RELATIVE], 0
+        relative, modal[RELATIVE] = modal[RELATIVE], 0  # the lines of holes are absolute
         try:
             for line in holes.lines():
                 self._machine.protocol.service()
@@ -195,24 +199,30 @@ class Drilling:
         holes.own = [word for word in words if word not in others]
         self._check(holes.first)
         self._check_others()
-        ints = self._machine.interpreter.block.ints
-        across = _PLANES[ints[PLANE]]
-        axis = 3 - across[0] - across[1]
-        holes.letter = _LETTERS[axis]
-        holes.manner = axis, ints[INCHES], ints[RELATIVE]
-        goes_on = holes.cycle == self.cycle and holes.manner == self._manner
-        holes.kept = dict(self._kept) if goes_on else {}
+        ints = self._machine.interpreter.block.ints  # the line just checked
+        plane_axes = _PLANES[ints[PLANE]]
+        drill_axis = 0 + 1 + 2 - sum(plane_axes)  # the one of X, Y, Z that is not in the plane
+        holes.letter = _LETTERS[drill_axis]
+        holes.manner = drill_axis, ints[INCHES], ints[RELATIVE]
+        is_repeated = holes.cycle == self.cycle and holes.manner == self._manner
+        holes.kept = dict(self._kept) if is_repeated else {}
         for letter in "RQP" + holes.letter:
             if letter in given:
                 holes.kept[letter] = given[letter]
         _check_numbers(holes, given)
-        self._place(holes, axis)
-        places = [(given[_LETTERS[i]], self._now(i), i) for i in across if _LETTERS[i] in given]
-        holes.places = self._places(places, int(float(given.get("L", "1"))))
+        self._place(holes, drill_axis)
+        places = [
+            (given[_LETTERS[i]], self._now(i), i) for i in plane_axes if _LETTERS[i] in given
+        ]
+        times = int(float(given.get("L", "1")))
+        holes.places = self._places(places, times)
         return holes
 
     def _split(self, words: "list[Word]") -> "tuple[int, dict[str, str], list[Word]]":
-        """Return the cycle, its numbers by letter, and all other words."""
+        """Return the cycle in tenths, its numbers by letter, and all other words.
+
+        The active cycle, if the line names none.
+        """
         cycle = self.cycle
         is_named = False
         given: "dict[str, str]" = {}
@@ -244,7 +254,11 @@ class Drilling:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
 
     def _place(self, holes: Holes, axis: int) -> None:
-        """Compute the bottom of the holes, R and the height at which each ends."""
+        """Compute the bottom of the holes, R and the height at which each ends.
+
+        axis: the drilling axis. In G91, R is relative to where the cycle began, and the bottom to
+        R.
+        """
         ints = self._machine.interpreter.block.ints
         holes.gap = _GAP_INCH if ints[INCHES] else _GAP_MM
         has_begun = self.cycle and axis == self._manner[0]
@@ -260,7 +274,11 @@ class Drilling:
         holes.above = holes.r if holes.to_r or begun <= float(holes.r) else _text(begun)
 
     def _places(self, given: "list[tuple[str, float, int]]", times: int) -> "Iterator[str]":
-        """Yield the axis words of each hole. given: numbers as written, positions now, axes."""
+        """Yield the axis words of each of so many holes.
+
+        given: per axis in the plane, its number as written, its position now, and its index. In
+        G91 each hole is that far from the one before; in G90 all are at the same place.
+        """
         relative = self._machine.interpreter.block.ints[RELATIVE]
         return (
             "".join(
@@ -273,6 +291,7 @@ class Drilling:
         )
 
     def _now(self, axis: int) -> float:
+        """Return an axis' position in the units and work offset of the checked line."""
         return self._at(axis, self._machine.modes.position[axis])
 
     def _at(self, axis: int, mm: float) -> float:
@@ -283,6 +302,7 @@ class Drilling:
 
 
 def _check_numbers(holes: Holes, given: "dict[str, str]") -> None:
+    """Raise GrblError if a number of the cycle is missing or wrong. given: those on the line."""
     needed, possible = CYCLES[holes.cycle]
     kept = holes.kept
     for letter in "R" + holes.letter + needed:
@@ -299,4 +319,5 @@ def _check_numbers(holes: Holes, given: "dict[str, str]") -> None:
 
 
 def _text(number: float) -> str:
+    """Return a coordinate as text for a line, rounded to 1/100000 mm or inch."""
     return ("%.5f" % number).rstrip("0")

@@ -58,7 +58,7 @@ _G98 = const(980)
 _G99 = const(990)
 _M6 = const(60)
 _HAVE_P = (_G4, 100) + tuple(CYCLES)  # with these on the line, P and Q are not those of G64
-_TURNING = (30, 40)  # M3, M4: with these on the line S is a speed
+_SPINDLE_WORDS = (30, 40)  # M3, M4: with these on the line S is a speed
 _ENDS = (20, 300)  # M2, M30
 _NONE = const(-1)
 _NUMBER = "0123456789.+-"
@@ -74,8 +74,8 @@ class Lenient:
         hooks = machine.state.hooks
         self._usual = hooks.execute
         self._drilling = Drilling(machine, self._run, self._check)
-        self._told: "list[str]" = []
-        self._tool = "0"
+        self._told: "list[str]" = []  # words reported since the last reset
+        self._tool = "0"  # number of the last T, as it is written
         self._is_within = False  # a line is being executed; others may be within it
         hooks.execute = self.execute
         machine.interpreter.watch(SET_TOOL)
@@ -83,11 +83,13 @@ class Lenient:
         cnc.entries.append(self._why_no_entry)
 
     def _forget(self) -> None:
+        """Forget words reported, tool and cycle, after a reset."""
         self._told.clear()
         self._tool = "0"
         self._drilling.forget()
 
     def _why_no_entry(self) -> str:
+        """Return why a program cannot be entered here, "" if it can. See Cnc.entries."""
         return "it goes on with a drilling cycle" if self._drilling.cycle else ""
 
     def execute(self, line: bytearray, length: int) -> None:
@@ -106,6 +108,12 @@ class Lenient:
             self._is_within = False
 
     def _execute(self, line: bytearray, length: int) -> None:
+        """Execute a line as the sender has sent it, and note what it means for cycle and tool.
+
+        Its words are read only if they may matter: in a cycle, in G99, with a T, or if Grbl
+        refuses the line. A repetition of a cycle is tried before Grbl, because Grbl would execute
+        its axis words as a motion.
+        """
         drilling = self._drilling
         is_watched = drilling.cycle or drilling.to_r or line.find(b"T", 0, length) >= 0
         words = (_words(line, length) if is_watched else None) or []
@@ -126,6 +134,7 @@ class Lenient:
             drilling.stop(True)
 
     def _note_tool(self, words: "list[Word]") -> None:
+        """Note the number of a T, for the message of M6."""
         for letter, number, _ in words:
             if letter == "T":
                 self._tool = number
@@ -134,9 +143,11 @@ class Lenient:
         """Check a line. GrblError refuses it; otherwise it is in the interpreter's block."""
         machine = self._machine
         line = bytearray(text.encode() + b"\0")
-        machine.interpreter.check_line(line, len(line) - 1 << 8, machine.modes.modal, 0)
+        span = len(line) - 1 << 8  # the line's end, with its start, 0, in the lower byte
+        machine.interpreter.check_line(line, span, machine.modes.modal, 0)
 
     def _run(self, text: str) -> None:
+        """Execute a line as Grbl does. GrblError refuses it."""
         line = bytearray(text.encode() + b"\0")
         self._usual(line, len(line) - 1)
 
@@ -145,48 +156,52 @@ class Lenient:
     def _execute_rest(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
         """Execute the line without the words that have no effect here.
 
-        Return False if there are none, or if the line is another extra's.
+        words: those of the line, None if it is not words only. Return False, and do nothing, if
+        no word can be dropped, or if the line is another extra's.
         """
         if words is None or self._cnc.has_word(line, length):
             return False
         if has(words, "G", _G98) and has(words, "G", _G99):
             raise GrblError(GCODE_MODAL_GROUP_VIOLATION)
         names = ["%"] if line.find(b"%", 0, length) >= 0 else []
-        left = self._without(words, names)
+        rest = self._without(words, names)
         drilling = self._drilling
         to_r = has(words, "G", _G99) or (drilling.to_r and not has(words, "G", _G98))
-        cycles = ["G" + word[1] for word in left if word[0] == "G" and word[2] in CYCLES]
-        if cycles or drilling.repeats(left):
+        cycles = [
+            "G" + text for letter, text, tenths in rest if letter == "G" and tenths in CYCLES
+        ]
+        if cycles or drilling.repeats(rest):
             if "M6" in names:
                 return False
-            holes = drilling.plan(left, to_r)
+            holes = drilling.plan(rest, to_r)
             self._tell(names + cycles)
             drilling.make(holes)
             return True
         if names:
-            self._check(joined(left))
+            self._check(joined(rest))  # before the message and the pause
             self._tell(names)
             if "M6" in names:
                 self._pause(words)
-            self._run(joined(left))
+            self._run(joined(rest))
             drilling.to_r = to_r
         return bool(names)
 
     def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":
         """Return the words that stay. The names of the others are added to names."""
-        left = []
+        rest = []
         for word in words:
+            _, text, tenths = word
             name = self._name(word, words)
             if name:
                 names.append(name)
             if name == "G4 S":
-                left.append(("P", word[1], word[2]))
+                rest.append(("P", text, tenths))  # Grbl's word for the seconds of a dwell
             elif not name:
-                left.append(word)
-        return left
+                rest.append(word)
+        return rest
 
     def _name(self, word: "Word", words: "list[Word]") -> str:
-        """Return the key in _WORDS of a word that may be dropped, or ""."""
+        """Return the key in _WORDS of a word that may be dropped, or "". words: its line."""
         letter, _, tenths = word
         if letter == "O":  # with other words it is a subroutine of LinuxCNC
             return "O" if all(other[0] in "NO" for other in words) else ""
@@ -195,16 +210,17 @@ class Lenient:
         if letter in "PQ":
             return "G64" if has(words, "G", _G64) and not has(words, "G", *_HAVE_P) else ""
         if letter == "S":
-            is_speed = has(words, "P") or has(words, "M", *_TURNING)
+            is_speed = has(words, "P") or has(words, "M", *_SPINDLE_WORDS)
             return "G4 S" if has(words, "G", _G4) and not is_speed else ""
         if letter == "M":
             return "M6" if tenths == _M6 else ""
         return self._name_g(tenths, words) if letter == "G" else ""
 
     def _name_g(self, tenths: int, words: "list[Word]") -> str:
+        """Return _name() of a G word, by its number in tenths."""
         if tenths in (_G43, _G49):
-            holds = self._machine.coords.tool_length or has(words, "G", _G43_1)
-            return "" if holds else "G%d" % (tenths // 10)
+            has_length = self._machine.coords.tool_length or has(words, "G", _G43_1)
+            return "" if has_length else "G%d" % (tenths // 10)
         if tenths == _G80:
             return "G80" if has(words, "G", *MOTIONS) else ""
         if tenths in (_G61_1, _G64, _G98, _G99):
@@ -212,6 +228,7 @@ class Lenient:
         return ""
 
     def _tell(self, names: "list[str]") -> None:
+        """Report words that are dropped or changed, each once until a reset."""
         for name in names:
             if name not in self._told:
                 self._told.append(name)
@@ -229,17 +246,20 @@ class Lenient:
 
 
 def _words(line: bytearray, length: int) -> "list[Word] | None":
-    """Return the words of a line without tape marks (%), or None if it is not words only."""
-    found = []
-    for letter, number in as_written(text_of(line[:length]).strip("%")):
-        if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in number):
+    """Return the words of a line without tape marks (%), or None if it is not words only.
+
+    Each has its letter, the text of its number, and its number in tenths (_NONE unless G or M).
+    """
+    words = []
+    for letter, text in as_written(text_of(line[:length]).strip("%")):
+        if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in text):
             return None
         try:
-            value = float(number)
+            value = float(text)
         except ValueError:
             return None
-        found.append((letter, number, word_of(letter, value)[1] if letter in "GM" else _NONE))
-    return found
+        words.append((letter, text, word_of(letter, value)[1] if letter in "GM" else _NONE))
+    return words
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:

@@ -26,11 +26,15 @@ if TYPE_CHECKING:
 _PER_MM = 1000.0
 _SLOWEST_MM_S = 1e-6  # for places where motors turn and the tool hardly moves
 _STRAIGHT = 0.94  # cosine: a larger change of direction is a corner, and not a bend
-_UNIT = const(16384)
+_UNIT = const(16384)  # 1 in the planner's directions
+_DIRECTION = const(4)  # multiple of the number of axes, after LIMITS in the planner's table
+_LARGE = 1e18  # no limit: larger than every speed squared or acceleration
+_SPEED_BITS = const(30)  # the planner's scaled speeds squared are below 2**30
 _BEND_SHARE = 0.5  # share of a joint's acceleration available for bends
 
 
 def _nearest(x: float) -> int:
+    """Return the nearest whole number, also of a negative one."""
     return int((x + 0.5) // 1)
 
 
@@ -40,6 +44,7 @@ def _parts(mm: float) -> int:
 
 
 def _distance(one: "array[float]", other: "array[float]") -> float:
+    """Return the straight distance between two positions, in their unit."""
     return math.sqrt(sum([(other[i] - one[i]) ** 2 for i in range(len(one))]))
 
 
@@ -108,14 +113,14 @@ class NonlinearPlanner(Planner):
         self._at = array("i", (0 for _ in range(axes)))  # steps at the end of the last block
         self._place = vector(axes)  # its exact end, because chords may have no steps
         self._joints = vector(axes)
-        self._next = vector(axes)
+        self._next = vector(axes)  # end of a system move; or the bend of each joint, see _limit()
         self._slope = vector(axes)  # joint units per mm in the last block,
         self._pace = 1.0  # root of the sum of their squares,
         self._length = 1.0  # and its length in mm
-        self._rates = vector(axes)
-        self._accelerations = vector(axes)
-        self._fastest = 1.0
-        self._deviation = 0.0
+        self._rates = vector(axes)  # highest of each joint, units/s
+        self._accelerations = vector(axes)  # units/s2
+        self._fastest = 1.0  # the tool's highest speed, mm/s
+        self._deviation = 0.0  # $11, as the planner's JUNCTION is scaled
 
     def configure(
         self, settings: "AxisLimits", tick_hz: int, segment_log2: int, step_hz: int
@@ -124,14 +129,16 @@ class NonlinearPlanner(Planner):
         super().configure(settings, tick_hz, segment_log2, step_hz)
         table, kinematics = self.table, self.kinematics
         copy(self.steps_per_mm, kinematics.resolution, self.axes)
+        # From the settings' minutes to seconds. From here on steps_per_mm is the tool's: the
+        # positions that the planner reports are in 1/1000 mm.
         for i in range(self.axes):
             self._rates[i] = min(settings.max_rate[i] / 60, step_hz / self.steps_per_mm[i])
             self._accelerations[i] = settings.acceleration[i] / 3600
             self.steps_per_mm[i] = _PER_MM
-        at = layout.LIMITS + layout.RESOLUTION * self.axes
-        copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
+        resolution = layout.LIMITS + layout.RESOLUTION * self.axes  # index in the table
+        copy(self.steps_per_mm, memoryview(table)[resolution:], self.axes)
         self._fastest = kinematics.geometry.FASTEST / 60
-        scale = (1 << 30) / (self._fastest * self._fastest)
+        scale = (1 << _SPEED_BITS) / (self._fastest * self._fastest)
         table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)
         table[layout.SQR_SCALE] = minifloat.real(scale)
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
@@ -157,6 +164,7 @@ class NonlinearPlanner(Planner):
         self.synced = True
 
     def _begin_at(self, motors: "array[int]") -> None:
+        """Take the motors' position, in steps, as the end of the last chord and block."""
         copy(motors, self._at, self.axes)
         self.kinematics.joints_of(motors, self.joints)
         self.kinematics.geometry.forward(self.joints, self.place)
@@ -175,9 +183,9 @@ class NonlinearPlanner(Planner):
         """
         copy(target, self.place, self.axes)
         copy(self.course.joints, self.joints, self.axes)
-        at = layout.LIMITS + layout.TARGET * self.axes
+        target_at = layout.LIMITS + layout.TARGET * self.axes  # index in the table
         for i in range(self.axes):
-            self.table[at + i] = FAR + _parts(target[i])
+            self.table[target_at + i] = FAR + _parts(target[i])
         length = _distance(self._place, target)
         if not self._block(self._at, self._joints, self.joints, length, move, power):
             return False
@@ -193,6 +201,7 @@ class NonlinearPlanner(Planner):
         """Plan a system move, as Planner.system_line(). All joints move evenly.
 
         So the tool's path is straight only if one joint moves one axis alone, as in parking.
+        start: motor steps. Return False if nothing moves, or if target is out of reach.
         """
         begin, end = vector(self.axes), self._next
         self.kinematics.joints_of(start, begin)
@@ -206,9 +215,10 @@ class NonlinearPlanner(Planner):
             length = _distance(place, target)
         else:
             return False
-        kept = array("f", self._slope), self._pace, self._length
+        # The program's next chord follows its last one, and not this move.
+        last_chord = array("f", self._slope), self._pace, self._length
         planned = self._block(start, begin, end, length, move, power)
-        self._slope, self._pace, self._length = kept
+        self._slope, self._pace, self._length = last_chord
         return planned
 
     def _block(
@@ -222,7 +232,7 @@ class NonlinearPlanner(Planner):
     ) -> bool:
         """Fill a row of the ring: joints move from begin (steps: start) to end.
 
-        Return False if there are no steps.
+        length: of the tool's path, mm. Return False if there are no steps.
         """
         table, ring, flow, flags = self.table, self.ring, self.flow, move.flags
         row = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
@@ -232,7 +242,7 @@ class NonlinearPlanner(Planner):
         for i in range(self.axes):
             change = end[i] - begin[i]
             steps = self.kinematics.steps_of(end[i], i) - start[i]
-            if steps < 0 or (steps == 0 and change < 0):
+            if steps < 0 or (steps == 0 and change < 0):  # also a change of less than a step
                 dirs |= 1 << i
                 steps = -steps
             ring[at + layout.STEPS + i] = steps
@@ -263,17 +273,22 @@ class NonlinearPlanner(Planner):
         pace: float,
         move: "Move",
     ) -> None:
-        """Compute a chord's speed and acceleration limits, and the limit of its first corner."""
+        """Compute a chord's speed and acceleration limits, and the limit of its first corner.
+
+        at: its row's index in the ring. pace: joint units per mm of the tool's path, of all joints
+        together. With the tool's speed v, a joint's speed is slope * v, and its acceleration is
+        slope * acceleration + bend * v**2, where bend is the change of slope per mm.
+        """
         ring, table, slope = self.ring, self.table, self._slope
-        direction = layout.LIMITS + 4 * self.axes
-        along = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
-        bends = along > _STRAIGHT * pace * length * self._pace
-        between = 2 / (length + self._length)
-        rapid, bend_sqr = self._fastest, 1e18
+        direction = layout.LIMITS + _DIRECTION * self.axes
+        product = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
+        is_bend = product > _STRAIGHT * pace * length * self._pace  # and not a corner
+        per_distance = 2 / (length + self._length)  # from one chord's middle to the next one's
+        rapid, bend_sqr = self._fastest, _LARGE
         for i in range(self.axes):
             per_mm = (end[i] - begin[i]) / length
             table[direction + i] = min(int(abs(per_mm) / pace * _UNIT), _UNIT)
-            bend = abs(per_mm - slope[i]) * between if bends else 0.0
+            bend = abs(per_mm - slope[i]) * per_distance if is_bend else 0.0
             slope[i], self._next[i] = per_mm, bend
             if per_mm:
                 rapid = min(rapid, self._rates[i] / abs(per_mm))
@@ -282,11 +297,11 @@ class NonlinearPlanner(Planner):
         rapid = min(rapid, math.sqrt(bend_sqr))
         rate = self._rate(move, rapid)
         fast_sqr = min(rapid, 2 * rate) ** 2  # overrides go to 200 %
-        accel = 1e18
+        accel = _LARGE
         for i in range(self.axes):
             if slope[i]:
-                left = self._accelerations[i] - self._next[i] * fast_sqr
-                accel = min(accel, left / abs(slope[i]))
+                available = self._accelerations[i] - self._next[i] * fast_sqr  # less the bend
+                accel = min(accel, available / abs(slope[i]))
         ring[at + layout.RAPID], ring[at + layout.ACCEL] = (
             minifloat.real(rapid),
             minifloat.real(accel),
@@ -296,7 +311,7 @@ class NonlinearPlanner(Planner):
         self._pace, self._length = pace, length
 
     def _rate(self, move: "Move", rapid: float) -> float:
-        """Return the programmed rate in mm/s."""
+        """Return the programmed rate in mm/s: of a rapid, the highest one."""
         if move.flags & layout.RAPID_MOTION:
             return rapid
         return max(move.feed, 1.0) / 60

@@ -27,27 +27,28 @@ def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
     if len(words) > axes:
         raise ValueError("MOVES has %d words, and there are %d axes" % (len(words), axes))
     moves = [_motor(word, axes) for word in words] + [1 << i for i in range(len(words), axes)]
+    # The columns of the matrix, one per axis, must be orthogonal: then its transpose inverts it.
     for axis in range(axes):
         for other in range(axis + 1):
-            together = sum([_sign(motor, axis) * _sign(motor, other) for motor in moves])
-            if axis == other and not together:
+            scalar_product = sum([_sign(motor, axis) * _sign(motor, other) for motor in moves])
+            if axis == other and not scalar_product:
                 raise ValueError("MOVES: no motor moves %s" % LETTERS[axis])
-            if axis != other and together:
+            if axis != other and scalar_product:
                 pair = LETTERS[other], LETTERS[axis]
                 raise ValueError("MOVES: %s and %s cannot move alone" % pair)
     return moves
 
 
 def _motor(word: str, axes: int) -> int:
-    """Return the masks for a motor's word."""
+    """Return the masks for a motor's word, such as X-Z: axes, and reversed axes << REVERSE."""
     moves = 0
     shift = 0
-    for sign in word:
-        axis = LETTERS[:axes].find(sign)
-        if sign in "+-":
-            shift = REVERSE if sign == "-" else 0
+    for character in word:
+        axis = LETTERS[:axes].find(character)
+        if character in "+-":
+            shift = REVERSE if character == "-" else 0
         elif axis < 0 or (moves | moves >> REVERSE) >> axis & 1:
-            raise ValueError("MOVES: %s in %s is no axis, or there twice" % (sign, word))
+            raise ValueError("MOVES: %s in %s is no axis, or there twice" % (character, word))
         else:
             moves |= 1 << axis + shift
             shift = 0
@@ -55,7 +56,10 @@ def _motor(word: str, axes: int) -> int:
 
 
 def _sign(moves: int, axis: int) -> int:
-    """Return the direction in which a motor turns for an axis: 1, -1, or 0 for not at all."""
+    """Return the direction in which a motor turns for an axis: 1, -1, or 0 for not at all.
+
+    moves: the motor's masks, as _motor() returns them.
+    """
     return (moves >> axis & 1) - (moves >> axis + REVERSE & 1)
 
 

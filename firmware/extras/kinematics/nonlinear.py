@@ -24,14 +24,15 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_WORDS = ("COREXY", "MOVES", "MOTORS", "ROTARY", "JERK", "CLUSTERS")
-_ASKED = ("inverse", "forward", "START", "HOME", "TRAVEL", "CENTRED", "FASTEST")
+# Options that exclude KINEMATICS, and the names that the geometry module must have.
+_EXCLUDED = ("COREXY", "MOVES", "MOTORS", "ROTARY", "JERK", "CLUSTERS")
+_REQUIRED = ("inverse", "forward", "START", "HOME", "TRAVEL", "CENTRED", "FASTEST")
 
 
 def _geometry(name: str, axes: int) -> "Geometry":
     """Import the geometry module. ValueError if it lacks a name or has a wrong length."""
     geometry: "Any" = __import__(name)
-    for word in _ASKED:
+    for word in _REQUIRED:
         if not hasattr(geometry, word):
             raise ValueError("KINEMATICS: %s.py has no %s" % (name, word))
     for word in ("START", "HOME", "TRAVEL"):
@@ -44,7 +45,7 @@ def _geometry(name: str, axes: int) -> "Geometry":
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Select kinematics, planner, canon and homing. ValueError if the board file is wrong."""
     option = board.__dict__.get
-    for word in _WORDS:
+    for word in _EXCLUDED:
         if option(word):
             raise ValueError("KINEMATICS and %s are not for the same machine" % word)
     geometry = _geometry(option("KINEMATICS", ""), options.axes)

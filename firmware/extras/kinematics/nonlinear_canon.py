@@ -43,6 +43,7 @@ class NonlinearCanon(Canon):
         """Apply settings, as Canon.configure(). CENTRED axes have travel on both sides of 0."""
         super().configure()
         for axis in self.planner.kinematics.geometry.CENTRED:
+            # SHUT is a mask of the sides that 0 limits: above it, and below it from bit BELOW on.
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
 
     def line(self, target: "array[float]", move: "Move") -> None:
@@ -69,34 +70,39 @@ class NonlinearCanon(Canon):
         super().jog(target, move)
 
     def check_block(self) -> None:
-        """Refuse a line whose motion leaves the reach."""
+        """Refuse a line whose motion leaves the reach: a G28 or G30 (by way of the axis words, to
+        the stored position), or a motion of G0 to G3."""
         ints, xyz, code = self.block.ints, self.block.xyz, errors.GCODE_INVALID_TARGET
-        place = self.modes.position
+        start = self.modes.position
         if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):
-            if ints[b.CLAIM]:
-                self.check(place, xyz, None, code)
-                place = xyz
-            self.check(place, self.block.stored, None, code)
+            if ints[b.CLAIM]:  # it has axis words
+                self.check(start, xyz, None, code)
+                start = xyz
+            self.check(start, self.block.stored, None, code)
         elif ints[b.CLAIM] == b.AXES_MOTION and ints[b.WORDS] & b.AXIS_WORDS:
-            bent = ints[MOTION] in (b.CW_ARC, b.CCW_ARC)
-            self.check(place, xyz, self.block.arc if bent else None, code)
+            is_arc = ints[MOTION] in (b.CW_ARC, b.CCW_ARC)
+            self.check(start, xyz, self.block.arc if is_arc else None, code)
 
     def check(
         self, start: "array[float]", target: "array[float]", arc: "Arc | None", code: int
     ) -> None:
-        """Refuse a path from start that leaves the reach. All its chords are checked."""
+        """Refuse a path from start to target (mm) that leaves the reach, by error `code`.
+
+        All its chords are checked. The link is read meanwhile, because that takes long.
+        """
         planner, course = self.planner, self.planner.course
         joints = vector(planner.axes)
         copy(planner.joints, joints, planner.axes)
-        reached = planner.kinematics.geometry.inverse(start, joints)
+        is_in_reach = planner.kinematics.geometry.inverse(start, joints)
         course.start_path(start, joints, target, arc, self._settings.arc_tolerance_mm)
-        while reached and course.has_next():
-            reached = course.next_chord()
+        while is_in_reach and course.has_next():
+            is_in_reach = course.next_chord()
             self.pump()
-        if not reached:
+        if not is_in_reach:
             self._refuse(code)
 
     def _refuse(self, code: int) -> None:
+        """Report the position that is out of reach, and raise GrblError."""
         letters = zip(LETTERS, self.planner.course.place)
         self.tell("%s is out of reach" % " ".join(["%s%.3f" % pair for pair in letters]))
         raise GrblError(code)
@@ -108,13 +114,14 @@ class NonlinearCanon(Canon):
             self.service()
 
     def _is_cut(self) -> bool:
+        """Return whether the rest of the path is not to be planned: a reset, or a contact."""
         return self.planner.synced or self.stop_planning
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
         """Plan a line or an arc as chords, as Canon._plan_line() plans lines."""
         state, planner, course = self._state, self.planner, self.planner.course
         arc, self._arc = self._arc, None
-        limited = state.run != st.JOG and not self._is_jog
+        limited = state.run != st.JOG and not self._is_jog  # a jog has been checked before
         if limited and self.outside(target):
             self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
@@ -123,7 +130,7 @@ class NonlinearCanon(Canon):
             planner.place, planner.joints, target, arc, self._settings.arc_tolerance_mm
         )
         if move.flags & layout.INVERSE_TIME:
-            move.feed *= course.path.length
+            move.feed *= course.path.length  # G93: from 1/min to mm/min
             move.flags &= ~layout.INVERSE_TIME
         planner.synced = False
         moves = False
@@ -169,11 +176,12 @@ class NonlinearHoming(HomingProbing):
         for i in range(planner.axes):
             if axes >> i & 1:
                 pull_off = 0.0 if self._zero_origin else settings.homing_pull_off_mm
-                if not settings.homing_dir_invert >> i & 1:
+                if not settings.homing_dir_invert >> i & 1:  # the switch is at the positive end
                     pull_off = -pull_off
                 planner.set_axis(self._steps, i, planner.kinematics.home[i] + pull_off)
         self._engine.set_position(self._steps)
 
     def _on_contact(self) -> None:
+        """Stop the probing move, as HomingProbing._on_contact(), and its planning. Interrupt."""
         super()._on_contact()
         self._canon.stop_planning = self._contact

@@ -54,25 +54,30 @@ class RotaryPlanner(Planner):
     on_arc = minifloat.ONE  # a helix' length, rotary axes included, per length without them
     block: "Block"
 
-    _times = minifloat.ONE
+    _times = minifloat.ONE  # factor of rate(): on_arc while an arc is planned
 
     @micropython.native
     def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a line, as Planner.plan()."""
+        """Plan a line, as Planner.plan(). rate: of the linear axes, a real.
+
+        The planner's rate is along the path of all axes, so it is longer than the linear part by
+        the ratio of stretch(). A line of rotary axes only has its rate in degrees per minute,
+        which G20 has multiplied by 25.4.
+        """
         if not flags & _ITS_OWN_RATE:
-            times = stretch(target, self.table, self.ring, self.flow, self.linear)
-            if times == 0:
-                times = _PER_INCH if self.block.ints[INCHES] else minifloat.ONE
-            rate = minifloat.mul(rate, times)
+            factor = stretch(target, self.table, self.ring, self.flow, self.linear)
+            if factor == 0:  # no linear axis moves
+                factor = _PER_INCH if self.block.ints[INCHES] else minifloat.ONE
+            rate = minifloat.mul(rate, factor)
         return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """Plan an arc's chords, as Planner.chords()."""
         if not move.flags & _ITS_OWN_RATE:
             self._times = self.on_arc
-        found = super().chords(course, move, power, moves)
+        result = super().chords(course, move, power, moves)
         self._times = minifloat.ONE
-        return found
+        return result
 
     def rate(self, feed: float) -> int:
         """Return a feed rate, as Planner.rate(), along the path of all axes."""
@@ -92,12 +97,13 @@ class RotaryCanon(Canon):
         """Apply settings, as Canon.configure(). Endless axes have no limit of travel."""
         super().configure()
         for axis in self.endless():
+            # SHUT is a mask of the sides that 0 limits: above it, and below it from bit BELOW on.
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
             self.limit(axis, _EXACT / self.planner.steps_per_mm[axis])
             arcs.limit(self.course, axis, -arcs.FARTHEST, arcs.FARTHEST)
 
     def endless(self) -> "list[int]":
-        """Return the endless axes."""
+        """Return the endless axes: rotary axes whose travel setting is 0."""
         return [axis for axis in self.axes if not self._settings.max_travel[axis]]
 
     def outside(self, target: "array[float]") -> bool:
@@ -121,25 +127,25 @@ class RotaryCanon(Canon):
             exact = _EXACT / planner.steps_per_mm[axis]
             if not abs(target[axis]) > exact:
                 continue
-            turned = self._turned(axis, target)
-            if turned and state.run != st.CHECK:
+            turns = self._whole_turns(axis, target)
+            if turns and state.run != st.CHECK:
                 while not planner.empty() or self._motor_control.moving:
                     self.auto_start()
                     self.service()
-                turned = self._turned(axis, target)
-                self._take_off(axis, turned)
-            if turned:
-                target[axis] -= turned
-                self.modes.position[axis] -= turned
+                turns = self._whole_turns(axis, target)  # a hold may have ended the motion
+                self._take_off(axis, turns)
+            if turns:
+                target[axis] -= turns
+                self.modes.position[axis] -= turns
                 g92 = array("f", self.coords.g92)
-                g92[axis] -= turned
+                g92[axis] -= turns
                 self.coords.set_g92(g92)
-                state.wco_countdown = 0
+                state.wco_countdown = 0  # the next status report has the offsets
                 state.invalidate_lines()
             far = min(abs(target[axis]), planner.reach_mm(axis))
             self.limit(axis, max(far, exact))
 
-    def _turned(self, axis: int, target: "array[float]") -> float:
+    def _whole_turns(self, axis: int, target: "array[float]") -> float:
         """Return an axis' whole turns in degrees: those planned, or in check mode all of them."""
         if self._state.run == st.CHECK:
             return int(target[axis] / _TURN) * _TURN
@@ -147,34 +153,39 @@ class RotaryCanon(Canon):
         return int(steps / self.planner.steps_per_mm[axis] / _TURN) * _TURN
 
     def _take_off(self, axis: int, degrees: float) -> None:
-        """Subtract degrees from an axis' position, exact to the step. Call it while idle."""
+        """Subtract degrees from an axis' position, rounded to steps. Call it while idle."""
         planner, engine = self.planner, self.engine
         motors = array("i", bytes(4 * planner.motors))
         engine.position(motors)
         steps = degrees * planner.steps_per_mm[axis]
-        place = planner.axis_steps(motors, axis) - int((steps + 0.5) // 1)
+        position = planner.axis_steps(motors, axis) - int((steps + 0.5) // 1)
         if planner.kinematics:
-            planner.kinematics.set_axis(motors, axis, place)
+            planner.kinematics.set_axis(motors, axis, position)
         else:
-            motors[axis] = place
+            motors[axis] = position
         engine.set_position(motors)
         planner.sync_motors(motors)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """Request an arc, as Canon.arc(). The time of G93 applies to all axes."""
+        """Request an arc, as Canon.arc(). The time of G93 applies to all axes.
+
+        on_arc becomes the length of the path of all axes per length of the linear ones.
+        """
         self._unwind(target)
-        timed = move.flags & layout.INVERSE_TIME
+        inverse_time = move.flags & layout.INVERSE_TIME
         super().arc(start, target, arc, move)
-        move.flags |= timed
-        way = turns = 0.0
+        move.flags |= inverse_time  # Canon.arc() has cleared it; no factor applies to that rate
+        linear_sqr = rotary_sqr = 0.0
         plane = arc.plane[ONE_AXIS], arc.plane[OTHER_AXIS]
         for i in range(len(start)):
             if i in self.axes:
-                turns += (target[i] - start[i]) ** 2
+                rotary_sqr += (target[i] - start[i]) ** 2
             elif i not in plane:
-                way += (target[i] - start[i]) ** 2
-        way += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2
-        self.planner.on_arc = minifloat.real(math.sqrt(1 + turns / way)) if way else minifloat.ONE
+                linear_sqr += (target[i] - start[i]) ** 2
+        linear_sqr += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2
+        self.planner.on_arc = minifloat.ONE
+        if linear_sqr:
+            self.planner.on_arc = minifloat.real(math.sqrt(1 + rotary_sqr / linear_sqr))
 
 
 def mask_of(letters: str, axes: int) -> int:
@@ -188,7 +199,7 @@ def mask_of(letters: str, axes: int) -> int:
     return mask
 
 
-_found: "dict[str, int]" = {}
+_found: "dict[str, int]" = {}  # prepare() stores here what install() needs: masks of axes
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -223,13 +234,14 @@ def _home(machine: "Any", homed: int) -> None:
     """Hook into $H: axes without a switch are not homed.
 
     An endless axis gets one turn of travel meanwhile, so its search ends after one and a half
-    turns.
+    turns. homed: mask of the axes that are homed.
     """
     hooks, settings, canon = machine.state.hooks, machine.settings, machine.canon
     usual: "Callable[[int], bool]" = hooks.home
 
     def home(axes: int) -> bool:
-        if axes == 0:
+        """Home the axes, a mask; 0: all. Returns whether that succeeded."""
+        if axes == 0:  # Grbl's own order: Z, then all others together
             return home(1 << Z) and home(homed & ~(1 << Z))
         endless = [axis for axis in canon.endless() if axes >> axis & 1]
         for axis in endless:

@@ -5,9 +5,15 @@ Viper, for rotary.py. motion/layout.py defines the indices.
 """
 
 import micropython
+from micropython import const
 from motion.layout import AXES, HEAD, LENGTH, LIMITS, ROW_SIZE
 from motion.minifloat import BIAS, ONE, pack, square_root
 from motion.steps import measure, to_steps
+
+_DISTANCE = const(5)  # multiple of the number of axes, after LIMITS in the planner's table
+# A real: a mantissa of 15 bits, below its exponent.
+_BITS = const(15)
+_MANTISSA = const(32767)
 
 
 @micropython.viper
@@ -21,26 +27,27 @@ def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) 
     fit 31 bits.
     """
     to_steps(target, table)
-    at = flow[HEAD] * flow[ROW_SIZE]
+    at = flow[HEAD] * flow[ROW_SIZE]  # index of the free row
     if int(measure(table, ring, at)) == 0:
         return ONE
     axes = table[AXES]
-    distance = LIMITS + 5 * axes
-    top = 0
+    distance = LIMITS + _DISTANCE * axes  # measure() has left each axis' distance here, a real
+    highest_exponent = 0
     for i in range(axes):
-        exponent = table[distance + i] >> 15
-        if (linear >> i) & 1 and exponent > top:
-            top = exponent
+        exponent = table[distance + i] >> _BITS
+        if (linear >> i) & 1 and exponent > highest_exponent:
+            highest_exponent = exponent
     squares = 0
     for i in range(axes):
         mantissa = table[distance + i]
         if (linear >> i) & 1 and mantissa:
-            shift = top - (mantissa >> 15) + 1
-            mantissa = (mantissa & 32767) >> shift if shift < 15 else 0
+            shift = highest_exponent - (mantissa >> _BITS) + 1
+            mantissa = (mantissa & _MANTISSA) >> shift if shift < _BITS else 0
             squares += mantissa * mantissa
     if squares == 0:
         return 0
-    way = int(pack(int(square_root(squares)), top + 1))
+    linear_length = int(pack(int(square_root(squares)), highest_exponent + 1))
     length = ring[at + LENGTH]
-    exponent = (length >> 15) - (way >> 15) + BIAS - 15
-    return int(pack(((length & 32767) << 15) // (way & 32767), exponent))
+    # The quotient of the mantissas has 15 bits more than 1: the exponent has 15 less.
+    exponent = (length >> _BITS) - (linear_length >> _BITS) + BIAS - _BITS
+    return int(pack(((length & _MANTISSA) << _BITS) // (linear_length & _MANTISSA), exponent))

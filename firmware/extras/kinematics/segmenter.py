@@ -28,8 +28,11 @@ _SPLINTER = 0.25
 # Deviation allowed for such a chord, in tolerances. Beyond it the position is out of reach.
 _SPOT = 2.0
 _LONGER = 2.0  # length ratio of a chord to the one before, at most
-_CAUTION = 9 / 10
-_MOST_LOOKS = const(40)
+_CAUTION = 9 / 10  # a chord's length is corrected to this share of the one that just fits
+_MOST_LOOKS = const(40)  # positions that is_in_reach() checks
+_SAMPLES = (0.25, 0.75)  # parts of a chord at which its deviation is computed
+_END_PART = 1 - 1e-6  # a chord that ends after this part of the path ends with it
+_SHORTEST_CUT = 0.25  # a chord is never cut to less than this share of its length at once
 
 
 class Path:
@@ -57,6 +60,7 @@ class Path:
         self.length = math.sqrt(squares)
 
     def _bend(self, start: "array[float]", target: "array[float]", arc: "Arc") -> None:
+        """Set the circle of an arc. centre_0, centre_1: its centre, from start; a, b: its axes."""
         a, b = self._plane
         centre_0, centre_1 = arc.numbers[CENTRE_0], arc.numbers[CENTRE_1]
         self._radius = math.sqrt(centre_0 * centre_0 + centre_1 * centre_1)
@@ -91,10 +95,12 @@ class Segmenter:
         self.path = Path(axes)
         self.place = vector(axes)
         self.joints = vector(axes)
-        self._ahead = vector(axes)
+        self._ahead = vector(axes)  # joints at the end of the chord being computed
+        # At a sample of a chord: the joints, the tool's position that they give, and the path's.
         self._between = vector(axes)
         self._made = vector(axes)
         self._meant = vector(axes)
+        # As parts of the path, 0 to 1: the end of the last chord, and the next chord's length.
         self._part = self._step = 1.0
         self.tolerance = 0.002  # mm
 
@@ -115,7 +121,10 @@ class Segmenter:
         self._step = min(1.0, _LONGEST_MM / (self.path.length or 1.0))
 
     def is_in_reach(self) -> bool:
-        """Return whether the path is in reach. If not, place is the first position that is not."""
+        """Return whether the path is in reach, by positions at equal distances.
+
+        If not, place is the first of them that is not.
+        """
         copy(self.joints, self._ahead, self._axes)
         looks = min(int(self.path.length / _LONGEST_MM) + 1, _MOST_LOOKS)
         for i in range(looks + 1):
@@ -129,12 +138,17 @@ class Segmenter:
         return self._part < 1
 
     def next_chord(self) -> bool:
-        """Compute the next chord. Return False if it is out of reach; place is its end then."""
-        most, step = _LONGEST_MM / (self.path.length or 1.0), min(self._step, 1 - self._part)
+        """Compute the next chord. Return False if it is out of reach; place is its end then.
+
+        It begins with the length that fitted the chord before, and is cut until its deviation is
+        within the tolerance. step, longest: lengths as parts of the path.
+        """
+        longest = _LONGEST_MM / (self.path.length or 1.0)
+        step = min(self._step, 1 - self._part)
         allowed = self.tolerance * _SHARE
         while True:
             end = self._part + step
-            if end > 1 - 1e-6:
+            if end > _END_PART:
                 end = 1.0
             self.path.point_at(end, self.place)
             copy(self.joints, self._ahead, self._axes)
@@ -147,25 +161,29 @@ class Segmenter:
                 if strayed > _SPOT * self.tolerance:
                     return False
                 break
-            step *= max(_SPLINTER, _CAUTION * math.sqrt(allowed / strayed))
+            # A bend's deviation grows as the square of the chord's length.
+            step *= max(_SHORTEST_CUT, _CAUTION * math.sqrt(allowed / strayed))
         copy(self._ahead, self.joints, self._axes)
         self._part = end
         longer = _CAUTION * math.sqrt(allowed / strayed) if strayed else _LONGER
-        self._step = min(step * min(_LONGER, longer), most)
+        self._step = min(step * min(_LONGER, longer), longest)
         return True
 
     def _strays(self, end: float) -> float:
-        """Return the largest deviation of the tool within the next chord, in mm."""
+        """Return the largest deviation of the tool within the next chord, in mm.
+
+        end: the part of the path at which the chord ends. Its joints are in _ahead.
+        """
         between, made, meant = self._between, self._made, self._meant
         worst = 0.0
-        for part in (0.25, 0.75):
+        for part in _SAMPLES:
             for i in range(self._axes):
                 between[i] = self.joints[i] + part * (self._ahead[i] - self.joints[i])
             self._geometry.forward(between, made)
             self.path.point_at(self._part + part * (end - self._part), meant)
             squares = 0.0
             for i in range(self._axes):
-                away = made[i] - meant[i]
-                squares += away * away
+                deviation = made[i] - meant[i]
+                squares += deviation * deviation
             worst = max(worst, squares)
         return math.sqrt(worst)

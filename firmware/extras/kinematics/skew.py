@@ -45,10 +45,10 @@ _SETTINGS: "Rows" = (
     (782, "skew_yz", FLOAT, 0.0, "mm/m"),
 )
 _NUMBERS = (780, 781, 782)
-_MOST = const(100)
+_MOST = const(100)  # mm per m
 _PER_M = 1000.0
 _FACTOR_BITS = const(28)
-_WORDS = ("KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
+_EXCLUDED = ("KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
 
 
 class SkewKinematics(Kinematics):
@@ -68,7 +68,8 @@ class SkewKinematics(Kinematics):
         return super().axis_steps(motors, axis)
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """Return the position of an axis, as Kinematics.axis_steps()."""
+        """Return the position of an axis, as Kinematics.axis_steps(): its motor's, plus what the
+        motors of Y and Z bring along. Z and further axes have their motor's position."""
         steps = self.motor_of(motors, axis)
         if axis >= Z or self.homing or not self.active:
             return steps
@@ -78,6 +79,7 @@ class SkewKinematics(Kinematics):
         return steps + kernel.back_x(self.motor_of(motors, Y) - self._home(Y), z, self.skew)
 
     def _home(self, axis: int) -> int:
+        """Return the steps at which an axis' motor was homed; the skew is counted from there."""
         return self.skew[kernel.HOMED + axis] - FAR
 
     def homed(self, motors: "array[int]", axis: int) -> None:
@@ -93,8 +95,8 @@ class SkewKinematics(Kinematics):
         skew, before = self.skew, bytes(self.skew)
         self.active = False
         for i in range(len(factors)):
-            bits = _FACTOR_BITS - math.frexp(factors[i])[1]
-            bits = min(max(bits, kernel.FEWEST_BITS), kernel.MOST_BITS)
+            _, exponent = math.frexp(factors[i])  # the factor is less than 2**exponent
+            bits = min(max(_FACTOR_BITS - exponent, kernel.FEWEST_BITS), kernel.MOST_BITS)
             # // rounds down also for negative numbers; int() alone would truncate.
             factor = int((factors[i] * 2.0**bits + 0.5) // 1)
             skew[2 * i], skew[2 * i + 1] = FAR + factor, bits
@@ -113,10 +115,12 @@ class SkewPlanner(Planner):
     ) -> None:
         """Apply settings, as Planner.configure(), and $780 to $782."""
         super().configure(settings, tick_hz, segment_log2, step_hz)
-        asked: "Any" = settings
+        values: "Any" = settings
         x, y, z = self.steps_per_mm[:3]
-        per_m = (asked.skew_xy, x, y), (asked.skew_xz, x, z), (asked.skew_yz, y, z)
-        factors = [f32(f32(f32(mm * to) / of) / _PER_M) for mm, to, of in per_m]
+        # Each setting, with the steps per mm of the axis that is moved, and of the one that moves.
+        shears = (values.skew_xy, x, y), (values.skew_xz, x, z), (values.skew_yz, y, z)
+        # From mm per m to steps per step. f32 rounds as a board's single precision does.
+        factors = [f32(f32(f32(mm * moved) / moving) / _PER_M) for mm, moved, moving in shears]
         self.is_new |= self.kinematics.lean(factors)
 
     def reach_mm(self, axis: int) -> float:
@@ -125,7 +129,7 @@ class SkewPlanner(Planner):
 
     @micropython.native
     def lean(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a line, as Planner.plan()."""
+        """Plan a line, as Planner.plan(), to the motors' places. PLACED: TARGET has them."""
         kinematics = self.kinematics
         if kinematics.active and not kinematics.homing:
             to_steps(target, self.table)
@@ -137,7 +141,9 @@ class SkewPlanner(Planner):
         """Plan an arc's chords, as Planner.chords()."""
         if not moves or not self.kinematics.active:
             return super().chords(course, move, power, moves)
-        self.speeds[self.flow[layout.ROWS] + 1] = move.spindle_rpm
+        self.speeds[self.flow[layout.ROWS] + 1] = (
+            move.spindle_rpm
+        )  # the kernel copies it per chord
         return kernel.follow_arc(
             course,
             self.table,
@@ -159,7 +165,7 @@ class SkewPlanner(Planner):
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Select kinematics and planner. ValueError if the board file does not allow them."""
-    for word in _WORDS:
+    for word in _EXCLUDED:
         if board.__dict__.get(word):
             raise ValueError("SKEW and %s are not for the same machine" % word)
     for number in _NUMBERS:
@@ -194,6 +200,7 @@ def _home(machine: "Any") -> None:
     motors = array("i", (0 for _ in range(machine.planner.motors)))
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask, and tell the kinematics where they are."""
         kinematics.homing = True
         try:
             usual(axes)

@@ -22,24 +22,26 @@ LENGTH = const(9)
 
 _Y = const(1)
 _Z = const(2)
-_BITS = const(15)  # factors and ways are multiplied in two halves
+_BITS = const(15)  # factors and distances are multiplied in two halves, the lower one of 15 bits
 MOST_BITS = const(36)
 FEWEST_BITS = const(21)
 _PART_BITS = const(6)  # shears are in 2**-6 step until they are added
-_HALF = const(32)
+_HALF = const(32)  # half a step in that unit, for rounding
 
 
 @micropython.viper
-def shear(way: int, skew: ptr32, at: int) -> int:
-    """Return way * factor, in 2**-6 step. way: steps, up to 2**24 in size.
+def shear(distance: int, skew: ptr32, index: int) -> int:
+    """Return distance * factor, in 2**-6 step. distance: steps, up to 2**24 in size.
 
-    factor = (skew[at] - FAR) / 2**skew[at + 1]. Both are split at 15 bits, so that each of the
-    four products fits 32 bits.
+    factor = (skew[index] - FAR) / 2**skew[index + 1]; index: XY, XZ or YZ. Both are split at 15
+    bits, so that each of the four products fits 32 bits:
+
+        distance = above * 2**15 + below        factor = high * 2**15 + low
     """
-    factor = skew[at] - FAR
-    bits = skew[at + 1] - _PART_BITS
-    above = way >> _BITS
-    below = way - (above << _BITS)
+    factor = skew[index] - FAR
+    bits = skew[index + 1] - _PART_BITS
+    above = distance >> _BITS
+    below = distance - (above << _BITS)
     high = factor >> _BITS
     low = factor - (high << _BITS)
     middle = above * low + below * high + ((below * low) >> _BITS)
@@ -61,10 +63,10 @@ def back_y(z: int, skew: ptr32) -> int:
 @micropython.viper
 def to_motors(table: ptr32, skew: ptr32) -> int:
     """Replace TARGET in the planner's table, steps of axes, by steps of their motors."""
-    at = LIMITS + TARGET * table[AXES]
-    z = table[at + _Z] - skew[HOMED + _Z]
-    table[at + _Y] = table[at + _Y] - int(back_y(z, skew))
-    table[at] = table[at] - int(back_x(table[at + _Y] - skew[HOMED + _Y], z, skew))
+    x = LIMITS + TARGET * table[AXES]  # index of X's target; Y and Z follow
+    z = table[x + _Z] - skew[HOMED + _Z]
+    table[x + _Y] = table[x + _Y] - int(back_y(z, skew))
+    table[x] = table[x] - int(back_x(table[x + _Y] - skew[HOMED + _Y], z, skew))
     return 0
 
 
@@ -81,9 +83,13 @@ def follow_arc(
     rate: int,
     skew: ptr32,
 ) -> int:
-    """Plan an arc's chords, as arcs.follow(), where something moves."""
-    found = 0
-    while found == 0:
+    """Plan an arc's chords, as arcs.follow(), where something moves. Return its result:
+
+    0 after some chords (the caller then services the machine) or all of them, OUTSIDE if the next
+    is outside the travel, FULL if no row is free, NOWHERE if a chord has no steps.
+    """
+    result = 0
+    while result == 0:
         if course[KNOWN] == 0:
             course[KNOWN] = 1
             if int(advance(course, table)):
@@ -91,14 +97,14 @@ def follow_arc(
             to_motors(table, skew)
         if int(full(flow)):
             return FULL
-        at = flow[HEAD]
+        row = flow[HEAD]
         if int(plan(course, table, ring, flow, flags, line, power, rate)):
-            speeds[at] = speeds[flow[ROWS] + 1]
+            speeds[row] = speeds[flow[ROWS] + 1]
         else:
-            found = NOWHERE
+            result = NOWHERE
         course[KNOWN] = 0
-        at = course[LEFT] - 1
-        course[LEFT] = at
-        if at & SOME == 0:
+        chords_left = course[LEFT] - 1
+        course[LEFT] = chords_left
+        if chords_left & SOME == 0:
             break
-    return found
+    return result

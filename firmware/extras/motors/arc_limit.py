@@ -25,10 +25,11 @@ def install(cnc: "Cnc") -> None:
     """Hook into the requests of arcs."""
     canon: "Any" = cnc.machine.canon
     settings: "Any" = cnc.machine.settings
-    usual = canon.arc
+    previous = canon.arc
 
     def arc(start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        usual(start, target, arc, move)  # planned by finish(); move.feed is in mm/min now
+        """Prepare an arc, then limit its feed: v * v / radius is at most the acceleration."""
+        previous(start, target, arc, move)  # planned by finish(); move.feed is in mm/min now
         plane, accelerations = arc.plane, settings.acceleration  # mm/min2
         accel = min(accelerations[plane[ONE_AXIS]], accelerations[plane[OTHER_AXIS]])
         move.feed = min(move.feed, sqrt(accel * arc.numbers[RADIUS]))

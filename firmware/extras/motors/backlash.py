@@ -43,7 +43,7 @@ _SETTINGS: "Rows" = (
 _FIRST = const(160)
 _MOST_MM = const(5)
 _UNKNOWN = const(-1)  # the axis' position within its slack is unknown
-_WORDS = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PARKING")
+_EXCLUDED = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PARKING")
 
 
 class BacklashKinematics(Kinematics):
@@ -83,8 +83,12 @@ class BacklashPlanner(Planner):
         self.synced = True
 
     def take_up(self, ways: "array[int]", move: "Move", power: int) -> bool:
-        """Plan a system move by `ways` steps per axis, as a rapid. Return whether it moves."""
+        """Plan a system move by `ways` steps per axis, as a rapid. Return whether it moves.
+
+        move: the program's, which keeps its line number, spindle and coolant.
+        """
         table = self.table
+        # The table's targets, followed by the positions of all axes; the program's are put back.
         places = memoryview(table)[layout.LIMITS + layout.TARGET * self.axes :]
         before = array("i", places[: 2 * self.axes])
         for i in range(self.axes):
@@ -112,12 +116,13 @@ class BacklashCanon(Canon):
     def __init__(self, *parts: "Any") -> None:
         super().__init__(*parts)
         axes = self.planner.axes
-        self.steps = array("i", bytes(4 * axes))
+        self.steps = array("i", bytes(4 * axes))  # the whole slack of each axis, in motor steps
         self.ahead = array("i", (_UNKNOWN for _ in range(axes)))
-        self._ways = array("i", bytes(4 * axes))
-        self._signs = array("i", bytes(4 * axes))
+        self._ways = array("i", bytes(4 * axes))  # steps that each motor has to turn
+        self._signs = array("i", bytes(4 * axes))  # directions of the next line: 1, -1 or 0
+        # Motor steps before and after slack is taken up.
         self._before = array("i", bytes(4 * self.planner.motors))
-        self._behind = array("i", bytes(4 * self.planner.motors))
+        self._after = array("i", bytes(4 * self.planner.motors))
 
     def configure(self) -> None:
         """Apply the settings, as Canon.configure(), and $160 and the others."""
@@ -131,9 +136,9 @@ class BacklashCanon(Canon):
             if not self.steps[i]:
                 self.ahead[i] = _UNKNOWN  # not counted so far
             elif self.ahead[i] >= self.steps[i]:
-                self.ahead[i] = steps
+                self.ahead[i] = steps  # the motor is still at the negative end of the slack
             elif self.ahead[i] > steps:
-                self.ahead[i] = _UNKNOWN
+                self.ahead[i] = _UNKNOWN  # the slack was at least larger than the new value says
             self.steps[i] = steps
 
     def pulled_off(self, axis: int, upwards: bool) -> None:
@@ -144,6 +149,8 @@ class BacklashCanon(Canon):
         """Take up slack if an axis reverses, then plan as Canon._plan_line()."""
         state = self._state
         if self.active and state.run != st.CHECK:
+            # A program's target outside the travel is left to Canon._plan_line(), which raises
+            # the alarm; a jog's has been checked.
             if state.run == st.JOG or self._is_jog or not self.outside(target):
                 to_steps(target, self.planner.table)
                 if not self._take_up(move):
@@ -204,23 +211,30 @@ class BacklashCanon(Canon):
         return self._slack_ahead()
 
     def _slack_ahead(self) -> bool:
-        """Compute how far each motor has to turn, into _ways. Return whether any has to."""
-        found = False
+        """Compute how far each motor has to turn, into _ways. Return whether any has to.
+
+        In the positive direction that is `ahead`, in the negative one the rest of the slack.
+        """
+        has_slack = False
         for i in range(self.planner.axes):
             sign = self._signs[i]
-            way = 0
+            steps = 0
             if sign and self.ahead[i] != _UNKNOWN:
-                way = self.ahead[i] if sign > 0 else self.ahead[i] - self.steps[i]
-            self._ways[i] = way
-            found = found or way != 0
-        return found
+                steps = self.ahead[i] if sign > 0 else self.ahead[i] - self.steps[i]
+            self._ways[i] = steps
+            has_slack = has_slack or steps != 0
+        return has_slack
 
     def _move_motors(self, move: "Move") -> None:
         """Turn the motors, with the axes at standstill, and count the steps made.
 
         Hold and reset work meanwhile, so they may be fewer than requested.
         """
-        planner, kinematics, drive = self.planner, self.planner.kinematics, self._motor_control
+        planner, kinematics, motor_control = (
+            self.planner,
+            self.planner.kinematics,
+            self._motor_control,
+        )
         axes = range(planner.axes)
         power = 0 if self._spindle.laser else self.power_of(move)
         self.engine.position(self._before)
@@ -229,13 +243,13 @@ class BacklashCanon(Canon):
         planner.take_up(self._ways, move, power)
         kinematics.held = sum([1 << i for i in axes if self._ways[i]])
         try:
-            drive.start(st.JOG if self._is_jog else st.RUN)
-            while drive.moving or self._state.run == st.HOLD:  # a hold ends a little later
+            motor_control.start(st.JOG if self._is_jog else st.RUN)
+            while motor_control.moving or self._state.run == st.HOLD:  # a hold ends a little later
                 self.service()
         finally:
-            self.engine.position(self._behind)
+            self.engine.position(self._after)
             for i in axes:
-                made = kinematics.motor_of(self._behind, i)
+                made = kinematics.motor_of(self._after, i)
                 made -= kinematics.motor_of(self._before, i)
                 if self._ways[i]:
                     self.ahead[i] -= made
@@ -246,7 +260,7 @@ class BacklashCanon(Canon):
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Select planner, canon and kinematics. ValueError if the board file does not allow them."""
-    for word in _WORDS:
+    for word in _EXCLUDED:
         if board.__dict__.get(word):
             raise ValueError("BACKLASH and %s are not for the same machine" % word)
     for i in range(options.axes):
@@ -258,6 +272,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def _check(mm: float) -> None:
+    """Refuse a slack that is too large, by GrblError."""
     if not mm <= _MOST_MM:
         raise GrblError(errors.INVALID_STATEMENT)
 
@@ -288,13 +303,15 @@ def install(cnc: "Cnc") -> None:
 def _hook_homing(machine: "Any") -> None:
     """Hook into homing: it leaves the slack on the side from which the axis has pulled off."""
     canon, hooks, settings = machine.canon, machine.state.hooks, machine.settings
-    usual: "Callable[[int], None]" = hooks.find_switches
+    previous: "Callable[[int], None]" = hooks.find_switches
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask. Until then the side of their slack is not
+        known."""
         for i in range(machine.planner.axes):
             if axes >> i & 1:
                 canon.ahead[i] = _UNKNOWN
-        usual(axes)
+        previous(axes)
         for i in range(machine.planner.axes):
             if axes >> i & 1:
                 canon.pulled_off(i, bool(settings.homing_dir_invert >> i & 1))
@@ -311,6 +328,7 @@ def _hook_probing(machine: "Any") -> None:
     usual_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
+        """Probe, and store the contact position."""
         reached: bool = usual_probe(target, move, away, alarms)
         if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
             copy(usual_position(), place, axes)

@@ -59,7 +59,7 @@ _OFFSETS: "Rows" = (
 _MOST_OFFSET_MM = const(10)
 _MOTORS_OF_AN_AXIS = const(2)
 _FEWEST_AXES = const(3)
-_MASKS = (2, 3)
+_MASKS = (2, 3)  # $2 and $3, step and direction invert
 
 
 class GangedSettings(Settings):
@@ -68,6 +68,7 @@ class GangedSettings(Settings):
     pairs: "Pairs" = ()
 
     def _announce(self, number: int) -> None:
+        """Announce a change, as Settings._announce(), with the inverts of motors for engines."""
         self.step_invert = self._of_motors(self.step_invert, 0)
         self.dir_invert = self._of_motors(
             self.dir_invert,
@@ -78,12 +79,13 @@ class GangedSettings(Settings):
     def _of_motors(self, axes: int, turned: int) -> int:
         """Return a bit per motor for a mask of axes. turned: axes with inverted second motor."""
         axes &= (1 << self._axes) - 1
-        motors = axes
+        motors = axes  # the first motors have the numbers of their axes
         for axis, motor in self.pairs:
             motors |= ((axes ^ turned) >> axis & 1) << motor
         return motors
 
     def _shown(self, number: int, row: "Row") -> float:
+        """Return a setting's value for $$, as Settings._shown(), of masks only the axes' bits."""
         amount = super()._shown(number, row)
         return int(amount) & (1 << self._axes) - 1 if number in _MASKS else amount
 
@@ -95,12 +97,12 @@ class GangedInputs(Inputs):
 
     def closed(self) -> int:
         """Return Inputs.closed(); an axis' bit is set if any of its switches is closed."""
-        found = super().closed()
+        closed = super().closed()
         limits = self.limits()
         for axis, motor in self.pairs:
             if limits >> motor & 1:
-                found |= 2 << axis  # bit 0 is the probe
-        return found
+                closed |= 2 << axis  # bit 0 is the probe
+        return closed
 
     def add(self, pairs: "Pairs") -> None:
         """Use the limit switches of these second motors, too."""
@@ -121,7 +123,9 @@ class GangedHoming(HomingProbing):
     def connect(self, pairs: "Pairs") -> None:
         """Set the pairs whose motors have a switch each."""
         self.pairs = pairs
-        self._racked = [0 for _ in pairs]  # steps, until the start of the present phase
+        # Of each pair, the steps by which the first motor has gone further than the second until
+        # the start of the present phase: engine positions start at 0 in each.
+        self._racked = [0 for _ in pairs]
 
     def home(self, axes: int) -> bool:
         """Home, as Seek.home(). Refuse if a switch of a squared axis is closed already.
@@ -138,6 +142,7 @@ class GangedHoming(HomingProbing):
         return super().home(axes)
 
     def find_switches(self, axes: int) -> None:
+        """Home these axes (a mask), as HomingProbing.find_switches(), with their second motors."""
         for axis, motor in self.pairs:
             if axes >> axis & 1:
                 axes |= 1 << motor
@@ -165,6 +170,10 @@ class GangedHoming(HomingProbing):
         return self._steps[axis] - self._steps[motor]
 
     def _failed(self, approach: bool, axes: int) -> bool:
+        """Return whether a phase has failed, as HomingProbing._failed(), and set the alarm.
+
+        An approach also fails if one motor has searched too far alone.
+        """
         if super()._failed(approach, axes) or not approach:
             return self._state.alarm != 0
         for i, (axis, motor) in enumerate(self.pairs):
@@ -177,23 +186,30 @@ class GangedHoming(HomingProbing):
     def _most_mm(self, axis: int) -> float:
         """Return how far, in mm, one motor may search for its switch alone."""
         settings: "Any" = self._settings
-        across = settings.max_travel[Y if axis == X else X]
-        most: float = max(across * settings.racking_percent / 100, settings.racking_least_mm)
+        width = settings.max_travel[Y if axis == X else X]  # of the gantry
+        most: float = max(width * settings.racking_percent / 100, settings.racking_least_mm)
         most = min(most, settings.racking_most_mm)
         return most + abs(self._offset_mm(axis))  # by which the axis is racked
 
     def _offset_mm(self, axis: int) -> float:
+        """Return the squaring offset of an axis: $170 to $175, in mm."""
         offset: float = getattr(self._settings, _OFFSETS[axis][1])
         return offset
 
     def _set_origin(self, axes: int) -> None:
+        """Square these axes (a mask), then set their positions as HomingProbing._set_origin().
+
+        Both motors get the steps of a pull-off by the offset, but one is locked and stands still:
+        the first for a positive offset, else the second.
+        """
         for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
                 offset = self._offset_mm(axis)
-                both = 1 << axis | 1 << motor
+                both_motors = 1 << axis | 1 << motor
                 if offset:
                     self._engine.lock(1 << (axis if offset > 0 else motor))
-                    super().home_phase(both, False, abs(offset), self._settings.homing_feed)
+                    feed = self._settings.homing_feed
+                    super().home_phase(both_motors, False, abs(offset), feed)
                 self._racked[i] = 0
         super()._set_origin(axes)
 
@@ -213,7 +229,11 @@ def count_axes(letters: str, motors: int) -> int:
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Assign motors to axes. ValueError if the board file is wrong."""
+    """Assign motors to axes. ValueError if the board file is wrong.
+
+    moves: per motor the mask of its axes. alone: the mask of motors that stop at a switch of
+    their own, while the axis' other motor goes on.
+    """
     option = board.__dict__.get
     letters: str = option("MOTORS", "")
     limits: "tuple[int | None, ...]" = option("LIMIT", ())
@@ -231,9 +251,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
             if limits[axis] is None:
                 raise ValueError("LIMIT: %s has its second switch only" % letters[motor])
             alone |= 1 << axis | 1 << motor
-    for row in _OFFSETS:
-        if not abs(options.defaults.get(row[0], 0.0)) <= _MOST_OFFSET_MM:
-            raise ValueError("DEFAULTS: $%d is %d mm at the most" % (row[0], _MOST_OFFSET_MM))
+    for number, _, _, _, _ in _OFFSETS:
+        if not abs(options.defaults.get(number, 0.0)) <= _MOST_OFFSET_MM:
+            raise ValueError("DEFAULTS: $%d is %d mm at the most" % (number, _MOST_OFFSET_MM))
     options.kinematics = Kinematics(axes, moves, alone)
     options.settings, options.inputs, options.homing_probing = (
         GangedSettings,
@@ -249,8 +269,9 @@ def install(cnc: "Cnc") -> None:
     kinematics, axes = planner.kinematics, planner.axes
     pairs: "Pairs" = ()
     for motor in range(axes, planner.motors):
-        pairs += ((kinematics.moves.index(kinematics.moves[motor]), motor),)
-    squared = tuple([pair for pair in pairs if kinematics.alone >> pair[1] & 1])
+        first_motor = kinematics.moves.index(kinematics.moves[motor])
+        pairs += ((first_motor, motor),)
+    squared = tuple([(axis, motor) for axis, motor in pairs if kinematics.alone >> motor & 1])
     settings.pairs = pairs
     machine.inputs.add(squared)
     machine.homing_probing.connect(squared)

@@ -53,7 +53,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     if len(words) > len(_CYCLES):
         raise ValueError("HOMING has %d parts: there may be %d" % (len(words), len(_CYCLES)))
     masks = {}
-    seen = 0
+    seen = 0  # mask of the axes named so far
     for i, word in enumerate(words):
         mask = 0
         for letter in word:
@@ -71,13 +71,14 @@ def install(cnc: "Cnc") -> None:
     """Let $H use this order. A command for one axis ($HX) has no order."""
     hooks, settings = cnc.machine.state.hooks, cnc.machine.settings
     all_axes = (1 << cnc.machine.planner.axes) - 1
-    usual = hooks.home
+    previous = hooks.home
 
     def home(axes: int) -> bool:
+        """Home the axes, a mask; 0: all, in the order of the settings, if there is one."""
         cycles = [getattr(settings, row[1]) for row in _CYCLES]
-        if axes or not any(cycles):
-            return usual(axes)
-        return all(usual(mask) for mask in cycles if mask)
+        if axes or not any(cycles):  # $HX, or $H in Grbl's own order
+            return previous(axes)
+        return all(previous(mask) for mask in cycles if mask)
 
     def check(mask: float) -> None:
         if not mask <= all_axes:
@@ -91,23 +92,24 @@ def install(cnc: "Cnc") -> None:
 
 
 def _have_rates(cnc: "Cnc") -> None:
-    """Home axes at rates of their own."""
+    """Hook into homing: its rates are those of the axes that are homed ($180, $190)."""
     machine: "Any" = cnc.machine
     hooks, settings = machine.state.hooks, machine.settings
-    usual: "Callable[[int], None]" = hooks.find_switches
+    previous: "Callable[[int], None]" = hooks.find_switches
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask, at the lowest of their rates."""
         usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
         settings.homing_feed = _slowest(settings.homing_feeds, usual_feed, axes)
         settings.homing_seek = _slowest(settings.homing_seeks, usual_seek, axes)
         try:
-            usual(axes)
+            previous(axes)
         finally:
             settings.homing_feed, settings.homing_seek = usual_feed, usual_seek
 
     hooks.find_switches = find
 
 
-def _slowest(rates: "array[float]", usual: float, axes: int) -> float:
-    """Return the slowest rate of these axes (a mask). For an axis with 0, `usual` holds."""
-    return min([rates[i] or usual for i in range(len(rates)) if axes >> i & 1])
+def _slowest(rates: "array[float]", common_rate: float, axes: int) -> float:
+    """Return the slowest rate of these axes (a mask), mm/min. 0 in rates means common_rate."""
+    return min([rates[i] or common_rate for i in range(len(rates)) if axes >> i & 1])

@@ -34,8 +34,12 @@ _SETTINGS: "Rows" = (
     # Maximum jerk, one value per axis. How fast acceleration may change; 0: at once.
     (800, "jerk", AXIS, 0.0, "mm/sec^3"),
 )
-_MOST_SLOTS = const(64)
+_MOST_SLOTS = const(64)  # over which speed is averaged at most
+_MOST_SUM = const(1 << 29)  # highest sum of the taps, in units of the line
+_HIGHEST_ROOT = const(32768)  # root of the highest scaled speed squared
 _PIECES = const(2)  # pieces planned ahead with each row
+_LIMITS_OF_AN_AXIS = const(3)  # in the planner's table, from LIMITS on,
+_ACCELERATION = const(2)  # and this one of them, a real in mm/s2
 _PER_MM = const(65536)  # distance units of the line per mm
 
 
@@ -61,7 +65,8 @@ class Jerk:
     def next(self, row: object) -> int:
         """Make the next row as Segments.next() does, from a segment of averaged speed.
 
-        While rows of the last segment are left, plan a little ahead instead.
+        While rows of the last segment are left, plan a little ahead instead. Return 0 if nothing
+        is left to move. Called in the engine's interrupt.
         """
         flow = ptr32(self._flow)
         line = ptr32(self._line)
@@ -103,10 +108,10 @@ class Jerk:
     def _clear(self) -> None:
         """Empty the line, after the planner was cleared."""
         line, flow = self._line, self._flow
-        slots = line[FILTER_TAPS], line[jl.PER_TAP]
+        taps, per_tap = line[FILTER_TAPS], line[jl.PER_TAP]
         for i in range(len(line)):
             line[i] = 0
-        line[FILTER_TAPS], line[jl.PER_TAP] = slots
+        line[FILTER_TAPS], line[jl.PER_TAP] = taps, per_tap
         line[layout.ROW_SIZE] = flow[layout.ROW_SIZE]
         line[layout.ROWS] = flow[layout.ROWS]
         line[layout.TAIL] = line[layout.HEAD] = line[jl.RELEASED] = flow[layout.HEAD]
@@ -122,15 +127,16 @@ class Jerk:
         table, line = self._table, self._line
         limits = [(i, jerks[i]) for i in range(len(jerks)) if jerks[i] > 0]
         root_mm_s = minifloat.value(table[layout.ROOT_SCALE])
-        top = root_mm_s * 32768 * slot_s * _PER_MM  # distance at the highest speed
-        most = max(min(_MOST_SLOTS, int((1 << 29) / top)), 1)
+        slot_distance = root_mm_s * _HIGHEST_ROOT * slot_s * _PER_MM  # at the highest speed
+        most = max(min(_MOST_SLOTS, int(_MOST_SUM / slot_distance)), 1)
         slots = 0
         for i, jerk in limits:
             # The acceleration may change from + all of it to - all of it.
             wanted = 2 * accelerations[i] / jerk / slot_s
-            slots = max(slots, min(int(wanted + 0.999), most))
+            slots = max(slots, min(int(wanted + 0.999), most))  # rounded up
             if wanted > most:
-                table[layout.LIMITS + 3 * i + 2] = minifloat.real(jerk * most * slot_s / 2)
+                index = layout.LIMITS + _LIMITS_OF_AN_AXIS * i + _ACCELERATION
+                table[index] = minifloat.real(jerk * most * slot_s / 2)
         line[FILTER_TAPS] = slots
         table[layout.JUNCTION_DERATE] = 0
         if slots:
@@ -149,10 +155,12 @@ def install(cnc: "Cnc") -> None:
     jerk = Jerk(machine.planner, machine.state)
 
     def configure() -> None:
+        """Take the limits from the settings, in mm/s2 and mm/s3."""
+        segment_ticks = 1 << machine.planner.table[layout.SEGMENT_LOG2]
         jerk.limit(
-            [a / 3600 for a in settings.acceleration],
+            [mm_min2 / 3600 for mm_min2 in settings.acceleration],
             list(settings.jerk),
-            (1 << machine.planner.table[layout.SEGMENT_LOG2]) / machine.engine.tick_hz,
+            segment_ticks / machine.engine.tick_hz,
         )
 
     cnc.before_motion(jerk.may_start)

@@ -83,6 +83,11 @@ from extras.motors.jerk_layout import (
 
 _LEAST = const(0x50000)  # a segment covers at least 1.25 steps, if the block has them,
 _LONGEST = const(32)  # or lasts so many slots
+_SLOT = const(131072)  # time of a slot,
+_TIME_BITS = const(17)  # as a number of bits
+_STEP_BITS = const(18)  # distances of a flow are in 2**-18 step
+_MOST_STEPS = const(4095)  # more do not fit 30 bits in that unit
+_FRACTION_BITS = const(4)  # of PLAN_FRACTION
 _SPLINTER = const(64)  # time: less is not worth a piece of the plan, the slot ends there
 _PER_MM = const(0x214000)  # the real 2**16
 _SIXTEEN = const(0x1B4000)  # the real 16
@@ -96,12 +101,14 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     The rest of a slot and further slots are added until the segment covers _LEAST or lasts
     _LONGEST slots, so its time is below 2**23. It ends where the block does.
     """
-    span = 0
+    span = 0  # time of the segment so far
     begun = 0
-    going = 1
-    while going:
+    in_block = 1  # 0: the segment has reached the end of its block
+    while in_block:
         if line[TIME_LEFT] == 0:
-            if begun and (flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span >= _LONGEST << 17):
+            if begun and (
+                flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span >= _LONGEST << _TIME_BITS
+            ):
                 break
             if int(shift_filter(flow, line, ring, table)) == 0:
                 break
@@ -111,12 +118,12 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
             begun = 1
         part = int(place_slot(flow, line))
         span += part
-        going = int(add_piece(flow, part))
+        in_block = int(add_piece(flow, part))
     if begun == 0:
         return 0
     # slices() makes one row of a time above 2**17, because it is so long for the sake of one step.
     # The rest of a slot and a whole one are not: they are cut as a full segment.
-    flow[TIME] = 131072 if span > 131072 and span < 262144 else span
+    flow[TIME] = _SLOT if span > _SLOT and span < 2 * _SLOT else span
     flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
     flow[TIME] = span
     flow[PIECE] = PIECES
@@ -125,7 +132,10 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 
 @micropython.viper
 def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
-    """Begin a segment; load the next block if none is loaded. Returns 0 where there is none."""
+    """Begin a segment; load the next block if none is loaded. Returns 0 where there is none.
+
+    motors: number of motors. NOW becomes the average speed in the new block's units.
+    """
     if flow[LOADED] == 0:
         if int(load(flow, ring, motors)) == 0:
             return 0
@@ -148,9 +158,9 @@ def block_distance(ring: ptr32, at: int) -> int:
 @micropython.viper
 def distance_left(flow: ptr32) -> int:
     """Return the distance left of the loaded block: a real, in 2**-18 step."""
-    if flow[WHOLE] < 4095:
-        return int(pack((flow[WHOLE] << 18) + flow[FRACTION], BIAS))
-    return int(pack(flow[WHOLE], BIAS + 18))
+    if flow[WHOLE] < _MOST_STEPS:
+        return int(pack((flow[WHOLE] << _STEP_BITS) + flow[FRACTION], BIAS))
+    return int(pack(flow[WHOLE], BIAS + _STEP_BITS))
 
 
 @micropython.viper
@@ -172,35 +182,36 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
 
         f (v + u) / (v + w)     because distance = mean speed * time
     """
-    left = line[MADE_LEFT]
+    block_left = line[MADE_LEFT]
     way = line[TO_GO]
-    part = line[TIME_LEFT]
-    in_line = int(pack(left or 1, BIAS))
-    rest = int(distance_left(flow))
-    whole = (flow[WHOLE] << 18) + flow[FRACTION] if flow[WHOLE] < 4095 else HIGHEST
+    time = line[TIME_LEFT]
+    # What is left of the block in two units, as reals: of the line and of the flow.
+    in_line = int(pack(block_left or 1, BIAS))
+    in_steps = int(distance_left(flow))
+    whole = (flow[WHOLE] << _STEP_BITS) + flow[FRACTION] if flow[WHOLE] < _MOST_STEPS else HIGHEST
     steps = whole
     end = line[SUM]
-    if way > left:
-        share_of_way = int(share(left, way))
+    if way > block_left:  # the block ends within the slot
+        part = int(share(block_left, way))
         start = line[BEFORE]
-        both = start + end
-        end = int(speed_between(start, end, share_of_way))
+        speeds = start + end
+        end = int(speed_between(start, end, part))
         if start + end:
-            share_of_way = int(share(int(times(both, share_of_way)), start + end))
-        part = int(times(part, share_of_way))
-        way = left
-    elif way < left:
-        steps = int(part_of(way, in_line, rest, ONE))
-        if steps >= whole:
+            part = int(share(int(times(speeds, part)), start + end))
+        time = int(times(time, part))
+        way = block_left
+    elif way < block_left:
+        steps = int(part_of(way, in_line, in_steps, ONE))
+        if steps >= whole:  # rounding must not end the block here
             steps = whole - 1
-    flow[NOW] = int(part_of(end, in_line, rest, line[PER_TAP]))
+    flow[NOW] = int(part_of(end, in_line, in_steps, line[PER_TAP]))
     flow[WAY] = steps
-    flow[LEFT] = part
+    flow[LEFT] = time
     line[BEFORE] = end
-    line[MADE_LEFT] = left - way
+    line[MADE_LEFT] = block_left - way
     line[TO_GO] = line[TO_GO] - way
-    line[TIME_LEFT] = line[TIME_LEFT] - part
-    return part
+    line[TIME_LEFT] = line[TIME_LEFT] - time
+    return time
 
 
 @micropython.viper
@@ -236,7 +247,7 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     stands and the new tap is 0. Returns 0 where nothing is planned and the line is empty.
     """
     before = line[SUM]
-    way = 0
+    way = 0  # the new tap: distance of the plan in this slot
     if before == 0 and line[OPEN] == 0:
         line[RESTS] = 0
     if line[RESTS] and line[OPEN] == 0:
@@ -249,26 +260,27 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
             return 0
         line[OPEN] = 0
     slots = line[FILTER_TAPS]
-    at = line[OLDEST]
-    total = before + way - line[TAP_DISTANCES + at]
-    line[TAP_DISTANCES + at] = way
-    at += 1
-    line[OLDEST] = at if at < slots else 0
-    both = before + total + line[REMAINDER]
-    way = both // (2 * slots)
-    line[REMAINDER] = both - 2 * slots * way
+    oldest = line[OLDEST]
+    after = before + way - line[TAP_DISTANCES + oldest]
+    line[TAP_DISTANCES + oldest] = way
+    oldest += 1
+    line[OLDEST] = oldest if oldest < slots else 0
+    dividend = before + after + line[REMAINDER]
+    way = dividend // (2 * slots)
+    line[REMAINDER] = dividend - 2 * slots * way
     line[BEFORE] = before
-    line[SUM] = total
+    line[SUM] = after
     line[TO_GO] = way
-    line[TIME_LEFT] = 131072
+    line[TIME_LEFT] = _SLOT
     return 1
 
 
 @micropython.viper
 def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> int:
-    """Plan the next slot, by at most so many pieces.
+    """Plan the next slot, by at most so many pieces (most). Returns 0.
 
     So a slot of many short blocks is planned bit by bit, while the one before it is executed.
+    SLOT_DISTANCE becomes its distance. It ends early where no block is due.
     """
     line[HEAD] = line[RELEASED]
     line[HOLD] = flow[HOLD]
@@ -279,15 +291,15 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
         if line[OPEN] == 0:
             line[OPEN] = 1
             line[SLOT_DISTANCE] = 0
-            line[LEFT] = 131072  # a rest of the last slot is dropped: times are at most 2**17
+            line[LEFT] = _SLOT  # a rest of the last slot is dropped: times are at most 2**17
         if is_new:
             line[PLAN_LEFT] = int(block_distance(ring, line[AT]))
             line[PLAN_FRACTION] = 0
         rest = int(distance_left(line))
         line[PIECE] = PIECES
         line[ADVANCE] = 0
-        going = int(next_piece(line, ring, table[ROOT_SCALE]))
-        if going:
+        in_block = int(next_piece(line, ring, table[ROOT_SCALE]))
+        if in_block:
             line[SLOT_DISTANCE] += int(count(line, rest))
         else:
             line[SLOT_DISTANCE] += line[PLAN_LEFT]
@@ -302,14 +314,14 @@ def count(line: ptr32, rest: int) -> int:
 
     rest: distance_left() before it. Computed in 2**-20 mm, so a piece has less than 1024 mm.
     """
-    left = line[PLAN_LEFT]
-    whole = int(pack(left, BIAS))
+    block_left = line[PLAN_LEFT]
+    whole = int(pack(block_left, BIAS))
     way = int(part_of(line[WAY], rest, whole, _SIXTEEN)) + line[PLAN_FRACTION]
-    line[PLAN_FRACTION] = way & 15
-    way >>= 4
-    if way > left:
-        way = left
-    line[PLAN_LEFT] = left - way
+    line[PLAN_FRACTION] = way & ((1 << _FRACTION_BITS) - 1)
+    way >>= _FRACTION_BITS
+    if way > block_left:
+        way = block_left
+    line[PLAN_LEFT] = block_left - way
     return way
 
 
@@ -325,7 +337,7 @@ def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
 
     gentle: T / 4, as table[JUNCTION_DERATE], so a T / 4 and v are roots of scaled speeds squared.
     """
-    before = line[AT]
+    before = line[AT]  # index of the block that ends; at: of the next one
     line[CARRY] = int(ratio(line[NOW], ring[before + FACTOR]))
     line[LOADED] = 0
     tail = line[TAIL] + 1
@@ -333,7 +345,7 @@ def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
         tail = 0
     line[TAIL] = tail
     at = tail * line[ROW_SIZE]
-    sqr = 0
+    sqr = 0  # v squared, scaled
     if tail != line[HEAD]:
         if ring[at + ENTRY_SQR]:
             return 0
@@ -344,8 +356,8 @@ def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
             sqr = ring[before + NOMINAL_SQR]
     line[CARRY] = 0
     line[LEFT] = 0
-    least = int(product(ring[before + ACCEL], gentle, ONE))
-    part = int(square_root(int(share(int(square_root(sqr)), least)) << 12)) if sqr else 0
+    slowdown = int(product(ring[before + ACCEL], gentle, ONE))  # a T / 4
+    part = int(square_root(int(share(int(square_root(sqr)), slowdown)) << 12)) if sqr else 0
     # part: sqrt(v / (a T / 4)) in 2**-14.5, up to 23170; 181 is 2**7.5; FILTER_TAPS: up to 64.
     line[RESTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)
     return 0

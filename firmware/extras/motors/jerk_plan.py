@@ -59,6 +59,10 @@ _CALM = const(0x1000)  # flags of a block: it is no faster than the corners at i
 _LINKED = const(0x2000)  # it is short, and its first corner is one of the grid, or none
 _FINE = const(100)  # a block of more steps has no corners of the grid
 _ROUNDING = const(64)  # of a mantissa, up to 1/256: an acceleration so little higher is the same
+_MANTISSA = const(32767)  # of a real, below its exponent,
+_EXPONENT_AT = const(15)  # which starts at this bit
+_LIMITS_OF_AN_AXIS = const(3)  # in the table, from LIMITS on,
+_ACCELERATION = const(2)  # and this one of them
 
 
 @micropython.viper
@@ -70,36 +74,40 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
     """
     if line[FILTER_TAPS] == 0:
         return 0
-    new = 0
+    released = 0
     row = line[RELEASED]
-    unseen = flow[HEAD] - row
+    unreleased = flow[HEAD] - row
     waiting = flow[HEAD] - line[TAIL]
-    if unseen < 0:
-        unseen += flow[ROWS]
+    if unreleased < 0:
+        unreleased += flow[ROWS]
     if waiting < 0:
         waiting += flow[ROWS]
-    if unseen < AT_ONCE and waiting >= NEAR and everything == 0:
+    if unreleased < AT_ONCE and waiting >= NEAR and everything == 0:
         return 0
     while row != flow[HEAD]:
         at = row * flow[ROW_SIZE]
         if int(begin(table, ring, flow, row, line[TAIL])):
             compute_profile(table, ring, at)
+        # The last argument is the index of the row before.
         link(table, ring, line, at, (row or flow[ROWS]) * flow[ROW_SIZE] - flow[ROW_SIZE])
         soften(table, ring, flow, row, line[TAIL] if line[LOADED] else -1)
         row += 1
         if row == flow[ROWS]:
             row = 0
-        new += 1
-    if new:
-        flow[UNPLANNED] = new + 1  # soften() changes the block before, too
+        released += 1
+    if released:
+        flow[UNPLANNED] = released + 1  # soften() changes the block before, too
         reverse_pass(ring, flow, 0)
         line[RELEASED] = row
-    return new
+    return released
 
 
 @micropython.viper
 def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
-    """Compute all blocks again after an override changed. present: row of the plan's block."""
+    """Compute all blocks again after an override changed. present: row of the plan's block.
+
+    Returns what reverse_pass() does.
+    """
     row = flow[TAIL]
     while row != flow[HEAD]:
         at = row * flow[ROW_SIZE]
@@ -198,8 +206,8 @@ def is_grid(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     if steps > _FINE:
         return 0
     # table[JUNCTION] is d * 2**16, scaled as v**2 is.
-    twice = int(pack(2 * steps * steps, BIAS - 16))
-    if junction < int(product(ring[at + ACCEL], table[JUNCTION], twice)):
+    two_n_sqr = int(pack(2 * steps * steps, BIAS - 16))
+    if junction < int(product(ring[at + ACCEL], table[JUNCTION], two_n_sqr)):
         return 0
     return int(is_short(table, ring, at, junction)) & int(is_short(table, ring, before, junction))
 
@@ -213,6 +221,7 @@ def is_short(table: ptr32, ring: ptr32, at: int, sqr: int) -> int:
     """
     root = int(pack(int(square_root(sqr)), BIAS))
     scale = table[ROOT_SCALE]
+    # The innermost product is T / 4, in s.
     way = int(product(int(mul(root, int(mul(table[JUNCTION_DERATE], scale)))), scale, _FOUR_OF_16))
     return 1 if way > int(product(ring[at + LENGTH], _PER_MM, ONE)) else 0
 
@@ -225,7 +234,7 @@ def calm(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> int:
     allow, and the plan need not stop. at, after, before: indices in the ring of the block, the
     next and the previous one.
     """
-    sqr = ring[after + JUNCTION_SQR]
+    sqr = ring[after + JUNCTION_SQR]  # becomes the speed squared that the corners allow
     entry = ring[at + JUNCTION_SQR]
     if entry and entry < sqr:
         sqr = entry
@@ -289,14 +298,14 @@ def level(table: ptr32, accel: int) -> int:
     So similar directions have the same acceleration, and blocks need not stop between them. Reals,
     mm/s2; one less in the exponent (LIMIT) is a half.
     """
-    found = 0
+    highest = 0
     if accel <= LIMIT:
         return accel
-    most = int(pack((accel & 32767) + _ROUNDING, accel >> 15))
+    most = int(pack((accel & _MANTISSA) + _ROUNDING, accel >> _EXPONENT_AT))
     for i in range(table[AXES]):
-        one = table[LIMITS + 3 * i + 2]
+        one = table[LIMITS + _LIMITS_OF_AN_AXIS * i + _ACCELERATION]
         while one > most:
             one -= LIMIT
-        if one > found:
-            found = one
-    return found
+        if one > highest:
+            highest = one
+    return highest

@@ -27,30 +27,34 @@ _found: "dict[int, list[int]]" = {}  # key 0: masks of axes that share an input
 def sharing(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[int]":
     """Return a mask of axes for each shared input.
 
+    limits: per motor its pin, or None. motors: the letter of each motor's axis, as MOTORS.
     ValueError if both motors of an axis share one, because neither has a switch of its own then.
     """
-    found = []
+    masks = []
     for pin in set(limits):
-        axes_of = [i for i in range(len(limits)) if limits[i] == pin and pin is not None]
+        motors_of_pin = [i for i in range(len(limits)) if limits[i] == pin and pin is not None]
         mask = 0
-        for i in axes_of:
-            axis = LETTERS.find(motors[i]) if i >= axes else i
+        for i in motors_of_pin:
+            axis = LETTERS.find(motors[i]) if i >= axes else i  # motor i of the first moves axis i
             if mask >> axis & 1:
                 letter = LETTERS[axis]
-                said = "LIMIT: both switches of %s are on pin %s: None for the second motor's"
-                raise ValueError(said % (letter, pin))
+                text = "LIMIT: both switches of %s are on pin %s: None for the second motor's"
+                raise ValueError(text % (letter, pin))
             mask |= 1 << axis
-        if len(axes_of) > 1:
-            found.append(mask)
-    return found
+        if len(motors_of_pin) > 1:
+            masks.append(mask)
+    return masks
 
 
 def clash(shared: "list[int]", cycle: int) -> str:
-    """Return the letters of axes that share an input and are in the same cycle (a mask), or ""."""
+    """Return the letters of axes that share an input and are in the same cycle (a mask), or "".
+
+    shared: what sharing() returned. Such axes must not be homed together.
+    """
     for mask in shared:
-        both = mask & cycle
-        if both & (both - 1):
-            return " and ".join([LETTERS[i] for i in range(len(LETTERS)) if both >> i & 1])
+        together = mask & cycle
+        if together & (together - 1):  # more than one bit is set
+            return " and ".join([LETTERS[i] for i in range(len(LETTERS)) if together >> i & 1])
     return ""
 
 
@@ -68,18 +72,18 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for cycle in cycles if any(cycles) else grbl_order(options.axes):
         letters = clash(shared, cycle)
         if letters:
-            apart = '", "'.join(["Z"] + [x for x in LETTERS[: options.axes] if x != "Z"])
-            said = 'LIMIT: %s share a pin and are homed together: write HOMING = ("%s")'
-            raise ValueError(said % (letters, apart))
+            one_by_one = ["Z"] + [letter for letter in LETTERS[: options.axes] if letter != "Z"]
+            text = 'LIMIT: %s share a pin and are homed together: write HOMING = ("%s")'
+            raise ValueError(text % (letters, '", "'.join(one_by_one)))
 
 
 def install(cnc: "Cnc") -> None:
     """Check the inputs before $H, and refuse $44 to $49 with axes that share an input."""
     machine: "Any" = cnc.machine
     shared, hooks, inputs = _found[0], machine.state.hooks, machine.inputs
-    everything = 0
+    shared_axes = 0
     for mask in shared:
-        everything |= mask
+        shared_axes |= mask
     usual_home, usual_find = hooks.home, hooks.find_switches
 
     def give_up(text: str, alarm: int) -> None:
@@ -88,12 +92,14 @@ def install(cnc: "Cnc") -> None:
         machine.state.alarm = alarm
 
     def home(axes: int) -> bool:
-        if inputs.limits() & everything:
+        """Home the axes, unless a shared input is closed: whose switch it is, is not known."""
+        if inputs.limits() & shared_axes:
             give_up("Move off the closed limit switch first", errors.ALARM_HARD_LIMIT)
             return False
         return bool(usual_home(axes))
 
     def find(axes: int) -> None:
+        """Search the switches of the axes, a mask, unless two of them share an input."""
         letters = clash(shared, axes)
         if letters:
             text = "%s share a limit input: have them homed one after the other, $44 to $49"

@@ -63,9 +63,9 @@ _MOST_THRESHOLD = const(255)
 _PERCENT = const(100)
 _LOOK_MS = const(100)  # between one driver and the next
 _SECONDS_PER_MIN = const(60)
-_ROUNDED = const(1.001)
+_ROUNDED = const(1.001)  # a rate so little above $24 is that rate, rounded
 
-_made: "dict[str, Any]" = {}
+_made: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -88,9 +88,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 def _can_be(number: int, amount: float, most_ma: float) -> bool:
     """Return whether a setting may have that value. most_ma: the drivers' highest current."""
-    base = number // 10 * 10
+    base = number // 10 * 10  # the last digit is the axis
     if base not in _ROWS or number - base >= _LETTERS:
-        return True
+        return True  # not a driver's
     if base == _CURRENT:
         return 0 < amount <= most_ma
     if base == _MICROSTEPS:
@@ -139,12 +139,12 @@ class Drivers:
         self._names = names
         self._axes = [LETTERS.index(name[0]) for name in names]
         self._most_ma = tmc2209_chip.full_scale_ma(sense_ohm)
-        self._wanted = 0
+        self._wanted = 0  # are to be configured: $338
         self._ready = 0  # configured
         self._known = 0  # have answered, so silence is a fault
         self._told = 0  # already reported as warm or silent
-        self._next = 0
-        self._since = self._port.ticks_ms()
+        self._next = 0  # the motor whose driver is polled next
+        self._since_ms = self._port.ticks_ms()  # of the last poll
 
     # Settings
 
@@ -166,6 +166,7 @@ class Drivers:
             self._wanted |= (self._settings.driver_axes >> axis & 1) << motor
 
     def _set_up(self, motor: int) -> None:
+        """Write the settings into a motor's driver. Raises Silence if it does not answer."""
         settings, axis = self._settings, self._axes[motor]
         self._chips[motor].set_up(
             settings.driver_ma[axis],
@@ -178,14 +179,14 @@ class Drivers:
 
     def poll_drivers(self) -> None:
         """Check the next driver, while the machine is idle."""
-        if self._port.elapsed_ms(self._since) < _LOOK_MS or not self._machine.at_rest():
+        if self._port.elapsed_ms(self._since_ms) < _LOOK_MS or not self._machine.at_rest():
             return
-        self._since = self._port.ticks_ms()
+        self._since_ms = self._port.ticks_ms()
         motor = self._next
         self._next = (motor + 1) % len(self._chips)
         if self._wanted >> motor & 1:
             why = self._check_driver(motor)
-            if why and self._known >> motor & 1:
+            if why and self._known >> motor & 1:  # it has worked before
                 self._known &= ~(1 << motor)
                 self._lose(motor, why)
                 if self._state.run != st.ALARM:
@@ -202,7 +203,7 @@ class Drivers:
                 if chip.has_begun_anew():
                     return "its supply has failed"
             else:
-                chip.read_status(1)
+                chip.read_status(1)  # one try: a driver without supply never answers
             if not self._ready & mask:
                 self._set_up(motor)
                 chip.read_status()
@@ -226,9 +227,11 @@ class Drivers:
             self._told &= ~mask
 
     def _report(self, motor: int, what: str) -> None:
+        """Send a message about a motor's driver."""
         self._cnc.message("Motor driver %s: %s" % (self._names[motor], what))
 
     def _lose(self, motor: int, why: str) -> None:
+        """Report a driver's fault, and note that it must be configured again."""
         self._ready &= ~(1 << motor)
         self._told |= 1 << motor
         self._report(motor, why)
@@ -253,6 +256,7 @@ class Drivers:
         usual_home, usual_phase = hooks.home, hooks.home_phase
 
         def home(axes: int) -> bool:
+            """Home the axes if the drivers are ready, and have these configured again."""
             if not self.may_start():
                 return False
             try:
@@ -270,19 +274,23 @@ class Drivers:
         """Return the motors that detect the end of one of these axes (a mask)."""
         axes &= self._settings.driver_homing
         kinematics = self._planner.kinematics
-        found = []
+        motors = []
         for motor in range(len(self._chips)):
             moves = kinematics.moves[motor] if kinematics else 1 << motor
             if (moves | moves >> REVERSE) & axes and self._ready >> motor & 1:
-                found.append(motor)
-        return found
+                motors.append(motor)
+        return motors
 
     def _feel(self, axes: int, approach: bool, rate: float) -> None:
-        """Set the StallGuard thresholds of a phase. rate: of all axes together, mm/min."""
+        """Set the StallGuard thresholds of a homing phase. axes: mask of those that move.
+
+        rate: along the path of all of them, mm/min. approach: False in a pull-off, which has no
+        threshold.
+        """
         settings = self._settings
         count = sum([axes >> i & 1 for i in range(self._planner.axes)])
-        each = rate / math.sqrt(count)
-        is_search = each > settings.homing_feed * _ROUNDED
+        axis_rate = rate / math.sqrt(count)  # all move at the same rate
+        is_search = axis_rate > settings.homing_feed * _ROUNDED
         thresholds = settings.driver_stall_seek if is_search else settings.driver_stall_locate
         for motor in self._homing(axes):
             axis = self._axes[motor]
@@ -290,7 +298,7 @@ class Drivers:
             try:
                 self._chips[motor].feel(
                     threshold,
-                    each / _SECONDS_PER_MIN * settings.steps_per_mm[axis],
+                    axis_rate / _SECONDS_PER_MIN * settings.steps_per_mm[axis],
                     int(settings.driver_microsteps[axis]),
                 )
             except Silence as fault:
@@ -312,7 +320,7 @@ class Drivers:
             raise GrblError(errors.INVALID_STATEMENT)
         for motor, chip in enumerate(self._chips):
             try:
-                told = chip.status_text()
+                text = chip.status_text()
             except Silence as fault:
-                told = "state:%s" % fault
-            self._cnc.write_line(b"[TMC:%s|%s]" % (self._names[motor].encode(), told.encode()))
+                text = "state:%s" % fault
+            self._cnc.write_line(b"[TMC:%s|%s]" % (self._names[motor].encode(), text.encode()))

@@ -15,6 +15,8 @@ _SYNC = const(5)
 _MASTER = const(0xFF)  # the address of an answer
 _WRITE = const(0x80)  # added to the register
 _ANSWER_BYTES = const(8)
+_CHECKSUM_AT = const(7)  # in an answer
+_VALUE_AT = const(3)
 _POLYNOMIAL = const(7)
 _TRIES = const(3)
 
@@ -95,14 +97,15 @@ class Chip:
         self._wire = wire
         self._address = address
         self._sense_ohm = sense_ohm
-        self._spread = 0
-        self._writes = 0
-        self._flags = 0
+        self._spread = 0  # bit of GCONF: spreadCycle
+        self._writes = 0  # what IFCNT must be
+        self._flags = 0  # GSTAT and DRV_STATUS, as they were read last
         self._status = 0
 
     # Datagrams
 
     def _read(self, register: int, tries: int = _TRIES) -> int:
+        """Return a register's 32 bits. Raises Silence if no try gets a valid answer."""
         request = bytearray((_SYNC, self._address, register, 0))
         request[3] = checksum(request[:3])
         why = ""
@@ -112,28 +115,30 @@ class Chip:
                 why = "the wire is broken"
             elif len(answer) < _ANSWER_BYTES:
                 why = "no answer: is the motors' supply on?"
-            elif checksum(answer[:7]) != answer[7] or answer[:3] != bytes(
-                (_SYNC, _MASTER, register)
-            ):
+            elif checksum(answer[:_CHECKSUM_AT]) != answer[_CHECKSUM_AT] or answer[
+                :_VALUE_AT
+            ] != bytes((_SYNC, _MASTER, register)):
                 why = "a spoilt answer"
             else:
-                return int.from_bytes(answer[3:7], "big")
+                return int.from_bytes(answer[_VALUE_AT:_CHECKSUM_AT], "big")
         raise Silence(why)
 
     def _write(self, register: int, value: int) -> None:
+        """Write a register's 32 bits. There is no answer: _end() checks that it has arrived."""
         request = bytearray((_SYNC, self._address, register | _WRITE, 0, 0, 0, 0, 0))
-        for i in range(4):
-            request[6 - i] = value >> 8 * i & 0xFF
-        request[7] = checksum(request[:7])
+        for i in range(4):  # the value's bytes, the lowest one last
+            request[_CHECKSUM_AT - 1 - i] = value >> 8 * i & 0xFF
+        request[_CHECKSUM_AT] = checksum(request[:_CHECKSUM_AT])
         self._wire.exchange(request, 0)
         self._writes += 1
 
     def _begin(self) -> None:
+        """Begin a series of writes: read the driver's counter of them."""
         self._writes = self._read(_IFCNT)
 
     def _end(self) -> None:
         """Raise Silence if the driver has not accepted all writes."""
-        if self._read(_IFCNT) != self._writes & 0xFF:
+        if self._read(_IFCNT) != self._writes & 0xFF:  # the counter has 8 bits
             raise Silence("a setting did not arrive")
 
     # Functions
@@ -141,7 +146,8 @@ class Chip:
     def set_up(self, milliamps: float, hold_percent: float, microsteps: int, spread: bool) -> None:
         """Write the configuration and clear old faults. Raises Silence.
 
-        The chopper's times keep the chip's defaults.
+        milliamps: RMS. hold_percent: current while the motor stands. spread: use spreadCycle. The
+        chopper's times keep the chip's defaults. run, hold: currents in 1/32 of the full scale.
         """
         sensitive = milliamps <= full_scale_ma(self._sense_ohm, _LOW_V)
         full = full_scale_ma(self._sense_ohm, _LOW_V if sensitive else _FULL_V)
@@ -150,6 +156,7 @@ class Chip:
         log2 = 0
         while 1 << log2 < microsteps:
             log2 += 1
+        # MRES, the number of microsteps, is 0 for 256, 1 for 128 and so on.
         chopper = self._read(_CHOPCONF) & ~(_SENSITIVE | 0xF << _STEPS_AT)
         chopper |= (_SMOOTHEST_LOG2 - log2) << _STEPS_AT | _INTERPOLATED
         if sensitive:
@@ -174,14 +181,15 @@ class Chip:
 
         A higher threshold is more sensitive; 0 switches it off.
         """
-        slowest = 0
+        longest_clocks = 0
         if threshold:
+            # TCOOLTHRS counts clocks per 1/256 step; twice as long is half of the rate.
             clocks = 2 * _CLOCK_HZ * microsteps / (256 * max(steps_per_s, 1.0))
-            slowest = min(int(clocks), _LONGEST_STEP)
+            longest_clocks = min(int(clocks), _LONGEST_STEP)
         self._begin()
         if self._spread:  # StallGuard does not work with spreadCycle
             self._write(_GCONF, _SERIAL)
-        self._write(_TCOOLTHRS, slowest)
+        self._write(_TCOOLTHRS, longest_clocks)
         self._write(_SGTHRS, threshold)
         self._end()
 

@@ -29,22 +29,26 @@ _KEY_LENGTH = const(8)
 _KEY_SIGNS = "23456789ABCDFGHJKLMNPQRSTVWXYZ"
 
 
-def has_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> bool:
-    """Return whether the reader has an unfinished line."""
-    head = at[HEAD]
-    if head != at[TAIL]:
+def has_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> bool:
+    """Return whether the reader has an unfinished line.
+
+    ring, state, kinds: as LineReader.memory() returns them. The last byte in the ring shows it;
+    with an empty ring, the part of a line that has been read.
+    """
+    head = state[HEAD]
+    if head != state[TAIL]:
         return kinds[ring[head - 1]] != END
-    return bool(at[LENGTH] or at[SKIPPING]) and not at[SKIPPING] & COMPLETE
+    return bool(state[LENGTH] or state[SKIPPING]) and not state[SKIPPING] & COMPLETE
 
 
-def drop_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> None:
-    """Drop the unfinished line, and nothing before it."""
-    head = at[HEAD]
-    while head != at[TAIL] and kinds[ring[head - 1]] != END:
-        head = (head or len(ring)) - 1
-    at[HEAD] = head
-    if head == at[TAIL] and not at[SKIPPING] & COMPLETE:
-        at[LENGTH] = at[SKIPPING] = 0
+def drop_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> None:
+    """Drop the unfinished line, and nothing before it. Arguments are those of has_half()."""
+    head = state[HEAD]
+    while head != state[TAIL] and kinds[ring[head - 1]] != END:
+        head = (head or len(ring)) - 1  # one byte back in the ring
+    state[HEAD] = head
+    if head == state[TAIL] and not state[SKIPPING] & COMPLETE:
+        state[LENGTH] = state[SKIPPING] = 0
 
 
 class Network:
@@ -56,7 +60,7 @@ class Network:
         self._link = link
         self._saves = machine.saves
         self._reader: "LineReader" = machine.reader
-        self._kept: "dict[str, str]" = {}
+        self._kept: "dict[str, str]" = {}  # stored values by name, such as SSID
         for line in machine.saves.load(_FILE) or []:
             name, _, self._kept[name] = line.partition("=")
         self._is_new = link is not None and "KEY" not in self._kept
@@ -74,10 +78,12 @@ class Network:
         return "".join([_KEY_SIGNS[byte % len(_KEY_SIGNS)] for byte in noise])
 
     def _load(self) -> None:
+        """Pass the stored key to the link."""
         if self._link:
             self._link.access.secret = self._kept["KEY"]
 
     def _keep(self) -> None:
+        """Store the values, as lines of NAME=VALUE."""
         self._saves.save(_FILE, ["%s=%s" % row for row in sorted(self._kept.items())])
 
     # Hooks
@@ -95,10 +101,12 @@ class Network:
             self._send_key()
 
     def _received(self) -> "tuple[bytearray, array[int], bytearray]":
-        ring, at, _, kinds = self._reader.memory()
-        return ring, at, kinds
+        """Return the arguments of has_half() and drop_half()."""
+        ring, state, _, kinds = self._reader.memory()
+        return ring, state, kinds
 
     def _send_key(self) -> None:
+        """Send the key over the cable only."""
         if self._link:
             line = b"[MSG:Network key: %s]\r\n" % self._kept["KEY"].encode()
             self._link.write_cable(line)
@@ -141,6 +149,7 @@ class Network:
         self._cnc.message("Network: holds from the next start on")
 
     def _refuse(self, why: str) -> None:
+        """Send a message, and raise GrblError."""
         self._cnc.message(why)
         raise GrblError(errors.INVALID_STATEMENT)
 

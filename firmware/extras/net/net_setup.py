@@ -13,11 +13,15 @@ _HIGHEST_PORT = const(65535)
 
 
 def change(kept: "dict[str, str]", text: str) -> str:
-    """Store a value in kept and return "", or return why not and change nothing."""
+    """Store a value in kept and return "", or return why not and change nothing.
+
+    kept: values by name. text: `NAME=VALUE`; `PASS+VALUE` continues a password; `OFF` removes the
+    network's name and password.
+    """
     name, sign, value = _parted(text)
     if name == "OFF" and not sign:
-        for one in ("SSID", "PASS"):
-            kept.pop(one, None)
+        for removed in ("SSID", "PASS"):
+            kept.pop(removed, None)
         return ""
     why = "$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF"
     if name == "SSID" and sign == "=":
@@ -26,7 +30,7 @@ def change(kept: "dict[str, str]", text: str) -> str:
         value = (kept.get("PASS", "") if sign == "+" else "") + value
         why = _hex(value, 0, _LONGEST_PASSWORD)
     elif name == "MODE" and value in ("STATION", "AP"):
-        has_password = len(kept.get("PASS", "")) >= 2 * _SHORTEST_PASSWORD
+        has_password = len(kept.get("PASS", "")) >= 2 * _SHORTEST_PASSWORD  # 2 digits per letter
         why = (
             ""
             if value != "AP" or has_password
@@ -44,6 +48,7 @@ def change(kept: "dict[str, str]", text: str) -> str:
 
 
 def _hex(text: str, fewest: int, most: int) -> str:
+    """Return "" if the text is that many bytes as hexadecimal digits, else what it must be."""
     try:
         count = len(bytes.fromhex(text))
     except ValueError:
@@ -54,12 +59,14 @@ def _hex(text: str, fewest: int, most: int) -> str:
 
 
 def _host(text: str) -> str:
+    """Return "" if the text is a host name, else what it must be."""
     if _is_of(text, _HOST_SIGNS) and text[0] != "-" and len(text) <= _LONGEST_HOST:
         return ""
     return "A host name has letters, digits and -, at most 31"
 
 
 def _port(text: str) -> str:
+    """Return "" if the text is a port's number, else what it must be."""
     if _is_of(text, _DIGITS) and 0 < int(text) <= _HIGHEST_PORT:
         return ""
     return "A port is a number from 1 to 65535"
@@ -74,6 +81,6 @@ def _parted(text: str) -> "tuple[str, str, str]":
     return text, "", ""
 
 
-def _is_of(text: str, signs: str) -> bool:
+def _is_of(text: str, allowed: str) -> bool:
     """Return whether the text is not empty and has only these characters."""
-    return bool(text) and not [sign for sign in text if sign not in signs]
+    return bool(text) and not [character for character in text if character not in allowed]

@@ -51,14 +51,17 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _LINE_LENGTH = const(160)
-_COLON = const(58)
+_COLON = const(58)  # ASCII
 _S = const(83)
+_MINUS_BYTE = const(3)  # the sign of a float is in this byte of its four,
+_MINUS = const(128)  # and is this bit
 # The words of a straight cut: a line with a cluster must have no others.
 _CUT = const(CHECKED | MOVE | IN_MOTION)
 
 # A row per block: the number of dots, 0 for a normal block, then their powers, in POWER's unit.
 MOST = const(16)
-ROOM = const(17)
+ROOM = const(17)  # integers in such a row
+# The S values of a block's dots are in another array, MOST per block.
 
 # The dots of the line just read: their number, then their S values, as bits of floats.
 DOTS = const(0)
@@ -96,7 +99,7 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
             pos = int(number(text, pos + 1, values, count))
             if pos == 0:
                 return count | BAD_NUMBER_FORMAT << 8
-            if ptr8(values)[4 * count + 3] & 128:
+            if ptr8(values)[4 * count + _MINUS_BYTE] & _MINUS:
                 return count | NEGATIVE_VALUE << 8
             dots[FIRST_DOT + dots[DOTS]] = values[count]
             dots[DOTS] += 1
@@ -151,6 +154,11 @@ def dots(
 
     All dots have equal length, and the first begins with the block. If power follows speed (M4), a
     segment in which no dot begins has the power of the current dot at the segment's speed.
+
+    Of the block's events (steps of its leading motor), `before` are made when the segment begins,
+    and `done` when it ends. number: dots that begin in it, the first of them is `dot`. A dot
+    begins at events * dot / parts: whole + over / parts steps. A block with fewer events than dots
+    has only as many parts as events.
     """
     at = flow[AT]
     events = ring[at + EVENTS]
@@ -175,7 +183,7 @@ def dots(
     elif ring[at + FLAGS] & DYNAMIC:
         number = 1
         dot -= 1
-    begins = dot * events >= before * parts
+    begins = dot * events >= before * parts  # else the current dot goes on
     dynamic = ring[at + FLAGS] & DYNAMIC
     part = int(speed_share(flow, ring))
     for i in range(number):
@@ -201,13 +209,13 @@ def mark_dots(
     clusters: ptr32,
 ) -> int:
     """Move a segment's power to the beam, as laser.mark(), also if its block is a cluster."""
-    at = flow[AT] // flow[ROW_SIZE] * ROOM
-    if clusters[at] == 0:
+    own = flow[AT] // flow[ROW_SIZE] * ROOM  # index of the block's dots
+    if clusters[own] == 0:
         mark(table, row, beam, levels)
         return 0
-    dots(flow, ring, table, row, beam, levels, clusters, at)
-    if flow[LOADED] == 0:
-        clusters[at] = 0
+    dots(flow, ring, table, row, beam, levels, clusters, own)
+    if flow[LOADED] == 0:  # that was the block's last segment
+        clusters[own] = 0
     row[ROW_POWER] = KEEP_POWER
     return 0
 
@@ -224,9 +232,10 @@ def store(
 ) -> int:
     """Store the powers of a block's dots, and the S values that they are computed from.
 
-    scale, flags: see spindle.power_from_rpm(). Equal S values in a row are computed once.
+    values: `count` S values, as bits of floats. block: its row in the planner's ring. scale,
+    flags: see spindle.power_from_rpm(). Equal S values in a row are computed once.
     """
-    at = ROOM * block
+    own = ROOM * block  # index of the block's dots
     last = -1
     power = 0
     for i in range(count):
@@ -234,9 +243,9 @@ def store(
             last = values[i]
             scale[ASKED] = last
             power = int(power_from_rpm(scale, flags))
-        clusters[at + 1 + i] = power
+        clusters[own + 1 + i] = power
         speeds[MOST * block + i] = last
-    clusters[at] = count
+    clusters[own] = count
     return 0
 
 
@@ -263,7 +272,7 @@ class ClusterLaser(Laser):
     def restore_dot(self) -> bool:
         """Restore the power of a dot that a hold has interrupted, before motion starts.
 
-        Power that follows speed starts at 0 instead.
+        Power that follows speed starts at 0 instead. Returns True: motion may start.
         """
         flow, ring = self._flow, self._ring
         at = flow[AT]
@@ -304,6 +313,7 @@ class Clusters:
     # The planner
 
     def _weigh(self, power: "Any", flags: int, block: int) -> None:
+        """Compute the powers of a block's dots from their S values, by power(flags, S)."""
         for i in range(self.powers[ROOM * block]):
             self.powers[ROOM * block + 1 + i] = power(flags, self._speeds[MOST * block + i])
 
@@ -313,11 +323,12 @@ class Clusters:
         machine = self._machine
         head = machine.planner.flow[HEAD]
         if not flags & SYSTEM_MOTION:
+            # ONLY is set by read_dots(): the line has a cluster.
             count = self._dots[DOTS] if self._ints[ONLY] and flags & SPINDLE_MASK else 0
             scale = machine.state.spindle
             store(self._values, count, scale, flags, self.powers, self._speeds, head)
         planned = self._usual_plan(target, flags, line, power, rate)
-        if machine.planner.flow[HEAD] == head:
+        if machine.planner.flow[HEAD] == head:  # no block was planned
             self.powers[ROOM * head] = 0
         return planned
 
@@ -325,10 +336,10 @@ class Clusters:
         """Compute the powers of the dots of all blocks again."""
         planner = self._machine.planner
         flow = planner.flow
-        at = flow[TAIL]
-        while at != flow[HEAD]:
-            self._weigh(power, planner.ring[at * flow[ROW_SIZE] + FLAGS], at)
-            at = (at + 1) % flow[ROWS]
+        row = flow[TAIL]
+        while row != flow[HEAD]:
+            self._weigh(power, planner.ring[row * flow[ROW_SIZE] + FLAGS], row)
+            row = (row + 1) % flow[ROWS]
 
     def _clear(self) -> None:
         """Forget all dots, because the planner is empty."""

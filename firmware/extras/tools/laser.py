@@ -94,7 +94,10 @@ def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: in
 
 @micropython.viper
 def mark(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
-    """Move the power of a segment just made to the beam. See segment_kernel.fill()."""
+    """Move the power of a segment just made to the beam: a change at its start, or none.
+
+    The row's own power becomes KEEP_POWER, so that no interrupt sets it.
+    """
     number = 0
     if row[ROW_POWER] != beam[LEVEL]:
         emit(beam, levels, row[ROW_POWER])
@@ -122,7 +125,10 @@ class Laser(Spindle):
 
     @micropython.viper
     def next(self, row: object) -> int:
-        """Fill the next segment's row, as segments.Segments.next(), with its changes of power."""
+        """Fill the next segment's row, as segments.Segments.next(), with its changes of power.
+
+        Return 0 if nothing is left to move. Called in the engine's interrupt.
+        """
         if int(self._usual_next(row)) == 0:
             return 0
         mark(ptr32(self._table), ptr32(row), ptr32(self._beam), ptr32(self._levels))
@@ -138,7 +144,7 @@ class Laser(Spindle):
         beam = self._beam
         if self._reversed and self.laser:
             self.set_power(0)
-        elif beam[bm.LEVEL] >= 0:
+        elif beam[bm.LEVEL] >= 0:  # not UNKNOWN: the engine has set a power
             self.set_power(beam[bm.LEVEL])
         beam[bm.LEVEL] = bm.UNKNOWN
 
@@ -149,8 +155,8 @@ class Laser(Spindle):
         super().stop()
 
     def direction(self) -> int:
-        """Return OFF, CW or CCW."""
-        if self._beam[bm.LEVEL] >= 0:
+        """Return OFF, CW or CCW. Whether it is on depends on the power set last."""
+        if self._beam[bm.LEVEL] >= 0:  # during motion the engine has set it
             self._power = self._beam[bm.LEVEL]
         return super().direction()
 
@@ -189,6 +195,7 @@ def install(cnc: "Cnc") -> None:
         hooks.next_segment = laser.next
 
     def configure() -> None:
+        """Set the output's frequency, and the beam's scale, from the settings."""
         if settings.changed in (_NUMBER, ALL):
             pwm.freq(min(max(truncate(settings.pwm_hz), _LOWEST_HZ), _HIGHEST_HZ))
             if has_beam:
@@ -200,5 +207,6 @@ def install(cnc: "Cnc") -> None:
 
 
 def _check(hz: float) -> None:
+    """Refuse a frequency outside the range, by GrblError."""
     if not _LOWEST_HZ <= hz <= _HIGHEST_HZ:
         raise GrblError(INVALID_STATEMENT)

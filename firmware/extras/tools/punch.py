@@ -83,8 +83,8 @@ class Punch(Spindle):
         super().__init__(port, state, False)
         self._armed = sp.OFF
         self._going_down = False
-        self._lost = False
-        self._sensor_invert = 0
+        self._lost = False  # the upper sensor has lost the punch during motion
+        self._sensor_invert = 0  # mask of _DOWN and _UP
         port.add_pins(self.pins[:2], self.pins[2:])
 
     def connect(self, machine: "Controller") -> None:
@@ -99,9 +99,10 @@ class Punch(Spindle):
         super().configure(settings, table)
         for i in range(sp.HIGHEST, st.SPINDLE_LENGTH):  # there is neither speed nor power
             self._state.spindle[i] = 0.0
-        inverts = [getattr(settings, row[1]) for row in _SETTINGS]
+        inverts = [getattr(settings, attribute) for _, attribute, _, _, _ in _SETTINGS]
         self._down_invert, self._up_invert = inverts[:2]
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
+        # Levels after a reset: bit 0 of the output down, which is off; bit 1 of up, which is on.
         self._port.rest(self._down_invert | (1 ^ self._up_invert) << 1)
         self._motor_control(False)
 
@@ -128,12 +129,14 @@ class Punch(Spindle):
     # The actuators: one of the two is always on.
 
     def _motor_control(self, down: bool) -> None:
+        """Switch the actuators: down, or up. Safe in an interrupt."""
         self._going_down = down
         self._port.drive(down ^ self._down_invert | ((not down) ^ self._up_invert) << 1)
         if down and not self._going_down:
             self._motor_control(False)  # an interrupt has raised it meanwhile
 
     def _sees(self) -> int:
+        """Return which sensors detect the punch, a mask of _DOWN and _UP."""
         return self._port.sense() ^ self._sensor_invert
 
     def is_up(self) -> bool:
@@ -141,6 +144,7 @@ class Punch(Spindle):
         return not self._going_down and self._sees() == _UP
 
     def _reach_up(self, turn: "Callable[[], None]") -> bool:
+        """Wait until the punch is up. Return False after the timeout. turn: called meanwhile."""
         since = self._port.ticks_ms()
         while not self.is_up():
             if self._port.elapsed_ms(since) >= self.timeout_ms:
@@ -161,19 +165,20 @@ class Punch(Spindle):
             self._machine.realtime.handle_events()  # raises Abort
         try:
             self._motor_control(True)
-            made = self._go_down()
+            is_down = self._go_down()
         finally:
             self._motor_control(False)
-        if made is None:
+        if is_down is None:  # the lower sensor did not answer in time
             self._fail(ALARM_PUNCH_DOWN, _NOT_DOWN)
             self._machine.motor_control.reset()
         elif not self._reach_up(self._turn):
             self._fail(ALARM_PUNCH_UP, _NOT_UP)
             self._machine.motor_control.reset()
         self._machine.realtime.handle_events()
-        return bool(made)
+        return bool(is_down)
 
     def _turn(self) -> None:
+        """Run what must go on while a stroke waits. Raises Abort after a reset."""
         self._machine.motor_control.pump()
         self._machine.realtime.handle_events()
 
@@ -199,6 +204,7 @@ class Punch(Spindle):
         return False
 
     def _fail(self, code: int, words: str) -> None:
+        """Enter alarm `code`, and report it with a message."""
         self._state.enter(st.ALARM)
         self._state.hooks.alarm(code)
         self._machine.report.message(words)

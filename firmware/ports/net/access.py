@@ -24,17 +24,20 @@ _LETTERS = const(2)
 _OF_BROWSERS = (b"GE", b"PO", b"PU", b"HE", b"OP", b"PA", b"DE", b"CO", b"TR", b"PR", b"\x16\x03")
 
 
-def plain(said: bytearray) -> bytes:
+def plain(received: bytearray) -> bytes:
     """Return a line in capitals, without spaces, slashes, ?, and its end."""
-    line = bytes(said).upper()
+    line = bytes(received).upper()
     for sign in (b" ", b"/", b"?", b"\r", b"\n"):
         line = line.replace(sign, b"")
     return line
 
 
-def is_browser(said: bytearray, count: int) -> bool:
-    """Return whether a line with this beginning is a browser's: any web page can send one here."""
-    return count == _LETTERS and bytes(said[:count]) in _OF_BROWSERS
+def is_browser(received: bytearray, count: int) -> bool:
+    """Return whether a line with this beginning is a browser's: any web page can send one here.
+
+    count: bytes received of the line so far. False unless they are two.
+    """
+    return count == _LETTERS and bytes(received[:count]) in _OF_BROWSERS
 
 
 class Access:

@@ -52,8 +52,8 @@ class Memory:
     together have a third of it."""
 
     def __init__(self, most: int = MEMORY) -> None:
-        self.share = most // 3
-        self.held = 0
+        self.share = most // 3  # of one client, and of all without the key together
+        self.held = 0  # bytes counted as in use
         self._most = most
         self._closed: "list[tuple[int, int]]" = []  # time of closing, in ms, and bytes held
 
@@ -91,9 +91,9 @@ class Client:
         self.ready = 0
         self.is_too_long = False
         self._out = bytearray(_OUT)
-        self._waiting = 0
+        self._waiting = 0  # bytes queued in _out
         self._held = 0  # bytes of lwIP's memory
-        self._proves = False
+        self._proves = False  # the connection counts its unread bytes itself: a websocket
 
     def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
         """Assign the place to a new connection."""
@@ -128,6 +128,7 @@ class Client:
             self._hold(0)
 
     def _hold(self, count: int) -> None:
+        """Count so many bytes of lwIP's memory as this client's."""
         self._memory.held += count - self._held
         self._held = count
 
@@ -148,9 +149,9 @@ class Client:
         except OSError:
             self._hold(0)  # lwIP has dropped all of it
             return -1
-        if count is None:
+        if count is None:  # none have arrived
             return 0
-        return count or -1
+        return count or -1  # 0: the other end has closed
 
     def has_room(self) -> bool:
         """Return whether more bytes may be read. Without the key each line waits for the one
@@ -176,9 +177,9 @@ class Client:
         """Move bytes that may be passed to the machine into buf. Returns how many."""
         count = min(self.ready, len(buf))
         buf[:count] = self.said[:count]
-        left = self.length - count
-        self.said[:left] = self.said[count : self.length]
-        self.length = left
+        remaining = self.length - count
+        self.said[:remaining] = self.said[count : self.length]
+        self.length = remaining
         self.ready -= count
         return count
 
@@ -230,7 +231,7 @@ def slot_for(address: str, clients: "list[Client]", at_rest: bool, now_ms: int) 
     During motion no client with the key loses its place. Without the key, a computer that has a
     place is given no other client's.
     """
-    found = own = None
+    most_overdue = own = None  # own: a place without the key from the same address
     most_ms = 0
     for client in clients:
         if not client.conn:
@@ -239,7 +240,7 @@ def slot_for(address: str, clients: "list[Client]", at_rest: bool, now_ms: int) 
         if not client.trusted and client.address == address:
             own = client
         if overdue_ms > most_ms and (at_rest or not client.trusted):
-            found, most_ms = client, overdue_ms
+            most_overdue, most_ms = client, overdue_ms
     if own:
         return own if own.overdue_ms(now_ms) > 0 else None
-    return found
+    return most_overdue

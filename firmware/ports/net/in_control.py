@@ -62,6 +62,11 @@ class Control:
         return True
 
     def _is_free(self, client: "Client", at_rest: bool, now_ms: int) -> bool:
+        """Return whether this client may get the machine. at_rest: the machine is idle.
+
+        Without the key: while idle, and if no client is in control. With it: also if the client in
+        control has gone, or while idle if it is silent.
+        """
         owner = self.owner
         if not client.trusted:
             return owner is self.driver is None and at_rest and client.may_hear()

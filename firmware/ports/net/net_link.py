@@ -34,9 +34,10 @@ if TYPE_CHECKING:
 _MOST_CLIENTS = const(3)  # clients on the network at once
 _PIECE = const(64)
 _LONGEST_READING = const(8)  # longest read-only line, in bytes
-_URGENT = const(16)
-_ROUND_MS = const(10)
-_RADIO_MS = const(1000)
+_URGENT = const(16)  # real-time bytes that may wait
+_ROUND_MS = const(10)  # between two rounds of the clients
+_RADIO_MS = const(1000)  # between two checks of the radio
+_UPPER = const(0x80)  # bytes from here on are real-time commands
 
 _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
@@ -82,8 +83,7 @@ class NetLink:
         self._clients = [Client(self._memory) for _ in range(_MOST_CLIENTS)]
         self._all = [self._user] + self._clients
         self.control = Control(self._user)
-        # Only the cable is used: its bytes pass unchecked.
-        self._is_plain = True
+        self._is_plain = True  # only the cable is used: its bytes pass unchecked
         # Nothing was received at the cable: a network client need not wait for control.
         self._is_nobodys = True
         self._piece = bytearray(_PIECE)  # bytes just read, before they are checked
@@ -172,6 +172,7 @@ class NetLink:
         return len([1 for client in self._clients if client.conn])
 
     def _restore_plain(self) -> None:
+        """Let the cable's bytes pass unchecked again, if no network client is left."""
         control, user = self.control, self._user
         if not control.ending and not self.client_count():
             if control.driver is None:
@@ -190,8 +191,7 @@ class NetLink:
     # In
 
     def _sort(self, buf: bytearray, now_ms: int) -> int:
-        """Return bytes for the machine: first real-time commands, then those of the client in
-        control."""
+        """Fill buf for the machine: first real-time commands, then the controlling client's."""
         count, self._urgent_count = self._urgent_count, 0
         if count:
             buf[:count] = self._urgent[:count]
@@ -258,9 +258,10 @@ class NetLink:
                     self._filter_bytes(client, self._piece, count, now_ms)
             if not client.send():
                 self._drop(client)
-        called = self._calls.next() if self._calls else None
-        if called:
-            self._accept(called[0], called[1], now_ms)
+        new = self._calls.next() if self._calls else None
+        if new:
+            conn, address = new
+            self._accept(conn, address, now_ms)
         if self.radio and time.ticks_diff(now_ms, self._radio_ms) >= _RADIO_MS:
             self._radio_ms = now_ms
             self.radio(self._at_rest())
@@ -295,13 +296,14 @@ class NetLink:
     # Bytes of other clients, and of the client in control while lines wait
 
     def _filter_bytes(self, client: Client, data: bytearray, count: int, now_ms: int) -> None:
+        """Check a client's bytes: queue its real-time commands, store lines, end a browser's."""
         for i in range(count):
             byte = data[i]
             if byte in self.questions:
                 if client.trusted or client.may_hear():
                     client.asked = True
                     self._queue_realtime(byte)
-            elif byte >= 0x80 or byte in _REALTIME:
+            elif byte >= _UPPER or byte in _REALTIME:
                 if self._may_act(client, byte, now_ms):
                     self._queue_realtime(byte)
             elif byte in b"\r\n":
@@ -323,6 +325,7 @@ class NetLink:
         return is_owner or byte in _STOPS or self._request_control(client, False, now_ms)
 
     def _request_control(self, client: Client, reads: bool, now_ms: int) -> bool:
+        """Give the machine to a client, if that is allowed. Return whether. See Control."""
         return self.control.request(client, self._at_rest(), reads, now_ms)
 
     def _queue_realtime(self, byte: int) -> None:
@@ -337,11 +340,13 @@ class NetLink:
             self._urgent_count = count + 1
 
     def _end_line(self, client: Client, byte: int, now_ms: int) -> None:
+        """End a client's line by CR or LF (byte). One that the machine may not have is dropped and
+        answered here: by ok if it is empty, by the check of its key, or by a refusal."""
         if client is self.control.owner:
             client.end_line(byte, now_ms)
             return
-        begins = client.ready
-        line = plain(client.said[begins : client.length])
+        start = client.ready  # lines before this index wait already
+        line = plain(client.said[start : client.length])
         reads = line in READING
         answer = b""
         if client.is_too_long:
@@ -355,7 +360,7 @@ class NetLink:
         if not answer:
             client.end_line(byte, now_ms)
             return
-        client.length = begins
+        client.length = start
         client.is_too_long = False
         self._send(client, answer)
         if not client.tries:
@@ -364,6 +369,7 @@ class NetLink:
     # Out
 
     def _distribute(self, data: "bytes | bytearray | memoryview") -> None:
+        """Send a report to those that asked, alarms and messages to all, an answer to one."""
         control, first = self.control, data[0]
         if first == _REPORT:
             self._report(data)
@@ -387,6 +393,7 @@ class NetLink:
             self._send(client, data)
 
     def _send(self, client: Client, data: "bytes | bytearray | memoryview") -> None:
+        """Send to one client. A network client that reads too slowly is dropped."""
         if client is self._user:
             self._write(data)
         elif client.conn and not client.put(data):

@@ -34,10 +34,10 @@ _LONGEST = const(4096)  # longest request, in bytes
 _VISITORS = const(2)
 _SILENT_MS = const(2000)  # a request that is not complete by then is dropped
 _MEMORY = const(2400)  # bytes of lwIP's memory: three pieces
-_SEGMENT = const(800)
+_SEGMENT = const(800)  # what a piece with its head counts for
 _SHORT = const(300)  # an answer without a piece; a websocket's, with its last frame
-_SMALLEST = const(150)
-_CHANCE = const(2)
+_SMALLEST = const(150)  # what any answer counts for, at least
+_CHANCE = const(2)  # random bytes in a path
 
 _KEY_LENGTH = const(24)
 _LONGEST_HOST = const(21)  # longest numeric host, with its port
@@ -124,6 +124,7 @@ class Visitor:
         self.proof = b""  # the path of the request that proves it
         self.begun_ms = 0  # start of the present request, or of the wait for one
         self.asks: "dict[int, bytes] | None" = None  # the request that has no answer yet
+        # The request being received: the unfinished line, all bytes so far, fields by index.
         self._rest = b""
         self._size = 0
         self._fields: "dict[int, bytes]" = {}
@@ -139,6 +140,7 @@ class Visitor:
         self._forget()
 
     def _forget(self) -> None:
+        """Forget the request; the next one may begin."""
         self._rest = b""
         self._size = 0
         self._fields = {}
@@ -153,17 +155,18 @@ class Visitor:
         while lines:
             line = lines.pop(0).strip()
             if not line and fields:  # bytes after it were sent before our answer
-                good = not (lines or self._rest)
+                is_last = not (lines or self._rest)
                 self._forget()
-                return fields if good else {}
+                return fields if is_last else {}
+            # The first line has no name: it is stored under "".
             name, _, value = line.partition(b":") if fields else (b"", b"", line)
             name = name.lower()
             if name not in _FIELDS:
                 continue
-            place = _FIELDS.index(name)
-            if place in fields:
-                return {}
-            fields[place] = value.strip()
+            index = _FIELDS.index(name)
+            if index in fields:
+                return {}  # given twice
+            fields[index] = value.strip()
         return {} if self._size > _LONGEST else None
 
 
@@ -188,18 +191,19 @@ class Page:
         self._memory.forget(now_ms)
         for visitor in self._visitors:
             if not visitor.conn:
-                came = self._visits.next()
-                if came:
-                    visitor.begin(came[0], came[1], now_ms)
+                new = self._visits.next()
+                if new:
+                    conn, address = new
+                    visitor.begin(conn, address, now_ms)
                 continue
             try:
-                found = self._serve(visitor, now_ms)
+                websocket = self._serve(visitor, now_ms)
             except OSError:
                 self._owe(visitor, 0)  # lwIP has freed all of it
                 self._end(visitor)
                 continue
-            if found:
-                return found, visitor.address
+            if websocket:
+                return websocket, visitor.address
         return self._calls.next()
 
     def close(self) -> None:
@@ -212,7 +216,7 @@ class Page:
     # Requests
 
     def _serve(self, visitor: Visitor, now_ms: int) -> "WebSocket | None":
-        """Read more of the request; answer it once it is complete."""
+        """Read more of the request; answer it once it is complete. Return an opened websocket."""
         count = visitor.conn.readinto(self._read) if visitor.conn else 0
         if count is None:
             if visitor.asks:
@@ -227,13 +231,18 @@ class Page:
         return None if fields is None else self._answer(visitor, fields, now_ms)
 
     def _owe(self, visitor: Visitor, count: int) -> None:
+        """Count so many bytes of lwIP's memory as this visitor's."""
         self._memory.held += count - visitor.owes
         visitor.owes = count
 
     def _answer(
         self, visitor: Visitor, fields: "dict[int, bytes]", now_ms: int
     ) -> "WebSocket | None":
-        words = fields.get(_LINE, b"").split(b" ")
+        """Answer a request: refuse it, send a piece, or return a websocket that it has opened.
+
+        It waits in visitor.asks if there is no memory for a piece now.
+        """
+        words = fields.get(_LINE, b"").split(b" ")  # method, path, version
         if visitor.proof and visitor.proof in words:
             self._owe(visitor, 0)
         why = self._refusal(fields, words)
@@ -306,7 +315,11 @@ class Page:
         self._end(visitor)
 
     def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes) -> None:
-        """Send a piece of a file. After the last piece comes an empty one, and the end."""
+        """Send piece `number` of a file: FIRST if kind is _HTML, else NAME.
+
+        After the last piece comes an empty one, and the end. more: further header lines. out has
+        the head, which ends at _HEAD, and the piece after it.
+        """
         out = memoryview(self._out)
         name = self._folder + (FIRST if kind == _HTML else NAME)
         try:
@@ -320,8 +333,8 @@ class Page:
         chance = binascii.hexlify(os.urandom(_CHANCE))
         if kind == _HTML:
             visitor.proof = _FORMS[_PATH] % (0, chance)
-            at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
-            out[at : at + len(visitor.proof)] = visitor.proof
+            path_at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
+            out[path_at : path_at + len(visitor.proof)] = visitor.proof
         elif count:
             visitor.proof = _FORMS[_PATH] % (number + 1, chance)
             head += _FORMS[_NEXT] % visitor.proof
@@ -354,6 +367,6 @@ def _number(path: bytes) -> int:
     return int(text) if _is_of(text, _SIGNS[1:]) and len(text) < _DIGITS else -1
 
 
-def _is_of(text: bytes, signs: bytes) -> bool:
+def _is_of(text: bytes, allowed: bytes) -> bool:
     """Return whether the text is not empty and has only these characters."""
-    return bool(text) and not [sign for sign in text if sign not in signs]
+    return bool(text) and not [character for character in text if character not in allowed]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _HTTP = const(80)
 _MEMORY = const(4800)
-_SAID = (b"false", b"true")
+_JSON = (b"false", b"true")
 _NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
 
 
@@ -29,6 +29,7 @@ class PageLink(NetLink):
         self._host = host
 
     def _round(self, now_ms: int) -> None:
+        """Serve the clients, as NetLink._round(), and send news of control to pages."""
         NetLink._round(self, now_ms)
         if not self._is_plain:
             self._tell()
@@ -42,15 +43,16 @@ class PageLink(NetLink):
             socket = client.conn
             if not isinstance(socket, WebSocket):
                 continue
-            told = watchers * 8 + client.trusted * 4 + (client is driver) * 2 + (driver is None)
-            if told != socket.told:
-                socket.told = told
+            # A number that is another whenever the text is another.
+            state = watchers * 8 + client.trusted * 4 + (client is driver) * 2 + (driver is None)
+            if state != socket.told:
+                socket.told = state
                 socket.news = _NEWS % (
                     self._host.encode(),
-                    _SAID[client is driver],
+                    _JSON[client is driver],
                     driver is not None,
                     watchers,
-                    _SAID[not client.trusted],
+                    _JSON[not client.trusted],
                 )
 
 

@@ -15,7 +15,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from typing import Any
 
-_AGAIN_MS = const(15000)
+_AGAIN_MS = const(15000)  # between two attempts to join the network
 
 
 class Radio:
@@ -43,7 +43,7 @@ class Radio:
             self._join(name, password)
 
     def poll_radio(self, at_rest: bool) -> None:
-        """Rejoin the network if it is lost and the machine is idle."""
+        """Rejoin the network if it is lost and the machine is idle (at_rest)."""
         if not (self._is_station and at_rest) or self._wlan.isconnected():
             return
         now_ms = time.ticks_ms()

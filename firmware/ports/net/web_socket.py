@@ -29,6 +29,7 @@ _PING = const(9)
 _PONG = const(10)
 _LAST = const(0x80)  # in the first byte: the message ends with this frame
 _RESERVED = const(0x70)
+_OPCODE = const(0x0F)
 _MASKED = const(0x80)  # in the second byte
 _TWO_BYTES = const(126)  # two bytes of length follow; a higher number: eight
 _MOST_CONTROL = const(125)
@@ -54,8 +55,11 @@ def accepted(key: bytes) -> bytes:
 
 @micropython.viper
 def unmask(data: ptr8, at: int, count: int, to: int, head: ptr8, mask: int, phase: int) -> int:
-    """Move `count` bytes down from `at` to `to`, without their mask. Returns count. phase: index
-    of the first byte in the frame's payload."""
+    """Move `count` bytes down from `at` to `to`, without their mask. Returns count.
+
+    mask: index of the mask's four bytes in head. phase: index of the first byte in the frame's
+    payload.
+    """
     for i in range(count):
         data[to + i] = data[at + i] ^ head[mask + ((phase + i) & 3)]
     return count
@@ -70,19 +74,19 @@ class WebSocket:
         self.news = b""  # text to send about it
         self.unproved = 0  # bytes sent that may not have been read
         self._covered = 0  # how many of them the ping under way will prove
-        self._chance = b""
+        self._chance = b""  # the random bytes of that ping
         # In: the frame being received.
         self._head = bytearray(_HEAD)
         self._have = 0  # bytes of its head received
-        self._wanted = 2
+        self._wanted = 2  # bytes that the head has, as far as is known
         self._left = 0  # bytes of its payload to come
-        self._done = 0
+        self._done = 0  # and those received
         self._is_open = False  # a message has begun and not ended
         self._control = bytearray(_MOST_CONTROL)
         self._pong = -1  # bytes of the ping to answer; -1: none
         # Out: the frame being sent.
         self._out = bytearray(_HEAD + _PAYLOAD)
-        self._at = self._end = 0
+        self._at = self._end = 0  # the part of it that must still be sent
         self._over = 0  # code of the end; 0: open
 
     # The Connection interface
@@ -97,9 +101,9 @@ class WebSocket:
             count = self._conn.readinto(buf)
             if not count:
                 return count
-            found = self._decode(buf, count)
-            if found:
-                return found
+            moved = self._decode(buf, count)
+            if moved:
+                return moved
         return None
 
     def write(self, data: "bytes | bytearray | memoryview") -> "int | None":
@@ -123,7 +127,7 @@ class WebSocket:
 
     def _decode(self, buf: bytearray, count: int) -> int:
         """Move the machine's bytes to the beginning of the same buf. Returns how many."""
-        found = at = 0
+        moved = at = 0
         while at < count and not self._over:
             if self._have < self._wanted:
                 self._head[self._have] = buf[at]
@@ -132,15 +136,16 @@ class WebSocket:
                 self._read_head()
                 continue
             piece = min(self._left, count - at)
-            found += self._take_piece(buf, at, piece, found)
+            moved += self._take_piece(buf, at, piece, moved)
             at += piece
             self._left -= piece
             self._done += piece
             if not self._left:
                 self._end_frame()
-        return found
+        return moved
 
     def _read_head(self) -> None:
+        """Handle the head as far as it has come: the first two bytes, then length and mask."""
         head, have = self._head, self._have
         if have < 2:
             return
@@ -154,7 +159,7 @@ class WebSocket:
         elif have == self._wanted:
             if length == _TWO_BYTES:
                 length = head[2] << 8 | head[3]
-                if length < _TWO_BYTES:
+                if length < _TWO_BYTES:  # it must be the shortest form
                     self._fail(_NO_FRAME)
             self._left = length
             self._done = 0
@@ -163,7 +168,7 @@ class WebSocket:
 
     def _fault(self, first: int, second: int, length: int) -> int:
         """Return the code of a frame that is not allowed; 0 if it is."""
-        opcode = first & 0x0F
+        opcode = first & _OPCODE
         is_last = first & _LAST
         if first & _RESERVED or not second & _MASKED:
             return _NO_FRAME
@@ -179,8 +184,11 @@ class WebSocket:
         return 0
 
     def _take_piece(self, buf: bytearray, at: int, count: int, to: int) -> int:
-        """Read part of a frame's payload. Returns how much of it is the machine's."""
-        opcode = self._head[0] & 0x0F
+        """Read part of a frame's payload: `count` bytes of buf from `at` on.
+
+        A message's bytes are moved to index `to` of buf. Returns how many are the machine's.
+        """
+        opcode = self._head[0] & _OPCODE
         if opcode in (_PING, _PONG):
             self._control[self._done : self._done + count] = buf[at : at + count]
         elif opcode < _CLOSE:
@@ -188,7 +196,8 @@ class WebSocket:
         return 0
 
     def _end_frame(self) -> None:
-        opcode, control = self._head[0] & 0x0F, self._control
+        """Handle a complete frame: close, answer a ping, or count what a pong has proved."""
+        opcode, control = self._head[0] & _OPCODE, self._control
         if opcode == _CLOSE:
             self._fail(_GOOD_BYE)
         elif opcode > _CLOSE:

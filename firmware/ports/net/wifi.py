@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
 def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
     """Return the cable's link with the network around it. with_page: it also serves the page."""
-    kept: "dict[str, str]" = {}
+    stored: "dict[str, str]" = {}
     for line in FlashStore().load("network") or []:
-        name, _, kept[name] = line.partition("=")
-    if not kept.get("SSID"):
+        name, _, stored[name] = line.partition("=")
+    if not stored.get("SSID"):
         return NetLink(cable, None)
     try:
         from ports.net import tcp
         from ports.net.radio import Radio
 
-        host = kept.get("HOST", "ugrbl")
+        host = stored.get("HOST", "ugrbl")
         radio = Radio(
-            bytes.fromhex(kept["SSID"]),
-            bytes.fromhex(kept.get("PASS", "")),
+            bytes.fromhex(stored["SSID"]),
+            bytes.fromhex(stored.get("PASS", "")),
             host,
-            kept.get("MODE", "") != "ap",
+            stored.get("MODE", "") != "ap",
         )
-        calls = tcp.Calls(int(kept.get("PORT", "23")))
+        calls = tcp.Calls(int(stored.get("PORT", "23")))
         if with_page:
             from ports.net import page_link
 

@@ -45,18 +45,18 @@ class FlashStore:
         self._folder = folder
         self.before: "Callable[[], None]" = _nothing
         self.after: "Callable[[], None]" = _nothing
-        self.damaged: "dict[str, bool]" = {}
+        self.damaged: "dict[str, bool]" = {}  # by name: whether an older copy was used
 
     def load(self, name: str) -> "list[str] | None":
         """Return the lines stored under a name: [] if nothing was ever stored, None if no copy is
         whole. If an older copy is used, or none, the name is noted in `damaged`."""
         is_damaged = False
         for kind in (_NOW, _NEW, _OLD):
-            lines, there = self._read(self._folder + name + kind)
+            lines, exists = self._read(self._folder + name + kind)
             # A power cut during a save leaves a part of the new file, or all of it and no file in
             # its place. A partial new file is no damage.
             if kind == _OLD or (kind == _NOW and lines is None):
-                is_damaged = is_damaged or there
+                is_damaged = is_damaged or exists
             if lines is not None:
                 if is_damaged:
                     self.damaged[name] = True
@@ -78,16 +78,20 @@ class FlashStore:
         finally:
             self.after()
 
-    def _write(self, path: str, kept: "list[str]") -> None:
+    def _write(self, path: str, lines: "list[str]") -> None:
+        """Write a new file, read it back, and put it in the place of the old one.
+
+        path: of the files, without suffix. OSError if that fails.
+        """
         is_whole = self._read(path + _NOW)[0] is not None
         if not is_whole and self._read(path + _NEW)[0] is not None:
             os.rename(path + _NEW, path + _NOW)  # a power cut came before this step
             is_whole = True
-        data = "".join([line + "\n" for line in kept]).encode()
+        data = "".join([line + "\n" for line in lines]).encode()
         with open(path + _NEW, "wb") as file:
             file.write(data)
             file.write(_checksum(data))
-        if self._read(path + _NEW)[0] != kept:
+        if self._read(path + _NEW)[0] != lines:
             raise OSError("flash does not keep what is written")
         if is_whole:
             os.rename(path + _NOW, path + _OLD)
@@ -100,10 +104,10 @@ class FlashStore:
                 data = file.read()
         except OSError as reason:
             return None, reason.errno != _NO_SUCH_FILE
-        kept = data[: max(data.rfind(_CHECKSUM), 0)]
-        if data != kept + _checksum(kept):
+        content = data[: max(data.rfind(_CHECKSUM), 0)]
+        if data != content + _checksum(content):
             return None, True
         try:
-            return kept.decode().split("\n")[:-1], True
+            return content.decode().split("\n")[:-1], True
         except ValueError:  # other software has written it
             return None, True

@@ -27,10 +27,12 @@ _NEW = "~NEW"
 _WHOLE = "~WHOLE"
 _SIGNS = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-"
 _LONGEST = const(32)  # bytes of a name
-# Indices in the result of os.stat(); the mode of a folder.
+# Indices in the result of os.stat(); the mode of a folder; indices in the result of os.statvfs().
 _MODE_AT = const(0)
 _SIZE_AT = const(6)
 _FOLDER = const(0x4000)
+_BLOCK_BYTES_AT = const(0)
+_FREE_BLOCKS_AT = const(3)
 _KB = const(1024)
 # The file system needs some space itself, and settings must still find space.
 _SPARE_KB = const(32)
@@ -57,13 +59,13 @@ def _called(name: bytes) -> str:
     """Return the job name of a file name, "" if it cannot be a job's. Computers may write names
     with any characters."""
     upper = name.upper()
-    fits = 0 < len(upper) <= _LONGEST and upper[:1] != b"." and all(c in _SIGNS for c in upper)
-    return text_of(upper) if fits else ""
+    is_job = 0 < len(upper) <= _LONGEST and upper[:1] != b"." and all(c in _SIGNS for c in upper)
+    return text_of(upper) if is_job else ""
 
 
-def _coming(name: bytes, end: str) -> str:
+def _coming(name: bytes, suffix: str) -> str:
     """Return the job that our file with this suffix belongs to, "" for other files."""
-    job = name[: -len(end)] if name.endswith(end.encode()) else b""
+    job = name[: -len(suffix)] if name.endswith(suffix.encode()) else b""
     return text_of(job) if _called(job) else ""
 
 
@@ -106,6 +108,8 @@ class JobFiles:
         return self._card is not None
 
     def _around(self, work: "Callable[[], Any]") -> "Any":
+        """Return the result of work(), which may write to flash: the store's before() and after()
+        are called around it."""
         getattr(self._store, "before", _nothing)()
         try:
             return work()
@@ -113,6 +117,7 @@ class JobFiles:
             getattr(self._store, "after", _nothing)()
 
     def _path(self, name: str) -> str:
+        """Return the path of a file of the folder."""
         return self._folder + "/" + name
 
     def _names(self) -> "list[bytes]":
@@ -130,12 +135,12 @@ class JobFiles:
     def _found(self, name: str) -> "tuple[str, int]":
         """Return a job's file name as it is written, in whatever case, and its bytes; "" and -1 if
         there is none."""
-        for there in self._names():
-            if _called(there) == name:
-                written = text_of(there)
-                size = self._size(written)
-                if size >= 0:
-                    return written, size
+        for file in self._names():
+            if _called(file) == name:
+                file_name = text_of(file)
+                size = self._size(file_name)
+                if size >= 0:  # not a folder
+                    return file_name, size
         return "", -1
 
     def _size(self, name: str) -> int:
@@ -149,13 +154,13 @@ class JobFiles:
 
     def files(self) -> "list[tuple[str, int]]":
         """Return names and sizes, sorted."""
-        found = []
-        for name in [text_of(there) for there in self._names() if _called(there)]:
+        jobs = []
+        for name in [text_of(file) for file in self._names() if _called(file)]:
             self.on_progress()
             size = self._size(name)
-            if size >= 0:
-                found.append((name, size))
-        return found
+            if size >= 0:  # not a folder
+                jobs.append((name, size))
+        return jobs
 
     def size(self, name: str) -> int:
         """Return a job's bytes; -1 if there is none of that name."""
@@ -169,19 +174,21 @@ class JobFiles:
         """Return the kB that fit. On a card it is half the free space, because a file is received
         and then copied."""
         try:
-            found = self._around(lambda: os.statvfs(self._folder))
+            about = self._around(lambda: os.statvfs(self._folder))
         except OSError:
             if self._card:
                 raise
-            found = os.statvfs(".")  # nothing has ever been put there
-        room_kb: int = max(found[0] * found[3] // _KB - _SPARE_KB, 0)
-        return room_kb // 2 if self._card else room_kb
+            about = os.statvfs(".")  # nothing has ever been put there
+        block_bytes, free_blocks = about[_BLOCK_BYTES_AT], about[_FREE_BLOCKS_AT]
+        free_kb: int = max(block_bytes * free_blocks // _KB - _SPARE_KB, 0)
+        return free_kb // 2 if self._card else free_kb
 
     def delete(self, name: str) -> None:
         """Delete a job. OSError if that fails."""
         self._remove(self._found(name)[0] or name)
 
     def _remove(self, name: str) -> None:
+        """Delete a file. OSError if that fails."""
         self._around(lambda: os.remove(self._path(name)))
 
     # Files received in pieces
@@ -190,17 +197,19 @@ class JobFiles:
         """Create the file into which a job is received. OSError if that fails."""
         if not self._is_there():
             self._around(lambda: os.mkdir(self._folder))
-        for left in self._names():
-            job = _coming(left, _NEW)
+        for file in self._names():
+            job = _coming(file, _NEW)
             if job:  # left by a transfer that a power cut has ended
                 self._remove(job + _NEW)
         return self._create(name + _NEW)
 
     def _create(self, name: str) -> "IO[bytes]":
-        made: "IO[bytes]" = self._around(lambda: open(self._path(name), "wb"))
-        return made
+        """Open an empty file to write it."""
+        file: "IO[bytes]" = self._around(lambda: open(self._path(name), "wb"))
+        return file
 
     def _is_there(self) -> bool:
+        """Return whether the folder exists."""
         try:
             os.stat(self._folder)
             return True
@@ -244,6 +253,7 @@ class JobFiles:
         self._remove(name + _NEW)
 
     def _checksum(self, path: str) -> int:
+        """Return the CRC-32 of a file."""
         checksum = 0
 
         def add(piece: bytes) -> None:
@@ -254,6 +264,7 @@ class JobFiles:
         return checksum
 
     def _pieces(self, path: str, use: "Callable[[bytes], None]") -> None:
+        """Read a file in pieces, and pass each to use()."""
         with open(path, "rb") as file:
             while True:
                 piece = file.read(_PIECE)

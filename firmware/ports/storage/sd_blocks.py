@@ -42,6 +42,9 @@ _IDLE = const(1)
 _START = const(0xFE)  # the token before a block
 _ACCEPTED = const(5)
 _HIGH = const(0xFF)  # the level of an idle line
+_COMMAND = const(0x40)  # the first byte of a command, with its number
+_NO_ANSWER = const(0x80)  # an answer's byte is below
+_DATA_STATUS = const(0x1F)  # the bits of the answer to a block
 
 _ANSWER_BYTES = const(9)
 _TRIES = const(3)
@@ -69,12 +72,15 @@ def _sum7(command: ptr8, count: int) -> int:
 
 @micropython.viper
 def _sum16(block: ptr8, count: int) -> int:
-    """Return a block's checksum (CRC-16 CCITT: x^16 + x^12 + x^5 + 1, from 0)."""
+    """Return a block's checksum (CRC-16 CCITT: x^16 + x^12 + x^5 + 1, from 0).
+
+    Eight bits at once: `bits` is what the polynomial adds for a byte, at x^12, x^5 and 1.
+    """
     crc = 0
     for at in range(count):
-        x = crc >> 8 ^ block[at]
-        x ^= x >> 4
-        crc = (crc << 8 ^ x << 12 ^ x << 5 ^ x) & 0xFFFF
+        bits = crc >> 8 ^ block[at]
+        bits ^= bits >> 4
+        crc = (crc << 8 ^ bits << 12 ^ bits << 5 ^ bits) & 0xFFFF
     return crc
 
 
@@ -91,7 +97,7 @@ class SdBlocks:
         self._byte = bytearray(1)
         self._command = bytearray(6)
         self._sum = bytearray(2)
-        self._since = 0
+        self._since = 0  # ticks_ms() at the start of the transfer
         self._shift = 0  # shift from a block's number to its address
         self._count = 0
         self.is_faulty = False  # a read or write failed: all later ones fail, too
@@ -142,7 +148,8 @@ class SdBlocks:
         number: int,
         data: "bytes | bytearray | memoryview",
     ) -> int:
-        if not self._count:
+        """Call `do` for each block of data, from `number` on. Return 0, or -EIO after a fault."""
+        if not self._count:  # after end()
             return 0
         if self.is_faulty:
             return -errno.EIO
@@ -217,6 +224,7 @@ class SdBlocks:
             self._release()
 
     def _read_block(self, address: int, into: memoryview) -> None:
+        """Read a block. OSError if that fails."""
         self._read(_READ, address, into)
 
     def _read(self, command: int, argument: int, into: "bytearray | memoryview") -> None:
@@ -232,6 +240,7 @@ class SdBlocks:
         raise OSError(errno.EIO)
 
     def _write_block(self, address: int, block: memoryview) -> None:
+        """Write a block, at most _TRIES times. OSError if that fails."""
         for _ in range(_TRIES):
             self._since = time.ticks_ms()
             self._select(0)
@@ -246,15 +255,15 @@ class SdBlocks:
     def _ask(self, command: int, argument: int) -> int:
         """Send a command to the selected card; return its answer, a byte of bits."""
         self._wait(_READ_MS)
-        words = self._command
-        words[0] = 0x40 | command
-        for at in range(1, 5):
-            words[at] = argument >> (32 - 8 * at) & 0xFF
-        words[5] = _sum7(words, 5)
-        self._bus.write(words)
+        data = self._command
+        data[0] = _COMMAND | command
+        for i in range(1, 5):  # the argument, its highest byte first
+            data[i] = argument >> (32 - 8 * i) & 0xFF
+        data[5] = _sum7(data, 5)
+        self._bus.write(data)
         for _ in range(_ANSWER_BYTES):
             answer = self._next()
-            if answer < 0x80:
+            if answer < _NO_ANSWER:
                 return answer
         raise OSError(errno.ENODEV)
 
@@ -279,7 +288,7 @@ class SdBlocks:
         self._bus.write(self._byte)
         self._bus.write(block)
         self._bus.write(self._sum)
-        answer = self._next() & 0x1F
+        answer = self._next() & _DATA_STATUS
         self._since = time.ticks_ms()
         self._wait(_BUSY_MS)
         return answer == _ACCEPTED
@@ -290,10 +299,12 @@ class SdBlocks:
             self._check_time(limit_ms)
 
     def _next(self) -> int:
+        """Return the next byte from the card."""
         self._bus.readinto(self._byte, _HIGH)
         return self._byte[0]
 
     def _release(self) -> None:
+        """End a transfer: deselect the card. The supervisor sees that the loop is alive."""
         self._select(1)
         self._next()  # the card releases the line at the next clock
         self._shared[TURNED] = 1
@@ -307,8 +318,11 @@ class SdBlocks:
 
 def _blocks(about: bytearray) -> int:
     """Return the number of blocks, from the card's CSD register (version 1 or 2)."""
-    if about[0] >> 6:
-        return ((about[7] & 0x3F) << 16 | about[8] << 8 | about[9]) + 1 << 10
-    size = (about[6] & 3) << 10 | about[7] << 2 | about[8] >> 6
-    factor_log2 = ((about[9] & 3) << 1 | about[10] >> 7) + 2
-    return size + 1 << factor_log2 + (about[5] & 15) - _BLOCK_LOG2
+    is_version_2 = about[0] >> 6
+    if is_version_2:
+        c_size = (about[7] & 0x3F) << 16 | about[8] << 8 | about[9]
+        return c_size + 1 << 10  # in units of 512 kB
+    c_size = (about[6] & 3) << 10 | about[7] << 2 | about[8] >> 6
+    factor_log2 = ((about[9] & 3) << 1 | about[10] >> 7) + 2  # C_SIZE_MULT
+    length_log2 = about[5] & 15  # READ_BL_LEN: bytes of a block
+    return c_size + 1 << factor_log2 + length_log2 - _BLOCK_LOG2

@@ -53,10 +53,13 @@ class SdCard:
             raise OSError(errno.EIO)
 
     def _begin(self) -> "Any":
-        theirs: "Any" = getattr(machine, "SDCard", None)
-        if theirs:  # an ESP32's MicroPython has its own driver
+        """Return the card's block device, started. OSError if there is no card."""
+        driver_class: "Any" = getattr(machine, "SDCard", None)
+        if driver_class:  # an ESP32's MicroPython has its own driver
             clock, to_card, from_card, select = (machine.Pin(pin) for pin in self._pins)
-            return theirs(slot=_ESP32_SLOT, sck=clock, mosi=to_card, miso=from_card, cs=select)
+            return driver_class(
+                slot=_ESP32_SLOT, sck=clock, mosi=to_card, miso=from_card, cs=select
+            )
         blocks = SdBlocks(self._pins, self.shared)
         blocks.begin()
         return blocks

@@ -6,12 +6,15 @@ import os
 def modules(name: str) -> "tuple[str, ...]":
     """Return the module NAME.py, or the modules of the folder NAME; none if neither exists."""
     folder, _, last = name.rpartition("/")
-    there = os.listdir(folder or ".") if name else ()
-    if last + ".py" in there:
+    files = os.listdir(folder or ".") if name else ()
+    if last + ".py" in files:
         return (name,)
-    if last not in there:
-        if last + ".whole" not in there:
+    if last not in files:
+        if last + ".whole" not in files:
             return ()
         os.rename(name + ".whole", name)  # `ugrbl custom push` stopped between two renamings
-    files = sorted(os.listdir(name))
-    return tuple([name + "." + file[:-3] for file in files if file.endswith(".py")])
+    modules_in_folder = sorted(os.listdir(name))
+    suffix = ".py"
+    return tuple(
+        [name + "." + file[: -len(suffix)] for file in modules_in_folder if file.endswith(suffix)]
+    )

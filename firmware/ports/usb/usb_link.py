@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 _CTRL_X = const(24)
+_PACKET = const(64)  # bytes of a USB packet, which must fit into the ring
 
 # A host that does not read for so long counts as absent, and writes no longer wait for it.
 _DEAF_MS = const(250)
@@ -81,6 +82,10 @@ _SETUP = const(0x50100000)
 _SET_LINE_STATE = const(0x2221)
 _LINE_CODING = const(0x2021)  # SET is 0x2021, GET is 0x21A1
 _SET_CONFIGURATION = const(0x0900)
+# Masks: the request; the same with bit 16, DTR; and without the bits by which SET and GET differ.
+_REQUEST = const(0xFFFF)
+_REQUEST_WITH_DTR = const(0x1FFFF)
+_SET_OR_GET = const(0xFE7F)
 
 
 @micropython.viper
@@ -94,11 +99,11 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
         room = _NOTE - 1
     at[TAKING] = 1
     at[TURNED] = 1
-    shorts = ptr16(at[RING])
+    shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
     data = ptr8(ptr32(at[RING])[0])
     get = shorts[3]
     put = shorts[4]
-    if (put - get) & (RING_BYTES - 1) >= RING_BYTES - 64:
+    if (put - get) & (RING_BYTES - 1) >= RING_BYTES - _PACKET:
         at[FULL] = 1
     count = 0
     while get != put and count < room:
@@ -212,12 +217,12 @@ class UsbLink:
         if at[LINE]:
             is_open = ptr8(at[LINE])[0] & 1
         else:
-            request = ptr32(_SETUP)[0] & 0x1FFFF
-            if request & 0xFFFF == _SET_LINE_STATE:
-                is_open = request >> 16  # bit 16 of the request is DTR
-            if request & 0xFE7F == _LINE_CODING:  # matches both SET and GET
+            request = ptr32(_SETUP)[0] & _REQUEST_WITH_DTR
+            if request & _REQUEST == _SET_LINE_STATE:
+                is_open = request >> 16
+            if request & _SET_OR_GET == _LINE_CODING:
                 is_open = 1
-            if request & 0xFFFF == _SET_CONFIGURATION:
+            if request & _REQUEST == _SET_CONFIGURATION:
                 is_open = 0
         if is_open != at[DTR]:
             at[DTR] = is_open
@@ -245,12 +250,14 @@ class UsbLink:
     # may hold at most five values: MicroPython allocates at each call for more.
 
     def _make_read_into(self) -> "Callable[[bytearray], int]":
+        """Return read_into(): from the ring, or by MicroPython's stream if it was not found."""
         if self._at[RING] == 0:
             return self._read_plainly
         at, take, note, flush = self._at, _take, self._note, self._flush
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
+            """Store received bytes; returns their number."""
             count: int = take(at, buf, len(buf))
             if count < _NOTE:
                 return count
@@ -283,7 +290,7 @@ class UsbLink:
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
         """Return the function that sends answers."""
-        memory, keep, send, go_on = self._memory, _keep, self._send, self._make_room
+        memory, keep, send, make_room = self._memory, _keep, self._send, self._make_room
 
         # Eleven values including those it passes on: MicroPython allocates at each call for more.
         def write(data: "bytes | bytearray | memoryview") -> None:
@@ -291,7 +298,7 @@ class UsbLink:
             if kept > _LATER:
                 send(kept)
             elif not kept:
-                go_on(data)
+                make_room(data)
 
         return write
 
@@ -330,11 +337,13 @@ class UsbLink:
             self._on_open()
 
     def _waiting(self) -> bool:
+        """Return whether a byte can be read without waiting."""
         for _ in self._arrived.ipoll(0):
             return True
         return False
 
     def _read_plainly(self, buf: bytearray) -> int:
+        """Move the bytes received into buf, one at a time, and return how many."""
         self._at[TURNED] = 1
         if self._at[STOPPED]:
             self.check_supervisor()
@@ -351,7 +360,7 @@ class UsbLink:
     def discard(self) -> None:
         """Drop the bytes received. MicroPython and its USB keep less than 1 kB; more may
         follow."""
-        piece = bytearray(64)
+        piece = bytearray(_PACKET)
         for _ in range(PIECES):
             self.read_into(piece)
 

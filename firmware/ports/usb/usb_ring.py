@@ -17,8 +17,10 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_MEMORY = const(0x20000000)
-_MEMORY_WORDS = const(0x10000)
+_MEMORY = const(0x20000000)  # where the chip's RAM begins,
+_MEMORY_WORDS = const(0x10000)  # and how much of it is searched
+_LOW_16 = const(0xFFFF)
+_RING_MASK = const(511)  # RING_BYTES - 1: indices wrap
 _TRIALS = (b"Where is the ring?", b"Here?")
 
 # TinyUSB's struct cdcd_interface_t, in words: 7 bytes, the last of which are line_state and
@@ -32,18 +34,21 @@ _LINE_STATE = const(5)  # byte offset
 @micropython.viper
 def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
     """Return the index, from `start` on, of a word that may begin a ring whose bytes are the
-    trial; -1 if there is none."""
+    trial; -1 if there is none.
+
+    MicroPython's ringbuf_t: the data's address, then size, iget and iput of 16 bits each.
+    """
     i = start
     while i < _MEMORY_WORDS - 3:
-        at = memory[i] - _MEMORY
+        offset = memory[i] - _MEMORY  # of the data, if this is its address
         sizes = memory[i + 1]
-        if at > 0 and at < 4 * _MEMORY_WORDS and sizes & 0xFFFF == RING_BYTES:
-            get = (sizes >> 16) & 0xFFFF
-            put = memory[i + 2] & 0xFFFF
-            if get < RING_BYTES and put < RING_BYTES and (put - get) & 511 >= length:
+        if offset > 0 and offset < 4 * _MEMORY_WORDS and sizes & _LOW_16 == RING_BYTES:
+            get = (sizes >> 16) & _LOW_16
+            put = memory[i + 2] & _LOW_16
+            if get < RING_BYTES and put < RING_BYTES and (put - get) & _RING_MASK >= length:
                 data = ptr8(memory[i])
                 same = 0
-                while same < length and data[(get + same) & 511] == trial[same]:
+                while same < length and data[(get + same) & _RING_MASK] == trial[same]:
                     same += 1
                 if same == length:
                     return i
@@ -53,12 +58,13 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
 
 @micropython.viper
 def find_line(memory: ptr32) -> int:
-    """Return the address of line_state, or 0."""
+    """Return the address of line_state, or 0 if no words look like TinyUSB's struct."""
     for i in range(_MEMORY_WORDS - 3 * _FIFO_WORDS_MOST):
         here = _MEMORY + 4 * (i + _FIFOS)
         fifo = (memory[i + _FIFOS] - here) >> 3  # words of a FIFO; two of them lie in between
         if fifo >= 3 and fifo <= _FIFO_WORDS_MOST and memory[i + _FIFOS] == here + 8 * fifo:
-            second = memory[i + _FIFOS] + (memory[i + _FIFOS + 1] & 0xFFFF)
+            second = memory[i + _FIFOS] + (memory[i + _FIFOS + 1] & _LOW_16)
+            # The last condition is wanted_char == -1.
             if memory[i + _FIFOS + fifo] == second and (memory[i + 1] >> 16) & 0xFF == 0xFF:
                 return _MEMORY + 4 * i + _LINE_STATE
     return 0
@@ -70,15 +76,19 @@ def find(
     take: "Callable[[array.array[int], bytearray, int], int]",
 ) -> None:
     """Store both addresses in a link's state, 0 if not found. drain: reads all bytes received;
-    take: usb_link._take."""
+    take: usb_link._take.
+
+    Some bytes are received as a trial, and memory is searched for them. A place that has them is
+    the ring if it also gets a second trial. Bytes received meanwhile are put back.
+    """
     early = drain()
     try:
         push(_TRIALS[0])
     except (AttributeError, OSError):
         return
-    found = 0
+    ring = 0
     index = -1
-    while not found:
+    while not ring:
         index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
         if index < 0:
             break
@@ -87,10 +97,10 @@ def find(
         take(at, trial, len(trial))
         push(_TRIALS[1])
         if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-            found = at[RING]
+            ring = at[RING]
     early += drain()
     text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
     if text:
         push(text)
-    at[RING] = found
+    at[RING] = ring
     at[LINE] = find_line(_MEMORY)

@@ -55,6 +55,7 @@ class PromptBoard(MpremoteDevice):
         return hung and self._is_back()
 
     def _is_back(self) -> bool:
+        """Wait until a Grbl answers on the port again. Return False after _BACK_S."""
         until = time.monotonic() + _BACK_S
         while time.monotonic() < until:
             with contextlib.suppress(SendError, OSError):
@@ -74,6 +75,7 @@ class PromptBoard(MpremoteDevice):
 
     @contextlib.contextmanager
     def _mended(self) -> Iterator[None]:
+        """Convert errors on the line to a DeployError, with the next step of a self-test."""
         todo = "unplug the board, plug it in and test again"
         try:
             yield

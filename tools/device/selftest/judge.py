@@ -16,6 +16,7 @@ _EXACT_TICKS = 1
 _OF_A_PIO = 4
 _LIMIT_US = 300.0
 _HANG_MS = 500
+_REPORT_MS = 300  # reports of a hang come at least so often
 _PWM_PERCENT = 2.0
 _STACK_BYTES = 8192
 _STACK_SPARE = 2048
@@ -42,6 +43,7 @@ def falls(edges: Sequence[int]) -> list[int]:
 
 
 def _spans(edges: Sequence[int]) -> Iterator[tuple[int, int, bool]]:
+    """Yield begin, end and level (True: high) between two edges each, in ticks."""
     level = edges[0]
     for a, b in pairwise(edges[1:]):
         level = 1 - level
@@ -49,37 +51,45 @@ def _spans(edges: Sequence[int]) -> Iterator[tuple[int, int, bool]]:
 
 
 def _us(ticks: float) -> float:
+    """Return ticks in microseconds, to two decimals."""
     return round(ticks * TICK_US, 2)
 
 
 def _range(ticks: Sequence[int]) -> str:
+    """Return the lowest and the highest of these times as text, in microseconds."""
     low, high = _us(min(ticks)), _us(max(ticks))
     return f"{low:g} us" if low == high else f"{low:g} to {high:g} us"
 
 
-# Checks, by name of their facts
+# Checks, by name of their facts (RULES). Each yields rows: name, whether it is passed, text,
+# figures. The figures of a fact are those that on_board/ reports by say().
 
 
 def _board(facts: list[Fact]) -> Iterator[Row]:
-    one = facts[0]
-    text = f"{one['name']}, MicroPython {one['micropython']}, {one['hz'] / 1e6:g} MHz"
-    drivers = "drivers off" if one["enables"] else "no ENABLE"
-    yield Row("board", True, f"{text}, {one['axes']} axes, {drivers}", one)
+    """Report the board; nothing can be wrong with it."""
+    fact = facts[0]
+    text = f"{fact['name']}, MicroPython {fact['micropython']}, {fact['hz'] / 1e6:g} MHz"
+    drivers = "drivers off" if fact["enables"] else "no ENABLE"
+    yield Row("board", True, f"{text}, {fact['axes']} axes, {drivers}", fact)
 
 
 def _watchers(facts: list[Fact]) -> Iterator[Row]:
-    one = facts[0]
-    sees = one["seen"] == one["made"] and one["levels"] == [1, 0]
-    forward, backward = one["made"]
+    """Judge whether the counters see the pins: they must count steps that software has made."""
+    fact = facts[0]
+    sees = fact["seen"] == fact["made"] and fact["levels"] == [1, 0]
+    forward, backward = fact["made"]
     if sees:
         text = f"{forward} steps forward and {backward} backward made by hand were counted"
     else:
-        who = one.get("who", "PIO 1")
-        text = f"{NOT_SHOWN}{who} counted {one['seen']} of {one['made']}: it does not see the pins"
-    yield Row("watchers see the pins", True if sees else None, text, one)
+        counter = fact.get("who", "PIO 1")
+        counts = f"{counter} counted {fact['seen']} of {fact['made']}"
+        text = f"{NOT_SHOWN}{counts}: it does not see the pins"
+    yield Row("watchers see the pins", True if sees else None, text, fact)
 
 
 def _steps(facts: list[Fact]) -> Iterator[Row]:
+    """Judge runs there and back: position and count of all axes must be as asked for, 0 after the
+    way back."""
     good, total = True, 0
     for one in facts:
         due = 0 if one["back"] else one["asked"]
@@ -98,6 +108,7 @@ def _steps(facts: list[Fact]) -> Iterator[Row]:
 
 
 def _pulses(facts: list[Fact]) -> Iterator[Row]:
+    """Judge pulse width, step period and skew, from edges of the step pins in some windows."""
     hz, us = facts[0]["hz"], facts[0]["us"]
     tracks = [edges for one in facts for edges in one["steps"]]
     widths = [ticks for edges in tracks for ticks in highs(edges)]
@@ -118,6 +129,10 @@ def _pulses(facts: list[Fact]) -> Iterator[Row]:
 
 
 def _skew(facts: list[Fact], due: int, where: str) -> Row:
+    """Judge the time between a step of the first axis and the nearest one of each other axis.
+
+    due: ticks of a period. where: end of the row's name.
+    """
     apart = [
         min((abs(a - b) for b in rises(edges)), default=due)
         for one in facts
@@ -134,25 +149,28 @@ def _skew(facts: list[Fact], due: int, where: str) -> Row:
 
 
 def _turns(facts: list[Fact]) -> Iterator[Row]:
+    """Judge hold and set-up: times from the last pulse to a change of direction, and from that to
+    the next pulse."""
     hold, setup = [], []
-    for one in facts:
-        for step, direction in zip(one["steps"], one["dirs"], strict=True):
+    for fact in facts:
+        for step, direction in zip(fact["steps"], fact["dirs"], strict=True):
             for turn in direction[1:]:
                 hold += [turn - fall for fall in falls(step) if fall <= turn][-1:]
                 setup += [rise - turn for rise in rises(step) if rise >= turn][:1]
-    for what, found, least in (
+    for what, ticks, asked_us in (
         ("direction hold", hold, facts[0]["hold_us"]),
         ("direction set-up", setup, facts[0]["setup_us"]),
     ):
-        if not found:
+        if not ticks:
             yield Row(what, False, "no reversal was seen")
             continue
-        good = min(found) * TICK_US >= least - _EXACT_TICKS * TICK_US
-        text = f"{_us(min(found)):g} us at the least; {least} asked; {len(found)} reversals"
-        yield Row(what, good, text, {"us": _us(min(found)), "asked_us": least})
+        good = min(ticks) * TICK_US >= asked_us - _EXACT_TICKS * TICK_US
+        text = f"{_us(min(ticks)):g} us at the least; {asked_us} asked; {len(ticks)} reversals"
+        yield Row(what, good, text, {"us": _us(min(ticks)), "asked_us": asked_us})
 
 
 def _stops(facts: list[Fact]) -> Iterator[Row]:
+    """Judge stops at random instants: the position must equal the count, and no step follow."""
     one = facts[0]
     good = one["wrong"] == 0 == one["late"] and one["count"] > 0
     text = f"{one['count']}, half of them in an interrupt; position equal to the count"
@@ -163,6 +181,7 @@ def _stops(facts: list[Fact]) -> Iterator[Row]:
 
 
 def _starts(facts: list[Fact]) -> Iterator[Row]:
+    """Judge short moves from standstill: every step must be made, and each move must end."""
     one = facts[0]
     good = one["wrong"] == 0 == one["stuck"] and one["count"] > 0
     text = f"{one['count']}, every step made and counted"
@@ -173,27 +192,29 @@ def _starts(facts: list[Fact]) -> Iterator[Row]:
 
 
 def _limits(facts: list[Fact]) -> Iterator[Row]:
-    for one in facts:
-        what = f"limit{', during a collection' if one['collecting'] else ''}: to the last edge"
-        if not one["inputs"]:
-            yield Row(what, None, "left out: the board file names no LIMIT", one)
-        elif not one["shown"]:
-            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced", one)
+    """Judge limit inputs, undisturbed and during garbage collections."""
+    for fact in facts:
+        what = f"limit{', during a collection' if fact['collecting'] else ''}: to the last edge"
+        if not fact["inputs"]:
+            yield Row(what, None, "left out: the board file names no LIMIT", fact)
+        elif not fact["shown"]:
+            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced", fact)
         else:
-            yield _limit(what, one)
+            yield _limit(what, fact)
 
 
-def _limit(what: str, one: Fact) -> Row:
-    found = [max(ticks, 0) for ticks in one["ticks"]]
-    worst = _us(max(found))
-    good = one["missed"] == 0 == one["wrong"] and worst <= _LIMIT_US
-    mean = _us(sum(found) / len(found))
-    text = f"mean {mean:g} us, worst {worst:g} us; {len(found)} interrupts forced"
-    if max(found) > 0.95 * one["window"]:
-        text = f"more than {_us(one['window']):g} us; {len(found)} interrupts forced"
-    if one["missed"] or one["wrong"]:
-        text += f"; {one['missed']} not heard, {one['wrong']} positions that are not the count"
-    return Row(what, good, text, {**one, "mean_us": mean, "worst_us": worst})
+def _limit(what: str, fact: Fact) -> Row:
+    """Judge the time from an edge at a limit input to the last step of any axis."""
+    delays = [max(ticks, 0) for ticks in fact["ticks"]]
+    worst = _us(max(delays))
+    good = fact["missed"] == 0 == fact["wrong"] and worst <= _LIMIT_US
+    mean = _us(sum(delays) / len(delays))
+    text = f"mean {mean:g} us, worst {worst:g} us; {len(delays)} interrupts forced"
+    if max(delays) > 0.95 * fact["window"]:  # steps to the end of the sampled window
+        text = f"more than {_us(fact['window']):g} us; {len(delays)} interrupts forced"
+    if fact["missed"] or fact["wrong"]:
+        text += f"; {fact['missed']} not heard, {fact['wrong']} positions that are not the count"
+    return Row(what, good, text, {**fact, "mean_us": mean, "worst_us": worst})
 
 
 def duty_percent(edges: Sequence[int]) -> float:
@@ -206,59 +227,68 @@ def duty_percent(edges: Sequence[int]) -> float:
 
 
 def _pwm(facts: list[Fact]) -> Iterator[Row]:
+    """Judge the spindle's PWM: the duty cycle at the pin against the power set."""
     if "power" not in facts[0]:
         why = "the board file names no SPINDLE_PWM" if facts[0]["asked"] else "--yes allows it"
         yield Row("spindle PWM", None, f"left out: {why}")
         return
     for one in facts:
         due = 100 * one["power"] / one["full"]
-        found = duty_percent(one["edges"])
-        good = abs(found - due) <= _PWM_PERCENT
+        percent = duty_percent(one["edges"])
+        good = abs(percent - due) <= _PWM_PERCENT
         if due in (0, 100):
             good = one["edges"] == [due // 100]
-        yield Row(f"spindle PWM, {due:g} %", good, f"{found:.1f} % at the pin", one)
+        yield Row(f"spindle PWM, {due:g} %", good, f"{percent:.1f} % at the pin", one)
 
 
 def _dark(facts: list[Fact]) -> Iterator[Row]:
-    for one in facts:
-        what = one["what"].replace("pwm", "spindle PWM")
-        if one.get("shown") is False:
+    """Judge whether the spindle's output is off after a limit, or after a kill."""
+    for fact in facts:
+        what = fact["what"].replace("pwm", "spindle PWM")
+        if fact.get("shown") is False:
             yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced")
         else:
-            good = one["edges"] == [0]
+            good = fact["edges"] == [0]
             text = (
-                "off, and stays so" if good else f"{duty_percent(one['edges']):.1f} % at the pin"
+                "off, and stays so" if good else f"{duty_percent(fact['edges']):.1f} % at the pin"
             )
-            yield Row(what, good, text, one)
+            yield Row(what, good, text, fact)
 
 
 def _save(facts: list[Fact]) -> Iterator[Row]:
-    one = facts[0]
-    off_us = max(one["longest_us"] - one["beat_us"], 0)
+    """Judge how long interrupts are off while settings are written to flash."""
+    fact = facts[0]
+    off_us = max(fact["longest_us"] - fact["beat_us"], 0)
     what = "settings save: interrupts off"
-    if one["wrong"]:
-        text = f"{one['wrong']} of {one['count']} saves read back otherwise"
-        yield Row(what, False, text, one)
+    if fact["wrong"]:
+        text = f"{fact['wrong']} of {fact['count']} saves read back otherwise"
+        yield Row(what, False, text, fact)
     elif off_us < _FLASH_US:
         text = f"{NOT_SHOWN}{off_us / 1000:g} ms; no flash is as fast as that"
-        yield Row(what, None, text, one)
+        yield Row(what, None, text, fact)
     else:
-        text = f"{off_us / 1000:.1f} ms at the most, of {one['took_ms']} ms; {one['count']} saves"
-        yield Row(what, off_us < 1_000_000, text, one)
+        text = (
+            f"{off_us / 1000:.1f} ms at the most, of {fact['took_ms']} ms; {fact['count']} saves"
+        )
+        yield Row(what, off_us < 1_000_000, text, fact)
 
 
 def _hang(facts: list[Fact]) -> Iterator[Row]:
+    """Judge how soon motors and spindle are off after the main loop hangs, and the use of stack.
+
+    The last report counts; a time close to its end means that they were never off.
+    """
     last = facts[-1]
     moved = last["steps"] > 0
     good = moved and last["last_step_ms"] <= _HANG_MS
     text = f"last step {max(last['last_step_ms'], 0)} ms after the main loop has hung"
-    if last["last_step_ms"] > last["ms"] - 300:
+    if last["last_step_ms"] > last["ms"] - _REPORT_MS:
         text = f"motors turned on for all of {last['ms']} ms"
     yield Row("hang on purpose: steps", good, text if moved else "nothing moved", last)
     if last["pwm"]:
         off = last["last_high_ms"]
         text = f"off {max(off, 0)} ms after the main loop has hung"
-        if off > last["ms"] - 300:
+        if off > last["ms"] - _REPORT_MS:
             text = f"on for all of {last['ms']} ms"
         yield Row("hang on purpose: spindle", off <= _HANG_MS, text)
     used = last["used_stack"]

@@ -27,41 +27,47 @@ def stops(facts: list[Fact]) -> Iterator[Row]:
 
 def limits(facts: list[Fact]) -> Iterator[Row]:
     """Judge limit inputs that are not wired, pulled by the chip itself."""
-    one = facts[0]
+    fact = facts[0]
     what = "limit: to the last edge"
-    if not one["inputs"]:
-        yield Row(what, None, "left out: no LIMIT has the chip's own pull-up", one)
-    elif not one["shown"]:
+    if not fact["inputs"]:
+        yield Row(what, None, "left out: no LIMIT has the chip's own pull-up", fact)
+    elif not fact["shown"]:
         why = "something wired to a limit input keeps it high; only a wire to ground can show it"
-        yield Row(what, None, NOT_SHOWN + why, one)
+        yield Row(what, None, NOT_SHOWN + why, fact)
     else:
-        yield _limit(what, one)
+        yield _limit(what, fact)
     why = "the program that pulls the pin waits for the collection itself"
     yield Row("limit, during a collection: to the last edge", None, NOT_SHOWN + why)
 
 
-def _limit(what: str, one: Fact) -> Row:
-    found = one["us"]
-    lost = one["missed"] or one["late"] or one["worst"] > _CLOCK_STEPS
-    if not found:
-        return Row(what, False, f"{one['missed']} pulled, none heard", one)
-    mean = sum(found) / len(found)
-    text = f"mean {mean:.0f} us, worst {max(found)} us; {len(found)} inputs pulled low by the chip"
+def _limit(what: str, fact: Fact) -> Row:
+    """Judge the time from pulling a limit input to its callback, and the position after it."""
+    times_us = fact["us"]
+    lost = fact["missed"] or fact["late"] or fact["worst"] > _CLOCK_STEPS
+    if not times_us:
+        return Row(what, False, f"{fact['missed']} pulled, none heard", fact)
+    mean = sum(times_us) / len(times_us)
+    text = f"mean {mean:.0f} us, worst {max(times_us)} us; {len(times_us)} inputs pulled low "
+    text += "by the chip"
     if lost:
-        text += f"; {one['missed']} not heard, {one['late']} with steps after the stop, position "
-        text += f"up to {one['worst']} off"
-    good = not lost and max(found) <= _LIMIT_US
-    return Row(what, good, text, {**one, "mean_us": mean, "worst_us": max(found)})
+        text += (
+            f"; {fact['missed']} not heard, {fact['late']} with steps after the stop, position "
+        )
+        text += f"up to {fact['worst']} off"
+    good = not lost and max(times_us) <= _LIMIT_US
+    return Row(what, good, text, {**fact, "mean_us": mean, "worst_us": max(times_us)})
 
 
 def pwm(facts: list[Fact]) -> Iterator[Row]:
     """Judge the spindle's PWM: levels read as fast as Python can, and rising edges counted."""
-    for one in facts:
-        due = 100 * one["power"] / one["full"]
-        found = one["high"] / 10
-        hz = 1000 * one["edges"] / one["ms"]
-        still = due in (0, 100)
-        good = abs(found - due) <= (0 if still else _PWM_PERCENT) and still == (one["edges"] == 0)
-        what = "spindle PWM after a kill" if one.get("killed") else f"spindle PWM, {due:g} %"
-        text = f"{found:.1f} % of {one['looks']} looks at the pin, {hz:.0f} pulses a second"
-        yield Row(what, good, text, one)
+    for fact in facts:
+        due = 100 * fact["power"] / fact["full"]
+        percent = fact["high"] / 10
+        hz = 1000 * fact["edges"] / fact["ms"]
+        is_constant = due in (0, 100)
+        good = abs(percent - due) <= (0 if is_constant else _PWM_PERCENT) and is_constant == (
+            fact["edges"] == 0
+        )
+        what = "spindle PWM after a kill" if fact.get("killed") else f"spindle PWM, {due:g} %"
+        text = f"{percent:.1f} % of {fact['looks']} looks at the pin, {hz:.0f} pulses a second"
+        yield Row(what, good, text, fact)

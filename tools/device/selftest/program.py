@@ -83,8 +83,9 @@ def hang(chip: AnyChip, pwm: bool) -> str:
     return _text(parts, {**asdict(chip), "edges": 1, "pwm": pwm, "program": program})
 
 
-def _text(parts: tuple[str, ...], told: dict[str, Any]) -> str:
-    return "\n".join([f"CONFIG = {told!r}", *(_part(name) for name in parts)])
+def _text(parts: tuple[str, ...], config: dict[str, Any]) -> str:
+    """Return one program of these files, with the parameters as CONFIG."""
+    return "\n".join([f"CONFIG = {config!r}", *(_part(name) for name in parts)])
 
 
 def _part(name: str) -> str:
@@ -97,6 +98,7 @@ def _part(name: str) -> str:
 
 
 def _is_for_us(line: ast.stmt) -> bool:
+    """Return whether a statement is a docstring, or an import of another file of on_board/."""
     if isinstance(line, ast.ImportFrom):
         return line.level > 0
     return (

@@ -81,8 +81,8 @@ class Hearer:
         """Process one line from the board."""
         if not text.startswith(_MARK):
             return
-        what, brace, rest = text[len(_MARK) :].partition(" {")
-        fact = {"what": what, **json.loads("{" + rest)} if brace else {"what": what}
+        what, brace, figures = text[len(_MARK) :].partition(" {")
+        fact = {"what": what, **json.loads("{" + figures)} if brace else {"what": what}
         if self._facts and not belongs(fact, self._facts[0]):
             self.close()
         if what == "end":
@@ -114,6 +114,7 @@ def look(board: Board) -> tuple[AnyChip, Wiring]:
 
 
 def _chip(about: About) -> AnyChip:
+    """Return the chip; DeployError if it, or its MicroPython, cannot be tested."""
     chips: dict[str, AnyChip | None] = {
         "RP2350": program.RP2350,
         "RP2040": program.RP2040,
@@ -142,6 +143,7 @@ def _chip(about: About) -> AnyChip:
 
 
 def _countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
+    """Raise DeployError if nothing on the board can count the steps of its engine."""
     if isinstance(chip, Esp) and wiring.engine == "i2s":
         raise DeployError(
             "ENGINE 'i2s' makes steps behind shift registers: no pin of the chip shows them, so "

@@ -19,12 +19,16 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-# Duration of a call, in us: fixed, per duration, and at most in addition (flash cache misses). The
-# hardware starts shortly before the call returns.
+# Duration of a call of write_pulses(), in us: fixed, per duration, and at most in addition (flash
+# cache misses). The hardware starts shortly before the call returns.
 CALL_US = 90
 DURATION_US = 0.2
 MOOD_US = 30
 RETURN_US = 8
+ABORT_US = 20  # duration of active(False)
+# A generator of pseudo-random numbers for the additional time: x * 75 + 74, modulo 65537.
+_MOOD_FACTOR, _MOOD_OFFSET, _MOOD_MODULUS = 75, 74, 65537
+_BLOCK_ESP32 = 64
 
 HEAP_DATA = 4
 psram = 4_134_464  # free at first; 0 without PSRAM
@@ -44,7 +48,7 @@ class RMT:
     PULSE_MAX = 32767
     channels: "list[RMT]" = []
     available = 8  # blocks of memory on the ESP32; the S3 has 4 for transmitting
-    block = 64  # symbols; the S3's have 48
+    block = _BLOCK_ESP32  # symbols; the S3's have 48
     first_signal = 87  # S3: 81
 
     def __init__(
@@ -69,13 +73,14 @@ class RMT:
         self.pin = pin
         self.trains: "list[tuple[int, int, list[int], int]]" = []
         self._enabled = False
-        self._end = 0
-        self._aborted = 0
-        self._mood = id + 1
+        self._end = 0  # of the last train, in us
+        self._aborted = 0  # number of trains
+        self._mood = id + 1  # state of the generator
         esp_machine.mem32.connect(pin.id, self.first_signal + self._number)
         RMT.channels.append(self)
 
     def write_pulses(self, duration: "list[int] | tuple[int, ...]", data: object = True) -> None:
+        """Send a train of levels, with their durations in us; data: the first level."""
         if self not in RMT.channels:
             raise OSError("already deinitialized")
         if isinstance(data, (list, tuple)) or not isinstance(duration, (list, tuple)):
@@ -90,7 +95,7 @@ class RMT:
         if self._enabled:
             clock.work(max(0, self._end - clock.us))
         self._enabled = True
-        self._mood = (self._mood * 75 + 74) % 65537
+        self._mood = (self._mood * _MOOD_FACTOR + _MOOD_OFFSET) % _MOOD_MODULUS
         clock.work(CALL_US + int(len(duration) * DURATION_US) + self._mood % (MOOD_US + 1))
         start = clock.us
         self._end = start + sum(duration)
@@ -98,46 +103,49 @@ class RMT:
         clock.work(RETURN_US)
 
     def flash_write(self, us: int) -> None:
-        """Delay the interrupt that refills the memory for so long, from now on."""
+        """Delay the interrupt that refills the memory for so long, from now on. If the memory runs
+        empty, the train gets old durations again, and becomes longer."""
         if clock.us >= self._end:
             return
-        start, level, played, _ = self.trains[-1]
-        left = list(played)
+        start, level, durations, _ = self.trains[-1]
+        remaining = list(durations)
         played = []
-        at = start
-        filled = 2 * self.symbols  # in durations
-        while left and at < clock.us:
-            played.append(left.pop(0))
-            at += played[-1]
-            if len(played) % self.symbols == 0:
+        end = start  # of the durations played
+        filled = 2 * self.symbols  # number of durations that were in memory; a symbol has two
+        while remaining and end < clock.us:
+            played.append(remaining.pop(0))
+            end += played[-1]
+            if len(played) % self.symbols == 0:  # half of the memory is free again
                 filled += self.symbols
-        while left and len(played) < filled:
-            played.append(left.pop(0))
-            at += played[-1]
-        while left and at < clock.us + us:
+        while remaining and len(played) < filled:
+            played.append(remaining.pop(0))
+            end += played[-1]
+        while remaining and end < clock.us + us:
             played.append(played[-2 * self.symbols])
-            at += played[-1]
-        played += left
+            end += played[-1]
+        played += remaining
         self._end = start + sum(played)
         self.trains[-1] = (start, level, played, self._end)
 
     def active(self, value: "bool | None" = None) -> bool:
+        """Return whether a train is in progress, or abort it with False."""
         if value is None:
             return self._enabled and (clock.us < self._end or self._aborted > 0)
         if value:
             raise ValueError("activate by calling write_pulses()")
         if self._enabled and clock.us < self._end:
             self._aborted += 1
-            if self.block == 64:  # the ESP32
+            if self.block == _BLOCK_ESP32:
                 clock.work(self._end - clock.us)
             start, level, duration, _ = self.trains[-1]
             self.trains[-1] = (start, level, duration, clock.us)
             self._end = clock.us
         self._enabled = False
-        clock.work(20)
+        clock.work(ABORT_US)
         return False
 
     def wait_done(self, *, timeout: int = 0) -> bool:
+        """Return whether all trains have ended; an aborted one never does."""
         if not self._enabled:
             return True
         if timeout:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _PLACES = 8  # MICROPY_SCHEDULER_DEPTH
 _NEVER = 1 << 60
+_WRAP = 1 << 30  # ticks count up to this
 
 
 class Clock:
@@ -26,22 +27,22 @@ class Clock:
         self.call_us = 2  # duration of reading the time, so that a loop that waits for it ends
         self.lost = 0  # number of callbacks that found no place
         self.busy = False  # C code runs, and no callback can
-        self._due = _NEVER
-        self._inside = False
-        self._waiting: "list[tuple[Any, object]]" = []
+        self._due = _NEVER  # when the next timer expires
+        self._inside = False  # a callback runs
+        self._waiting: "list[tuple[Any, object]]" = []  # callbacks with their arguments
 
     def ticks_us(self) -> int:
         """Stand in for time.ticks_us: wraps at 2**30."""
         self.work(self.call_us)
-        return self.us & 0x3FFFFFFF
+        return self.us % _WRAP
 
     def ticks_ms(self) -> int:
         """Stand in for time.ticks_ms."""
-        return self.us // 1000 & 0x3FFFFFFF
+        return self.us // 1000 % _WRAP
 
     def ticks_diff(self, end: int, start: int) -> int:
         """Stand in for time.ticks_diff."""
-        return ((end - start + 0x20000000) & 0x3FFFFFFF) - 0x20000000
+        return (end - start + _WRAP // 2) % _WRAP - _WRAP // 2
 
     def reset(self) -> None:
         """Restore the state after power-up, except the time."""
@@ -59,6 +60,7 @@ class Clock:
         self._run()
 
     def _run(self) -> None:
+        """Run the callbacks that wait, one at a time."""
         while self._waiting and not self._inside and not self.busy:
             callback, argument = self._waiting.pop(0)
             self._inside = True
@@ -80,6 +82,7 @@ class Clock:
         self._due = min([timer.due for timer in self.timers], default=_NEVER)
 
     def _tick(self) -> None:
+        """Call for all timers that are due, the earliest first."""
         while self._due <= self.us:
             timer = min(self.timers, key=_due)
             callback = timer.callback
@@ -98,6 +101,7 @@ class Clock:
 
 
 def _due(timer: "Timer") -> int:
+    """Return when a timer is due, in us."""
     return timer.due
 
 

@@ -12,8 +12,6 @@ from esp_clock import clock
 
 _DMA_FRAMES = 256
 _POLL = 3  # MP_STREAM_POLL
-
-
 _FIRST_PAD = 0x3FF44530  # GPIO_FUNC0_OUT_SEL_CFG_REG of the ESP32
 _FIRST_PAD_S3 = 0x60004554
 # Offsets of registers with a bit per pin: output enables, and levels.
@@ -51,6 +49,7 @@ class Pads:
         self.log.setdefault(pin, []).append((clock.us, signal))
 
     def _pin(self, address: int) -> int:
+        """Return the pin whose selection register has this address."""
         pin = (address - self.first) // 4
         if address % 4 or (pin not in self.log and pin not in Pin.pins):
             raise ValueError("no such register is modelled")
@@ -70,6 +69,7 @@ class Pads:
         return 32 * registers.index(offset) if offset in registers else -1
 
     def __getitem__(self, address: int) -> int:
+        """Return a register: a pin's selection word, or levels of up to 32 pins."""
         first = self._of_all(address, _LEVELS)
         if first < 0:
             return self.word(self._pin(address)) & ~self.OFF
@@ -80,14 +80,15 @@ class Pads:
         return sum([pad_now(pin) << (pin - first) for pin in pins])
 
     def __setitem__(self, address: int, word: int) -> None:
+        """Write a pin's selection word, or enable the outputs of all pins whose bit is set."""
         first = self._of_all(address, _ENABLES)
         if first < 0:
             pin = self._pin(address)
             self.connect(pin, word | (self.word(pin) & self.OFF))
             return
-        for k in range(32):
-            if word >> k & 1:
-                self.connect(first + k, self.word(first + k) & ~self.OFF)
+        for pin in range(first, first + 32):
+            if word >> (pin - first) & 1:
+                self.connect(pin, self.word(pin) & ~self.OFF)
 
 
 mem32 = Pads()
@@ -308,11 +309,11 @@ class I2S(io.IOBase):
         self.memory = [bytearray(self.size) for _ in range(max(2, ibuf // self.size))]
         self.played: "list[tuple[int, bytes]]" = []
         self._asyncio = False
-        self._free: "list[int]" = []
+        self._free: "list[int]" = []  # indices of buffers played and not taken, oldest first
         self._current: "bytearray | None" = None  # taken, and being written
-        self._at = 0
-        self._began = clock.us
-        self._playing = 0
+        self._at = 0  # bytes written to it
+        self._began = clock.us  # when the buffer now playing began
+        self._playing = 0  # its index
         self._deaf = False  # during a write to flash there are no interrupts
         self._begin()
         I2S.open_streams[id] = self

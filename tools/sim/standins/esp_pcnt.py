@@ -15,10 +15,14 @@ if TYPE_CHECKING:
 
     Event = tuple[int, int, int]  # us, source, new value
 
+# Sources of a pin's level: the selection word of the GPIO matrix, its own level, and the signal.
 _WORD, _OWN, _SIGNAL = 0, 1, 2
+_SELECTION = 0x1FF  # bits of the word that select the signal
+_FULL_DUTY = 65_535
 
 
 def _channel(pin: int) -> "Any":
+    """Return the RMT channel of a pin, or None."""
     import esp32
 
     for channel in esp32.RMT.channels:
@@ -34,18 +38,18 @@ class Pad:
         self.pin = pin
         self.level = 0
         self._at = [0, 0]  # how much of both logs has been read
-        self._train = self._edge = 0
-        self._what = [esp_machine.Pads.register, 0, 0]
+        self._train = self._edge = 0  # the next edge of the channel's trains
+        self._sources = [esp_machine.Pads.register, 0, 0]  # their present values
         self.run(clock.us)
 
     def run(self, until: int) -> "list[tuple[int, int]]":
         """Return changes of the level up to then, (us, level)."""
-        found = self._logged(until) + self._trains(until)
+        events = self._logged(until) + self._trains(until)
         changes = []
-        # MicroPython's sort() is not stable.
-        for _, k in sorted([(found[k][0], k) for k in range(len(found))]):
-            us, which, value = found[k]
-            self._what[which] = value
+        # By time, then by index, because MicroPython's sort() is not stable.
+        for _, index in sorted([(events[i][0], i) for i in range(len(events))]):
+            us, source, value = events[index]
+            self._sources[source] = value
             level = self._now()
             if level != self.level:
                 self.level = level
@@ -53,46 +57,49 @@ class Pad:
         return changes
 
     def _now(self) -> int:
-        word = self._what[_WORD]
+        """Return the level that follows from the sources."""
+        word = self._sources[_WORD]
         if word & esp_machine.Pads.OFF:
             return 1  # the pull-up
-        own = word & 0x1FF == esp_machine.Pads.register
-        return self._what[_OWN if own else _SIGNAL] ^ (1 if word & 0x200 else 0)
+        has_own = word & _SELECTION == esp_machine.Pads.register
+        is_inverted = word & esp_machine.Pads.inverted
+        return self._sources[_OWN if has_own else _SIGNAL] ^ (1 if is_inverted else 0)
 
     def _logged(self, until: int) -> "list[Event]":
+        """Return new entries of both logs up to then."""
         pin = esp_machine.Pin.pins[self.pin]
         own = [] if self.pin in esp_machine.PWM.outputs else pin.log
-        found = []
-        for which, log in ((_WORD, esp_machine.mem32.log.get(self.pin, [])), (_OWN, own)):
-            while self._at[which] < len(log) and log[self._at[which]][0] <= until:
-                us, value = log[self._at[which]]
-                found.append((us, which, value))
-                self._at[which] += 1
-        return found
+        events = []
+        for source, log in ((_WORD, esp_machine.mem32.log.get(self.pin, [])), (_OWN, own)):
+            while self._at[source] < len(log) and log[self._at[source]][0] <= until:
+                us, value = log[self._at[source]]
+                events.append((us, source, value))
+                self._at[source] += 1
+        return events
 
     def _trains(self, until: int) -> "list[Event]":
         """Return edges of the channel's trains; of an aborted train, those up to its end."""
         channel = _channel(self.pin)
-        found: "list[Event]" = []
+        events: "list[Event]" = []
         while channel and self._train < len(channel.trains):
             start, level, durations, end = channel.trains[self._train]
             us = start + sum(durations[: self._edge])
             while self._edge < len(durations) and us <= min(until, end):
-                found.append((us, _SIGNAL, level ^ (self._edge & 1)))
+                events.append((us, _SIGNAL, level ^ (self._edge & 1)))
                 us += durations[self._edge]
                 self._edge += 1
             if end > until:
                 break
-            found.append((end, _SIGNAL, 0))
+            events.append((end, _SIGNAL, 0))
             self._train += 1
             self._edge = 0
-        return found
+        return events
 
 
 def pwm_level(pwm: "Any", us: int) -> int:
     """Return the level of a PWM's output. Its period begins at 0."""
-    period = 1_000_000 // pwm.frequency
-    return int(65_535 * (us % period) < pwm.duty * period) ^ int(pwm.invert)
+    period = 1_000_000 // pwm.frequency  # us
+    return int(_FULL_DUTY * (us % period) < pwm.duty * period) ^ int(pwm.invert)
 
 
 def pad_now(pin: int) -> int:
@@ -147,6 +154,7 @@ class PCNT:
         filter: int = 0,
         value: "int | None" = None,
     ) -> None:
+        """Set what is given; the rest stays. New limits set the count to 0."""
         if channel or filter or falling or mode_low or rising == self.DECREMENT:
             raise NotImplementedError("only what our programs use is modelled")
         if mode_pin is not None and pin is None:
@@ -171,9 +179,10 @@ class PCNT:
             self._value = 0
 
     def _set_pins(self, pin: "Any", mode_pin: "Any") -> None:
-        for one in (pin, mode_pin):
-            if one is not None:
-                esp_machine.mem32.take_output(one.id)
+        """Make the pins inputs, and follow their levels; None: the pin stays the same."""
+        for new_pin in (pin, mode_pin):
+            if new_pin is not None:
+                esp_machine.mem32.take_output(new_pin.id)
         if pin is not None:
             self._pwm = esp_machine.PWM.outputs.get(pin.id)
             self._pad = Pad(pin.id)
@@ -181,13 +190,14 @@ class PCNT:
             self._mode = Pad(mode_pin.id)
 
     def deinit(self) -> None:
+        """Release the pins, and restore the initial state."""
         self._pad = None
         self._mode = None
         self._pwm = None
         self._counts = self._reverses = self._started = False
         self._range = (0, 0)
-        self._value = self._seen = 0
-        self._since = clock.us
+        self._value = self._seen = 0  # the count, and the number of steps at the pin
+        self._since = clock.us  # up to then steps are counted
 
     def start(self) -> None:
         self._run()
@@ -198,13 +208,14 @@ class PCNT:
         self._started = False
 
     def value(self, value: "int | None" = None) -> int:
+        """Return the count; with 0, reset it."""
         if value:
             raise ValueError("value")
         self._run()
-        found = self._value
+        count = self._value
         if value == 0:
             self._value = 0
-        return found
+        return count
 
     def _run(self) -> None:
         """Count the steps up to now."""
@@ -227,12 +238,14 @@ class PCNT:
         return self._mode.level if self._mode else 0
 
     def _run_pwm(self) -> None:
+        """Count a PWM's periods up to now."""
         off = esp_machine.mem32.word(self._pwm.pin.id) & esp_machine.Pads.OFF
-        if not off and self._started and 0 < self._pwm.duty < 65_535:
+        if not off and self._started and 0 < self._pwm.duty < _FULL_DUTY:
             period = 1_000_000 // self._pwm.frequency
             self._value += clock.us // period - self._since // period
 
     def _step(self, sign: int) -> None:
+        """Count a step forward (1) or backward (-1)."""
         self._seen += 1
         if self.lose and self._seen % self.lose == 0:
             return

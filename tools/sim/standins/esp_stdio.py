@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-_RING = 259
+_RING = 259  # bytes
 _TURN_US = 400  # of the main loop
 _BYTE_US = 87  # at 115200 baud
 
@@ -33,7 +33,7 @@ class Wire:
         self.on_read: "Callable[[], object]" = lambda: None
         self.on_write: "Callable[[str], object]" = lambda text: None
         self._ring = bytearray()
-        self._second: "Any" = None  # os.dupterm
+        self._second: "Any" = None  # the second terminal: os.dupterm
 
     # Interface for the sender
 
@@ -67,6 +67,7 @@ class Wire:
             raise NotImplementedError("only what our link uses is modelled")
 
     def ipoll(self, timeout: int) -> "list[int]":
+        """Return one entry if there are bytes, else none; then a turn of the main loop passes."""
         if timeout:
             raise NotImplementedError("only what our link uses is modelled")
         if not self._ring:
@@ -77,6 +78,7 @@ class Wire:
     # Streams
 
     def _read(self, buf: bytearray) -> int:
+        """Fill the buffer; returns its length."""
         if len(buf) > len(self._ring):
             raise OSError("this would wait for ever")
         count = len(buf)
@@ -85,6 +87,7 @@ class Wire:
         return count
 
     def _write(self, data: "bytes | bytearray | memoryview") -> int:
+        """Send the text, which takes time; returns its length."""
         clock.advance(clock.us + len(data) * _BYTE_US)
         self.on_write(bytes(data).decode())
         return len(data)
@@ -94,6 +97,7 @@ class Wire:
         return before
 
     def _notify(self, _: object) -> None:
+        """Take the second terminal's bytes as input."""
         byte = bytearray(1)
         while self._second and self._second.readinto(byte):
             self.arrive(bytes(byte))

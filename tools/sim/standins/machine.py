@@ -36,7 +36,7 @@ _BANKS = (0x40014000, 0x40028000)
 _ALIAS = 0x1000
 _CONTROL, _CONTROL_STEP = 0x40014004, 8
 _OUTOVER = 8  # bit position: 0 normal, 1 inverted, 2 low, 3 high
-_FUNCTION_PWM, _FUNCTION_SIO = 4, 5
+_FUNCTION_MASK, _FUNCTION_PWM, _FUNCTION_SIO = 31, 4, 5
 _LEVELS = 0xD0000004  # of all pins, in SIO: read only
 
 
@@ -47,6 +47,7 @@ class _Memory:
         self.words: dict[int, int] = {}
 
     def __getitem__(self, address: int) -> int:
+        """Return a register's word; that of the levels follows from the pins."""
         if address % 4:
             raise ValueError("address not aligned")
         if address & 0xFFFFFFFF == _LEVELS:
@@ -54,6 +55,7 @@ class _Memory:
         return self.words.get(address, 0)
 
     def __setitem__(self, address: int, value: int) -> None:
+        """Write a register's word; through an alias: flip, set or clear its bits."""
         if address % 4:
             raise ValueError("address not aligned")
         value &= 0xFFFFFFFF
@@ -137,8 +139,8 @@ class Pin:
     def pad(self) -> int:
         """Return the output: 0 to 65535, the share of time for which it is high."""
         control = mem32[_CONTROL + _CONTROL_STEP * self.id]
-        pwm = control & 31 == _FUNCTION_PWM
-        level = PWM.outputs[self.id].shape() if pwm else 65535 * self.level
+        is_pwm = control & _FUNCTION_MASK == _FUNCTION_PWM
+        level = PWM.outputs[self.id].shape() if is_pwm else 65535 * self.level
         return (level, 65535 - level, 0, 65535)[control >> _OUTOVER & 3]
 
     def __call__(self, level: "int | None" = None) -> int:
@@ -154,6 +156,7 @@ class Pin:
         self.value(not self.level)
 
     def value(self, level: "int | None" = None) -> int:
+        """Return the level of the output, or of the input; with an argument, set the output."""
         if level is not None:
             self.level = 1 if level else 0
         if self.mode == Pin.OUT:
@@ -199,6 +202,7 @@ class Pin:
 
 
 def _checked(hz: int) -> int:
+    """Return a PWM's frequency, if the chip can make it."""
     if not 8 <= hz <= 62_500_000:
         raise ValueError("freq out of range")
     return hz
@@ -277,6 +281,7 @@ class Timer:
         self.callback = None
 
     def expire(self) -> None:
+        """Call the callback, as when its time is over."""
         callback = self.callback
         if self.mode == Timer.ONE_SHOT:
             self.callback = None

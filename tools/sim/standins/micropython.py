@@ -5,7 +5,7 @@ outside signed 32 bits, division by zero, shift counts outside 0..31, floats, ne
 Literals of 2**30 and more are heap objects there: refused, unless written int(literal).
 
 Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only, or a
-function that `compiled` provides (compiling/kernels.py), which raises in the same places.
+function that `compiled` provides (run/kernels.py), which raises in the same places.
 
 Pointers are memoryviews: ptr32 has signed words, ptr16 and ptr8 unsigned ones. An index past the
 end, or a value that does not fit, raises in both modes. What is not modelled does not exist.
@@ -98,22 +98,22 @@ def _code(plain: FunctionType) -> CodeType:
     try:
         return cast(CodeType, marshal.loads(file.read_bytes()))
     except (OSError, EOFError, ValueError, TypeError):
-        made = _compiled(plain)
+        code = _compiled(plain)
     if (_ROOT / "firmware").is_dir():
         with suppress(OSError):  # the folder is not writable
             file.parent.mkdir(parents=True, exist_ok=True)
             new = file.with_suffix(f".{os.getpid()}")  # others may write the same file
-            new.write_bytes(marshal.dumps(made))
+            new.write_bytes(marshal.dumps(code))
             new.replace(file)
-    return made
+    return code
 
 
 def _kept(plain: FunctionType) -> Path:
-    code, known = plain.__code__, plain.__globals__
-    numbers = {n: known[n] for n in code.co_names if isinstance(known.get(n), (int, float))}
-    source = "".join(linecache.getlines(code.co_filename, known))
-    asked = repr((sys.version, _OURS, VIPER, code.co_filename, code.co_firstlineno, numbers))
-    return _ROOT / "build" / "cache" / hashlib.sha256((asked + source).encode()).hexdigest()
+    code, names = plain.__code__, plain.__globals__
+    numbers = {n: names[n] for n in code.co_names if isinstance(names.get(n), (int, float))}
+    source = "".join(linecache.getlines(code.co_filename, names))
+    key = repr((sys.version, _OURS, VIPER, code.co_filename, code.co_firstlineno, numbers))
+    return _ROOT / "build" / "cache" / hashlib.sha256((key + source).encode()).hexdigest()
 
 
 def _compiled(plain: FunctionType) -> CodeType:
@@ -313,8 +313,8 @@ def _refuse(function: FunctionType, why: str, node: ast.AST) -> NoReturn:
 @lru_cache(maxsize=8)
 def _definitions(source: str) -> dict[tuple[str, int], ast.FunctionDef]:
     """Return functions by name and first line. Positions are those of the whole file."""
-    found = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
-    return {(n.name, min([n.lineno, *(d.lineno for d in n.decorator_list)])): n for n in found}
+    nodes = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+    return {(n.name, min([n.lineno, *(d.lineno for d in n.decorator_list)])): n for n in nodes}
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef:
@@ -337,10 +337,10 @@ def _expression(source: str, place: ast.AST) -> ast.expr:
     return _placed(ast.parse(source, mode="eval").body, place)
 
 
-def _placed(made: _Node, place: ast.AST) -> _Node:
-    for node in ast.walk(made):
+def _placed(tree: _Node, place: ast.AST) -> _Node:
+    for node in ast.walk(tree):
         ast.copy_location(node, place)
-    return made
+    return tree
 
 
 # Conditions for a result, an index and a shift count. If one fails, the called function raises.
@@ -351,11 +351,11 @@ _COUNT = "viper_now if 0 <= (viper_now := value) < 32 else viper_count(viper_now
 
 def _checked(check: str, value: ast.expr) -> ast.expr:
     """Return the value with an inline check: calls took half of the simulator's time."""
-    made = ast.parse(check, mode="eval").body
-    nodes = [ast.copy_location(node, value) for node in ast.walk(made)]
+    tree = ast.parse(check, mode="eval").body
+    nodes = [ast.copy_location(node, value) for node in ast.walk(tree)]
     (place,) = (node for node in nodes if isinstance(node, ast.NamedExpr))
     place.value = value
-    return made
+    return tree
 
 
 def _call(name: str, argument: ast.expr) -> ast.expr:
@@ -374,9 +374,9 @@ def _compile(function: FunctionType, node: ast.FunctionDef) -> CodeType:
 
 
 def _made(function: FunctionType, code: CodeType) -> FunctionType:
-    made: dict[str, Callable[..., FunctionType]] = {}
-    exec(code, function.__globals__, made)
-    result = made["factory"](**_HELPERS)
+    names: dict[str, Callable[..., FunctionType]] = {}
+    exec(code, function.__globals__, names)
+    result = names["factory"](**_HELPERS)
     for name in ("__qualname__", "__annotations__", "__doc__"):
         setattr(result, name, getattr(function, name))
     return result

@@ -37,17 +37,18 @@ class UART(_Inert):
         return len(self._arrived)
 
     def read(self, count: int = -1, /) -> "bytes | None":
+        """Return so many received bytes, all by default; None if there are none."""
         end = len(self._arrived) if count < 0 else count
-        found, self._arrived = self._arrived[:end], self._arrived[end:]
-        return found or None
+        data, self._arrived = self._arrived[:end], self._arrived[end:]
+        return data or None
 
     def readline(self) -> "bytes | None":
         return self.read(self._arrived.find(b"\n") + 1 or -1)
 
     def readinto(self, buf: "bytearray | memoryview", count: int = -1, /) -> "int | None":
-        found = self.read(len(buf) if count < 0 else count) or b""
-        buf[: len(found)] = found
-        return len(found) or None
+        data = self.read(len(buf) if count < 0 else count) or b""
+        buf[: len(data)] = data
+        return len(data) or None
 
     def write(self, data: "bytes | bytearray | memoryview | str", /) -> int:
         sent = data.encode() if isinstance(data, str) else bytes(data)

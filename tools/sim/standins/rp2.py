@@ -13,8 +13,12 @@ from typing import Any
 from machine import Pin, _is_rp2350
 
 _SIZE = 32  # instructions of a PIO
+# Indices of a program in MicroPython's format.
 _DATA, _OFFSETS, _EXECCTRL, _SHIFTCTRL, _OUT, _SET, _SIDE = 0, 1, 4, 5, 6, 7, 8
 
+# Instructions, by their upper bits.
+_WORD_JMP, _WORD_OUT, _WORD_PUSH, _WORD_PULL = 0x0000, 0x6000, 0x8000, 0x8080
+_WORD_MOV, _WORD_IRQ, _WORD_SET = 0xA000, 0xC000, 0xE000
 _PLACES = {"pins": 0, "x": 1, "y": 2, "null": 3, "pindirs": 4, "isr": 6, "osr": 7}
 _CONDITIONS = {"not_x": 1, "x_dec": 2, "not_y": 3, "y_dec": 4, "x_not_y": 5, "pin": 6}
 
@@ -39,11 +43,13 @@ class _Assembler:
         return {**names, **places, "set": self.set, "rel": lambda index: index | 0x10}
 
     def __getitem__(self, delay: int) -> None:
+        """Delay the last instruction: `set(pins, 1)[5]`."""
         if not 0 < delay < _SIZE:
             raise PIOASMError("delay too large")
         self.words[-1] |= delay << 8
 
     def _emit(self, word: int) -> "_Assembler":
+        """Append an instruction. Returns the assembler, so that a delay may follow in brackets."""
         self.words.append(word)
         return self
 
@@ -53,33 +59,34 @@ class _Assembler:
         self.labels[name] = len(self.words)
 
     def jmp(self, condition: "int | str", label: str = "") -> "_Assembler":
+        """Append a jump. The condition may be missing: jmp("label")."""
         number = 0 if isinstance(condition, str) else condition
         target = label or str(condition)
         if self._final and target not in self.labels:
             raise PIOASMError(f"unknown label {target}")
-        return self._emit(number << 5 | self.labels.get(target, 0))
+        return self._emit(_WORD_JMP | number << 5 | self.labels.get(target, 0))
 
     def out(self, place: int, bits: int) -> "_Assembler":
         if not 0 < bits <= _SIZE:
             raise PIOASMError(f"invalid bit count {bits}")
-        return self._emit(0x6000 | place << 5 | bits & 0x1F)
+        return self._emit(_WORD_OUT | place << 5 | bits & 0x1F)  # 32 is encoded as 0
 
     def push(self, block: int = 0x20) -> "_Assembler":
-        return self._emit(0x8000 | block)
+        return self._emit(_WORD_PUSH | block)
 
     def pull(self, block: int = 0x20) -> "_Assembler":
-        return self._emit(0x8080 | block)
+        return self._emit(_WORD_PULL | block)
 
     def mov(self, place: int, source: int) -> "_Assembler":
-        return self._emit(0xA000 | place << 5 | source)
+        return self._emit(_WORD_MOV | place << 5 | source)
 
     def irq(self, index: int) -> "_Assembler":
-        return self._emit(0xC000 | index)
+        return self._emit(_WORD_IRQ | index)
 
     def set(self, place: int, value: int) -> "_Assembler":
         if not 0 <= value < _SIZE:
             raise PIOASMError(f"{value} does not fit")
-        return self._emit(0xE000 | place << 5 | value)
+        return self._emit(_WORD_SET | place << 5 | value)
 
 
 def asm_pio(
@@ -107,6 +114,7 @@ def asm_pio(
 
 
 def _blocks() -> int:
+    """Return the number of PIO blocks of this chip."""
     return 3 if _is_rp2350() else 2
 
 
@@ -155,7 +163,7 @@ class StateMachine:
         if program[_OFFSETS + pio] < 0:
             offset = StateMachine.used.get(pio, 0)
             if offset + len(program[_DATA]) > _SIZE:
-                raise OSError(12)
+                raise OSError(12)  # ENOMEM
             program[_OFFSETS + pio] = offset
             StateMachine.used[pio] = offset + len(program[_DATA])
         self.program = program
@@ -172,7 +180,7 @@ class DMA:
 
     def __init__(self) -> None:
         if DMA.claimed == (16 if _is_rp2350() else 12):
-            raise OSError(16)
+            raise OSError(16)  # EBUSY
         self.channel = DMA.claimed
         DMA.claimed += 1
         self.configured: dict[str, object] = {}

@@ -40,5 +40,5 @@ class Drive(Mover):
 
     def counted(self):
         """Return the steps counted so far, forward minus backward, per watched axis."""
-        both = [one.steps() for one in self._counters]
-        return [forward - backward for forward, backward in both]
+        counts = [counter.steps() for counter in self._counters]
+        return [forward - backward for forward, backward in counts]

@@ -17,7 +17,7 @@ from .eyes import count_all, mem_level, used_stack, watch
 from .say import say
 
 BETWEEN_MS = 150  # between lines
-TOLD_MS = 200  # between reports during the hang
+SAY_EVERY_MS = 200  # between reports during the hang
 
 usual_run = realtime.Realtime.run
 usual_making = lines.LineReader.__init__
@@ -49,7 +49,7 @@ def hang():
     """Watch the pins for ever, without feeding the watchdog."""
     pwm = getattr(board, "SPINDLE_PWM", None)
     pin = None if pwm is None else mem_level(pwm)
-    begun = told = time.ticks_ms()
+    begun = said_ms = time.ticks_ms()
     before, last_step_ms, last_high_ms, steps = None, -1, -1, 0
     while True:
         now = time.ticks_ms()
@@ -61,8 +61,8 @@ def hang():
             before = counts
         if pin and pin():
             last_high_ms = since
-        if time.ticks_diff(now, told) >= TOLD_MS:
-            told = now
+        if time.ticks_diff(now, said_ms) >= SAY_EVERY_MS:
+            said_ms = now
             steps = sum(counts)
             say(
                 "hang",

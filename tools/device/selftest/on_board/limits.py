@@ -25,17 +25,17 @@ DMA, WRITE, COUNT, ENABLE, REMAINS_AT, REMAINS, CONTROL, BITS = 0, 1, 2, 3, 4, 5
 
 
 @micropython.viper
-def shoot(told: ptr32) -> int:
+def shoot(plan: ptr32) -> int:
     """Start sampling, and BEFORE ticks later invert a pin's interrupt. Stores in REMAINS how many
-    samples the DMA had left then."""
-    dma = ptr32(told[0])
-    dma[1] = told[1]
-    dma[7] = told[2]
-    ptr32(told[3])[0] = 1 << 2
-    while dma[2] > told[4]:
+    samples the DMA had left then. plan: by the places above, which are numbers here for viper."""
+    dma = ptr32(plan[0])  # its registers: 1 write address, 2 words left, 7 count, which starts it
+    dma[1] = plan[1]
+    dma[7] = plan[2]
+    ptr32(plan[3])[0] = 1 << 2  # enables the sampling machine
+    while dma[2] > plan[4]:
         pass
-    told[5] = dma[2]
-    ptr32(told[6])[0] = told[7]
+    plan[5] = dma[2]
+    ptr32(plan[6])[0] = plan[7]
     return 0
 
 
@@ -50,22 +50,23 @@ class Shot:
     sampled."""
 
     def __init__(self):
-        self._told = told = array("i", [0] * 8)
+        self._plan = plan = array("i", [0] * 8)
         length = sampler.length
-        told[DMA] = 0x50000000 + 0x40 * sampler.dma.channel
-        told[WRITE] = address_of(sampler.words)
-        told[COUNT] = length
-        told[ENABLE] = PIO1 + SET
-        told[REMAINS_AT] = length - BEFORE
-        told[BITS] = INVERT
+        plan[DMA] = 0x50000000 + 0x40 * sampler.dma.channel
+        plan[WRITE] = address_of(sampler.words)
+        plan[COUNT] = length
+        plan[ENABLE] = PIO1 + SET
+        plan[REMAINS_AT] = length - BEFORE
+        plan[BITS] = INVERT
         self._timer = Timer()
         self._act = self._make()
 
     def _make(self):
-        act, told = shoot, self._told
+        """Return a closure for the timer, because an interrupt must not look up names."""
+        act, plan = shoot, self._plan
 
         def interrupt(_timer):
-            act(told)
+            act(plan)
 
         return interrupt
 
@@ -75,8 +76,8 @@ class Shot:
         status = PINS + 8 * pin
         before = mem32[status] >> TO_PROCESSOR
         sampler.ready()
-        self._told[REMAINS] = 0
-        self._told[CONTROL] = status + 4 + SET
+        self._plan[REMAINS] = 0
+        self._plan[CONTROL] = status + 4 + SET
         self._timer.init(
             mode=Timer.ONE_SHOT,
             period=some(2000, 9000),
@@ -84,14 +85,14 @@ class Shot:
             callback=self._act,
             hard=True,
         )
-        while not self._told[REMAINS]:
+        while not self._plan[REMAINS]:
             if collect:
                 gc.collect()
         sampler.wait()
         is_forced = (mem32[status] >> TO_PROCESSOR ^ before) & 1
         mem32[status + 4 + CLEAR] = INVERT
         self._timer.deinit()
-        return self._told[COUNT] - self._told[REMAINS] if is_forced else None
+        return self._plan[COUNT] - self._plan[REMAINS] if is_forced else None
 
 
 def last_edge(at):
@@ -131,14 +132,14 @@ def limits_stop(drive, port, heard, shot):
     watched = min(WATCHED, LAST - FIRST)  # the last machine samples
     for collect in (False, True):
         ticks, missed, wrong, shown = [], 0, 0, True
-        for k in range(CONFIG["limits"] if pins else 0):
+        for index in range(CONFIG["limits"] if pins else 0):
             drive.count(watched)
             heard[0] = 0
             port.enable_limits(True)
             port.revive()
             drive.even(drive.engine.max_step_hz(3), 1 << 20, some(0, (1 << AXES) - 1))
             drive.start()
-            at = shot.fire(pins[k % len(pins)], collect)
+            at = shot.fire(pins[index % len(pins)], collect)
             if at is None:
                 shown = False
                 drive.stop()

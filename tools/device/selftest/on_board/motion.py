@@ -90,12 +90,12 @@ def stop_at_random(drive):
     def interrupt(_timer):
         stop()
 
-    for k in range(CONFIG["stops"]):
-        watch_others(drive, k)
+    for index in range(CONFIG["stops"]):
+        watch_others(drive, index)
         any_motion(drive, 1000)
         drive.start()
         delay_us = some(300, 9000)
-        if k & 1:
+        if index & 1:
             timer.init(
                 mode=Timer.ONE_SHOT,
                 period=delay_us,
@@ -112,7 +112,7 @@ def stop_at_random(drive):
         late += drive.counted() != counted
         if drive.of_watched(position) != counted:
             wrong += 1
-            worst = worst or [k, delay_us, position, counted]
+            worst = worst or [index, delay_us, position, counted]
             drive.count(WATCHED)
     timer.deinit()
     say("stops", count=CONFIG["stops"], wrong=wrong, late=late, first=worst, end=drive.position())

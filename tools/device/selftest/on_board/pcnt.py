@@ -55,6 +55,7 @@ class Counter:
 
     def __init__(self, unit, step, direction):
         def make_counter():
+            """Return a counter of rising edges, up or down by the direction's level."""
             return PCNT(
                 unit,
                 pin=Pin(step),

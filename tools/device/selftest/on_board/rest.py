@@ -51,16 +51,16 @@ def check_save():
     """Save lines as settings are saved, and measure how long no interrupt was served."""
     store = FlashStore()
     lines = ["$%d=%d" % (number, number * 7) for number in range(40)]
-    kept = array("i", [TIMER, time.ticks_us() & 0x3FFFFFFF, 0])
-    timer = Timer(mode=Timer.PERIODIC, period=BEAT_MS, callback=make_beat(kept), hard=True)
+    times = array("i", [TIMER, time.ticks_us() & 0x3FFFFFFF, 0])
+    timer = Timer(mode=Timer.PERIODIC, period=BEAT_MS, callback=make_beat(times), hard=True)
     time.sleep_ms(20)
-    quiet_us, longest_us, wrong = kept[2], 0, 0
+    quiet_us, longest_us, wrong = times[2], 0, 0
     begun = time.ticks_ms()
-    for k in range(CONFIG["saves"]):
-        lines[0] = "$0=%d" % k
-        kept[2] = 0
+    for number in range(CONFIG["saves"]):
+        lines[0] = "$0=%d" % number
+        times[2] = 0
         store.save(NAME, lines)
-        longest_us = max(longest_us, kept[2])
+        longest_us = max(longest_us, times[2])
         wrong += store.load(NAME) != lines
     took_ms = time.ticks_diff(time.ticks_ms(), begun)
     timer.deinit()

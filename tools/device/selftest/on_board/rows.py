@@ -21,7 +21,7 @@ KEEP_POWER = 0x3FFFFFFF
 @micropython.viper
 def serve(plan: ptr32, row: ptr32) -> int:
     """Write the next segment into `row`; returns 0 if none is left. Called by the engine's
-    interrupt."""
+    interrupt. plan: see the places above; as numbers here, for viper."""
     if plan[0] <= 0:
         return 0
     plan[0] -= 1
@@ -79,16 +79,17 @@ class Mover:
         """Plan `rows` segments with these steps per axis. The steps of the axis with the most are
         gap ticks apart."""
         plan = self._plan
-        plan[LEFT] = 0
+        plan[LEFT] = 0  # first, because the interrupt must not read half a plan
         plan[DIRS], plan[FLIP] = dirs, flip
         ticks = ticks or gap * max(counts)
         plan[ROW], plan[ROW + 2] = ticks, KEEP_POWER
         for i in range(AXES):
             steps = counts[i] if i < len(counts) else 0
-            own = gap * max(counts) // steps if steps else 0
+            own_gap = gap * max(counts) // steps if steps else 0
+            # Per axis: steps, tick of the first one, tick of the last one.
             plan[ROW + 3 + 3 * i] = steps
-            plan[ROW + 4 + 3 * i] = own // 2
-            plan[ROW + 5 + 3 * i] = own // 2 + own * (steps - 1) if steps else 0
+            plan[ROW + 4 + 3 * i] = own_gap // 2
+            plan[ROW + 5 + 3 * i] = own_gap // 2 + own_gap * (steps - 1) if steps else 0
         plan[LEFT] = rows
 
     def even(self, hz, steps, dirs=0):

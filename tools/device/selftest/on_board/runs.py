@@ -11,12 +11,12 @@ from .say import say
 def count_steps(drive, hz, name):
     """Move all axes forth and back, and count. Repeated until each motor has been watched, because
     not all may be watched at once."""
-    for k in range(2 * drive.rounds):
-        way = (1 << AXES) - 1 if k & 1 else 0
-        if not way:
+    for index in range(2 * drive.rounds):
+        backwards = (1 << AXES) - 1 if index & 1 else 0  # a mask of axes
+        if not backwards:
             drive.count(drive.watched)
         begun = time.ticks_us()
-        asked = drive.even(hz, hz * CONFIG["run_ms"] // 1000, way)
+        asked = drive.even(hz, hz * CONFIG["run_ms"] // 1000, backwards)
         drive.start()
         rested = drive.rest()
         took_us = time.ticks_diff(time.ticks_us(), begun)
@@ -24,7 +24,7 @@ def count_steps(drive, hz, name):
             "steps",
             rate=name,
             hz=hz,
-            back=way != 0,
+            back=backwards != 0,
             asked=asked,
             rested=rested,
             took_us=took_us,
@@ -55,21 +55,21 @@ def start_from_rest(drive):
     """Make short moves, each to its end, and check that every step was made."""
     drive.count(drive.watched)
     wrong, first, stuck = 0, [], 0
-    for k in range(CONFIG["starts"]):
-        watch_others(drive, k)
+    for index in range(CONFIG["starts"]):
+        watch_others(drive, index)
         before = drive.position()
         gap = some(drive.rest_gaps[0], drive.rest_gaps[1])
         counts = [some(0, 12) for _ in range(AXES)]
         counts[some(0, AXES - 1)] = 12
-        ways = some(0, (1 << AXES) - 1)
-        drive.plan(gap, counts, 1, ways)
+        backwards = some(0, (1 << AXES) - 1)  # a mask: axes that move backwards
+        drive.plan(gap, counts, 1, backwards)
         drive.start()
         if not drive.rest(500):
             stuck += 1
-        due = [before[i] + (-counts[i] if ways >> i & 1 else counts[i]) for i in range(AXES)]
+        due = [before[i] + (-counts[i] if backwards >> i & 1 else counts[i]) for i in range(AXES)]
         position, counted = drive.position(), drive.counted()
         if position != due or counted != drive.of_watched(due):
             wrong += 1
-            first = first or [k, due, position, counted]
+            first = first or [index, due, position, counted]
             drive.count(drive.watched)
     say("starts", count=CONFIG["starts"], wrong=wrong, stuck=stuck, first=first)

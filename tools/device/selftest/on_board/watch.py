@@ -41,6 +41,7 @@ class Counter:
         self._machine.active(1)
 
     def _read(self, source):
+        """Return how often X or Y has counted down. source: the instruction that takes it."""
         self._machine.exec(source)
         self._machine.exec(PUSH)
         return ALL - self._machine.get()
@@ -103,9 +104,9 @@ class Sampler:
         count = find_edges(self.words, begin, self.length, pin, found, len(found))
         if count > len(found):
             begin = found[count % len(found)] - 1  # the oldest one still stored
-        kept = [found[k % len(found)] for k in range(max(count - len(found), 0), count)]
-        kept.insert(0, self.level(pin, begin))
-        return kept
+        ticks = [found[index % len(found)] for index in range(max(count - len(found), 0), count)]
+        ticks.insert(0, self.level(pin, begin))
+        return ticks
 
     def level(self, pin, at):
         """Return the level of a pin at a tick."""
@@ -120,21 +121,25 @@ def find_level(words: ptr32, at: int, pin: int) -> int:
 
 @micropython.viper
 def find_edges(words: ptr32, begin: int, end: int, pin: int, found: ptr32, room: int) -> int:
-    """Store the ticks at which a pin's level changes into a ring. Returns how many there are."""
+    """Store the ticks at which a pin's level changes into a ring. Returns how many there are.
+
+    words: the levels of all pins, per tick. begin, end: the ticks to look at. found: the ring, of
+    `room` integers; if there are more, it has the last ones.
+    """
     count = 0
     place = 0
     before = (words[begin] >> pin) & 1
-    k = begin + 1
-    while k < end:
-        level = (words[k] >> pin) & 1
+    tick = begin + 1
+    while tick < end:
+        level = (words[tick] >> pin) & 1
         if level != before:
-            found[place] = k
+            found[place] = tick
             count += 1
             place += 1
             if place == room:
                 place = 0
             before = level
-        k += 1
+        tick += 1
     return count
 
 

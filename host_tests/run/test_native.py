@@ -15,9 +15,10 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 from test_both_pythons import PATHS, STANDINS
-from ugrbl.compiling import build, kernels, native
+from ugrbl.compiling import build
 from ugrbl.compiling.c_text import NotForC
 from ugrbl.paths import EXAMPLES
+from ugrbl.run import kernels, native
 
 # Passes of the build and their output: the first ring runs a few.
 pytestmark = pytest.mark.thorough
@@ -104,7 +105,7 @@ def test_compiled_kernels_compute_the_same_integers(compiled: Path, part: str) -
 import sys
 sys.path[:0] = {paths}
 sys.argv[1:] = [{part!r}]
-from ugrbl.compiling import kernels
+from ugrbl.run import kernels
 import micropython
 micropython.VIPER = "fast"
 kernels.use()

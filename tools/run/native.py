@@ -9,9 +9,9 @@ borrowed for the duration of a call. Only modules without hardware are translate
 import ast
 from collections.abc import Mapping
 
-from .c_text import BITS, Function
-from .inline import inline
-from .viper import Key, Module
+from ..compiling.c_text import BITS, Function
+from ..compiling.inline import inline
+from ..compiling.viper import Key, Module
 
 OURS = __package__.partition(".")[0]
 # Layers that do not depend on hardware.

@@ -22,11 +22,12 @@ from typing import Any
 import typer
 
 from .. import paths
-from . import build, c_text, native
+from ..compiling import build, c_text
+from . import native
 
 _FLAGS = ("-O2", "-fwrapv", "-fPIC", "-shared", "-w")
 _ON_A_MAC = ("-Wl,-undefined,dynamic_lookup",)  # these are functions of Python itself
-_TRANSLATOR = ("native.py", "c_text.py", "viper.py", "inline.py")
+_TRANSLATOR = ("run/native", "compiling/c_text", "compiling/viper", "compiling/inline")
 _PATIENCE_S = 120
 _MOST_LIBRARIES = 10  # of 80 kB each
 _MOST_KEPT = 1000
@@ -84,7 +85,7 @@ def _tidy(folder: Path) -> None:
 def _digest(compiler: list[str]) -> str:
     digest = hashlib.sha256(f"{compiler} {_FLAGS} {platform.machine()} {sys.version}".encode())
     for ours in _TRANSLATOR:
-        digest.update((paths.TOOLS / "compiling" / ours).read_bytes())
+        digest.update((paths.TOOLS / f"{ours}.py").read_bytes())
     for source in build.sources():
         digest.update((paths.FIRMWARE / source).read_bytes())
     digest.update(_ours().read_bytes())

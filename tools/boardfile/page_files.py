@@ -41,7 +41,7 @@ def page(from_board: bool = False) -> str:
 def _wrapped(name: str) -> str:
     """Return a part as it is in the page."""
     if name == DATA:
-        from ..boardfile import page_data
+        from . import page_data
 
         text = json.dumps(page_data.data(), separators=(",", ":"), ensure_ascii=False)
         # Else "</script>" in a comment of a board file would end the element.
