@@ -8,6 +8,7 @@ from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import IO, Any, Protocol
 
+from base.hooks import Hooks
 from base.settings import Settings
 from control.canon import Canon as MachineCanon
 from control.homing_probing import HomingProbing
@@ -82,6 +83,29 @@ class StepEngine(Protocol):
 
     def set_position(self, steps: array[int]) -> None:
         """Set the present position, also of locked motors. Only while idle."""
+
+class AxisLimits(Protocol):
+    """What the planner has to know of its axes: the machine's settings, or a group's axes. Rates
+    and accelerations are per minute and per minute squared."""
+
+    @property
+    def steps_per_mm(self) -> Sequence[float]: ...
+    @property
+    def max_rate(self) -> Sequence[float]: ...
+    @property
+    def acceleration(self) -> Sequence[float]: ...
+    @property
+    def junction_deviation_mm(self) -> float: ...
+
+class PlannerState(Protocol):
+    """What the planner reads of the machine's state. Overrides are in percent."""
+
+    @property
+    def hooks(self) -> Hooks: ...
+    @property
+    def feed_override(self) -> float: ...
+    @property
+    def rapid_override(self) -> float: ...
 
 class BeamEngine(StepEngine, Protocol):
     """An engine that changes the power of a beam: see motion/beam_layout.py."""
@@ -295,6 +319,27 @@ class Port(Protocol):
 
     def elapsed_ms(self, since: int) -> int:
         """Return the milliseconds since a value of ticks_ms()."""
+
+class GroupHardware(Protocol):
+    """Engine, pins and clock of a group of axes: ugrbl_motion/hardware.py, or the simulator."""
+
+    def engine(self, step: tuple[int, ...], direction: tuple[int, ...]) -> StepEngine:
+        """Create the step engine. Raises OSError if there is none."""
+
+    def make_outputs(self, pins: Sequence[int], levels: int) -> None:
+        """Create the outputs that write() sets, with these levels, a bit each."""
+
+    def write(self, levels: int) -> None:
+        """Set the outputs, a bit each. Called in an interrupt."""
+
+    def watch(
+        self, number: int, level: int, on_change: Callable[[], object]
+    ) -> Callable[[], bool]:
+        """Call on_change, in interrupt context, when the input gets that level. Returns a function
+        that returns whether it has the level."""
+
+    def sleep_ms(self, milliseconds: int) -> None:
+        """Wait."""
 
 class BoardPort(Port, Protocol):
     """A Port of a real board, with what power_up needs in addition."""

@@ -21,9 +21,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from base.settings import Settings
-    from base.state import State
-    from interfaces import Kinematics
+    from interfaces import AxisLimits, Kinematics, PlannerState
 
     _Plan = Callable[[array[float], int, int, int, int], int]
 
@@ -85,7 +83,7 @@ class Planner:
         axes: int,
         blocks: int,
         kinematics: "Kinematics | None",
-        state: "State",
+        state: "PlannerState",
         ring: "array[int] | None" = None,
     ) -> None:
         moves = kinematics.moves if kinematics else [1 << i for i in range(axes)]
@@ -119,7 +117,7 @@ class Planner:
             self.table[layout.LIMITS + 3 * axes + i] = _NO_DIRECTION
 
     def configure(
-        self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
+        self, settings: "AxisLimits", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
         """Apply rates, accelerations and resolution: compute the table for the kernels.
 

@@ -12,7 +12,7 @@ from ugrbl import __version__, paths
 from ugrbl.boardfile import page_files
 from ugrbl.boardfile.chips import BUILT_IN
 from ugrbl.boardfile.files import board_file, load_board
-from ugrbl.compiling import build
+from ugrbl.compiling import build, motion_package
 from ugrbl.image import release
 
 _ROOT = Path(__file__).parents[2]
@@ -35,6 +35,7 @@ def test_a_dry_run_makes_all_files_without_network(tmp_path: Path) -> None:
         reversed(row.split("  ")) for row in (tmp_path / "SHA256SUMS").read_text().splitlines()
     )
     zips = {f"ugrbl-dry-{name}.zip" for name in ("rpi_pico", "esp32_devkit")}
+    zips |= {f"ugrbl_motion-dry-{arch}.zip" for arch in ("armv6m", "armv7emsp", "xtensawin")}
     assert set(sums) == {image.name, "ugrbl.html", *zips}
     for name, checksum in sums.items():
         assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == checksum
@@ -49,6 +50,15 @@ def test_a_board_zip_is_installable_by_mip_and_reproducible() -> None:
         listed = json.loads(packed.read("rpi_pico/package.json"))["urls"]
         assert {path for path, _ in listed} == set(made.files)
         assert {path: packed.read(f"rpi_pico/{path}") for path in made.files} == made.files
+
+
+def test_the_motion_package_is_installable_by_mip_and_has_stubs() -> None:
+    made = motion_package.compile_for("armv6m")
+    with zipfile.ZipFile(io.BytesIO(release.motion_zip("armv6m"))) as packed:
+        listed = json.loads(packed.read("ugrbl_motion/package.json"))["urls"]
+        assert {path for path, _ in listed} == set(made.files)
+        assert {path: packed.read(f"ugrbl_motion/{path}") for path in made.files} == made.files
+        assert "ugrbl_motion/typings/ugrbl_motion/group.pyi" in packed.namelist()
 
 
 def test_a_tag_must_match_the_version_and_have_notes() -> None:

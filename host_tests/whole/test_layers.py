@@ -21,10 +21,12 @@ LAYERS: "dict[str, tuple[str, ...]]" = {
     "ports": ("base", "motion"),
     "pio": ("base", "motion", "ports"),
     "esp_chip": ("base", "motion", "ports"),
+    "ugrbl_motion": ("base", "motion", "ports", "pio", "esp_chip"),
 }
 LAYERS["boot"] = tuple(LAYERS)
 LAYERS["main"] = ("boot",)
 PORTS = ("ports", "pio", "esp_chip")
+LIBRARY_PINS = "ugrbl_motion.hardware"  # the pins of programs that have no port
 # Protocols that mypy knows, and what they are made of: never on a board.
 SEAMS = "interfaces"
 
@@ -90,7 +92,9 @@ def may_import(module, used):
         return layer == "boot"
     if other in LAYERS:
         return other in LAYERS[layer]
-    return used in MICROPYTHON and (used not in HARDWARE or layer in PORTS)
+    return used in MICROPYTHON and (
+        used not in HARDWARE or layer in PORTS or module == LIBRARY_PINS
+    )
 
 
 def test_every_folder_has_a_place_in_the_layers():

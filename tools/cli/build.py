@@ -9,9 +9,9 @@ from rich.markup import escape
 
 from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
-from ..compiling import build, freeze
+from ..compiling import build, freeze, motion_package
 from ..compiling.build import Build, BuildError, Progress
-from ..compiling.folder import save, save_to_freeze
+from ..compiling.folder import save, save_motion, save_to_freeze
 from ..device.deploy import ARCHS
 from .outputs import check_outputs, examples, save_json, words
 
@@ -21,6 +21,7 @@ EXAMPLES = examples(
 )
 _ARCH = "armv6m"
 _FOLDER = Path("build")
+_SAVE = {"": save, "frozen": save_to_freeze, "motion": save_motion}
 
 
 def command(
@@ -41,6 +42,10 @@ def command(
         bool,
         typer.Option("--frozen", help="All modules, as manifest.py freezes them: build/frozen/."),
     ] = False,
+    motion: Annotated[
+        bool,
+        typer.Option("--motion", help="The package ugrbl_motion: build/motion/."),
+    ] = False,
     json_file: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
@@ -49,8 +54,8 @@ def command(
     """Compile the firmware for a board; show each module's bytes.
 
     With --board it compiles what `ugrbl deploy` would put on that board; without it, all modules.
-    manifest.py uses --frozen when MicroPython is built with this firmware: that is for every board
-    with this chip.
+    manifest.py uses --frozen when MicroPython is built with this firmware, for every board of this
+    chip. --motion compiles ugrbl_motion instead, the engine without G-code.
 
     The board file is checked first, and nothing is built for a bad one: every problem has a line,
     and the exit code is 1.
@@ -60,16 +65,15 @@ def command(
     def progress(name: str, size: int) -> None:
         console.print(f"{size:7} {name}", highlight=False)
 
-    folder = out or _FOLDER / ("frozen" if frozen else "") / (Path(board).stem if board else arch)
+    kind = "frozen" if frozen else "motion" if motion else ""
+    folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
         if folder.exists() and not folder.is_dir():
             raise BuildError(f"{folder} is no folder")
-        if arch not in ARCHS[1:]:
-            raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
-        made = _make(board, arch, progress, frozen)
-        (save_to_freeze if frozen else save)(made, folder)
+        made = _make(board, getattr(described, "MPY_ARCH", arch), progress, kind)
+        _SAVE[kind](made, folder)
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
     for text in notes(described) if described else ():
@@ -81,13 +85,17 @@ def command(
         save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
 
 
-def _make(board: str | None, arch: str, progress: Progress, frozen: bool) -> Build:
-    """Compile the firmware for a board, or without one all modules for a processor."""
-    if frozen and not board:
+def _make(board: str | None, arch: str, progress: Progress, kind: str) -> Build:
+    """Compile the firmware, for a board or a processor, or another kind of build."""
+    if arch not in ARCHS[1:]:
+        raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
+    if kind == "frozen" and not board:
         raise BuildError("frozen for which board? --board NAME")
+    if kind == "motion":
+        return motion_package.compile_for(arch, progress)
     if not board:
         return build.compile_all(arch, None, progress)
-    compile_for = freeze.for_board if frozen else build.for_board
+    compile_for = freeze.for_board if kind else build.for_board
     return compile_for(board_file(board), progress)
 
 

@@ -7,6 +7,8 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from .. import paths
+from ..compiling import stubs
 from ..run import custom_check, custom_try, machine
 from ..run.custom_check import Verdict
 from ..run.machine import Around
@@ -50,6 +52,29 @@ def check(
         save_json(verdict.as_json(), json_file)
     if not verdict.is_good:
         raise typer.Exit(1)
+
+
+@app.command(epilog=_EXAMPLE.format("types"))
+def types(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="The folder of your programs.")
+    ] = Path("."),
+) -> None:
+    """Write stubs: an editor then completes m.
+
+    They describe what custom.py imports as ugrbl, and m as Machine: def vacuum(m: Machine, P).
+    They go into the folder typings, where Pylance and Pyright look; the package ugrbl_motion is
+    there as well.
+    """
+    files = {**stubs.custom(), **stubs.motion()}
+    try:
+        for path, text in files.items():
+            paths.write(folder / path, text.encode())
+    except OSError as error:
+        raise failed(error) from error
+    Console().print(
+        f"{len(files)} files in {folder / stubs.FOLDER}", highlight=False, soft_wrap=True
+    )
 
 
 def judge(console: Console, board: str, surroundings: Around) -> Verdict:

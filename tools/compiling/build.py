@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 from .. import paths
@@ -26,6 +26,7 @@ from .kernel_module import Apart
 
 # MicroPython runs main.py at start, but never main.mpy, so this file is not compiled.
 START = "main.py"
+LIBRARY = "ugrbl_motion"
 KERNELS = f"{kernel_module.PACKAGE}/"  # files on a board without a source file
 BOARD = "board.py"
 
@@ -91,10 +92,11 @@ def sources() -> list[str]:
     """Return the path of every module of the firmware: `main.py`, `pio/engine.py`.
 
     __init__.py files are left out, because they only document a folder and a board does not need
-    them.
+    them; ugrbl_motion is a package of its own (motion_package.py).
     """
-    found = (path for path in paths.FIRMWARE.rglob("*.py") if path.name != "__init__.py")
-    return sorted(path.relative_to(paths.FIRMWARE).as_posix() for path in found)
+    found = (path.relative_to(paths.FIRMWARE) for path in paths.FIRMWARE.rglob("*.py"))
+    kept = (path for path in found if path.name != "__init__.py" and path.parts[0] != LIBRARY)
+    return sorted(path.as_posix() for path in kept)
 
 
 def texts() -> dict[str, str]:
@@ -136,9 +138,12 @@ def id_of(arch: str) -> str:
     return _id(_written(arch))
 
 
-def in_place(arch: str) -> dict[str, str]:
-    """Return the modules for a processor, by name, after the first pass and with their id."""
-    return _in_place(_written(arch))
+def in_place(arch: str, more: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
+    """Return the modules for a processor, by name, after the first pass and with their id.
+
+    more: modules that are not the firmware's, by name.
+    """
+    return _in_place(_written(arch) + tuple(more.items()))
 
 
 def prepared(arch: str) -> Apart:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from .. import __version__, paths
 from ..boardfile.chips import CHIPS
-from . import prebuilt
-from .build import KERNELS, START, Build, firmware, sources, texts
+from . import motion_package, prebuilt, stubs
+from .build import KERNELS, LIBRARY, START, Build, firmware, sources, texts
 from .inline import inline
 
 _PACKAGE_LIST = "package.json"
@@ -22,6 +22,13 @@ def save(made: Build, folder: Path) -> None:
         file = folder / path
         paths.write(file, content)
     paths.write(folder / _PACKAGE_LIST, package_list(made).encode())
+
+
+def save_motion(made: Build, folder: Path) -> None:
+    """Write the package ugrbl_motion with its list for mip, and stubs, which mip leaves out."""
+    save(made, folder)
+    for path, text in stubs.motion().items():
+        paths.write(folder / path, text.encode())
 
 
 def package_list(made: Build) -> str:
@@ -60,6 +67,8 @@ def fill_stock() -> None:
 
 def place(folder: Path) -> None:
     """Write the sources for MicroPython on a desktop: with constants in place."""
-    for name, text in inline(texts(), keep=True).items():
+    library = motion_package.texts()
+    start = {f"{LIBRARY}.__init__": library.pop(LIBRARY)}
+    for name, text in inline({**texts(), **library, **start}, keep=True).items():
         file = folder / f"{name.replace('.', '/')}.py"
         paths.write(file, text.encode())

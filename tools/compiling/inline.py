@@ -187,6 +187,18 @@ def _literal(value: int) -> str:
     return str(value) if value >= 0 else f"({value})"
 
 
+def moved(text: str, names: Mapping[str, str]) -> str:
+    """Return a module with its imports of modules replaced by those of other names.
+
+    names: the new name of each module, and of each package from which modules are imported.
+    """
+    edits = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom) and (new := names.get(node.module or "")):
+            edits.append(Edit(node, ast.unparse(ast.ImportFrom(new, node.names, 0))))
+    return edited(text, edits)
+
+
 def imports(node: ast.Import | ast.ImportFrom, names: list[ast.alias]) -> str:
     """Return an import with these names only; "pass" if there are none."""
     source = f"from {node.module} " if isinstance(node, ast.ImportFrom) else ""

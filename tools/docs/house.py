@@ -8,7 +8,7 @@ from .. import paths
 from .markdown import table
 
 # From the bottom up; main.py, which MicroPython starts, is above them.
-FOLDERS = "base motion control language talk ports pio esp_chip extras boot".split()
+FOLDERS = "base motion control language talk ports pio esp_chip extras boot ugrbl_motion".split()
 # The folders of the package on the desktop, each above those that it imports.
 ROOMS = "grbl sim boardfile compiling run draw replay device image web docs cli".split()
 

@@ -1,8 +1,9 @@
 """The files of a release, except images and wheel: `make release-files VERSION=v0.1.0`.
 
 They are made from the checkout: the page, the firmware of every board as a zip (with the
-package.json for `mpremote mip install`), notes from CHANGELOG.md, and checksums of all files in
-the folder, including images and wheel. `make release-dry` makes them without a tag.
+package.json for `mpremote mip install`), ugrbl_motion for every processor, notes from
+CHANGELOG.md, and checksums of all files in the folder, including images and wheel. `make
+release-dry` makes them without a tag.
 """
 
 import hashlib
@@ -10,14 +11,15 @@ import io
 import re
 import sys
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from .. import __version__, paths
 from ..boardfile import page_files
+from ..boardfile.chips import ARCHS
 from ..boardfile.files import board_file, boards
-from ..compiling import build, folder
+from ..compiling import build, folder, motion_package
 
 CHECKSUMS = "SHA256SUMS"
 UNRELEASED = "Unreleased"
@@ -52,10 +54,20 @@ def notes(changelog: str, tag: str) -> str:
 
 def board_zip(name: str) -> bytes:
     """Return the compiled firmware of a board as a zip, in a folder of its name."""
-    firmware = build.for_board(board_file(name))
+    made = build.for_board(board_file(name))
+    return _zip(name, lambda place: folder.save(made, place))
+
+
+def motion_zip(arch: str) -> bytes:
+    """Return the package ugrbl_motion for a processor as a zip, in a folder of that name."""
+    made = motion_package.compile_for(arch)
+    return _zip(build.LIBRARY, lambda place: folder.save_motion(made, place))
+
+
+def _zip(name: str, save: Callable[[Path], None]) -> bytes:
     data = io.BytesIO()
     with TemporaryDirectory() as place, zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
-        folder.save(firmware, Path(place))
+        save(Path(place))
         for path in sorted(path for path in Path(place).rglob("*") if path.is_file()):
             entry = zipfile.ZipInfo(f"{name}/{path.relative_to(place).as_posix()}", _MADE)
             entry.compress_type = zipfile.ZIP_DEFLATED
@@ -76,6 +88,8 @@ def make(tag: str, place: Path, names: Iterable[str]) -> None:
     paths.write(place / "ugrbl.html", page_files.page().encode())
     for name in names:
         paths.write(place / f"ugrbl-{tag or 'dry'}-{name}.zip", board_zip(name))
+    for arch in ARCHS:
+        paths.write(place / f"{build.LIBRARY}-{tag or 'dry'}-{arch}.zip", motion_zip(arch))
     files = sorted(file for file in place.iterdir() if file.is_file() and file.name != CHECKSUMS)
     paths.write(place / CHECKSUMS, checksums(files).encode())
     paths.write(place / "notes" / "notes.md", text.encode())

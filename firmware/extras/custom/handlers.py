@@ -141,6 +141,7 @@ class Api:
         self.gcode = gcode
         self.every = every
         self.on = on
+        self.Machine = object  # for editors, which have a stub: def vacuum(m: Machine, P): ...
         self.Refused = Refused
         self.Refuse = Refuse
 

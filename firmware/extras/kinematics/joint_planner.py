@@ -19,8 +19,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from typing import Any
 
-    from base.settings import Settings
-    from interfaces import Geometry
+    from interfaces import AxisLimits, Geometry
     from motion.planner import Move
 
 # Positions are whole numbers of 1/1000 mm, as in reports.
@@ -124,7 +123,7 @@ class NonlinearPlanner(Planner):
         self._deviation = 0.0  # $11, as the planner's JUNCTION is scaled
 
     def configure(
-        self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
+        self, settings: "AxisLimits", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
         """Apply settings, as Planner.configure(). Steps, rates, accelerations are of joints."""
         super().configure(settings, tick_hz, segment_log2, step_hz)

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Any
 
-    from base.settings import Rows, Settings
-    from interfaces import Options
+    from base.settings import Rows
+    from interfaces import AxisLimits, Options
     from motion.planner import Move
 
     from extras.api import Cnc
@@ -111,7 +111,7 @@ class SkewPlanner(Planner):
     is_new = False  # the skew has changed, so positions must be read again
 
     def configure(
-        self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
+        self, settings: "AxisLimits", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
         """Apply settings, as Planner.configure(), and $780 to $782."""
         super().configure(settings, tick_hz, segment_log2, step_hz)

@@ -1,0 +1,102 @@
+# mypy: disable-error-code=arg-type
+"""Exact rates: a row's time is set to what the program asked for, without an error that adds up.
+
+The planner's speeds are reals with an error of 2**-14, because they only decide when a step comes.
+That is five seconds a day, and a telescope sees it. So each block has, in the place of the
+line number, the ticks between two steps of its longest axis at the speed asked for: the bits of a
+single-precision float, or 0. A row at about that speed gets exactly that time; the remainder below
+a tick goes into the next row. Ramps, holds and other speeds are far enough off to be left alone.
+"""
+
+import micropython
+from micropython import const
+from motion.layout import (
+    AT,
+    CRUISE,
+    LINE,
+    ROW_AXES,
+    ROW_STRIDE,
+    ROW_TICKS,
+)
+from motion.segment_kernel import fill
+from motion.segments import Segments
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+
+    from motion.planner import Planner
+
+_FRACTION_BITS = const(17)  # of a tick; 4095 steps of less than a tick fit 29 bits
+_NEAR_LOG2 = const(10)  # the planner's own error is below 2**-11 of a row,
+_END_LOG2 = const(6)  # and a row's end may be 2**-7 step off (slice_kernel.STEP_BIAS)
+
+
+@micropython.viper
+def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> int:
+    """Give a row at about the block's exact rate exactly its time. Returns 1 if that was done.
+
+    rest[0]: fraction of a tick that is due, in 2**-17. A slow block's speed is a small number
+    (CRUISE), so its error may be larger. Steps keep their places within the row.
+    """
+    at = flow[AT]
+    bits = ring[at + LINE]
+    steps = 0
+    for i in range(motors):
+        if row[ROW_AXES + ROW_STRIDE * i] > steps:
+            steps = row[ROW_AXES + ROW_STRIDE * i]
+    if bits == 0 or steps == 0:
+        return 0
+    # Ticks per step: 24 bits of mantissa * 2**-shift, as whole ticks and a fraction.
+    shift = 150 - (bits >> 23)
+    mantissa = (bits & 0x7FFFFF) | 0x800000
+    fraction = 0
+    if shift > 0:
+        whole = mantissa >> shift
+        fraction = mantissa - (whole << shift)
+        if shift > _FRACTION_BITS:
+            fraction >>= shift - _FRACTION_BITS
+        else:
+            fraction <<= _FRACTION_BITS - shift
+    else:
+        whole = mantissa << (0 - shift)
+    ticks = row[ROW_TICKS]
+    fraction = fraction * steps + rest[0]
+    exact = whole * steps + (fraction >> _FRACTION_BITS)
+    change = exact - ticks
+    if change < 0:
+        change = 0 - change
+    near = (ticks >> _NEAR_LOG2) + (whole >> _END_LOG2)
+    if change > near + ticks // ((ring[at + CRUISE] >> 1) + 1) + 2:
+        return 0
+    rest[0] = fraction & ((1 << _FRACTION_BITS) - 1)
+    row[ROW_TICKS] = exact
+    scale = 0  # so that the products below fit: the times of steps need no more than 12 bits
+    while ticks >> scale >= 4096:
+        scale += 1
+    for i in range(motors):
+        base = ROW_AXES + ROW_STRIDE * i
+        for k in range(base + 1, base + 3 if row[base] else base + 1):
+            moved = (row[k] >> scale) * change // (ticks >> scale)
+            row[k] = row[k] + moved if exact > ticks else row[k] - moved
+    return 1
+
+
+class ExactSegments(Segments):
+    """Segments with exact rates."""
+
+    def __init__(self, planner: "Planner", rest: "array[int]") -> None:
+        super().__init__(planner)
+        self._motors = planner.motors
+        self._rest = rest
+
+    @micropython.viper
+    def next(self, row: ptr32) -> int:
+        """Fill in the next segment's row, as Segments.next() does, at its exact rate."""
+        flow = ptr32(self._flow)
+        ring = ptr32(self._ring)
+        table = ptr32(self._table)
+        if int(fill(flow, ring, table, row)) == 0:
+            return 0
+        set_time(flow, ring, row, int(self._motors), ptr32(self._rest))
+        return 1

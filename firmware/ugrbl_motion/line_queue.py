@@ -1,0 +1,290 @@
+"""Line queue: straight lines in whole steps, executed one after the other by the step engine.
+
+The wiring of ugrbl's planner, segments and engine without a G-code machine. Group puts names and
+units on it. The planner's spindle power carries the number of a move and the levels of outputs to
+the moment when the move begins; its line number carries the exact rate (exact.py).
+"""
+
+import math
+from array import array
+
+import micropython
+from base.float32 import copy
+from base.hooks import Hooks
+from micropython import const
+from motion import layout
+from motion.layout import HEAD, LINE, ROWS, TAIL
+from motion.planner import Move, Planner
+
+from ugrbl_motion.exact import ExactSegments
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from interfaces import GroupHardware
+
+REACH = const(0x1FFFFF00)  # steps from 0
+_BIAS = const(0x20000000)
+
+# What the interrupt shares with the main loop.
+_PLAYING = const(0)  # the move being executed: its number, and the outputs' levels below that
+_AT_END = const(1)  # levels after all moves
+LEVEL_BITS = const(8)
+_LEVELS = const(0xFF)
+_NUMBERS = const(0xFFFFF)  # of moves
+_HALF = const(0x80000)
+
+
+class Motor:
+    """A motor with STEP and DIR, and its limits; see group.Axis."""
+
+    def __init__(
+        self,
+        step: int,
+        direction: int,
+        steps_per_unit: float,
+        speed: float,
+        acceleration: float,
+        invert: bool = False,
+    ) -> None:
+        if min(steps_per_unit, speed, acceleration) <= 0:
+            raise ValueError("steps_per_unit, speed and acceleration have to be above 0")
+        self.step = step
+        self.direction = direction
+        self.steps_per_unit = steps_per_unit
+        self.speed = speed
+        self.acceleration = acceleration
+        self.invert = invert
+
+
+class _Limits:
+    """Limits of axes for Planner.configure(): per minute, and in its unit, `scale` to one."""
+
+    def __init__(self, axes: "Sequence[Motor]", scale: float, corner: float) -> None:
+        self.steps_per_mm = [axis.steps_per_unit / scale for axis in axes]
+        self.max_rate = [axis.speed * scale * 60 for axis in axes]
+        self.acceleration = [axis.acceleration * scale * 3600 for axis in axes]
+        self.junction_deviation_mm = corner * scale
+
+
+class _Overrides:
+    """What the planner reads of a machine's state; percent."""
+
+    def __init__(self) -> None:
+        self.hooks = Hooks()
+        self.feed_override: float = 100
+        self.rapid_override: float = 100
+
+
+class LineQueue:
+    """The queue. Arguments: see Group. `ends` is filled in before plan().
+
+    levels: of the outputs, a bit each, at the start.
+    """
+
+    def __init__(
+        self,
+        axes: "Sequence[Motor]",
+        hardware: "GroupHardware",
+        corner: float,
+        length: int,
+        pulse_us: int,
+        levels: int,
+    ) -> None:
+        count = len(axes)
+        self._hardware = hardware
+        self._state = array("i", (levels, levels))
+        self._engine = engine = hardware.engine(
+            tuple([axis.step for axis in axes]), tuple([axis.direction for axis in axes])
+        )
+        # The planner's unit is about a step, so that its slowest speed is a step per minute.
+        finest = max([axis.steps_per_unit for axis in axes])
+        self._scale = scale = 2.0 ** math.floor(math.log(finest) / math.log(2))
+        self._overrides = _Overrides()
+        self._planner = planner = Planner(count, length, None, self._overrides)
+        self._segments = ExactSegments(planner, array("i", (0,)))
+        engine.configure(pulse_us, 0, sum([1 << i for i in range(count) if axes[i].invert]))
+        self.fastest_hz = engine.max_step_hz(pulse_us)
+        planner.configure(
+            _Limits(axes, scale, corner), engine.tick_hz, engine.segment_log2, self.fastest_hz
+        )
+        planner.override()
+        engine.attach(self._segments.next, self._on_row, self._on_rest)
+        engine.arm()
+        self.ends = array("i", (0 for _ in range(count)))  # of the move being prepared, in steps
+        self.paused = self.stopping = False
+        self._targets = memoryview(planner.table)[layout.LIMITS + layout.TARGET * count :]
+        self._move = Move()
+        self._nowhere = array("f", (0.0 for _ in range(count)))  # targets are in whole steps
+        self._steps = array("i", (0 for _ in range(count)))
+        self._periods = array("f", (0.0 for _ in range(length)))  # ticks per step, per block
+        self._cell = array("f", (0.0,))
+        self._bits = array("i", (0,))
+        self._factor = 1.0
+        self._number = 0  # of the last move
+
+    # In the engine's interrupt
+
+    @micropython.native
+    def _on_row(self, playing: int) -> None:
+        """A row begins: note its move, and set the outputs if they change."""
+        state = self._state
+        before = state[_PLAYING]
+        state[_PLAYING] = playing
+        if (before ^ playing) & _LEVELS:
+            self._hardware.write(playing & _LEVELS)
+
+    @micropython.native
+    def _on_rest(self) -> None:
+        """The engine has run out of rows: set the outputs that change after the last move."""
+        flow = self._planner.flow
+        if flow[HEAD] == flow[TAIL]:
+            state = self._state
+            self._on_row(state[_PLAYING] & ~_LEVELS | state[_AT_END])
+
+    @micropython.native
+    def halt(self) -> None:
+        """Stop at once, without a ramp, and drop all moves. Callable in an interrupt."""
+        self.stopping = True
+        self._engine.stop()
+
+    # Moves
+
+    def plan(self, rate: float, feed: float) -> int:
+        """Plan a line to `ends`, which must be within REACH, and start motion. Returns its number.
+
+        There must be space. rate: steps/s of the axis with the most steps, and feed, units/s along
+        the line, are the same speed; 0: as fast as possible. Without steps there is no new move.
+        """
+        planner, move = self._planner, self._move
+        move.clear()
+        move.flags = layout.PLACED
+        if rate:
+            head = planner.flow[HEAD]
+            self._periods[head] = self._engine.tick_hz / rate
+            move.line_number = self._period_bits(head)
+            move.feed = 60.0 * self._scale * feed
+        else:
+            move.flags |= layout.RAPID_MOTION
+        for i, end in enumerate(self.ends):
+            self._targets[i] = _BIAS + end
+        number = self._number + 1 & _NUMBERS
+        if planner.line(self._nowhere, move, number << LEVEL_BITS | self.levels):
+            self._number = number
+            if not self.paused:
+                self._engine.start()
+        elif not self.busy():
+            self._on_rest()  # outputs that changed without a move
+        return self._number
+
+    def _period_bits(self, row: int) -> int:
+        """Return the ticks per step of a row of the ring for exact.set_time(), at this pace."""
+        self._cell[0] = self._periods[row] / self._factor
+        copy(self._cell, self._bits, 1)
+        return self._bits[0]
+
+    def pace(self, factor: float) -> None:
+        """Execute all moves, the present one too, at so many times their speed."""
+        planner, flow = self._planner, self._planner.flow
+        self._factor = factor
+        self._overrides.feed_override = self._overrides.rapid_override = 100 * factor
+        planner.override()
+        at = flow[TAIL]
+        while at != flow[HEAD]:
+            row = at * flow[layout.ROW_SIZE]
+            if planner.ring[row + LINE]:
+                planner.ring[row + LINE] = self._period_bits(at)
+            at = (at + 1) % flow[ROWS]
+
+    @property
+    def levels(self) -> int:
+        """Return the outputs' levels after all moves."""
+        return self._state[_AT_END]
+
+    def set_levels(self, levels: int, now: bool) -> None:
+        """Set the outputs' levels from the end of the queued moves on; at once, if that is now."""
+        self._state[_AT_END] = levels
+        if now and not self.busy():
+            self._on_rest()
+
+    # Stops
+
+    def stop(self) -> None:
+        """Slow down, stop, and drop all moves, in check()."""
+        self.stopping = True
+        self._segments.hold(True)
+
+    def pause(self) -> None:
+        """Slow down and stop."""
+        self.paused = True
+        self._segments.hold(True)
+
+    def resume(self) -> None:
+        """Continue after pause()."""
+        self.paused = False
+        if not self.stopping:
+            self._segments.hold(False)
+            self._engine.start()
+
+    def check(self) -> str:
+        """Do what is due after stops and underruns. Returns a fault of the engine, "" if there is
+        none; after a fault nothing moves, and the outputs are off."""
+        fault = self._engine.fault()
+        if fault:
+            self.set_levels(0, False)
+            self._hardware.write(0)
+            self._settle()
+            return fault
+        planner = self._planner
+        planner.catch_up()
+        if self._engine.idle():
+            if self.stopping:
+                self._settle()
+            elif not self.paused and not planner.empty():
+                self._engine.start()
+        return ""
+
+    def _settle(self) -> None:
+        """After a stop: drop all moves, and plan from where the motors are."""
+        self._engine.stop()
+        self._planner.clear()
+        self._segments.clear()
+        self._planner.sync_motors(self.present())
+        state = self._state
+        levels = state[_PLAYING] & _LEVELS
+        state[_PLAYING] = self._number << LEVEL_BITS | levels
+        state[_AT_END] = levels
+        self.stopping = self.paused = False
+        self._engine.arm()
+
+    # Positions and progress
+
+    def present(self) -> "array[int]":
+        """Return the steps executed, per axis; valid until the next call."""
+        self._engine.position(self._steps)
+        return self._steps
+
+    def end(self, index: int) -> int:
+        """Return the steps from 0 of an axis at the end of the queued moves."""
+        return self._planner.position[index] - _BIAS
+
+    def place(self, index: int, steps: int) -> None:
+        """Declare the present position of an axis. Only while nothing moves."""
+        present = self.present()
+        present[index] = steps
+        self._engine.set_position(present)
+        self._planner.sync_motors(present)
+
+    def busy(self) -> bool:
+        """Return whether a move is being executed or waits, also in a pause."""
+        return not (self._planner.empty() and self._engine.idle())
+
+    def space(self) -> int:
+        """Return how many moves can be added; 0 while stopping."""
+        return 0 if self.stopping else self._planner.free()
+
+    def begun_after(self, number: int) -> bool:
+        """Return whether a later move than that one has begun."""
+        playing = self._state[_PLAYING] >> LEVEL_BITS
+        return 0 < (playing - number & _NUMBERS) < _HALF

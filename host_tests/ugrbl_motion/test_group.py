@@ -1,0 +1,397 @@
+"""Groups of axes: the laws of motion, stops at any instant, outputs, a queue that runs dry."""
+
+import asyncio
+from collections.abc import Iterator
+from math import hypot, inf
+from typing import Any
+
+import pytest
+from group_bench import NAMES, RESOLUTION, SPEED, GroupBench
+from hypothesis import given
+from hypothesis import strategies as st
+from laws import some
+from motion.layout import ROW_TICKS
+from ugrbl.sim import virtual_asyncio
+from ugrbl.sim.group_hardware import SimHardware
+from ugrbl_motion import Axis, Group, GroupError, Output
+
+_PLACES = st.floats(-20, 20).map(lambda x: round(x, 3))
+_TARGETS = st.dictionaries(st.sampled_from(NAMES), _PLACES, min_size=1)
+_SPEEDS = st.one_of(st.none(), st.floats(0.5, 400))
+_MOVES = st.lists(st.tuples(_TARGETS, _SPEEDS, st.booleans()), min_size=1, max_size=12)
+
+
+def rounded(place: float, axis: int) -> int:
+    return int(place * RESOLUTION[axis] + 0.5 + 1e6) - 1_000_000
+
+
+@pytest.fixture
+def bench() -> GroupBench:
+    return GroupBench()
+
+
+# Laws of motion
+
+
+@some(40)
+@given(_MOVES)
+def test_any_moves_obey_the_laws_of_motion_and_end_at_their_targets(moves: Any) -> None:
+    bench = GroupBench()
+    last = dict.fromkeys(NAMES, 0.0)
+    for to, speed, level in moves:
+        bench.group.move(speed, out0=level, **to)
+        last |= to
+    bench.check()
+    assert bench.steps == [rounded(last[name], i) for i, name in enumerate(NAMES)]
+
+
+@some(20)
+@given(_MOVES, st.lists(st.floats(0, 0.4), min_size=12, max_size=12))
+def test_a_queue_that_runs_dry_between_moves_loses_nothing(moves: Any, pauses: Any) -> None:
+    """Moves come late, early, and exactly as the last one ends."""
+    bench = GroupBench()
+    for (to, speed, _), pause in zip(moves, pauses, strict=False):
+        bench.group.move(speed, **to)
+        bench.run(pause)
+    bench.check()
+
+
+def test_distances_do_not_drift_by_rounding_to_steps(bench: GroupBench) -> None:
+    for _ in range(700):
+        bench.group.move_by(z=0.01, x=-0.003)
+    bench.check()
+    assert bench.steps == [rounded(-2.1, 0), 0, rounded(7.0, 2)]
+
+
+def test_a_move_lasts_as_long_as_asked_for(bench: GroupBench) -> None:
+    bench.group.move(seconds=4.0, x=20, y=3)
+    before = bench.hardware.now_s
+    bench.group.wait()
+    ramps = 2 * (5.0 / 500)  # to 5 units/s and back: half of each is lost
+    assert bench.hardware.now_s - before == pytest.approx(4.0 + ramps / 2, abs=0.01)
+
+
+def test_a_faster_speed_than_an_axis_has_is_its_own(bench: GroupBench) -> None:
+    bench.group.move(1e6, x=50, y=50)
+    bench.group.move(seconds=1e-6, x=0)
+    bench.check()
+
+
+# Stops
+
+
+def on_line(bench: GroupBench, to: "tuple[float, ...]") -> float:
+    """Return how far, in steps, the motors are off the line from 0."""
+    whole = [place * per for place, per in zip(to, RESOLUTION, strict=True)]
+    length = sum(n * n for n in whole)
+    part = sum(a * b for a, b in zip(bench.steps, whole, strict=True)) / length
+    return max(abs(a - part * b) for a, b in zip(bench.steps, whole, strict=True))
+
+
+@some(60)
+@given(st.floats(0, 1.0), st.sampled_from(["stop", "halt", "pause"]))
+def test_a_stop_at_any_instant_keeps_position_and_path(after: float, how: str) -> None:
+    bench = GroupBench()
+    group, to = bench.group, (20.0, 7.0, -35.0)
+    group.move(x=to[0], y=to[1], z=to[2])
+    group.move(x=0)
+    bench.run(after)
+    before, at = bench.steps, bench.hardware.now_s
+    getattr(group, how)()
+    if how == "pause":
+        bench.run(1.5)
+        assert not group.done() or not group._lines.busy()
+        group.resume()
+        bench.check()
+        assert bench.steps[0] == 0
+        return
+    group.wait()
+    assert bench.steps == [axis.steps for axis in bench.axes]
+    assert [group.end(i) for i in range(3)] == bench.steps  # the next move begins here
+    ends = [rounded(place, i) for i, place in enumerate(to)]
+    if bench.steps[1:] != ends[1:]:
+        assert on_line(bench, to) <= 1.0
+    if how == "halt":
+        assert bench.steps == before and bench.hardware.now_s == at
+    group.move(x=1, y=2, z=3)
+    group.wait()
+    assert bench.steps == [80, 400, rounded(3.0, 2)]
+
+
+def test_a_stop_brakes_as_hard_as_the_axis_may_and_no_harder(bench: GroupBench) -> None:
+    bench.group.move(x=200)
+    bench.run(1.0)
+    speed = SPEED[0]
+    before, at = bench.axes[0].position, bench.hardware.now_s
+    bench.group.stop()
+    bench.group.wait()
+    way = bench.axes[0].position - before
+    assert speed**2 / 2 / 500 <= way <= speed**2 / 2 / 500 + speed * 0.06  # segments made before
+    assert bench.hardware.now_s - at <= speed / 500 + 0.08
+
+
+def test_moves_wait_for_the_end_of_a_stop(bench: GroupBench) -> None:
+    bench.group.move(x=200)
+    bench.run(1.0)
+    bench.group.stop()
+    assert bench.group.space() == 0 and not bench.group.done()
+    bench.group.move_by(x=1)
+    bench.group.wait()
+    assert bench.steps[0] == bench.group.end(0) and bench.steps[0] < 200 * 80
+
+
+def test_waiting_in_a_pause_is_refused(bench: GroupBench) -> None:
+    bench.group.move(x=5)
+    bench.group.pause()
+    with pytest.raises(GroupError, match=r"resume\(\) or stop\(\) first"):
+        bench.group.wait()
+    bench.group.stop()
+    bench.group.wait()
+    assert bench.group.done()
+
+
+def test_a_failed_engine_is_reported_and_everything_is_off(bench: GroupBench) -> None:
+    bench.group.move(x=50, out0=1)
+    bench.run(0.1)
+    bench.engine.fault = lambda: "pulses were lost"  # type: ignore[method-assign]
+    with pytest.raises(GroupError, match=r"pulses were lost.*position again"):
+        bench.group.wait()
+    assert bench.engine.idle() and bench.hardware.outputs[-1][1] == 0
+    del bench.engine.fault  # type: ignore[method-assign]
+    bench.group.move(x=0)
+    bench.group.wait()
+    assert bench.steps[0] == 0
+
+
+# Outputs and progress
+
+
+def test_outputs_change_exactly_where_their_move_begins(bench: GroupBench) -> None:
+    for k in range(40):
+        bench.group.move_by(20, x=0.5, out0=k % 2 == 0)
+    bench.group.wait()
+    changes = bench.hardware.outputs[1:]
+    assert [levels for _, levels, _ in changes] == [1, 0] * 20
+    assert [steps[0] for _, _, steps in changes] == [40 * k for k in range(40)]
+
+
+def test_outputs_without_a_move_change_when_the_moves_are_done(bench: GroupBench) -> None:
+    bench.group.set(out0=1)
+    assert bench.hardware.outputs[-1][1] == 1
+    bench.group.move(x=3)
+    bench.group.set(out0=0)
+    bench.group.wait()
+    assert [steps[0] for _, _, steps in bench.hardware.outputs[1:]] == [0, 240]
+    bench.group.move(x=3, out0=1)  # no step: at once
+    assert bench.hardware.outputs[-1][1] == 1
+
+
+def test_several_outputs_change_independently() -> None:
+    bench = GroupBench(outputs=8)
+    bench.group.move_by(x=1, out7=1, out0=1)
+    bench.group.move_by(x=1, out7=0)
+    bench.group.wait()
+    assert [levels for _, levels, _ in bench.hardware.outputs] == [0, 0x81, 0x01]
+
+
+def test_a_move_is_done_as_the_next_one_begins(bench: GroupBench) -> None:
+    numbers = [bench.group.move_by(10, x=1) for _ in range(6)]
+    for k, number in enumerate(numbers):
+        bench.group.wait(number)
+        made = bench.axes[0].position
+        assert k + 1 <= made < k + 1.2
+        assert (bench.group.done(number) and not bench.group.done(numbers[-1])) or k == 5
+
+
+def test_a_full_queue_makes_the_caller_wait_and_ready_does_not() -> None:
+    bench = GroupBench(queue=4)
+    for _ in range(3):
+        bench.group.move_by(10, x=1)
+    assert bench.group.space() == 0 and bench.hardware.now_s == 0
+    bench.group.move_by(10, x=1)
+    assert bench.hardware.now_s > 0
+    bench.check()
+
+
+def test_a_pace_applies_to_the_present_move_too(bench: GroupBench) -> None:
+    bench.group.move(10, x=500)
+    bench.run(1)
+    for factor, speed in ((1.5, 15), (0.2, 2), (1, 10), (10, 100)):
+        bench.group.pace(factor)
+        bench.run(0.4)
+        before = bench.axes[0].position
+        bench.run(0.5)
+        got = (bench.axes[0].position - before) / 0.5
+        assert got == pytest.approx(speed, rel=0.02)
+
+
+# Positions
+
+
+def test_a_position_is_declared_without_motion(bench: GroupBench) -> None:
+    x = bench.axes[0]
+    bench.group.move(x=2)
+    with pytest.raises(GroupError, match="during motion"):
+        x.place(100)
+    bench.group.wait()
+    x.place(100.5)
+    assert x.position == x.target == 100.5 and bench.steps[0] == 160
+    x.move(100)
+    bench.group.wait()
+    assert bench.steps[0] == 120
+
+
+def test_an_inverted_axis_counts_the_other_way_at_the_pins() -> None:
+    hardware = SimHardware()
+    x = Axis(2, 5, 100, 10, 100, invert=True)
+    group = Group(x=x, hardware=hardware)
+    x.move(1)
+    group.wait()
+    assert x.position == 1 and list(hardware.steps()) == [-100]
+
+
+# asyncio
+
+
+@pytest.fixture
+def loop_of() -> "Iterator[Any]":
+    """Return a function that makes asyncio.run() use the virtual time of a bench."""
+    policy = asyncio.get_event_loop_policy()
+    yield lambda bench: virtual_asyncio.install([bench.hardware])
+    asyncio.set_event_loop_policy(policy)
+
+
+def test_tasks_run_while_a_task_waits_for_motion(bench: GroupBench, loop_of: Any) -> None:
+    loop_of(bench)
+    seen: "list[float]" = []
+
+    async def watch() -> None:
+        while not bench.group.done():
+            seen.append(bench.axes[0].position)
+            await asyncio.sleep(0.02)
+
+    async def main() -> None:
+        first = bench.group.move(10, x=2)
+        bench.group.move(10, x=4)
+        watcher = asyncio.create_task(watch())
+        await bench.axes[0].moved(first)
+        assert 2 <= bench.axes[0].position < 2.2
+        await bench.group.moved()
+        assert bench.axes[0].position == 4
+        await watcher
+
+    asyncio.run(main())
+    assert len(seen) > 15 and seen == sorted(seen)
+    bench.check()
+
+
+def test_a_stop_from_another_task_ends_the_wait(bench: GroupBench, loop_of: Any) -> None:
+    loop_of(bench)
+
+    async def main() -> None:
+        bench.group.move(5, x=500)
+        waiting = asyncio.create_task(bench.group.moved())
+        await asyncio.sleep(1)
+        bench.group.stop()
+        await waiting
+        assert 4.5 < bench.axes[0].position < 6
+
+    asyncio.run(main())
+
+
+def test_a_task_fills_the_queue_without_blocking_others(loop_of: Any) -> None:
+    bench = GroupBench(queue=4)
+    loop_of(bench)
+    ticks = 0
+
+    async def other() -> None:
+        nonlocal ticks
+        while True:
+            ticks += 1
+            await asyncio.sleep(0.01)
+
+    async def main() -> None:
+        counting = asyncio.create_task(other())
+        for _ in range(20):
+            await bench.group.ready()
+            before = bench.hardware.now_s
+            bench.group.move_by(10, x=1)
+            assert bench.hardware.now_s == before
+        await bench.group.moved()
+        counting.cancel()
+
+    asyncio.run(main())
+    assert ticks > 150
+    bench.check()
+
+
+def test_a_program_in_which_every_task_waits_for_ever_is_reported(
+    bench: GroupBench, loop_of: Any
+) -> None:
+    loop_of(bench)
+
+    async def main() -> None:
+        await asyncio.Event().wait()
+
+    with pytest.raises(RuntimeError, match="every task waits"):
+        asyncio.run(main())
+
+
+# Refusals
+
+WRONG = [
+    (lambda group: group.move(q=1), "no axis or output in this group is named q"),
+    (lambda group: group.move(x=1, q=1), "named q"),
+    (lambda group: group.set(x=1), "no axis or output"),
+    (lambda group: group.move(0, x=1), "above 0"),
+    (lambda group: group.move(-3, x=1), "above 0"),
+    (lambda group: group.move(seconds=0, x=1), "above 0"),
+    (lambda group: group.move(x=1, y=1e9), "y is out of reach"),
+    (lambda group: group.move_by(x=-1e9), "x is out of reach"),
+    (lambda group: group.axes[0].run(0), "stop"),
+    (lambda group: group.pace(0), "from 0.01 to 10"),
+]
+
+
+@pytest.mark.parametrize(("act", "text"), WRONG)
+def test_a_refused_call_changes_nothing(act: Any, text: str, bench: GroupBench) -> None:
+    bench.group.move_by(x=0.004)
+    bench.group.wait()
+    with pytest.raises(ValueError, match=text):
+        act(bench.group)
+    assert bench.group.done() and bench.steps == [0, 0, 0]
+    bench.group.move_by(x=0.0095)  # the rest of the first is still there: 0.0135 are 1.08 steps
+    bench.check()
+    assert bench.steps[0] == 1
+
+
+def test_parts_that_make_no_group_are_refused() -> None:
+    x = Axis(2, 5, 80, 100, 500)
+    with pytest.raises(ValueError, match="in no group"):
+        x.move(1)
+    with pytest.raises(ValueError, match="at least one Axis"):
+        Group(out=Output(3), hardware=SimHardware())
+    Group(x=x, hardware=SimHardware())
+    with pytest.raises(ValueError, match="in two groups"):
+        Group(x=x, hardware=SimHardware())
+    for wrong in ((0, 1, 1), (1, 0, 1), (1, 1, -1)):
+        with pytest.raises(ValueError, match="above 0"):
+            Axis(2, 5, *wrong)
+
+
+def test_this_computer_has_no_step_engine() -> None:
+    with pytest.raises(OSError, match="no step engine for linux"):
+        Group(x=Axis(2, 5, 80, 100, 500))
+
+
+def test_the_path_of_a_corner_is_that_of_its_lines(bench: GroupBench) -> None:
+    """Corners are slowed down for, and never cut."""
+    seen: "list[tuple[float, float]]" = []
+    bench.group.move(100, x=10)
+    bench.group.move(100, y=10)
+    while not bench.group.done():
+        bench.run(0.001)
+        seen.append((bench.axes[0].position, bench.axes[1].position))
+    off = max(min(abs(y) if x <= 10 else inf, abs(x - 10)) for x, y in seen)
+    assert off <= 0.5 / 80 + 1e-9 and hypot(*seen[-1]) == pytest.approx(200**0.5)
+    assert sum(row[ROW_TICKS] for _, row in bench.hardware.made) > 0
