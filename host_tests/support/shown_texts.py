@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from html.parser import HTMLParser
 
 from ugrbl import paths
-from ugrbl.boardfile import page_data
-from ugrbl.boardfile import page_script
+from ugrbl.boardfile import page_data, page_script
 from ugrbl.docs import browser
 
 PAGE = paths.TOOLS / "web" / "page"

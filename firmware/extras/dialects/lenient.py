@@ -285,7 +285,7 @@ class Lenient:
 
 def _sets_acceleration(words: "list[Word]") -> bool:
     """Return whether M204 is on the line, and S is no speed of a spindle, T no tool."""
-    return has(words, "M", _M204) and not (has(words, "M", *_TURNING) or has(words, "T"))
+    return has(words, "M", _M204) and not (has(words, "M", *_SPINDLE_WORDS) or has(words, "T"))
 
 
 def _words(line: bytearray, length: int) -> "list[Word] | None":

@@ -22,7 +22,7 @@ function chosenLanguage() {
   return codes.find((code) => code === "en" || code in languages) || "en";
 }
 
-/** The number by which a text is found: tools/compiling/page_texts.py computes it, too. */
+/** The number by which a text is found: tools/boardfile/page_texts.py computes it, too. */
 function numberOf(text) {
   let number = 0;
   for (let at = 0; at < text.length; at += 1) number = (number * multiplier + text.charCodeAt(at)) & 0xfffff;
