@@ -50,9 +50,6 @@ WORDS = {
     },
     "TOOL": {"spindle": "", "laser": "tools.laser", "punch": "tools.punch"},
 }
-# From the first extra on, garbage is collected each time so many bytes were allocated: with a
-# custom.py the largest free block is 19 kB then, and 2.7 kB without.
-_COLLECT_BYTES = const(8192)
 _NETWORKS = ("wifi", "uart_wifi")  # links
 
 
@@ -108,9 +105,7 @@ def custom_modules(board: "ModuleType") -> "tuple[str, ...]":
 def import_extras(asked: "list[str]") -> "list[Extra]":
     """Import the modules with these names, and return them."""
     if [name for name in asked if name not in sys.modules]:
-        # Else what they leave for good is spread over all of memory.
-        gc.collect()
-        gc.threshold(_COLLECT_BYTES)
+        gc.collect()  # else what they leave for good is spread over all of memory
     return [__import__(name, None, None, ("install",)) for name in asked]
 
 
