@@ -176,6 +176,13 @@ OPTIONS = (
         *("MAX_STEP_RATE_HZ", COUNT, 0),
         "Highest step rate; $100-$112 that ask for more are refused with error:12. 0: none.",
     ),
+    Option(
+        *("STEP_PULSE_MIN_US", COUNT, 3),
+        "Shortest step pulse that $0 may be, in us, if all motor drivers may have shorter ones "
+        "than 3. See docs/motors.md.",
+        low=1,
+        high=3,
+    ),
     Option("COREXY", SWITCH, False, "Motors A and B move X and Y together (CoreXY)."),
     Option(
         *("MOVES", NAMES, ()),
