@@ -101,7 +101,7 @@ def _streamed(bench: Bench, name: str, file: str, host: Host) -> Iterator[Row]:
     for line in (*_SETTINGS, "G90", "G0X0Y0Z0"):
         talk.ask(line)
     idle(talk)
-    sent = islice(cycle(program(file)), _SECONDS * 2500)
+    sent = islice(cycle(program(file)), int(_SECONDS * 2500))
     made = stream(talk, list(sent), _BLOCKS, _QUERY_US, host.window, _SECONDS * 1e6)
     yield Row(f"{name}, {host}", made.lines_s, "lines/s")
     yield Row(f"{name}, {host}: least blocks waiting", made.waiting)
