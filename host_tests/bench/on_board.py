@@ -164,7 +164,7 @@ def fill(modal, memory):
 
 def of_a_line():
     modal, _, memory = found[interpreter.Interpreter].memory()
-    running = memory[2][5]
+    running = found[interpreter.Interpreter]._state.running
     texts = moves(0)
     call = each(nothing, texts, 21 << 8, modal, 0, memory)
     looked = each(look, texts, 21 << 8, modal, 0, memory) - call

@@ -87,7 +87,7 @@ def program(name: str) -> "list[str]":
 
 
 def programs(bench: Bench) -> Iterator[Row]:
-    """Time these programs for 10 s each, with a status report each 0.2 s, for each kind of host."""
+    """Time these programs for 10 s each, with `?` each 0.2 s, for each kind of host."""
     if not (bench.emulated and _FOLDER.is_dir()):
         return
     for host in HOSTS:

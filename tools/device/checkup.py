@@ -215,8 +215,10 @@ def most_hz(found: Firmware, pulse_us: float) -> float:
     engine, stated = identity.groups()
     known = engines.engines()
     of_engine = known[engine].most_hz if engine in known else _UGRBL_HZ
-    most = int(stated) if stated else of_engine
-    return min(most, 1_000_000 / (pulse_us + 1))
+    by_pulse = 1_000_000 / (pulse_us + 1)
+    if engine == "pio" and not stated:
+        return by_pulse  # also above most_hz, with STEP_PULSE_MIN_US
+    return min(int(stated) if stated else of_engine, by_pulse)
 
 
 def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:
