@@ -1,15 +1,16 @@
 """Stream programs of real CAM software, as a sender with a window and a latency sees it.
 
 The programs are in the project's shared folder (../shared/gcode, README.md there); without it this
-part has no rows. Feed rates are replaced by one that no line reaches, and the settings let the
-machine follow, so that the firmware is the limit and not the motion. Lines that would stop the
-machine are left out.
+part has no rows. Feed rates are replaced by one at which the machine would need so many lines per
+second (ASKED), and the settings let it follow, so that the firmware is the limit. Lines that would
+stop the machine, and the first ones of jscut and Fusion (a head, and helices), are left out.
 """
 
 import re
 from collections import deque
 from collections.abc import Iterator
 from itertools import cycle, islice
+from math import dist
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,24 +22,32 @@ from streaming import idle, stream
 from wire import EmulatedWire, Talk
 
 _FOLDER = Path(__file__).resolve().parents[3] / "shared" / "gcode"
-_LINES = {
-    "jscut": ("jscut_tball_pocket.gcode", 1),
-    "Fusion": ("fusion360_grbl_adaptive.nc", 1),
-}
-_ARCS = {
-    "FreeCAD gear": ("freecad_grbl_gear.nc", 1),
-    "CamBam panel": ("cambam_panel.nc", 1),
+
+
+class Program(NamedTuple):
+    """A program; its first line that counts; lines per second asked for."""
+
+    file: str
+    first: int
+    asked: float
+
+
+PROGRAMS = {
+    "jscut": Program("jscut_tball_pocket.gcode", 20, 2200),
+    "Fusion": Program("fusion360_grbl_adaptive.nc", 680, 2200),
+    "FreeCAD gear": Program("freecad_grbl_gear.nc", 0, 400),
+    "CamBam panel": Program("cambam_panel.nc", 0, 1500),
 }
 _SETTINGS = (
-    *("$0=3", "$1=255", "$10=3", "$11=0.5", "$100=80", "$101=80", "$102=80"),
-    *("$110=180000", "$111=180000", "$112=180000"),
+    *("$0=3", "$1=255", "$10=3", "$11=0.5", "$100=40", "$101=40", "$102=40"),
+    *("$110=360000", "$111=360000", "$112=360000"),
     *("$120=500000", "$121=500000", "$122=500000"),
 )
-_FEED = "F180000"
 _STOPS = re.compile(r"M0?[0126]\b|M30|G28|G53|^%|^T\d|G64|G40")
+_COMMENT = re.compile(r"\(.*?\)|;.*")
+_WORD = re.compile(r"([XYZ])(-?[\d.]+)")
 _BLOCKS = 63
 _QUERY_US = 199_700
-_SECONDS = 10
 
 
 class Host(NamedTuple):
@@ -80,10 +89,23 @@ class DistantWire(EmulatedWire):
 
 
 def program(name: str) -> "list[str]":
-    """Return the lines of a program of _FOLDER that move, at a feed rate out of reach."""
-    text = (_FOLDER / name).read_text("utf-8").splitlines()
-    kept = (line.strip() for line in text if not _STOPS.search(re.sub(r"\(.*?\)", "", line)))
-    return [re.sub(r"F[\d.]+", _FEED, line) for line in kept if line]
+    """Return the lines of a program that move, at the feed rate that asks for its lines/s."""
+    file, first, asked = PROGRAMS[name]
+    text = (_FOLDER / file).read_text("utf-8").splitlines()[first:]
+    kept = [line.strip() for line in text if not _STOPS.search(_COMMENT.sub("", line))]
+    kept = [line for line in kept if line]
+    feed = f"F{60 * asked * _length_mm(kept) / len(kept):.0f}"
+    return [f"G1{feed}", *(re.sub(r"F[\d.]+", feed, line) for line in kept)]
+
+
+def _length_mm(lines: "list[str]") -> float:
+    """Return the length of the path, with arcs as straight lines."""
+    place, length = {"X": 0.0, "Y": 0.0, "Z": 0.0}, 0.0
+    for line in lines:
+        before = tuple(place.values())
+        place.update((axis, float(mm)) for axis, mm in _WORD.findall(_COMMENT.sub("", line)))
+        length += dist(before, place.values())
+    return length
 
 
 def programs(bench: Bench) -> Iterator[Row]:
@@ -91,18 +113,19 @@ def programs(bench: Bench) -> Iterator[Row]:
     if not (bench.emulated and _FOLDER.is_dir()):
         return
     for host in HOSTS:
-        for name, (file, _) in {**_LINES, **_ARCS}.items():
-            yield from _streamed(bench, name, file, host)
+        for name in PROGRAMS:
+            yield from of_program(bench, name, host)
 
 
-def _streamed(bench: Bench, name: str, file: str, host: Host) -> Iterator[Row]:
+def of_program(bench: Bench, name: str, host: Host, seconds: float = 10) -> Iterator[Row]:
+    """Yield the rows of one program and one kind of host."""
     board = bench.pico(PLAIN)
     talk = Talk(DistantWire(board, host.latency_us))
     for line in (*_SETTINGS, "G90", "G0X0Y0Z0"):
         talk.ask(line)
     idle(talk)
-    sent = islice(cycle(program(file)), int(_SECONDS * 2500))
-    made = stream(talk, list(sent), _BLOCKS, _QUERY_US, host.window, _SECONDS * 1e6)
+    sent = list(islice(cycle(program(name)), int(seconds * 2500)))
+    made = stream(talk, sent, _BLOCKS, _QUERY_US, host.window, seconds * 1e6)
     yield Row(f"{name}, {host}", made.lines_s, "lines/s")
     yield Row(f"{name}, {host}: least blocks waiting", made.waiting)
     talk.wire.send(b"\x18")
