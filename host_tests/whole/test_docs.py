@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -438,7 +439,7 @@ def test_the_picture_of_a_ramp_is_up_to_date(tmp_path):
     largest = {}
     for name, times in (("Grbl", ramp.grbl_ms()), ("ours", ramp.our_ms())):
         rates = ramp.speeds([ms for ms in times if ms <= ramp.grbl_ms()[-1]])[1]
-        largest[name] = max(abs(b - a) for a, b in zip(rates[8:], rates[9:]))
+        largest[name] = max(abs(b - a) for a, b in pairwise(rates[8:]))
     assert largest["ours"] < largest["Grbl"] / 3
 
 
