@@ -41,6 +41,7 @@ _PARTS: "dict[str, _Part]" = {
     "boot": talking.boot,
     "memory": talking.memory,
     "heap": talking.heap,
+    "settings": talking.settings,
     "queries": talking.queries,
     "lines": talking.lines,
     "special": talking.special_lines,
