@@ -21,8 +21,7 @@ LENGTH = const(11)  # how many bytes of answers wait to be sent
 TURNS = const(12)  # for how many turns of the loop nothing was received meanwhile
 DEAF = const(13)  # whether the host has not read for so long that it counts as absent
 ASKED = const(14)  # whether a $ was received that has not been answered
-OPEN_LINES = const(15)  # lines received and not answered, as far as the link knows
-REMEMBERED = const(16)
+REMEMBERED = const(15)
 JUST = const(1)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.

@@ -33,7 +33,6 @@ from ports.link_memory import (
     JUST,
     LENGTH,
     LINE,
-    OPEN_LINES,
     OPENED,
     PIECES,
     REMEMBERED,
@@ -61,20 +60,15 @@ _DEAF_MS = const(250)
 # G-Code Sender starts twice if it is greeted before it has noted that it has started.
 _GREET_MS = const(300)
 
-# Answers to lines are collected, because a write to USB takes a third of a line. They are sent
-# when there are so many bytes of them, when so few lines wait that the sender may soon have to
-# wait, or when nothing was received for so many turns. A sender with a window of 255 bytes has
-# eleven lines on the way, one of 127 bytes five. Longer output is sent at once, together with the
-# answers that wait. So is the answer to a $ command, because its sender waits for it.
-_ANSWERS_BYTES = const(24)
-_FEW_LINES = const(6)
+# Answers to lines are collected, up to so many bytes, and until nothing was received for so many
+# turns: a write to USB takes as long as reading a line. Longer output is sent at once, together
+# with those that wait. So is the answer to a $ command, because its sender waits for it.
+_ANSWERS_BYTES = const(64)
 _OUT_BYTES = const(192)
 _QUIET_TURNS = const(2)
 _ANSWER = const(16)  # up to so many bytes are the answer to a line, more are other output
 _LATER = const(1)  # result of _keep(): the answer waits. More is a count of bytes to send
 _DOLLAR = const(0x24)
-_NEWLINE = const(0x0A)
-_RETURN = const(0x0D)
 
 # Flags of _take()'s result: NOTE, with a count of bytes, asks for UsbLink._note(); FLUSH, without
 # one, asks to send the answers.
@@ -108,25 +102,17 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
     if (put - get) & (RING_BYTES - 1) >= RING_BYTES - 64:
         at[FULL] = 1
     count = 0
-    lines = 0
     while get != put and count < room:
         c = data[get]
         buf[count] = c
-        if c <= _RETURN:
-            if c <= CTRL_C:
-                at[ESCAPES] = 1
-            elif c >= _NEWLINE:
-                lines += 1
+        if c <= CTRL_C:
+            at[ESCAPES] = 1
         elif c == _DOLLAR:
             at[ASKED] = 1
         get = (get + 1) & (RING_BYTES - 1)
         count += 1
     shorts[3] = get
     at[TAKING] = 0
-    if count | at[LENGTH]:
-        at[OPEN_LINES] += lines
-    else:
-        at[OPEN_LINES] = 0  # it was a guess: a line may end with two bytes, or be dropped
     if at[OPENED] | at[STOPPED] | at[FULL if count == 0 else ESCAPES]:
         return count | _NOTE
     if count == 0 and at[LENGTH]:
@@ -148,19 +134,18 @@ def _keep(memory: object, data: ptr8, count: int) -> int:
 def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
     """Append data to the answers that wait. Returns as _keep().
 
-    Up to _ANSWER bytes are the answer to a line: it waits for more unless it answers a $, or few
-    lines wait. Longer data is other output: it is sent now, with all that waits.
+    Up to _ANSWER bytes are the answer to a line: it waits for more unless it answers a $. Longer
+    data is other output: it is sent now, with all that waits.
     """
     length = at[LENGTH]
-    if length + count > _OUT_BYTES:
+    if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
     length += count
     at[LENGTH] = length
     if count <= _ANSWER:
-        at[OPEN_LINES] -= count >> 2  # "ok" and a line end
-        if at[ASKED] == 0 and length < _ANSWERS_BYTES and at[OPEN_LINES] >= _FEW_LINES:
+        if at[ASKED] == 0:
             return _LATER
         at[ASKED] = 0
     at[LENGTH] = 0
