@@ -5,9 +5,15 @@ A board computes in single precision anyway; the desktop has doubles. Each resul
 rounding of a reply or of a step count depends is passed through f32().
 """
 
+import sys
 from array import array
 
 import micropython
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
 
 _cell = array("f", (0.0,))
 
@@ -37,3 +43,15 @@ def copy(source: ptr32, target: ptr32, count: int) -> int:
     for i in range(count):
         target[i] = source[i]
     return 0
+
+
+@micropython.viper
+def address_of(memory: ptr8) -> int:
+    """Return the address of an array's data. The caller keeps the array."""
+    return int(memory)  # type: ignore[call-overload, no-any-return]
+
+
+def for_kernels(memory: "Any") -> "Any":
+    """Return an array as a kernel takes it at the least cost: as its address on RP2 chips, where
+    an address is a small integer; from an array it takes 2 us. The caller keeps the array."""
+    return address_of(memory) if sys.platform == "rp2" else memory

@@ -91,7 +91,7 @@ _TABLE: "Rows" = (
     # Maximum travel, one value per axis, from the homing switch.
     (130, "max_travel", AXIS, 200.0, "millimeters"),
 )
-_SHORTEST_PULSE_US = const(3)
+_SHORTEST_PULSE_US = const(3)  # $0, unless the board's drivers accept less
 _BEYOND = float("3.5e38")  # above single precision; a literal could not be frozen
 
 # Stored internally in mm/min2, as Grbl does in single precision, and shown in the row's unit.
@@ -135,7 +135,9 @@ class Settings:
         axes: int,
         defaults: "dict[int, float]",
     ) -> None:
-        self.max_step_hz = 0  # set by a board that limits step rates ($100-$112)
+        # Set by a board: a limit of step rates ($100-$112), and the shortest pulse ($0).
+        self.max_step_hz = 0
+        self.step_pulse_min_us = _SHORTEST_PULSE_US
         # An extra may replace the rows, or the name of the file.
         self.rows: "Rows" = _TABLE
         self.file = _FILE
@@ -193,6 +195,8 @@ class Settings:
         else:
             if self._fault(key, value):
                 raise ValueError(line)
+            if key == 0:
+                value = max(value, self.step_pulse_min_us)  # the board's drivers may be others now
             self._store_value(row, axis, value)
 
     def save(self) -> None:
@@ -300,7 +304,7 @@ class Settings:
     # rates are in mm/min, resolutions in steps/mm.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
-        if truncate(amount) & 255 < _SHORTEST_PULSE_US:
+        if truncate(amount) & 255 < self.step_pulse_min_us:
             raise GrblError(errors.SETTING_STEP_PULSE_MIN)
 
     def _check_soft_limits(self, axis: int, amount: float) -> None:

@@ -56,6 +56,7 @@ class Options:
         self.enable_pin: bool = option("SPINDLE_ENABLE_PIN", False)
         self.shared_switches: bool = option("DUAL_LIMIT_SWITCHES", False)
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
+        self.step_pulse_min_us: int = option("STEP_PULSE_MIN_US", 3)
         self.echo: bool = option("ECHO", False)
         # Extras may replace the rest in prepare(), before the machine is built.
         self.custom = select_extras.custom_modules(board)

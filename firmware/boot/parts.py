@@ -4,6 +4,7 @@ The tables _ENGINES and _LINKS describe every engine and link; the tools read th
 forgets this module once the machine is built.
 """
 
+import gc
 import sys
 
 from micropython import const

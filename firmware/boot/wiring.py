@@ -75,6 +75,7 @@ def _make_basics(machine: Controller, options: Options, ring: "array[int] | None
     machine.state = state
     machine.settings = options.settings(machine.saves, axes, options.defaults)
     machine.settings.max_step_hz = options.max_step_hz
+    machine.settings.step_pulse_min_us = options.step_pulse_min_us
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.modes = Modes(axes)
     machine.planner = options.planner(axes, options.blocks, options.kinematics, state, ring)

@@ -11,7 +11,7 @@ from array import array
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.float32 import copy, vector
+from base.float32 import copy, for_kernels, vector
 from base.float32_math import store_if_changed, whole_part
 from base.hooks import call_all
 from control import modes as mode
@@ -60,17 +60,22 @@ class Interpreter:
         self.machine[b.LENGTHS] = (1 << block.axes) - 1
         self.machine[b.LENGTH_AXIS] = machine.coords.length_axis
         self.machine[b.IS_OPEN] = 1
-        # The part of memory() that stays the same.
+        # The part of memory() that stays the same. The arrays have other owners; Planner.move_hook
+        # needs xyz as an array.
         self._kept = (
-            block.ints,
-            block.singles,
+            for_kernels(block.ints),
+            for_kernels(block.singles),
             block.xyz,
-            machine.modes.rates,
-            machine.modes.position,
-            machine.coords.offsets,
-            self.machine,
-            machine.state.spindle,
-            (block.stored, block.arc.plane, block.arc.numbers),
+            for_kernels(machine.modes.rates),
+            for_kernels(machine.modes.position),
+            for_kernels(machine.coords.offsets),
+            for_kernels(self.machine),
+            for_kernels(machine.state.spindle),
+            (
+                for_kernels(block.stored),
+                for_kernels(block.arc.plane),
+                for_kernels(block.arc.numbers),
+            ),
         )
         self.memory()
 
@@ -81,15 +86,15 @@ class Interpreter:
         """
         planner = self._canon.planner
         plans = (
-            self._canon.travel,
-            planner.table,
-            planner.ring,
-            planner.flow,
-            planner.speeds,
-            self._state.running,
+            for_kernels(self._canon.travel),
+            for_kernels(planner.table),
+            for_kernels(planner.ring),
+            for_kernels(planner.flow),
+            for_kernels(planner.speeds),
+            for_kernels(self._state.running),
             planner.move_hook,
-            planner.steps_per_mm,
-            self._canon.course,
+            for_kernels(planner.steps_per_mm),
+            for_kernels(self._canon.course),
         )
         self._memory = self.block.words, self._kept, plans
         return self._modes.modal, self.machine, self._memory

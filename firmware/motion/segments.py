@@ -5,7 +5,7 @@ loop controls it through a few words of the flow: hold, resume, the system's own
 """
 
 import micropython
-from base.float32 import f32
+from base.float32 import f32, for_kernels
 from micropython import const
 
 from motion import layout
@@ -28,7 +28,10 @@ class Segments:
         self._planner = planner
         self._flow = planner.flow
         self._ring = planner.ring
-        self._table = planner.table
+        # For next(): the planner keeps the arrays.
+        self._flow_at = for_kernels(planner.flow)
+        self._ring_at = for_kernels(planner.ring)
+        self._table_at = for_kernels(planner.table)
         self._saved: "array[int] | None" = None
 
     @micropython.viper
@@ -38,9 +41,9 @@ class Segments:
         Only viper runs from there to here: a frame of bytecode takes a quarter of a kilobyte of
         the stack, which the interrupt shares with the code that it interrupts.
         """
-        flow = ptr32(self._flow)
-        ring = ptr32(self._ring)
-        table = ptr32(self._table)
+        flow = ptr32(self._flow_at)
+        ring = ptr32(self._ring_at)
+        table = ptr32(self._table_at)
         return int(fill(flow, ring, table, row))
 
     def hold(self, on: bool) -> None:

@@ -23,6 +23,7 @@ import sys
 
 import machine
 import micropython
+from base.float32 import address_of
 from micropython import const
 
 from pio import pulses
@@ -102,6 +103,7 @@ class PioEngine:
             raise ValueError("%d motors at most" % most)
         self._memory = Memory(lanes, rp2350)
         self._engine_state = self._memory.state
+        self._state_at = address_of(self._memory.state)
         self._rows = self._memory.rows
         self._machines = [self._make_lane(i) for i in range(lanes)]
         # A board unloads both modules once the engine is made.
@@ -224,7 +226,7 @@ class PioEngine:
     @micropython.viper
     def _refill(self, _source: object) -> int:
         """Refill the hardware. Interrupt: a segment has begun, or start() has requested it."""
-        state = ptr32(self._engine_state)
+        state = ptr32(self._state_at)
         state[s.ASKED] = 0
         if state[s.HALT]:
             return 0

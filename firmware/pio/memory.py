@@ -7,19 +7,13 @@ They are made once, before the heap is fragmented; engine_state.py works on them
 from array import array
 
 import machine
-import micropython
+from base.float32 import address_of
 from motion.layout import row_length
 
 from pio import pulses
 from pio import registers as reg
 from pio import state_layout as s
 from pio.pulses import LANE, MACHINE
-
-
-@micropython.viper
-def _make_address(memory: ptr8) -> int:
-    """Return the address of an array's data, which viper passes as a pointer."""
-    return int(memory)  # type: ignore[call-overload, no-any-return]
 
 
 def _make_array(length: int) -> "array[int]":
@@ -52,13 +46,13 @@ class Memory:
         self.timing[pulses.AXES] = state[s.AXES] = state[s.MOTORS] = axes
         state[s.HALT] = 1
         state[s.BEGUN] = -1
-        state[s.LANES] = _make_address(self.lanes)
-        state[s.WORDS] = (_make_address(self._rings) + ring - 1) // ring * ring
-        state[s.TIMING] = _make_address(self.timing)
-        state[s.CLOCKED] = _make_address(self._clocked)
-        state[s.WHOLE] = _make_address(self._whole)
+        state[s.LANES] = address_of(self.lanes)
+        state[s.WORDS] = (address_of(self._rings) + ring - 1) // ring * ring
+        state[s.TIMING] = address_of(self.timing)
+        state[s.CLOCKED] = address_of(self._clocked)
+        state[s.WHOLE] = address_of(self._whole)
         for i, row in enumerate(self.rows):
-            state[s.ROW + i] = _make_address(row)
+            state[s.ROW + i] = address_of(row)
         self._set_registers(axes, rp2350)
 
     def _set_registers(self, axes: int, rp2350: bool) -> None:

@@ -93,9 +93,9 @@ class ExactSegments(Segments):
     @micropython.viper
     def next(self, row: ptr32) -> int:
         """Fill in the next segment's row, as Segments.next() does, at its exact rate."""
-        flow = ptr32(self._flow)
-        ring = ptr32(self._ring)
-        table = ptr32(self._table)
+        flow = ptr32(self._flow_at)
+        ring = ptr32(self._ring_at)
+        table = ptr32(self._table_at)
         if int(fill(flow, ring, table, row)) == 0:
             return 0
         set_time(flow, ring, row, int(self._motors), ptr32(self._rest))

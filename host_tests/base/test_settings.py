@@ -5,6 +5,7 @@ import inspect
 from typing import Any
 
 import pytest
+from base import errors
 from base import settings as module
 from base.errors import GrblError
 from base.settings import _TABLE, ALL, AXIS, Settings
@@ -20,6 +21,7 @@ def fresh(store: "MemoryStore | None" = None, **board) -> Settings:
     """Return settings as they are at a start."""
     settings = Settings(store or MemoryStore(), 3, board.get("defaults", {}))
     settings.max_step_hz = board.get("max_step_hz", 0)
+    settings.step_pulse_min_us = board.get("step_pulse_min_us", settings.step_pulse_min_us)
     settings.load()
     return settings
 
@@ -97,6 +99,22 @@ def test_fine_resolution_is_loaded_with_the_slow_rate_it_needs() -> None:
     settings.set(110, 60)
     settings.set(100, 5000)
     assert shown(fresh(store, max_step_hz=30_000))[100] == 5000
+
+
+@pytest.mark.parametrize("least", [1, 2, 3])
+def test_pulses_are_at_least_as_long_as_the_board_says(least: int) -> None:
+    settings = fresh(step_pulse_min_us=least)
+    settings.set(0, least)
+    with pytest.raises(GrblError) as refused:
+        settings.set(0, least - 1)
+    assert (refused.value.code, settings.step_pulse_us) == (errors.SETTING_STEP_PULSE_MIN, least)
+
+
+def test_a_board_without_the_option_has_pulses_of_3_us_even_if_shorter_ones_are_stored() -> None:
+    store = MemoryStore()
+    fresh(store, step_pulse_min_us=1).set(0, 1)
+    assert fresh(store, step_pulse_min_us=1).step_pulse_us == 1
+    assert fresh(store).step_pulse_us == 3
 
 
 def test_soft_limits_are_loaded_with_the_homing_they_need() -> None:

@@ -32,6 +32,7 @@ import xip  # noqa: E402
 from bench_setup import Bench, Counts  # noqa: E402
 from calibration import calibration  # noqa: E402
 from chips import CHIP  # noqa: E402
+from programs import programs  # noqa: E402
 from rows import Row, head, text  # noqa: E402
 
 _Part = Callable[[Bench], Iterator[Row]]
@@ -40,6 +41,7 @@ _PARTS: "dict[str, _Part]" = {
     "boot": talking.boot,
     "memory": talking.memory,
     "heap": talking.heap,
+    "settings": talking.settings,
     "queries": talking.queries,
     "lines": talking.lines,
     "special": talking.special_lines,
@@ -52,9 +54,10 @@ _PARTS: "dict[str, _Part]" = {
     "rates": pins.rates,
     "stages": talking.stages,
     "gaps": talking.gaps,
+    "programs": programs,
     "calibration": calibration,
 }
-_EMULATED_ONLY = ("boot", "clusters", "axes", "hold", "rates")
+_EMULATED_ONLY = ("boot", "clusters", "axes", "hold", "rates", "programs")
 
 
 _PLAIN, _CACHE = "plain", "cache"

@@ -66,7 +66,7 @@ commands.Commands.find_command = whose
 
 # $FREE: free bytes; $COLLECT=n: mean and longest of n collections, us; $ALLOC: bytes on the heap;
 # $GC=0 or 1: collections off or on; $COUNT=us: turns of a loop in this time; $LATER=us: the same
-# after a block has finished.
+# after a block has finished; $HOLE: the largest hole of the heap, bytes.
 _COUNTS = """
 def collect(times):
     took = []
@@ -99,6 +99,20 @@ def later(us):
     return count(us)
 
 
+def hole(_):
+    gc.collect()
+    low, high = 1000, 100000
+    while high - low > 1000:  # in time for the supervisor
+        size = (low + high) // 2
+        try:
+            bytearray(size)
+            low = size
+        except MemoryError:
+            high = size
+    return (low,)
+
+
+acts[b"HOLE"] = hole
 acts[b"FREE"] = lambda _: (gc.mem_free(),)
 acts[b"COLLECT"] = collect
 acts[b"ALLOC"] = lambda _: (gc.mem_alloc(),)
@@ -164,7 +178,7 @@ def fill(modal, memory):
 
 def of_a_line():
     modal, _, memory = found[interpreter.Interpreter].memory()
-    running = memory[2][5]
+    running = found[interpreter.Interpreter]._state.running
     texts = moves(0)
     call = each(nothing, texts, 21 << 8, modal, 0, memory)
     looked = each(look, texts, 21 << 8, modal, 0, memory) - call

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, inf, sin
 from statistics import mean
 
 from wire import Talk
@@ -14,6 +14,7 @@ SETTINGS = (
     *("$110=30000", "$111=30000", "$112=30000", "$120=5000", "$121=5000", "$122=5000"),
 )
 
+_MOST_SKIPPED = 500
 _MOVE_MM = 0.05
 
 
@@ -97,8 +98,18 @@ class Streamed:
     waiting: int
 
 
-def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 0) -> Streamed:
-    """Send lines by character counting; the lines that fill the planner are not counted."""
+def stream(
+    talk: Talk,
+    lines: "list[str]",
+    blocks: int,
+    query_every_us: float = 0,
+    window: int = WINDOW,
+    limit_us: float = inf,
+) -> Streamed:
+    """Send lines by character counting; the lines that fill the planner are not counted.
+
+    It ends when all lines are answered, or limit_us after the first counted one.
+    """
     wire = talk.wire
     under_way: deque[int] = deque()
     answered = sent = 0
@@ -108,10 +119,10 @@ def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 
     latencies: list[float] = []
     first: list[float] = []
     waiting = blocks
-    skip = min(len(lines) // 10 + blocks, len(lines) // 2)
+    skip = min(len(lines) // 10 + blocks, len(lines) // 2, _MOST_SKIPPED)
     wire.received.clear()
-    while answered < len(lines):
-        while sent < len(lines) and sum(under_way) + len(lines[sent]) + 1 <= WINDOW:
+    while answered < len(lines) and (answered <= skip or wire.now_us() < begun + limit_us):
+        while sent < len(lines) and sum(under_way) + len(lines[sent]) + 1 <= window:
             wire.send(lines[sent].encode() + b"\n")
             under_way.append(len(lines[sent]) + 1)
             sent += 1

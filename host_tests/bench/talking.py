@@ -132,6 +132,27 @@ def _left(talk: Talk, sent: "list[str]") -> int:
     return after - before
 
 
+def settings(bench: Bench) -> Iterator[Row]:
+    """Measure what storing settings leaves: bytes of garbage, and the largest hole of the heap."""
+    talk = bench.talk(MAIN)
+    yield Row("largest hole of the heap", inside(talk, "$HOLE")[0] / 1000, "kB")
+    inside(talk, "$COLLECT=1")
+    inside(talk, "$GC=0")
+    (before,) = inside(talk, "$ALLOC")
+    talk.ask("$110=900")
+    (after,) = inside(talk, "$ALLOC")
+    inside(talk, "$GC=1")
+    yield Row("garbage of a setting", after - before, "bytes")
+    for k in range(12):
+        talk.ask(f"${(110, 120)[k % 2] + k % 3}={1000 + k}")
+    for line in ("$11=0.02", "$12=0.003", "$27=2", "$25=600", "$24=30", "$30=900"):
+        talk.ask(line)
+    yield Row("largest hole after 18 settings", inside(talk, "$HOLE")[0] / 1000, "kB")
+    for line in ("$11=0.01", "$12=0.002", "$27=1", "$25=500", "$24=25", "$30=1000"):
+        talk.ask(line)
+    set_up(talk)
+
+
 def queries(bench: Bench) -> Iterator[Row]:
     """Time status reports while idle: from `?` to the first and to the last byte of the answer."""
     talk = bench.talk(MAIN)

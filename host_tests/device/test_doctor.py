@@ -446,6 +446,7 @@ def test_short_pulses_allow_the_highest_rate_of_the_engine() -> None:
     names = {"Grbl pio": 250_000, "Grbl sim": 100_000, "Grbl rmt": 5000}
     for name, most in names.items():
         assert checkup.most_hz(replace(OURS, name=name), 3) == most
+    assert checkup.most_hz(replace(OURS, name="Grbl pio"), 1) == 500_000
 
 
 @pytest.mark.parametrize(

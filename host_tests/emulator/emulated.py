@@ -67,11 +67,14 @@ def for_this_chip(board: Path, more: str = "") -> Path:
     A board with a radio gets the module with that chip and a radio.
     """
     text = board.read_text("utf-8")
-    chip = re.findall(r"^(?:CHIP|MPY_ARCH) = .*$", BOARD_FILE.read_text("utf-8"), re.MULTILINE)
-    if re.search(r'^CHIP = "\w+_w"', text, re.MULTILINE):
-        chip[0] = chip[0][:-1] + '_w"'
+    chip, arch = re.findall(
+        r"^(?:CHIP|MPY_ARCH) = .*$", BOARD_FILE.read_text("utf-8"), re.MULTILINE
+    )
+    if arch not in text:
+        radio = re.search(r'^CHIP = "\w+_w"', text, re.MULTILINE)
+        text += "\n" + (chip[:-1] + '_w"' if radio else chip) + f"\n{arch}"
     made = Path(mkdtemp()) / board.name
-    made.write_text("\n".join((text, *chip, more)), "utf-8")
+    made.write_text(f"{text}\n{more}", "utf-8")
     return made
 
 

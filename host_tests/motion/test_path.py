@@ -21,8 +21,8 @@ from ugrbl.sim.engine import step_tick
 # rate in Hz at which rows are as short as in a ramp.
 _BIT = 0.3
 _TO_HZ = 140_000
-# The highest step rate of an engine: pulses shorter than 3 us are not needed.
-_MOST_HZ = {"sim": 250_000, "pio": 250_000, "i2s": 60_000, "rmt": 5_000}
+# The highest step rate of an engine; with STEP_PULSE_MIN_US where pulses may be that short.
+_MOST_HZ = {"sim": 500_000, "pio": 500_000, "i2s": 60_000, "rmt": 5_000}
 
 
 def bench(engine: str, rate_hz: float, way: "tuple[float, ...]") -> Bench:

@@ -52,6 +52,7 @@ _BREAKOUT: Any = load_board("generic_breakout")
 TIMINGS = {
     "usual": (10, 2, 5),
     "shortest pulse": (3, 2, 5),
+    "1 us": (1, 2, 5),  # with STEP_PULSE_MIN_US
     "generic_breakout": (5, _BREAKOUT.DIR_HOLD_US, _BREAKOUT.DIR_SETUP_US),
     "no wait": (3, 0, 0),
 }
@@ -307,7 +308,7 @@ def play(words: "list[int]", pulse: int, count: int) -> "list[tuple[int, int, in
     return list(model.edges)
 
 
-@pytest.mark.parametrize("pulse_us", range(3, 21))
+@pytest.mark.parametrize("pulse_us", range(1, 21))
 def test_a_pulse_has_the_requested_length(pulse_us: int) -> None:
     pulse = ticks(pulse_us)
     seen = driver(play([word(0, 3, 0), word(1, 2, 7)], pulse, 3000), 0)
@@ -317,7 +318,7 @@ def test_a_pulse_has_the_requested_length(pulse_us: int) -> None:
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 777])
-@pytest.mark.parametrize("pulse", [38, 125])
+@pytest.mark.parametrize("pulse", [13, 38, 125])
 def test_edges_follow_the_timing_of_programs(pulse: int, delay: int) -> None:
     """The second word's DIR changes one tick after the machine is ready for the word."""
     edges = play([word(0, 2, delay), word(1, 0, 0)], pulse, 4000)
@@ -484,20 +485,30 @@ def cruise(words: Words, rows: "list[array[int]]") -> "list[list[int]]":
     return [[tick for tick, _ in axis if begin < tick < end] for axis in words.reckoned()]
 
 
+def _shortest(hz: int) -> Timing:
+    """Return the timing with the shortest pulse that a rate allows."""
+    return TIMINGS["1 us" if hz > 250_000 else "shortest pulse"]
+
+
+def _engine_hz(hz: int) -> int:
+    """Return the highest rate of an engine with that timing, for at_rate()."""
+    return 500_000 if hz > 250_000 else 390_000
+
+
 def unevenness(steps: "list[int]") -> "tuple[float, float]":
     """Return the mean interval, and the largest deviation from it."""
     mean = (steps[-1] - steps[0]) / (len(steps) - 1)
     return mean, max(abs(b - a - mean) for a, b in pairwise(steps))
 
 
-@pytest.mark.parametrize("hz", [1, 7, 50, 333, 1000, 12_345, 100_000, 250_000])
+@pytest.mark.parametrize("hz", [1, 7, 50, 333, 1000, 12_345, 100_000, 250_000, 500_000])
 def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
     """Within a tick or 1 %, whichever is more, within segments and from one to the next.
 
     Slow moves are computed, not played: an interval at 1 Hz has 12.5 million ticks.
     """
-    rows = at_rate(hz, max(hz // 12, 12), (1.0, 1.0, 1.0))
-    words = fed(rows, TIMINGS["shortest pulse"])
+    rows = at_rate(hz, max(hz // 12, 12), (1.0, 1.0, 1.0), _engine_hz(hz))
+    words = fed(rows, _shortest(hz))
     assert not any(words.late)
     if hz >= 1000:
         assert [seen.steps for seen in words.played()] == words.reckoned()
@@ -509,12 +520,14 @@ def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
 
 
 @pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.383), (1.0, 0.999, 0.05)])
-@pytest.mark.parametrize("hz", [47_123, 71_060, 125_000, 171_640, 200_000, 250_000])
+@pytest.mark.parametrize(
+    "hz", [47_123, 71_060, 125_000, 171_640, 200_000, 250_000, 333_333, 411_000, 500_000]
+)
 def test_fast_axes_are_even_to_three_ticks_at_any_rate(
     hz: int, ratio: "tuple[float, ...]"
 ) -> None:
-    rows = at_rate(hz, hz // 4, ratio)
-    words = fed(rows, TIMINGS["shortest pulse"])
+    rows = at_rate(hz, hz // 4, ratio, _engine_hz(hz))
+    words = fed(rows, _shortest(hz))
     assert not any(words.late)
     for steps in cruise(words, rows):
         mean, worst = unevenness(steps)
@@ -522,13 +535,14 @@ def test_fast_axes_are_even_to_three_ticks_at_any_rate(
 
 
 @pytest.mark.thorough
-def test_three_axes_make_250_khz_with_the_shortest_pulse() -> None:
-    """0.1 s of it, all three axes in the same tick, counted; the processor makes none of the
+@pytest.mark.parametrize(("pulse_us", "hz"), [(3, 250_000), (1, 500_000)])
+def test_three_axes_make_the_highest_rate(pulse_us: int, hz: int) -> None:
+    """25,000 steps, all three axes in the same tick, counted; the processor makes none of the
     steps."""
-    engine_says = HZ // pulses.shortest_gap(ticks(3))
-    assert engine_says == 250_000
+    engine_says = HZ // pulses.shortest_gap(ticks(pulse_us))
+    assert engine_says == hz
     rows = at_rate(engine_says, 25_000, (1.0, 1.0, -1.0), engine_says)
-    words = fed(rows, TIMINGS["shortest pulse"])
+    words = fed(rows, (pulse_us, 2, 5))
     played = words.played()
     assert [seen.place for seen in played] == [25_000, 25_000, -25_000]
     assert [seen.steps for seen in played] == words.due
@@ -536,13 +550,13 @@ def test_three_axes_make_250_khz_with_the_shortest_pulse() -> None:
     assert not any(words.late[1:]), "except for the turn of the third axis at the start"
     assert max(len(w) for w in words.words) <= 4 * len(rows)
     fastest = [tick for tick, _ in played[0].steps][5000:20_000]
-    assert (fastest[-1] - fastest[0]) / (len(fastest) - 1) == pytest.approx(50, rel=1e-3)
+    assert (fastest[-1] - fastest[0]) / (len(fastest) - 1) == pytest.approx(HZ / hz, rel=1e-3)
     assert min(seen.pause for seen in played) >= 9
 
 
 def test_pulse_plus_nine_ticks_is_the_programs_limit() -> None:
     """Within a segment and from one to the next; steps requested sooner come at that time."""
-    for pulse_us in (3, 10):
+    for pulse_us in (1, 3, 10):
         pulse = ticks(pulse_us)
         for gap, made in ((pulse + 9, pulse + 9), (pulse + 8, pulse + 9)):
             rows = [row(5 * gap, 0, *[(5, gap, 5 * gap)] * AXES) for _ in range(4)]
@@ -551,14 +565,18 @@ def test_pulse_plus_nine_ticks_is_the_programs_limit() -> None:
 
 
 @pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.083), (1.0, 0.999, 0.5)])
-def test_the_stated_rate_includes_a_margin_for_rounding(ratio: "tuple[float, ...]") -> None:
+@pytest.mark.parametrize("pulse_us", [1, 3])
+def test_the_stated_rate_includes_a_margin_for_rounding(
+    pulse_us: int, ratio: "tuple[float, ...]"
+) -> None:
     """No segment waits for another, although rounding makes gaps up to a tick shorter."""
-    gap = pulses.shortest_gap(ticks(3))
-    assert gap > ticks(3) + 9
-    rows = at_rate(HZ // gap, 20_000, ratio)
-    assert not any(fed(rows, TIMINGS["shortest pulse"]).late)
-    rows = at_rate(HZ // (ticks(3) + 8), 20_000, ratio)  # faster than the program allows
-    assert any(fed(rows, TIMINGS["shortest pulse"]).late)
+    gap = pulses.shortest_gap(ticks(pulse_us))
+    assert gap > ticks(pulse_us) + 9
+    rows = at_rate(HZ // gap, 20_000, ratio, 600_000)
+    assert not any(fed(rows, (pulse_us, 2, 5)).late)
+    # Faster than the program allows.
+    rows = at_rate(HZ // (ticks(pulse_us) + 8), 20_000, ratio, 600_000)
+    assert any(fed(rows, (pulse_us, 2, 5)).late)
 
 
 # Running empty, and stops
@@ -788,15 +806,20 @@ def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
 @pytest.mark.parametrize(
     ("name", "latency"),
     [
-        *[(name, latency) for name in ("reversals", "fast", "250 kHz") for latency in (0, 13_000)],
+        *[
+            (name, latency)
+            for name in ("reversals", "fast", "250 kHz", "500 kHz")
+            for latency in (0, 13_000)
+        ],
         ("whole segments", 35_000),
     ],
 )
 def test_the_engine_makes_all_steps_at_their_ticks(name: str, latency: int) -> None:
     """Through DMA and interrupts, which come as rows begin, and may be 2.8 ms late, and 1.0 ms
     where rows are slices of segments."""
-    timing = TIMINGS["shortest pulse"]
-    rows = move(name) if name in MOVES else at_rate(250_000, 15_000, (1.0, 1.0, -1.0))
+    hz = 500_000 if name == "500 kHz" else 250_000
+    timing = _shortest(hz)
+    rows = move(name) if name in MOVES else at_rate(hz, 15_000, (1.0, 1.0, -1.0), _engine_hz(hz))
     if name == "whole segments":
         rows = at_rate(40_000, 3_000, (1.0, 1.0, -1.0))
         rows = [made for made in rows if made[ROW_TICKS] > 80_000]
@@ -1092,9 +1115,9 @@ def test_pins_are_inverted_on_request() -> None:
 
 def test_the_highest_rate_depends_on_the_pulse_length() -> None:
     with a_bed() as bed:
-        stated = [bed.engine.max_step_hz(us) for us in (3, 5, 10, 255)]
-        assert stated == [HZ // (ticks(us) + 12) for us in (3, 5, 10, 255)]
-        assert stated[0] == 250_000
+        stated = [bed.engine.max_step_hz(us) for us in (1, 3, 5, 10, 255)]
+        assert stated == [HZ // (ticks(us) + 12) for us in (1, 3, 5, 10, 255)]
+        assert stated[:2] == [500_000, 250_000]
 
 
 @pytest.mark.parametrize("hz", [125_000_000, 133_000_000, 150_000_000, 200_000_000])

@@ -290,7 +290,8 @@ class PioChip(_Chip):
         for module in (engine, engine_state, memory, pulses, stops, refill, slice_kernel):
             patch.setattr(module, "ptr32", ptr32, raising=False)
         patch.setattr(memory, "_make_array", self._array)
-        patch.setattr(memory, "_make_address", self._address)
+        patch.setattr(memory, "address_of", self._address)
+        patch.setattr(engine, "address_of", self._address)
         patch.setattr(machine, "mem32", _Registers(self))
         patch.setattr(rp2.StateMachine, "machines", {})
         patch.setattr(rp2.PIO, "handlers", {})

@@ -4,12 +4,13 @@ import ast
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from ugrbl.boardfile import options
 from ugrbl.cli.app import app
-from ugrbl.docs import house, pages, pictures, words
+from ugrbl.docs import house, pages, pictures, ramp, words
 from ugrbl.grbl import comments
 from ugrbl.grbl.lines import split_lines
 from ugrbl.grbl.messages import alarms, errors
@@ -408,7 +409,11 @@ def test_every_folder_of_the_firmware_is_in_the_graph():
 # Pictures
 
 
-_PICTURES = [*(picture.name for picture in pictures.PICTURES), *pictures.OF_THE_PAGE]
+_PICTURES = [
+    *(picture.name for picture in pictures.PICTURES),
+    *pictures.OF_THE_PAGE,
+    ramp.NAME,
+]
 
 
 @pytest.mark.parametrize("name", _PICTURES)
@@ -423,6 +428,19 @@ def test_a_picture_is_up_to_date(picture, tmp_path):
     fresh = tmp_path / picture.name
     pictures.draw(picture, fresh)
     assert pictures.same(fresh, pictures.FOLDER / picture.name), "make pictures"
+
+
+@pytest.mark.skipif(not ramp.RECORDING.is_file(), reason="the recordings are not here")
+def test_the_picture_of_a_ramp_is_up_to_date(tmp_path):
+    """And shows what docs/speed.md says: Grbl's speed jumps, ours does not."""
+    fresh = tmp_path / ramp.NAME
+    ramp.draw(fresh)
+    assert pictures.same(fresh, pictures.FOLDER / ramp.NAME), "make pictures"
+    largest = {}
+    for name, times in (("Grbl", ramp.grbl_ms()), ("ours", ramp.our_ms())):
+        rates = ramp.speeds([ms for ms in times if ms <= ramp.grbl_ms()[-1]])[1]
+        largest[name] = max(abs(b - a) for a, b in pairwise(rates[8:]))
+    assert largest["ours"] < largest["Grbl"] / 3
 
 
 def test_there_are_no_other_pictures():

@@ -22,7 +22,7 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "device": ("grbl", "boardfile", "compiling", "run"),
     "image": ("boardfile", "compiling", "run", "device"),
     "web": ("grbl", "sim", "boardfile", "run", "draw", "device"),
-    "docs": ("grbl", "boardfile", "replay"),
+    "docs": ("grbl", "sim", "boardfile", "run", "replay"),
 }
 ROOMS["cli"] = tuple(ROOMS)
 GROUND = ("", "paths")  # the package itself, for its version

@@ -157,14 +157,8 @@ OPTIONS = (
         *("ENABLE", PIN_OR_PINS, None),
         'Enable of the motor drivers: one for all, or a tuple of them. ENGINE "i2s" needs it.',
     ),
-    Option(
-        *("DIR_HOLD_US", COUNT, 2),
-        'Direction stays so many us behind a step. ENGINE "pio".',
-    ),
-    Option(
-        *("DIR_SETUP_US", COUNT, 5),
-        'Direction is there so many us before a step. ENGINE "pio".',
-    ),
+    Option("DIR_HOLD_US", COUNT, 2, 'Direction stays so many us behind a step. ENGINE "pio".'),
+    Option("DIR_SETUP_US", COUNT, 5, 'Direction is there so many us before a step. ENGINE "pio".'),
     Option("I2S", PINS, NEEDED, 'Pins of the shift register: BCK, WS, DATA. ENGINE "i2s".'),
     Option("I2S_RATE_HZ", COUNT, NEEDED, 'Its frames a second. ENGINE "i2s".', low=1),
     Option(
@@ -175,6 +169,12 @@ OPTIONS = (
     Option(
         *("MAX_STEP_RATE_HZ", COUNT, 0),
         "Highest step rate; $100-$112 that ask for more are refused with error:12. 0: none.",
+    ),
+    Option(
+        *("STEP_PULSE_MIN_US", COUNT, 3),
+        "Least $0, if all motor drivers accept pulses below 3 us. See docs/motors.md.",
+        low=1,
+        high=3,
     ),
     Option("COREXY", SWITCH, False, "Motors A and B move X and Y together (CoreXY)."),
     Option(
@@ -219,10 +219,7 @@ OPTIONS = (
         "Control inputs that are active when open, added up: reset 1, hold 2, start 4, door 8.",
         high=15,
     ),
-    Option(
-        *("CONTROL_DEBOUNCE_MS", COUNT, 0),
-        "For so many ms a button's contacts may bounce.",
-    ),
+    Option("CONTROL_DEBOUNCE_MS", COUNT, 0, "For so many ms a button's contacts may bounce."),
     Option(
         *("ESTOP", PIN, None),
         "Emergency stop: a contact to ground that opens when it is pressed, or its cable cut.",
@@ -282,10 +279,7 @@ OPTIONS = (
         "Door and sleep move the tool up to -5 mm and back. Needs homing.",
     ),
     Option("OVERRIDE_CONTROL", SWITCH, False, "M56 switches parking off and on."),
-    Option(
-        *("LINE_NUMBERS", SWITCH, False),
-        "N of the line being executed is in status reports.",
-    ),
+    Option("LINE_NUMBERS", SWITCH, False, "N of the line being executed is in status reports."),
     Option(
         *("FORCE_SET_ORIGIN", SWITCH, False),
         "Homing sets 0 at the switch's pull-off; travel is positive where $23 is set.",

@@ -20,7 +20,7 @@ FORMS = {
     "Motors": (
         *("COREXY", "BACKLASH", "SKEW", "JERK", "ARC_ACCELERATION"),
         *("DIR_SETUP_US", "DIR_HOLD_US"),
-        "MAX_STEP_RATE_HZ",
+        *("MAX_STEP_RATE_HZ", "STEP_PULSE_MIN_US"),
     ),
     "Homing and inputs": (
         *("HOMING", "SINGLE_AXIS_HOMING", "FORCE_SET_ORIGIN", "DUAL_LIMIT_SWITCHES"),

@@ -215,8 +215,10 @@ def most_hz(found: Firmware, pulse_us: float) -> float:
     engine, stated = identity.groups()
     all_engines = engines.engines()
     engine_hz = all_engines[engine].most_hz if engine in all_engines else _UGRBL_HZ
-    highest_hz = int(stated) if stated else engine_hz
-    return min(highest_hz, 1_000_000 / (pulse_us + 1))
+    pulse_hz = 1_000_000 / (pulse_us + 1)
+    if engine == "pio" and not stated:
+        return pulse_hz  # also above most_hz, with STEP_PULSE_MIN_US
+    return min(int(stated) if stated else engine_hz, pulse_hz)
 
 
 def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from . import browser, pages, pictures
+from . import browser, pages, pictures, ramp
 
 
 def main(
@@ -22,6 +22,8 @@ def main(
     if draw:
         for picture in pictures.PICTURES:
             print(f"{pictures.keep(picture).name} has been drawn")
+        if ramp.RECORDING.is_file():
+            print(f"{ramp.keep().name} has been drawn")
 
 
 def _renew(file: Path, new: str) -> None:

@@ -8,6 +8,7 @@ that it erases, and no input is read meanwhile.
 """
 
 import binascii
+import gc
 import os
 
 from micropython import const
@@ -30,7 +31,7 @@ def _nothing() -> None:
     """Do nothing: the default of before() and after()."""
 
 
-def _checksum(data: bytes) -> bytes:
+def _checksum(data: "bytes | memoryview") -> bytes:
     """Return the last line of a file."""
     return _CHECKSUM + b"%08x\n" % binascii.crc32(data)
 
@@ -52,7 +53,13 @@ class FlashStore:
         whole. If an older copy is used, or none, the name is noted in `damaged`."""
         is_damaged = False
         for kind in (_NOW, _NEW, _OLD):
-            lines, exists = self._read(self._folder + name + kind)
+            data, exists = self._read(self._folder + name + kind)
+            lines = None
+            if data is not None:
+                try:
+                    lines = data.decode().split("\n")[:-1]
+                except ValueError:  # other software has written it
+                    exists = True
             # A power cut during a save leaves a part of the new file, or all of it and no file in
             # its place. A partial new file is no damage.
             if kind == _OLD or (kind == _NOW and lines is None):
@@ -72,13 +79,17 @@ class FlashStore:
         kept = list(lines)
         self.before()
         try:
-            self._write(self._folder + name, kept)
+            kept.append("")  # for the last line's end
+            self._write(self._folder + name, "\n".join(kept).encode())
         except MemoryError:
             raise OSError(_NO_MEMORY)
         finally:
             self.after()
+            # Files have buffers of 1 kB. As garbage they would fill the low addresses, and the
+            # next value of a setting would lie in the middle of the largest hole.
+            gc.collect()
 
-    def _write(self, path: str, lines: "list[str]") -> None:
+    def _write(self, path: str, data: bytes) -> None:
         """Write a new file, read it back, and put it in the place of the old one.
 
         path: of the files, without suffix. OSError if that fails.
@@ -87,27 +98,24 @@ class FlashStore:
         if not is_whole and self._read(path + _NEW)[0] is not None:
             os.rename(path + _NEW, path + _NOW)  # a power cut came before this step
             is_whole = True
-        data = "".join([line + "\n" for line in lines]).encode()
         with open(path + _NEW, "wb") as file:
             file.write(data)
             file.write(_checksum(data))
-        if self._read(path + _NEW)[0] != lines:
+        if self._read(path + _NEW)[0] != data:
             raise OSError("flash does not keep what is written")
         if is_whole:
             os.rename(path + _NOW, path + _OLD)
         os.rename(path + _NEW, path + _NOW)
 
-    def _read(self, path: str) -> "tuple[list[str] | None, bool]":
-        """Return a file's lines, None if it is not whole; and whether the file exists."""
+    def _read(self, path: str) -> "tuple[bytes | None, bool]":
+        """Return a file's bytes without its checksum, None if it is not whole; and whether the
+        file exists."""
         try:
             with open(path, "rb") as file:
                 data = file.read()
         except OSError as reason:
             return None, reason.errno != _NO_SUCH_FILE
-        content = data[: max(data.rfind(_CHECKSUM), 0)]
-        if data != content + _checksum(content):
+        end = max(data.rfind(_CHECKSUM), 0)
+        if data[end:] != _checksum(memoryview(data)[:end]):
             return None, True
-        try:
-            return content.decode().split("\n")[:-1], True
-        except ValueError:  # other software has written it
-            return None, True
+        return data[:end], True

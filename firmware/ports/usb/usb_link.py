@@ -19,6 +19,7 @@ import sys
 import time
 
 import micropython
+from base.float32 import for_kernels
 from micropython import const
 
 from ports.escape import CTRL_C, Escape
@@ -184,7 +185,7 @@ class UsbLink:
         self._escape = Escape(self.close)
         # One array with two names: the supervisor's, and ours (link_memory.py has its places).
         self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
-        self._memory = self._at, self._waiting_out  # for _keep()
+        self._memory = for_kernels(self._at), for_kernels(self._waiting_out)  # for _keep()
         if sys.platform == "rp2":
             from ports.usb import usb_ring
 
@@ -253,7 +254,7 @@ class UsbLink:
         """Return read_into(): from the ring, or by MicroPython's stream if it was not found."""
         if self._at[RING] == 0:
             return self._read_plainly
-        at, take, note, flush = self._at, _take, self._note, self._flush
+        at, take, note, flush = for_kernels(self._at), _take, self._note, self._flush
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
