@@ -15,6 +15,7 @@ from ugrbl_motion import hardware as chip
 def board(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> "Iterator[Any]":
     """Return the hardware of a chip whose engine is the simulator's."""
     monkeypatch.setattr(sys, "platform", request.param)
+    monkeypatch.setattr("base.float32.address_of", lambda memory: memory)
     monkeypatch.setattr(chip, "pio", lambda step, direction: SimEngine(len(step)))
     monkeypatch.setattr(chip, "rmt", lambda step, direction: SimEngine(len(step)))
     monkeypatch.setattr(chip.Hardware, "_has_engine", False)

@@ -333,18 +333,10 @@ OPTIONS = (
     ),
     Option(
         *("POWER_FAIL", PIN, None),
-        "A contact to ground that opens when the supply fails; the machine then stops and records "
-        "where it is: see docs/jobs.md.",
+        "A contact to ground that opens when the supply fails: see docs/jobs.md.",
     ),
-    Option(
-        *("POWER_FAIL_MS", COUNT, 100),
-        "For so many ms the supply lasts after that.",
-        low=20,
-    ),
-    Option(
-        *("POWER_FAIL_UP_MM", COUNT, 0),
-        "So many mm Z goes up then, if it is homed and time is left.",
-    ),
+    Option("POWER_FAIL_MS", COUNT, 100, "The supply lasts so many ms after that.", low=20),
+    Option("POWER_FAIL_UP_MM", COUNT, 0, "Z then goes up so many mm, if homed and in time."),
     Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
