@@ -81,7 +81,7 @@ docs: $(VENV)  ## the tables in docs/, and the words of the page, out of the fir
 
 pictures: $(VENV)  ## and the pictures, each by its command, those of the page by its tests
 	$(BIN)/python -m ugrbl.docs --pictures
-	UGRBL_PICTURES=1 $(BIN)/pytest -q -rs --all host_tests/web/test_served_page.py
+	UGRBL_PICTURES=1 $(BIN)/pytest -q -rs --all host_tests/web/test_served_page.py host_tests/web/test_whole_way.py
 
 clean:  ## all that is made, except .venv
 	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

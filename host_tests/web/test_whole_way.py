@@ -1,7 +1,11 @@
 """Test the whole way in the page: from an empty board with own pins to a job that is finished
-after a power cut, on a simulated machine that differs from its settings."""
+after a tool change and a power cut, on a simulated machine that differs from its settings.
+
+UGRBL_PICTURES saves pictures of its steps for docs/web.md.
+"""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +17,7 @@ from bridge import Machine
 from browser import Person, settings_file
 from mechanic import PER_MM, TRAVEL, Mechanic
 from prompt_stand_in import PromptBoard
+from ugrbl.docs import pictures
 
 pytestmark = [pytest.mark.xdist_group("whole way"), pytest.mark.thorough, pytest.mark.timeout(600)]
 
@@ -39,6 +44,8 @@ G1 Z-0.2 F600
 G1 X6
 G1 Y5
 G0 Z4
+T2 M6
+M3 S800
 G0 X-6
 G1 Z-0.4 F600
 G1 X6 F240
@@ -91,6 +98,15 @@ def reported_steps(mechanic: Mechanic) -> "list[int]":
     return [round(a * b) for a, b in zip(mm, per, strict=True)]
 
 
+def take_picture(mechanic: Mechanic, name: str) -> None:
+    """Save a picture of the page for docs/, if asked."""
+    if os.environ.get("UGRBL_PICTURES"):
+        drawn, fresh = mechanic.folder / name, mechanic.folder / f"small-{name}"
+        mechanic.page.screenshot(path=drawn)
+        pictures.shrink(drawn, fresh, greys=True)
+        pictures.renew(fresh, pictures.FOLDER / name)
+
+
 def set_up_board(mechanic: Mechanic) -> None:
     mechanic.click("#connect")
     mechanic.reads("#setup-found", "without a board file")
@@ -109,6 +125,9 @@ def set_up_board(mechanic: Mechanic) -> None:
 def set_up_machine(mechanic: Mechanic) -> None:
     for axis in range(3):
         mechanic.sets_up_motor(axis)
+        if axis == 1:
+            mechanic.task("Motor Z")
+            take_picture(mechanic, "page_guide.png")
     mechanic.click("#guide-done")  # switches
     mechanic.sets_up_homing()
     mechanic.measures_travel_of_x()
@@ -137,6 +156,7 @@ def map_heights(mechanic: Mechanic) -> None:
     choose_probe(mechanic, "Height map", columns=3, rows=3, far=8, feed=600, up=2)
     mechanic.click("#probe-run")
     mechanic.reads("#probe-says", "9 points")
+    take_picture(mechanic, "page_height_map.png")
     mechanic.click("#height-use")
     mechanic.reads("#job-name", "job_level.nc")
 
@@ -147,7 +167,7 @@ def home(mechanic: Mechanic) -> None:
     mechanic.waits("!grbl.linesUnderWay && grbl.state === 'Idle' && grbl.machine[0] > -2")
 
 
-def test_empty_board_ends_as_machine_that_finishes_job_after_power_cut(mechanic):
+def test_empty_board_ends_as_machine_that_finishes_job_after_tool_change_and_power_cut(mechanic):
     mechanic.open_from_disk()
     set_up_board(mechanic)
     set_up_machine(mechanic)
@@ -158,6 +178,9 @@ def test_empty_board_ends_as_machine_that_finishes_job_after_power_cut(mechanic)
     map_heights(mechanic)
     mechanic.click("#tabs [data-tab=job]")
     mechanic.click("#run")
+    mechanic.reads("#tool-title", "Tool change: tool 2")
+    mechanic.waits("grbl.modes.includes('M5')")
+    mechanic.click("#tool-go")
     mechanic.waits("grbl.state === 'Run' && grbl.feed > 200 && grbl.feed < 250")
     mechanic.pauses(1)
 
@@ -172,6 +195,7 @@ def test_empty_board_ends_as_machine_that_finishes_job_after_power_cut(mechanic)
     mechanic.click("#run")
     mechanic.reads("#dialog", "Begin with line")
     mechanic.reads("#dialog", "down to Z-0.")
+    take_picture(mechanic, "page_resume.png")
     mechanic.click("#dialog-yes")
     mechanic.reads("#job-words", "Job done: nothing refused")
     mechanic.sees("Idle")

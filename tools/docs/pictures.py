@@ -57,8 +57,11 @@ PICTURES = (
 )
 
 
-# Made by host_tests/web/test_served_page.py.
-OF_THE_PAGE = ("page.png", "page_phone.png", "page_pins.png", "page_tool_change.png")
+# Made by tests in host_tests/web: test_served_page.py, and the last three test_whole_way.py.
+OF_THE_PAGE = (
+    *("page.png", "page_phone.png", "page_pins.png", "page_tool_change.png"),
+    *("page_guide.png", "page_height_map.png", "page_resume.png"),
+)
 
 
 def draw(picture: Picture, file: Path) -> None:
