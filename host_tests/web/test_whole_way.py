@@ -54,6 +54,7 @@ G0 Z4
 M2
 """
 _END = (6, 0)
+_MIDDLE = {"x": 368, "y": 80, "width": 584, "height": 600}  # of the page, in pixels
 
 
 @pytest.fixture
@@ -98,11 +99,11 @@ def reported_steps(mechanic: Mechanic) -> "list[int]":
     return [round(a * b) for a, b in zip(mm, per, strict=True)]
 
 
-def take_picture(mechanic: Mechanic, name: str) -> None:
-    """Save a picture of the page for docs/, if asked."""
+def take_picture(mechanic: Mechanic, name: str, clip: "dict[str, int] | None" = None) -> None:
+    """Save a picture of the page, or of the part clip, for docs/, if asked."""
     if os.environ.get("UGRBL_PICTURES"):
         drawn, fresh = mechanic.folder / name, mechanic.folder / f"small-{name}"
-        mechanic.page.screenshot(path=drawn)
+        mechanic.page.screenshot(path=drawn, clip=clip)
         pictures.shrink(drawn, fresh, greys=True)
         pictures.renew(fresh, pictures.FOLDER / name)
 
@@ -195,7 +196,7 @@ def test_empty_board_ends_as_machine_that_finishes_job_after_tool_change_and_pow
     mechanic.click("#run")
     mechanic.reads("#dialog", "Begin with line")
     mechanic.reads("#dialog", "down to Z-0.")
-    take_picture(mechanic, "page_resume.png")
+    take_picture(mechanic, "page_resume.png", _MIDDLE)
     mechanic.click("#dialog-yes")
     mechanic.reads("#job-words", "Job done: nothing refused")
     mechanic.sees("Idle")
