@@ -146,6 +146,8 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
     """Start a row `late` ticks after the end of the last one. Due directions change.
 
     A row has per axis, from `base` on, its steps and the ticks of the first and of the last one.
+    Ticks and frames count from the start of the buffer that is being filled. A direction changes
+    in the first frame in which its axis may step (FREE) and the row has begun.
     """
     now = timing[ROW_END] >> FRAME_LOG2
     start = timing[ROW_END] + late
@@ -170,7 +172,7 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
                 if now > turn:
                     turn = now
                 if turn >= FRAMES:  # in a later buffer
-                    lanes[lane + TURN] = turn + 1
+                    lanes[lane + TURN] = turn + 1  # 0 would mean that none is due
                 else:
                     flip = lanes[lane + DIR]
                     timing[WORD] = timing[WORD] ^ flip

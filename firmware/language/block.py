@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     ReadOn = Callable[[bytearray, int, int, object], int]
 
-assert b.ONLY < mode.MODAL_ROOM, "there is no room behind the modal state"
+assert b.ONLY < mode.MODAL_ROOM, "the modal state has too few places: enlarge MODAL_ROOM"
 
 _BEYOND = 2147483648.0
 

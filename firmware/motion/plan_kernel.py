@@ -279,8 +279,8 @@ def step_ratios(ring: ptr32, at: int, motors: int) -> int:
 
 @micropython.viper
 def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
-    """Append the block made at HEAD to the ring: its corner's speed, then the backward pass.
-    Returns 0."""
+    """Append the block made at HEAD to the ring: its corner's speed, then the backward pass; in a
+    well filled ring for several new blocks at once (NEAR, AT_ONCE). Returns 0."""
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     at = head * size

@@ -56,7 +56,10 @@ class Memory:
         self._set_registers(axes, rp2350)
 
     def _set_registers(self, axes: int, rp2350: bool) -> None:
-        """Store the addresses and masks of the chip's registers in the engine state."""
+        """Store the addresses and masks of the chip's registers in the engine state.
+
+        rp2350: the chip is one. s.RP2350: this build supports one; in other builds it is 0.
+        """
         state = self.state
         # Masks of the machines: lanes 0 to 3 of PIO 0, lanes 4 to 7 and the clock of PIO 1.
         machines = (1 << axes) - 1

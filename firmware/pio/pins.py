@@ -62,7 +62,7 @@ class GpioPort(PortPins):
     def __init__(self, board: "ModuleType") -> None:
         enables = getattr(board, "ENABLE", None)
         super().__init__(board, (Timer(), Timer()), enables, True)
-        if RP2350:
+        if RP2350:  # this build supports one: only that chip has pins above 31
             for number in self._input_numbers:
                 if _LAST < number < NOT_WIRED:
                     raise ValueError("pin %d: limits, probe, buttons are pins 0 to 31" % number)
@@ -70,7 +70,7 @@ class GpioPort(PortPins):
         self._pads = array("i", [0, 0])
         self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
         self._list_pads()
-        _make_urgent()
+        _make_urgent()  # the pins' interrupt comes before all others
 
     def _list_pads(self) -> None:
         """Make the table _pads of kill(): for each output, the address of its pad's control

@@ -100,7 +100,8 @@ def test_all_axes_of_a_line_are_exact() -> None:
     hardware.pass_s(60)
     assert error(hardware, 80 * 3.0, 0) < ERROR
     # The shorter axis' first and last step are placed within a tenth of its interval.
-    assert error(hardware, 37 * 4.0, 1) < ERROR + 0.1 / (148 * 58)
+    steps = 37 * 4.0 * (60 - _TO_SPEED_S)
+    assert error(hardware, 37 * 4.0, 1) < ERROR + 0.1 / steps
 
 
 def test_steps_stay_even() -> None:

@@ -288,7 +288,7 @@ class Job:
         else:
             most = self._connection.blocks if report.blocks_left is None else report.blocks_left
             self._say(
-                f"line {report.line} was answered last; up to {most} moves before were not made"
+                f"line {report.line} was answered last; up to {most} moves before it were not made"
             )
         state = report.state or "an unknown state"
         if report.lost:

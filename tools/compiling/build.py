@@ -128,7 +128,10 @@ def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
     if _CHIP not in processors(arch):
         made[_LAYOUT], count = _MAY_BE.subn(f"{_CHIP} = const(0)", made[_LAYOUT])
         if count != 1:
-            raise ValueError(f"{_LAYOUT} does not say whether the chip may be an {_CHIP}")
+            raise ValueError(
+                f"{_LAYOUT} does not say whether the chip may be an {_CHIP}: "
+                f"it needs a line {_CHIP} = const(1)"
+            )
     return made
 
 

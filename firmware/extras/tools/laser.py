@@ -140,7 +140,8 @@ class Laser(Spindle):
         self._port.spindle(power != 0, power)
 
     def on_motion_end(self) -> None:
-        """Take over the power that the hardware has set last, when motion has ended. Interrupt."""
+        """Set the output to the power that the engine has set last, when motion has ended.
+        Interrupt. With M4 (dynamic power) the laser is dark at rest."""
         beam = self._beam
         if self._reversed and self.laser:
             self.set_power(0)

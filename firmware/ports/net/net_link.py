@@ -341,7 +341,8 @@ class NetLink:
 
     def _end_line(self, client: Client, byte: int, now_ms: int) -> None:
         """End a client's line by CR or LF (byte). One that the machine may not have is dropped and
-        answered here: by ok if it is empty, by the check of its key, or by a refusal."""
+        answered here: by ok if it is empty, by the check of its key, or by a refusal. A line that
+        only reads borrows the machine for its answer. _user is the client at the cable."""
         if client is self.control.owner:
             client.end_line(byte, now_ms)
             return
