@@ -331,8 +331,7 @@ class I2sEngine(TimerEngine):
         self._check_idle()
 
     def _check_idle(self) -> None:
-        """After the last buffer with a step (LAST), report the last row's power, then the end of
-        motion."""
+        """After the last buffer with a step (LAST), report its power, then the end of motion."""
         state = self._state
         played = state[MOVED] <= state[SENT] and state[LAST] < state[PLAYING]
         if state[MOVING] and not state[PULLING] and played:

@@ -197,6 +197,7 @@ class _Function(Function):
         return f"{pointer}[{index}] = {value};"
 
     def cast(self, type: str, node: ast.expr) -> str:
+        """Return the cast; memory() of the C frame takes an object's address from its buffer."""
         value = self.expression(node)
         return f"((ptr{BITS[type]})memory({value}))" if self._is(node) else f"(({type}){value})"
 

@@ -340,9 +340,8 @@ class NetLink:
             self._urgent_count = count + 1
 
     def _end_line(self, client: Client, byte: int, now_ms: int) -> None:
-        """End a client's line by CR or LF (byte). One that the machine may not have is dropped and
-        answered here: by ok if it is empty, by the check of its key, or by a refusal. A line that
-        only reads borrows the machine for its answer. _user is the client at the cable."""
+        """End a client's line by CR or LF (byte); _user is the client at the cable. A line not for
+        the machine is answered here: by ok if empty, by the key's check, or by a refusal."""
         if client is self.control.owner:
             client.end_line(byte, now_ms)
             return
