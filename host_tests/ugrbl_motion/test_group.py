@@ -110,7 +110,7 @@ def test_a_stop_at_any_instant_keeps_position_and_path(after: float, how: str) -
     assert [group.end(i) for i in range(3)] == bench.steps  # the next move begins here
     ends = [rounded(place, i) for i, place in enumerate(to)]
     if bench.steps[1:] != ends[1:]:
-        assert on_line(bench, to) <= 1.0
+        assert on_line(bench, to) <= 1.1  # a step, and the rounding of the steps' times
     if how == "halt":
         assert bench.steps == before and bench.hardware.now_s == at
     group.move(x=1, y=2, z=3)

@@ -157,6 +157,8 @@ class _Function(Function):
 
     def as_int(self, node: ast.expr) -> str:
         value = self.expression(node)
+        if self.type_of(node) in BITS:
+            return f"(int64_t){value}.at"
         return f"PyLong_AsLongLong({value})" if self.is_object(node) else value
 
     def call_object(self, node: ast.Call) -> str:
