@@ -169,6 +169,15 @@ def test_fault_is_shown_at_once_in_words_of_board_check(set_up):
     assert person.page.input_value("#pin-34") == ""
 
 
+def test_next_step_without_choice_begins_own_board(set_up):
+    person = set_up()
+    step(person, "board")
+    person.click("#step-next")
+    give(person, step_X=2)
+    step(person, "options")
+    assert person.page.is_visible("#option-JERK") or person.page.is_visible("summary")
+
+
 def test_second_motor_of_axis_has_own_pins(set_up):
     person = set_up()
     step(person, "board")

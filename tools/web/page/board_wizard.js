@@ -148,8 +148,12 @@ function renderCards() {
 }
 STEP_SHOWN.board = renderCards;
 
+/** Without a choice the next step begins with a board of the user's own. */
+const beginDraft = () => draft ?? beginOwn($("board-chip").value);
+const beginOwn = (chip) => setDraft({ ...structuredClone(NEW_DRAFT), chip });
+
 function chooseOwn(chip) {
-  if (draft?.chip !== chip) setDraft({ ...structuredClone(NEW_DRAFT), chip });
+  if (draft?.chip !== chip) beginOwn(chip);
   ownWords = null;
   keep("ownWords", null);
   showStep("pins");
@@ -289,7 +293,7 @@ function pinCells(word, row, [padColumn, jobColumn], jobs) {
   return [make("label", { htmlFor: select.id, "data-kind": kind, style: where(padColumn), title: hint }, word + (hint ? "*" : "")), select];
 }
 STEP_SHOWN.pins = () => {
-  if (!draft) return showStep("board");
+  beginDraft();
   renderPins();
 };
 
@@ -365,6 +369,6 @@ function optionControl(option, id) {
   return make("input", { id, value: value ?? "", placeholder: t`none`, onchange: ({ target }) => setOption(option, target.value.replace(/[^\w-]/g, "") || undefined) });
 }
 STEP_SHOWN.options = () => {
-  if (!draft) return showStep("board");
+  beginDraft();
   renderOptions();
 };
