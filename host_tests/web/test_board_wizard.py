@@ -175,7 +175,11 @@ def test_next_step_without_choice_begins_own_board(set_up):
     person.click("#step-next")
     give(person, step_X=2)
     step(person, "options")
-    assert person.page.is_visible("#option-JERK") or person.page.is_visible("summary")
+    person.click("summary:has-text('Motors')")
+    person.page.check("#option-JERK")
+    step(person, "file")
+    text = person.page.input_value("#board-text")
+    assert "STEP = (2," in text and "JERK = True" in text
 
 
 def test_second_motor_of_axis_has_own_pins(set_up):
