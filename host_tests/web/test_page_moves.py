@@ -18,6 +18,8 @@ def test_locked_machine_is_unlocked(homer):
 
 def test_homing_ends_at_pull_off(homer):
     homer.page.evaluate("window.states = []; grbl.on('status', () => states.push(grbl.state))")
+    homer.click("#home")
+    homer.reads("#state-words", "Homing")  # although the machine answers nothing meanwhile
     homer.homes()
     assert "Home" in homer.page.evaluate("states")
     homer.page.click("#frame-machine")
