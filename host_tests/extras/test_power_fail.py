@@ -223,7 +223,7 @@ _WAITING = {
 
 @pytest.mark.parametrize(
     ("lines", "line", "ms"),
-    zip(_WAITING.values(), (22, 3, 3), (400, 300, 300), strict=True),
+    list(zip(_WAITING.values(), (22, 3, 3), (400, 300, 300), strict=True)),
     ids=_WAITING,
 )
 def test_line_is_exact_while_the_loop_waits_in_a_line(
