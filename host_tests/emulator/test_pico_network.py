@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from chips import CHIP
 from emulated import Board, files_of
 from page_bench import PING, WS_UPGRADE, frame, request
 from ugrbl.boardfile import page_files
@@ -175,6 +176,8 @@ def machine(uf2: Path) -> Board:
 @pytest.fixture
 def with_page(uf2: Path) -> Board:
     """Start a Pico W with the page, which board_check would refuse."""
+    if CHIP.name == "rp2350":
+        pytest.skip("test_pico2_memory.py has the page of an RP2350")
     described: Any = load_board("pico_w_wifi")
     described.PAGE = True
     made = build.compile_all(described.MPY_ARCH, described)
