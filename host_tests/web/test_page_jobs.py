@@ -151,7 +151,7 @@ def test_thousands_of_lines_stream_without_stalling(person_at):
     person.loads(f"G21 G90 F3000\n{moves}")
     person.click("#run")
     person.page.wait_for_function(
-        "document.getElementById('job-words').textContent.includes('done')", timeout=180_000
+        "() => document.getElementById('job-words').textContent.includes('done')", timeout=180_000
     )
     assert person.text("#job-words").startswith("Job done: nothing refused")
     assert sum(line.startswith("G1") for line in person.machine.lines()) == 3_000

@@ -129,12 +129,12 @@ def test_selected_language_is_remembered(opened: Any) -> None:
             *(TABLES[code][page_texts.NAME] for code in TABLES),
         ]
         page.select_option("#language", "es")
-        page.wait_for_function("document.documentElement.lang === 'es'")
+        page.wait_for_selector("html[lang=es]")
         page.reload()
         page.click("#tabs [data-tab=settings]")
         assert page.text_content("#state-name") == TABLES["es"]["Not connected"]
         page.select_option("#language", "en")
-        page.wait_for_function("document.documentElement.lang === 'en'")
+        page.wait_for_selector("html[lang=en]")
         assert page.text_content("#state-name") == "Not connected"
 
 

@@ -143,6 +143,13 @@ def test_triggered_probe_moves_nothing(prober):
     assert not any("G38" in line for line in prober.machine.lines())
 
 
+def test_contact_of_an_older_status_does_not_refuse_next_probing(prober):
+    choose(prober, "Plate")
+    prober.page.fill("#probe-feed", "400")
+    prober.page.evaluate("grbl.pins = 'P'; document.getElementById('probe-run').click()")
+    prober.reads("#probe-says", "Done")
+
+
 def test_later_tool_gets_difference_to_first(prober):
     choose(prober, "Tool length")
     prober.page.fill("#probe-feed", "400")
