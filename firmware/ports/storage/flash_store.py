@@ -36,6 +36,14 @@ def _checksum(data: "bytes | memoryview") -> bytes:
     return _CHECKSUM + b"%08x\n" % binascii.crc32(data)
 
 
+def _lines(data: bytes) -> "list[str] | None":
+    """Return the lines of a file; None if it is no text: others have written it."""
+    try:
+        return data.decode().split("\n")[:-1]
+    except ValueError:
+        return None
+
+
 class FlashStore:
     """A Store. folder: where the files are, with a slash at its end.
 
@@ -54,12 +62,7 @@ class FlashStore:
         is_damaged = False
         for kind in (_NOW, _NEW, _OLD):
             data, exists = self._read(self._folder + name + kind)
-            lines = None
-            if data is not None:
-                try:
-                    lines = data.decode().split("\n")[:-1]
-                except ValueError:  # other software has written it
-                    exists = True
+            lines = None if data is None else _lines(data)
             # A power cut during a save leaves a part of the new file, or all of it and no file in
             # its place. A partial new file is no damage.
             if kind == _OLD or (kind == _NOW and lines is None):
