@@ -4,7 +4,6 @@ The tables _ENGINES and _LINKS describe every engine and link; the tools read th
 forgets this module once the machine is built.
 """
 
-import gc
 import sys
 
 from micropython import const
@@ -45,9 +44,6 @@ _SLOW_RESET = " slow-reset"
 
 # Modules that are needed only while the machine is built, 5 kB together.
 _BUILDING = ("boot.wiring", "boot.options", "boot.select_extras", "ports.storage.user_files")
-# With extras, garbage is collected each time so many bytes were allocated. With a custom.py the
-# largest free block is 19 kB then, and 2.7 kB by the rule for a plain board (power_up.py).
-_COLLECT_BYTES = const(8192)
 
 # Extras that are needed only while the machine is built, a kilobyte each.
 _MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.motor_matrix")
@@ -246,8 +242,6 @@ def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
     from boot import select_extras
 
-    if select_extras.extra_names(board, bool(select_extras.custom_modules(board))):
-        gc.threshold(_COLLECT_BYTES)
     _check_engine(board)
     _, _, pins, _, _ = _ENGINES[board.ENGINE]  # the board file's names for the engine's pins
     pin_check.check(board, pins, select_extras.pin_options(board))

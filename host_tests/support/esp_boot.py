@@ -10,7 +10,6 @@ pin; "ms 100" waits; "deaf 5 0" sets the pin during a collection, so that its in
 prints the duty of a pin. Prints the conversation, and the bytes left for the prompt.
 """
 
-import gc
 import json
 import os
 import sys
@@ -270,12 +269,6 @@ def main() -> None:
             flash_write()
 
     flash_store.FlashStore = lambda: Store(folder + "/")  # type: ignore[misc, assignment]
-    if not hasattr(sys, "print_exception"):
-        from traceback import print_exception
-
-        sys.print_exception = lambda fault, file: print_exception(fault, file=file)  # type: ignore[attr-defined]
-    if not hasattr(gc, "threshold"):
-        gc.threshold = lambda count: None  # type: ignore[attr-defined]
     sys.modules["board"] = made  # type: ignore[assignment]
     with open(folder + "/talk.json") as file:
         sender = Sender(wire, json.load(file))

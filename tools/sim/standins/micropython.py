@@ -14,6 +14,7 @@ end, or a value that does not fit, raises in both modes. What is not modelled do
 import ast
 import builtins
 import copy
+import gc
 import hashlib
 import io
 import linecache
@@ -52,8 +53,7 @@ def const(value: _Value, /) -> _Value:
     return value
 
 
-def native(function: _Value, /) -> _Value:
-    return function
+native = const
 
 
 def alloc_emergency_exception_buf(size: int, /) -> None:
@@ -74,8 +74,8 @@ def _print_exception(fault: BaseException, file: Any = None) -> None:
         (file or sys.stdout).write(text)
 
 
-if not hasattr(sys, "print_exception"):
-    sys.print_exception = _print_exception
+sys.print_exception = _print_exception
+gc.threshold = const  # type: ignore[assignment]  # CPython collects by its own rule
 
 
 def kbd_intr(char: int, /) -> None:
