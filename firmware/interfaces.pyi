@@ -385,6 +385,10 @@ class PowerInput(Protocol):
     def pages(self) -> PreparedPages:
         """Pages of flash for what must be stored."""
 
+    @property
+    def is_armed(self) -> bool:
+        """Whether the next failure calls on_fail; interference ends that."""
+
     def attach(self, on_fail: Callable[[], object], on_fault: Callable[[], object]) -> None:
         """Call on_fail, in an interrupt, when the supply fails; on_fault if that raises."""
 

@@ -154,6 +154,8 @@ class PowerFail:
         """Run one turn: nothing while the supply is good."""
         if self._phase == _GOOD:
             if self._input.is_good():
+                if not self._input.is_armed:  # interference was over before it was read
+                    self._input.arm()
                 if self._unread == _WRITTEN and self._machine.at_rest():
                     self._read()
                 return

@@ -32,6 +32,7 @@ class PowerInput:
         self._number = number
         self._without_pull = without_pull
         self._is_hard = is_hard
+        self.is_armed = True  # the next edge interrupts
 
     def attach(self, on_fail: "Callable[[], object]", on_fault: "Callable[[], object]") -> None:
         """Call on_fail, in an interrupt, when the contact opens; on_fault if that raises."""
@@ -52,12 +53,14 @@ class PowerInput:
 
     def arm(self) -> None:
         """Interrupt again at the next edge."""
+        self.is_armed = True
         self._pin.irq().trigger(Pin.IRQ_RISING)
 
     @micropython.native
     def _changed(self, pin: "Pin") -> None:
         try:
             pin.irq().trigger(0)
+            self.is_armed = False
             if pin():
                 self._on_fail()
         except BaseException:

@@ -45,6 +45,7 @@ EXTRAS: "dict[str, tuple[str, dict[str, Any]]]" = {
 STORMS = ((5, 5), (20, 20), (25, 25), (50, 50), (17, 3), (47, 3))
 STORM_US = 8_000
 PEACE_US = 2_000
+_POWER_PIN = 22
 # In STORM_US: turns of a Pico's main loop, 52 without a storm; of an ESP32's engine, 8.
 FEWEST_TURNS = {"pio": 48, "i2s": 7, "rmt": 7}
 # Interrupts of one pin. An ESP32's have eight places to wait in, and then all eight are called.
@@ -170,11 +171,34 @@ def test_a_storm_on_any_interrupting_pin_starves_nothing(made: Machine) -> None:
         assert seen["turns"] >= FEWEST_TURNS[made.engine], (pin, shape, seen)
 
 
-def test_pin_interrupts_are_set_up_in_one_place_only() -> None:
-    """Others would not be tested here.
+@pytest.mark.parametrize("shape", STORMS)
+def test_interference_on_power_fail_interrupts_once_a_turn_and_the_next_edge_again(
+    shape: "tuple[int, int]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Machine(changed("rpi_pico", {"POWER_FAIL": _POWER_PIN}), monkeypatch)
+    pin = machine.Pin(_POWER_PIN)
+    pin.drive(0)
+    cpu, rig = made.cpu, made.rig
 
-    The PIO's interrupt is not a pin's. POWER_FAIL's comes once until its pin is armed again. The
-    motion library without a machine has its own.
+    def act() -> None:
+        monkeypatch.setattr(rig, "pass_time", lambda *passed: None)  # messages take none here
+        (cpu.turn,) = rig.controller.state.hooks.poll
+        cpu.storm([pin], *shape, STORM_US)
+        pin.drive(0)
+        assert 0 < len(cpu.calls) <= cpu.turns + 1
+        assert cpu.late_us <= 1_600 and cpu.turns >= FEWEST_TURNS["pio"]
+        cpu.run(30_000)
+        cpu.calls.clear()
+        pin.drive(1)
+        cpu.run(50)
+        assert cpu.calls, "no interrupt after the interference"
+
+    made.run(act)
+
+
+def test_pin_interrupts_are_set_up_in_one_place_only() -> None:
+    """Others would not be tested here. The PIO's interrupt is not a pin's; the motion library has
+    one of its own, without a machine.
     """
     modules = [path for path in FIRMWARE.rglob("*.py") if path.parent.name != "ugrbl_motion"]
     asks = {path.name for path in modules if ".irq(" in path.read_text()}
