@@ -8,7 +8,7 @@ released, a jog ends. It jogs in Idle only; hold acts always.
 """
 
 from machine import UART, Pin
-from ugrbl import every, on
+from ugrbl import every
 
 FRAME, START, AXES = 7, 0xA5, "XYZABC"
 ENABLE, PLUS, MINUS, HOLD = 1, 2, 4, 8
@@ -36,12 +36,10 @@ def obey(m, axis, clicks, hundredths, percent, buttons):
     seen["held"] = bool(buttons & HOLD)
     rate = max(RATE * min(percent, 100) / 100, 1)
     way = (buttons & PLUS > 0) - (buttons & MINUS > 0)
-    if not buttons & ENABLE or axis >= len(AXES):
+    if not buttons & ENABLE or axis >= len(AXES) or (seen["jogs"] and not way):
         stop(m)
     elif way:
         seen["jogs"] = m.jog(AXES[axis], way * rate / 60 * TURN_MS / 1000, rate) or seen["jogs"]
-    elif seen["jogs"]:
-        stop(m)
     elif clicks:
         m.jog(AXES[axis], (clicks - 256 if clicks > 127 else clicks) * hundredths / 100, rate)
 
@@ -59,8 +57,3 @@ def listen(m):
         obey(m, *frame[1:-1])
     if seen["silent"] == SILENCE:
         stop(m)
-
-
-@on.alarm
-def forget(m, number):
-    seen["jogs"] = False

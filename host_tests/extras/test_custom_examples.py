@@ -24,7 +24,7 @@ pytestmark = pytest.mark.sampled(1)
 _EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
 _STEPS = 250
 _FAST = {110: 6000, 111: 6000, 112: 6000, 120: 500, 121: 500, 122: 500, 1: 255}
-_LONGEST = {"rack": 120, "pendant_serial": 45}
+_LONGEST = {"rack": 120}
 
 
 class Solid(Switch):

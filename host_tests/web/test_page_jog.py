@@ -172,7 +172,7 @@ def test_drawing_is_panned_without_motion_until_dragging_is_switched_on(person):
     assert person.page.evaluate("plot.pixel([0, 0, 0])") != before and not jogs(person)
     person.click("#drag")
     x, y = tool_on_screen(person)
-    person.page.mouse.move(x + 60, y + 60)  # beside the tool
+    person.page.mouse.move(x + 60, y + 60)  # not on the tool
     person.page.mouse.down()
     person.page.mouse.move(x + 90, y + 60)
     person.page.mouse.up()

@@ -349,7 +349,7 @@ def _firmware(board: ModuleType) -> Iterator[str]:
     except ValueError as error:
         yield str(error)
     except ImportError as error:
-        yield f"EXTRAS: {error}: it is to lie beside the board file"
+        yield f"EXTRAS: {error}: put it in the folder of the board file"
     except Exception as error:
         yield f"EXTRAS: a module fails: {type(error).__name__}: {error}"
     else:

@@ -41,7 +41,7 @@ function renderFileSays() {
 }
 
 function fileRows() {
-  if (!isBoardFile()) return [[t`Your own Python, beside the board file. It is compiled on the board before it replaces what is there; what fails later is a message in the console.`, ""]];
+  if (!isBoardFile()) return [[t`Your own Python, apart from the board file. It is compiled on the board before it replaces what is there; what fails later is a message in the console.`, ""]];
   if (ownWords !== null) return [[t`This text was written by hand or comes as it is. The board checks it when it starts.`, ""]];
   return draft ? verdict() : [[t`Choose a board first, or open a file.`, "warn"]];
 }
