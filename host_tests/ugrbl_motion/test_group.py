@@ -21,6 +21,11 @@ _SPEEDS = st.one_of(st.none(), st.floats(0.5, 400))
 _MOVES = st.lists(st.tuples(_TARGETS, _SPEEDS, st.booleans()), min_size=1, max_size=12)
 
 
+# Steps by which two motors may be off their line besides the step under way: each row's end may be
+# 2**-7 step off (slice_kernel.STEP_BIAS).
+_OFF = 2 * 2**-7
+
+
 def rounded(place: float, axis: int) -> int:
     return int(place * RESOLUTION[axis] + 0.5 + 1e6) - 1_000_000
 
@@ -110,7 +115,7 @@ def test_a_stop_at_any_instant_keeps_position_and_path(after: float, how: str) -
     assert [group.end(i) for i in range(3)] == bench.steps  # the next move begins here
     ends = [rounded(place, i) for i, place in enumerate(to)]
     if bench.steps[1:] != ends[1:]:
-        assert on_line(bench, to) <= 1.1  # a step, and the rounding of the steps' times
+        assert on_line(bench, to) <= 1 + _OFF
     if how == "halt":
         assert bench.steps == before and bench.hardware.now_s == at
     group.move(x=1, y=2, z=3)
