@@ -224,9 +224,12 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         _forget_makers(made)
 
     watch.start(feed, machine.motor_control.note_reset)
-    # A word of machine code may look to the garbage collector like an address in this module.
-    # Clearing the globals keeps it from retaining all of them. Called from the last to the first.
-    return machine, link, port, engine, watch, [globals().clear, make_room]
+
+    def forget_this() -> None:
+        forget("boot.parts")
+
+    # Called from the last to the first.
+    return machine, link, port, engine, watch, [forget_this, make_room]
 
 
 def _link(kind: str) -> "BoardLink":
@@ -305,12 +308,8 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    for name in _BUILDING:
-        # Empty, because a word that looks like an address in it would retain all of it.
-        sys.modules[name].__dict__.clear()
+    for name in _BUILDING + _MAKING:
         forget(name)
-    for extra in _MAKING:
-        forget(extra)
     if link.is_slow:  # Ctrl-X waits for the main loop
         machine.report.identity += _SLOW_RESET
     written = getattr(engine, "flash_written", None)
@@ -323,11 +322,14 @@ def _build(
 
 
 def forget(module: str) -> None:
-    """Remove a module from sys.modules and from its package."""
+    """Remove a module that nothing uses any more from sys.modules and its package, and empty it:
+    a word of machine code that looks like an address in it would retain all of it."""
     removed = sys.modules.pop(module, None)
     folder, _, name = module.rpartition(".")
     if removed and folder:
         sys.modules[folder].__dict__.pop(name, None)
+    if removed:
+        removed.__dict__.clear()
 
 
 def _forget_makers(parts: "Iterable[object]") -> None:

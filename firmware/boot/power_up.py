@@ -46,7 +46,6 @@ def build() -> "Parts | None":
         _stay_without_parts(fault)
         return None
     made = parts.build(_stay)
-    parts.forget("boot.parts")
     gc.threshold(-1)
     return made
 
@@ -65,6 +64,8 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
         machine.restart()
         while later:
             later.pop()()
+        for name in _BUILT_IN:
+            del sys.modules[name]
         gc.collect()
         machine.protocol.restart = machine.restart
 
