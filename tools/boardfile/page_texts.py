@@ -1,8 +1,8 @@
 """The texts of the page in other languages: tables by English text, as data for the page.
 
-A table is a file beside the page, texts_CODE.json. Its first entry, "", is the language's name.
+A table is a file in the page's folder, texts_CODE.json. Its first entry, "", is the language's name.
 The page has no English texts a second time: it finds a text by a number computed from it. The
-numbers are sorted and stored as differences, so they take a byte and a half each, compressed.
+numbers are sorted and stored as differences, so they take less than two bytes each, compressed.
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 
 _PREFIX = "texts_"
 _MULTIPLIER = 31  # the first one that is tried
-_MASK = 0xFFFFF
+_MASK = 0x1FFFF  # with fewer bits the page is smaller, and the search for a multiplier longer
 NAME = ""  # the entry with the language's name
 
 

@@ -25,7 +25,7 @@ function chosenLanguage() {
 /** The number by which a text is found: tools/boardfile/page_texts.py computes it, too. */
 function numberOf(text) {
   let number = 0;
-  for (let at = 0; at < text.length; at += 1) number = (number * multiplier + text.charCodeAt(at)) & 0xfffff;
+  for (let at = 0; at < text.length; at += 1) number = (number * multiplier + text.charCodeAt(at)) & 0x1ffff;
   return number;
 }
 
