@@ -341,6 +341,9 @@ def _forget_makers(parts: "Iterable[object]") -> None:
         if name.startswith("extras."):
             done.add(module)
             _forget_in(module)
+    api = sys.modules.get("extras.api")
+    if api:
+        _forget_in(api.Cnc, api.INSTALLING)  # 2 kB
     while classes:
         kind = classes.pop()
         if "__module__" in kind.__dict__:  # a class of ours: built-in ones have none
@@ -351,12 +354,12 @@ def _forget_makers(parts: "Iterable[object]") -> None:
                     _forget_in(owner)
 
 
-def _forget_in(owner: object) -> None:
-    """Free the functions of a class or module that are needed only while the machine is built."""
-    names, maker = owner.__dict__, MAKER  # locals, because a thousand names are checked
+def _forget_in(owner: object, words: "tuple[str, ...]" = (MAKER,)) -> None:
+    """Free the functions of a class or module that are needed only while the machine is built:
+    MAKERS, and those with one of these words in their names."""
+    names = owner.__dict__  # a local, because a thousand names are checked
     made = [name for name in MAKERS if name in names]
-    for name in names:
-        if maker in name:
-            made.append(name)
+    for word in words:
+        made += [name for name in names if word in name]
     for name in made:
         setattr(owner, name, None)  # deleting would leave the slot in the table

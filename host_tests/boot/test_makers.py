@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from functools import cache
 
 from boot import parts
+from extras import api
 from ugrbl.compiling import build
 
 # The modules in which the machine is built. Classes apart: a stream for the prompt is not part of
@@ -13,7 +14,10 @@ from ugrbl.compiling import build
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher", "ModalState", "Position", "SdBlocks", "WebSocket"}
 # Called by extras while they are installed, and by options.py.
-INSTALLING = {"add_pins", "of_board", "beside", "add_cycle"}
+INSTALLING = {
+    *("add_pins", "of_board", "beside", "add_cycle", "attach"),
+    *("register", "leave_out", "_add_build_info", "__getattr__"),
+}
 
 
 @cache
@@ -66,6 +70,13 @@ def later() -> Iterator[tuple[str, str]]:
 
 def test_no_maker_is_called_while_the_machine_runs() -> None:
     assert [(module, name) for module, name in later() if is_maker(name)] == []
+
+
+def test_no_extra_registers_while_the_machine_runs() -> None:
+    registering = {n for n in vars(api.Cnc) if any(word in n for word in api.INSTALLING)}
+    assert registering
+    extras = [(m, n) for m, n in later() if m.startswith("extras.") and m != "extras.api"]
+    assert [(module, name) for module, name in extras if name in registering] == []
 
 
 def test_no_object_is_created_while_the_machine_runs() -> None:

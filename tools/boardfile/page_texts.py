@@ -1,8 +1,9 @@
 """The texts of the page in other languages: tables by English text, as data for the page.
 
-A table is a file in the page's folder, texts_CODE.json. Its first entry, "", is the language's name.
-The page has no English texts a second time: it finds a text by a number computed from it. The
-numbers are sorted and stored as differences, so they take less than two bytes each, compressed.
+A table is a file in the page's folder, texts_CODE.json. Its first entry, "", is the language's
+name. The page has no English texts a second time: it finds a text by a number computed from it.
+The numbers are sorted and stored as differences, so they take less than two bytes each,
+compressed.
 """
 
 import json
