@@ -21,10 +21,10 @@ _RAW = b"raw REPL; CTRL-B to exit\r\n>"
 # Runs scripts one after the other in one interpreter; prints \x04, the traceback, \x04 after each.
 _DRIVER = """
 import io, sys
-machine, frozen = sys.argv[1], sys.argv[2] == "frozen"
-if frozen:
+machine, has = sys.argv[1:3]
+if has.startswith("frozen"):
     import base.frozen
-    base.frozen.ABOUT = "ugrbl frozen: 0123abcd"
+    base.frozen.ABOUT = "ugrbl frozen: 0123abcd" + has[len("frozen"):]
 names = {"__name__": "__main__"}
 while True:
     line = sys.stdin.readline()
@@ -56,7 +56,8 @@ except Exception as fault:
 
 
 class PromptBoard:
-    """Replace a Machine. has: how ugrbl is installed, "frozen", "files" or "nothing"."""
+    """Replace a Machine. has: how ugrbl is installed, "frozen", "frozen 0.0.1" (with its version),
+    "files" or "nothing"."""
 
     def __init__(
         self, folder: Path, make_machine: Callable[[], Machine], has: str = "frozen"

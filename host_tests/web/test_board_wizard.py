@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from browser import Person
 from prompt_stand_in import PromptBoard
+from ugrbl import __version__
 from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load
 from ugrbl.paths import BOARDS
@@ -71,6 +72,15 @@ def test_board_without_board_file_leads_to_choice(set_up):
     person.reads("#board-cards", "rpi_pico")
     assert person.page.input_value("#board-chip") == "pico"
     assert person.text("#state-name") == "Prompt" and not person.page.is_enabled("#stop")
+
+
+@pytest.mark.parametrize(("found", "is_other"), [("0.0.9", True), (__version__, False)])
+def test_board_with_another_version_says_how_to_update(set_up, found, is_other):
+    person = set_up(f"frozen {found}", board=_PICO)
+    person.click("#connect")
+    person.reads("#setup-found", "with ugrbl and a board file")
+    said = f"It is ugrbl {found}; this page belongs to {__version__}."
+    assert (said in person.text("#setup-found")) == is_other == person.page.is_visible("#uf2-name")
 
 
 def test_micropython_without_ugrbl_names_file_to_copy(set_up):

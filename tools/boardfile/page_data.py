@@ -6,7 +6,7 @@ compares both with random boards.
 
 from typing import Any
 
-from .. import paths
+from .. import __version__, paths
 from . import board_check, new_board
 from .chips import CHIPS
 from .engines import WIRELESS, engines
@@ -38,6 +38,7 @@ _LEFT_OUT = {"TOOL": ("punch",)}
 def data() -> dict[str, Any]:
     """Return all data, with types of JSON only."""
     return {
+        "version": __version__,
         "chips": {name: _chip(name) for name in CHIPS},
         "items": [list(item) for item in new_board.ITEMS],
         "quick": new_board.QUICK,

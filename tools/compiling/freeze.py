@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from .. import __version__
 from ..boardfile.files import load_for_build
 from . import build, compilers, mpy
 from .build import Build, BuildError, Progress
@@ -64,7 +65,7 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
     ready, sources = build.prepared(arch), build.texts()
     start, number = build.module(build.START), build.id_of(arch)
     texts = {**ready.texts, start: _start(sources[start])}
-    texts[HELPER] = sources[HELPER].replace(_MARK + _NOTHING, _MARK + number)
+    texts[HELPER] = sources[HELPER].replace(_MARK + _NOTHING, f"{_MARK}{number} {__version__}")
     moved = arch.startswith(_ARM)
     if moved:
         texts = {name: decorated(text) for name, text in texts.items()}

@@ -4,6 +4,7 @@ const IMAGES = { pico: "RPI_PICO", pico_w: "RPI_PICO_W", pico2: "RPI_PICO2", pic
 const NEW_DRAFT = { title: "My machine", motors: "XYZ", rotary: "", pins: {}, repl: null, outputs: {}, inputs: {}, options: {}, kept: {} };
 const micropython = new Prompt(grbl);
 let onBoard = null; // the result of Prompt.about(); null before
+let otherVersion = ""; // of ugrbl on the board, in words
 let promptTrouble = "", faultLine = 0, looking = ""; // looking: the present action, in words
 let draft = kept.draft?.chip in BOARDS.chips ? kept.draft : null;
 let ownWords = kept.ownWords ?? null; // the file's text, if it was edited by hand
@@ -16,7 +17,7 @@ function situation() {
   if (!SerialLink.possible()) return [t`This browser cannot open a USB port. Chrome and Edge on a computer can. A board file can be made and saved here all the same.`];
   if (!grbl.up) return [t`No board is connected. Plug it in and press Connect by USB. If no board is in the list, put the firmware on it first: see below.`, "connect"];
   if (grbl.lent && onBoard) return boardWords(onBoard);
-  if (grbl.state) return [t`A machine is at work: ${grbl.version ? t`version ${grbl.version}` : t`a Grbl`}. Its pins can be changed here, or go on with step 6.`, "read", "guide"];
+  if (grbl.state) return [t`A machine is at work: ${grbl.version ? t`version ${grbl.version}` : t`a Grbl`}. Its pins can be changed here, or go on with step 6.` + otherVersion, "read", "guide"];
   if (grbl.message) return [t`The firmware does not start: ${grbl.message}`, "look"];
   if (grbl.silent) return [t`The board says nothing. It may have no firmware yet, or another program on it.`, "look"];
   return [t`Waiting for an answer …`];
@@ -25,8 +26,8 @@ function situation() {
 function boardWords({ version, machine, frozen, hasMain, board }) {
   const python = t`MicroPython ${version} on ${machine}`;
   if (!frozen && !hasMain) return [t`${python}, without ugrbl. Put the firmware on it: see below.`, "again"];
-  if (board === null) return [t`${python}, with ugrbl and without a board file. The next step makes one.`, "board"];
-  return [t`${python}, with ugrbl and a board file. The machine does not run.`, "start", "file"];
+  if (board === null) return [t`${python}, with ugrbl and without a board file. The next step makes one.` + otherVersion, "board"];
+  return [t`${python}, with ugrbl and a board file. The machine does not run.` + otherVersion, "start", "file"];
 }
 
 const ACTIONS = {
@@ -64,7 +65,9 @@ async function lookAtBoard(restart = false) {
     const chip = chipOf(onBoard.machine);
     if (chip) $("board-chip").value = $("uf2-board").value = chip;
     renderUf2();
-    $("bootsel").open = !onBoard.frozen && !onBoard.hasMain;
+    const [, found] = / ([\d.]+)$/.exec(onBoard.frozen) || [];
+    otherVersion = found && found !== BOARDS.version ? " " + t`It is ugrbl ${found}; this page belongs to ${BOARDS.version}. To update, put the firmware on the board again, see below: settings, board file and custom.py stay.` : "";
+    $("bootsel").open = Boolean(otherVersion) || !onBoard.frozen && !onBoard.hasMain;
     if (onBoard.board !== null) useText(onBoard.board);
     if (onBoard.custom !== null) keep("custom", onBoard.custom);
     if (restart) await startMachine(); // else it stays at the prompt
