@@ -252,6 +252,18 @@ def test_served_page_connects_by_itself_and_passes_query_on(person_at):
     person.reads("#dialog", "There are problems")
 
 
+def test_program_longer_than_the_travel_is_marked(person_at):
+    person = person_at()
+    person.open_from_disk()
+    person.connect()
+    person.knows_all()
+    person.loads("G21 G90\nG0 X0\nG0 X150\n")
+    person.reads("#extent", "X 0 … 150")
+    assert "travel" not in person.text("#extent")
+    person.loads("G21 G90\nG0 X0\nG0 X150\nG0 X-100\n")  # each end is within $130, but not both
+    person.reads("#extent", "longer than the travel: X")
+
+
 def test_program_is_previewed_at_its_position_and_again_after_zero_moves(person_at):
     person = person_at()
     person.bridge.look = {
@@ -370,7 +382,7 @@ def test_all_parts_of_job_are_visible_on_desktop(person_at, size):
     person = person_at(on={"viewport": {"width": width, "height": height}})
     person.open_from_disk()
     person.connect()
-    person.loads("M3 S12000\n" + "".join(f"G1 X{k} F1200\n" for k in range(2000)))
+    person.loads("M3 S12000\n" + "".join(f"G1 X{k / 20} F1200\n" for k in range(2000)))
     person.click("#run")
     person.waits("job.made > 1 && grbl.modes.includes('S12000') && grbl.modes.includes('F1200')")
     assert person.page.evaluate("document.documentElement.scrollHeight") <= height
@@ -388,7 +400,7 @@ def test_all_job_controls_are_visible_on_small_desktop(person_at, width):
     person = person_at(on={"viewport": {"width": width, "height": 800}})
     person.open_from_disk()
     person.connect()
-    person.loads("M3 S12000\n" + "".join(f"G1 X{k} F1200\n" for k in range(2000)))
+    person.loads("M3 S12000\n" + "".join(f"G1 X{k / 20} F1200\n" for k in range(2000)))
     person.click("#run")
     person.waits("job.made > 1")
     names = ["#ov-feed", "#ov-spindle", "#m5", "#flood", "#end", "#bar", "#jog-feed"]
