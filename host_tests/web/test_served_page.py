@@ -332,13 +332,19 @@ def seconds(text: str) -> int:
     return int(text[:-2])
 
 
-def test_estimated_and_real_time_are_shown_side_by_side(visit: Visit) -> None:
-    person = free(visit())
+def with_zigzag(person: Visitor) -> Visitor:
+    """Take control, home, set zero there, and load the program."""
+    free(person)
     person.homes()
     person.click("#zero-all")
     person.rests_at(0, 0, 0)
     person.loads(ZIGZAG)
     person.reads("#job-words", "It takes")
+    return person
+
+
+def test_estimated_and_real_time_are_shown_side_by_side(visit: Visit) -> None:
+    person = with_zigzag(visit())
     person.click("#run")
     person.waits("job?.made > 10")
     here, all_s = seconds(person.text("#time-here")), seconds(person.text("#time-all"))
@@ -349,12 +355,7 @@ def test_estimated_and_real_time_are_shown_side_by_side(visit: Visit) -> None:
 
 
 def test_what_if_estimates_with_other_settings_and_leaves_machine_alone(visit: Visit) -> None:
-    person = free(visit())
-    person.homes()
-    person.click("#zero-all")
-    person.rests_at(0, 0, 0)
-    person.loads(ZIGZAG)
-    person.reads("#job-words", "It takes")
+    person = with_zigzag(visit())
     before = person.page.evaluate("[...grbl.settings]")
     slow = person.page.evaluate("program.look.seconds")
     person.click("#what-if summary")
