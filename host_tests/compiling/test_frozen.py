@@ -64,6 +64,7 @@ def test_frozen_files_are_all_that_boards_of_a_chip_need_except_board_files(name
         if getattr(load_board(each), "MPY_ARCH", "") == load_board(name).MPY_ARCH:
             made = build.for_board(board_file(each))
             assert {*made.files} - {"main.py", *made.own} < there, each
+    assert len({"pio/engine.mpy", "esp_chip/rmt.mpy"} & there) == 1, "engines of another chip"
     assert {"main.mpy", freeze.HELPER.replace(".", "/") + ".mpy"} < there
 
 

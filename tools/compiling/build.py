@@ -7,7 +7,7 @@ modules it needs.
 import ast
 import hashlib
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -210,6 +210,33 @@ def _reached(there: Mapping[str, str], board: ModuleType) -> list[str]:
             without = _others(board) if name in _PARTS else set()
             left += imported(there[name], frozenset(without))
     return sorted(found)
+
+
+def of_other_chips(there: Mapping[str, str], arch: str) -> set[str]:
+    """Return the names of modules that only engines of chips with another processor import."""
+    here = processors(arch)
+    others = frozenset(
+        name
+        for name, engine in engines.engines().items()
+        if not any(engine.runs_on(processor) for processor in here)
+    )
+    extras = [name for name in there if name.startswith("extras.")]
+    start = [module(START), *extras]
+    return _imported_by(there, start) - _imported_by(there, start, others)
+
+
+def _imported_by(
+    there: Mapping[str, str], names: Iterable[str], without: frozenset[str] = frozenset()
+) -> set[str]:
+    """Return these modules and all that they import, but for the engines `without`."""
+    found: set[str] = set()
+    left = list(names)
+    while left:
+        name = left.pop()
+        if name in there and name not in found:
+            found.add(name)
+            left += imported(there[name], without if name in _PARTS else frozenset())
+    return found
 
 
 def _is_off(board: ModuleType, name: str) -> bool:

@@ -64,12 +64,15 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
         raise BuildError(compilers.missing("compiled firmware in the package cannot be frozen"))
     ready, sources = build.prepared(arch), build.texts()
     start, number = build.module(build.START), build.id_of(arch)
-    texts = {**ready.texts, start: _start(sources[start])}
+    unused = build.of_other_chips(ready.texts, arch)
+    pieces = {name: keys for name, keys in ready.pieces.items() if name not in unused}
+    texts = {name: text for name, text in ready.texts.items() if name not in unused}
+    texts |= {start: _start(sources[start])}
     texts[HELPER] = sources[HELPER].replace(_MARK + _NOTHING, f"{_MARK}{number} {__version__}")
     moved = arch.startswith(_ARM)
     if moved:
         texts = {name: decorated(text) for name, text in texts.items()}
-    code = build.compiled(arch, ready._replace(texts=texts), told=_file)
+    code = build.compiled(arch, ready._replace(texts=texts, pieces=pieces), told=_file)
     made = Build(arch, {}, board.ENGINE, number)
     for name in sorted(code):
         path = _file(name).removesuffix(".py") + ".mpy"
