@@ -47,6 +47,15 @@ def test_everything_is_in_one_package_and_everything_imported_is_there() -> None
                         assert {stem} if stem else {one.name for one in node.names} <= there
 
 
+@pytest.mark.parametrize("arch", ARCHS)
+def test_package_itself_has_all_names_that_it_exports(arch: str) -> None:
+    tree = ast.parse(motion_package._in_one_package(arch).texts[LIBRARY])
+    (exported,) = (node for node in tree.body if isinstance(node, ast.Assign))
+    imports = (node for node in tree.body if isinstance(node, ast.ImportFrom))
+    names = [alias.name for node in imports for alias in node.names]
+    assert sorted(names) == sorted(ast.literal_eval(exported.value)) != []
+
+
 def typed(node: ast.ImportFrom, text: str) -> bool:
     """Return whether an import is for type checkers only: it is indented below the test."""
     line = text.splitlines()[node.lineno - 1]

@@ -86,8 +86,12 @@ def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
 
 
 def _used(tree: ast.Module) -> Iterator[str]:
-    """Yield the names that the code uses; not the const() calls that the compiler resolves."""
-    found = (statement for statement in tree.body if isinstance(statement, ast.Assign))
+    """Yield the names that the code uses or exports (`__all__`); not the const() calls that the
+    compiler resolves."""
+    found = [statement for statement in tree.body if isinstance(statement, ast.Assign)]
+    for statement in found:
+        if ast.unparse(statement.targets[0]) == "__all__":
+            yield from ast.literal_eval(statement.value)
     calls = (each.value for each in found if isinstance(each.value, ast.Call))
     consts = {call.func for call in calls if ast.unparse(call.func) == "const"}
     for node in ast.walk(tree):

@@ -42,9 +42,7 @@ def compile_for(arch: str, progress: Progress = lambda name, size: None) -> Buil
 
 def _in_one_package(arch: str) -> Apart:
     """Return the modules that the package consists of, kernels apart, with their new names."""
-    own = texts()
-    exports = {LIBRARY: own.pop(LIBRARY)}  # it only imports, so that nothing there is in use
-    whole = {**build.in_place(arch, own), **exports}
+    whole = build.in_place(arch, texts())
     engine = next(chip.engine for chip in CHIPS.values() if chip.mpy_arch == arch)
     first = {name: whole[name] for name in sorted(_reached(whole, engine))}
     apart = Apart(first, "", {})
