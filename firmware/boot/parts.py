@@ -234,9 +234,10 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
 
 def _link(kind: str) -> "BoardLink":
     """Create the link that LINK of the board file names. Raises ValueError for another name."""
-    if kind not in _LINKS:
-        raise ValueError("LINK %s is not one there is" % kind)
-    return _LINKS[kind]()
+    from boot import select_extras
+
+    made: "BoardLink" = select_extras.known("LINK", kind, _LINKS)()
+    return made
 
 
 def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
@@ -255,9 +256,9 @@ def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
 def _check_engine(board: "ModuleType") -> None:
     """Check that the engine exists and has all that it needs. Raises ValueError with the cause."""
     engine: str = board.ENGINE
-    if engine not in _ENGINES:
-        raise ValueError("ENGINE %s is not one there is" % engine)
-    _, needed, _, _, _ = _ENGINES[engine]
+    from boot import select_extras
+
+    _, needed, _, _, _ = select_extras.known("ENGINE", engine, _ENGINES)
     missing = [name for name in needed if name not in board.__dict__]
     if missing:
         names = ", ".join(missing)
@@ -322,8 +323,11 @@ def _build(
 
 
 def forget(module: str) -> None:
-    """Remove a module that nothing uses any more from sys.modules and its package, and empty it:
-    a word of machine code that looks like an address in it would retain all of it."""
+    """Remove a module that nothing uses any more from sys.modules and its package, and empty it.
+
+    To the garbage collector a word of machine code may look like the address of the module, which
+    then stays in memory with all that it refers to.
+    """
     removed = sys.modules.pop(module, None)
     folder, _, name = module.rpartition(".")
     if removed and folder:

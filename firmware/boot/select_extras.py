@@ -74,7 +74,7 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
 def _module(option: str, value: "Any", module: str) -> str:
     """Return the module that the option selects by its value, or "". module: that of _ORDER."""
     if option in WORDS:
-        return "" if value is None else _known(option, value, WORDS[option])
+        return "" if value is None else known(option, value, WORDS[option])
     if option == "LINK":
         return module if value in _NETWORKS else ""
     if option == "LIMIT":  # only if two axes share a pin
@@ -90,13 +90,13 @@ def _ours(names: "list[str]") -> "list[str]":
     return ["extras." + name for name in names if name]
 
 
-def _known(option: str, word: str, known: "dict[str, str]") -> str:
-    """Return known[word]. Raises ValueError, with the words that are possible, for another one."""
-    if word not in known:
-        words = list(known)
+def known(option: str, word: str, rows: "dict[str, Any]") -> "Any":
+    """Return rows[word]. Raises ValueError, with the words that are possible, for another one."""
+    if word not in rows:
+        words = list(rows)
         last = words.pop()
         raise ValueError("%s is %s or %s, not %s" % (option, ", ".join(words), last, word))
-    return known[word]
+    return rows[word]
 
 
 def custom_modules(board: "ModuleType") -> "tuple[str, ...]":

@@ -86,8 +86,8 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
 
 
 def in_range(scale: "array[float]", rpm: float) -> float:
-    """Return the speed for a programmed one: with override, from $31 to $30. scale:
-    State.spindle."""
+    """Return the speed for a programmed one: with override, from $31 to $30; as Grbl, $30 for
+    every speed if $31 is not below it. scale: State.spindle."""
     rpm = f32(rpm * scale[OVERRIDE_PART])
     highest, lowest = scale[HIGHEST], scale[_LOWEST]
     if rpm >= highest or lowest >= highest:

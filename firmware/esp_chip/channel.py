@@ -53,7 +53,9 @@ class Channel:
         self._word = word_0 + 4 * pin  # address of the pin's word in the GPIO matrix
         self._signal = machine.mem32[self._word] & _SIGNAL
         if not 0 <= self._signal - first_signal < blocks:
-            raise ValueError("pin %d does not show what RMT makes" % pin)
+            raise ValueError(
+                "pin %d does not follow the pulses of RMT: is it an output, and free?" % pin
+            )
         self._inverted = 0
         self.cut()
 

@@ -165,7 +165,7 @@ class RmtEngine(TimerEngine):
             state[_REPORTED] = -1
             now = time.ticks_us()
             rest_us = time.ticks_diff(state[_FREE], now)
-            if not (state[_CUT] and 0 < rest_us < LOST_US):  # no train is being played
+            if not (state[_CUT] and 0 < rest_us < LOST_US):  # no rest of a train is being played
                 state[_FREE] = now & MASK
             state[_CUT] = 0
             state[_DUE] = (state[_FREE] + _FROM_REST_US) & MASK
@@ -179,7 +179,8 @@ class RmtEngine(TimerEngine):
         self._state[_RUNNING] = 0
 
     def _halt(self) -> None:
-        """Cut off all trains and drop what is queued; _RUNNING stays set."""
+        """Cut off all trains and drop what is queued. _RUNNING is set, because channels may still
+        play the rest of a train."""
         state, timing = self._state, self._timing
         state[_HALT] = 1
         self._cut_off((1 << self._axes) - 1)

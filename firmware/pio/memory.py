@@ -31,10 +31,10 @@ class Memory:
     def __init__(self, axes: int, rp2350: bool) -> None:
         """Make all arrays, of zeros, and fill the engine state in: stopped, nothing begun."""
         length = row_length(axes)
-        length_of_hub = s.DMA + axes
-        if s.RP2350:
-            length_of_hub = s.LENGTH
-        self.state = state = _make_array(length_of_hub)
+        state_length = s.DMA + axes
+        if s.RP2350:  # the build may be for one; rp2350: this chip is one
+            state_length = s.LENGTH
+        self.state = state = _make_array(state_length)
         self.lanes = _make_array(LANE * axes)
         self.timing = _make_array(pulses.TIMING_LENGTH)
         self.rows = [_make_array(length + s.ROW_EXTRA + axes) for _ in range(s.ROWS)]
@@ -42,7 +42,7 @@ class Memory:
         self._whole = _make_array(length)
         # A ring is aligned to its size, because DMA wraps around within address bits.
         ring = 4 << pulses.RING_LOG2
-        self._rings = bytearray(ring * (axes + 1))
+        self._rings = bytearray(ring * (axes + 1))  # one more, for the alignment
         self.timing[pulses.AXES] = state[s.AXES] = state[s.MOTORS] = axes
         state[s.HALT] = 1
         state[s.BEGUN] = -1

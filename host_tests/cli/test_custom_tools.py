@@ -873,7 +873,7 @@ def test_module_name_of_another_file_on_the_board_is_refused(name: str, shelf: F
     assert done.exit_code == 1 and f"CUSTOM is {name!r}: it is the name of a file" in done.stderr
     shelf.board["CUSTOM"] = name  # set by firmware that did not check it
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
-    assert done.exit_code == 1 and "mend the board file" in done.stderr
+    assert done.exit_code == 1 and "correct the board file" in done.stderr
     assert list(shelf.disk) == ["board.py"]
 
 

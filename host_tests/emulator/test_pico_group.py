@@ -53,7 +53,7 @@ async def main():
     await asyncio.sleep(0.01)
     print("TRACK")
     x.run(15.041)
-    await asyncio.sleep(2.5)
+    await asyncio.sleep(5)
     group.halt()
     await x.moved()
     print("END", x.steps)
@@ -145,12 +145,13 @@ def test_the_output_changes_with_its_moves(run: Run) -> None:
 
 
 def test_the_rate_is_exact_in_single_precision(run: Run) -> None:
+    """Measured over more than 4 s, because a step may be 1 to 2 us off its time."""
     steps = [ns for ns, _ in run.pulses(0)]
     track: "list[Any]" = []
     for before, ns in pairwise(steps):
         track = [*track, ns] if ns - before < 2_000 * _US else [ns]
     track = track[200:-5]
-    assert len(track) > 1000
+    assert len(track) > 5000
     rate = (len(track) - 1) / (track[-1] - track[0]) * 1e9
     assert abs(rate / (15.041 * 80) - 1) < 1e-6
 

@@ -195,8 +195,8 @@ _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
     ("line", "words"),
     [
         ('ENGINE = "i2s"', "ENGINE = i2s: the board file names no I2S, I2S_RATE_HZ, I2S_BUFFERS"),
-        ('ENGINE = "steam"', "ENGINE steam is not one there is"),
-        ('LINK = "pigeon"', "LINK pigeon is not one there is"),
+        ('ENGINE = "steam"', "not steam"),
+        ('LINK = "pigeon"', "not pigeon"),
         ("PROBE = 13", "PROBE: pin 13 is LIMIT already"),
         ("FLOOD = 34", "pin can only be input"),
         ('TOOL = "punch"', "TOOL = punch: the board file names no pin for PUNCH_DOWN, PUNCH_UP, "),

@@ -216,7 +216,7 @@ class Watch:
         self.pieces: list[Piece] = []
         self.rests: set[int] = set()  # numbers of segments after which a hold came to rest
         self.planner = planner
-        self._rows: dict[int, Block] = {}
+        self._block_of_row: dict[int, Block] = {}
         self._plan = planner.move_hook or planner.plan
         self._chords, self._override = planner.chords, planner.override
         self._slowed: set[Block] = set()
@@ -251,9 +251,9 @@ class Watch:
         self._override()
         flow = self.planner.flow
         if flow[layout.LOADED]:
-            self._slowed.add(self._rows[flow[layout.AT] // self._row_size])
+            self._slowed.add(self._block_of_row[flow[layout.AT] // self._row_size])
         elif flow[layout.CARRY] and flow[layout.TAIL] != flow[layout.HEAD]:  # between two blocks
-            self._slowed.add(self._rows[flow[layout.TAIL]])
+            self._slowed.add(self._block_of_row[flow[layout.TAIL]])
 
     @property
     def _row_size(self) -> int:
@@ -261,7 +261,7 @@ class Watch:
 
     def _keep(self, at: int) -> None:
         block = self._block(at)
-        self._rows[at] = block
+        self._block_of_row[at] = block
         self.planned.append(block)
 
     def row(self, at: int) -> "array[int]":
@@ -280,12 +280,12 @@ class Watch:
         return Block(motors, tuple(x / length for x in mm), length, self.limits)
 
     def queue(self) -> "list[tuple[Block, array[int]]]":
-        """Return the blocks in the ring with their rows, the one being executed first."""
+        """Return each queued block with its row of the ring, the one being executed first."""
         flow = self.planner.flow
         at = flow[layout.TAIL]
         found = []
         while at != flow[layout.HEAD]:
-            found.append((self._rows[at], self.row(at)))
+            found.append((self._block_of_row[at], self.row(at)))
             at = (at + 1) % flow[layout.ROWS]
         return found
 
@@ -308,7 +308,7 @@ class Watch:
         row[ROW_TICKS] = 0
         found = self._next(row)
         at = flow[layout.AT] // flow[layout.ROW_SIZE]
-        block = self._rows.get(at)
+        block = self._block_of_row.get(at)
         if block is None:
             return found
         ended = not flow[layout.LOADED]
@@ -342,7 +342,7 @@ class Watch:
             )
         if block in self._slowed:
             if speed > promise:
-                self._slowed.add(self._rows[at])
+                self._slowed.add(self._block_of_row[at])
             return inf
         return promise
 

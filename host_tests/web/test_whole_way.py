@@ -127,9 +127,9 @@ def set_up_machine(mechanic: Mechanic) -> None:
     for axis in range(3):
         mechanic.sets_up_motor(axis)
         if axis == 1:
-            mechanic.task("Motor Z")
+            mechanic.task("Motor Z")  # comes next: a picture with two motors done
             take_picture(mechanic, "page_guide.png")
-    mechanic.click("#guide-done")  # switches
+    mechanic.click("#guide-done")  # of the switches, with nothing to set
     mechanic.sets_up_homing()
     mechanic.measures_travel_of_x()
     mechanic.tries_spindle()

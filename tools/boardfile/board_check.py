@@ -205,7 +205,7 @@ def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
                 yield str(error)
                 continue
         else:
-            yield from _loose(known, name, pins)
+            yield from _check_pins_exist(known, name, pins)
         known.pins[name] = pins
         if name == "STEP":
             try:
@@ -214,8 +214,11 @@ def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
                 yield str(error)
 
 
-def _loose(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
-    """Check that pins exist and are used once. known: the board with the pins checked so far."""
+def _check_pins_exist(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
+    """Yield a problem for each pin that does not exist or is in use. Axes may share a limit pin.
+
+    known: the board with the pins checked so far.
+    """
     used = {pin: other for other, held in known.pins.items() for pin in held}
     for count, pin in enumerate(pins):
         if pin is None:
@@ -241,7 +244,7 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
     known = Board(board.__name__, chip, pins={"I2S": board.I2S})
     for name, pins in _held(board):
         if name not in ("STEP", "DIR", "ENABLE"):
-            yield from _loose(known, name, pins)
+            yield from _check_pins_exist(known, name, pins)
             known.pins[name] = pins
 
 

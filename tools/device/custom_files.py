@@ -58,7 +58,7 @@ def name_of(options: Mapping[str, Any]) -> str:
     name: str = options["CUSTOM"]
     if problem := BY_NAME["CUSTOM"].problem(name):
         raise DeployError(
-            f"its board file says what cannot be: {problem}", "mend the board file, and deploy it"
+            f"the board file there is wrong: {problem}", "correct the board file, and deploy it"
         )
     if not name:
         raise DeployError(

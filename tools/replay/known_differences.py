@@ -53,8 +53,8 @@ class MotionDifference(NamedTuple):
 
 
 def _blocks(lines: list[str]) -> Iterator[tuple[int, float, float]]:
-    """Yield (number, ms, steps/s) of each line that moves. Only the G-code of these cases is
-    parsed."""
+    """Yield (number, ms, steps/s of the axis with most steps) of each line that moves at a feed
+    rate. Only the G-code of these cases is parsed."""
     place = {"X": 0.0, "Y": 0.0, "Z": 0.0}
     per_mm = dict.fromkeys(place, _STEPS_PER_MM)
     feed, relative, inverse = 0.0, False, False

@@ -161,7 +161,8 @@ class Entry:
         file.seek(-1, 1)
 
     def _next_line(self, file: "IO[bytes]") -> int:
-        """Return clean()'s result for the next line, comments of any length; 0 at the end."""
+        """Return clean()'s result for the next line; 0 at the end of the file. Read in pieces,
+        because a comment may be longer than one."""
         memory = self._reader.memory()
         ring, at, _, kinds = memory
         found, is_begun = 0, False

@@ -130,7 +130,8 @@ class JobRun:
         self._feed.start(file, self._size)
 
     def _read_through(self, file: "IO[bytes]") -> None:
-        """Compute the file's size and CRC-32. CannotEnter if the machine is held meanwhile."""
+        """Compute the file's size, and its CRC-32 unless it is known. CannotEnter if the machine
+        is held meanwhile."""
         if self._due_crc == _UNKNOWN:
             crc = 0
             while True:

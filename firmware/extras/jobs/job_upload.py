@@ -27,7 +27,7 @@ _LINE_BYTES = const(256)  # bytes packed in one line
 _WINDOW_LOG2 = const(10)
 _READ = const(128)
 _SILENCE_MS = const(5000)
-_DRAIN_MS = const(300)
+_QUIET_MS = const(300)
 _LOWER_CASE = b"abcdefghijklmnopqrstuvwxyz"
 _SLASH = const(47)
 _AS_IT_IS = const(0)
@@ -140,10 +140,11 @@ class Upload:
         return reader.free() != free
 
     def _drain(self, why: str) -> None:
-        """Report why, and drop the rest, which must not be read as commands."""
+        """Drop the rest, which must not be read as commands, until the sender is quiet for
+        _QUIET_MS, or for _SILENCE_MS at the most; then report why."""
         port = self._machine.port
         begun = since = port.ticks_ms()
-        while port.elapsed_ms(since) < _DRAIN_MS and port.elapsed_ms(begun) < _SILENCE_MS:
+        while port.elapsed_ms(since) < _QUIET_MS and port.elapsed_ms(begun) < _SILENCE_MS:
             if self._receive():
                 since = port.ticks_ms()
             self._reader.clear()

@@ -201,6 +201,7 @@ class NonlinearPlanner(Planner):
         """Plan a system move, as Planner.system_line(). All joints move evenly.
 
         So the tool's path is straight only if one joint moves one axis alone, as in parking.
+        target: the tool's position; while homing, positions of joints, and the length is theirs.
         start: motor steps. Return False if nothing moves, or if target is out of reach.
         """
         begin, end = vector(self.axes), self._next
@@ -215,7 +216,7 @@ class NonlinearPlanner(Planner):
             length = _distance(place, target)
         else:
             return False
-        # The program's next chord follows its last one, and not this move.
+        # Kept, because the program's next chord follows its last one, and not this move.
         last_chord = array("f", self._slope), self._pace, self._length
         planned = self._block(start, begin, end, length, move, power)
         self._slope, self._pace, self._length = last_chord

@@ -117,7 +117,7 @@ class Jerk:
         line[layout.TAIL] = line[layout.HEAD] = line[jl.RELEASED] = flow[layout.HEAD]
 
     def limit(self, accelerations: "list[float]", jerks: "list[float]", slot_s: float) -> None:
-        """Set the limits of jerk per axis, in mm/s3; 0: no limit. Empties the line.
+        """Set the limits of jerk per axis, in mm/s3; 0: no limit. Empties the delay line.
 
         accelerations: per axis, mm/s2. slot_s: length of a full segment, s. Call it while idle,
         after Planner.configure(). The averaging time is 2 * acceleration / jerk, of the axis that

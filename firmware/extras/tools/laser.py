@@ -189,7 +189,7 @@ def install(cnc: "Cnc") -> None:
     settings: "Any" = machine.settings
     engine: "Any" = machine.engine
     laser: "Any" = machine.spindle
-    has_beam = hasattr(engine, "beam")
+    has_beam = hasattr(engine, "beam")  # else the engine cannot change power within motion
     if has_beam:
         hooks = machine.state.hooks
         laser.connect(engine, machine.planner, hooks.next_segment)

@@ -100,7 +100,7 @@ class Control:
         was_owner = client is self.owner
         if was_owner:
             self._transfer_control(None)
-        elif client is self.driver:
+        elif client is self.driver:  # a borrower: control returns to its owner
             self._hand_over(self.owner)
         if client is self.receiver:
             self.receiver = None

@@ -118,8 +118,8 @@ class SdBlocks:
         self._count = 0
 
     def is_there(self) -> bool:
-        """Return whether the card is the one that begin() started, and works: a new card does not
-        answer the same."""
+        """Return whether the card is the one that begin() started, and works: a card inserted
+        since then is not started, and answers with another status than 0."""
         try:
             return not self.is_faulty and self._status() == 0
         except OSError:

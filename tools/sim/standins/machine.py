@@ -80,7 +80,9 @@ class _Irq:
 
     def trigger(self, edges: int) -> None:
         if edges & ~(Pin.IRQ_FALLING | Pin.IRQ_RISING):
-            raise ValueError("levels would call for ever")
+            raise ValueError(
+                "triggers of a level are not simulated: the handler would be called without end"
+            )
         self._pin.trigger = edges
         if Pin.latched and self._pin in Pin.latched:
             Pin.latched.remove(self._pin)

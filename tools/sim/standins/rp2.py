@@ -158,7 +158,7 @@ class StateMachine:
             raise ValueError("invalid StateMachine")
         for pin, init in ((set_base, program[_SET]), (out_base, program[_OUT])):
             if (pin is None) != (init is None):
-                raise ValueError("pins and program do not agree")
+                raise ValueError("the pins given are not those that the program sets")
         pio = id // 4
         if program[_OFFSETS + pio] < 0:
             offset = StateMachine.used.get(pio, 0)
