@@ -42,11 +42,15 @@ _LOOP_MS = const(250)
 # Added to $I where Ctrl-X takes effect only when the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
-# Modules that are needed only while the machine is built, 5 kB together.
-_BUILDING = ("boot.wiring", "boot.options", "boot.select_extras", "ports.storage.user_files")
-
-# Extras that are needed only while the machine is built, a kilobyte each.
-_MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.motor_matrix")
+# Modules that are needed only while the machine is built, some 7 kB together.
+_BUILDING = (
+    "boot.wiring",
+    "boot.options",
+    "boot.select_extras",
+    "ports.storage.user_files",
+    "extras.kinematics.nonlinear",
+    "extras.kinematics.motor_matrix",
+)
 
 # Names of functions that are needed only while the machine is built: in a class or module those
 # with MAKER in their name, too; the last two are those of extras.
@@ -210,8 +214,6 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
             port.safe()
         stay(link, fault)
         return None
-    if watch_health:
-        machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
     # All long-lived objects: these, and those that they refer to.
     made: "list[object]" = [machine, link, port, engine, watch]
@@ -219,17 +221,19 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         made.extend(owner.__dict__.values())
     del sys.modules["board"]
 
+    def start() -> None:
+        """Measure the stack from now on; what build() has left there refers to no object then."""
+        if watch_health:
+            machine.commands.health = watch_health()
+
     def make_room() -> None:
         """Free the functions that built the machine, once it has started."""
         _forget_makers(made)
 
     watch.start(feed, machine.motor_control.note_reset)
 
-    def forget_this() -> None:
-        forget("boot.parts")
-
     # Called from the last to the first.
-    return machine, link, port, engine, watch, [forget_this, make_room]
+    return machine, link, port, engine, watch, [lambda: forget("boot.parts"), make_room, start]
 
 
 def _link(kind: str) -> "BoardLink":
@@ -309,7 +313,7 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    for name in _BUILDING + _MAKING:
+    for name in _BUILDING:
         forget(name)
     if link.is_slow:  # Ctrl-X waits for the main loop
         machine.report.identity += _SLOW_RESET
@@ -347,7 +351,7 @@ def _forget_makers(parts: "Iterable[object]") -> None:
             _forget_in(module)
     api = sys.modules.get("extras.api")
     if api:
-        _forget_in(api.Cnc, api.INSTALLING)  # 2 kB
+        _forget_in(api.Cnc, api.MAKERS)  # 2 kB
     while classes:
         kind = classes.pop()
         if "__module__" in kind.__dict__:  # a class of ours: built-in ones have none

@@ -56,6 +56,7 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
     if parts is None:
         return None
     machine, link, port, engine, watch, later = parts
+    later.pop()()  # at this depth
 
     # A kernel's memory keeps a reference to its last caller until it is called again. So begin()
     # is here, and not in parts.py, which must be freed.

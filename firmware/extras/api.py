@@ -29,7 +29,7 @@ _CYCLES_END = const(100)  # canned cycles are G81 to G99
 _FIRST_UPPER = const(0x80)  # real-time bytes above ASCII begin here
 
 # In the names of methods that extras call in install() only: parts.py frees them afterwards.
-INSTALLING = ("add_", "before_", "after_", "check_", "remove_")
+MAKERS = ("add_", "before_", "after_", "check_", "remove_")
 
 # Old names of Cnc's methods. They work for one release, and a message reports the new name.
 _RENAMED = {
