@@ -56,7 +56,8 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
     if parts is None:
         return None
     machine, link, port, engine, watch, later = parts
-    later.pop()()  # at this depth
+    if later:  # not a second time, after the REPL
+        later.pop()()  # at this depth
 
     # A kernel's memory keeps a reference to its last caller until it is called again. So begin()
     # is here, and not in parts.py, which must be freed.

@@ -34,7 +34,7 @@ class Program(NamedTuple):
 
 PROGRAMS = {
     "jscut": Program("jscut_tball_pocket.gcode", 20, 2200),
-    "Fusion": Program("fusion360_grbl_adaptive.nc", 680, 2200),
+    "Fusion": Program("fusion360_grbl_adaptive.nc", 695, 2200),
     "FreeCAD gear": Program("freecad_grbl_gear.nc", 0, 400),
     "CamBam panel": Program("cambam_panel.nc", 0, 1500),
 }
