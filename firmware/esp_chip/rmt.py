@@ -179,8 +179,7 @@ class RmtEngine(TimerEngine):
         self._state[_RUNNING] = 0
 
     def _halt(self) -> None:
-        """Cut off all trains and drop what is queued. _RUNNING is set, because channels may still
-        play the rest of a train."""
+        """Cut off all trains and drop what is queued. _RUNNING: channels may play on till _FREE."""
         state, timing = self._state, self._timing
         state[_HALT] = 1
         self._cut_off((1 << self._axes) - 1)
