@@ -179,7 +179,7 @@ class RmtEngine(TimerEngine):
         self._state[_RUNNING] = 0
 
     def _halt(self) -> None:
-        """Cut off all trains and drop what is queued. _RUNNING: channels may play on till _FREE."""
+        """Cut off all trains and drop what is queued. _RUNNING: channels may play on to _FREE."""
         state, timing = self._state, self._timing
         state[_HALT] = 1
         self._cut_off((1 << self._axes) - 1)
