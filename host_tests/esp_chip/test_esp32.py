@@ -195,7 +195,7 @@ _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
     ("line", "words"),
     [
         ('ENGINE = "i2s"', "ENGINE = i2s: the board file names no I2S, I2S_RATE_HZ, I2S_BUFFERS"),
-        ('ENGINE = "steam"', "not steam"),
+        ('ENGINE = "steam"', "ENGINE is pio, rmt or i2s, not steam"),
         ('LINK = "pigeon"', "not pigeon"),
         ("PROBE = 13", "PROBE: pin 13 is LIMIT already"),
         ("FLOOD = 34", "pin can only be input"),

@@ -47,6 +47,7 @@ def test_laser_outline_runs_at_1_percent_and_ends_off(person_at):
     person.click("#outline")
     person.reads("#dialog-words", "The laser is on at S10")
     person.click("#dialog-yes")
+    person.sees("Run")
     person.waits("!grbl.linesUnderWay && grbl.state === 'Idle' && grbl.modes.includes('M5')")
     assert "G1 X40 Y5 F2000 M3 S10" in person.machine.lines()
     assert person.machine.lines().index("M5 G0") > 0

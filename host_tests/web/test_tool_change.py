@@ -112,6 +112,7 @@ def test_tool_length_is_measured_in_change(person_at):
     pauses_at_change(person, "G21 G90\nT1 M6\nG0 Z5\nT2 M6\nG0 Z3\nM2\n")
     person.click("#tool-length")
     person.reads("#probe-words", "Over a fixed plate")
+    person.page.fill("#probe-feed", "400")
     person.click("#probe-run")
     person.reads("#probe-says", "Done.")
     goes_on(person)
