@@ -50,7 +50,7 @@ function renderSituation() {
   $("setup-actions").replaceChildren(...actions.map((name, index) => make("button", { className: index ? "" : "main", onclick: ACTIONS[name][1] }, ACTIONS[name][0])));
 }
 grbl.on("change", renderSituation);
-grbl.on("lost", () => { onBoard = null; promptTrouble = ""; });
+grbl.on("lost", () => { onBoard = null; promptTrouble = otherVersion = ""; });
 grbl.on("prompt", () => {
   showTab("setup");
   showStep("connect");

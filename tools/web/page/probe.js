@@ -80,12 +80,11 @@ function touched() {
   return success === "1" ? inMm(place.split(",").map(Number)) : null;
 }
 
-let statusHeard = () => {};
-
 /** Run a probing in mm and relative coordinates, then restore G20 and G90. Throws an Error for the user. */
 async function probeRun(act) {
   await probeSend(["G4 P0"]); // the last status may show the contact before a move that is not over
-  await new Promise((heard) => { statusHeard = heard; });
+  grbl.now(STATUS);
+  await probeSend(["G4 P0"]); // its answer comes after that of the question
   if (grbl.pins.includes("P")) throw new Error(t`The probe touches already. Lift the tool, or turn $6 round.`);
   const before = ["G20", "G90"].filter((mode) => grbl.modes.includes(mode));
   probing = true;
@@ -170,7 +169,4 @@ $("probe-run").onclick = async () => {
   }
   renderProbe();
 };
-grbl.on("status", () => {
-  setText("probe-state", grbl.pins.includes("P") ? t`The probe touches.` : t`The probe is open.`);
-  statusHeard();
-});
+grbl.on("status", () => setText("probe-state", grbl.pins.includes("P") ? t`The probe touches.` : t`The probe is open.`));
