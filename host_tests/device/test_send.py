@@ -239,7 +239,7 @@ def test_refused_line_is_named_with_meaning_holds_and_asks(
     view.answers = [Choice.RESUME]
     report = Stream(connection, listing(b"G21", b"G64 P0.1", b"G0 X1"), view).run()
     assert report.errors == [(2, "error:20")] and report.answered == 3
-    assert view.messages[0] == f"line 2: G64 P0.1: error:20: {meaning('error:20')}"
+    assert view.messages == [f"line 2: G64 P0.1: error:20: {meaning('error:20')}"]
     assert view.questions == ["line 2 was refused"]
     assert grbl.realtime == FEED_HOLD + CYCLE_START
 
