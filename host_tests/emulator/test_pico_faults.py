@@ -159,9 +159,6 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
             {"board.py": _GOOD.replace("pio", "steam").encode()},
             "ENGINE is pio, rmt or i2s, not steam",
         ),
-            {"board.py": _GOOD.replace("pio", "steam").encode()},
-            "ENGINE is pio, rmt or i2s, not steam",
-        ),
         ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'extras"),
     ],
 )
