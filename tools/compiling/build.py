@@ -200,42 +200,40 @@ def _plain(arch: str) -> ModuleType:
 def _reached(there: Mapping[str, str], board: ModuleType) -> list[str]:
     """Return the names of the modules that are imported on a board, directly or by another one."""
     extras = _extras(board)
-    found: set[str] = set()
-    left = [module(START), *extras]
-    while left:
-        name = left.pop()
-        off = _is_off(board, name) or (name == _EXTRAS_API and not extras)
-        if name in there and name not in found and not off:
-            found.add(name)
-            without = _others(board) if name in _PARTS else set()
-            left += imported(there[name], frozenset(without))
-    return sorted(found)
+    on = {name: text for name, text in there.items() if not _is_off(board, name)}
+    if not extras:
+        on.pop(_EXTRAS_API, None)
+    return sorted(imported_by(on, [module(START), *extras], _others(board)))
 
 
 def of_other_chips(there: Mapping[str, str], arch: str) -> set[str]:
     """Return the names of modules that only engines of chips with another processor import."""
     here = processors(arch)
-    others = frozenset(
+    others = {
         name
         for name, engine in engines.engines().items()
         if not any(engine.runs_on(processor) for processor in here)
-    )
+    }
     extras = [name for name in there if name.startswith("extras.")]
     start = [module(START), *extras]
-    return _imported_by(there, start) - _imported_by(there, start, others)
+    return imported_by(there, start, ()) - imported_by(there, start, others)
 
 
-def _imported_by(
-    there: Mapping[str, str], names: Iterable[str], without: frozenset[str] = frozenset()
+def imported_by(
+    there: Mapping[str, str],
+    names: Iterable[str],
+    without: Collection[str],
+    parts: Collection[str] = _PARTS,
 ) -> set[str]:
-    """Return these modules and all that they import, but for the engines `without`."""
+    """Return these modules and all that they import, except what only functions `without` of the
+    modules `parts` import."""
     found: set[str] = set()
     left = list(names)
     while left:
         name = left.pop()
         if name in there and name not in found:
             found.add(name)
-            left += imported(there[name], without if name in _PARTS else frozenset())
+            left += imported(there[name], frozenset(without if name in parts else ()))
     return found
 
 

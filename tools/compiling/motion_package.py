@@ -6,7 +6,6 @@ or a `base` of its own. Kernels are machine code in `ugrbl_motion.core`.
 """
 
 import hashlib
-from collections.abc import Iterator
 
 from .. import paths
 from ..boardfile import engines
@@ -48,7 +47,7 @@ def _in_one_package(arch: str) -> Apart:
     apart = Apart(first, "", {})
     if arch in compilers.PROCESSORS:
         apart = taken_apart(first, first)
-    left = set(_reached(apart.texts, engine))  # without modules that were kernels only
+    left = _reached(apart.texts, engine)  # without modules that were kernels only
     names = {name: _new_name(name) for name in left}
     names |= {name.partition(".")[0]: LIBRARY for name in left}
     return Apart(
@@ -58,17 +57,10 @@ def _in_one_package(arch: str) -> Apart:
     )
 
 
-def _reached(there: dict[str, str], engine: str) -> Iterator[str]:
-    """Yield the names of the modules that the package imports, directly or by another one."""
-    found: set[str] = set()
-    left = [*texts()]
-    while left:
-        name = left.pop()
-        if name in there and name not in found:
-            found.add(name)
-            yield name
-            others = engines.engines() if name == _HARDWARE else []
-            left += build.imported(there[name], frozenset({*others} - {engine}))
+def _reached(there: dict[str, str], engine: str) -> set[str]:
+    """Return the names of the modules that the package imports, directly or by another one."""
+    others = {*engines.engines()} - {engine}
+    return build.imported_by(there, texts(), others, (_HARDWARE,))
 
 
 def _new_name(name: str) -> str:
