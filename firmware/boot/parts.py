@@ -259,9 +259,9 @@ def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
 def _check_engine(board: "ModuleType") -> None:
     """Check that the engine exists and has all that it needs. Raises ValueError with the cause."""
-    engine: str = board.ENGINE
     from boot import select_extras
 
+    engine: str = board.ENGINE
     _, needed, _, _, _ = select_extras.known("ENGINE", engine, _ENGINES)
     missing = [name for name in needed if name not in board.__dict__]
     if missing:

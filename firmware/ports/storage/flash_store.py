@@ -36,7 +36,7 @@ def _checksum(data: "bytes | memoryview") -> bytes:
     return _CHECKSUM + b"%08x\n" % binascii.crc32(data)
 
 
-def _text(data: bytes) -> "list[str] | None":
+def _lines(data: bytes) -> "list[str] | None":
     """Return the lines of a file; None if it is no text: others have written it."""
     try:
         return data.decode().split("\n")[:-1]
@@ -62,7 +62,7 @@ class FlashStore:
         is_damaged = False
         for kind in (_NOW, _NEW, _OLD):
             data, exists = self._read(self._folder + name + kind)
-            lines = None if data is None else _text(data)
+            lines = None if data is None else _lines(data)
             # A power cut during a save leaves a part of the new file, or all of it and no file in
             # its place. A partial new file is no damage.
             if kind == _OLD or (kind == _NOW and lines is None):
