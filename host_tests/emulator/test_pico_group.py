@@ -144,6 +144,7 @@ def test_the_output_changes_with_its_moves(run: Run) -> None:
     assert made == [0, 40, 80, 120, 160]
 
 
+@pytest.mark.xfail(strict=True, reason="it is 1.1e-6, and the cause is not known: docs/engine.md")
 def test_the_rate_is_exact_in_single_precision(run: Run) -> None:
     """Measured over more than 4 s, because a step may be 1 to 2 us off its time."""
     steps = [ns for ns, _ in run.pulses(0)]
@@ -153,7 +154,7 @@ def test_the_rate_is_exact_in_single_precision(run: Run) -> None:
     track = track[200:-5]
     assert len(track) > 5000
     rate = (len(track) - 1) / (track[-1] - track[0]) * 1e9
-    assert abs(rate / (15.041 * 80) - 1) < 1.2e-6  # 1e-6 is stated: docs/engine.md
+    assert abs(rate / (15.041 * 80) - 1) < 1e-6
 
 
 def test_memory_and_speed(run: Run) -> None:
