@@ -93,7 +93,7 @@ def _ours(names: "list[str]") -> "list[str]":
 def known(option: str, word: str, rows: "dict[str, Any]") -> "Any":
     """Return rows[word]. Raises ValueError, with the words that are possible, for another one."""
     if word not in rows:
-        words = list(rows)
+        words = sorted(rows)  # MicroPython keeps a table in no order
         last = words.pop()
         raise ValueError("%s is %s or %s, not %s" % (option, ", ".join(words), last, word))
     return rows[word]

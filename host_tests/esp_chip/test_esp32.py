@@ -195,8 +195,8 @@ _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
     ("line", "words"),
     [
         ('ENGINE = "i2s"', "ENGINE = i2s: the board file names no I2S, I2S_RATE_HZ, I2S_BUFFERS"),
-        ('ENGINE = "steam"', "ENGINE is pio, rmt or i2s, not steam"),
-        ('LINK = "pigeon"', "LINK is usb, uart, wifi or uart_wifi, not pigeon"),
+        ('ENGINE = "steam"', "ENGINE is i2s, pio or rmt, not steam"),
+        ('LINK = "pigeon"', "LINK is uart, uart_wifi, usb or wifi, not pigeon"),
         ("PROBE = 13", "PROBE: pin 13 is LIMIT already"),
         ("FLOOD = 34", "pin can only be input"),
         ('TOOL = "punch"', "TOOL = punch: the board file names no pin for PUNCH_DOWN, PUNCH_UP, "),
