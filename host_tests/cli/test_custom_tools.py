@@ -624,7 +624,7 @@ def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
 ) -> None:
     was, will = ({path: text.encode() for path, text in files.items()} for files in (old, new))
     for cut in range(100):
-        shelf = FakeShelf({**old, "board.py": "", "custom.txt": "traceback"}, cut)
+        shelf = FakeShelf({**old, "board.py": "", "saved/custom.txt": "traceback"}, cut)
         try:
             custom_files.push(shelf, "custom", will, lambda count: None)
         except DeployError:
@@ -642,7 +642,9 @@ def test_push_cut_anywhere_leaves_old_or_new_files_and_the_next_push_succeeds(
 
 @pytest.mark.parametrize("old", OLD.values(), ids=OLD)
 def test_remove_deletes_file_and_traceback(old: "dict[str, str]") -> None:
-    shelf = FakeShelf({**old, "custom.py.new": "x", "custom.part/a.py": "x", "custom.old": "t"})
+    shelf = FakeShelf(
+        {**old, "custom.py.new": "x", "custom.part/a.py": "x", "saved/custom.old": "t"}
+    )
     assert custom_files.remove(shelf, "custom")
     assert shelf.disk == {}
     assert not custom_files.remove(shelf, "custom")

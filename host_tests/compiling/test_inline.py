@@ -13,6 +13,7 @@ NAME = const(3)
 SHIFTED = const(NAME << 4 | 1)
 _OWN = const(7)
 NEGATIVE = const(-2)
+CHOSEN = const(False)
 TEXT = "no number"
 LATER = const(5)
 LATER = 6
@@ -31,7 +32,7 @@ from kinds import (
 )
 from kinds import NEGATIVE as LEAST
 
-É = "é", NAME, k.SHIFTED, kinds.TEXT, k.LATER
+É = "é", NAME, k.SHIFTED, kinds.TEXT, k.LATER, k.CHOSEN
 
 
 def f(kinds):
@@ -58,7 +59,7 @@ def run(sources: "dict[str, str]") -> "dict[str, object]":
 def test_inlined_module_gives_the_same_results() -> None:
     before = {"kinds": KINDS, "user": USER}
     assert run(inline(before)) == run(before)
-    assert run(before) == {"É": ("é", 3, 49, "no number", 6), "f": (99, -2, 16, 4)}
+    assert run(before) == {"É": ("é", 3, 49, "no number", 6, False), "f": (99, -2, 16, 4)}
 
 
 def test_numbers_replace_names_and_no_line_moves() -> None:
@@ -66,7 +67,7 @@ def test_numbers_replace_names_and_no_line_moves() -> None:
     assert after["kinds"].count("\n") == KINDS.count("\n")
     lines = after["user"].splitlines()
     assert lines[2] == "from kinds import double" and lines[7] == "pass"
-    assert lines[9] == 'É = "é", 3, 49, kinds.TEXT, k.LATER'
+    assert lines[9] == 'É = "é", 3, 49, kinds.TEXT, k.LATER, False'
     # The parameter `kinds` hides the module, so kinds.NAME stays.
     assert lines[13] == "    return kinds.NAME, (-2), double(3), 2 - (-2)"
     assert "NAME = const" not in after["kinds"] and "x * 3 + _OWN" in after["kinds"]
@@ -81,4 +82,4 @@ def test_every_constant_of_the_firmware_is_inlined() -> None:
     assert sum(len(public.findall(text)) for text in sources.values()) > 200
     for name, text in inline(sources).items():
         assert text.count("\n") == sources[name].count("\n")
-        assert set(public.findall(text)) <= {"TYPE_CHECKING"}, name
+        assert not public.findall(text), name

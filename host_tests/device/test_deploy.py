@@ -33,7 +33,12 @@ PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
 # The endings that deploy_device.py looks for.
 _LOOKED_AT = ("py", LIST, *page_files.names())
 _OTHER = b"M\x06\x00\x1f"  # start of a compiled file for any processor
-SETTINGS = {"settings.txt": b"$0=10", "settings.old": b"$0=5", "offsets.new": b"", "log.txt": b"1"}
+SETTINGS = {
+    "saved/settings.txt": b"$0=10",
+    "saved/settings.old": b"$0=5",
+    "saved/coords.new": b"",
+    "log.txt": b"1",
+}
 
 
 def ugrbl(*words: object) -> Result:

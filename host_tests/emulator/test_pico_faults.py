@@ -190,7 +190,7 @@ def test_missing_board_file_is_reported_and_leads_to_the_prompt(
 
 
 def test_damaged_settings_file_is_reported_and_factory_settings_apply(uf2: Path) -> None:
-    machine = Board(uf2, {"settings.txt": b"0=3\n110=99999\n#crc32=00000000\n"}).boot()
+    machine = Board(uf2, {"saved/settings.txt": b"0=3\n110=99999\n#crc32=00000000\n"}).boot()
     assert "error:7" in machine.said and "$110=500.000" in machine.said
 
 

@@ -248,7 +248,7 @@ def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path)
     assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in flash.pages.items())
     assert found == files and found["custom.py"] == b"# mine"
     assert found["deployed.sha256"].decode().splitlines()[0].endswith("  main.py")
-    (tmp_path / "settings.txt").write_bytes(found["settings.txt"])
+    (tmp_path / "settings.txt").write_bytes(found["saved/settings.txt"])
     lines = FlashStore(f"{tmp_path}/").load("settings")
     assert lines and {"$110=4321", "$32=1", "$0=10"} <= set(lines)
 

@@ -8,6 +8,7 @@ import pytest
 from lfs_flash import Files, Flash, cut
 from ports.storage import flash_store
 from ports.storage.flash_store import FlashStore
+from ugrbl.device.deploy import SAVED
 
 OLD, NEW = ["$0=10", "$110=500.5"], ["$0=3", "$110=1000", "$999=1"]
 
@@ -16,7 +17,7 @@ def attach(monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False) -
     files = Files(flash, fresh)
     monkeypatch.setattr(flash_store, "open", files.open, raising=False)
     monkeypatch.setattr(flash_store, "os", files)
-    return FlashStore("/")
+    return FlashStore()
 
 
 def test_saved_text_is_loaded_and_the_older_copy_is_kept(
@@ -26,7 +27,7 @@ def test_saved_text_is_loaded_and_the_older_copy_is_kept(
     store.save("settings", OLD)
     store.save("settings", NEW)
     assert store.load("settings") == NEW
-    with flash_store.open("/settings.txt", "wb") as file:  # type: ignore[attr-defined]
+    with flash_store.open(f"/{SAVED}/settings.txt", "wb") as file:  # type: ignore[attr-defined]
         file.write(b"$0=")
     assert store.load("settings") == OLD
 
@@ -37,7 +38,7 @@ def test_a_file_never_saved_differs_from_a_lost_file(
     store = attach(monkeypatch, Flash(), fresh=True)
     assert store.load("settings") == []
     store.save("settings", OLD)
-    with flash_store.open("/settings.txt", "wb") as file:  # type: ignore[attr-defined]
+    with flash_store.open(f"/{SAVED}/settings.txt", "wb") as file:  # type: ignore[attr-defined]
         file.write(b"$0=")
     assert store.load("settings") is None
     assert store.load("startup") == []
@@ -151,7 +152,7 @@ def test_a_write_calls_both_hooks_even_if_it_fails(
 ) -> None:
     attach(monkeypatch, Flash(), fresh=True)
     told: list[str] = []
-    store = FlashStore("/")
+    store = FlashStore()
     store.before, store.after = lambda: told.append("before"), lambda: told.append("after")
     assert store.load("settings") == [] and told == []
     if full:

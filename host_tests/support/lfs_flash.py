@@ -64,6 +64,12 @@ class Files:
         except FileNotFoundError as error:  # it has no errno here
             raise OSError(errno.ENOENT, path) from error
 
+    def mkdir(self, path: str) -> None:
+        try:
+            self.fs.mkdir(path)
+        except FileExistsError as error:
+            raise OSError(errno.EEXIST, path) from error
+
     def rename(self, old: str, new: str) -> None:
         self.fs.rename(old, new)
 

@@ -273,7 +273,8 @@ def imported(text: str, without: frozenset[str] = frozenset()) -> tuple[str, ...
 def _imported(node: ast.AST, without: Collection[str]) -> Iterator[str]:
     if isinstance(node, ast.FunctionDef) and node.name in without:
         return
-    if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+    condition = ast.unparse(node.test) if isinstance(node, ast.If) else ""
+    if condition == "False" or condition.endswith("TYPE_CHECKING"):  # before the first pass
         return
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names)

@@ -153,7 +153,7 @@ def _number(node: ast.expr, names: Names) -> int | None:
         value = eval(code, {"__builtins__": {}}, dict(names))
     except (NameError, AttributeError, TypeError):
         return None
-    return value if type(value) is int else None
+    return value if isinstance(value, int) else None
 
 
 def _stored(tree: ast.Module) -> list[str]:

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
 from ..boardfile.options import BY_NAME
-from .deploy import DeployError, Running
+from .deploy import SAVED, DeployError, Running
 
-# Names of the files with the last traceback.
+# Names of the files with the last traceback, where the board saves it.
 _TRACES = ("custom.txt", "custom.new", "custom.old")
 
 
@@ -102,7 +102,7 @@ def push(
         if single in names:
             shelf.remove(single)
         _remove_folder(shelf, f"{name}.gone")
-    _forget_trace(shelf, names)
+    _forget_trace(shelf)
 
 
 def remove(shelf: CustomFiles, name: str) -> bool:
@@ -114,7 +114,7 @@ def remove(shelf: CustomFiles, name: str) -> bool:
     _remove_folder(shelf, name)  # before the file, which it may hide
     if f"{name}.py" in names:
         shelf.remove(f"{name}.py")
-    _forget_trace(shelf, names)
+    _forget_trace(shelf)
     return name in names or f"{name}.py" in names
 
 
@@ -150,8 +150,8 @@ def _remove_folder(shelf: CustomFiles, folder: str) -> None:
         shelf.remove(f"{folder}/{file}")
 
 
-def _forget_trace(shelf: CustomFiles, names: list[str]) -> None:
+def _forget_trace(shelf: CustomFiles) -> None:
     """Remove the traceback, because it belongs to the old file."""
-    for file in _TRACES:
-        if file in names:
-            shelf.remove(file)
+    for file in shelf.names(SAVED):
+        if file in _TRACES:
+            shelf.remove(f"{SAVED}/{file}")

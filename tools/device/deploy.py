@@ -20,6 +20,7 @@ from . import checkup
 
 # Checksums and paths, in the format of sha256sum.
 LIST = "deployed.sha256"
+SAVED = "saved"  # folder of what the board saves: firmware/ports/storage/flash_store.py
 _KINDS = (".py", ".mpy")
 
 # Meaning of the number from this bit of sys.implementation._mpy on.

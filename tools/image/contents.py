@@ -10,7 +10,7 @@ from ..compiling import freeze
 from ..compiling.build import Build
 from ..compiling.freeze import Frozen
 from ..device.checkup import NEW_MICROPYTHON, release, too_old
-from ..device.deploy import LIST, listing
+from ..device.deploy import LIST, SAVED, listing
 from ..paths import use_firmware
 from ..run.machine import kept_settings
 from . import binary_info, file_system, uf2
@@ -102,12 +102,12 @@ def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:
 
 
 def settings_files(board: str, settings: Path) -> dict[str, bytes]:
-    """Return settings as the board's own store writes them. SettingsError if the machine would
-    refuse them."""
+    """Return settings as the board's own store writes them, by path. SettingsError if the machine
+    would refuse them."""
     name, lines = kept_settings(board, settings)
     use_firmware()
     from ports.storage.flash_store import FlashStore
 
     with tempfile.TemporaryDirectory() as folder:
         FlashStore(f"{folder}/").save(name, lines)
-        return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+        return {f"{SAVED}/{path.name}": path.read_bytes() for path in Path(folder).iterdir()}

@@ -25,6 +25,7 @@ _CHECKSUM = b"#crc32="
 
 _NO_SUCH_FILE = const(2)  # ENOENT
 _NO_MEMORY = const(12)  # ENOMEM
+_EXISTS = const(17)  # EEXIST
 
 
 def _nothing() -> None:
@@ -45,12 +46,14 @@ def _lines(data: bytes) -> "list[str] | None":
 
 
 class FlashStore:
-    """A Store. folder: where the files are, with a slash at its end.
+    """A Store. folder: where the files are, with a slash at its end; save() makes it. Not the
+    root: littlefs reads all changes of a folder at each look into it, and a start looks into the
+    root several times for each module.
 
     before, after: called around each save, also if it fails.
     """
 
-    def __init__(self, folder: str = "/") -> None:
+    def __init__(self, folder: str = "/saved/") -> None:
         self._folder = folder
         self.before: "Callable[[], None]" = _nothing
         self.after: "Callable[[], None]" = _nothing
@@ -82,6 +85,11 @@ class FlashStore:
         kept = list(lines)
         self.before()
         try:
+            try:
+                os.mkdir(self._folder[:-1])
+            except OSError as reason:
+                if reason.errno != _EXISTS:
+                    raise
             kept.append("")  # for the last line's end
             self._write(self._folder + name, "\n".join(kept).encode())
         except MemoryError:
