@@ -27,7 +27,7 @@ ENABLE, PROBE, CONTROL, REPL_PIN = 18, None, (None,) * 4, 22
 SPINDLE_PWM, SPINDLE_DIR, FLOOD = 26, None, None
 """
 _PER_MM = 250
-_TICK_US = 0.08
+_TICK_US = 0.08 + 1e-6  # of rounding, as a float
 _FASTEST_KHZ = 249.97
 
 
