@@ -201,6 +201,8 @@ def test_second_motor_of_axis_has_own_pins(set_up):
     person.reads("#pins-says", "Still without a pin: step Y2, dir Y2")
     give(person, step_Y2=19, dir_Y2=20, limit_Y2=21)
     step(person, "file")
+    step(person, "board")
+    person.reads("#board-cards [aria-pressed=true] b", "rpi_pico")
     text = person.page.input_value("#board-text")
     assert 'MOTORS = "XYZY"' in text and "STEP = (2, 3, 4, 19)" in text
     assert "LIMIT = (9, 10, 11, 21)" in text

@@ -71,6 +71,7 @@ def test_machine_is_jogged_and_zeroed_in_change_and_returns_to_its_place(person)
 def test_modes_are_restored_after_change(person):
     job = "G20 G91 G1 F30\nX0.1\nM6\nX0.1\nY0.2\n"
     pauses_at_change(person, job)
+    person.reads("#state", "IdleTool change in line 3 of 5.")
     person.types("G21 G90 G18 G55 G0")
     person.waits("grbl.modes.includes('G55')")
     goes_on(person)

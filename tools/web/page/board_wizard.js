@@ -141,13 +141,14 @@ STEP_SHOWN.connect = () => {
 
 $("board-chip").append(...Object.entries(BOARDS.chips).map(([name, { title }]) => make("option", { value: name }, translated(title))));
 $("board-chip").onchange = renderCards;
+let chosen = ""; // name of the board
 function renderCards() {
   const chip = $("board-chip").value, { processor, title } = BOARDS.chips[chip];
   const near = Object.entries(BOARDS.boards).filter(([, board]) => BOARDS.chips[board.chip].processor === processor);
   near.sort(([, one], [, other]) => (other.chip === chip) - (one.chip === chip));
   $("board-cards").replaceChildren(
     make("button", { className: "main", onclick: () => chooseOwn(chip) }, make("b", {}, t`My own`), make("span", { className: "small" }, t`Pins of the ${translated(title)}, one by one`)),
-    ...near.map(([name, { about }]) => make("button", { onclick: () => chooseBoard(name) }, make("b", { className: "mono" }, name), make("span", { className: "small" }, about))));
+    ...near.map(([name, { about }]) => make("button", { "aria-pressed": String(name === chosen), onclick: () => chooseBoard(name) }, make("b", { className: "mono" }, name), make("span", { className: "small" }, about))));
 }
 STEP_SHOWN.board = renderCards;
 
@@ -156,6 +157,7 @@ const beginDraft = () => draft ?? beginOwn($("board-chip").value);
 const beginOwn = (chip) => setDraft({ ...structuredClone(NEW_DRAFT), chip });
 
 function chooseOwn(chip) {
+  chosen = "";
   if (draft?.chip !== chip) beginOwn(chip);
   ownWords = null;
   keep("ownWords", null);
@@ -163,6 +165,7 @@ function chooseOwn(chip) {
 }
 
 function chooseBoard(name) {
+  chosen = name;
   const made = draftOf(name);
   if (made) setDraft(made);
   useText(BOARDS.boards[name].text);
