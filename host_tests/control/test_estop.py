@@ -195,19 +195,20 @@ def test_estop_works_in_every_state(
 )
 def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", said: str) -> None:
     machine = Machine(_21=1)
-    look = machine.engine.fault
+    fault = machine.engine.fault
 
     def script() -> Iterator[Any]:
         yield from machine.ask("G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
         machine.link.received.clear()
 
-        def interrupted() -> str:
-            machine.engine.fault = look  # type: ignore[method-assign]
+        def push_during_check() -> str:
+            """Push the input while the main loop looks for a fault, after its look for alarms."""
+            machine.engine.fault = fault  # type: ignore[method-assign]
             machine.port.push(pushed)
-            return look()
+            return fault()
 
-        machine.engine.fault = interrupted  # type: ignore[method-assign]
+        machine.engine.fault = push_during_check  # type: ignore[method-assign]
         yield machine.ms(300)
         assert machine.said().startswith(said)
 
