@@ -283,15 +283,20 @@ class Canon:
         for call in self._state.hooks.cooled:
             call(mask)
 
+    def tool_off(self) -> None:
+        """Switch spindle and coolant off at once, and notify the extras."""
+        self._spin(0, 0.0)
+        self._cool(0)
+
     def end_program(self) -> None:
-        """Switch spindle and coolant off, and set overrides to 100 %."""
+        """Switch spindle and coolant off, allow parking, and set overrides to 100 %."""
         state = self._state
         state.feed_override = state.rapid_override = 100
         state.override_spindle(100)
         self.planner.override()
         if state.run != st.CHECK:
-            self._spin(0, 0.0)
-            self._cool(0)
+            state.override_control = True
+            self.tool_off()
         call_all(state.hooks.ended)
 
     def control_overrides(self, parking: bool) -> None:

@@ -190,6 +190,29 @@ def test_estop_works_in_every_state(
     machine.play(script)
 
 
+@pytest.mark.parametrize("touches", [False, True])
+def test_tool_that_a_failed_probing_leaves_on_is_switched_off(touches: bool) -> None:
+    """As with Grbl, ALARM:4 and ALARM:5 leave the tool on."""
+    machine = Machine()
+
+    def script() -> Iterator[Any]:
+        yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
+        machine.port.push({"probe": touches})
+        yield from machine.ask("G38.2 Z-0.1 F100\n", "ALARM:4" if touches else "ALARM:5")
+        yield machine.ms(800)
+        assert not machine.off()
+        machine.link.received.clear()
+        machine.port.push(PRESSED)
+        assert machine.off()
+        yield machine.ms(800)
+        machine.port.push(PRESSED)  # a contact that bounces is not reported again
+        yield machine.ms(800)
+        assert machine.off() and machine.said().count("ALARM:17") == 1
+        yield from machine.ask("$X\n", "error:9\r\n")
+
+    machine.play(script)
+
+
 @pytest.mark.parametrize(
     ("pushed", "said"), [({"limit_x": True}, "ALARM:1\r\n"), (PRESSED, "ALARM:17\r\n")]
 )
