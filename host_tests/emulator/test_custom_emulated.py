@@ -104,7 +104,13 @@ def test_three_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
             "$#": ["[TLO:-12.500]"],
             "G43 H3": ["[MSG:tool 3 has no length: G10 L1 P3 Z and the length]", "error:3"],
         },
-        "counter": {"M120 Q2": ["ok"], "M30": ["ok"], "M121": ["ok"], "M2": ["ok"]},
+        "counter": {
+            "M120 Q2": ["ok"],
+            "M30": ["ok"],
+            "M121": ["ok"],
+            "M2": ["ok"],
+            "G4P0": ["ok"],
+        },
     }
     with pico(uf2, tmp_path, build.for_board(board)) as port:
         for example, talk in talks.items():
