@@ -94,8 +94,8 @@ class MotorControl:
 
     @micropython.native
     def on_limits(self) -> None:
-        """Handle a hit limit switch: with hard limits ($21) stop and alarm, unless the machine is
-        in alarm already or homing, which needs the switches. Interrupt."""
+        """Handle a change of a limit input: with hard limits ($21) stop and alarm, unless the
+        machine is in alarm already or homing, which needs the switches. Interrupt."""
         state = self._state
         matters = self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING)
         if matters and state.alarm == 0:

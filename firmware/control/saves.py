@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 class Saves:
     """A Store in front of another one, which changes only in write_due().
 
-    damaged: names that the other store found damaged at power-up. due: lines to write, by name.
+    damaged: names whose data was damaged, with True if an older copy was used. due: lines to
+    write, by name.
     """
 
     def __init__(self, store: "Store") -> None:
