@@ -25,14 +25,15 @@ def of_board(board: "ModuleType") -> "PowerInput":
 
 
 class PowerInput:
-    """The input, and pages of flash for what must be stored. is_hard: interrupts can be hard."""
+    """The input, and pages of flash for what must be stored. number: the pin's; without_pull: it
+    has a resistor outside; is_hard: interrupts can be hard. is_armed: the next edge interrupts."""
 
     def __init__(self, number: int, without_pull: bool, is_hard: bool) -> None:
         self.pages = PreparedPages()
         self._number = number
         self._without_pull = without_pull
         self._is_hard = is_hard
-        self.is_armed = True  # the next edge interrupts
+        self.is_armed = True
 
     def attach(self, on_fail: "Callable[[], object]", on_fault: "Callable[[], object]") -> None:
         """Call on_fail, in an interrupt, when the contact opens; on_fault if that raises."""
@@ -58,6 +59,7 @@ class PowerInput:
 
     @micropython.native
     def _changed(self, pin: "Pin") -> None:
+        """Disarm the pin, and report a failing supply if the contact is still open. Interrupt."""
         try:
             pin.irq().trigger(0)
             self.is_armed = False

@@ -25,9 +25,9 @@ _PIECE = const(64)
 
 
 class UartLink:
-    """A Link. shared: memory shared with the supervisor. poll_reset is None: Ctrl-X can be found
-    only by reading. check_supervisor: the supervisor's, called in the main loop, which raises.
-    on_poll: called in every turn."""
+    """A Link. shared: memory shared with the supervisor, by the indices of link_memory.py.
+    poll_reset is None: Ctrl-X can be found only by reading. check_supervisor: the supervisor's,
+    called in the main loop, which raises. on_poll: called in every turn."""
 
     poll_reset = None
     is_slow = False  # Ctrl-X is read as soon as this chip's MicroPython can
@@ -50,7 +50,7 @@ class UartLink:
 
     def read_into(self, buf: bytearray) -> int:
         """Move the bytes received into buf; return how many."""
-        self.shared[TURNED] = 1
+        self.shared[TURNED] = 1  # for the supervisor: the loop is alive
         if self.shared[STOPPED]:
             self.check_supervisor()
         self.on_poll()

@@ -71,8 +71,8 @@ _ANSWER = const(16)  # up to so many bytes are the answer to a line, more are ot
 _LATER = const(1)  # result of _keep(): the answer waits. More is a count of bytes to send
 _DOLLAR = const(0x24)
 
-# Flags of _take()'s result: NOTE, with a count of bytes, asks for UsbLink._note(); FLUSH, without
-# one, asks to send the answers.
+# Flags of _take()'s result: _NOTE, added to a count of bytes, asks to call UsbLink._note();
+# _FLUSH, without bytes, asks to send the answers that wait.
 _NOTE = const(0x100)
 _FLUSH = const(0x200)
 
@@ -91,15 +91,18 @@ _SET_OR_GET = const(0xFE7F)
 
 @micropython.viper
 def _take(at: ptr32, buf: ptr8, room: int) -> int:
-    """Move up to `room` bytes, but fewer than NOTE, from the ring into buf.
+    """Move up to `room` bytes, but fewer than _NOTE, from MicroPython's ring into buf.
 
-    Returns how many, with NOTE set if UsbLink._note() has work to do; or FLUSH if answers have
-    waited long enough.
+    at: the link's state, by the indices of link_memory.py; at[RING] is the ring's address. Returns
+    how many bytes were moved, plus _NOTE if UsbLink._note() has work to do: the port was opened
+    again, the supervisor has stopped the machine, control bytes were read that may request the
+    prompt, or no byte was moved and the ring was so full that more may wait outside it. Without
+    bytes and work, _FLUSH if answers have waited for _QUIET_TURNS calls.
     """
     if room >= _NOTE:
         room = _NOTE - 1
-    at[TAKING] = 1
-    at[TURNED] = 1
+    at[TAKING] = 1  # _poll_reset(), an interrupt, must not move iget now
+    at[TURNED] = 1  # for the supervisor: the loop is alive
     shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
     data = ptr8(ptr32(at[RING])[0])
     get = shorts[3]
@@ -129,18 +132,22 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
 @micropython.viper
 def _keep(memory: object, data: ptr8, count: int) -> int:
-    """Append an answer to those that wait. Returns 0 if it does not fit, LATER if it waits, or how
-    many bytes of answers to send now. memory: the link's state and the waiting answers."""
+    """Append the first `count` bytes of data to the answers that wait. Returns 0 if they do not
+    fit, _LATER if they wait, or how many bytes of waiting answers to send now. memory: the link's
+    state and the buffer of these."""
     at, out = memory
     return int(_put(ptr32(at), ptr8(out), data, count))
 
 
 @micropython.viper
 def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
-    """Append data to the answers that wait. Returns as _keep().
+    """Append the first `count` bytes of data to the answers that wait, in out. Returns 0 if they
+    do not fit, _LATER if they wait, or how many bytes of out to send now.
 
-    Up to _ANSWER bytes are the answer to a line: it waits for more unless it answers a $. Longer
-    data is other output: it is sent now, with all that waits.
+    at: the link's state: at[LENGTH] bytes wait, for at[TURNS] turns without input; at[ASKED]: a $
+    was received that has not been answered. Up to _ANSWER bytes are the answer to a line: it waits
+    for more unless it answers a $. Longer data is other output: it is sent now, with all that
+    waits.
     """
     length = at[LENGTH]
     if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
@@ -164,7 +171,8 @@ class UsbLink:
     read_into(buf) moves the bytes received into buf and returns how many; write(data) sends, soon.
     shared: memory shared with the supervisor. poll_reset: called by the supervisor's timer, None
     if the ring was not found. check_supervisor: the supervisor's, called in the main loop, which
-    raises. is_slow: Ctrl-X is found only when the main loop reads.
+    raises. is_slow: Ctrl-X is found only when the main loop reads. _at: the link's state, the same
+    array as `shared`, by the indices of link_memory.py.
     """
 
     read_into: "Callable[[bytearray], int]"
@@ -183,7 +191,7 @@ class UsbLink:
         self._waiting_out = bytearray(_OUT_BYTES)  # answers that wait
         self._since = 0  # ticks_ms() when the port was opened: see _greet()
         self._escape = Escape(self.close)
-        # One array with two names: the supervisor's, and ours (link_memory.py has its places).
+        # One array with two names, the supervisor's and ours.
         self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
         self._memory = for_kernels(self._at), for_kernels(self._waiting_out)  # for _keep()
         if sys.platform == "rp2":
@@ -205,9 +213,12 @@ class UsbLink:
 
     @micropython.viper
     def _poll_reset(self) -> int:
-        """Drop all bytes received up to a Ctrl-X. Returns whether there was one. Interrupt.
+        """Drop all bytes received up to the last Ctrl-X. Returns 1 if there was one, else 0.
+        Interrupt.
 
-        It also notes when the port is opened; the first time needs no greeting.
+        It also notes whether the port is open (DTR): from TinyUSB's variable if that was found,
+        else from the host's last request. at[OPENED] becomes 1 if it is opened again: the first
+        time needs no greeting.
         """
         at = ptr32(self._at)
         shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
@@ -241,25 +252,26 @@ class UsbLink:
         return found
 
     def _drain(self) -> bytearray:
-        """Return all bytes received."""
-        early = bytearray()
+        """Read all bytes received, one at a time by MicroPython's stream, and return them."""
+        received = bytearray()
         while self._waiting() and self._in.readinto(self._byte):
-            early.append(self._byte[0])
-        return early
+            received.append(self._byte[0])
+        return received
 
     # These closures are called in every turn and look up no attribute. With arguments a closure
     # may hold at most five values: MicroPython allocates at each call for more.
 
     def _make_read_into(self) -> "Callable[[bytearray], int]":
-        """Return read_into(): from the ring, or by MicroPython's stream if it was not found."""
+        """Return read_into(): the one that reads the ring, or MicroPython's stream if the ring was
+        not found."""
         if self._at[RING] == 0:
             return self._read_plainly
         at, take, note, flush = for_kernels(self._at), _take, self._note, self._flush
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
-            """Store received bytes; returns their number."""
-            count: int = take(at, buf, len(buf))
+            """Store received bytes in buf; returns their number."""
+            count: int = take(at, buf, len(buf))  # with the flags of _take()
             if count < _NOTE:
                 return count
             return flush() if count == _FLUSH else note(buf, count - _NOTE)
@@ -267,8 +279,9 @@ class UsbLink:
         return read_into
 
     def _make_send(self) -> "Callable[..., None]":
-        """Return the function that sends: so many bytes of the waiting answers, or of other data.
-        It waits once for a host that does not read; after that output to it is dropped."""
+        """Return send(length, data): it sends that many bytes of data, of the waiting answers if
+        there is no second argument; the others look up no attribute. It waits once for a host that
+        does not read (DEAF); after that output to it is dropped until it reads."""
 
         def send(
             length: int,
@@ -282,7 +295,7 @@ class UsbLink:
             if at[DEAF] and not sendable(0):
                 return
             since = now_ms()
-            at[AWAY] = -WRITE_MS
+            at[AWAY] = -WRITE_MS  # the supervisor allows the loop to be away for so long
             out(data, length)
             at[AWAY] = 0
             at[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
@@ -290,21 +303,21 @@ class UsbLink:
         return send
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
-        """Return the function that sends answers."""
+        """Return write(), which collects answers and sends them (see _put())."""
         memory, keep, send, make_room = self._memory, _keep, self._send, self._make_room
 
         # Eleven values including those it passes on: MicroPython allocates at each call for more.
         def write(data: "bytes | bytearray | memoryview") -> None:
-            kept = keep(memory, data, len(data))
-            if kept > _LATER:
-                send(kept)
-            elif not kept:
+            due = keep(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
+            if due > _LATER:
+                send(due)
+            elif not due:
                 make_room(data)
 
         return write
 
     def _make_room(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send the answers that wait, then write one that did not fit."""
+        """Send the answers that wait, then write data that did not fit."""
         self._flush()
         if len(data) > _OUT_BYTES:
             self._send(len(data), data)
@@ -312,7 +325,9 @@ class UsbLink:
             self.write(data)
 
     def _note(self, buf: bytearray, count: int) -> int:
-        """Handle events other than bytes. Returns the count of bytes."""
+        """Handle what _take() has flagged: a stop by the supervisor (raises), an opened port, a
+        request for the prompt among the first `count` bytes of buf, a ring that was full. Returns
+        count."""
         at = self._at
         if at[STOPPED]:
             self.check_supervisor()
@@ -328,7 +343,8 @@ class UsbLink:
         return 0
 
     def _greet(self, count: int) -> None:
-        """Greet a program that has opened the port, once it sends something or after _GREET_MS."""
+        """Greet a program that has opened the port, once it sends something or after _GREET_MS.
+        count: bytes just read. at[OPENED] is JUST at the first call, then more, 0 after that."""
         at = self._at
         if at[OPENED] == JUST:
             at[OPENED] = JUST + 1
@@ -366,7 +382,7 @@ class UsbLink:
             self.read_into(piece)
 
     def _flush(self) -> int:
-        """Send the answers that wait. Returns 0, the count of bytes read."""
+        """Send the answers that wait. Returns 0, for read_into(): no bytes were read."""
         at = self._at
         length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
         if length:
