@@ -48,15 +48,16 @@ _RENAMED = {
 
 
 class Cnc:
-    """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm."""
+    """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm. entries: each returns
+    why a program cannot be entered at a line in its middle now, or "". job: the running job of a
+    board with JOBS, else None."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._hooks = machine.state.hooks
         self._words = CustomCodes(machine)
-        # Each returns why a program cannot be entered at a line in its middle now, or "".
         self.entries: "list[Callable[[], str]]" = []
-        self.job: "Job | None" = None  # the running job of a board with JOBS
+        self.job: "Job | None" = None
 
     # Parts and answers
 
@@ -96,8 +97,8 @@ class Cnc:
         """Add settings, as in base/settings.py: number, attribute, kind, default, unit.
 
         without: numbers of settings to remove; their attributes keep the default. file: the name
-        under which all settings are stored. words: their descriptions in the $$ of Grbl 0.9, by
-        number.
+        under which all settings are stored, "" for the name as it is. words: the descriptions of
+        the new ones in the $$ of Grbl 0.9, by number.
         """
         settings = self._machine.settings
         for number, attribute, _, default, _ in settings.rows:
@@ -111,7 +112,8 @@ class Cnc:
             descriptions.update(words)
 
     def check_setting(self, number: int, check: "Callable[[float], object]") -> None:
-        """Register a check of a setting's new value. It raises GrblError to refuse the value."""
+        """Register a check of a setting's new value: check(value) raises GrblError to refuse it.
+        number: the setting's."""
         settings = self._machine.settings
 
         def check_one(changed: int, value: float) -> None:
@@ -121,7 +123,8 @@ class Cnc:
         settings.checks += (check_one,)
 
     def add_alarms(self, words: "dict[int, str]") -> None:
-        """Add the texts by which Grbl 0.9 reports alarms, because it has no alarm numbers."""
+        """Add the texts by which Grbl 0.9 reports alarms, by number; without effect in other
+        dialects."""
         texts = getattr(self._machine.report, "alarms", None)  # only in 0.9's reports
         if texts is not None:
             texts.update(words)
@@ -171,7 +174,7 @@ class Cnc:
         )
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
-        """Return whether Grbl or an extra already has that G or M word."""
+        """Return whether Grbl or an extra already has that G or M word. number: as for add_g()."""
         return self._words.is_taken(letter, number)
 
     def has_word(self, line: bytearray, length: int) -> bool:
@@ -307,7 +310,8 @@ class Cnc:
         self._hooks.spun += (call,)
 
     def after_controls(self, call: "Callable[[int], object]") -> None:
-        """Register a function for changed control inputs. It gets the mask of base/controls.py.
+        """Register a function for changed control inputs. It gets the mask of those that are
+        active (base/controls.py).
 
         It runs in an interrupt: it must not allocate, and has almost no stack.
         """

@@ -107,13 +107,14 @@ class ReportHal(Report):
 
 
 class Bytes:
-    """Real-time bytes of grblHAL. Unknown ones are ignored."""
+    """Real-time bytes of grblHAL. Unknown ones are ignored. _stopping: a hold slows motion down,
+    and a reset follows it. _usual_post: what handles Grbl's bytes."""
 
     def __init__(self, machine: "Controller", report: ReportHal) -> None:
         self._state = machine.state
         self._motor_control = machine.motor_control
         self._report = report
-        self._stopping = False  # a hold slows motion down, and a reset follows it
+        self._stopping = False
         self._usual_post = machine.reader.post
         machine.reader.post = self.post
         machine.state.hooks.poll += (self._turn,)
@@ -161,9 +162,10 @@ def texts() -> "IO[bytes]":
 
 
 def _enumerate(cnc: "Cnc", command: bytes) -> None:
-    """Send the rows of a command, such as ES. Of settings, send those that this machine has.
+    """Send the rows of a command, such as ES, from FILE. Of settings, send those that this machine
+    has.
 
-    GrblError if FILE has no row of that command.
+    GrblError if FILE has no row of that command. Without FILE a message says so.
     """
     try:
         rows = texts()
