@@ -60,7 +60,8 @@ class ModalState:
     """Context manager that restores modes, feed and offsets when its block ends.
 
     With `usual`, G17, G21, G90 and G94 hold inside. Spindle and coolant stay as they are, because
-    they are what the machine does. within: the open blocks, this one last.
+    they are what the machine does. within: the open blocks, this one last. modal: a copy of the
+    modal state at the beginning.
     """
 
     def __init__(self, machine: "Controller", usual: bool, within: "list[ModalState]") -> None:
@@ -83,7 +84,7 @@ class ModalState:
                 modes.modal[i] = 0
 
     def keep_length(self) -> None:
-        """Keep the present tool length when the block ends."""
+        """Let the present tool length stay when the block ends, instead of the one before it."""
         self._length = self._machine.coords.tool_length
 
     def __exit__(self, *fault: object) -> None:
@@ -100,7 +101,7 @@ class ModalState:
         coords.active = modes.modal[SYSTEM]
         for motion, kept in self._motions:
             motion.kept = kept
-        copy(self._rates, modes.rates, 2)
+        copy(self._rates, modes.rates, 2)  # feed and rpm, not the tool
         coords.tool_length = self._length
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0  # the next status report has the offsets

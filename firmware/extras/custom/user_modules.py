@@ -108,7 +108,7 @@ class Custom:
         ValueError if a word is taken or an input unknown, TypeError if letters are not text.
         """
         word_kinds = (handlers.M, handlers.G)
-        words = [note for note in notes if note[0] in word_kinds]
+        words = [note for note in notes if note[0] in word_kinds]  # note[0]: its kind
         events = [note for note in notes if note[0] not in word_kinds]
         # A handler of tool changes defines M6, too.
         m6 = [("M", 6, "t")] if "tool_change" in [kind for kind, _, _, _, _ in events] else []
