@@ -278,7 +278,7 @@ class Canon:
         self._spin(direction, rpm)
 
     def _spin(self, direction: int, rpm: float) -> None:
-        """Set spindle direction and speed at once, and notify the extras."""
+        """Set spindle direction and speed (rpm) at once, and notify the extras."""
         self._spindle.set_speed(direction, rpm)
         for call in self._state.hooks.spun:
             call(direction, rpm)
@@ -291,7 +291,7 @@ class Canon:
         self._cool(mask)
 
     def _cool(self, mask: int) -> None:
-        """Switch coolant at once, and notify the extras."""
+        """Switch coolant (a mask) at once, and notify the extras."""
         self._coolant.set(mask)
         for call in self._state.hooks.cooled:
             call(mask)

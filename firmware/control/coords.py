@@ -55,6 +55,7 @@ class Coords:
 
     @tool_length.setter
     def tool_length(self, mm: float) -> None:
+        """Set the tool length, which a reset clears."""
         self.offsets[-1] = mm
 
     def load(self) -> bool:

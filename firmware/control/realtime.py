@@ -25,7 +25,8 @@ _HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)
 
 
 class Realtime:
-    """The state machine. resync copies the machine's position to planner and parser.
+    """The state machine. resync copies the machine's position to planner and parser. _voice makes
+    and sends reports.
 
     state.pending has a byte per event, and ANY, which is set with each of them. state.suspend: a
     mask, why motion is suspended and how far that has progressed; 0: it is not.

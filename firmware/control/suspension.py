@@ -38,11 +38,11 @@ _PULL_OUT_MM = 5.0  # upwards
 class Suspension:
     """Holds, door and sleep.
 
-    position copies the machine's position, in mm. parks: the board has the parking option. _flags,
-    _rpm: spindle, coolant and speed of the block that was held; _lit: the laser was on before.
-    _routine: the work in progress, None for none. While parking, in mm of machine coordinates,
-    _target is a move's end; _resume_at the position to come back to; _waypoint where the slow part
-    of the way ends, on the parking axis.
+    position copies the machine's position, in mm. parks: the board has the parking option. _voice
+    sends messages. _flags, _rpm: spindle, coolant and speed of the block that was held; _lit: the
+    laser was on before. _routine: the work in progress, None for none. While parking, in mm of
+    machine coordinates, _target is a move's end; _resume_at the position to come back to;
+    _waypoint where the slow part of the way ends, on the parking axis.
     """
 
     def __init__(self, machine: "Machine", parks: bool) -> None:
@@ -95,7 +95,7 @@ class Suspension:
             self._door()
 
     def _pause(self, milliseconds: int) -> "Iterator[None]":
-        """Wait, unless the door opens again."""
+        """Routine: wait so many ms; it ends early if the door opens again."""
         since = self._port.ticks_ms()
         while self._port.elapsed_ms(since) < milliseconds and not self._interrupted():
             yield

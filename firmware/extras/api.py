@@ -117,6 +117,7 @@ class Cnc:
         settings = self._machine.settings
 
         def check_one(changed: int, value: float) -> None:
+            """Check the value if it is that setting's. changed: the number of the one to set."""
             if changed == number:
                 check(value)
 
@@ -147,7 +148,8 @@ class Cnc:
         letters: str = "",
         sync: bool = True,
     ) -> None:
-        """Add a G word, as add_m(): 81, 81.1, or with an L that Grbl does not use, "10 L1"."""
+        """Add a G word. number: 81, 81.1, or with an L that Grbl does not use, "10 L1"; the other
+        arguments are those of add_m()."""
         self._words.add("G", number, call, letters, sync)
 
     def add_cycle(
@@ -199,6 +201,7 @@ class Cnc:
         previous_find = hooks.find_command
 
         def execute(line: bytearray, length: int) -> None:
+            """Execute a line with our command."""
             call(bytes(line[1 + len(name) : length]))  # without $ and the name
 
         def find(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
@@ -228,6 +231,7 @@ class Cnc:
             state_before = state.run
 
             def execute_and_call(line: bytearray, length: int) -> None:
+                """Execute the line; then call the function, unless that has raised."""
                 execute(line, length)
                 call(state_before)
 
@@ -259,6 +263,7 @@ class Cnc:
                 previous_post(received)
 
         def call_if_received() -> None:
+            """Call the function if the byte was received since the last turn of the loop."""
             if is_received[0]:
                 is_received[0] = 0
                 call()
@@ -324,6 +329,7 @@ class Cnc:
 
         @micropython.native
         def call_both(active: int) -> None:
+            """Call the functions registered before, then this one. Interrupt."""
             previous(active)
             call(active)
 
@@ -334,6 +340,7 @@ class Cnc:
         previous = self._hooks.alarm
 
         def alarm(code: int) -> None:
+            """Report an alarm, then call the function."""
             previous(code)
             call(code)
 

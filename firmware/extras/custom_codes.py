@@ -69,7 +69,8 @@ class CustomCodes:
         self._read = Words(len(machine.reader.line))
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
-        """Return whether Grbl or an extra already has that G or M word."""
+        """Return whether Grbl or an extra already has that word: letter G or M, number as in
+        add()."""
         key = word_of(letter, number)
         if key in self._words:
             return True
@@ -87,13 +88,15 @@ class CustomCodes:
         letters: str,
         sync: bool,
     ) -> None:
-        """Add a word; see Cnc.add_m(). ValueError if the word is taken."""
+        """Add a word: letter G or M, and its number, or "10 L1" for G10 with L1. call gets the
+        numbers of `letters`, of which lower-case ones are optional; sync: it waits for the end of
+        motion. ValueError if the word is taken."""
         if self.is_taken(letter, number):
             raise ValueError("%s%s is taken" % (letter, number))
         if not self._words:
             self._wrap_lines()
         key = word_of(letter, number)
-        has_l = key[2] > 0
+        has_l = key[2] > 0  # tenths of its L
         self._words[key] = call, letters, sync, letters.upper() + ("NL" if has_l else "N")
 
     def _wrap_lines(self) -> None:

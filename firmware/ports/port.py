@@ -97,7 +97,7 @@ class PortPins(PortInputs):
             self.safe()
 
     def coolant(self, mask: int) -> None:
-        """Set the coolant outputs: bit 0 flood, bit 1 mist."""
+        """Set the coolant outputs to a mask: bit 0 flood, bit 1 mist."""
         if self._flood:
             self._flood.value(mask & 1 ^ self._flood_off)
         if self._mist:

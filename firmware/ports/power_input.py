@@ -36,7 +36,8 @@ class PowerInput:
         self.is_armed = True
 
     def attach(self, on_fail: "Callable[[], object]", on_fault: "Callable[[], object]") -> None:
-        """Call on_fail, in an interrupt, when the contact opens; on_fault if that raises."""
+        """Set up the pin. From now on on_fail is called, in an interrupt, when the contact opens;
+        on_fault if on_fail raises."""
         self._on_fail, self._on_fault = on_fail, on_fault
         if self._without_pull:
             self._pin = Pin(self._number, Pin.IN)

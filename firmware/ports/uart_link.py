@@ -45,7 +45,8 @@ class UartLink:
         self._escape = Escape(self.close)
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Set when the REPL may be requested. This link cannot see a sender open the port."""
+        """Set when the REPL may be requested: at_rest() returns that. on_open is not used, because
+        this link cannot see a sender open the port."""
         self._escape.at_rest = at_rest
 
     def read_into(self, buf: bytearray) -> int:

@@ -167,7 +167,8 @@ class Report:
         self._link.write(b"[echo: " + line + b"]\r\n")
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """Send one line of $$: key is the setting's number."""
+        """Send one line of $$: key is the setting's number; its value is sent with so many
+        decimals."""
         self._line("$%d=%s" % (key, number(value, decimals)))
 
     def startup_line(self, index: int, text: str) -> None:

@@ -32,9 +32,11 @@ class Position:
         self._mm = [mm[i] for i in range(len(mm))]
 
     def __getitem__(self, axis: int) -> float:
+        """Return an axis's position by its index."""
         return self._mm[axis]
 
     def __repr__(self) -> str:
+        """Return the position as text, with three decimals."""
         return "(%s)" % ", ".join(["%.3f" % mm for mm in self._mm])
 
     @property
@@ -51,6 +53,7 @@ class Position:
 
     @property
     def a(self) -> float:
+        """Position of axis A. ValueError on a machine without it."""
         if len(self._mm) <= _A:
             raise ValueError("the machine has no axis A")
         return self._mm[_A]

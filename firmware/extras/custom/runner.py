@@ -153,9 +153,8 @@ class Runner:
         self._cnc.message(what + " is disabled until power-up")
 
     def refuse_disabled(self, what: str, function: "Function") -> None:
-        """Raise GrblError if the handler is disabled.
-
-        Otherwise the sender would take the word's line as done.
+        """Report it and raise GrblError if the handler of a word is disabled. what: its name in
+        messages. Otherwise the sender would take the word's line as done.
         """
         if function in self._disabled:
             self._report_disabled(what)

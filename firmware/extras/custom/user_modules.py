@@ -85,7 +85,8 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
 
 
 def title(kind: str, key: "Any") -> str:
-    """Return a handler's name in messages: M100, on.spindle, on.input(door), every 50."""
+    """Return a handler's name in messages, from its note's kind and key: M100, on.spindle,
+    on.input(door), every 50."""
     if kind in (handlers.M, handlers.G):
         return "%s%s" % (kind, key)
     if kind == handlers.EVERY:

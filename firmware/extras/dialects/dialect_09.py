@@ -160,7 +160,7 @@ class Report09(Report):
         self._link.write(_HELP)
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """Send one line of $$."""
+        """Send one line of $$: key is the setting's number; a mask is shown as bits."""
         _, _, _, _, unit = self._settings.row(key)[0]
         words = self.words.get(key) or unit
         if words[-1] == ":":  # a mask

@@ -69,7 +69,8 @@ class ReportHal(Report):
         super().alarm(code)
 
     def build_info(self, info: str, options: str) -> None:
-        """Answer $I."""
+        """Answer $I, with axes and features. info: the user's text, "" for none; options: letters
+        and numbers."""
         name, axes = "GrblHAL" + self.identity[_GRBL:], self._axes  # identity: Grbl and more
         self._line("[VER:%s.%s:%s]" % (self.VERSION, BUILD, name + " " + info if info else name))
         self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no tool table

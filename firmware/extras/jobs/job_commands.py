@@ -82,7 +82,8 @@ class Jobs:
         self.command(_FLUIDNC[word] + name)
 
     def command(self, words: bytes) -> None:
-        """Execute the text after $F."""
+        """Execute the text after $F (words). GrblError if it is refused or a card cannot be read,
+        OSError if flash cannot."""
         if self._run.is_on():  # a line of the job itself
             raise GrblError(errors.IDLE_ERROR)
         self._machine.canon.synchronise()  # files are written only while idle

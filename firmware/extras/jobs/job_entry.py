@@ -72,7 +72,8 @@ def in_force(machine: "Controller") -> "list[Any]":
 
 
 def apply(machine: "Controller", found: "list[Any]") -> None:
-    """Apply a result of in_force(). Spindle and coolant stay as they are."""
+    """Apply a result of in_force() (found) to the interpreter's modes and the offsets. Outputs of
+    spindle and coolant stay as they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
     place, modal, rates, tool, g92, coords.tool_length = found
     modes.position[:] = array("f", place)

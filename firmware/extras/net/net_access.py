@@ -43,7 +43,9 @@ def has_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> bool:
 
 
 def drop_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> None:
-    """Drop the unfinished line, and nothing before it. Arguments are those of has_half()."""
+    """Drop the reader's unfinished line, and nothing before it. ring, state, kinds: as
+    LineReader.memory() returns them. The bytes after the last line end are taken out of the ring;
+    if that leaves it empty, the part of a line that was read before is dropped, too."""
     head = state[HEAD]
     while head != state[TAIL] and kinds[ring[head - 1]] != END:
         head = (head or len(ring)) - 1  # one byte back in the ring

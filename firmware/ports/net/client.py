@@ -40,7 +40,7 @@ _TRIES = const(3)  # wrong keys that are allowed
 
 @micropython.viper
 def asks(data: ptr8, count: int) -> int:
-    """Return 1 if there is a ? among the bytes, else 0."""
+    """Return 1 if there is a ? among the first `count` bytes of data, else 0."""
     for i in range(count):
         if data[i] == _QUESTION:
             return 1

@@ -206,8 +206,8 @@ class UsbLink:
         self.write = self._make_write()
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Set when the REPL may be requested, and what greets a sender that opens the port
-        again."""
+        """Set two functions: at_rest returns whether the REPL may be requested now; on_open greets
+        a sender that opens the port again."""
         self._escape.at_rest = at_rest
         self._on_open = on_open
 
