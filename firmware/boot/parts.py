@@ -245,8 +245,8 @@ def _link(kind: str) -> "BoardLink":
     """Create the link that LINK of the board file names. Raises ValueError for another name."""
     from boot import select_extras
 
-    made: "BoardLink" = select_extras.known("LINK", kind, _LINKS)()
-    return made
+    link: "BoardLink" = select_extras.known("LINK", kind, _LINKS)()
+    return link
 
 
 def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
@@ -373,8 +373,8 @@ def _forget_in(owner: object, words: "tuple[str, ...]" = (MAKER,)) -> None:
     """Free the functions of a class or module (owner) that are needed only while the machine is
     built: those with a name of MAKERS, and those with one of these words in their names."""
     names = owner.__dict__  # a local, because a thousand names are checked
-    made = [name for name in MAKERS if name in names]
+    makers = [name for name in MAKERS if name in names]
     for word in words:
-        made += [name for name in names if word in name]
-    for name in made:
+        makers += [name for name in names if word in name]
+    for name in makers:
         setattr(owner, name, None)  # deleting would leave the slot in the table

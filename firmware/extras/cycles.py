@@ -89,13 +89,13 @@ class Cycle:
     def make(self, block: "Block", move: "Move") -> None:
         """Plan the moves that check() has computed: rapids, or with the line's feed."""
         self.kept = self._numbers
-        place = block.xyz
+        xyz = block.xyz
         for target, rapid in self._steps:
             for axis in range(block.axes):
-                place[axis] = target[axis]
+                xyz[axis] = target[axis]
             move.flags &= ~layout.RAPID_MOTION
             if rapid:
                 move.flags |= layout.RAPID_MOTION
-            self._canon.line(place, move)
+            self._canon.line(xyz, move)
             self._canon.finish()
-            self._modes.position[:] = place
+            self._modes.position[:] = xyz

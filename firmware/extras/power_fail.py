@@ -281,8 +281,8 @@ class PowerFail:
         sure = "position certain" if flags & _CERTAIN else "stopped at speed, position not certain"
         if flags & _LIFT:
             sure += ", Z perhaps higher"
-        places = ["%s%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
-        self._cnc.message("%s, %s: %s" % (what, sure, " ".join(places)))
+        positions = ["%s%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
+        self._cnc.message("%s, %s: %s" % (what, sure, " ".join(positions)))
 
     def report_time(self) -> None:
         """Report, with $I, how long a stop takes with the present settings, at most."""

@@ -322,31 +322,31 @@ class Commands:
             return
         if self._state.run != st.IDLE:
             raise GrblError(errors.IDLE_ERROR)
-        at, number = bare(line, 2)  # index of the character after the number; -1 without one
-        if at < 0:
+        end, number = bare(line, 2)  # index of the character after the number; -1 without one
+        if end < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != _EQUALS:
+        if line[end] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
-        startup = line[at + 1 : length + 1]  # with the 0 that ends it
-        self._state.hooks.execute(startup, length - at - 1)
+        startup = line[end + 1 : length + 1]  # with the 0 that ends it
+        self._state.hooks.execute(startup, length - end - 1)
         self._canon.synchronise()  # flash is written while idle
         index = truncate(number)
         if 0 <= index < STARTUP_LINES:
-            self._startup[index] = text_of(startup[: length - at - 1])
+            self._startup[index] = text_of(startup[: length - end - 1])
             self._keep_startup()
 
     def _set(self, line: bytearray, _length: int) -> None:
         """Execute $number=value, after all planned motion. The setting is rounded down to an
         integer; settings refuses unknown numbers and invalid values with GrblError."""
-        at, number = bare(line, 1)  # index of the character after the number; -1 without one
-        if at < 0:
+        end, number = bare(line, 1)  # index of the character after the number; -1 without one
+        if end < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != _EQUALS:
+        if line[end] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
-        at, value = bare(line, at + 1)
-        if at < 0:
+        end, value = bare(line, end + 1)
+        if end < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != 0 or number > _HIGHEST_SETTING:
+        if line[end] != 0 or number > _HIGHEST_SETTING:
             raise GrblError(errors.INVALID_STATEMENT)
         self._canon.synchronise()  # blocks were planned with the old settings
         self._settings.set(int(number), value)

@@ -27,16 +27,16 @@ _ZERO = const(48)
 
 
 @micropython.viper
-def scaled(x: ptr32, at: int, decimals: int) -> int:
-    """Return |x[at]| * 10**decimals, rounded to the nearest whole number; -1 if that needs more
-    than 31 bits. x: floats as bits; at: index.
+def scaled(x: ptr32, index: int, decimals: int) -> int:
+    """Return |x[index]| * 10**decimals, rounded to the nearest whole number; -1 if that needs more
+    than 31 bits. x: floats as bits; index: in x.
 
     `number` is the mantissa, below 2**24, so `number * 100` fits 31 bits.
     """
-    exponent = ((x[at] >> 23) & 255) - 150  # |x| = number * 2**exponent
+    exponent = ((x[index] >> 23) & 255) - 150  # |x[index]| = number * 2**exponent
     if exponent == 105:  # 255 - 150: infinite, or not a number
         return -1
-    number = (x[at] & 0x7FFFFF) | 0x800000
+    number = (x[index] & 0x7FFFFF) | 0x800000
     while decimals > 0:
         number *= 100 if decimals > 1 else 10
         decimals -= 2

@@ -51,25 +51,27 @@ READS = (0x80, 0x84, _OVERFLOW)
 
 
 @micropython.viper
-def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
+def clean(ring: ptr8, state: ptr32, line: ptr8, kinds: ptr8) -> int:
     """Continue the line with bytes from the ring: make letters upper case; drop spaces, control
     characters, slashes and comments. A 0 is stored after the line.
 
-    at: the reader's state; line: the buffer; kinds: the kind of each byte value. Returns NOTHING
-    if the ring is empty before the line ends, else length << 2 | LINE or TOO_LONG. With _TOO_MUCH
-    0 a line is TOO_LONG at once, and its rest is another line; else after its end.
+    state: the reader's; line: the buffer; kinds: the kind of each byte value. Returns NOTHING if
+    the ring is empty before the line ends, else length << 2 | LINE or TOO_LONG. With
+    state[_TOO_MUCH] 0 a line is TOO_LONG at once, and its rest is another line; else after its
+    end.
     """
-    tail = at[TAIL]
-    head = at[HEAD]
-    size = at[_SIZE]
-    length = at[LENGTH]
-    skipping = at[SKIPPING]
+    tail = state[TAIL]
+    head = state[HEAD]
+    size = state[_SIZE]
+    length = state[LENGTH]
+    skipping = state[SKIPPING]
     if skipping & COMPLETE:
         length = 0
         skipping = 0
-    room = 0 if skipping else at[_LONGEST]  # the length that the line may have; 0 stores nothing
-    found = NOTHING
-    while tail != head and found == NOTHING:
+    # The length that the line may have; 0 stores nothing.
+    room = 0 if skipping else state[_LONGEST]
+    result = NOTHING
+    while tail != head and result == NOTHING:
         c = ring[tail]
         tail += 1
         if tail == size:
@@ -79,11 +81,11 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
             line[length] = c
             length += 1
         elif kind == END:
-            found = TOO_LONG if skipping & _OVERFLOW else LINE
+            result = TOO_LONG if skipping & _OVERFLOW else LINE
         elif skipping:
             if c == _CLOSING and skipping & _IN_PARENTHESES:
                 skipping &= ~_IN_PARENTHESES
-                room = 0 if skipping else at[_LONGEST]
+                room = 0 if skipping else state[_LONGEST]
         elif kind == _NOTHING:
             pass
         elif kind == _COMMENT:
@@ -94,47 +96,47 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
             length += 1
         else:
             # The line is too long.
-            skipping = at[_TOO_MUCH]
+            skipping = state[_TOO_MUCH]
             room = 0
             if skipping == 0:
-                found = TOO_LONG
+                result = TOO_LONG
     line[length] = 0
-    at[TAIL] = tail
-    at[LENGTH] = length
-    at[SKIPPING] = COMPLETE if found else skipping
-    return length << 2 | found if found else NOTHING
+    state[TAIL] = tail
+    state[LENGTH] = length
+    state[SKIPPING] = COMPLETE if result else skipping
+    return length << 2 | result if result else NOTHING
 
 
 @micropython.viper
-def free_space(at: ptr32) -> int:
+def free_space(state: ptr32) -> int:
     """Return how many bytes a sender may still send: the advertised number less the bytes in the
-    ring; the ring itself may hold more. at: the reader's state."""
-    used = at[HEAD] - at[TAIL]
+    ring; the ring itself may hold more. state: the reader's state."""
+    used = state[HEAD] - state[TAIL]
     if used < 0:
-        used += at[_SIZE]
-    return at[_ADVERTISED] - used if used < at[_ADVERTISED] else 0
+        used += state[_SIZE]
+    return state[_ADVERTISED] - used if used < state[_ADVERTISED] else 0
 
 
 @micropython.viper
-def has_bytes(at: ptr32) -> int:
-    """Return 1 if the ring holds bytes, else 0. at: the reader's state."""
-    return 1 if at[HEAD] != at[TAIL] else 0
+def has_bytes(state: ptr32) -> int:
+    """Return 1 if the ring holds bytes, else 0. state: the reader's state."""
+    return 1 if state[HEAD] != state[TAIL] else 0
 
 
 @micropython.viper
-def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
+def feed(data: ptr8, count: int, ring: ptr8, state: ptr32, kinds: ptr8, post: object) -> int:
     """Move the first `count` bytes of data into the ring; call post with each real-time byte.
     Bytes that do not fit are lost. Returns 0.
 
-    at: the reader's state; kinds: the kind of each byte value.
+    state: the reader's state; kinds: the kind of each byte value.
     """
-    head = at[HEAD]
-    tail = at[TAIL]
-    size = at[_SIZE]
+    head = state[HEAD]
+    tail = state[TAIL]
+    size = state[_SIZE]
     for i in range(count):
         c = data[i]
         if kinds[c] == REALTIME:
-            at[HEAD] = head  # post may read the state
+            state[HEAD] = head  # post may read the state
             post(c)  # type: ignore[operator]
         else:
             following = head + 1
@@ -143,7 +145,7 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
             if following != tail:  # the ring is not full
                 ring[head] = c
                 head = following
-    at[HEAD] = head
+    state[HEAD] = head
     return 0
 
 
@@ -209,8 +211,8 @@ class LineReader:
 
     def has_line(self) -> bool:
         """Return whether a line is complete or begun, or bytes wait in the ring."""
-        at = self._at
-        return at[HEAD] != at[TAIL] or at[LENGTH] > 0 or at[SKIPPING] > 0
+        state = self._at
+        return state[HEAD] != state[TAIL] or state[LENGTH] > 0 or state[SKIPPING] > 0
 
     def clear(self) -> None:
         """Drop everything received, also the line in progress."""

@@ -357,10 +357,10 @@ class MachineApi(PinApi):
 
     def _of_work(self, mm: "Position | array[float]") -> Position:
         """Convert a position from machine to work coordinates, in mm."""
-        place = vector(self._machine.planner.axes)
-        for i in range(len(place)):
-            place[i] = mm[i] - self._zero(i)
-        return Position(place)
+        work = vector(self._machine.planner.axes)
+        for i in range(len(work)):
+            work[i] = mm[i] - self._zero(i)
+        return Position(work)
 
     def mm(self, length: float) -> float:
         """Convert a length of the program to mm, from inches if the program is in G20."""

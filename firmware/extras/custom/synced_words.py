@@ -48,8 +48,8 @@ class SyncedWords:
         machine.canon.auto_start()
         self._count_passed()
         blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
-        place = tuple(machine.modes.position)
-        self.waiting.append([blocks, place, _FAR, what, function, given])
+        end = tuple(machine.modes.position)
+        self.waiting.append([blocks, end, _FAR, what, function, given])
 
     def run_reached(self) -> None:
         """Run the words whose position has been reached, in their order. Called at each turn of

@@ -202,16 +202,16 @@ class Lenient:
     def _answers(self, words: "list[Word]") -> bool:
         """Execute M114 (position), M115 (name) or M400 (wait), which has only N with it on its
         line. Return whether it is one of these."""
-        asked = [word for word in words if word[0] != "N"]
-        if len(asked) != 1 or not has(asked, "M", _M114, _M115, _M400):
+        others = [word for word in words if word[0] != "N"]
+        if len(others) != 1 or not has(others, "M", _M114, _M115, _M400):
             return False
         machine = self._machine
         axes = machine.planner.axes
         if machine.state.run == st.CHECK:
             return True
-        if has(asked, "M", _M400):
+        if has(others, "M", _M400):
             machine.canon.synchronise()
-        elif has(asked, "M", _M115):
+        elif has(others, "M", _M115):
             about = "FIRMWARE_NAME:Grbl FIRMWARE_VERSION:%s MACHINE_TYPE:ugrbl AXIS_COUNT:%d"
             self._cnc.write_line((about % (VERSION, axes)).encode())
         else:
@@ -220,8 +220,8 @@ class Lenient:
             coords = machine.coords
             for i in range(axes):
                 here[i] -= coords.work_zero(coords.active, i)
-            places = ["%s:%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
-            self._cnc.write_line(" ".join(places).encode())
+            positions = ["%s:%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
+            self._cnc.write_line(" ".join(positions).encode())
         return True
 
     def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":

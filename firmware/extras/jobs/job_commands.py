@@ -179,8 +179,8 @@ class Jobs:
     def _noted(self, name: str) -> "tuple[str, str]":
         """Return the unfinished job and its last noted line, as text. name: of that job, or "".
         GrblError if none is noted, or another one."""
-        kept = self._run.journal()
-        if not kept or name not in ("", kept[0]):
+        journal = self._run.journal()
+        if not journal or name not in ("", journal[0]):
             self._cnc.message("No job is noted" + (" of that name" if name else ""))
             raise GrblError(errors.INVALID_STATEMENT)
-        return kept[0], kept[1]
+        return journal[0], journal[1]

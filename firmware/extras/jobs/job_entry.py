@@ -67,16 +67,16 @@ def in_force(machine: "Controller") -> "list[Any]":
     modal state, feed and rpm, tool, G92 and tool length. It can be stored as JSON."""
     modes, coords = machine.modes, machine.coords
     modal = list(modes.modal[:MODAL_LENGTH])
-    place, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
-    return [place, modal, rates, modes.tool, g92, coords.tool_length]
+    position, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
+    return [position, modal, rates, modes.tool, g92, coords.tool_length]
 
 
 def apply(machine: "Controller", found: "list[Any]") -> None:
     """Apply a result of in_force() (found) to the interpreter's modes and the offsets. Outputs of
     spindle and coolant stay as they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
-    place, modal, rates, tool, g92, coords.tool_length = found
-    modes.position[:] = array("f", place)
+    position, modal, rates, tool, g92, coords.tool_length = found
+    modes.position[:] = array("f", position)
     modes.rates[:] = array("f", rates + [tool])
     for i in range(MODAL_LENGTH):
         modes.modal[i] = modal[i]
@@ -223,8 +223,8 @@ class Entry:
 
     def _check_setting(self, line: bytearray, number: int) -> None:
         """Check that a setting already has the line's value. It is not written again."""
-        at, setting = bare(line, 1)
-        _, value = bare(line, at + 1)
+        end, setting = bare(line, 1)
+        _, value = bare(line, end + 1)
         for known, amount, _ in self._machine.settings.each():
             if known == setting and differs(amount, value):
                 text = "line %d sets $%d, which has another value now"
@@ -236,9 +236,9 @@ class Entry:
         here: the position before the approach, in mm. Positions are compared in steps, because
         singles that differ by less than a step need no move.
         """
-        place = self._there[0]  # position at the line, mm
+        position = self._there[0]  # position at the line, mm
         for axis in range(len(here)):
-            stops = [here[axis], place[axis]]  # positions on the approach
+            stops = [here[axis], position[axis]]  # positions on the approach
             if axis == _Z:  # it also moves to the safe height
                 stops.append(self._highest)
             moves = self._steps(axis, min(stops)) != self._steps(axis, max(stops))
@@ -251,15 +251,15 @@ class Entry:
     def approach_lines(self) -> "list[str]":
         """Return the lines of G-code that move the tool to the start, some of them empty: all off,
         up, across, tool on, down. A laser is switched on last."""
-        place, modal, rates, _, _, _ = self._there
+        position, modal, rates, _, _, _ = self._there
         spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
         turn = ""
         if spindle:
             turn = "M%dS%.3f" % (3 if spindle == SPINDLE_CW else 4, rates[RPM])
-        up, down, across = self._word(_Z, self._highest), self._word(_Z, place[_Z]), ""
-        for axis in range(len(place)):
+        up, down, across = self._word(_Z, self._highest), self._word(_Z, position[_Z]), ""
+        for axis in range(len(position)):
             if axis != _Z:
-                across += self._word(axis, place[axis])
+                across += self._word(axis, position[axis])
         begin = ["G21G90G94M5M9", "G53G0" + up, "G53G0" + across]
         if self._machine.spindle.laser:  # dark during G0
             return begin + ["G53G0" + down, coolant, turn]
@@ -284,9 +284,9 @@ class Entry:
     def apply_modes(self) -> None:
         """Apply the modes at the line, and store the offsets that the lines before it have
         changed. CannotEnter if the tool is not at its position."""
-        place, here = self._there[0], self._machine.modes.position
-        for axis in range(len(place)):
-            if self._steps(axis, here[axis]) != self._steps(axis, place[axis]):
+        position, here = self._there[0], self._machine.modes.position
+        for axis in range(len(position)):
+            if self._steps(axis, here[axis]) != self._steps(axis, position[axis]):
                 raise CannotEnter("the way has not led there")
         coords = self._machine.coords
         for i in range(len(self._systems)):

@@ -56,11 +56,11 @@ _STARTUP = const(62)  # ">", before the result of a startup line
 
 @micropython.viper
 def _deliver(
-    block: ptr8, at: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
+    block: ptr8, state: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
 ) -> int:
     """Move bytes of the file into buf. Return their number, at most `size` and `room`.
 
-    block: the file's bytes; at: the kernels' state; size: of buf; room: the free bytes of the
+    block: the file's bytes; state: of the kernels; size: of buf; room: the free bytes of the
     reader's ring; kinds: the kind of each byte value; flow: the planner's state. Real-time
     commands and CR become spaces; a line ends with LF.
 
@@ -70,10 +70,10 @@ def _deliver(
     free = flow[layout.TAIL] - flow[layout.HEAD] - 1
     if free < 0:
         free += flow[layout.ROWS]
-    if free < _FEW and (free == 0 or room < at[_ROOM]):
+    if free < _FEW and (free == 0 or room < state[_ROOM]):
         return 0
-    start = at[_FROM]
-    left = at[_LEFT]
+    start = state[_FROM]
+    left = state[_LEFT]
     if room > size:
         room = size
     if room > left:
@@ -82,38 +82,38 @@ def _deliver(
     while count < room:
         c = block[start + count]
         buf[count] = 32 if kinds[c] == REALTIME or c == _RETURN else c
-        at[_LAST] = c
+        state[_LAST] = c
         count += 1
         if c == _NEWLINE:
             free -= 1
             if free == 0:
                 room = count
-    at[_FROM] = start + count
-    at[_LEFT] = left - count
+    state[_FROM] = start + count
+    state[_LEFT] = left - count
     return count
 
 
 @micropython.viper
-def _note(at: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
+def _note(state: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
     """Note the line of each block planned since the last call. The result is not used.
 
-    at: the kernels' state; lines: the line's number of each row of the planner's ring; flow: the
+    state: of the kernels; lines: the line's number of each row of the planner's ring; flow: the
     planner's state. answers: number of lines answered now, 1 or 2; 0 within a line, an arc for
     example. If two lines have made one block, it is noted as the first one's.
     """
-    row = at[_NOTED]
+    row = state[_NOTED]
     head = flow[layout.HEAD]
     rows = flow[layout.ROWS]
-    line = at[_ANSWERED] + 1  # of the first block; the others are of the last line answered
-    later = at[_ANSWERED] + answers if answers else line
-    at[_ANSWERED] += answers
+    line = state[_ANSWERED] + 1  # of the first block; the others are of the last line answered
+    later = state[_ANSWERED] + answers if answers else line
+    state[_ANSWERED] += answers
     while row != head:
         lines[row] = line
         line = later
         row += 1
         if row == rows:
             row = 0
-    at[_NOTED] = row
+    state[_NOTED] = row
     return line
 
 
@@ -223,11 +223,11 @@ class Feed:
 
         `line` lines are before that position. Call it only while the ring is empty.
         """
-        at = self._at
-        at[_ANSWERED] = line
-        at[_NOTED] = self._flow[layout.HEAD]
-        at[_LEFT] = 0
-        at[_LAST] = _NEWLINE
+        state = self._at
+        state[_ANSWERED] = line
+        state[_NOTED] = self._flow[layout.HEAD]
+        state[_LEFT] = 0
+        state[_LAST] = _NEWLINE
         self._file, self._size, self._read_bytes = file, size, file.tell()
         self._made = self._before = line + 1
         self._held = 0
@@ -302,25 +302,25 @@ class Feed:
 
         At the file's end it is one LF if the last line has none.
         """
-        at, file = self._at, self._file
+        state, file = self._at, self._file
         assert file
         if not self._has_stack(_TO_READ):
             return 0
-        at[_FROM] = 0
+        state[_FROM] = 0
         try:
-            at[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
+            state[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
         except OSError as fault:
             self.fault = fault
             self.stop_reading()  # an incomplete line is dropped
             return 0
-        self._read_bytes += at[_LEFT]
-        if at[_LEFT] == 0:
+        self._read_bytes += state[_LEFT]
+        if state[_LEFT] == 0:
             file.close()
             self._file = None
-            if at[_LAST] != _NEWLINE:
+            if state[_LAST] != _NEWLINE:
                 self._block[0] = _NEWLINE
-                at[_LEFT] = 1
-        return at[_LEFT]
+                state[_LEFT] = 1
+        return state[_LEFT]
 
     # The sender, meanwhile
 

@@ -161,11 +161,11 @@ class JobRun:
         Entry.approach_lines() start them again. CannotEnter if the state at the line is not
         certain.
         """
-        kept = self.journal()
+        journal = self.journal()
         if self._machine.state.run != st.IDLE or not self._machine.homing_probing.homed:
             raise CannotEnter("the machine is not homed, or not idle")
-        if kept and kept[0] == self._name:
-            self._start = json.loads(kept[2])
+        if journal and journal[0] == self._name:
+            self._start = json.loads(journal[2])
             if self._start[_CRC] != self._due_crc:
                 raise CannotEnter("it is another file than the one that was noted")
         systems = self._systems()
@@ -304,12 +304,12 @@ class JobRun:
 
     def correct(self, line: int, crc: int) -> str:
         """Store the line if the unfinished job has this CRC-32. Return its name, or ""."""
-        kept = self.journal()
-        if not kept or json.loads(kept[2])[_CRC] != crc:
+        journal = self.journal()
+        if not journal or json.loads(journal[2])[_CRC] != crc:
             return ""
-        self._machine.saves.save(_JOURNAL, [kept[0], str(line), kept[2]])
+        self._machine.saves.save(_JOURNAL, [journal[0], str(line), journal[2]])
         self._machine.save_due()
-        return kept[0]
+        return journal[0]
 
     def on_program_end(self) -> None:
         """Drop the lines after M2 or M30."""
@@ -344,9 +344,9 @@ class JobRun:
             self._close_rest()
         if not self._has_started:
             self.kept(BUTTON)  # reports a damaged file at power-up
-            kept = self.journal()
-            if kept:
-                self.report(kept[0], "did not come to its end; last noted: line " + kept[1])
+            journal = self.journal()
+            if journal:
+                self.report(journal[0], "did not come to its end; last noted: line " + journal[1])
         self._has_started = True
 
     @micropython.native

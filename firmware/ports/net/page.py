@@ -279,8 +279,8 @@ class Page:
         host = fields.get(_HOST, b"").lower()
         if not self._is_ours(host):
             return _OTHER_NAME
-        here = b"http://" + host
-        if fields.get(_ORIGIN, here).lower() != here:
+        own_origin = b"http://" + host
+        if fields.get(_ORIGIN, own_origin).lower() != own_origin:
             return _OTHER_PAGE
         path = words[1]
         return _GOOD if path in (b"/", b"/ws") or _number(path) >= 0 else _NOT_HERE

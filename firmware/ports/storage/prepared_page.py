@@ -95,10 +95,10 @@ class PreparedPages:
             return
         if not is_whole or mark[: len(_NAME)] != _NAME:
             return
-        found = self._blocks(mark)
-        self._is_foreign = not found
-        if len(found) == 1:  # two of them: the file system has moved it
-            self._block = found[0]
+        blocks = self._blocks(mark)
+        self._is_foreign = not blocks
+        if len(blocks) == 1:  # two of them: the file system has moved it
+            self._block = blocks[0]
             blank = bytes([_BLANK]) * _PAGE
             while self._page < _PAGES and self._content(self._page) != blank:
                 self._page += 1
@@ -106,12 +106,12 @@ class PreparedPages:
     def _blocks(self, mark: bytes) -> "list[int]":
         """Return the numbers of the chip's blocks that begin with the mark."""
         begin = bytearray(_MARK)
-        found = []
+        numbers = []
         for block in range(self._flash.ioctl(_COUNT_BLOCKS, 0)):
             self._flash.readblocks(block, begin, 0)
             if begin == mark:
-                found.append(block)
-        return found
+                numbers.append(block)
+        return numbers
 
     def _content(self, page: int) -> bytearray:
         """Return a page (number) of the block, in an array that the next call changes."""

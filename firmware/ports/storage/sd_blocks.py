@@ -62,8 +62,8 @@ _SIZE = const(5)  # ioctl: bytes of a block
 def _sum7(command: ptr8, count: int) -> int:
     """Return a command's checksum (CRC-7) as it is sent: in bits 7 to 1, bit 0 is 1."""
     crc = 0
-    for at in range(count):
-        crc ^= command[at]
+    for i in range(count):
+        crc ^= command[i]
         for _ in range(8):
             crc <<= 1
             if crc & 0x100:
@@ -78,8 +78,8 @@ def _sum16(block: ptr8, count: int) -> int:
     Eight bits at once: `bits` is what the polynomial adds for a byte, at x^12, x^5 and 1.
     """
     crc = 0
-    for at in range(count):
-        bits = crc >> 8 ^ block[at]
+    for i in range(count):
+        bits = crc >> 8 ^ block[i]
         bits ^= bits >> 4
         crc = (crc << 8 ^ bits << 12 ^ bits << 5 ^ bits) & 0xFFFF
     return crc

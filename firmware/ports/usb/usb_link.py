@@ -90,10 +90,10 @@ _SET_OR_GET = const(0xFE7F)
 
 
 @micropython.viper
-def _take(at: ptr32, buf: ptr8, room: int) -> int:
+def _take(state: ptr32, buf: ptr8, room: int) -> int:
     """Move up to `room` bytes, but fewer than _NOTE, from MicroPython's ring into buf.
 
-    at: the link's state, by the indices of link_memory.py; at[RING] is the ring's address. Returns
+    state: the link's, by the indices of link_memory.py; state[RING] is the ring's address. Returns
     how many bytes were moved, plus _NOTE if UsbLink._note() has work to do: the port was opened
     again, the supervisor has stopped the machine, control bytes were read that may request the
     prompt, or no byte was moved and the ring was so full that more may wait outside it. Without
@@ -101,31 +101,31 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
     """
     if room >= _NOTE:
         room = _NOTE - 1
-    at[TAKING] = 1  # _poll_reset(), an interrupt, must not move iget now
-    at[TURNED] = 1  # for the supervisor: the loop is alive
-    shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
-    data = ptr8(ptr32(at[RING])[0])
+    state[TAKING] = 1  # _poll_reset(), an interrupt, must not move iget now
+    state[TURNED] = 1  # for the supervisor: the loop is alive
+    shorts = ptr16(state[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
+    data = ptr8(ptr32(state[RING])[0])
     get = shorts[3]
     put = shorts[4]
     if (put - get) & (RING_BYTES - 1) >= RING_BYTES - _PACKET:
-        at[FULL] = 1
+        state[FULL] = 1
     count = 0
     while get != put and count < room:
         c = data[get]
         buf[count] = c
         if c <= CTRL_C:
-            at[ESCAPES] = 1
+            state[ESCAPES] = 1
         elif c == _DOLLAR:
-            at[ASKED] = 1
+            state[ASKED] = 1
         get = (get + 1) & (RING_BYTES - 1)
         count += 1
     shorts[3] = get
-    at[TAKING] = 0
-    if at[OPENED] | at[STOPPED] | at[FULL if count == 0 else ESCAPES]:
+    state[TAKING] = 0
+    if state[OPENED] | state[STOPPED] | state[FULL if count == 0 else ESCAPES]:
         return count | _NOTE
-    if count == 0 and at[LENGTH]:
-        at[TURNS] += 1
-        if at[TURNS] >= _QUIET_TURNS:
+    if count == 0 and state[LENGTH]:
+        state[TURNS] += 1
+        if state[TURNS] >= _QUIET_TURNS:
             return _FLUSH
     return count
 
@@ -135,33 +135,33 @@ def _keep(memory: object, data: ptr8, count: int) -> int:
     """Append the first `count` bytes of data to the answers that wait. Returns 0 if they do not
     fit, _LATER if they wait, or how many bytes of waiting answers to send now. memory: the link's
     state and the buffer of these."""
-    at, out = memory
-    return int(_put(ptr32(at), ptr8(out), data, count))
+    state, out = memory
+    return int(_put(ptr32(state), ptr8(out), data, count))
 
 
 @micropython.viper
-def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
+def _put(state: ptr32, out: ptr8, data: ptr8, count: int) -> int:
     """Append the first `count` bytes of data to the answers that wait, in out. Returns 0 if they
     do not fit, _LATER if they wait, or how many bytes of out to send now.
 
-    at: the link's state: at[LENGTH] bytes wait, for at[TURNS] turns without input; at[ASKED]: a $
-    was received that has not been answered. Up to _ANSWER bytes are the answer to a line: it waits
-    for more unless it answers a $. Longer data is other output: it is sent now, with all that
-    waits.
+    state: the link's. state[LENGTH] bytes wait, for state[TURNS] turns without input;
+    state[ASKED]: a $ was received that has not been answered. Up to _ANSWER bytes are the answer
+    to a line: it waits for more unless it answers a $. Longer data is other output: it is sent
+    now, with all that waits.
     """
-    length = at[LENGTH]
+    length = state[LENGTH]
     if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
     length += count
-    at[LENGTH] = length
+    state[LENGTH] = length
     if count <= _ANSWER:
-        if at[ASKED] == 0:
+        if state[ASKED] == 0:
             return _LATER
-        at[ASKED] = 0
-    at[LENGTH] = 0
-    at[TURNS] = 0
+        state[ASKED] = 0
+    state[LENGTH] = 0
+    state[TURNS] = 0
     return length
 
 
@@ -217,17 +217,17 @@ class UsbLink:
         Interrupt.
 
         It also notes whether the port is open (DTR): from TinyUSB's variable if that was found,
-        else from the host's last request. at[OPENED] becomes 1 if it is opened again: the first
+        else from the host's last request. state[OPENED] becomes 1 if it is opened again: the first
         time needs no greeting.
         """
-        at = ptr32(self._at)
-        shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
-        data = ptr8(ptr32(at[RING])[0])
+        state = ptr32(self._at)
+        shorts = ptr16(state[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
+        data = ptr8(ptr32(state[RING])[0])
         get = shorts[3]
         put = shorts[4]
-        is_open = at[DTR]
-        if at[LINE]:
-            is_open = ptr8(at[LINE])[0] & 1
+        is_open = state[DTR]
+        if state[LINE]:
+            is_open = ptr8(state[LINE])[0] & 1
         else:
             request = ptr32(_SETUP)[0] & _REQUEST_WITH_DTR
             if request & _REQUEST == _SET_LINE_STATE:
@@ -236,14 +236,14 @@ class UsbLink:
                 is_open = 1
             if request & _REQUEST == _SET_CONFIGURATION:
                 is_open = 0
-        if is_open != at[DTR]:
-            at[DTR] = is_open
+        if is_open != state[DTR]:
+            state[DTR] = is_open
             # Only a port that was open before, or has sent bytes, is greeted.
-            at[OPENED] = is_open & at[USED]
+            state[OPENED] = is_open & state[USED]
         if is_open or get != put:
-            at[USED] = 1
+            state[USED] = 1
         found = 0
-        if at[TAKING] == 0:  # otherwise _take() moves iget
+        if state[TAKING] == 0:  # otherwise _take() moves iget
             while get != put:
                 get = (get + 1) & (RING_BYTES - 1)
                 if data[(get - 1) & (RING_BYTES - 1)] == _CTRL_X:
@@ -266,12 +266,12 @@ class UsbLink:
         not found."""
         if self._at[RING] == 0:
             return self._read_plainly
-        at, take, note, flush = for_kernels(self._at), _take, self._note, self._flush
+        state, take, note, flush = for_kernels(self._at), _take, self._note, self._flush
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
             """Store received bytes in buf; returns their number."""
-            count: int = take(at, buf, len(buf))  # with the flags of _take()
+            count: int = take(state, buf, len(buf))  # with the flags of _take()
             if count < _NOTE:
                 return count
             return flush() if count == _FLUSH else note(buf, count - _NOTE)
@@ -286,19 +286,19 @@ class UsbLink:
         def send(
             length: int,
             data: "bytes | bytearray | memoryview" = self._waiting_out,
-            at: "array.array[int]" = self._at,
+            state: "array.array[int]" = self._at,
             out: "Callable[[bytes | bytearray | memoryview, int], object]" = self._out.write,
             sendable: "Callable[[int], object]" = self._sendable.poll,
             now_ms: "Callable[[], int]" = time.ticks_ms,
             passed_ms: "Callable[[int, int], int]" = time.ticks_diff,
         ) -> None:
-            if at[DEAF] and not sendable(0):
+            if state[DEAF] and not sendable(0):
                 return
             since = now_ms()
-            at[AWAY] = -WRITE_MS  # the supervisor allows the loop to be away for so long
+            state[AWAY] = -WRITE_MS  # the supervisor allows the loop to be away for so long
             out(data, length)
-            at[AWAY] = 0
-            at[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
+            state[AWAY] = 0
+            state[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
 
         return send
 
@@ -328,29 +328,29 @@ class UsbLink:
         """Handle what _take() has flagged: a stop by the supervisor (raises), an opened port, a
         request for the prompt among the first `count` bytes of buf, a ring that was full. Returns
         count."""
-        at = self._at
-        if at[STOPPED]:
+        state = self._at
+        if state[STOPPED]:
             self.check_supervisor()
-        if at[OPENED]:
+        if state[OPENED]:
             self._greet(count)
         if count:
-            at[ESCAPES] = 0
+            state[ESCAPES] = 0
             self._escape.listen(buf, count)
             return count
-        if at[FULL]:
-            at[FULL] = 0
+        if state[FULL]:
+            state[FULL] = 0
             self._waiting()  # polling refills the ring
         return 0
 
     def _greet(self, count: int) -> None:
         """Greet a program that has opened the port, once it sends something or after _GREET_MS.
-        count: bytes just read. at[OPENED] is JUST at the first call, then more, 0 after that."""
-        at = self._at
-        if at[OPENED] == JUST:
-            at[OPENED] = JUST + 1
+        count: bytes just read. state[OPENED]: JUST at the first call, then more, 0 after that."""
+        state = self._at
+        if state[OPENED] == JUST:
+            state[OPENED] = JUST + 1
             self._since = time.ticks_ms()
-        if at[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
-            at[OPENED] = 0
+        if state[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
+            state[OPENED] = 0
             self._on_open()
 
     def _waiting(self) -> bool:
@@ -383,8 +383,8 @@ class UsbLink:
 
     def _flush(self) -> int:
         """Send the answers that wait. Returns 0, for read_into(): no bytes were read."""
-        at = self._at
-        length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
+        state = self._at
+        length, state[LENGTH], state[TURNS] = state[LENGTH], 0, 0
         if length:
             self._send(length)
         return 0

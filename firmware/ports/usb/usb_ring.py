@@ -73,7 +73,7 @@ def find_line(memory: ptr32) -> int:
 
 
 def find(
-    at: "array.array[int]",
+    state: "array.array[int]",
     drain: "Callable[[], bytearray]",
     take: "Callable[[array.array[int], bytearray, int], int]",
 ) -> None:
@@ -94,15 +94,15 @@ def find(
         index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
         if index < 0:
             break
-        at[RING] = _MEMORY + 4 * index
+        state[RING] = _MEMORY + 4 * index
         trial = bytearray(len(_TRIALS[0]))
-        take(at, trial, len(trial))
+        take(state, trial, len(trial))
         push(_TRIALS[1])
         if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-            ring = at[RING]
+            ring = state[RING]
     early += drain()
     text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
     if text:
         push(text)
-    at[RING] = ring
-    at[LINE] = find_line(_MEMORY)
+    state[RING] = ring
+    state[LINE] = find_line(_MEMORY)
