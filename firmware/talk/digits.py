@@ -1,6 +1,10 @@
 # mypy: disable-error-code=arg-type
 """Digits: print numbers as Grbl does, in single precision, and build texts from forms.
 
+A form is bytes ended by a 0. Its placeholders are filled in from `ints` and `singles`: % by the
+next of the VALUES; #3 by the next single, with three decimals; ?P by a P if the lowest bit of the
+next of the VALUES is set: the value is then shifted right, for the next letter.
+
 A number is multiplied by 100 and 10 until its decimals are whole; then 0.5 is added and the
 fraction dropped. Each result is rounded to single precision, as Grbl's is, which shows in the last
 digit. With integers and an existing buffer a status report costs a quarter of the time that floats
@@ -66,15 +70,11 @@ def scaled(x: ptr32, index: int, decimals: int) -> int:
 
 @micropython.viper
 def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
-    """Append a form, which a 0 ends, to `out`, and fill in its placeholders. Returns the length of
-    the whole text, which is in ints[END], too.
+    """Append a form to the text in `out`, and fill in its placeholders. Returns the length of the
+    whole text, which is in ints[END], too. out: with 12 bytes of space after the text; ints: END,
+    then from VALUES on the values; singles: floats as bits.
 
-    %: the next of the VALUES. #3: the next single, with three decimals. ?P: a P if the lowest bit
-    of the next of the VALUES is set; the value is then shifted right, for the next letter.
-
-    form: bytes; out: has 12 bytes of space after the text; ints: END and, from VALUES on, the
-    values; singles: floats as bits. Each call begins with the first value and the first single.
-    """
+    Each call begins with the first value and the first single."""
     end = ints[END]
     value_at = VALUES
     single_at = 0

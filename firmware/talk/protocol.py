@@ -32,6 +32,12 @@ class Protocol:
 
     echoes: a board option, to send each line back as the parser reads it. restart: prepares the
     machine for lines after power-up or a reset, and greets. _interpret: executes G-code.
+
+    A turn of run() reads one line, or executes many move-only lines in a kernel; handles events
+    and hooks if they are due; then executes and answers the line. In run(), result is clean()'s:
+    the line's length << 2, and LINE, TOO_LONG or NOTHING in two bits. counts[LINES_LEFT]: lines
+    until events and hooks are due. counts[ASKED]: what run_lines() has found in checking the line
+    that it returned; 0: that must be checked again. due: values that wait to be stored.
     """
 
     def __init__(self, machine: "Machine", link: "Link", echoes: bool) -> None:
@@ -71,14 +77,8 @@ class Protocol:
             self._realtime.wait_suspended()
 
     def run(self) -> None:
-        """Execute and answer lines for ever; a reset (Abort) restarts the loop. It has the code of
-        execute() and clean()'s loop in its own frame, because the stack is short.
-
-        result: of clean(), the line's length << 2, and LINE, TOO_LONG or NOTHING in two bits.
-        counts: how many lines may still be executed before events and hooks are handled
-        (LINES_LEFT); and what run_lines() has found in checking the line that it returned, 0 if
-        that must be checked again (ASKED).
-        """
+        """Execute and answer lines for ever; a reset (Abort) restarts the loop. It does not call
+        execute(), but has its code, because the stack is short."""
         reader, state, pending = self._reader, self._state, self._state.pending
         interpreter, write, due = self._interpreter, self.link.write, self._saves.due
         # Looked up once, because a bound method is a new object each time; and only here, because
