@@ -28,10 +28,11 @@ class HomingProbing:
     """Both cycles.
 
     position copies the machine's position, in mm; resync makes planner and parser continue from
-    there. zero_origin: homing sets 0; shared_switches: an input serves both ends. _contact: the
-    probe has made the contact that this cycle waits for; probe_steps: motor positions at the last
-    one. homed: mask of axes whose switches were found, until an alarm. _steps, _target, _move:
-    scratch.
+    there. zero_origin: homing sets 0; shared_switches: an input serves both ends.
+
+    _contact: the probe has made the contact that this cycle waits for, at which Port.probe()
+    returns _contact_level; probe_steps: motor positions at the last contact. homed: mask of axes
+    whose switches were found, until an alarm. _steps, _target, _move: scratch.
     """
 
     def __init__(self, machine: "Machine", zero_origin: bool, shared_switches: bool) -> None:

@@ -44,7 +44,8 @@ class PortPins(PortInputs):
         self._make_outputs(board)
 
     def _make_outputs(self, board: "ModuleType") -> None:
-        """Make the outputs of spindle and coolant that the board file names, all off."""
+        """Make the outputs of spindle and coolant that the board file names, all off. An output
+        that it does not name is None."""
         option = board.__dict__.get
         inverted: "tuple[str, ...]" = option("INVERT", ())
         off = [1 if name in inverted else 0 for name in _INVERTIBLE]

@@ -36,7 +36,8 @@ _CTRL_X = const(24)
 
 
 class Supervisor:
-    """Watch a link, an engine and a port. limit_ms: how long the main loop may be away.
+    """Watch a link, an engine and a port. limit_ms: how long the main loop may be away. _feed
+    feeds the watchdog; _poll_reset looks for Ctrl-X in the link; None if that is impossible.
 
     _shared: the link's state. shared[TURNED] is 1 if the link was read since the last beat;
     shared[AWAY] the ms that the main loop has been away, from below 0 if more is allowed;

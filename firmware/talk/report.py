@@ -67,10 +67,12 @@ class Report:
     An extra may replace this class: Options.report. axes: their number; line_numbers: a board
     option, to report N.
 
-    A form is a text with placeholders for digits.write(), ended by a 0; _form has the axis values.
-    _text: the status report; _ints and _mm: the integers and the floats that are filled into its
-    forms, _mm position and then spindle speed. _shown: scratch of the same size, for values
-    converted before they are reported. turning: mask of axes in degrees.
+    A form is a text with placeholders for digits.write(), ended by a 0: _form has the axis values,
+    _place_form the position, _speed_form the speeds. _text: the status report; _ints and _mm: the
+    integers and the floats that are filled into its forms, _mm position and then spindle speed.
+    _shown: scratch of the same size, for values converted before they are reported. turning: mask
+    of axes in degrees. _is_common: without rare fields a kernel can write the whole report, with
+    _common_args. _piece, _sent: the last report and its length.
     """
 
     # Name of the firmware in the answer to $I; senders look for this word.
@@ -92,9 +94,8 @@ class Report:
         self._coords = coords
         self._axes = axes
         self._line_numbers = line_numbers
-        # The status report, and the values it is made of.
         self._text = bytearray(_LONGEST + _PER_AXIS * axes)
-        self._sent = 0  # length of the last report, and its slice of the buffer
+        self._sent = 0
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
         self._mm = vector(axes + 1)

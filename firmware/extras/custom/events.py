@@ -335,7 +335,7 @@ class Events:
         previous = hooks.probe
 
         def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-            """Probe, then call the handlers with the contact position, or None."""
+            """Probe as before, with the same arguments and result; then emit probe_done."""
             result = previous(target, move, away, alarms)
             self._emit(
                 "probe_done", Position(hooks.probed_at()) if state.probe_succeeded else None

@@ -63,8 +63,11 @@ class ModalState:
     """Context manager that restores modes, feed and offsets when its block ends.
 
     With `usual`, G17, G21, G90 and G94 hold inside. Spindle and coolant stay as they are, because
-    they are what the machine does. within: the open blocks, this one last. modal: a copy of the
-    modal state at the beginning.
+    they are what the machine does. within: the open blocks, this one last.
+
+    Copies from the beginning of the block: modal, the modal state; _rates, feed, rpm and tool;
+    _length and _g92, the tool length and the G92 offset; _motions, canned cycles of extras, each
+    with the numbers that hold for its next line.
     """
 
     def __init__(self, machine: "Controller", usual: bool, within: "list[ModalState]") -> None:
@@ -79,7 +82,6 @@ class ModalState:
         self._rates = modes.rates[:]
         self._length, self._g92 = coords.tool_length, array("f", coords.g92)
         motions = self._machine.interpreter.motions.values()
-        # Canned cycles of extras, each with the numbers that hold for its next line.
         self._motions = [(motion, motion.kept) for motion in motions]
         self._within.append(self)
         if self._usual:

@@ -136,14 +136,14 @@ class Custom:
         self._add_build_info(sanitize("Custom: " + ", ".join(names)))
 
     def leave_out(self, fault: BaseException) -> None:
-        """Leave all handlers out, and report why after each welcome and in $I."""
+        """Leave all handlers out, and report why (fault) after each welcome and in $I."""
         handlers.take_notes()  # forgets the handlers that were noted before the fault
         text = sanitize("Custom left out: " + self._runner.text(trace(fault)))
         self._cnc.after_reset(lambda: self._cnc.message(text))
         self._add_build_info(text)
 
     def _add_build_info(self, text: str) -> None:
-        """Add a line to $I."""
+        """Add a line to $I, and the last stored traceback to $I+."""
         self._machine.state.hooks.build_info += (lambda: self._cnc.message(text),)
         self._cnc.after_command(b"I+", self._report_trace)
 

@@ -49,7 +49,8 @@ class JobRun:
     _name, _size: the running job, and the bytes of its file; _start: see _CRC and so on. _due,
     _due_line, _due_crc: the requested job, "" for none, its first line, 0 for all of it, and the
     CRC-32 of its file, once that has been read. _rest: the file, while the tool approaches its
-    line. _refused: Grbl's error number of the line that has ended the job.
+    line. _refused: Grbl's error number of the line that has ended the job. _pressed[0]: the start
+    button was pressed, at _pressed_ms.
     """
 
     def __init__(self, cnc: "Cnc", files: "JobFiles", reader: "LineReader") -> None:
@@ -70,7 +71,7 @@ class JobRun:
         self._size = 0
         self._rest: "IO[bytes] | None" = None
         self._refused = 0
-        self._pressed = bytearray(1)  # the start button was pressed
+        self._pressed = bytearray(1)
         self._has_started = False  # on_reset() has run once
 
     def is_on(self) -> bool:
@@ -83,7 +84,8 @@ class JobRun:
 
     @micropython.native
     def poll_job(self) -> None:
-        """Run the job's part of the main loop, between two lines."""
+        """Run the job's part of the main loop, between two lines: handle the start button, go on
+        with the running job, or start the requested one."""
         if self._pressed[0]:
             self._pressed[0] = 0
             if self._machine.port.elapsed_ms(self._pressed_ms) < _PRESSED_MS:

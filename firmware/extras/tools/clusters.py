@@ -243,8 +243,8 @@ def store(
     """Store the powers of a block's dots, and the S values that they are computed from.
 
     values: `count` S values, as bits of floats. block: index of its row in the planner's ring.
-    scale, flags: see spindle.power_from_rpm(). Equal S values in a row are computed once. Returns
-    0.
+    clusters: see ROOM; speeds: the S values of all blocks, MOST each. scale, flags: see
+    spindle.power_from_rpm(). Equal S values in a row are computed once. Returns 0.
     """
     own = ROOM * block  # index of the block's dots
     last = -1  # no S value

@@ -100,7 +100,8 @@ class Punch(Spindle):
     # As a spindle
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
-        """Apply $30 to $33, the inversions of actuators and sensors, and raise the punch."""
+        """Apply $30 to $33, the inversions of actuators and sensors, and raise the punch. table:
+        the planner's."""
         super().configure(settings, table)
         for i in range(sp.HIGHEST, st.SPINDLE_LENGTH):  # there is neither speed nor power
             self._state.spindle[i] = 0.0

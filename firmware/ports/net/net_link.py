@@ -104,7 +104,7 @@ class NetLink:
             cable.on_poll = self.on_poll  # type: ignore[attr-defined]  # UartLink's
 
         def greet() -> None:
-            is_plain, self._is_plain = self._is_plain, True  # no network client is new
+            is_plain, self._is_plain = self._is_plain, True  # greet only the cable's client
             on_open()
             self._is_plain = is_plain
 

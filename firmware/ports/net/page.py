@@ -271,7 +271,8 @@ class Page:
         return None
 
     def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
-        """Return why a request is refused, an index into _REFUSALS; _GOOD if it is not."""
+        """Return why a request is refused, an index into _REFUSALS; _GOOD if it is not. fields: by
+        index; words: of its first line, which should be method, path and version."""
         if len(words) != 3 or words[2] != _WORDS[1]:
             return _NO_REQUEST
         if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:

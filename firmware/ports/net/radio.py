@@ -20,7 +20,8 @@ _AGAIN_MS = const(15000)  # between two attempts to join the network
 
 class Radio:
     """The radio. name: of the network; password: empty for an open network; host: the board's
-    name; is_station: join the network, else be its access point."""
+    name; is_station: join the network, else be its access point. _called_ms: time of the last
+    attempt to join."""
 
     def __init__(self, name: bytes, password: bytes, host: str, is_station: bool) -> None:
         network.hostname(host)

@@ -276,7 +276,8 @@ class SdBlocks:
         raise OSError(errno.ENODEV)
 
     def _take(self, into: "bytearray | memoryview") -> bool:
-        """Receive a block; False if its checksum is wrong or the card sends none."""
+        """Receive a block into a buffer; False if its checksum is wrong or the card answers with
+        an error. OSError if it does not come in time."""
         token = self._next()
         while token == _HIGH:
             self._check_time(_READ_MS)
