@@ -59,8 +59,8 @@ class Coords:
         self.offsets[-1] = mm
 
     def load(self) -> bool:
-        """Read the stored offsets. If they are missing or invalid, store zeros and return
-        False."""
+        """Read the stored offsets; those that were never stored are 0. If the stored data is lost
+        or invalid, store zeros and return False."""
         lines = self._store.load(_FILE)
         if lines is None or not self._parse(lines):
             self.restore()

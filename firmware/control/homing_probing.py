@@ -90,9 +90,10 @@ class HomingProbing:
             state.probe_succeeded = True
             self._resync()
         else:
+            # Without the parser, whose position is the target, as in Grbl.
             self._engine.position(self._steps)
             self._planner.sync_motors(self._steps)
-            if not alarms:
+            if not alarms:  # [PRB:...] reports where the move has ended
                 self._engine.position(self.probe_steps)
         self._canon.service()
         if alarms and not state.probe_succeeded:  # the alarm is reported before [PRB:...]

@@ -191,8 +191,8 @@ class MotorControl:
             raise RuntimeError(fault)
 
     def start(self, run: int) -> None:
-        """Start planned motion, and power the motors, in the given run state; unless a hook of an
-        extra objects."""
+        """Enter a run state (run), power the motors and start planned motion, unless a hook of an
+        extra objects. A hold ends by that."""
         if self._state.hooks.may_start and not all_agree(self._state.hooks.may_start):
             return
         self._state.enter(run)

@@ -138,8 +138,9 @@ class CustomCodes:
     def _numbers(self, word: "Word") -> "list[float | None]":
         """Check the line read last, and return its numbers in the order of the word's letters.
 
-        None stands for an optional letter (lower case) that the line does not have. If the word
-        waits for motion, this returns when motion has ended.
+        word: as add() has stored it. None stands for an optional letter (lower case) that the line
+        does not have. If the word waits for motion, this returns when motion has ended. GrblError
+        if the line is wrong.
         """
         _, letters, sync, allowed = word
         numbers = self._arguments(allowed)

@@ -99,9 +99,9 @@ class PortInputs:
     # Interrupts
 
     def attach(self, listener: "InputListener") -> None:
-        """Set the listener: its callbacks are called in an interrupt when one of these inputs
-        changes, or if a callback has failed. on_controls is passed a mask, which includes the
-        emergency stop."""
+        """Set the listener: its callbacks are called in an interrupt when a limit, a control input
+        or the emergency stop changes, or if a callback has failed. on_controls is passed a mask,
+        which includes the emergency stop. Limits and probe stay disarmed until they are needed."""
         self._listener = listener
         self._enable_interrupts(self._limits, self._limit_changed)
         self._enable_interrupts((self._probe,), self._probe_changed)

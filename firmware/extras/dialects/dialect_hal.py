@@ -97,7 +97,8 @@ class ReportHal(Report):
             return super().status()
         self.is_complete = False
         state = self._state
-        state.wco_countdown, state.override_countdown = 1, 0  # both do not fit in one report
+        # Grbl's report has either Ov: or WCO:. So it is made with Ov:, and WCO: is added here.
+        state.wco_countdown, state.override_countdown = 1, 0
         text = bytes(super().status())[: -len(">\r\n")]
         state.override_countdown = 0  # gSender needs Ov:, and reads it only in normal reports
         if self._alarm and state.run == st.ALARM:

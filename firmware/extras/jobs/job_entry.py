@@ -119,12 +119,13 @@ class Entry:
         motions = machine.interpreter.motions
         if start[1][MOTION] in motions:
             raise CannotEnter("it begins within a cycle")
-        kept = [(motion, motion.kept) for motion in motions.values()]
+        cycles = [(motion, motion.kept) for motion in motions.values()]
         before = in_force(machine)
-        stored, self._systems = array("f", coords.offsets), systems
+        offsets_before, self._systems = array("f", coords.offsets), systems
         for i in range(len(systems)):
             coords.change(i, systems[i])
         hooks = state.hooks
+        # The lines change offsets in memory, and store none.
         write, hooks.write_offsets = hooks.write_offsets, coords.change
         self.has_ended = False
         self._highest = machine.modes.position[_Z]
@@ -132,19 +133,19 @@ class Entry:
         try:
             apply(machine, start)
             self._rehearse(file, line)
-            for why in self._cnc.entries:
-                if why():
-                    raise CannotEnter(why())
+            for why_not in self._cnc.entries:  # each returns a text if an extra objects
+                if why_not():
+                    raise CannotEnter(why_not())
             self._there = in_force(machine)
             self._systems = [array("f", values) for values in coords.systems]
             self._check_homed(before[0])
         finally:
             hooks.write_offsets = write
-            coords.offsets[:] = stored
+            coords.offsets[:] = offsets_before
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
             apply(machine, before)
-            for motion, numbers in kept:
+            for motion, numbers in cycles:
                 motion.kept = numbers
             machine.resync()
         if machine.reader.has_line():

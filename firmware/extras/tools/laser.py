@@ -71,7 +71,8 @@ def emit(beam: ptr32, levels: ptr32, power: int) -> int:
 @micropython.viper
 def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: int) -> int:
     """Write into a segment's row when its `number` changes of power come: evenly from tick `first`
-    to tick `last` of the segment. Returns 0. Their levels are written by emit().
+    to tick `last` of the segment. Returns 0. Their levels are written by emit(). In the row the
+    beam follows the motors and, as they do, has a number, a first tick and a last one.
 
     Both are delayed where the hardware would not be ready: it needs _SOONEST ticks from the start
     of the segment, and beam[GAP] ticks from one change to the next. beam[SINCE]: ticks from the

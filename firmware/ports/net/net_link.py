@@ -74,7 +74,7 @@ class NetLink:
         self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
         self.questions = b"?"
         self.access = Access()
-        # The radio's: called once a second, with whether the machine is idle; returns its state.
+        # radio: called once a second, with whether the machine is idle; status: returns its state.
         self.radio: "Callable[[bool], None] | None" = None
         self.status: "Callable[[], str]" = lambda: "no network is set up"
         self._at_rest: "Callable[[], bool]" = lambda: True
@@ -279,7 +279,7 @@ class NetLink:
             return
         if place.conn:
             self._drop(place)
-        if self._is_plain:
+        if self._is_plain:  # the first network client
             self._is_plain = False
             is_silent = self.control.is_silent(self._user, now_ms)
             if self._is_nobodys or (is_silent and self._at_rest()):

@@ -63,7 +63,7 @@ _KEY = const(4)
 _VERSION = const(5)
 _LENGTH = const(6)
 _ENCODING = const(7)
-# Values that some fields must have.
+# Values that some fields must have, used by their indices.
 _WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")
 _NAMES = (b"localhost", b".local")
 _SIGNS = b".0123456789"
@@ -273,14 +273,14 @@ class Page:
     def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
         """Return why a request is refused, an index into _REFUSALS; _GOOD if it is not. fields: by
         index; words: of its first line, which should be method, path and version."""
-        if len(words) != 3 or words[2] != _WORDS[1]:
+        if len(words) != 3 or words[2] != _WORDS[1]:  # HTTP/1.1
             return _NO_REQUEST
-        if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:
+        if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:  # GET, no body
             return _NO_READING
         host = fields.get(_HOST, b"").lower()
         if not self._is_ours(host):
             return _OTHER_NAME
-        own_origin = b"http://" + host
+        own_origin = b"http://" + host  # of our page; a browser sends that of the page that asks
         if fields.get(_ORIGIN, own_origin).lower() != own_origin:
             return _OTHER_PAGE
         path = words[1]
@@ -298,10 +298,10 @@ class Page:
         """Answer the handshake and return the websocket, which takes over the connection; None if
         it is refused or the connection has failed."""
         key = fields.get(_KEY, b"")
-        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:
+        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:  # websocket
             self._refuse(visitor, _NO_SOCKET)
             return None
-        if fields.get(_VERSION) != _WORDS[3]:
+        if fields.get(_VERSION) != _WORDS[3]:  # 13
             self._refuse(visitor, _OTHER_VERSION)
             return None
         conn, answer = visitor.conn, _FORMS[_ACCEPTED] % web_socket.accepted(key)

@@ -262,6 +262,7 @@ class JobFiles:
         checksum = 0
 
         def add(piece: bytes) -> None:
+            """Add a piece of the file to the checksum."""
             nonlocal checksum
             checksum = binascii.crc32(piece, checksum)
 

@@ -331,7 +331,7 @@ def _blocks(about: bytearray) -> int:
     is_version_2 = about[0] >> 6
     if is_version_2:
         c_size = (about[7] & 0x3F) << 16 | about[8] << 8 | about[9]
-        return c_size + 1 << 10  # in units of 512 kB
+        return c_size + 1 << 10  # C_SIZE is in units of 512 kB, which are 1024 blocks
     c_size = (about[6] & 3) << 10 | about[7] << 2 | about[8] >> 6
     factor_log2 = ((about[9] & 3) << 1 | about[10] >> 7) + 2  # C_SIZE_MULT
     length_log2 = about[5] & 15  # READ_BL_LEN: bytes of a block

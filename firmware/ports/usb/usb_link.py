@@ -360,7 +360,8 @@ class UsbLink:
         return False
 
     def _read_plainly(self, buf: bytearray) -> int:
-        """Move the bytes received into buf, one at a time, and return how many."""
+        """Move the bytes received into buf, one at a time, and return how many. Answers that wait
+        are sent first."""
         self._at[TURNED] = 1
         if self._at[STOPPED]:
             self.check_supervisor()
