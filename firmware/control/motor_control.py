@@ -123,8 +123,7 @@ class MotorControl:
             state.post(st.SAFETY_DOOR)
 
     def emergency(self) -> None:
-        """Handle a pressed emergency stop, unless that is done already: in the state Alarm, or
-        with its alarm set, the machine is stopped."""
+        """Handle a pressed emergency stop. In alarm the machine is already stopped."""
         state = self._state
         if state.run != st.ALARM and state.alarm != errors.ALARM_EMERGENCY_STOP:
             self.reset()

@@ -93,8 +93,7 @@ class Overrides:
         return self._state.take_event(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
     def _override_spindle(self) -> None:
-        """Apply a changed spindle override: at once in Idle; in motion to the power of the planned
-        blocks, and once a hold is complete to the spindle."""
+        """Apply a changed spindle override: now, with the motion, or once it is held."""
         state = self._state
         state.invalidate_lines()
         if state.run == st.IDLE:

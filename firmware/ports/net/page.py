@@ -317,7 +317,7 @@ class Page:
 
     def _refuse(self, visitor: Visitor, why: int) -> None:
         """Answer with a text of _REFUSALS (why: its index) and end the connection. Without an
-        answer if no memory for a piece would remain: the page of other visitors goes first."""
+        answer if no memory for a piece would remain: pieces for other visitors have priority."""
         status, text = _REFUSALS[why]
         head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_CLOSE]
         if self._memory.space(True) >= _SEGMENT + _SHORT:  # True: all of it, not a client's share
