@@ -224,8 +224,8 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     del sys.modules["board"]
 
     def start() -> None:
-        """Start to watch the chip's health, the stack too, which is filled with a pattern for
-        that: build() has returned, and what it left on the stack is overwritten."""
+        """Start to watch the chip's health for $I+. That fills the unused stack with a pattern:
+        build() has returned, and what it has left there is no longer needed."""
         if watch_health:
             machine.commands.health = watch_health()
 

@@ -53,7 +53,8 @@ def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
     signs = ptr8(target)
     reasons = 0
     for i in range(travel[_AXES]):
-        # The distance from 0, without the sign: 30 bits, and bit 30 from the last byte.
+        # The distance from 0, without the sign: a kernel's constants have 30 bits, so bit 30 comes
+        # from the last byte.
         mm = (target[i] & 0x3FFFFFFF) | ((signs[4 * i + 3] & 0x40) << 24)
         if mm:  # 0 is always allowed
             # The axis's bit in SHUT; + BELOW if the target is negative.
@@ -158,7 +159,8 @@ class Canon:
             self._apply_zero_length(move)
 
     def make_room(self) -> None:
-        """Do as before a planned line: handle posted events, and wait for a free block."""
+        """Prepare to plan a block: handle posted events, and wait until one is free. Raises Abort
+        after a reset."""
         if self._state.pending[st.ANY] or self._state.suspend:
             self.service()
         if full(self._flow):

@@ -138,13 +138,14 @@ class HomingProbing:
             state.post(st.CANCEL_MOTION)
 
     def _report_probe(self) -> None:
-        """Send [PRB:...] with the position of the last contact."""
+        """Send [PRB:...]: see probe_position()."""
         self._planner.to_mm(self.probe_steps, self._target)
         self._voice.probe(self._target)
 
     def probe_position(self) -> "array[float]":
-        """Return the position of the last contact, in mm of machine coordinates. The array is
-        scratch: use it before the next cycle."""
+        """Return the position that [PRB:...] reports, in mm of machine coordinates: of the last
+        contact, or where a cycle without contact and alarm has ended. The array is scratch: use it
+        before the next cycle."""
         self._planner.to_mm(self.probe_steps, self._target)
         return self._target
 

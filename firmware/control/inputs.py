@@ -56,7 +56,7 @@ class Inputs:
         return estop is not None and estop()
 
     def probe(self) -> bool:
-        """Return whether the probe touches."""
+        """Return whether the probe touches: its contact is closed, or open if $6 inverts it."""
         return self._port.probe() != self._probe_invert
 
     def contact_level(self, away: bool) -> bool:

@@ -130,7 +130,8 @@ class MotorControl:
             state.alarm = errors.ALARM_EMERGENCY_STOP
 
     def on_fault(self) -> None:
-        """Handle an exception in a callback of the port. Interrupt."""
+        """Stop everything with an internal alarm, because a callback of the port has raised an
+        exception. Interrupt."""
         self._state.alarm = errors.ALARM_INTERNAL
         self.reset()
 

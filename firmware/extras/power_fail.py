@@ -131,7 +131,7 @@ class PowerFail:
             self._phase = _STOPPING
 
     def _on_fault(self) -> None:
-        """Handle an exception in the interrupt."""
+        """Stop everything with an internal alarm, because on_fail() has raised. Interrupt."""
         self._port.fault = "POWER_FAIL: its callback has failed"
         self._port.kill()
         self._motor_control.on_fault()
@@ -146,7 +146,7 @@ class PowerFail:
         return self._phase in (_GOOD, _RISING)
 
     def _begin(self) -> None:
-        """Watch the input again."""
+        """Watch the input again, after a failure that is over."""
         self._phase = _GOOD
         self._input.arm()
 

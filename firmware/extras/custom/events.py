@@ -126,7 +126,8 @@ class Events:
             self._runner.run_housekeeping()
 
     def _run_due_between(self) -> None:
-        """Run events that no line waits for. Abort after an alarm: the main loop reports that."""
+        """Run due events between two lines, where no line waits for them. Raises Abort after an
+        alarm: the main loop reports that."""
         try:
             self.run_due()
         except GrblError:

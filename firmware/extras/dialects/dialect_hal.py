@@ -144,8 +144,9 @@ class Bytes:
             self._motor_control.reset()
 
     def _begin(self) -> None:
-        """Forget a stop that was under way, after a reset."""
-        if not self._state.pending[st.FEED_HOLD]:  # a feed hold received since
+        """Forget a stop that was in progress, because the reset has come; but not one that was
+        received since, whose hold is pending."""
+        if not self._state.pending[st.FEED_HOLD]:
             self._stopping = False
 
     def _turn(self) -> None:

@@ -271,7 +271,7 @@ class Feed:
         return self._at[_ANSWERED]
 
     def executed_line(self) -> int:
-        """Return the line whose motion is executed, with a delay of some 40 to 80 ms."""
+        """Return the line whose motion was executed some 40 to 80 ms ago."""
         return self._before
 
     def _hold(self) -> None:

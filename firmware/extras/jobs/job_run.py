@@ -305,7 +305,8 @@ class JobRun:
         return line, self._start[_CRC]
 
     def correct(self, line: int, crc: int) -> str:
-        """Store the line if the unfinished job has this CRC-32. Return its name, or ""."""
+        """Store another line in the journal if the file of the unfinished job has this CRC-32.
+        Return the job's name, or "" if it has not."""
         journal = self.journal()
         if not journal or json.loads(journal[2])[_CRC] != crc:
             return ""

@@ -159,7 +159,7 @@ class Laser(Spindle):
             self.set_power(0)
         elif beam[bm.LEVEL] >= 0:  # not UNKNOWN: the engine has set a power
             self.set_power(beam[bm.LEVEL])
-        beam[bm.LEVEL] = bm.UNKNOWN
+        beam[bm.LEVEL] = bm.UNKNOWN  # the next motion sends its first power in any case
 
     def stop(self) -> None:
         """Switch off at once, whatever is queued for the pin. Safe in an interrupt."""

@@ -110,7 +110,7 @@ class Punch(Spindle):
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
         # Levels after a reset: bit 0 of the output down, which is off; bit 1 of up, which is on.
         self._port.rest(self._down_invert | (1 ^ self._up_invert) << 1)
-        self._motor_control(False)
+        self._move(False)
 
     def set_speed(self, direction: int, rpm: float) -> None:
         """Arm with CW or CCW; disarm with OFF, and raise the punch: if it is not up in time, the
@@ -118,7 +118,7 @@ class Punch(Spindle):
         self._armed = direction
         self._state.override_countdown = 0
         if direction == sp.OFF:
-            self._motor_control(False)
+            self._move(False)
             if not self._reach_up(self._machine.motor_control.pump):
                 self._fail(ALARM_PUNCH_UP, _NOT_UP)
             elif self._lost:
@@ -127,7 +127,7 @@ class Punch(Spindle):
 
     def stop(self) -> None:
         """Raise the punch at once. Safe in an interrupt."""
-        self._motor_control(False)
+        self._move(False)
 
     def direction(self) -> int:
         """Return OFF, or the direction with which it was armed."""
@@ -135,13 +135,14 @@ class Punch(Spindle):
 
     # The actuators: one of the two is always on.
 
-    def _motor_control(self, down: bool) -> None:
-        """Switch the actuators: one on and the other off. Safe in an interrupt."""
+    def _move(self, down: bool) -> None:
+        """Switch the actuators, one on and the other off, so that the punch goes down, or up.
+        Safe in an interrupt."""
         self._going_down = down
         # Bit 0 is the output down, bit 1 the output up.
         self._port.drive(down ^ self._down_invert | ((not down) ^ self._up_invert) << 1)
         if down and not self._going_down:
-            self._motor_control(False)  # an interrupt has raised it meanwhile
+            self._move(False)  # an interrupt has raised it meanwhile
 
     def _sees(self) -> int:
         """Return which sensors detect the punch, a mask of _DOWN and _UP."""
@@ -173,10 +174,10 @@ class Punch(Spindle):
         if not self.may_move():
             self._machine.realtime.handle_events()  # raises Abort
         try:
-            self._motor_control(True)
+            self._move(True)
             is_down = self._go_down()
         finally:
-            self._motor_control(False)
+            self._move(False)
         if is_down is None:  # the lower sensor did not answer in time
             self._fail(ALARM_PUNCH_DOWN, _NOT_DOWN)
             self._machine.motor_control.reset()

@@ -125,7 +125,7 @@ class NetLink:
         return 0 if self._is_plain else self._sort(buf, now_ms)
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send output to the clients it is for."""
+        """Send output to the clients it is for: see _distribute()."""
         if self._is_plain:
             self._write(data)
         elif len(data):

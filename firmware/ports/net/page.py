@@ -342,7 +342,7 @@ class Page:
             return
         head = _FORMS[_ANSWER] % (b"200 OK", _KINDS[kind], count) + more
         chance = binascii.hexlify(os.urandom(_CHANCE))
-        if kind == _HTML:
+        if kind == _HTML:  # the file's text has a path to replace
             visitor.proof = _FORMS[_PATH] % (0, chance)
             path_at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
             out[path_at : path_at + len(visitor.proof)] = visitor.proof
