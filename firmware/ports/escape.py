@@ -66,7 +66,8 @@ class Escape:
 
 
 class _Pusher(io.IOBase):
-    """A stream from which MicroPython reads bytes as if they had been received."""
+    """A stream from which MicroPython reads bytes (data) as if they had been received. _at: index
+    of the next one."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data

@@ -169,13 +169,13 @@ def dots(
     at which the first and the last of them begin. A block with fewer events than dots has only as
     many parts as events.
     """
-    at = flow[AT]
+    at = flow[AT]  # index of the block in ring
     events = ring[at + EVENTS]
     count = clusters[own]
     parts = count if count < events else events
     motor = int(leader(ring, at))
-    base = ROW_AXES + ROW_STRIDE * motor
-    done = events - flow[MOTORS + 2 * motor]
+    base = ROW_AXES + ROW_STRIDE * motor  # index in row of its number of steps
+    done = events - flow[MOTORS + 2 * motor]  # less the steps that it has left
     before = done - row[base]
     dot = int(begun(before, events, parts))
     number = int(begun(done, events, parts)) - dot
@@ -288,8 +288,8 @@ class ClusterLaser(Laser):
         Power that follows speed (M4) starts at 0 instead. Returns True: motion may start.
         """
         flow, ring = self._flow, self._ring
-        at = flow[AT]
-        own = at // flow[ROW_SIZE] * ROOM
+        at = flow[AT]  # index of the block in ring
+        own = at // flow[ROW_SIZE] * ROOM  # index of its dots
         count = self._clusters[own]
         if count and flow[LOADED] and not self._reversed and self._engine.idle():
             events = ring[at + EVENTS]

@@ -292,6 +292,7 @@ class UsbLink:
             now_ms: "Callable[[], int]" = time.ticks_ms,
             passed_ms: "Callable[[int, int], int]" = time.ticks_diff,
         ) -> None:
+            """Send the first `length` bytes of data."""
             if state[DEAF] and not sendable(0):
                 return
             since = now_ms()
@@ -308,6 +309,7 @@ class UsbLink:
 
         # Eleven values including those it passes on: MicroPython allocates at each call for more.
         def write(data: "bytes | bytearray | memoryview") -> None:
+            """Collect an answer, or send it with those that wait."""
             due = keep(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
             if due > _LATER:
                 send(due)

@@ -94,7 +94,7 @@ def find(
         index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
         if index < 0:
             break
-        state[RING] = _MEMORY + 4 * index
+        state[RING] = _MEMORY + 4 * index  # where take() reads
         trial = bytearray(len(_TRIALS[0]))
         take(state, trial, len(trial))
         push(_TRIALS[1])
