@@ -298,16 +298,21 @@ class Canon:
         for call in self._state.hooks.cooled:
             call(mask)
 
+    def tool_off(self) -> None:
+        """Switch spindle and coolant off at once, and notify the extras."""
+        self._spin(0, 0.0)
+        self._cool(0)
+
     def end_program(self) -> None:
-        """Execute the end of M2 and M30: set overrides to 100 %, switch spindle and coolant off,
-        and notify the extras."""
+        """Execute the end of M2 and M30: set overrides to 100 %, allow parking, switch spindle and
+        coolant off, and notify the extras."""
         state = self._state
         state.feed_override = state.rapid_override = 100
         state.override_spindle(100)
         self.planner.override()
         if state.run != st.CHECK:
-            self._spin(0, 0.0)
-            self._cool(0)
+            state.override_control = True
+            self.tool_off()
         call_all(state.hooks.ended)
 
     def control_overrides(self, parking: bool) -> None:

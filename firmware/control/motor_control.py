@@ -109,7 +109,7 @@ class MotorControl:
         """Handle a change of a control input or the emergency stop. active: mask of those in
         effect now. Interrupt."""
         state = self._state
-        emergency = active & EMERGENCY_STOP and state.run != st.ALARM
+        emergency = active & EMERGENCY_STOP and not self._is_off()
         if active & RESET or emergency:
             self._port.kill()
             self._engine.stop()
@@ -123,11 +123,19 @@ class MotorControl:
             state.post(st.SAFETY_DOOR)
 
     def emergency(self) -> None:
-        """Handle a pressed emergency stop. In alarm the machine is already stopped."""
+        """Handle a pressed emergency stop."""
         state = self._state
-        if state.run != st.ALARM and state.alarm != errors.ALARM_EMERGENCY_STOP:
+        if state.alarm != errors.ALARM_EMERGENCY_STOP and not self._is_off():
             self.reset()
             state.alarm = errors.ALARM_EMERGENCY_STOP
+
+    @micropython.native
+    def _is_off(self) -> bool:
+        """Return whether an alarm has stopped all. After a failed probing the tool is on, as with
+        Grbl. Called in an interrupt."""
+        if self._state.run != st.ALARM:
+            return False
+        return not (self._spindle.direction() or self._coolant.mask)
 
     def on_fault(self) -> None:
         """Stop everything with an internal alarm, because a callback of the port has raised an

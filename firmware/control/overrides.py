@@ -85,22 +85,28 @@ class Overrides:
         if new[_SPINDLE] != state.spindle_override:
             state.override_spindle(new[_SPINDLE])
             state.override_countdown = 0
-            self._override_spindle()
+            self.override_spindle()
         self._accessory_overrides()
 
     def _asked(self, byte: int) -> int:
         """Return how often that override byte was received since the last call."""
         return self._state.take_event(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
-    def _override_spindle(self) -> None:
-        """Apply a changed spindle override: now, with the motion, or once it is held."""
-        state = self._state
+    def override_spindle(self) -> None:
+        """Apply a changed spindle override: at rest at once, to a tool that is on; else to all
+        blocks, and once more when motion is held, resumes or ends."""
+        state, spindle = self._state, self._spindle
         state.invalidate_lines()
-        if state.run == st.IDLE:
-            self._spindle.set_speed(self._modes.modal[SPINDLE], self._modes.rates[RPM])
-        elif state.run & _MOTION:
-            state.update_spindle = True
-            self._planner.each_power(self._spindle.block_power)
+        if state.run in (st.IDLE, st.ALARM):
+            state.update_spindle = False
+            if spindle.is_on():
+                spindle.set_speed(self._modes.modal[SPINDLE], self._modes.rates[RPM])
+            return
+        state.update_spindle = True
+        reported = state.spindle[st.RPM]
+        self._planner.each_power(spindle.block_power)
+        if not state.run & _MOTION:  # until motion resumes, the tool is off or being restored
+            state.spindle[st.RPM] = reported
 
     def _accessory_overrides(self) -> None:
         """Apply the toggles of spindle stop, flood and mist. An even number of toggles changes a
@@ -115,6 +121,12 @@ class Overrides:
         self._modes.modal[COOLANT] ^= toggled
         state.invalidate_lines()
         self._coolant.set(self._modes.modal[COOLANT])
+
+    def darken(self) -> None:
+        """Stop a laser again that was restored for a start which a hold has prevented."""
+        state = self._state
+        if self._spindle.laser and not state.stop_override:
+            self.stop_spindle()
 
     def stop_spindle(self) -> None:
         """Request that a hold stops the spindle or, if this override has stopped it, starts it

@@ -104,8 +104,11 @@ class Realtime:
                     raise Abort  # posted meanwhile
                 if any(pending):
                     held = self._holds()
-                    if state.take_event(st.CYCLE_START) and not held:
-                        self._cycle_start()
+                    if state.take_event(st.CYCLE_START):
+                        if not held:
+                            self._cycle_start()
+                        else:
+                            self._overrides.darken()
                     if state.take_event(st.CYCLE_STOP):
                         self._cycle_stop()
                     if state.take_event(st.OVERRIDE):
@@ -194,6 +197,8 @@ class Realtime:
         touches = self._motor_control.touches  # set while probing; a contact: do not move on
         if has_motion and not (touches and touches()):
             self._motor_control.start(st.RUN)
+        if state.update_spindle:
+            self._overrides.override_spindle()
 
     def _cycle_stop(self) -> None:
         """Handle the end of motion: a hold is complete, a jog is cancelled, or the machine is
@@ -217,6 +222,8 @@ class Realtime:
         else:
             state.suspend = 0
             state.enter(st.IDLE)
+            if state.update_spindle:  # the override came after the last block was read
+                self._overrides.override_spindle()
 
 
 def _with_fields(report: "memoryview", fields: "tuple[Callable[[], str], ...]") -> "memoryview":

@@ -126,14 +126,16 @@ class Spindle:
         scale[LASER] = self.laser
         span = f32(settings.max_rpm - settings.min_rpm)
         gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
-        if settings.max_rpm * gradient >= _STEEPEST:
-            gradient = 0.0  # $30 and $31 are practically equal
+        if not 0 < settings.max_rpm * gradient < _STEEPEST:
+            gradient = 0.0  # $30 and $31 are practically equal, or beyond single precision
         scale[HIGHEST] = settings.max_rpm
         scale[_LOWEST] = settings.min_rpm
         scale[_LESS] = -settings.min_rpm
         scale[_GRADIENT] = gradient
         scale[_FINE] = gradient * _FINE_PER_POWER
-        table[layout.POWER_FLOOR] = int(settings.min_rpm * gradient * _FINE_PER_POWER)
+        table[layout.POWER_FLOOR] = (
+            int(settings.min_rpm * gradient * _FINE_PER_POWER) if gradient else 0
+        )
         table[layout.POWER_MAX] = full
         # The integer's bits, in an array of floats: power_from_rpm() reads them as an integer.
         copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL:], 1)
@@ -196,6 +198,10 @@ class Spindle:
         if self._has_enable:
             self._enabled = False
             self._port.direction(0)
+
+    def is_on(self) -> bool:
+        """Return whether the tool turns or shines, by its report and by its pins."""
+        return self._state.spindle[RPM] > 0 and self.direction() != OFF
 
     def direction(self) -> int:
         """Return OFF, CW or CCW, from the pins' state."""

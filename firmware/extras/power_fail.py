@@ -59,6 +59,7 @@ _PAGE_MS = const(3)
 # ms before the end at which motion is stopped at once: a turn of the main loop, two pages.
 _LAST_MS = const(10)
 _MS_PER_MINUTE = const(60000)
+_LONGEST_MIN = const(1000)  # time of a stop that is reported, at most
 
 _FAILED = "Power failed"
 
@@ -168,6 +169,8 @@ class PowerFail:
             self._go_on()
         elif self._input.is_good():
             self._begin()
+        elif self._machine.spindle.direction() or self._machine.coolant.mask:
+            self._end()  # the tool was started after $X
 
     def _go_on(self) -> None:
         """Do the next step after the edge, once motion has stopped or its time is over: write the
@@ -287,7 +290,9 @@ class PowerFail:
     def report_time(self) -> None:
         """Report, with $I, how long a stop takes with the present settings, at most."""
         settings = self._machine.settings
-        axes = range(self._machine.planner.axes)
-        slow = max([settings.max_rate[i] / settings.acceleration[i] for i in axes])
-        ms = int(slow * _MS_PER_MINUTE) + _QUEUE_MS + _PAGE_MS
+        slow = 0.0  # in minutes
+        for axis in range(self._machine.planner.axes):
+            per_min = settings.acceleration[axis]
+            slow = max(slow, settings.max_rate[axis] / per_min if per_min else _LONGEST_MIN)
+        ms = int(min(slow, _LONGEST_MIN) * _MS_PER_MINUTE) + _QUEUE_MS + _PAGE_MS
         self._cnc.message("Power fail: stops in %d ms, of %d" % (ms, self._lasts_ms))

@@ -188,7 +188,7 @@ class Controller:
             """Allow the loop a long turn, and switch off a laser that shines without motion."""
             nonlocal lit
             allow(_FLASH_MS)
-            lit = spindle.laser and modes.modal[SPINDLE] == sp.CW and state.spindle[st.RPM] > 0
+            lit = spindle.laser and modes.modal[SPINDLE] == sp.CW and spindle.is_on()
             if lit:
                 spindle.stop()
 

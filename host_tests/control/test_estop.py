@@ -190,24 +190,48 @@ def test_estop_works_in_every_state(
     machine.play(script)
 
 
+@pytest.mark.parametrize("touches", [False, True])
+def test_tool_that_a_failed_probing_leaves_on_is_switched_off(touches: bool) -> None:
+    """As with Grbl, ALARM:4 and ALARM:5 leave the tool on."""
+    machine = Machine()
+
+    def script() -> Iterator[Any]:
+        yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
+        machine.port.push({"probe": touches})
+        yield from machine.ask("G38.2 Z-0.1 F100\n", "ALARM:4" if touches else "ALARM:5")
+        yield machine.ms(800)
+        assert not machine.off()
+        machine.link.received.clear()
+        machine.port.push(PRESSED)
+        assert machine.off()
+        yield machine.ms(800)
+        machine.port.push(PRESSED)  # a contact that bounces is not reported again
+        yield machine.ms(800)
+        assert machine.off() and machine.said().count("ALARM:17") == 1
+        yield from machine.ask("$X\n", "error:9\r\n")
+
+    machine.play(script)
+
+
 @pytest.mark.parametrize(
     ("pushed", "said"), [({"limit_x": True}, "ALARM:1\r\n"), (PRESSED, "ALARM:17\r\n")]
 )
 def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", said: str) -> None:
     machine = Machine(_21=1)
-    look = machine.engine.fault
+    fault = machine.engine.fault
 
     def script() -> Iterator[Any]:
         yield from machine.ask("G1 X100 F500\n", "ok\r\n")
         yield machine.ms(300)
         machine.link.received.clear()
 
-        def interrupted() -> str:
-            machine.engine.fault = look  # type: ignore[method-assign]
+        def push_during_check() -> str:
+            """Push the input while the main loop looks for a fault, after its look for alarms."""
+            machine.engine.fault = fault  # type: ignore[method-assign]
             machine.port.push(pushed)
-            return look()
+            return fault()
 
-        machine.engine.fault = interrupted  # type: ignore[method-assign]
+        machine.engine.fault = push_during_check  # type: ignore[method-assign]
         yield machine.ms(300)
         assert machine.said().startswith(said)
 

@@ -51,11 +51,12 @@ class Bench:
         port = self.port
         if self.chip == "sim":
             names = ("spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
+            # The punch is down while the simulator's spindle has a speed.
             return {**{name: int(getattr(port, name)) for name in names}, "down": port._speed > 0}
         found = {}
         for name, pin in {**OUTPUTS, "PUNCH_DOWN": 21}.items():
             found[name] = self.level(pin) ^ (0xFFFF if name in self.inverted else 0)
-        return {**found, "PUNCH_UP": self.level(22) ^ 0xFFFF}
+        return {**found, "PUNCH_UP": self.level(22) ^ 0xFFFF}  # the punch is up when off
 
     def level(self, number: int) -> int:
         """Return the output of a pin as a share of time, 0 to 65535."""

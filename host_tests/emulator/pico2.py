@@ -3,11 +3,12 @@
 The emulator is a process (rp2350_bench.js) that reads one command a line, so this is as
 synchronous and deterministic as pico.py. UGRBL_RP2350JS names its folder: a copy in which these
 faults of 2.0.1 are corrected. ADD with PC and a high register is 2 off; registers of the pins'
-interrupts and instructions of the GPIO coprocessor are decoded wrongly; edges are recorded that
-did not occur, and none for an input that IRQOVER inverts; flash cannot be written; core 1 cannot
-be restarted; pads have no pull-ups; the watchdog's clock is twice as fast, and its reset leaves
-the peripherals unchanged. Cores and PIO are stepped at 150 MHz. Flash takes no time and has no
-cache, so counts, order and PIO's times are exact, lines/s less so.
+interrupts and instructions of the GPIO coprocessor are decoded wrongly; floats are not rounded
+(VRINT, so floor() is wrong); edges are recorded that did not occur, and none for an input that
+IRQOVER inverts; flash cannot be written; core 1 cannot be restarted; pads have no pull-ups; the
+watchdog's clock is twice as fast, and its reset leaves the peripherals unchanged. Cores and PIO
+are stepped at 150 MHz. Flash takes no time and has no cache, so counts, order and PIO's times are
+exact, lines/s less so.
 """
 
 import json

@@ -387,6 +387,38 @@ def test_refusal_refuses_only_its_line(bench: Make) -> None:
     assert said == [["[MSG:close the door]", "error:3"], ["ok"]]
 
 
+def test_refused_tool_change_keeps_the_tool(bench: Make) -> None:
+    made = bench(
+        """
+@on.tool_change
+def change(m, tool):
+    if tool > 4: raise Refuse("there is no tool %d" % tool)
+@mcode(100)
+def tell(m): m.message("tool %d" % m.tool)
+"""
+    )
+    said = made.say(*lines("T2M6", "T5M6", "M100"))
+    assert said[1:] == [["[MSG:there is no tool 5]", "error:3"], ["[MSG:tool 2]", "ok"]]
+
+
+@pytest.mark.parametrize(
+    ("program", "handler", "power", "modes"),
+    [
+        ("G0", "G91 G1 X1 F600", 0, "G0 G54 G17 G21 G90 G94 M3 M9 T0 F900 S500"),
+        ("G1", "G91 G0 X1", 128, "G1 G54 G17 G21 G90 G94 M3 M9 T0 F900 S500"),
+        ("G1", "S1000", 255, "G1 G54 G17 G21 G90 G94 M3 M9 T0 F900 S1000"),
+        ("G1", "S0", 0, "G1 G54 G17 G21 G90 G94 M3 M9 T0 F900 S0"),
+    ],
+)
+def test_laser_is_what_the_modes_say_after_saved(
+    bench: Make, program: str, handler: str, power: int, modes: str
+) -> None:
+    made = bench(f'@mcode(100)\ndef a(m):\n    with m.saved():\n        m.g("{handler}")')
+    made.store.files["settings"].append("$32=1")
+    said = made.say(*lines(f"F900 {program}", "M3S500", "M100", "G4P0.1", "$G"))
+    assert made.power == power and f"[GC:{modes}]" in said[-1]
+
+
 def test_handler_during_motion_has_no_line_to_refuse(bench: Make) -> None:
     made = bench('@every(10)\ndef a(m):\n    if m.position().x > 1: raise Refuse("no")')
     said = made.say(("G1X9F500\nG1X0\n", "ms 3000"))

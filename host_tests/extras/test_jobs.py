@@ -250,6 +250,15 @@ def test_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Pa
     assert bench.kept()[:2] == ["A.NC", "5"]
 
 
+def test_tool_is_off_after_a_file_that_does_not_say_so(tmp_path: Path) -> None:
+    """Nobody may be there, because a start button can start the job."""
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "M3S1000M8", "G91", "G1X5F1200")
+    said = bench.run(say("$F=A.NC", "$G"))
+    assert any(" M5 M9 " in line for line in said)
+    assert bench.rig.port.spindle_pwm == bench.rig.port.flood == 0
+
+
 def test_alarm_refuses_a_job(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1")

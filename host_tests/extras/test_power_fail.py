@@ -318,6 +318,18 @@ def test_nothing_moves_while_the_contact_is_open(power: Power) -> None:
     assert power.bench.steps == [_STEPS_PER_MM, 0, 0] and "ALARM:16" not in said
 
 
+def test_tool_does_not_turn_while_the_contact_is_open(power: Power) -> None:
+    def script(bench: Bench) -> Iterator[Any]:
+        Pin(_PIN).drive(1)
+        yield bench.rig.ms(1000)
+        bench.sender.take()
+        yield from say("$X", "M3S1000", wait_s=3)(bench)
+        assert "ALARM:36" in bench.sender.take()
+        assert bench.rig.port.spindle_pwm == 0
+
+    power.bench.run(script)
+
+
 _STATES = {
     "idle": ("", "M5", ""),
     "running": ("", "G1X8F3000", ""),
@@ -365,6 +377,8 @@ def test_time_of_a_stop_is_reported_for_the_settings(power: Power) -> None:
     assert "[MSG:Power fail: stops in 67 ms, of 100]" in said  # 14 + 50 + 3
     said = power.bench.run(say("$121=200", "$I", wait_s=0))
     assert "[MSG:Power fail: stops in 517 ms, of 100]" in said
+    said = power.bench.run(say("$121=0", "$I", wait_s=0))
+    assert "[MSG:Power fail: stops in 60000017 ms, of 100]" in said
 
 
 def test_board_whose_flash_has_no_page_says_so(

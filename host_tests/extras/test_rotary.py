@@ -1,7 +1,7 @@
 """Test six axes, and rotary ones: meaning of their numbers, rates and ends."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -82,6 +82,19 @@ def test_letters_of_missing_axes_are_refused(axes: int) -> None:
     told = played(lines, axes=axes, ROTARY="").received
     answers = [x for x in told if x.startswith(_ANSWERS)]
     assert answers[:6] == ["ok"] * axes + ["error:20"] * (6 - axes)
+
+
+@pytest.mark.parametrize("before", ["", "$C\n"])
+def test_turn_beyond_single_precision_is_an_alarm_also_in_check_mode(before: str) -> None:
+    machine = Machine(_SWIFT, board())
+
+    def script() -> Iterator[Any]:
+        yield from machine.start()
+        machine.rig.link.send(f"{before}A{'9' * 39}\n".encode())
+        yield machine.rig.ms(1000)
+        assert "ALARM:2" in machine.take()
+
+    machine.run(script())
 
 
 def test_limit_switches_of_six_axes_are_reported_by_letter() -> None:

@@ -396,10 +396,9 @@ def test_all_complete_lines_of_a_lost_client_are_executed(
             bench.rows.clear()
             begun = bench.rig.now
             got = driver.got
-            running = stream(bench, driver.send, lambda: got.count(b"ok\r\n"), {})
-            for wake in running:
+            for wake in stream(bench, driver.send, lambda: got.count(b"ok\r\n"), events={}):
                 if bench.rig.now >= begun + lost_ms * bench.rig.ticks_per_ms:
-                    break
+                    break  # a line is sent whole
                 yield wake
             yield bench.rig.ms(12)  # the bytes sent have arrived
             if lost:

@@ -118,8 +118,8 @@ def in_section(title):
     return pytest.mark.parametrize("tree", [title], indirect=True)
 
 
-def files_named(what):
-    """Return how many files the page says are to be written, and updated."""
+def files_the_page_counts(what):
+    """Return how many files the page says are written by hand, and updated by `make docs`."""
     rows = {row[0]: (int(row[1]), int(row[2])) for row in _ROW.findall(_PAGE.read_text())}
     return rows[what]
 
@@ -132,7 +132,7 @@ def test_a_change_must_fit_in_one_place():
 
 @in_section("A drilling cycle")
 def test_a_drilling_cycle(tree):
-    assert (len(tree.written), 0) == files_named("a drilling cycle")
+    assert (len(tree.written), 0) == files_the_page_counts("a drilling cycle")
     told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_drill.py")
     assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
     built = tree.ugrbl("build --board drilling_mill.py")
@@ -153,7 +153,7 @@ def test_a_drilling_cycle(tree):
 def test_a_setting(tree):
     renewed = tree.make_docs()
     assert "`$99`" in (tree.folder / "docs" / "reference.md").read_text()
-    assert (len(tree.written), len(renewed)) == files_named("a setting")
+    assert (len(tree.written), len(renewed)) == files_the_page_counts("a setting")
     tests = ("-k", "99 or every_setting", "host_tests/whole/test_settings_effects.py")
     told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests)
     assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
@@ -175,7 +175,7 @@ def test_a_setting_has_its_unit_in_grbl_09(tree):
 def test_a_board(tree):
     renewed = tree.make_docs()
     assert "`pen_plotter.py`" in (tree.folder / "docs" / "boards.md").read_text()
-    assert (len(tree.written), len(renewed)) == files_named("a board")
+    assert (len(tree.written), len(renewed)) == files_the_page_counts("a board")
     assert "board.py" in tree.ugrbl("build --board pen_plotter")
     tree.ugrbl("run examples/badge.nc --board pen_plotter --check")
 
@@ -220,7 +220,7 @@ print(link.read_into(buf))
 @in_section("A link")
 def test_a_link(tree):
     renewed = tree.make_docs()
-    assert (len(tree.written), len(renewed)) == files_named("a link")
+    assert (len(tree.written), len(renewed)) == files_the_page_counts("a link")
     pico = (tree.folder / "boards" / "rpi_pico.py").read_text()
     board = tree.folder / "my_bluetooth.py"
     board.write_text(pico.replace('LINK = "usb"', 'LINK = "serial"'))
@@ -232,7 +232,7 @@ def test_a_link(tree):
 
 @in_section("An extra")
 def test_an_extra(tree):
-    assert (len(tree.written), 0) == files_named("an extra")
+    assert (len(tree.written), 0) == files_the_page_counts("an extra")
     built = tree.ugrbl("build --board router.py")
     assert "vacuum.py" in built and "extras/api.mpy" in built
     program = tree.folder / "job.nc"
@@ -282,7 +282,7 @@ with Machine("dusty_mill.py") as machine:
 
 @in_section("A second output")
 def test_a_second_output_follows_the_spindle(tree):
-    assert (len(tree.written), 0) == files_named("a second output")
+    assert (len(tree.written), 0) == files_the_page_counts("a second output")
     assert "dust.py" in tree.ugrbl("build --board dusty_mill.py")
     told = tree.python("-c", _DUST)
     assert told.split() == ["0", "1", "1", "0", "1", "0", "1", "0"]
@@ -301,7 +301,7 @@ with Machine("uneven_mill.py") as machine:
 
 @in_section("A transform")
 def test_a_transform_follows_the_grid(tree):
-    assert (len(tree.written), 0) == files_named("a transform")
+    assert (len(tree.written), 0) == files_the_page_counts("a transform")
     (tree.folder / "heights.csv").write_text("0,1,2\n0,2,4\n0,0,0\n")
     tree.ugrbl("build --board uneven_mill.py")
     told = [[float(mm) for mm in line.split()] for line in tree.python("-c", _UNEVEN).splitlines()]

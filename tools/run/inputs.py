@@ -75,7 +75,10 @@ def names(rig: "Rig") -> dict[str, str]:
 
 class Inputs:
     """The inputs of one rig, pushed by rules and by hand. ValueError for a name that does not
-    exist."""
+    exist.
+
+    others_ms: inputs without a rule change after being waited for so long; None: never.
+    """
 
     def __init__(self, rig: "Rig", rules: Iterable[Rule] = (), others_ms: "int | None" = None):
         self._rig = rig
@@ -86,9 +89,9 @@ class Inputs:
         self._ruled: set[str] = set(self._wait_ms)  # names of inputs that may change
         self._awaited: "tuple[str, bool, int] | None" = None  # name, closed, since when in ms
         self._probing_since: "int | None" = None  # in ms; None: no probing motion
-        # positions last, because they need a machine
-        for added in sorted(rules, key=lambda added: added.axis):
-            self._add(added)
+        # Rules with a position last (the others have axis -1), because they need a machine.
+        for rule in sorted(rules, key=lambda rule: rule.axis):
+            self._add(rule)
 
     def _add(self, added: Rule) -> None:
         """Apply a rule. It replaces the general rule for inputs without one."""

@@ -273,7 +273,10 @@ def check(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Resu
     """
     lines = Changed(job.lines, _without_dollar)
     result, _ = rehearse(replace(job, lines=lines, ask_at=0, check=True), progress)
-    return result, result.other_output[-1][0] if result.stopped and result.other_output else 0
+    if not result.stopped or not result.other_output:
+        return result, 0
+    stopped_at, _ = result.other_output[-1]  # the last message is that of the stop
+    return result, stopped_at
 
 
 def _without_dollar(line: bytes) -> bytes:

@@ -3,24 +3,32 @@
 from array import array
 
 from base import state as st
-from base.float32 import copy
 from control.modes import (
+    COOLANT,
+    FEED,
     INCHES,
     INVERSE_TIME,
     MODAL_LENGTH,
+    MOTION,
+    OVERRIDE_CONTROL,
     PLANE,
     RELATIVE,
+    RPM,
     SPINDLE,
     SYSTEM,
 )
+from control.spindle import CW
+from language.block_layout import CCW_ARC, CW_ARC, LINEAR
 from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from talk.controller import Controller
 
-_COOLANT = const(SPINDLE + 1)  # index in the modal state
 _A = const(3)  # index of axis A
+# Modes that stay, because the machine does what they say; S does for the same reason.
+_OF_THE_MACHINE = (SPINDLE, COOLANT, OVERRIDE_CONTROL)
+_CUTTING = (LINEAR, CW_ARC, CCW_ARC)  # motion modes in which a laser with M3 shines
 # Modes that m.saved() sets to 0: G17, G90, G94 and G21.
 _USUAL = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
 
@@ -62,12 +70,12 @@ class Position:
 class ModalState:
     """Context manager that restores modes, feed and offsets when its block ends.
 
-    With `usual`, G17, G21, G90 and G94 hold inside. Spindle and coolant stay as they are, because
-    they are what the machine does. within: the open blocks, this one last.
+    With `usual`, G17, G21, G90 and G94 hold inside. Spindle with its S, coolant and M56 stay as
+    they are, because they are what the machine does. within: the open blocks, this one last.
 
-    Copies from the beginning of the block: modal, the modal state; _rates, feed, rpm and tool;
-    _length and _g92, the tool length and the G92 offset; _motions, canned cycles of extras, each
-    with the numbers that hold for its next line.
+    Copies from the beginning of the block: modal, the modal state; _rates, the feed; _length and
+    _g92, the tool length and the G92 offset; _motions, canned cycles of extras, each with the
+    numbers that hold for its next line.
     """
 
     def __init__(self, machine: "Controller", usual: bool, within: "list[ModalState]") -> None:
@@ -79,7 +87,7 @@ class ModalState:
         """Copy what the block may change, then set the usual modes if asked for."""
         modes, coords = self._machine.modes, self._machine.coords
         self.modal = list(modes.modal)
-        self._rates = modes.rates[:]
+        self._rates = modes.rates[FEED]
         self._length, self._g92 = coords.tool_length, array("f", coords.g92)
         motions = self._machine.interpreter.motions.values()
         self._motions = [(motion, motion.kept) for motion in motions]
@@ -100,13 +108,17 @@ class ModalState:
             self._within.remove(self)
         if machine.state.pending[st.RESET]:
             return  # the reset has set the modes
+        did_cut = modes.modal[MOTION] in _CUTTING
         for i in range(MODAL_LENGTH):
-            if i not in (SPINDLE, _COOLANT):
+            if i not in _OF_THE_MACHINE:
                 modes.modal[i] = self.modal[i]
         coords.active = modes.modal[SYSTEM]
         for motion, kept in self._motions:
             motion.kept = kept
-        copy(self._rates, modes.rates, 2)  # feed and rpm, not the tool
+        modes.rates[FEED] = self._rates
         coords.tool_length = self._length
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0  # the next status report has the offsets
+        cuts = modes.modal[MOTION] in _CUTTING
+        if machine.spindle.laser and modes.modal[SPINDLE] == CW and cuts != did_cut:
+            machine.canon.spin(CW, modes.rates[RPM] if cuts else 0.0)  # as a line with G0 or G1

@@ -256,6 +256,8 @@ class JobRun:
             if self._refused or feed.fault:
                 self._report_refusal(line + 1)
             else:
+                if self._machine.state.run != st.CHECK:
+                    self._tool_off()  # perhaps nobody is there
                 self._note(0)
                 self.report(self._name, "done, %d lines" % line)
 
@@ -282,8 +284,7 @@ class JobRun:
     def _tool_off(self) -> None:
         """Switch spindle and coolant off in any state. Nothing moves."""
         machine = self._machine
-        machine.spindle.set_speed(0, 0.0)
-        machine.coolant.set(0)
+        machine.canon.tool_off()
         machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
 
     def _close_rest(self) -> None:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 _FIRST = const(3)  # X, Y and Z are never rotary
 _TURN = 360.0
+_FAR = 1e9  # degrees: beyond every machine, and a whole number for int()
 # Single precision is exact to this many steps. Beyond it an endless axis is unwound.
 _EXACT = 16777216.0
 _PER_INCH = minifloat.real(1 / 25.4)
@@ -148,7 +149,7 @@ class RotaryCanon(Canon):
     def _whole_turns(self, axis: int, target: "array[float]") -> float:
         """Return an axis' whole turns in degrees: those planned, or in check mode all of them."""
         if self._state.run == st.CHECK:
-            return int(target[axis] / _TURN) * _TURN
+            return int(target[axis] / _TURN) * _TURN if abs(target[axis]) < _FAR else 0.0
         steps = self.planner.position[axis] - arcs.FAR
         return int(steps / self.planner.steps_per_mm[axis] / _TURN) * _TURN
 

@@ -76,6 +76,7 @@ def _board(facts: list[Fact]) -> Iterator[Row]:
 def _watchers(facts: list[Fact]) -> Iterator[Row]:
     """Judge whether the counters see the pins: they must count steps that software has made."""
     fact = facts[0]
+    # levels: of a STEP pin that was set high, then low
     sees = fact["seen"] == fact["made"] and fact["levels"] == [1, 0]
     forward, backward = fact["made"]
     if sees:
@@ -84,7 +85,7 @@ def _watchers(facts: list[Fact]) -> Iterator[Row]:
         counter = fact.get("who", "PIO 1")
         counts = f"{counter} counted {fact['seen']} of {fact['made']}"
         text = f"{NOT_SHOWN}{counts}: it does not see the pins"
-    yield Row("watchers see the pins", True if sees else None, text, fact)
+    yield Row("watchers see the pins", sees or None, text, fact)  # None: not shown
 
 
 def _steps(facts: list[Fact]) -> Iterator[Row]:

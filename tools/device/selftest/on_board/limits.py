@@ -11,7 +11,7 @@ from machine import Timer, mem32
 
 from .config import CONFIG
 from .drive import WATCHED, sampler
-from .rows import AXES, settle, some
+from .rows import AXES, random_between, settle
 from .say import say
 from .watch import CLEAR, FIRST, LAST, PIO1, SET, TICK_HZ
 
@@ -80,7 +80,7 @@ class Shot:
         self._plan[CONTROL] = status + 4 + SET
         self._timer.init(
             mode=Timer.ONE_SHOT,
-            period=some(2000, 9000),
+            period=random_between(2000, 9000),
             tick_hz=1_000_000,
             callback=self._act,
             hard=True,
@@ -137,7 +137,7 @@ def limits_stop(drive, port, heard, shot):
             heard[0] = 0
             port.enable_limits(True)
             port.revive()
-            drive.even(drive.engine.max_step_hz(3), 1 << 20, some(0, (1 << AXES) - 1))
+            drive.even(drive.engine.max_step_hz(3), 1 << 20, random_between(0, (1 << AXES) - 1))
             drive.start()
             at = shot.fire(pins[index % len(pins)], collect)
             if at is None:

@@ -9,7 +9,7 @@ from machine import Pin, Timer
 
 from .config import CONFIG
 from .drive import WATCHED, sampler
-from .rows import AXES, settle, some
+from .rows import AXES, random_between, settle
 from .runs import any_motion, count_steps, start_from_rest, watch_others
 from .say import say
 from .watch import FIRST, Counter
@@ -47,7 +47,7 @@ def sample_pulses(drive, hz, us):
     for _ in range(CONFIG["windows"]):
         drive.even(hz, 1 << 20)
         drive.start()
-        time.sleep_us(some(2000, 8000))
+        time.sleep_us(random_between(2000, 8000))
         sampler.look()
         drive.stop()
         say(
@@ -67,7 +67,7 @@ def sample_turns(drive):
     for _ in range(CONFIG["windows"]):
         drive.plan(100, [16] * AXES, 60, 0, (1 << AXES) - 1)
         drive.start()
-        time.sleep_us(some(2000, 4000))
+        time.sleep_us(random_between(2000, 4000))
         sampler.look()
         drive.stop()
         say(
@@ -80,10 +80,14 @@ def sample_turns(drive):
 
 
 def stop_at_random(drive):
-    """Stop at random instants, every other time in a hard interrupt, as for a limit."""
+    """Stop at random instants, every other time in a hard interrupt, as for a limit.
+
+    Counted are stops after which the position is not that of the edges (wrong), and those with a
+    step after the stop (late).
+    """
     drive.pulse(3)
     drive.count(WATCHED)
-    wrong, worst, late = 0, [], 0
+    wrong, first_wrong, late = 0, [], 0
     timer = Timer()
     stop = drive.engine.stop
 
@@ -94,7 +98,7 @@ def stop_at_random(drive):
         watch_others(drive, index)
         any_motion(drive, 1000)
         drive.start()
-        delay_us = some(300, 9000)
+        delay_us = random_between(300, 9000)
         if index & 1:
             timer.init(
                 mode=Timer.ONE_SHOT,
@@ -112,10 +116,17 @@ def stop_at_random(drive):
         late += drive.counted() != counted
         if drive.of_watched(position) != counted:
             wrong += 1
-            worst = worst or [index, delay_us, position, counted]
+            first_wrong = first_wrong or [index, delay_us, position, counted]
             drive.count(WATCHED)
     timer.deinit()
-    say("stops", count=CONFIG["stops"], wrong=wrong, late=late, first=worst, end=drive.position())
+    say(
+        "stops",
+        count=CONFIG["stops"],
+        wrong=wrong,
+        late=late,
+        first=first_wrong,
+        end=drive.position(),
+    )
 
 
 def check_motion(drive):

@@ -9,7 +9,7 @@ from machine import Pin, Timer
 from .config import CONFIG
 from .drive_esp import COUNTS_SEEN_US, PULSE_US, wait_us
 from .pcnt import Edges, pad_level
-from .rows import AXES, some
+from .rows import AXES, random_between
 from .runs import any_motion, count_steps, start_from_rest
 from .say import say
 
@@ -63,12 +63,12 @@ def stop_at_random(drive):
         drive.count(AXES)
         any_motion(drive, 1000)
         drive.start()
-        delay_ms = some(3, 60)
+        delay_ms = random_between(3, 60)
         if k & 1:
             timer.init(mode=Timer.ONE_SHOT, period=delay_ms, callback=lambda _: stop())
             wait_us(1000 * delay_ms + 3000)
         else:
-            wait_us(1000 * delay_ms + some(0, 999))
+            wait_us(1000 * delay_ms + random_between(0, 999))
         off, has_more = stop_and_look(drive)
         late += has_more
         moved += any(drive.counted())
@@ -127,9 +127,9 @@ def limits_stop(drive, port):
         heard.clear()
         port.enable_limits(True)
         port.revive()
-        drive.even(drive.most_hz, 20_000, some(0, (1 << AXES) - 1))
+        drive.even(drive.most_hz, 20_000, random_between(0, (1 << AXES) - 1))
         drive.start()
-        wait_us(some(10_000, 40_000))
+        wait_us(random_between(10_000, 40_000))
         begun = time.ticks_us()
         shown = pull(pin, True)
         wait_us(5000)

@@ -131,7 +131,7 @@ class Mover:
         return list(self._steps)
 
 
-def some(low, high):
+def random_between(low, high):
     """Return a random integer from low to high, both included."""
     return random.randint(low, high)
 

@@ -4,7 +4,7 @@
 import time
 
 from .config import CONFIG
-from .rows import AXES, some
+from .rows import AXES, random_between
 from .say import say
 
 
@@ -36,12 +36,12 @@ def count_steps(drive, hz, name):
 
 def any_motion(drive, rows):
     """Plan segments at a random rate in random directions."""
-    gap = some(drive.gaps[0], drive.gaps[1])
+    gap = random_between(drive.gaps[0], drive.gaps[1])
     most = max(min(4000, drive.row // gap), 1)
-    counts = [some(0, most) for _ in range(AXES)]
-    counts[some(0, AXES - 1)] = most
-    flips = some(0, (1 << AXES) - 1)
-    drive.plan(gap, counts, rows, some(0, (1 << AXES) - 1), flips, drive.row)
+    counts = [random_between(0, most) for _ in range(AXES)]
+    counts[random_between(0, AXES - 1)] = most
+    flips = random_between(0, (1 << AXES) - 1)
+    drive.plan(gap, counts, rows, random_between(0, (1 << AXES) - 1), flips, drive.row)
 
 
 def watch_others(drive, k):
@@ -58,10 +58,10 @@ def start_from_rest(drive):
     for index in range(CONFIG["starts"]):
         watch_others(drive, index)
         before = drive.position()
-        gap = some(drive.rest_gaps[0], drive.rest_gaps[1])
-        counts = [some(0, 12) for _ in range(AXES)]
-        counts[some(0, AXES - 1)] = 12
-        backwards = some(0, (1 << AXES) - 1)  # a mask: axes that move backwards
+        gap = random_between(drive.rest_gaps[0], drive.rest_gaps[1])
+        counts = [random_between(0, 12) for _ in range(AXES)]
+        counts[random_between(0, AXES - 1)] = 12
+        backwards = random_between(0, (1 << AXES) - 1)  # a mask: axes that move backwards
         drive.plan(gap, counts, 1, backwards)
         drive.start()
         if not drive.rest(500):

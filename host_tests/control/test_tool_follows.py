@@ -1,0 +1,175 @@
+"""Test that the tool does what was asked for and reported: overrides, holds, doors, settings."""
+
+from collections.abc import Generator, Iterator
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import pytest
+from rig_bench import Machine
+from ugrbl.boardfile.files import load_board
+
+_FAST = {110: 6000, 120: 500}
+_DOWN_10, _UP_10, _USUAL = b"\x9b", b"\x9a", b"\x99"
+_FULL = 255  # power at $30, 1000 rpm
+
+# A step: a line, whose answer is awaited; real-time bytes; a wait in ms.
+Step = str | bytes | int
+
+
+class Shown(NamedTuple):
+    """What a machine does: state and speed as reported, power at the pin."""
+
+    state: str
+    speed: float
+    power: int
+
+
+class Tool:
+    """A machine; laser: $32."""
+
+    def __init__(self, laser: int = 0, **options: Any) -> None:
+        board = ModuleType("board")
+        vars(board).update({**vars(load_board("sim")), **options})
+        self.machine = Machine({**_FAST, 32: laser}, board, watched=False)
+        self.shown: list[Shown] = []
+
+    def play(self, *steps: Step) -> "list[Shown]":
+        """Do the steps, and after each what is shown; return that."""
+
+        def script() -> Iterator[Any]:
+            yield from self.machine.start()
+            for step in steps:
+                yield from self.do(step)
+                self.shown.append((yield from self.look()))
+
+        self.machine.run(script())
+        return self.shown
+
+    def do(self, step: Step) -> Iterator[Any]:
+        """Do a step, and wait for the answer of a line."""
+        machine = self.machine
+        if isinstance(step, int):
+            yield machine.rig.ms(step)
+            return
+        machine.take()
+        machine.rig.link.send(step if isinstance(step, bytes) else f"{step}\n".encode())
+        if isinstance(step, str):
+            seen = len(machine.received)
+            while not {"ok", "error:9"} & set(machine.received[seen:]):
+                yield machine.rig.ms(5)
+                machine.take()
+
+    def look(self) -> "Generator[Any, None, Shown]":
+        """Return what a status report shows."""
+        machine = self.machine
+        machine.rig.link.send(b"?")
+        while True:
+            yield machine.rig.ms(5)
+            for line in machine.take():
+                if line.startswith("<"):
+                    speed = float(line.split("|FS:")[1].split("|")[0].split(",")[1].rstrip(">"))
+                    return Shown(line[1:].split("|")[0], speed, machine.rig.port.spindle_pwm)
+
+
+_MOVES = ("G1F600", "M3S1000", "X4", "X8", "X12")
+
+
+@pytest.mark.parametrize("laser", [0, 1])
+@pytest.mark.parametrize("when", ["open", "restored"])
+def test_override_at_an_open_door_applies_to_the_motion_after_it(laser: int, when: str) -> None:
+    change = _DOWN_10 * 5
+    opened = (b"\x84", 600, change, b"~") if when == "open" else (b"\x84", 600, b"~", 50, change)
+    before, *_, moving = Tool(laser).play(*_MOVES, 200, *opened, 4500, 100)[5:]
+    assert before == ("Run", 1000, _FULL)
+    assert moving == ("Run" if moving.state == "Run" else "Idle", 500, 128)
+
+
+def test_tool_stays_off_when_it_is_overridden_at_an_open_door() -> None:
+    shown = Tool().play(*_MOVES, 200, b"\x84", 600, _DOWN_10, 50)
+    assert shown[-1] == ("Door:0", 0, 0)
+
+
+@pytest.mark.parametrize("laser", [0, 1])
+@pytest.mark.parametrize("after_ms", [0, 3, 40, 90, 150, 190, 260])
+def test_override_at_the_end_of_motion_is_not_lost(laser: int, after_ms: int) -> None:
+    """The last steps are under way, or the motors are still powered ($1)."""
+    shown = Tool(laser).play("$1=200", "M3S500G1F600", "X0.5", 30 + after_ms, _UP_10 * 10, 1000)
+    assert shown[-1] == ("Idle", 1000, _FULL)
+
+
+def test_override_in_alarm_reaches_a_tool_that_is_on() -> None:
+    shown = Tool().play("M3S1000", "G38.2Z-0.2F100", 1000, _DOWN_10 * 5, 50, "$X", 50)
+    assert shown[3] == ("Alarm", 500, 128) and shown[-1] == ("Idle", 500, 128)
+
+
+@pytest.mark.parametrize("change", [_DOWN_10, b"\x9d", _USUAL])
+def test_dark_laser_stays_dark_when_it_is_overridden(change: bytes) -> None:
+    shown = Tool(laser=1).play("M3S500G1F600", "G0X1", 500, change, 50)
+    assert shown[-1] == ("Idle", 0, 0)
+
+
+@pytest.mark.parametrize("moves", [("G1X10",), ()], ids=["motion ahead", "at rest"])
+@pytest.mark.parametrize("gap_us", range(0, 2000, 200))
+def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
+    moves: "tuple[str, ...]", gap_us: int
+) -> None:
+    """One turn of the loop restores the laser, and the next one would start the motion."""
+    tool = Tool(laser=1)
+    rig, link = tool.machine.rig, tool.machine.rig.link
+    states: list[Shown] = []
+
+    def script() -> Iterator[Any]:
+        yield from tool.machine.start()
+        steps: list[Step] = ["G1F600", "M3S1000", *moves, 100, b"!", 700]
+        for step in steps:
+            yield from tool.do(step)
+        link.send(b"~")
+        yield gap_us * rig.ticks_per_ms // 1000
+        link.send(b"!")
+        for _ in range(3):
+            yield rig.ms(400)
+            states.append((yield from tool.look()))
+
+    tool.machine.run(script())
+    assert states[-1] == ("Hold:0", 0, 0)
+
+
+@pytest.mark.parametrize("line", ["$30=2000", "$30=500", "$31=10"])
+def test_setting_that_darkens_a_laser_leaves_it_dark_after_it_is_stored(line: str) -> None:
+    tool = Tool(laser=1)
+    shown: list[Shown] = []
+
+    def script() -> Iterator[Any]:
+        yield from tool.machine.start()
+        store: Any = tool.machine.rig.store
+        before, after = tool.machine.rig.controller.around_saves(lambda ms: None, None)
+        save = store.save
+
+        def around(name: str, lines: "list[str]") -> None:
+            """Do as a board's store, which is given both functions."""
+            before()
+            save(name, lines)
+            after()
+
+        store.save = around
+        steps: list[Step] = ["G1F600", "M3S500", line, 50]
+        for step in steps:
+            yield from tool.do(step)
+            shown.append((yield from tool.look()))
+
+    tool.machine.run(script())
+    assert shown[1].power == 128 and shown[-1].power == 0
+
+
+@pytest.mark.parametrize("value", ["9" * 39, "9" * 60])
+def test_speed_beyond_single_precision_is_no_fault(value: str) -> None:
+    shown = Tool().play(f"$31={value}", "M3S500", "G1X1F600", 50)
+    assert shown[-1].state in ("Run", "Idle")
+
+
+def test_parking_is_allowed_again_after_the_program() -> None:
+    tool = Tool(PARKING=True, OVERRIDE_CONTROL=True)
+    tool.play("M56P0", "M30", "$G")
+    assert any("M56" in line for line in tool.machine.received)
+    controller: Any = tool.machine.rig.controller
+    assert controller.state.override_control
