@@ -99,8 +99,8 @@ class Options:
             self.power_input = power_input.of_board(board)
 
     def identity(self) -> str:
-        """Return the text of [VER:…]: "Grbl" for senders, then engine and step rate for `ugrbl
-        doctor`."""
+        """Return the name in the answer to $I: "Grbl" for senders, then engine and step rate for
+        `ugrbl doctor`."""
         rate = "%dHz" % self.max_step_hz if self.max_step_hz else ""
         return " ".join([word for word in ("Grbl", self.engine, rate) if word])
 
@@ -108,7 +108,7 @@ class Options:
         """Return the text of [OPT:…]: Grbl's letters of enabled options, planner blocks, receive
         bytes."""
         text = bytearray(b"V")  # a text of one letter would be interned for good
-        for on, letter in zip(
+        for is_on, letter in zip(
             (
                 self.line_numbers,
                 self.mist,
@@ -123,7 +123,7 @@ class Options:
             ),
             b"NMCPZHTRD+",
         ):
-            if on:
+            if is_on:
                 text.append(letter)
         # Grbl reports one block less than its ring has, because one always stays free.
         return "%s,%d,%d" % (text_of(text), self.blocks - 1, self.rx_bytes)

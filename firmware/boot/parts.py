@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     ]
 
 # Longest time without a feed before the chip resets. Writing flash, the longest work, takes less.
-_WATCHDOG_MS = const(5000)
+_WATCHDOG_MS = const(5000)  # WATCHDOG_MS of the board file, unless it says otherwise
 
 # Longest turn of the main loop; after that the machine is stopped. A garbage collection takes
 # 30 ms at most. Code with more to do, in main.py for example, must read the link in between.
-_LOOP_MS = const(250)
+_LOOP_MS = const(250)  # LOOP_MS
 
 # Added to $I where Ctrl-X takes effect only when the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
@@ -186,9 +186,11 @@ _LINKS: "dict[str, Callable[[], BoardLink]]" = {
 
 
 def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | None":
-    """Build the machine of board.py; None if that is impossible, or the REPL is requested.
+    """Build the machine of board.py. Returns it, its link, port, engine and supervisor, and the
+    work that can wait (Later); None if that is impossible, or the REPL is requested.
 
-    stay: called with the link, or None, and the exception that made it impossible.
+    stay: called with the link, or None, and the exception that made it impossible; it returns when
+    the REPL is requested.
     """
     link: "BoardLink | None" = None
     port: "BoardPort | None" = None
@@ -222,7 +224,8 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     del sys.modules["board"]
 
     def start() -> None:
-        """Measure the stack from now on; what build() has left there refers to no object then."""
+        """Start to watch the chip's health for $I+. That fills the unused stack with a pattern:
+        build() has returned, and what it has left there is no longer needed."""
         if watch_health:
             machine.commands.health = watch_health()
 
@@ -232,20 +235,23 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
 
     watch.start(feed, machine.motor_control.note_reset)
 
-    # Called from the last to the first.
-    return machine, link, port, engine, watch, [lambda: forget("boot.parts"), make_room, start]
+    # power_up.py calls these from the last to the first: start() before the machine runs, the
+    # others after its first welcome.
+    later: "Later" = [lambda: forget("boot.parts"), make_room, start]
+    return machine, link, port, engine, watch, later
 
 
 def _link(kind: str) -> "BoardLink":
     """Create the link that LINK of the board file names. Raises ValueError for another name."""
     from boot import select_extras
 
-    made: "BoardLink" = select_extras.known("LINK", kind, _LINKS)()
-    return made
+    link: "BoardLink" = select_extras.known("LINK", kind, _LINKS)()
+    return link
 
 
 def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Create engine and port; the engine's buffers are the first large blocks in memory."""
+    """Check the board file's engine and pins, and create engine and port. ValueError if the board
+    file is wrong. Called early, because the engine's buffers need large blocks of memory."""
     from ports import pin_check
 
     from boot import select_extras
@@ -274,7 +280,7 @@ def _check_engine(board: "ModuleType") -> None:
 
 
 def too_old(engine: str, chip: str, version: "tuple[int, ...]") -> str:
-    """Return why this MicroPython is too old for that engine, or "".
+    """Return why this MicroPython is too old for that engine, or "" if it is not.
 
     chip: MicroPython's name for it, perhaps with that of the board; version: (major, minor).
     """
@@ -341,8 +347,9 @@ def forget(module: str) -> None:
 
 
 def _forget_makers(parts: "Iterable[object]") -> None:
-    """Free the functions that built these objects, because none is built twice: in their classes,
-    the base classes, the modules of all these, and the extras. (Names: see MAKERS.)"""
+    """Free the functions that built these objects, because none is built twice: those with the
+    names MAKERS, in the objects' classes, the base classes, the modules of all these, and the
+    extras; of the API of extras also the methods that are called at installation only."""
     classes = [type(part) for part in parts]
     done: "set[object]" = set()
     for name, module in sys.modules.items():
@@ -363,11 +370,11 @@ def _forget_makers(parts: "Iterable[object]") -> None:
 
 
 def _forget_in(owner: object, words: "tuple[str, ...]" = (MAKER,)) -> None:
-    """Free the functions of a class or module that are needed only while the machine is built:
-    MAKERS, and those with one of these words in their names."""
+    """Free the functions of a class or module (owner) that are needed only while the machine is
+    built: those with a name of MAKERS, and those with one of these words in their names."""
     names = owner.__dict__  # a local, because a thousand names are checked
-    made = [name for name in MAKERS if name in names]
+    makers = [name for name in MAKERS if name in names]
     for word in words:
-        made += [name for name in names if word in name]
-    for name in made:
+        makers += [name for name in names if word in name]
+    for name in makers:
         setattr(owner, name, None)  # deleting would leave the slot in the table

@@ -38,7 +38,8 @@ def i2s(board: "ModuleType", link: "BoardLink") -> "tuple[I2sEngine, EspPort]":
 
 
 def _join(engine: "RmtEngine | I2sEngine", port: EspPort, link: "BoardLink") -> None:
-    """Connect engine, port and link."""
+    """Connect engine, port and link: engine and link poll the inputs, because pin interrupts may
+    be late on this chip; a fault of the engine switches the tool off."""
     engine.on_poll = port.poll_inputs
     link.on_poll = port.poll_inputs  # type: ignore[attr-defined]  # UartLink's
     engine.on_fault = port.kill

@@ -57,12 +57,13 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
         return None
     machine, link, port, engine, watch, later = parts
     if later:  # not a second time, after the REPL
-        later.pop()()  # at this depth
+        later.pop()()  # parts.build()'s start(), at this depth of the stack
 
     # A kernel's memory keeps a reference to its last caller until it is called again. So begin()
     # is here, and not in parts.py, which must be freed.
     def begin() -> None:
-        """Restart the machine for the first time, then do the work that could wait."""
+        """Restart the machine for the first time, then do the work that could wait. At later
+        resets the protocol calls machine.restart itself."""
         machine.restart()
         while later:
             later.pop()()
@@ -96,7 +97,8 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
 
 
 def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> None:
-    """Report the fault, again at each `$`; answer `?`; return at a soft reset."""
+    """Enter Alarm and report the fault, again at each `$`; answer `?`; return at a soft reset.
+    Nothing else is executed meanwhile."""
     machine.state.alarm = 0
     machine.state.enter(st.ALARM)
     link.write(b"ALARM:%d\r\n" % errors.ALARM_INTERNAL)
@@ -116,7 +118,8 @@ def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> No
 
 
 def _stay(link: "BoardLink | None", fault: Exception) -> None:
-    """Without a machine: report the cause, and again whenever bytes arrive. Ctrl-C ends this."""
+    """Report why there is no machine, again whenever bytes arrive, until Ctrl-C ends this. link:
+    None if not even that could be made: the cause is then printed once."""
     text = _text(fault)
     if link is None:
         print(_MESSAGE % text)
@@ -150,7 +153,7 @@ def _line(text: str) -> bytes:
 
 
 def _text(fault: BaseException) -> str:
-    """Return the exception, its place in the source, and the build."""
+    """Return as text the exception, its place in the source, and the firmware's build."""
     lines = trace(fault)  # the exception is in the last line, its place in the one before
     place = lines[-2].strip() if len(lines) > 1 else ""
     return "%s (%s)" % (sanitize("%s %s" % (lines[-1], place)), errors.BUILD_ID)

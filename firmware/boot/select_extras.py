@@ -58,8 +58,9 @@ _COLLECT_BYTES = const(8192)
 
 
 def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
-    """Return the names of the modules; with_custom: the user has custom modules. Raises ValueError
-    if an option has an unknown value."""
+    """Return the names of the modules of all extras that the board file selects, in the order of
+    installation. with_custom: the user has custom modules. Raises ValueError if an option has an
+    unknown value."""
     option = board.__dict__.get  # getattr() would intern the names for good
     selected = [_module(word, option(word), module) for word, module in _ORDER]
     own: "tuple[str, ...]" = option("EXTRAS", ())
@@ -72,7 +73,8 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
 
 
 def _module(option: str, value: "Any", module: str) -> str:
-    """Return the module that the option selects by its value, or "". module: that of _ORDER."""
+    """Return the module that the option selects by its value, None if it is not set; "" for none.
+    module: that of _ORDER."""
     if option in WORDS:
         return "" if value is None else known(option, value, WORDS[option])
     if option == "LINK":
@@ -91,7 +93,8 @@ def _ours(names: "list[str]") -> "list[str]":
 
 
 def known(option: str, word: str, rows: "dict[str, Any]") -> "Any":
-    """Return rows[word]. Raises ValueError, with the words that are possible, for another one."""
+    """Return rows[word]. Raises ValueError, which names the option and the possible words, for
+    another one."""
     if word not in rows:
         words = sorted(rows)  # MicroPython keeps a table in no order
         last = words.pop()
@@ -100,7 +103,8 @@ def known(option: str, word: str, rows: "dict[str, Any]") -> "Any":
 
 
 def custom_modules(board: "ModuleType") -> "tuple[str, ...]":
-    """Return the user's own modules that exist: a file of that name, or those of a folder."""
+    """Return the names of the user's own modules that exist: a file named by CUSTOM, or those of a
+    folder of that name."""
     from ports.storage import user_files
 
     return user_files.modules(board.__dict__.get("CUSTOM", "custom"))
@@ -115,7 +119,7 @@ def import_extras(asked: "list[str]") -> "list[Extra]":
 
 
 def pin_options(board: "ModuleType") -> "tuple[str, ...]":
-    """Return the board file's names for pins of the selected extras."""
+    """Return the names of the board file's entries with pins of the selected extras."""
     options: "tuple[str, ...]" = ()
     for module in import_extras(extra_names(board, False)):
         options += getattr(module, "PINS", ())

@@ -43,7 +43,10 @@ def build(
     store: "Store",
     ring: "array[int] | None" = None,
 ) -> Controller:
-    """Build a machine from a board file and its hardware. ring: the planner's, if allocated."""
+    """Build a machine from a board file and its hardware, with its extras. link: to the sender;
+    port: pins other than the motors'; engine: generates steps; store: saves to flash; ring: the
+    planner's memory, if it is allocated already. ValueError if an option or an extra is
+    impossible."""
     options = Options(board)
     machine = Controller(options.motors)
     machine.port = port

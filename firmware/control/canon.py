@@ -32,29 +32,31 @@ if TYPE_CHECKING:
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
 
-# The array `travel`, for check_travel(): the number of axes; a mask of axes that may not go above
-# 0, and shifted by BELOW of those that may not go below 0; per axis a float, mm, the greatest
-# distance from 0 (always within what its steps can count, Planner.reach_mm(); with soft limits
-# within its travel, too).
-_AXES = const(0)
-SHUT = const(1)
+# Indices into the array `travel`, for check_travel().
+_AXES = const(0)  # number of axes
+SHUT = const(1)  # mask of axes that may not go above 0; from bit BELOW on, not below 0
+# From here on per axis the bits of a float: the greatest distance from 0, mm. It is within what
+# the axis's steps can count (Planner.reach_mm()); with soft limits within its travel, too.
 TRAVEL = const(2)
 BELOW = const(8)
 
 
 @micropython.viper
 def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
-    """Return why a line to target is impossible: OUTSIDE the machine's travel, ring FULL (mask).
+    """Return why a line to target is impossible now, as a mask: OUTSIDE the machine's travel, the
+    planner's ring FULL; 0: it is possible.
 
-    target: floats, mm; travel: see above. The bits of floats that are not negative compare as the
-    floats do; infinity and NaN compare as outside.
+    target: floats, mm of machine coordinates; travel: Canon.travel; flow: the planner's. Floats
+    are compared by their bits, as integers: without the sign these have the same order, infinity
+    and NaN above all numbers.
     """
     signs = ptr8(target)
     reasons = 0
     for i in range(travel[_AXES]):
-        # The distance from 0, without the sign: 30 bits, and bit 30 from the last byte.
+        # The distance from 0, without the sign: a kernel's constants have 30 bits, so bit 30 comes
+        # from the last byte.
         mm = (target[i] & 0x3FFFFFFF) | ((signs[4 * i + 3] & 0x40) << 24)
-        if mm:
+        if mm:  # 0 is always allowed
             # The axis's bit in SHUT; + BELOW if the target is negative.
             side = i + ((signs[4 * i + 3] >> 7) << 3)
             if mm > travel[TRAVEL + i] or (travel[SHUT] >> side) & 1:
@@ -63,7 +65,12 @@ def check_travel(target: ptr32, travel: ptr32, flow: ptr32) -> int:
 
 
 class Canon:
-    """The functions. positive_origin: homing sets 0, so travel may be in either direction."""
+    """The functions. positive_origin: homing sets 0, so travel may be in either direction.
+
+    _asked: a move is requested and not planned; it is _target and _move. course: the chords of its
+    arc that are still to be planned; course[arcs.LEFT] is their number, 0 for a line. _is_jog: it
+    is a jog.
+    """
 
     def __init__(self, machine: "Machine", positive_origin: bool) -> None:
         self._state = machine.state
@@ -76,7 +83,6 @@ class Canon:
         self._positive_origin = positive_origin
         self.travel = array("i", (machine.planner.axes, 0) + (0,) * machine.planner.axes)
         self._flow = machine.planner.flow
-        # The requested move: a line, after the chords of an arc if it is one.
         self._asked = False
         self.course = array("i", (0 for _ in range(arcs.course_length(machine.planner.axes))))
         self._is_jog = False
@@ -86,7 +92,8 @@ class Canon:
         self.service = service
 
     def configure(self) -> None:
-        """Apply the settings of travel ($20, $23, $130 and following) and the arc tolerance."""
+        """Apply the settings of travel ($20, $23, $130 and following) and the arc tolerance ($12):
+        set the array travel for lines, and the same limits in steps for the chords of arcs."""
         settings = self._settings
         travel = self.travel
         # Axes (a mask) whose travel is above 0; that of the others is below. SHUT is the reverse.
@@ -94,7 +101,7 @@ class Canon:
         travel[SHUT] = 255 - positive | positive << BELOW if settings.soft_limits else 0
         for i in range(self.planner.axes):
             far = self.planner.reach_mm(i)
-            least, greatest = -arcs.FARTHEST, arcs.FARTHEST
+            least, greatest = -arcs.FARTHEST, arcs.FARTHEST  # steps
             if settings.soft_limits:
                 far = min(far, settings.max_travel[i])
                 steps = settings.max_travel[i] * self.planner.steps_per_mm[i] + 0.5
@@ -104,21 +111,23 @@ class Canon:
         arcs.stray(self.course, settings.arc_tolerance_mm)
 
     def limit(self, axis: int, far: float) -> None:
-        """Set the greatest distance of an axis from 0, mm, as a float's bits."""
+        """Set the greatest distance of an axis (index) from 0 to far (mm). It is stored as the
+        bits of a float, because `travel` holds integers."""
         copy(array("f", (far,)), memoryview(self.travel)[TRAVEL + axis :], 1)
 
     # Moves
 
     def line(self, target: "array[float]", move: "Move") -> None:
-        """Request a straight line, rapid or feed by the move's flags; finish() executes it."""
-        if self._asked:
+        """Request a straight line to target (mm), rapid or feed by the move's flags; finish()
+        executes it. Both arguments are kept, not copied."""
+        if self._asked:  # one move at a time
             self.finish()
         self._target = target
         self._move = move
         self._asked = True
 
     def finish(self) -> None:
-        """Plan the requested move, and start it if it is a jog."""
+        """Plan the requested move, if there is one, and start it if it is a jog."""
         if self.course[arcs.LEFT]:
             self._plan_chords()
         if self._asked:
@@ -134,8 +143,8 @@ class Canon:
             self._motor_control.start(st.JOG)
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
-        """Plan a line, once a block is free. A target beyond the soft limits is an alarm; a jog's
-        was checked before."""
+        """Plan a line, once a block is free. A target outside the machine's travel is an alarm; a
+        jog's was checked before. In check mode it is only checked."""
         state = self._state
         reasons = check_travel(target, self.travel, self._flow)
         if reasons & OUTSIDE and state.run != st.JOG:
@@ -146,11 +155,12 @@ class Canon:
             self.service()
         if reasons & FULL:
             self.wait_for_room()
-        if not self.planner.line(target, move, self.power_of(move)):
+        if not self.planner.line(target, move, self.power_of(move)):  # it has no steps
             self._apply_zero_length(move)
 
     def make_room(self) -> None:
-        """Do as before a planned line: handle posted events, and wait for a free block."""
+        """Prepare to plan a block: handle posted events, and wait until one is free. Raises Abort
+        after a reset."""
         if self._state.pending[st.ANY] or self._state.suspend:
             self.service()
         if full(self._flow):
@@ -163,16 +173,17 @@ class Canon:
             self.service()
 
     def _plan_chords(self) -> None:
-        """Plan all chords of an arc except the last, which is a line to its target."""
+        """Plan all chords of an arc except the last, which is a line to its target. Each turn
+        plans as many as the ring has blocks for."""
         state, move, course = self._state, self._move, self.course
         moves = state.run != st.CHECK
         power, known_changes = 0, -1  # known: State.changes when power was computed
-        # Otherwise the loop has just called service().
-        must_look = state.pending[st.ANY] or state.suspend
+        # In the first turn only if an event waits: the main loop has just called service().
+        must_service = state.pending[st.ANY] or state.suspend
         while course[arcs.LEFT]:
-            if must_look:
+            if must_service:
                 self.service()
-            must_look = 1
+            must_service = 1
             if moves and known_changes != state.changes[0]:
                 known_changes = state.changes[0]
                 power = self.power_of(move)
@@ -187,7 +198,7 @@ class Canon:
                 self._apply_zero_length(move)
 
     def _apply_zero_length(self, move: "Move") -> None:
-        """Zero-length move; a laser's S still applies."""
+        """Apply a move without steps: a laser's S still takes effect, if M3 has switched it on."""
         if self._spindle.laser and move.flags & plan.SPINDLE_CW:
             self.spin(plan.SPINDLE_CW, move.spindle_rpm)
 
@@ -203,7 +214,8 @@ class Canon:
         self._is_jog = True
 
     def power_of(self, move: "Move") -> int:
-        """Return a planner block's spindle power. In laser mode with M4 it follows the speed."""
+        """Return the spindle power of the move's block, 0 with the spindle off. For a laser with
+        M4 the flag DYNAMIC is added to the move: power then follows the speed."""
         if not move.flags & plan.SPINDLE_MASK:
             return 0
         if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
@@ -211,8 +223,9 @@ class Canon:
         return self._spindle.block_power(move.flags, move.spindle_rpm)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """Request an arc or helix as chords within $12 of it; finish() executes it."""
-        self.line(target, move)
+        """Request an arc or helix as chords within $12 of it; finish() executes it. start, target:
+        mm of machine coordinates; arc: its plane, centre and direction; move: as for line()."""
+        self.line(target, move)  # the last chord
         chords = arc.lay(start, target, self.planner.steps_per_mm, self.course)
         if chords and move.flags & layout.INVERSE_TIME:
             # Its time is divided equally among the chords; the rate is per chord from here on.
@@ -220,7 +233,8 @@ class Canon:
             move.flags &= ~layout.INVERSE_TIME
 
     def dwell(self, seconds: float) -> None:
-        """Wait without motion, in ticks of 50 ms, rounded up; hold and reset work meanwhile."""
+        """Wait without motion, in ticks of 50 ms, rounded up; hold and reset work meanwhile. As in
+        Grbl the number of ticks has 16 bits."""
         if self._state.run == st.CHECK:
             return
         self.synchronise()
@@ -234,7 +248,8 @@ class Canon:
             self._motor_control.wait_unanswered(_DWELL_TICK_MS - self._port.elapsed_ms(since))
 
     def auto_start(self) -> None:
-        """Post a cycle start if planned motion waits in Idle."""
+        """Finish planning what was added, and post a cycle start if planned motion waits in
+        Idle."""
         self.planner.catch_up()
         if self._state.run == st.IDLE and not self.planner.empty():
             self._state.post(st.CYCLE_START)
@@ -250,7 +265,7 @@ class Canon:
             call_all(self._state.hooks.waited)
 
     def wait_motors_released(self) -> None:
-        """Wait until the motors are released."""
+        """Begin the idle delay ($1) and wait until it is over."""
         self._motor_control.release()
         while self._motor_control.in_idle_delay:
             self.service()
@@ -258,27 +273,27 @@ class Canon:
     # Accessories
 
     def spin(self, direction: int, rpm: float) -> None:
-        """Set spindle direction and speed after all planned motion."""
+        """Set spindle direction (spindle.OFF, CW or CCW) and speed after all planned motion."""
         if self._state.run == st.CHECK:
             return
         self.synchronise()
         self._spin(direction, rpm)
 
     def _spin(self, direction: int, rpm: float) -> None:
-        """Set spindle direction and speed at once, and notify the extras."""
+        """Set spindle direction and speed (rpm) at once, and notify the extras."""
         self._spindle.set_speed(direction, rpm)
         for call in self._state.hooks.spun:
             call(direction, rpm)
 
     def cool(self, mask: int) -> None:
-        """Switch coolant after all planned motion."""
+        """Switch coolant (mask of coolant.FLOOD and MIST) after all planned motion."""
         if self._state.run == st.CHECK:
             return
         self.synchronise()
         self._cool(mask)
 
     def _cool(self, mask: int) -> None:
-        """Switch coolant at once, and notify the extras."""
+        """Switch coolant (a mask) at once, and notify the extras."""
         self._coolant.set(mask)
         for call in self._state.hooks.cooled:
             call(mask)
@@ -289,7 +304,8 @@ class Canon:
         self._cool(0)
 
     def end_program(self) -> None:
-        """Switch spindle and coolant off, allow parking, and set overrides to 100 %."""
+        """Execute the end of M2 and M30: set overrides to 100 %, allow parking, switch spindle and
+        coolant off, and notify the extras."""
         state = self._state
         state.feed_override = state.rapid_override = 100
         state.override_spindle(100)
@@ -300,20 +316,20 @@ class Canon:
         call_all(state.hooks.ended)
 
     def control_overrides(self, parking: bool) -> None:
-        """Execute M56: enable or disable parking."""
+        """Execute M56, which enables parking, or M56 P0, which disables it."""
         if self._state.run != st.CHECK:
             self.synchronise()
         self._state.override_control = parking
 
     def pause_program(self) -> None:
-        """Execute M0: hold until cycle start."""
+        """Execute M0: hold until cycle start. An extra's hook may take over by returning True."""
         for takes_over in self._state.hooks.paused:
             if takes_over():
                 return
         self.hold_program()
 
     def hold_program(self) -> None:
-        """Do as pause_program(), without asking extras."""
+        """Hold until cycle start, as M0 does, without asking extras. Check mode does not wait."""
         if self._state.run != st.CHECK:
             self._state.post(st.FEED_HOLD)
             self.service()
@@ -321,11 +337,12 @@ class Canon:
     # Limits
 
     def outside(self, target: "array[float]") -> bool:
-        """Return whether the target is outside the machine's travel."""
+        """Return whether the target (mm) is outside the machine's travel."""
         return bool(check_travel(target, self.travel, self._flow) & OUTSIDE)
 
     def stop_with_alarm(self, alarm: int) -> None:
-        """Stop by a hold, so that the position stays certain, then alarm and reset."""
+        """Stop by a hold, so that the position stays certain, then alarm (its number) and reset.
+        Does not return: service() raises Abort."""
         state = self._state
         state.soft_limit = True  # with this, a hold ends in Idle
         if state.run & (st.RUN | st.JOG):

@@ -8,12 +8,13 @@ if TYPE_CHECKING:
     from interfaces import Port
 
 OFF = const(0)
-FLOOD = const(1)
+FLOOD = const(1)  # bits of a mask
 MIST = const(2)
 
 
 class Coolant:
-    """The outputs. The caller must synchronise before it changes them (canon.py)."""
+    """The outputs. The caller must wait for the end of planned motion before it changes them
+    (Canon.cool()). mask: those that are on."""
 
     def __init__(self, port: "Port", state: "State") -> None:
         self._port = port
@@ -21,10 +22,10 @@ class Coolant:
         self.mask = OFF
 
     def set(self, mask: int) -> None:
-        """Switch at once."""
+        """Switch the outputs of the mask on, the others off, at once."""
         self.mask = mask
         self._port.coolant(mask)
-        self._state.override_countdown = 0
+        self._state.override_countdown = 0  # the next status report shows it
 
     def stop(self) -> None:
         """Switch off at once; safe in an interrupt."""

@@ -15,19 +15,23 @@ if TYPE_CHECKING:
 
     from interfaces import Store
 
-SYSTEMS = const(6)
-G28 = const(6)
+SYSTEMS = const(6)  # number of work coordinate systems: G54 is index 0, G59 is 5
+G28 = const(6)  # index after these: the stored positions
 G30 = const(7)
 G92 = const(8)
-_COUNT = const(8)
-_FILE = "coords"
+_COUNT = const(8)  # entries that are stored: six systems, G28, G30
+_FILE = "coords"  # name of the stored file
 
 NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30")
 
 
 class Coords:
-    """All offsets, in one array of floats: the systems, one float per axis, then G92, then the
-    tool length."""
+    """All offsets, in one array of floats: G54 to G59, G28, G30 and G92, one float per axis each;
+    then the tool length.
+
+    store: where they are saved; axes: the number of axes; length_axis: index of the axis along
+    the tool. systems[i] is a view of entry i, g92 of G92; active: index of the selected system.
+    """
 
     def __init__(self, store: "Store", axes: int, length_axis: int) -> None:
         self._store = store
@@ -41,7 +45,8 @@ class Coords:
         ]
         self.g92: "array[float]" = views[_COUNT * axes : -1]
         self.active = 0
-        self._zero = vector(max(axes, length_axis + 1))  # also without an axis for the length
+        # Result of zero(). A machine without the axis of the tool length may still read there.
+        self._zero = vector(max(axes, length_axis + 1))
 
     @property
     def tool_length(self) -> float:
@@ -50,10 +55,12 @@ class Coords:
 
     @tool_length.setter
     def tool_length(self, mm: float) -> None:
+        """Set the tool length, which a reset clears."""
         self.offsets[-1] = mm
 
     def load(self) -> bool:
-        """Read the stored offsets; False, and all 0, if there are no valid ones."""
+        """Read the stored offsets; those that were never stored are 0. If the stored data is lost
+        or invalid, store zeros and return False."""
         lines = self._store.load(_FILE)
         if lines is None or not self._parse(lines):
             self.restore()
@@ -61,7 +68,8 @@ class Coords:
         return True
 
     def _parse(self, lines: "list[str]") -> bool:
-        """Read lines such as "G54=1,2,3". Returns False if a value is no number."""
+        """Read lines such as "G54=1,2,3", in mm; unknown names and surplus axes are ignored.
+        Returns False if a value is no number."""
         for line in lines:
             name, _, values = line.partition("=")
             if name not in NAMES:
@@ -76,7 +84,7 @@ class Coords:
         return True
 
     def _save(self) -> None:
-        """Store the systems and G28, G30, a line each."""
+        """Store G54 to G59, G28 and G30, a line each, with the digits that a float needs."""
         lines = []
         for i in range(_COUNT):
             lines.append(NAMES[i] + "=" + ",".join(["%.9g" % x for x in self.systems[i]]))
@@ -100,28 +108,28 @@ class Coords:
         self.set_g92(vector(self._axes))
 
     def set_g92(self, values: "array[float]") -> None:
-        """Set the G92 offset, which adds to that of the system."""
+        """Set the G92 offset, in mm, which adds to that of the system."""
         copy(values, self.g92, self._axes)
 
     def write(self, index: int, values: "array[float]") -> None:
-        """Set and store a system, or G28, G30."""
+        """Set and store a system, or G28, G30. index: of NAMES; values: mm, one per axis."""
         self.change(index, values)
         self._save()
 
     def change(self, index: int, values: "array[float]") -> None:
-        """Set a system without storing it."""
+        """Do as write(), but only in memory."""
         copy(values, self.systems[index], self._axes)
 
     def zero(self, system: int) -> "array[float]":
-        """Return the work zero of a system, with G92, without tool length. The array is shared: do
-        not change it."""
+        """Return the work zero of a system (index), with G92, without tool length: mm of machine
+        coordinates, one float per axis. The next call overwrites the array: do not change it."""
         zero = self._zero
         copy(self.systems[system], zero, self._axes)
         add(self.g92, 0, zero, self._axes)
         return zero
 
     def work_zero(self, system: int, axis: int) -> float:
-        """Return the work zero of a system on one axis, with tool length, in machine
-        coordinates."""
+        """Return the work zero of a system (index) on one axis, with G92 and, on length_axis, the
+        tool length; in mm of machine coordinates."""
         length = self.tool_length if axis == self.length_axis else 0.0
         return self.zero(system)[axis] + length

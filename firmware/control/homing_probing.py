@@ -25,8 +25,15 @@ _PHASES = const(4)
 
 
 class HomingProbing:
-    """Both cycles. position copies the machine's position, in mm; resync makes planner and parser
-    continue from there. zero_origin: homing sets 0; shared_switches: an input serves both ends."""
+    """Both cycles.
+
+    position copies the machine's position, in mm; resync makes planner and parser continue from
+    there. zero_origin: homing sets 0; shared_switches: an input serves both ends.
+
+    _contact: the probe has made the contact that this cycle waits for, at which Port.probe()
+    returns _contact_level; probe_steps: motor positions at the last contact. homed: mask of axes
+    whose switches were found, until an alarm. _steps, _target, _move: scratch.
+    """
 
     def __init__(self, machine: "Machine", zero_origin: bool, shared_switches: bool) -> None:
         self._state = machine.state
@@ -48,15 +55,16 @@ class HomingProbing:
         self._target = vector(machine.planner.axes)
         self._move = plan.Move()
         self.probe_steps = array("i", (0 for _ in range(motors)))
-        self.homed = 0  # a mask of axes whose switches were found, until an alarm
+        self.homed = 0
 
     # Probing (G38.2 to G38.5)
 
     def probe(self, target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-        """Move until contact, or until contact is lost. Returns whether the parser is at the
-        target.
+        """Move to target (mm) until the probe touches or, if away, until it no longer touches.
+        Returns whether the parser's position is the target: after a contact it is elsewhere.
 
-        alarms: a probe that fails puts the machine into alarm.
+        move: feed and flags, as for Canon.line(); alarms: a probe that fails is an alarm (G38.2,
+        G38.4). With a wrong level at the start nothing moves, and the alarm is set in any case.
         """
         state = self._state
         if state.run == st.CHECK:
@@ -82,12 +90,13 @@ class HomingProbing:
             state.probe_succeeded = True
             self._resync()
         else:
+            # Without the parser, whose position is the target, as in Grbl.
             self._engine.position(self._steps)
             self._planner.sync_motors(self._steps)
-            if not alarms:
+            if not alarms:  # [PRB:...] reports where the move has ended
                 self._engine.position(self.probe_steps)
         self._canon.service()
-        if alarms and not state.probe_succeeded:
+        if alarms and not state.probe_succeeded:  # the alarm is reported before [PRB:...]
             self._motor_control.fail(errors.ALARM_PROBE_FAIL_CONTACT, self._end_probe)
         else:
             self._end_probe()
@@ -107,10 +116,10 @@ class HomingProbing:
 
     def _touches(self) -> bool:
         """Watch the probe from now on, unless it has touched. Returns whether it has: then motion
-        must not start."""
+        must not start, and the contact's request to stop it is dropped."""
         if not self._contact:
             self._port.watch_probe(self._on_contact, self._contact_level)
-        if self._contact:
+        if self._contact:  # perhaps just now: watch_probe() calls at once if the level is there
             self._state.take_event(st.CANCEL_MOTION)
         return self._contact
 
@@ -120,8 +129,8 @@ class HomingProbing:
         self._motor_control.touches = None
 
     def _on_contact(self) -> None:
-        """Interrupt: store the position, to the step, and stop. A contact during a completed hold
-        counts only if it lasts until motion resumes: _touches() checks again."""
+        """Interrupt: store the position, to the step, and stop. A contact while a hold has stopped
+        motion counts only if it lasts until motion resumes: _touches() checks again."""
         state = self._state
         if not state.suspend & st.HOLD_COMPLETE:
             self._engine.position(self.probe_steps)
@@ -129,21 +138,24 @@ class HomingProbing:
             state.post(st.CANCEL_MOTION)
 
     def _report_probe(self) -> None:
-        """Send [PRB:...] with the last contact."""
+        """Send [PRB:...]: see probe_position()."""
         self._planner.to_mm(self.probe_steps, self._target)
         self._voice.probe(self._target)
 
     def probe_position(self) -> "array[float]":
-        """Return the position of the last contact, in mm."""
+        """Return the position that [PRB:...] reports, in mm of machine coordinates: of the last
+        contact, or where a cycle without contact and alarm has ended. The array is scratch: use it
+        before the next cycle."""
         self._planner.to_mm(self.probe_steps, self._target)
         return self._target
 
     # Homing ($H)
 
     def home(self, axes: int) -> bool:
-        """Find the switches: of these axes (a mask), or of all, Z first.
+        """Find the switches: of these axes (a mask), or with 0 of all, Z first.
 
-        Returns False if homing cannot begin: the machine will be in alarm.
+        Returns False if homing cannot begin because a switch that serves both ends is hit, and
+        nobody knows which end: the machine will be in alarm. Raises Abort if homing fails.
         """
         state = self._state
         if self._shared_switches and self._inputs.limits():
@@ -161,10 +173,11 @@ class HomingProbing:
         return True
 
     def find_switches(self, axes: int) -> None:
-        """Find the switches of these axes (a mask), all in the same moves."""
+        """Find the switches of these axes (a mask), all in the same moves, and set the position
+        there. Approach fast, pull off, approach slowly, pull off."""
         settings = self._settings
         # The first approach: far enough for the axis of the longest travel.
-        travel = 0.0
+        travel = 0.0  # mm
         count = 0
         for i in range(self._planner.axes):
             if axes >> i & 1:
@@ -172,7 +185,7 @@ class HomingProbing:
                 count += 1
         # Each axis moves at the homing rate, so the diagonal is faster by this factor.
         diagonal = math.sqrt(count)
-        rate = settings.homing_seek
+        rate = settings.homing_seek  # mm/min of each axis
         for phase in range(_PHASES):
             approach = phase % 2 == 0
             self._state.hooks.home_phase(axes, approach, travel, rate * diagonal)
@@ -189,17 +202,19 @@ class HomingProbing:
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """Execute one move, until all switches are found, or the pull-off is complete.
 
-        axes: mask; approach: towards the switches, else away from them; travel: mm; rate: mm/min
-        along the diagonal.
+        axes: mask; approach: towards the switches, else away from them; travel: mm per axis; rate:
+        mm/min along the diagonal. If it fails, a reset is posted, and the call of service() raises
+        Abort.
         """
         engine = self._engine
         planner = self._planner
         engine.position(self._steps)
         self._position(self._target)
-        # The axes start at 0 and go as far as they may; the others stay where they are.
+        # Each of these axes is set to 0 and moves by travel; the others stay where they are.
         for i in range(planner.axes):
             if axes >> i & 1:
                 planner.set_axis(self._steps, i, 0.0)
+                # Switches are at the positive end, unless $23 inverts that.
                 negative = bool(self._settings.homing_dir_invert >> i & 1) == approach
                 self._target[i] = -travel if negative else travel
         engine.set_position(self._steps)
@@ -211,7 +226,7 @@ class HomingProbing:
         planner.system_line(self._target, move, 0, self._steps)
         self._motor_control.start(st.HOMING)
         self._state.spindle[st.RPM] = 0.0  # these moves have no power
-        searching = axes  # those that still move; on an approach, until their switch is hit
+        searching = axes  # mask of those that still move; on an approach, until they hit a switch
         while searching:
             if approach:
                 hit = self._inputs.limits() & searching
@@ -232,7 +247,9 @@ class HomingProbing:
         self._motor_control.arm()
 
     def _failed(self, approach: bool, axes: int) -> bool:
-        """Set and return the alarm if the cycle cannot continue."""
+        """Set the alarm if the cycle cannot continue, and return whether it is set: a reset or the
+        door was requested; or motion has ended without the switches, or, on the pull-off, with one
+        still hit. axes: mask."""
         state = self._state
         done = self._engine.idle()
         if state.pending[st.RESET]:
@@ -246,8 +263,9 @@ class HomingProbing:
         return state.alarm != 0
 
     def _set_origin(self, axes: int) -> None:
-        """Set the machine position of homed axes (a mask), a pull-off from their switch: 0 with
-        zero_origin; else travel is below 0, with the switch above unless $23 inverts that."""
+        """Set the machine position of homed axes (a mask), which are a pull-off away from their
+        switch: 0 with zero_origin; else travel lies below 0, with the switch at its upper end, or
+        at its lower end if $23 inverts the axis."""
         settings = self._settings
         engine = self._engine
         engine.position(self._steps)

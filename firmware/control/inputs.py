@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 class Inputs:
-    """axes: the number of limit inputs; has_door: the hold input is a safety door's."""
+    """The inputs as active or not. axes: the number of limit inputs; has_door: the hold input is a
+    safety door's. _limit_invert, _inverted, _watched: masks, the latter two of Port.levels()."""
 
     def __init__(self, port: "Port", settings: "Settings", axes: int, has_door: bool) -> None:
         self._port = port
@@ -24,11 +25,11 @@ class Inputs:
         self.has_door = has_door
         self._limit_invert = 0
         self._probe_invert = False
-        self._inverted = 0  # bits of Port.levels()
+        self._inverted = 0
         self._watched = self._all << LIMITS_AT | 1 << PROBE_AT | DOOR | START | HOLD | RESET
 
     def configure(self) -> None:
-        """Apply $5 and $6."""
+        """Apply $5, which inverts the limit inputs, and $6, which inverts the probe."""
         settings = self._settings
         self._limit_invert = self._all if settings.limit_invert else 0
         self._probe_invert = bool(settings.probe_invert)
@@ -40,13 +41,13 @@ class Inputs:
         return self._port.limits() ^ self._limit_invert  # a low pin is a 1, unless $5
 
     def closed(self) -> int:
-        """Return all closed inputs, a bit each: probe, limits of six axes, door, reset, hold,
-        start."""
+        """Return a mask of all active inputs, from bit 0 on in the order of Pn: in a status
+        report: probe, limits of six axes, door, reset, hold, start."""
         levels = (self._levels() ^ self._inverted) & self._watched
         if not levels:
             return 0  # the common case
-        # Bit 0 is the probe; then six limits, bits 1 to 6; the controls, lower in levels, follow:
-        # door 7, reset 8, hold 9, start 10.
+        # In `levels` the controls are below the probe and the limits; here they come after them:
+        # door is bit 7, reset 8, hold 9, start 10.
         return levels >> PROBE_AT | (levels & DOOR) << 4 | (levels & (RESET | HOLD | START)) << 8
 
     def estop(self) -> bool:
@@ -55,11 +56,12 @@ class Inputs:
         return estop is not None and estop()
 
     def probe(self) -> bool:
-        """Return whether the probe touches."""
+        """Return whether the probe touches: its contact is closed, or open if $6 inverts it."""
         return self._port.probe() != self._probe_invert
 
     def contact_level(self, away: bool) -> bool:
-        """Return the level of the probe pin that ends a cycle: contact, or none if away."""
+        """Return what Port.probe() reports once a probing cycle is to end: contact or, if away,
+        the loss of contact."""
         return (not away) != self._probe_invert
 
     def door_open(self) -> bool:

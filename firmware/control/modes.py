@@ -11,7 +11,7 @@ from base.float32_math import whole_part
 from micropython import const
 from motion.planner import COOLANT_SHIFT
 
-# Places in Modes.modal; language/block_layout.py has the values.
+# Indices into Modes.modal; language/block_layout.py has the values.
 MOTION = const(0)
 PLANE = const(1)
 RELATIVE = const(2)
@@ -27,17 +27,21 @@ MODAL_LENGTH = const(11)
 # Length of Modes.modal: a block has more words after these (language/block_layout.py); 0 here.
 MODAL_ROOM = const(18)
 
-# Places in Modes.rates.
-FEED = const(0)
+# Indices into Modes.rates.
+FEED = const(0)  # mm/min
 RPM = const(1)
-TOOL = const(2)
-_RATES = const(3)
+TOOL = const(2)  # number of T
+_RATES = const(3)  # length
 
 
 class Modes:
-    """Modal state, position, feed, speed and tool."""
+    """Modal state, position, feed, speed and tool.
 
-    position: "array[float]"  # the parser's
+    modal: integers, by the indices above. position: where the parsed program is, in mm of machine
+    coordinates; motion may still be on its way there. rates: floats, by index.
+    """
+
+    position: "array[float]"
 
     def __init__(self, axes: int) -> None:
         self.modal = array("i", (0 for _ in range(MODAL_ROOM)))
@@ -46,7 +50,8 @@ class Modes:
         self.reset()
 
     def reset(self) -> None:
-        """Set the modes of a fresh start. The position stays."""
+        """Set the modes of a fresh start: all 0, which is G0 G54 G17 G21 G90 G94 M5 M9, and M56.
+        The position stays."""
         for i in range(MODAL_LENGTH):
             self.modal[i] = 0
         self.modal[OVERRIDE_CONTROL] = 1
@@ -58,5 +63,5 @@ class Modes:
         return whole_part(self.rates, TOOL, 0)
 
     def accessory_flags(self) -> int:
-        """Return spindle and coolant as flags of a planner block."""
+        """Return the programmed spindle and coolant as flags of a planner block."""
         return self.modal[SPINDLE] | self.modal[COOLANT] << COOLANT_SHIFT

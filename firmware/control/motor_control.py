@@ -18,16 +18,23 @@ if TYPE_CHECKING:
     from interfaces import Machine
 
 
-_FOR_EVER = const(255)
+_FOR_EVER = const(255)  # $1: the motors stay powered
 # States in which the engine may be running.
 _MOTION = const(st.RUN | st.HOLD | st.JOG)
 _PATIENCE = const(3)  # restarts without progress, before that is a fault
 
 
 class MotorControl:
-    """Motion, tool and motors as a whole."""
+    """Motion, tool and motors as a whole.
 
-    pump: "Callable[[], None]"  # reads the link
+    pump reads the link. moving: the engine was started, and has not been found idle since.
+    in_idle_delay: motion has stopped, and motors are still powered ($1), since _since (ms).
+    _is_new: nothing has moved since power-up. by_pin: a switch or a button has requested the
+    pending reset. _progress, _stalls: progress at the last restart of motion, and the number of
+    restarts without progress. _after_alarm: called once the alarm is reported, to add messages.
+    """
+
+    pump: "Callable[[], None]"
 
     def __init__(self, machine: "Machine") -> None:
         self._state = machine.state
@@ -39,15 +46,14 @@ class MotorControl:
         self._coolant = machine.coolant
         self._port = machine.port
         self._voice = machine.report
-        self.moving = False  # the engine was started, and has not been found idle since
-        self.by_pin = False  # a switch or a button has requested the pending reset
-        self.in_idle_delay = False  # motion has stopped, and motors are still powered ($1)
+        self.moving = False
+        self.by_pin = False
+        self.in_idle_delay = False
         # While probing: returns whether the probe touches; called before motion starts or resumes.
         self.touches: "Callable[[], bool] | None" = None
         self._since = 0
         self._level = -1  # of the motors' enable output; -1: not set yet
-        self._is_new = True  # since power-up nothing has moved
-        # Progress at the last restart of motion, and the number of restarts without progress.
+        self._is_new = True
         self._progress = -1
         self._stalls = 0
         self._after_alarm: "Callable[[], None] | None" = None
@@ -59,8 +65,8 @@ class MotorControl:
     # Stops, callable from anywhere
 
     def reset(self) -> None:
-        """Soft reset: tool off and motors stopped at once, the rest in the next run(). Until arm()
-        both stay off, whatever the interrupted code does."""
+        """Soft reset: tool off and motors stopped at once, the rest in the next Realtime.run().
+        Until arm() both stay off, whatever the interrupted code does."""
         try:
             self._port.kill()
         finally:
@@ -72,7 +78,8 @@ class MotorControl:
 
     @micropython.native
     def note_reset(self, alarm: int) -> None:
-        """Note that everything was stopped: set the alarm, 0 for none, and post a reset."""
+        """Note that everything was stopped: set the alarm (its number) and post a reset. With 0
+        it is an alarm only if motion was cut short."""
         state = self._state
         if not state.pending[st.RESET]:
             # A reset during motion is an alarm: steps may be lost.
@@ -87,7 +94,8 @@ class MotorControl:
 
     @micropython.native
     def on_limits(self) -> None:
-        """Handle a change of a limit switch. Interrupt."""
+        """Handle a change of a limit input: with hard limits ($21) stop and alarm, unless the
+        machine is in alarm already or homing, which needs the switches. Interrupt."""
         state = self._state
         matters = self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING)
         if matters and state.alarm == 0:
@@ -98,7 +106,8 @@ class MotorControl:
 
     @micropython.native
     def on_controls(self, active: int) -> None:
-        """Handle a change of a control input or the emergency stop. active: mask. Interrupt."""
+        """Handle a change of a control input or the emergency stop. active: mask of those in
+        effect now. Interrupt."""
         state = self._state
         emergency = active & EMERGENCY_STOP and not self._is_off()
         if active & RESET or emergency:
@@ -129,7 +138,8 @@ class MotorControl:
         return not (self._spindle.direction() or self._coolant.mask)
 
     def on_fault(self) -> None:
-        """Handle an exception in a callback of the port. Interrupt."""
+        """Stop everything with an internal alarm, because a callback of the port has raised an
+        exception. Interrupt."""
         self._state.alarm = errors.ALARM_INTERNAL
         self.reset()
 
@@ -142,9 +152,11 @@ class MotorControl:
         self._after_alarm = after
 
     def enter_alarm(self) -> "Callable[[], None] | None":
-        """Enter Alarm with nothing turning. Returns what to call after the alarm is reported."""
+        """Enter the state Alarm; after a reset with spindle, coolant and motors off. Returns the
+        function to call after the alarm is reported, or None."""
         state = self._state
-        # A reset has stopped all by the port's kill(), which lasts until arm(); this lasts longer.
+        # A reset has switched all off by the port's kill(), which lasts only until arm(). This
+        # lasts until a command switches it on.
         if state.pending[st.RESET]:
             self._spindle.stop()
             self._coolant.stop()
@@ -180,13 +192,15 @@ class MotorControl:
             self._end_idle_delay()
 
     def check_engine(self) -> None:
-        """Raise RuntimeError if the engine has failed: motion late for its own schedule, …"""
+        """Raise RuntimeError with the engine's text if it has failed: motion late for its own
+        schedule, …"""
         fault = self._engine.fault()
         if fault:
             raise RuntimeError(fault)
 
     def start(self, run: int) -> None:
-        """Start motion in the given run state, unless an extra objects."""
+        """Enter a run state (run), power the motors and start planned motion, unless a hook of an
+        extra objects. A hold ends by that."""
         if self._state.hooks.may_start and not all_agree(self._state.hooks.may_start):
             return
         self._state.enter(run)
@@ -200,8 +214,8 @@ class MotorControl:
             call_all(self._state.hooks.started)
 
     def release(self) -> None:
-        """Motion has stopped: start the idle delay. At its end the motors are powered off and a
-        cycle stop is posted."""
+        """Start the idle delay ($1), because motion has stopped. At its end the motors are powered
+        off and a cycle stop is posted."""
         if self._state.hooks.stops:
             call_all(self._state.hooks.stops)
         self.moving = False
@@ -209,7 +223,7 @@ class MotorControl:
         self._since = self._port.ticks_ms()
 
     def wait_unanswered(self, milliseconds: int) -> None:
-        """Wait. Bytes are read meanwhile, and not answered."""
+        """Wait so many ms. Bytes are read meanwhile, and not answered."""
         since = self._port.ticks_ms()
         while self._port.elapsed_ms(since) < milliseconds:
             self.pump()
@@ -223,14 +237,16 @@ class MotorControl:
             self._end_idle_delay()
 
     def _end_idle_delay(self) -> None:
-        """End the delay once its time ($1) is over: power the motors off, unless $1 is 255, and
-        post a cycle stop if motion preceded."""
+        """End the idle delay once its time ($1) is over: power the motors off, unless $1 is 255 or
+        a homing cycle is between two moves; post a cycle stop if motion preceded. If more was
+        planned meanwhile, resume motion instead of ending it."""
         state = self._state
         if state.run & (st.RUN | st.JOG) and not state.holding and not self._planner.empty():
-            self._restart()  # more was planned in the meantime
+            self._restart()
             return
         delay = self._settings.idle_lock_ms
         stay = delay == _FOR_EVER and state.run != st.SLEEP  # the motors stay powered
+        # Without motion before (_is_new), or if they stay powered, there is nothing to wait for.
         if not (stay or self._is_new) and self._port.elapsed_ms(self._since) < delay:
             return
         self.in_idle_delay = self._is_new = False
@@ -239,7 +255,8 @@ class MotorControl:
             state.post(st.CYCLE_STOP)
 
     def _restart(self) -> None:
-        """Resume planned motion. Raises RuntimeError if earlier restarts made no progress."""
+        """Resume planned motion, for which the engine has run out of segments. Raises RuntimeError
+        if it still made no progress after _PATIENCE restarts."""
         progress = self._segments.progress()
         self._stalls = self._stalls + 1 if progress == self._progress else 0
         if self._stalls > _PATIENCE:

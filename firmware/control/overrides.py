@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from control.modes import Modes
     from control.spindle import Spindle
 
-# Override bytes, from 0x90: which override, and its change in percent; 0 restores 100 %.
+# Override bytes, from 0x90: which override, and its change in percent; 0 restores 100 %. Rapids
+# have no changes but values.
 _FEED = const(0)
 _RAPID = const(1)
 _SPINDLE = const(2)
@@ -37,7 +38,7 @@ _OVERRIDES = {
 _SPINDLE_STOP = const(0x9E)
 _FLOOD_TOGGLE = const(0xA0)
 _MIST_TOGGLE = const(0xA1)
-_LOWEST = const(10)
+_LOWEST = const(10)  # percent, of feed and spindle
 _HIGHEST = const(200)
 
 # States in which blocks are executed, or wait for it.
@@ -64,7 +65,8 @@ class Overrides:
         self._has_mist = has_mist
 
     def apply_requests(self) -> None:
-        """Apply the override bytes received."""
+        """Apply the override bytes received. Those of one kind are applied together, so that their
+        order of arrival is lost; blocks are planned again once."""
         state = self._state
         # In percent, by _FEED, _RAPID and _SPINDLE.
         new = [state.feed_override, state.rapid_override, state.spindle_override]
@@ -73,12 +75,12 @@ class Overrides:
             if times and byte in _OVERRIDES:
                 which, change = _OVERRIDES[byte]
                 if which == _RAPID or change == 0:
-                    new[which] = change or 100  # rapids have fixed values; 0 restores
+                    new[which] = change or 100
                 else:
                     new[which] = min(max(new[which] + times * change, _LOWEST), _HIGHEST)
         if new[_FEED] != state.feed_override or new[_RAPID] != state.rapid_override:
             state.feed_override, state.rapid_override = new[_FEED], new[_RAPID]
-            state.override_countdown = 0
+            state.override_countdown = 0  # the next status report shows it
             self._planner.override()
         if new[_SPINDLE] != state.spindle_override:
             state.override_spindle(new[_SPINDLE])
@@ -87,7 +89,7 @@ class Overrides:
         self._accessory_overrides()
 
     def _asked(self, byte: int) -> int:
-        """Return how often that byte was received: each of a burst counts."""
+        """Return how often that override byte was received since the last call."""
         return self._state.take_event(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
     def override_spindle(self) -> None:
@@ -107,8 +109,8 @@ class Overrides:
             state.spindle[st.RPM] = reported
 
     def _accessory_overrides(self) -> None:
-        """Apply the toggles of spindle stop, flood and mist. An even number for a coolant changes
-        nothing."""
+        """Apply the toggles of spindle stop, flood and mist. An even number of toggles changes a
+        coolant not at all; the spindle stop counts once. Coolant only in Idle and motion."""
         state = self._state
         if self._asked(_SPINDLE_STOP):
             self.stop_spindle()
@@ -127,7 +129,8 @@ class Overrides:
             self.stop_spindle()
 
     def stop_spindle(self) -> None:
-        """Toggle the spindle stop override; only during a hold."""
+        """Request that a hold stops the spindle or, if this override has stopped it, starts it
+        again (Suspension does it); ignored except in a hold."""
         state = self._state
         if state.run == st.HOLD:
             if not state.stop_override:

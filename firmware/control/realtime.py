@@ -25,7 +25,12 @@ _HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)
 
 
 class Realtime:
-    """The state machine. resync copies the machine's position to planner and parser."""
+    """The state machine. resync copies the machine's position to planner and parser. _voice makes
+    and sends reports.
+
+    state.pending has a byte per event, and ANY, which is set with each of them. state.suspend: a
+    mask, why motion is suspended and how far that has progressed; 0: it is not.
+    """
 
     def __init__(self, machine: "Machine") -> None:
         self._state = machine.state
@@ -41,7 +46,8 @@ class Realtime:
     # Requests, from anywhere
 
     def post(self, byte: int) -> None:
-        """Post the event of a real-time byte. Unknown bytes are ignored."""
+        """Post the event of a real-time byte; each of the same overrides counts. Unknown bytes,
+        and a jog cancel except in a jog, are ignored."""
         state = self._state
         if byte in st.EVENTS:
             if byte != _JOG_CANCEL or state.run & st.JOG:
@@ -56,7 +62,8 @@ class Realtime:
     # Handling, in the main loop
 
     def run(self) -> None:
-        """Handle events; wait while motion is suspended. Raises Abort after a reset."""
+        """Handle events, wait while motion is suspended, then run the hooks of extras that belong
+        between lines. Raises Abort after a reset."""
         self.handle_events()
         if self._state.suspend:
             self.wait_suspended()
@@ -64,7 +71,8 @@ class Realtime:
             call_all(self._state.hooks.between_lines)
 
     def wait_suspended(self) -> None:
-        """Wait until motion is no longer suspended."""
+        """Wait until motion is no longer suspended; meanwhile run the suspension. Raises Abort
+        after a reset."""
         self._suspension.start()
         while self._state.suspend:
             self._suspension.run_step()
@@ -72,7 +80,8 @@ class Realtime:
             self.handle_events()
 
     def handle_events(self) -> None:
-        """Do as run(), but do not wait for a suspension to end."""
+        """Handle everything that is posted, in the order that the module states; poll the motors
+        and the extras. It does not wait for a suspension to end. Raises Abort after a reset."""
         state, motor_control = self._state, self._motor_control
         pending = state.pending
         if self._estop and self._estop():
@@ -90,7 +99,7 @@ class Realtime:
                 self._voice.send(report)
             motor_control.poll_motors()
             if pending[st.ANY]:
-                pending[st.ANY] = 0
+                pending[st.ANY] = 0  # before the events: an interrupt may post another
                 if pending[st.RESET]:
                     raise Abort  # posted meanwhile
                 if any(pending):
@@ -108,8 +117,8 @@ class Realtime:
             call_all(state.hooks.poll)
 
     def _holds(self) -> bool:
-        """Handle feed hold, door, sleep and motion cancel. Returns whether to ignore cycle
-        start."""
+        """Handle feed hold, door, sleep and motion cancel. Returns whether a cycle start posted
+        with them is to be ignored. In Alarm and check mode only sleep has an effect."""
         state = self._state
         cancel = state.take_event(st.CANCEL_MOTION)
         hold = state.take_event(st.FEED_HOLD)
@@ -135,8 +144,8 @@ class Realtime:
         return bool(cancel or hold or door)
 
     def _slow_down(self, sleep: int) -> None:
-        """Slow down and stop, unless motion is being cancelled. A jog is cancelled by any hold,
-        but not by sleep."""
+        """Slow down and stop, unless motion is being cancelled already. sleep: not 0 for a request
+        to sleep; anything else cancels a jog."""
         state = self._state
         if state.suspend & (st.MOTION_CANCEL | st.JOG_CANCEL):
             return
@@ -147,7 +156,8 @@ class Realtime:
 
     def _open_door(self) -> None:
         """Handle an open door. If the tool is being restored after an earlier opening, that stops
-        and the tool is retracted again. A jog is cancelled first."""
+        and the tool is retracted again. A jog is cancelled first: then _cycle_stop() enters
+        Door. Asleep, the machine stays asleep."""
         state = self._state
         self._voice.message(errors.MSG_DOOR_AJAR)
         if not state.suspend & st.JOG_CANCEL:
@@ -163,8 +173,9 @@ class Realtime:
         state.suspend |= st.DOOR_AJAR
 
     def _cycle_start(self) -> None:
-        """Handle a cycle start: resume after a hold or a closed door, or start planned motion.
-        After a door the tool is restored first, which posts another cycle start."""
+        """Handle a cycle start: resume after a hold or a closed door, or start planned motion;
+        ignored in other states and while motion still slows down. After a door the tool is
+        restored first, which posts another cycle start."""
         state = self._state
         if state.run == st.DOOR and not state.suspend & st.DOOR_AJAR:
             if state.suspend & st.RESTORE_COMPLETE:
@@ -183,7 +194,7 @@ class Realtime:
         has_motion = not self._planner.empty() and not state.suspend & st.MOTION_CANCEL
         state.suspend = 0
         state.enter(st.IDLE)
-        touches = self._motor_control.touches
+        touches = self._motor_control.touches  # set while probing; a contact: do not move on
         if has_motion and not (touches and touches()):
             self._motor_control.start(st.RUN)
         if state.update_spindle:
@@ -191,14 +202,14 @@ class Realtime:
 
     def _cycle_stop(self) -> None:
         """Handle the end of motion: a hold is complete, a jog is cancelled, or the machine is
-        idle."""
+        idle. soft_limit: a hold before that alarm ends in Idle."""
         state = self._state
         cancelled = state.suspend & st.JOG_CANCEL
         if state.run & _HOLDS and not state.soft_limit and not cancelled:
             if state.holding:
                 state.suspend |= st.HOLD_COMPLETE
             state.holding = False
-            state.system_motion = False
+            state.system_motion = False  # a parking move, too, ends here
             return
         if cancelled:
             self._planner.clear()

@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 
 class Saves:
-    """A Store in front of another one, which changes only in write_due()."""
+    """A Store in front of another one, which changes only in write_due().
+
+    damaged: names whose data was damaged, with True if an older copy was used. due: lines to
+    write, by name.
+    """
 
     def __init__(self, store: "Store") -> None:
         self._store = store
@@ -23,11 +27,11 @@ class Saves:
 
     def load(self, name: str) -> "list[str] | None":
         """Return the lines stored under that name: an empty list if there never were any, None if
-        they are lost."""
+        they are lost. Due lines are not considered."""
         return self._store.load(name)
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
-        """Replace them at the next write_due()."""
+        """Replace the lines under that name at the next write_due()."""
         self.due[name] = list(lines)
 
     def write_due(self) -> None:

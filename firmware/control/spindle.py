@@ -28,29 +28,31 @@ _TURNING = const(0x30)
 # Lowest power of a turning spindle.
 _MIN_POWER = const(1)
 
-# More places in State.spindle (see base/state.py): S, from which power is computed;
-ASKED = const(0)
-# $30; $31; -$31; full power, a whole number; power per rpm above $31; the same in 1/64.
-HIGHEST = const(3)
-_LOWEST = const(4)
-_LESS = const(5)
-_FULL = const(6)
-_GRADIENT = const(7)
-_FINE = const(8)
+# Indices into State.spindle, floats. Those of base/state.py: RPM, the speed after override and
+# limits, and OVERRIDE_PART, the override as a fraction. More of them:
+ASKED = const(0)  # the programmed rpm, from which power is computed
+HIGHEST = const(3)  # $30, rpm
+_LOWEST = const(4)  # $31, rpm
+_LESS = const(5)  # -$31
+_FULL = const(6)  # full power; this one is stored as an integer
+_GRADIENT = const(7)  # power per rpm above $31
+_FINE = const(8)  # the same in 1/64 of a power step
 LASER = const(9)  # 0: not a laser
-_ONE = const(0x3F800000)  # the float 1
+_ONE = const(0x3F800000)  # the bits of the float 1.0
 _FINE_PER_POWER = const(64)
 _STEEPEST = 8388608.0  # 2**23, above power at $30 from 0 rpm: 64 times it must have 30 bits
 
 
 @micropython.viper
 def power_from_rpm(scale: ptr32, flags: int) -> int:
-    """Return the power of a planner block with these flags: see slice_kernel.scaled_power().
+    """Return the spindle power of a planner block with these flags, in PWM steps; with DYNAMIC, a
+    laser in M4, in 1/64 of one, to be scaled by the speed (slice_kernel.scaled_power()).
 
-    scale: State.spindle, floats as bits; those that are not negative compare as the floats do.
-    scale[ASKED], the programmed rpm, is lost. scale[RPM] becomes the speed while idle: 0 for a
-    laser in M4. Power is 1 + (rpm - $31) * gradient; with DYNAMIC it is rpm * gradient in 1/64,
-    rpm at most $30.
+    scale: State.spindle, floats as bits; those that are not negative compare as integers do.
+    scale[ASKED] holds the programmed rpm and is overwritten. scale[RPM] becomes the speed to
+    report: 0 with DYNAMIC. Power is 1 + (rpm - $31) * gradient, from 1 to full power, and 0 for 0
+    rpm; with DYNAMIC it is rpm * gradient in 1/64, rpm at most $30. The variable `rpm` is rpm
+    first, and power after the multiplications.
     """
     if not flags & _TURNING:
         return 0
@@ -86,8 +88,8 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
 
 
 def in_range(scale: "array[float]", rpm: float) -> float:
-    """Return the speed for a programmed one: with override, from $31 to $30; as Grbl, $30 for
-    every speed if $31 is not below it. scale: State.spindle."""
+    """Return the speed that a programmed rpm results in: with the override, limited to $31 to $30;
+    0 stays 0. As in Grbl, $30 for every speed if $31 is not below it. scale: State.spindle."""
     rpm = f32(rpm * scale[OVERRIDE_PART])
     highest, lowest = scale[HIGHEST], scale[_LOWEST]
     if rpm >= highest or lowest >= highest:
@@ -96,18 +98,22 @@ def in_range(scale: "array[float]", rpm: float) -> float:
 
 
 class Spindle:
-    """One PWM spindle with a direction pin."""
+    """One PWM spindle with a direction pin.
+
+    enable_by_direction: that pin is an enable pin instead (_has_enable); M3 and M4 are then the
+    same. laser: laser mode ($32). _power: in PWM steps. _direction: CW or CCW, of the pin.
+    _reversed: M4; in laser mode power then follows the speed.
+    """
 
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
         self._port = port
         self._state = state
-        # The direction pin is an enable pin: M3 and M4 are then the same.
         self._has_enable = enable_by_direction
         self._power = 0
-        self._direction = CW  # of the direction pin
+        self._direction = CW
         self._enabled = False
         self.laser = False
-        self._reversed = False  # M4; in laser mode power then follows the speed
+        self._reversed = False
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
         """Apply $30, $31 and $32. table: the planner's, for the kernels.
@@ -135,17 +141,20 @@ class Spindle:
         copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL:], 1)
 
     def power(self, rpm: float) -> int:
-        """Return the power for a programmed speed with its override; sets the state's RPM."""
+        """Return the power in PWM steps for a programmed rpm, with override and limits; sets the
+        speed that is reported."""
         return self.block_power(CW, rpm)
 
     def block_power(self, flags: int, rpm: float) -> int:
-        """Return the power of a planner block with these flags: see power_from_rpm()."""
+        """Return the power of a planner block with these flags and programmed rpm, and set the
+        speed that is reported: see power_from_rpm()."""
         scale = self._state.spindle
         scale[ASKED] = rpm
         return power_from_rpm(scale, flags)
 
     def set_speed(self, direction: int, rpm: float) -> None:
-        """Set direction and speed at once. In laser mode M4 starts without power."""
+        """Set direction (OFF, CW or CCW) and programmed speed at once; the next status report
+        shows it. In laser mode M4 starts without power."""
         if direction == OFF:
             self._reversed = False
             self._state.spindle[RPM] = 0.0
@@ -155,15 +164,15 @@ class Spindle:
         self._state.override_countdown = 0
 
     def restore_laser(self, direction: int, rpm: float) -> None:
-        """Restore a laser that a hold has switched off: set_speed(), but without a report of the
-        override, as Grbl."""
+        """Switch on: direction is CW or CCW. Restores a laser that a hold has switched off; unlike
+        set_speed() it does not make the next status report show it, as in Grbl."""
         self.enable(direction)
         if self.laser and self._reversed:
             rpm = 0.0
         self.set_power(self.power(rpm))
 
     def enable(self, direction: int) -> None:
-        """Set direction, CW or CCW, and the enable pin; motion sets the power."""
+        """Set direction, CW or CCW, or the enable pin; power is set elsewhere."""
         self._reversed = direction == CCW
         self._direction = CW if self._has_enable else direction
         self._enabled = True
@@ -171,13 +180,14 @@ class Spindle:
         self._port.direction(1 if self._has_enable or direction == CCW else 0)
 
     def set_power(self, power: int) -> None:
-        """Set the power of the segment that begins. Safe in an interrupt."""
+        """Set the power, in PWM steps; the engine calls it as a segment begins. Safe in an
+        interrupt."""
         if power != self._power:
             self._power = power
             self._port.spindle(power != 0, power)
 
     def on_motion_end(self) -> None:
-        """Motion has ended: switch off a beam whose power follows the speed. Interrupt."""
+        """Switch off a beam whose power follows the speed, because motion has ended. Interrupt."""
         if self._reversed and self.laser:
             self.set_power(0)
 

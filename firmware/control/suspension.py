@@ -31,13 +31,19 @@ _COOLANT_DELAY_MS = const(1000)
 _PARK_AXIS = Z
 _PARK_TARGET_MM = -5.0  # machine coordinates
 _PARK_RATE = 500.0  # mm/min
-_PULL_OUT_RATE = 100.0
-_PULL_OUT_MM = 5.0
+_PULL_OUT_RATE = 100.0  # mm/min, out of the material with the spindle on
+_PULL_OUT_MM = 5.0  # upwards
 
 
 class Suspension:
-    """Holds, door and sleep. position copies the machine's position, in mm; parks: the board has
-    the parking option."""
+    """Holds, door and sleep.
+
+    position copies the machine's position, in mm. parks: the board has the parking option. _voice
+    sends messages. _flags, _rpm: spindle, coolant and speed of the block that was held; _lit: the
+    laser was on before. _routine: the work in progress, None for none. While parking, in mm of
+    machine coordinates, _target is a move's end; _resume_at the position to come back to;
+    _waypoint where the slow part of the way ends, on the parking axis.
+    """
 
     def __init__(self, machine: "Machine", parks: bool) -> None:
         self._state = machine.state
@@ -60,11 +66,12 @@ class Suspension:
         self._target = vector(machine.planner.axes)
         self._resume_at = vector(machine.planner.axes)
         self._waypoint = 0.0
-        self._lit = False  # the laser was on before the hold switched it off
-        self._routine: "Iterator[None] | None" = None  # the work in progress
+        self._lit = False
+        self._routine: "Iterator[None] | None" = None
 
     def run_step(self) -> None:
-        """Do one turn of a suspension."""
+        """Do one turn of a suspension: advance the routine in progress to its next yield; without
+        one choose what to do."""
         if not self._routine:
             self._choose()
         if self._routine:
@@ -74,7 +81,7 @@ class Suspension:
                 self._routine = None
 
     def _choose(self) -> None:
-        """Do the next work: at once, or as a routine."""
+        """Do what the run state asks for once motion has stopped: at once, or set a routine."""
         state = self._state
         if not state.suspend & st.HOLD_COMPLETE:
             return
@@ -88,7 +95,7 @@ class Suspension:
             self._door()
 
     def _pause(self, milliseconds: int) -> "Iterator[None]":
-        """Wait, unless the door opens again."""
+        """Routine: wait so many ms; it ends early if the door opens again."""
         since = self._port.ticks_ms()
         while self._port.elapsed_ms(since) < milliseconds and not self._interrupted():
             yield
@@ -96,10 +103,12 @@ class Suspension:
     # Feed hold
 
     def start(self) -> None:
-        """Begin a suspension: store spindle direction and speed, and switch a laser off."""
+        """Begin a suspension: store what spindle and coolant do in the block being executed, or
+        the next one; without a block, as programmed. A laser is switched off by a spindle stop
+        override."""
         self._routine = None
         self._lit = False
-        row = self._planner.row()
+        row = self._planner.row()  # the block's integers; None: no block is planned
         if row is None:
             self._flags = self._modes.accessory_flags()
             self._rpm = self._modes.rates[RPM]
@@ -111,9 +120,13 @@ class Suspension:
 
     def _hold(self) -> None:
         """Do one turn of a complete hold: stop or restore the spindle if its stop override asks
-        for that, else apply a changed spindle override."""
+        for that, else apply a changed spindle override.
+
+        STOP_RESTORE comes from another toggle of the override, STOP_RESTORE_CYCLE from a cycle
+        start, which is posted again once the spindle turns.
+        """
         state = self._state
-        stopping = state.stop_override
+        stopping = state.stop_override  # mask of its requests and its state
         if stopping & st.STOP_INITIATE:
             state.stop_override = 0
             if self._modes.modal[SPINDLE]:
@@ -126,7 +139,7 @@ class Suspension:
             if stopping & st.STOP_RESTORE_CYCLE:
                 state.post(st.CYCLE_START)
             else:
-                state.override_countdown = 0
+                state.override_countdown = 0  # the next status report shows the spindle
             state.stop_override = 0
         elif not stopping and state.update_spindle:
             self._spindle.set_speed(self._flags & plan.SPINDLE_MASK, self._rpm)
@@ -138,7 +151,8 @@ class Suspension:
         self._spindle.set_speed(0, 0.0)
 
     def _restore_spindle(self) -> None:
-        """Start the spindle as it was. A laser with motion ahead gets its power from that."""
+        """Start the spindle as it was before the hold. With planned motion a laser's power is
+        computed again per block and set when motion resumes."""
         spindle, direction = self._spindle, self._flags & plan.SPINDLE_MASK
         if not spindle.laser:
             spindle.set_speed(direction, self._rpm)
@@ -172,7 +186,7 @@ class Suspension:
 
     def _retract(self) -> "Iterator[None]":
         """Routine: after a hold by door or sleep, park if the board does, and switch spindle and
-        coolant off."""
+        coolant off. A request to start it again (RESTART_RETRACT) is thereby done."""
         state = self._state
         state.stop_override = 0
         if self._parks:
@@ -183,7 +197,8 @@ class Suspension:
         state.suspend |= st.RETRACT_COMPLETE
 
     def _door(self) -> None:
-        """Do one turn of an open door: note when it is closed; restore after a cycle start."""
+        """Do one turn after the door was opened and the tool retracted: note when the door is
+        closed; restore after a cycle start."""
         state = self._state
         if not self._inputs.door_open():
             state.suspend &= ~st.DOOR_AJAR
@@ -191,9 +206,10 @@ class Suspension:
             self._routine = self._restore()
 
     def _restore(self) -> "Iterator[None]":
-        """Routine: undo _retract(), in the reverse order, then post a cycle start. It ends early
-        if the door opens."""
+        """Routine: undo _retract(), in the reverse order, then post a cycle start. If the door
+        opens, the rest is left out."""
         state = self._state
+        # Down to the end of the slow part, only if parking has moved the tool up.
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
             yield from self._park_move(self._target, _PARK_RATE, False)
@@ -213,21 +229,21 @@ class Suspension:
     # Parking
 
     def _may_park(self) -> bool:
-        """Return whether parking is possible now: machine coordinates must be valid."""
+        """Return whether parking is possible now: homing is enabled (it makes machine coordinates
+        valid), the tool is no laser, M56 allows it, and no probing is in progress."""
         return (
             bool(self._settings.homing)
             and not self._spindle.laser
             and self._state.override_control
-            # While probing, the tool stays where it is.
             and self._motor_control.touches is None
         )
 
     def _park(self) -> "Iterator[None]":
-        """Routine: pull out slowly with the spindle on, then retract fast with it off. Without
-        parking, only spindle and coolant are switched off."""
+        """Routine: pull out slowly with the spindle on, then retract fast with it off. If parking
+        is not possible or the tool is high enough, only spindle and coolant are switched off."""
         target = self._target
         self._position(target)
-        if not self._interrupted():  # else these are those of the first retract
+        if not self._interrupted():  # a second retract keeps the values of the first
             self._resume_at[:] = target
             self._waypoint = min(target[_PARK_AXIS] + _PULL_OUT_MM, _PARK_TARGET_MM)
         if not self._may_park() or target[_PARK_AXIS] >= _PARK_TARGET_MM:
@@ -244,8 +260,9 @@ class Suspension:
     def _park_move(
         self, target: "array[float]", rate: float, with_accessories: bool
     ) -> "Iterator[None]":
-        """Routine: move to target (mm) at a rate (mm/min), outside the planner's ring; with
-        spindle and coolant as in the held block, or without."""
+        """Routine: move to target (mm) at a rate (mm/min), outside the planner's ring, whose
+        blocks stay; with spindle and coolant as in the held block, or without. It ends when motion
+        ends, and leaves the machine held."""
         state = self._state
         move = self._move
         move.clear()
@@ -260,7 +277,7 @@ class Suspension:
         self._segments.begin_system()
         self._engine.position(self._steps)
         planned = self._planner.system_line(target, move, power, self._steps)
-        if planned:
+        if planned:  # not a move without steps
             state.system_motion = True
             state.holding = False
             self._segments.hold(False)

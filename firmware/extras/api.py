@@ -48,15 +48,16 @@ _RENAMED = {
 
 
 class Cnc:
-    """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm."""
+    """The machine, as an extra sees it. Units are Grbl's: mm, mm/min, rpm. entries: each returns
+    why a program cannot be entered at a line in its middle now, or "". job: the running job of a
+    board with JOBS, else None."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._hooks = machine.state.hooks
         self._words = CustomCodes(machine)
-        # Each returns why a program cannot be entered at a line in its middle now, or "".
         self.entries: "list[Callable[[], str]]" = []
-        self.job: "Job | None" = None  # the running job of a board with JOBS
+        self.job: "Job | None" = None
 
     # Parts and answers
 
@@ -96,8 +97,8 @@ class Cnc:
         """Add settings, as in base/settings.py: number, attribute, kind, default, unit.
 
         without: numbers of settings to remove; their attributes keep the default. file: the name
-        under which all settings are stored. words: their descriptions in the $$ of Grbl 0.9, by
-        number.
+        under which all settings are stored, "" for the name as it is. words: the descriptions of
+        the new ones in the $$ of Grbl 0.9, by number.
         """
         settings = self._machine.settings
         for number, attribute, _, default, _ in settings.rows:
@@ -111,17 +112,20 @@ class Cnc:
             descriptions.update(words)
 
     def check_setting(self, number: int, check: "Callable[[float], object]") -> None:
-        """Register a check of a setting's new value. It raises GrblError to refuse the value."""
+        """Register a check of a setting's new value: check(value) raises GrblError to refuse it.
+        number: the setting's."""
         settings = self._machine.settings
 
         def check_one(changed: int, value: float) -> None:
+            """Check the value if it is that setting's. changed: the number of the one to set."""
             if changed == number:
                 check(value)
 
         settings.checks += (check_one,)
 
     def add_alarms(self, words: "dict[int, str]") -> None:
-        """Add the texts by which Grbl 0.9 reports alarms, because it has no alarm numbers."""
+        """Add the texts by which Grbl 0.9 reports alarms, by number; without effect in other
+        dialects."""
         texts = getattr(self._machine.report, "alarms", None)  # only in 0.9's reports
         if texts is not None:
             texts.update(words)
@@ -144,7 +148,8 @@ class Cnc:
         letters: str = "",
         sync: bool = True,
     ) -> None:
-        """Add a G word, as add_m(): 81, 81.1, or with an L that Grbl does not use, "10 L1"."""
+        """Add a G word. number: 81, 81.1, or with an L that Grbl does not use, "10 L1"; the other
+        arguments are those of add_m()."""
         self._words.add("G", number, call, letters, sync)
 
     def add_cycle(
@@ -171,7 +176,7 @@ class Cnc:
         )
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
-        """Return whether Grbl or an extra already has that G or M word."""
+        """Return whether Grbl or an extra already has that G or M word. number: as for add_g()."""
         return self._words.is_taken(letter, number)
 
     def has_word(self, line: bytearray, length: int) -> bool:
@@ -196,6 +201,7 @@ class Cnc:
         previous_find = hooks.find_command
 
         def execute(line: bytearray, length: int) -> None:
+            """Execute a line with our command."""
             call(bytes(line[1 + len(name) : length]))  # without $ and the name
 
         def find(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
@@ -225,6 +231,7 @@ class Cnc:
             state_before = state.run
 
             def execute_and_call(line: bytearray, length: int) -> None:
+                """Execute the line; then call the function, unless that has raised."""
                 execute(line, length)
                 call(state_before)
 
@@ -256,6 +263,7 @@ class Cnc:
                 previous_post(received)
 
         def call_if_received() -> None:
+            """Call the function if the byte was received since the last turn of the loop."""
             if is_received[0]:
                 is_received[0] = 0
                 call()
@@ -307,7 +315,8 @@ class Cnc:
         self._hooks.spun += (call,)
 
     def after_controls(self, call: "Callable[[int], object]") -> None:
-        """Register a function for changed control inputs. It gets the mask of base/controls.py.
+        """Register a function for changed control inputs. It gets the mask of those that are
+        active (base/controls.py).
 
         It runs in an interrupt: it must not allocate, and has almost no stack.
         """
@@ -320,6 +329,7 @@ class Cnc:
 
         @micropython.native
         def call_both(active: int) -> None:
+            """Call the functions registered before, then this one. Interrupt."""
             previous(active)
             call(active)
 
@@ -330,6 +340,7 @@ class Cnc:
         previous = self._hooks.alarm
 
         def alarm(code: int) -> None:
+            """Report an alarm, then call the function."""
             previous(code)
             call(code)
 

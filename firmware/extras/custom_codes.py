@@ -26,11 +26,12 @@ if TYPE_CHECKING:
     Key = tuple[str, int, int]
 
 _G10 = const(100)  # in tenths
-_GRBLS_L = (2, 20)  # the L that Grbl has with G10
+_GRBLS_L = (2, 20)  # numbers of L that Grbl has with G10
 
 
 def word_of(letter: str, number: "float | str") -> "Key":
-    """Return the key of a word: 81, 81.0 and "81" are the same. ValueError if not a number."""
+    """Return the key of a word, for 81, 81.0 and "81" the same; "10 L1" is G10 with L1. ValueError
+    if number is none."""
     plain, _, l_number = str(number).partition(" L")
     return letter, _tenths(float(plain)), _tenths(float(l_number or 0))
 
@@ -59,7 +60,8 @@ def is_grbls(letter: str, tenths: int) -> bool:
 
 
 class CustomCodes:
-    """The added words. The first one wraps the execution of lines."""
+    """The added words, by key. The first one that is added wraps the execution of lines. _read:
+    the words of the line that find() has read last."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
@@ -67,7 +69,8 @@ class CustomCodes:
         self._read = Words(len(machine.reader.line))
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
-        """Return whether Grbl or an extra already has that G or M word."""
+        """Return whether Grbl or an extra already has that word: letter G or M, number as in
+        add()."""
         key = word_of(letter, number)
         if key in self._words:
             return True
@@ -85,13 +88,15 @@ class CustomCodes:
         letters: str,
         sync: bool,
     ) -> None:
-        """Add a word; see Cnc.add_m(). ValueError if the word is taken."""
+        """Add a word: letter G or M, and its number, or "10 L1" for G10 with L1. call gets the
+        numbers of `letters`, of which lower-case ones are optional; sync: it waits for the end of
+        motion. ValueError if the word is taken."""
         if self.is_taken(letter, number):
             raise ValueError("%s%s is taken" % (letter, number))
         if not self._words:
             self._wrap_lines()
         key = word_of(letter, number)
-        has_l = key[2] > 0
+        has_l = key[2] > 0  # tenths of its L
         self._words[key] = call, letters, sync, letters.upper() + ("NL" if has_l else "N")
 
     def _wrap_lines(self) -> None:
@@ -101,7 +106,7 @@ class CustomCodes:
 
         @micropython.native
         def execute(line: bytearray, length: int) -> None:
-            """Execute a line; one with an added word does nothing in check mode."""
+            """Execute a line; one with an added word is only checked in check mode."""
             word = self.find(line, length)
             if word is None:
                 previous(line, length)
@@ -113,7 +118,8 @@ class CustomCodes:
         hooks.execute = execute
 
     def find(self, line: bytearray, length: int) -> "Word | None":
-        """Return the added word on this line, or None."""
+        """Return the added word on this line, or None. A word may be added for one value of L, as
+        G10 L1: with that L on the line it takes precedence. The words read stay in _read."""
         words = self._read
         words.read(line, 0, length)
         count = words.count
@@ -121,6 +127,7 @@ class CustomCodes:
         l_tenths = _tenths(words.values[index_of_l]) if index_of_l >= 0 else 0
         for i in range(count):
             letter, tenths = "%c" % words.letters[i], _tenths(words.values[i])
+            # Its key with the line's L; then its key without one.
             word = self._words.get((letter, tenths, l_tenths)) or self._words.get(
                 (letter, tenths, 0)
             )
@@ -131,8 +138,9 @@ class CustomCodes:
     def _numbers(self, word: "Word") -> "list[float | None]":
         """Check the line read last, and return its numbers in the order of the word's letters.
 
-        None stands for an optional letter (lower case) that the line does not have. If the word
-        waits for motion, this returns when motion has ended.
+        word: as add() has stored it. None stands for an optional letter (lower case) that the line
+        does not have. If the word waits for motion, this returns when motion has ended. GrblError
+        if the line is wrong.
         """
         _, letters, sync, allowed = word
         numbers = self._arguments(allowed)

@@ -31,7 +31,10 @@ _LETTERS = {
 
 
 class Cycle:
-    """A cycle in the XY plane, with absolute coordinates (G90). See Cnc.add_cycle()."""
+    """A cycle in the XY plane, with absolute coordinates (G90). plan, letters: see
+    Cnc.add_cycle(). kept: the numbers that hold for the next line, that of Z first, then those of
+    letters, None for one that has not been given; [] before the first line. check() computes
+    _numbers, the same of its line, and _steps, its moves."""
 
     def __init__(
         self, machine: "Controller", plan: "Callable[..., Iterable[Step]]", letters: str
@@ -42,13 +45,13 @@ class Cycle:
         self._uses = 0  # mask of the words that the cycle has, as b.WORDS
         for letter in letters.upper():
             self._uses |= _LETTERS[letter][0]
-        # The numbers that hold for the next line, Z first, and those of the line being checked.
         self.kept: "list[float | None]" = []
         self._numbers: "list[float | None]" = []
-        self._steps: "Iterable[Step]" = ()  # the moves of the line being checked
+        self._steps: "Iterable[Step]" = ()
 
     def check(self, block: "Block") -> None:
-        """Refuse a wrong line, or compute its moves. Nothing changes."""
+        """Refuse a wrong line by GrblError, or compute its moves. The machine does not change.
+        block: the line's modes (ints), axis targets in mm (xyz) and numbers (singles)."""
         ints, modes = block.ints, self._modes
         if ints[PLANE] or ints[RELATIVE] or ints[INVERSE_TIME]:
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
@@ -71,7 +74,8 @@ class Cycle:
         self._numbers = numbers
 
     def _number_of(self, block: "Block", letter: str) -> "float | None":
-        """Return a letter's number in mm, or None. R is a height in machine coordinates."""
+        """Return a letter's number, or None if the line does not have it: lengths in mm, R as a
+        height in machine coordinates, L and P as written."""
         bit, index = _LETTERS[letter]
         if not block.ints[b.WORDS] & bit:
             return None
@@ -83,15 +87,15 @@ class Cycle:
         return number
 
     def make(self, block: "Block", move: "Move") -> None:
-        """Plan the moves that check() has computed."""
+        """Plan the moves that check() has computed: rapids, or with the line's feed."""
         self.kept = self._numbers
-        place = block.xyz
+        xyz = block.xyz
         for target, rapid in self._steps:
             for axis in range(block.axes):
-                place[axis] = target[axis]
+                xyz[axis] = target[axis]
             move.flags &= ~layout.RAPID_MOTION
             if rapid:
                 move.flags |= layout.RAPID_MOTION
-            self._canon.line(place, move)
+            self._canon.line(xyz, move)
             self._canon.finish()
-            self._modes.position[:] = place
+            self._modes.position[:] = xyz

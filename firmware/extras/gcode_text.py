@@ -23,7 +23,8 @@ def code_of(line: str) -> str:
 
 
 def words_of(text: str) -> "list[tuple[str, float]]":
-    """Return letters and numbers. ValueError if a letter has no number."""
+    """Return each letter and its number. text: code_of()'s result. ValueError if a letter has no
+    number."""
     return [(letter, float(number)) for letter, number in as_written(text)]
 
 

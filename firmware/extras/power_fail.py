@@ -86,7 +86,9 @@ def install(cnc: "Cnc") -> None:
 
 
 class PowerFail:
-    """The supply's failure. lasts_ms: from the edge on; up_mm: 0 if Z stays."""
+    """The supply's failure. lasts_ms: how long the supply lasts after the edge; up_mm: how far Z
+    goes up, 0 if it stays. _since: ticks_ms() at the edge. _phase: _GOOD to _OVER. _unread: why a
+    record may be unread, 0 for none. _here: position in mm, scratch."""
 
     def __init__(self, cnc: "Cnc", power: "PowerInput", lasts_ms: int, up_mm: int) -> None:
         machine = cnc.machine
@@ -130,13 +132,14 @@ class PowerFail:
             self._phase = _STOPPING
 
     def _on_fault(self) -> None:
-        """Handle an exception in the interrupt."""
+        """Stop everything with an internal alarm, because on_fail() has raised. Interrupt."""
         self._port.fault = "POWER_FAIL: its callback has failed"
         self._port.kill()
         self._motor_control.on_fault()
 
     def may_start(self) -> bool:
-        """Return whether motion may start: not while the supply fails, except upwards."""
+        """Return whether motion may start: not while the supply fails, except Z upwards. After a
+        failure that was only short, the start watches the supply again."""
         if self._phase == _OVER:
             self._begin()
             if not self._input.is_good():
@@ -144,7 +147,7 @@ class PowerFail:
         return self._phase in (_GOOD, _RISING)
 
     def _begin(self) -> None:
-        """Watch the input again."""
+        """Watch the input again, after a failure that is over."""
         self._phase = _GOOD
         self._input.arm()
 
@@ -152,7 +155,8 @@ class PowerFail:
 
     @micropython.native
     def poll(self) -> None:
-        """Run one turn: nothing while the supply is good."""
+        """Run one turn of the main loop. While the supply is good: arm the input again, and read a
+        record that an earlier failure has left. Else stop, write the record, end with an alarm."""
         if self._phase == _GOOD:
             if self._input.is_good():
                 if not self._input.is_armed:  # interference was over before it was read
@@ -169,6 +173,8 @@ class PowerFail:
             self._end()  # the tool was started after $X
 
     def _go_on(self) -> None:
+        """Do the next step after the edge, once motion has stopped or its time is over: write the
+        record, raise Z or end with an alarm."""
         flags = _CERTAIN
         if not self._engine.idle():
             if self._phase == _STOPPING:
@@ -177,7 +183,7 @@ class PowerFail:
             if self._is_early() or self._phase == _RISING:
                 return
             self._engine.stop()
-            flags = 0
+            flags = 0  # steps may be lost
         if self._state.run in (st.ALARM, st.CHECK):
             self._end()  # nothing has moved
         elif self._phase == _STOPPING and flags and self._lifts():
@@ -191,10 +197,11 @@ class PowerFail:
             self._end()
 
     def _is_early(self) -> bool:
+        """Return whether the supply lasts long enough for more than the record."""
         return self._port.elapsed_ms(self._since) < self._lasts_ms - _LAST_MS
 
     def _write(self, flags: int) -> None:
-        """Write the record."""
+        """Write the record: position, job and line. flags: _CERTAIN, _LIFT."""
         job = self._cnc.job
         line, crc = job.line_at_stop(bool(flags & _CERTAIN)) if job else (0, 0)
         self._machine.position(self._here)
@@ -204,7 +211,7 @@ class PowerFail:
         )
 
     def _end(self) -> None:
-        """Stop the machine with an alarm."""
+        """Stop the machine with an alarm, for a supply that has not failed after all."""
         self._motor_control.reset()
         self._state.alarm = ALARM_POWER_FAIL
         self._phase = _OVER
@@ -212,23 +219,27 @@ class PowerFail:
     # Z up
 
     def _lifts(self) -> bool:
-        """Return whether Z is to go up: it is homed, and the supply lasts."""
+        """Return whether Z is to go up: the board file asks for it, Z is homed, a program was
+        moving (in a jog, in Idle and while parking Z stays), and the supply lasts."""
         run = self._state.run
         homed = self._machine.homing_probing.homed >> Z & 1
         moves = run in (st.RUN, st.HOLD) and not self._state.system_motion
         return bool(self._up_mm and homed and moves and self._is_early())
 
     def _lift(self) -> bool:
-        """Start Z upwards, as far as it may go. False if it cannot move."""
+        """Start Z upwards by up_mm or, if that is outside the travel, by a half or a quarter of
+        it. False if it cannot move."""
         machine, target = self._machine, vector(len(self._here))
         target[:] = self._here
-        for part in (1.0, 0.5, 0.25):
+        for part in (1.0, 0.5, 0.25):  # of up_mm
             target[Z] = self._here[Z] + self._up_mm * part
             if not machine.canon.outside(target):
                 return self._start_up(target)
         return False
 
     def _start_up(self, target: "array[float]") -> bool:
+        """Start a move to target (mm) outside the planner's ring, at the maximum rate of Z. False
+        if it has no steps."""
         machine, state = self._machine, self._state
         move = self._move
         move.clear()
@@ -262,6 +273,7 @@ class PowerFail:
             self._cnc.message("POWER_FAIL: flash has no page for it: no line will be recorded")
 
     def _report(self, record: bytes) -> None:
+        """Send a record as a message, and give its line to the journal if the job is the same."""
         flags, axes, crc, line = struct.unpack(_HEAD, record[: struct.calcsize(_HEAD)])
         here = struct.unpack("<%df" % axes, record[-4 * axes :])
         job = self._cnc.job
@@ -272,8 +284,8 @@ class PowerFail:
         sure = "position certain" if flags & _CERTAIN else "stopped at speed, position not certain"
         if flags & _LIFT:
             sure += ", Z perhaps higher"
-        places = ["%s%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
-        self._cnc.message("%s, %s: %s" % (what, sure, " ".join(places)))
+        positions = ["%s%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
+        self._cnc.message("%s, %s: %s" % (what, sure, " ".join(positions)))
 
     def report_time(self) -> None:
         """Report, with $I, how long a stop takes with the present settings, at most."""

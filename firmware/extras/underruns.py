@@ -18,7 +18,9 @@ _AGAIN_MS = const(1000)  # a later start follows a pause of the sender
 
 
 class Underruns:
-    """Count underruns, by hooks at each stop and start of motion."""
+    """Count underruns, by hooks at each stop and start of motion. _stopped: motion ended without a
+    hold, at _since_ms; _asked: something waited for the end of motion. _health: the function whose
+    line $I+ printed before this extra."""
 
     def __init__(self, cnc: "Cnc") -> None:
         self.count = 0
@@ -26,9 +28,9 @@ class Underruns:
         self._cnc = cnc
         self._state = machine.state
         self._port = machine.port
-        self._stopped = False  # motion ended without a hold,
-        self._since_ms = 0  # at this time
-        self._asked = False  # something waited for the end of motion
+        self._stopped = False
+        self._since_ms = 0
+        self._asked = False
         self._health = machine.commands.health
         hooks = machine.state.hooks
         hooks.stops += (self._stops,)
@@ -36,13 +38,14 @@ class Underruns:
         self._probe, hooks.probe = hooks.probe, self._probes
 
     def _stops(self) -> None:
-        """Note that the engine has nothing left to do."""
+        """Note that the engine has nothing left to do, and whether that is without a hold."""
         state = self._state
         self._stopped = state.run == st.RUN and not state.holding
         self._since_ms = self._port.ticks_ms()
 
     def _waited(self) -> None:
-        """Note that something waited for the end of motion. It may have started that motion."""
+        """Note that something waited for the end of motion: the stop before, and a start that the
+        wait itself has caused, are no underrun."""
         self._asked = True
 
     def _probes(self, *asked: "Any") -> bool:
@@ -53,6 +56,7 @@ class Underruns:
 
     def on_start(self) -> None:
         """Count the start if it ends an underrun."""
+        # Motion of a program goes on after a stop that nothing asked for.
         again = self._stopped and not self._asked and self._state.run == st.RUN
         if again and self._port.elapsed_ms(self._since_ms) < _AGAIN_MS:
             self.count += 1

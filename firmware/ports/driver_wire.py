@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _UARTS = (1, 0)
 _BAUD = const(115200)
 _PATIENCE_MS = const(3)  # twelve bytes take 1.1 ms, and a driver waits 0.2 ms at most
-_BUFFER = const(32)
+_BUFFER = const(32)  # bytes, more than a request and its answer
 
 
 def of_board(board: "ModuleType") -> "DriverWire":
@@ -47,15 +47,17 @@ def _make_uart(number: int, tx: int, rx: int) -> "Any":
 
 
 class DriverWire:
-    """The wire. Main loop only, while idle: an exchange takes 2 ms, or 4 if no driver answers."""
+    """The wire. uart: a machine.UART. Main loop only, while idle: an exchange takes 2 ms, or 4 if
+    no driver answers."""
 
     def __init__(self, uart: "Any") -> None:
         self._uart = uart
         self._in = bytearray(_BUFFER)
 
     def exchange(self, request: "bytes | bytearray", answer_bytes: int) -> "bytes | None":
-        """Send a request and return the answer, which is short or empty if the driver did not
-        answer in time. None if not even the request came back: the wire is broken."""
+        """Send a request and return the answer of answer_bytes, which is short or empty if the
+        driver did not answer in time. None if not even the request came back: the wire is
+        broken."""
         uart, length = self._uart, len(request)
         while uart.any():  # drop what came late
             uart.readinto(self._in)

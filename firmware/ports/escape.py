@@ -25,7 +25,8 @@ _PATIENCE = const(3)  # Ctrl-C, so many times
 def _follow(buf: ptr8, count: int, interrupts: int) -> int:
     """Return how many times in a row Ctrl-C was received; -1 - i if byte i requests the prompt.
 
-    interrupts: the result for the bytes before. CR does not end a row: mpremote sends it first.
+    buf: `count` bytes; interrupts: the result for the bytes before. A CR does not end a row:
+    mpremote sends it first.
     """
     for i in range(count):
         byte = buf[i]
@@ -41,17 +42,18 @@ def _follow(buf: ptr8, count: int, interrupts: int) -> int:
 
 
 class Escape:
-    """Detect a request for the prompt. close: called before the prompt takes over the line."""
+    """Detect a request for the prompt. close: called before the prompt takes over the line;
+    at_rest: returns whether the prompt is allowed now. _interrupts: Ctrl-C in a row so far."""
 
     def __init__(self, close: "Callable[[], None]") -> None:
         self._close = close
         self._interrupts = 0
-        # Whether the prompt is allowed now.
         self.at_rest: "Callable[[], bool]" = lambda: True
 
     def listen(self, buf: bytearray, count: int) -> None:
-        """Check the bytes received. Raises KeyboardInterrupt if they request the prompt."""
-        result = _follow(buf, count, self._interrupts)
+        """Check the first `count` bytes of buf. Raises KeyboardInterrupt if they request the
+        prompt and that is allowed now; the prompt then reads the bytes after the request."""
+        result = _follow(buf, count, self._interrupts)  # -1 - i: byte i requests it
         self._interrupts = max(result, 0)
         if result < 0 and self.at_rest():
             next_byte = -1 - result
@@ -59,12 +61,13 @@ class Escape:
                 next_byte += 1  # or it would interrupt the code that follows
             self._close()
             if next_byte < count:
-                push(bytes(buf[next_byte:count]))  # the prompt reads the remaining bytes
+                push(bytes(buf[next_byte:count]))
             raise KeyboardInterrupt
 
 
 class _Pusher(io.IOBase):
-    """A stream from which MicroPython reads bytes as if they had been received."""
+    """A stream from which MicroPython reads bytes (data) as if they had been received. _at: index
+    of the next one."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -79,14 +82,17 @@ class _Pusher(io.IOBase):
         return 1
 
     def write(self, data: bytes) -> int:
+        """Discard output."""
         return len(data)
 
     def ioctl(self, request: int, argument: int) -> int:
+        """Do nothing: MicroPython requires the method."""
         return 0
 
 
 def push(data: bytes) -> None:
-    """Append bytes to those received. dupterm_notify() makes MicroPython read the stream empty."""
+    """Append bytes to those received, as if they came from outside. dupterm_notify() makes
+    MicroPython read the stream empty."""
     before = os.dupterm(_Pusher(data))
     os.dupterm_notify(None)
     os.dupterm(before)

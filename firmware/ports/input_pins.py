@@ -34,10 +34,16 @@ _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
 class PortInputs:
     """The inputs of a Port.
 
-    timers: two that nothing else uses. has_hard: interrupts can be hard.
+    timers: two that nothing else uses. has_hard: interrupts can be hard. A list of pins has None
+    for an input that is not wired. _hard: as has_hard. _limits_seen, _controls_seen: masks
+    reported last. _limits_wait, _sensors_wait: some of these pins are disarmed until the look
+    timer reads them; _looks_soon: it is running. _quiet: a button was pressed and may bounce; the
+    control timer is running. _contact_level: what probe() returns at the contact waited for, at
+    which _on_contact is called. _misses: edges of the probe that were over when it was read.
+    _sensors: inputs of an extra.
     """
 
-    _sensors: "list[Pin | None]"  # inputs of an extra, if there is one
+    _sensors: "list[Pin | None]"
 
     kill: "Callable[[], object]"  # switches tools off until revive(); PortPins has it
 
@@ -48,21 +54,21 @@ class PortInputs:
         self.fault = ""  # the fault of the inputs, as text
         self.limit_invert = 0
         self._limits_enabled = False
-        self._limits_seen = 0  # mask of the limits reported last
-        # Some of these pins are disarmed until the timer reads them.
+        self._limits_seen = 0
         self._limits_wait = self._sensors_wait = False
-        self._looks_soon = False  # that timer is running
-        self._quiet = False  # a button was pressed and may bounce
-        self._controls_seen = 0  # mask of the controls reported last
+        self._looks_soon = False
+        self._quiet = False
+        self._controls_seen = 0
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
-        self._misses = 0  # edges of the probe that were over when it was read
+        self._misses = 0
         # A bound method allocates each time it is taken: take it once.
         self._look_again = self._look_at_inputs
         self._settle = self._settled
 
     def _make_inputs(self, board: "ModuleType") -> None:
-        """Make the pins that the board file names, and read its other options of inputs."""
+        """Make the pins that the board file names, and read its other options of inputs. _inputs
+        has all pins in the order of the bits of levels(), _input_numbers the numbers of these."""
         option = board.__dict__.get  # getattr() would intern the names for good
         self._without_pull: "tuple[int, ...]" = option("NO_PULL_UP", ())
         self._limits = [self._make_input(pin) for pin in option("LIMIT", ())]
@@ -76,7 +82,6 @@ class PortInputs:
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
         self._probe = self._make_input(option("PROBE", None))
-        # In the order of levels().
         without = [None] * (PROBE_AT - len(self._controls))
         self._inputs = self._controls + without + [self._probe] + self._limits
         numbers = list(option("CONTROL", ())) + without + [option("PROBE", None)]
@@ -94,9 +99,9 @@ class PortInputs:
     # Interrupts
 
     def attach(self, listener: "InputListener") -> None:
-        """Set the listener: its callbacks are called in an interrupt when one of these inputs
-        changes, or if a callback has failed. on_controls is passed a mask, which includes the
-        emergency stop."""
+        """Set the listener: its callbacks are called in an interrupt when a limit, a control input
+        or the emergency stop changes, or if a callback has failed. on_controls is passed a mask,
+        which includes the emergency stop. Limits and probe stay disarmed until they are needed."""
         self._listener = listener
         self._enable_interrupts(self._limits, self._limit_changed)
         self._enable_interrupts((self._probe,), self._probe_changed)
@@ -106,7 +111,7 @@ class PortInputs:
     def _enable_interrupts(
         self, pins: "Iterable[Pin | None]", changed: "Callable[[Pin], object]"
     ) -> None:
-        """Prepare the pins' interrupts; _arm() enables them."""
+        """Set the function that the pins' interrupts call; _arm() enables them."""
         for pin in pins:
             if pin and self._hard:
                 pin.irq(changed, 0, hard=True)
@@ -127,9 +132,9 @@ class PortInputs:
             self.fault = _FAILED_TWICE
 
     def _look_in(self, ms: int) -> None:
-        """Read disarmed inputs in `ms` milliseconds; 0: together with others that wait already. If
-        the timer were restarted at every edge, it would fail at last on a Pico whose main loop
-        hangs (emulated)."""
+        """Let the look timer read disarmed inputs in `ms` milliseconds; with 0 in _PEACE_MS, or
+        together with others that wait already. If the timer were restarted at every edge, it would
+        fail at last on a Pico whose main loop hangs (emulated)."""
         if ms or not self._looks_soon:
             self._looks_soon = True
             # Periodic until the callback ends it, because a call may get lost. Not in a function
@@ -142,8 +147,8 @@ class PortInputs:
             )
 
     def _look_at_inputs(self, timer: "Timer") -> None:
-        """Arm disarmed inputs again. Each is armed before it is read, so that no change is
-        missed."""
+        """Look timer's callback: arm disarmed inputs again, and report those that have changed.
+        Each is armed before it is read, so that no change is missed. Interrupt."""
         try:
             timer.deinit()
             self._looks_soon = False
@@ -164,7 +169,8 @@ class PortInputs:
     # Limits
 
     def enable_limits(self, on: bool) -> None:
-        """Call on_limits when a limit input changes, or ignore the limit inputs ($21)."""
+        """Call the listener's on_limits when a limit input changes from now on, or ignore the
+        limit inputs ($21)."""
         self._limits_enabled = on
         self._limits_seen = self.limits()
         _arm(self._limits, _BOTH_EDGES if on else 0)
@@ -174,7 +180,8 @@ class PortInputs:
 
     @micropython.native
     def _limit_changed(self, pin: "Pin") -> None:
-        """Report a changed limit at once, or let the timer read it after the debounce time."""
+        """Report a changed limit at once or, with a debounce time, let the timer report it. The
+        pin stays disarmed until the timer reads it. Interrupt."""
         try:
             pin.irq().trigger(0)  # disarm it
             if not self._limit_debounce_ms:
@@ -186,9 +193,10 @@ class PortInputs:
             self._fail()
 
     def _look_at_limits(self) -> None:
-        """Arm the limits again, and report them if one has changed since then.
+        """Arm the limits again, and report them if one has changed since they were reported last.
 
-        With a debounce time they are reported while one is closed.
+        With a debounce time they are reported instead if one is active now: a shorter pulse was
+        interference. limit_invert: the levels while none is active.
         """
         if not self._limits_enabled:
             return
@@ -199,14 +207,15 @@ class PortInputs:
             self._listener.on_limits()
 
     def limits(self) -> int:
-        """Return the mask of limit inputs pulled to ground, bit 0 = X."""
+        """Return the mask of limit inputs pulled to ground, bit 0 = X, before $5 inverts it."""
         return _mask(self._limits)
 
     # Control inputs
 
     @micropython.native
     def _control_changed(self, pin: "Pin") -> None:
-        """Report a changed control input, then ignore bounces until _settled()."""
+        """Report a changed control input at once, then ignore bounces until _settled(). The
+        emergency stop is reported even then. Interrupt."""
         try:
             pin.irq().trigger(0)  # disarm it
             if self._quiet and self._debounce_ms and pin is not self._estop:
@@ -224,14 +233,14 @@ class PortInputs:
 
     @micropython.native
     def _seen_by(self, pin: "Pin") -> int:
-        """Return the mask of this control input alone, 0 if it is not active."""
+        """Return the mask of this control input or emergency stop alone, 0 if it is not active."""
         if pin is self._estop:
             return EMERGENCY_STOP if pin.value() else 0
         bit = 1 << self._controls.index(pin)
         return (0 if pin.value() else bit) ^ (self._control_invert & bit)
 
     def _await_quiet(self) -> None:
-        """Let the timer call _settled() after the debounce time."""
+        """Let the control timer call _settled() after the debounce time."""
         self._quiet = True
         self._control_timer.init(
             mode=Timer.PERIODIC,
@@ -241,7 +250,8 @@ class PortInputs:
         )
 
     def _settled(self, timer: "Timer") -> None:
-        """Arm the control inputs again, and report them if they have changed meanwhile."""
+        """Control timer's callback: arm the control inputs again, and report them if they have
+        changed meanwhile; then wait again. The emergency stop is reported while it lasts."""
         try:
             timer.deinit()
             self._quiet = False
@@ -268,13 +278,14 @@ class PortInputs:
         return _mask(self._controls) ^ self._control_invert
 
     def _is_open(self) -> bool:
-        """Return whether the emergency stop is pressed."""
+        """Return whether the emergency stop is pressed: its contact opens."""
         return self._estop is not None and self._estop.value() == 1
 
     # The probe
 
     def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
-        """Call on_contact once, in an interrupt, as soon as the probe pin is `closed`."""
+        """Call on_contact once as soon as probe() returns `closed`: at once if it does now, else
+        in an interrupt. None: stop watching."""
         self._on_contact = None
         self._contact_level = closed
         self._misses = 0
@@ -290,9 +301,10 @@ class PortInputs:
 
     @micropython.native
     def _probe_changed(self, pin: "Pin") -> None:
-        """Report a contact if it lasts. After too many bounces disarm the pin for a while."""
+        """Report a contact if the pin still has its level. After too many edges that were over by
+        then disarm the pin for a while. Interrupt."""
         try:
-            self._misses += 1  # one too many if this is the contact
+            self._misses += 1  # before the pin is read; after a contact it no longer matters
             is_bouncing = self._misses >= _MOST_MISSES
             if is_bouncing:
                 pin.irq().trigger(0)
@@ -317,7 +329,8 @@ class PortInputs:
         return self._probe is not None and self._probe.value() == 0
 
     def levels(self) -> int:
-        """Return all inputs as one mask; base.controls says which bit is which."""
+        """Return all inputs as one mask, active controls and closed contacts as 1: reset, hold,
+        start, door, from bit PROBE_AT on the probe and the limits (base.controls)."""
         return _mask(self._inputs) ^ self._control_invert
 
     # Inputs of extras
@@ -327,7 +340,7 @@ class PortInputs:
         return (1 << len(self._sensors)) - 1 ^ _mask(self._sensors)
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
-        """Call on_change, in an interrupt, whenever one of them changes, and once more when a
+        """Call on_change, in an interrupt, whenever an extra's input changes, and once more when a
         disarmed one is read again."""
         self._on_sensor = on_change
         self._enable_interrupts(self._sensors, self._sensor_changed)
@@ -335,7 +348,7 @@ class PortInputs:
 
     @micropython.native
     def _sensor_changed(self, pin: "Pin") -> None:
-        """Report a changed input of an extra. The timer arms it again."""
+        """Report a changed input of an extra. The look timer arms it again. Interrupt."""
         try:
             pin.irq().trigger(0)
             self._sensors_wait = True

@@ -1,13 +1,13 @@
-"""The state of a link, in one array: what it shares with the supervisor, then a USB link's own."""
+"""Indices into a link's state, one array of integers: what it shares with the supervisor, then a
+USB link's own."""
 
 from micropython import const
 
-# Shared: 1 if the link was read since the supervisor's last beat; why the machine was stopped: ms
-# that the main loop was away, -1 if the timer's interrupt failed, 0 if it was not stopped; how
-# long the main loop has been away, in ms, from below 0 if a longer absence is allowed.
-TURNED = const(0)
+TURNED = const(0)  # 1 if the link was read since the supervisor's last beat
+# Why the supervisor has stopped the machine: ms that the main loop was away, -1 if the timer's
+# interrupt failed; 0: it has not.
 STOPPED = const(1)
-AWAY = const(2)
+AWAY = const(2)  # ms that the main loop has been away; begins below 0 if more is allowed
 
 RING = const(3)  # address of MicroPython's ring of bytes, 0: not known
 LINE = const(4)  # address of the host's control lines (usb_ring.py), 0: not known
@@ -21,8 +21,8 @@ LENGTH = const(11)  # how many bytes of answers wait to be sent
 TURNS = const(12)  # for how many turns of the loop nothing was received meanwhile
 DEAF = const(13)  # whether the host has not read for so long that it counts as absent
 ASKED = const(14)  # whether a $ was received that has not been answered
-REMEMBERED = const(15)
-JUST = const(1)
+REMEMBERED = const(15)  # length of the array
+JUST = const(1)  # a value of OPENED
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
 RING_BYTES = const(512)

@@ -21,8 +21,9 @@ def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ..
     """Check that no pin is used twice, except by limit switches that share one, and that the chip
     has each pin.
 
-    motors: the engine's names for pins. others: those of extras. Raises ValueError, which names
-    the entry.
+    motors: names of the board file's entries with the engine's pins; others: of those with pins of
+    extras. Raises ValueError, which names the entry. CONTROL_INVERT may only have bits of inputs
+    that are wired.
     """
     used: "dict[int, str]" = {}
     for name in list(motors) + _NAMES.split() + list(others):

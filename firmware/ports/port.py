@@ -19,7 +19,10 @@ class PortPins(PortInputs):
     """A Port.
 
     timers: two that nothing else uses. enables: pins that enable the motor drivers. has_hard:
-    interrupts can be hard.
+    interrupts can be hard. _killed: from kill() to revive(), while outputs stay off. An attribute
+    that ends in _off is an output's level when off, 0 or 1. _tools: what kill() switches off:
+    number, pin, and level when off; PWM is apart. _own, _own_numbers, _own_pwm, _own_hz: of each
+    output of extras the pin, its number, its PWM or None, and the frequency requested.
     """
 
     def __init__(
@@ -35,14 +38,14 @@ class PortPins(PortInputs):
         # Motors are off until the machine has been built.
         self._enables = [Pin(pin, Pin.OUT, value=1) for pin in enables]
         self._killed = False
-        # What kill() switches off: number, pin, and level when off. PWM is apart.
         self._tools: "list[tuple[int, Pin, int]]" = []
         self._own_pwm: "list[PWM | None]" = []
-        self._own_hz: "list[int]" = []  # as requested; PWM sets the nearest frequency it can
+        self._own_hz: "list[int]" = []  # PWM sets the nearest frequency it can
         self._make_outputs(board)
 
     def _make_outputs(self, board: "ModuleType") -> None:
-        """Make the outputs of spindle and coolant that the board file names, all off."""
+        """Make the outputs of spindle and coolant that the board file names, all off. An output
+        that it does not name is None."""
         option = board.__dict__.get
         inverted: "tuple[str, ...]" = option("INVERT", ())
         off = [1 if name in inverted else 0 for name in _INVERTIBLE]
@@ -62,7 +65,8 @@ class PortPins(PortInputs):
         self._direction = make(option("SPINDLE_DIR", None), self._direction_off)
 
     def _make_tool(self, number: "int | None", off: int) -> "Pin | None":
-        """Return an output that kill() switches off. off: its level then."""
+        """Return a pin as an output that is off, and that kill() switches off; None without a
+        number. off: its level then."""
         pin = _make_output(number, off)
         if pin and number is not None:
             self._tools.append((number, pin, off))
@@ -71,7 +75,7 @@ class PortPins(PortInputs):
     # Outputs
 
     def enable(self, level: int) -> None:
-        """Set the level of the motor drivers' enable pins."""
+        """Set the level of the motor drivers' enable pins; the caller applies $4."""
         for pin in self._enables:
             pin.value(level)
 
@@ -84,17 +88,17 @@ class PortPins(PortInputs):
             self.safe()
 
     def spindle(self, on: bool, power: int) -> None:
-        """Set the spindle output: enable, and PWM power 0..pwm_max. May be called in an
+        """Set the spindle outputs: on or off, and PWM power from 0 to pwm_max. May be called in an
         interrupt."""
         if self.pwm:
             self.pwm.duty_u16(power * _FULL // self.pwm_max)
         if self._spindle_on:
             self._spindle_on.value(on != self._spindle_off)
-        if self._killed:
+        if self._killed:  # kill() may have come before the writes above
             self.safe()
 
     def coolant(self, mask: int) -> None:
-        """Set the coolant outputs: bit 0 flood, bit 1 mist."""
+        """Set the coolant outputs to a mask: bit 0 flood, bit 1 mist."""
         if self._flood:
             self._flood.value(mask & 1 ^ self._flood_off)
         if self._mist:
@@ -104,7 +108,7 @@ class PortPins(PortInputs):
 
     def kill(self) -> object:
         """Switch off spindle, laser, coolant and outputs of extras, until revive(). A method that
-        sets one of them checks afterwards whether kill() has come in between."""
+        sets one of them checks afterwards whether kill() has come in between. Returns None."""
         self._killed = True
         self.safe()
         return None
@@ -139,7 +143,8 @@ class PortPins(PortInputs):
     # Pins of extras
 
     def add_pins(self, outputs: "tuple[int, ...]", inputs: "tuple[int, ...]") -> None:
-        """Make the outputs that drive() sets and the inputs that sense() reads."""
+        """Make the outputs that drive() sets and the inputs that sense() reads, by their pins'
+        numbers."""
         self._own_numbers = outputs
         self._own = [Pin(pin, Pin.OUT, value=0) for pin in outputs]
         self._own_pwm = [None] * len(outputs)
@@ -147,15 +152,17 @@ class PortPins(PortInputs):
         self._sensors = [self._make_input(pin) for pin in inputs]
 
     def drive(self, levels: int) -> None:
-        """Set the levels of those outputs, a bit each. May be called in an interrupt."""
+        """Set the levels of the outputs of extras: bit i for output i. May be called in an
+        interrupt."""
         for i in range(len(self._own)):
             self._own[i].value(levels >> i & 1)
         if self._killed:
             self.safe()
 
     def pulse(self, index: int, hz: int, duty: int) -> None:
-        """Start PWM on that output, which drive() then no longer affects: hz per second, on for
-        duty / 65535 of the time; 0 is off. ValueError if the pin cannot."""
+        """Start PWM on an output of extras (index), which drive() then no longer affects: hz
+        periods per second, high for duty / 65535 of each; 0 is off. ValueError if the pin has no
+        PWM or the frequency is impossible."""
         pwm = self._own_pwm[index]
         if pwm is None or self._own_hz[index] != hz:
             pwm = self._begin_pulses(index, hz)
@@ -165,7 +172,7 @@ class PortPins(PortInputs):
             self.safe()
 
     def _begin_pulses(self, index: int, hz: int) -> PWM:
-        """Start an output's PWM, or change its frequency."""
+        """Start an output's PWM, off, or change its frequency (hz); return it."""
         pwm = self._own_pwm[index]
         if pwm is None:
             pwm = self._own_pwm[index] = PWM(self._own[index], freq=hz, duty_u16=0)
@@ -174,7 +181,7 @@ class PortPins(PortInputs):
         return pwm
 
     def rest(self, levels: int) -> None:
-        """Set the levels that kill() gives to those outputs."""
+        """Set the levels that kill() gives to the outputs of extras: bit i for output i."""
         own = self._own
         tools = [(number, pin, off) for number, pin, off in self._tools if pin not in own]
         for i in range(len(own)):

@@ -25,17 +25,19 @@ def of_board(board: "ModuleType") -> "PowerInput":
 
 
 class PowerInput:
-    """The input, and pages of flash for what must be stored. is_hard: interrupts can be hard."""
+    """The input, and pages of flash for what must be stored. number: the pin's; without_pull: it
+    has a resistor outside; is_hard: interrupts can be hard. is_armed: the next edge interrupts."""
 
     def __init__(self, number: int, without_pull: bool, is_hard: bool) -> None:
         self.pages = PreparedPages()
         self._number = number
         self._without_pull = without_pull
         self._is_hard = is_hard
-        self.is_armed = True  # the next edge interrupts
+        self.is_armed = True
 
     def attach(self, on_fail: "Callable[[], object]", on_fault: "Callable[[], object]") -> None:
-        """Call on_fail, in an interrupt, when the contact opens; on_fault if that raises."""
+        """Set up the pin. From now on on_fail is called, in an interrupt, when the contact opens;
+        on_fault if on_fail raises."""
         self._on_fail, self._on_fault = on_fail, on_fault
         if self._without_pull:
             self._pin = Pin(self._number, Pin.IN)
@@ -58,6 +60,7 @@ class PowerInput:
 
     @micropython.native
     def _changed(self, pin: "Pin") -> None:
+        """Disarm the pin, and report a failing supply if the contact is still open. Interrupt."""
         try:
             pin.irq().trigger(0)
             self.is_armed = False

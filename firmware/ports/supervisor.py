@@ -31,12 +31,18 @@ _HARD_MS = const(5)
 _SOFT_MS = const(50)
 _SOFT_TIMER = const(3)  # 0 is the engine's, 1 and 2 the port's
 
-_FAILED = const(-1)
+_FAILED = const(-1)  # in shared[STOPPED]: the interrupt has raised
 _CTRL_X = const(24)
 
 
 class Supervisor:
-    """Watch a link, an engine and a port. limit_ms: how long the main loop may be away."""
+    """Watch a link, an engine and a port. limit_ms: how long the main loop may be away. _feed
+    feeds the watchdog; _poll_reset looks for Ctrl-X in the link; None if that is impossible.
+
+    _shared: the link's state. shared[TURNED] is 1 if the link was read since the last beat;
+    shared[AWAY] the ms that the main loop has been away, from below 0 if more is allowed;
+    shared[STOPPED] why the machine was stopped: ms away, _FAILED, or 0.
+    """
 
     def __init__(
         self, link: "BoardLink", engine: "StepEngine", port: "Port", limit_ms: int
@@ -60,7 +66,7 @@ class Supervisor:
         self._feed = feed
         self._on_reset = on_reset
         self.allow(0)
-        hard = self._beat_ms == _HARD_MS
+        hard = self._beat_ms == _HARD_MS  # the chip has hard timers
         beat = self._beat if hard else self._soft_beat
         self._timer.init(period=self._beat_ms, callback=beat, hard=hard)
 
@@ -69,21 +75,23 @@ class Supervisor:
         self._timer.deinit()
 
     def allow(self, ms: int) -> None:
-        """Let the main loop be away for so much longer, once."""
+        """Let the main loop's next turn take so many ms longer."""
         self._shared[AWAY] = -ms
 
     def _soft_beat(self, timer: object) -> None:
-        """Merge beats into one that were queued while flash was written."""
+        """Beat, called by a timer that is not hard: beats that were queued while flash was written
+        come at once, and only the first of them counts."""
         if self._port.elapsed_ms(self._last_ms) >= _SOFT_MS // 2:
             self._last_ms = self._port.ticks_ms()
             self._beat(timer)
 
     @micropython.viper
     def _beat(self, _timer: object) -> int:
-        """Measure the absence, feed the watchdog, look for Ctrl-X. Interrupt.
+        """Measure the main loop's absence, feed the watchdog, look for Ctrl-X; stop tool and
+        motors if the loop was away too long or Ctrl-X came. Interrupt.
 
         It catches all exceptions, because MicroPython would not call it again after one. It is one
-        viper function: as bytecode it took twice the time, at every beat.
+        viper function: as bytecode it took twice the time, at every beat. Returns 0.
         """
         shared = ptr32(self._shared)
         stops = 0
@@ -136,7 +144,8 @@ class Supervisor:
         return away
 
     def raise_if_stopped(self) -> None:
-        """Raise RuntimeError, which says why the machine was stopped: the main loop is back."""
+        """Raise RuntimeError, which says why the machine was stopped; only after a stop, called by
+        the link because the main loop reads it again."""
         away = self.end_absence()
         if away == _FAILED:
             raise RuntimeError("the timer's interrupt has failed")

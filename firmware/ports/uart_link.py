@@ -25,9 +25,9 @@ _PIECE = const(64)
 
 
 class UartLink:
-    """A Link. shared: memory shared with the supervisor. poll_reset is None: Ctrl-X can be found
-    only by reading. check_supervisor: the supervisor's, called in the main loop, which raises.
-    on_poll: called in every turn."""
+    """A Link. shared: memory shared with the supervisor, by the indices of link_memory.py.
+    poll_reset is None: Ctrl-X can be found only by reading. check_supervisor: the supervisor's,
+    called in the main loop, which raises. on_poll: called in every turn."""
 
     poll_reset = None
     is_slow = False  # Ctrl-X is read as soon as this chip's MicroPython can
@@ -45,12 +45,13 @@ class UartLink:
         self._escape = Escape(self.close)
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Set when the REPL may be requested. This link cannot see a sender open the port."""
+        """Set when the REPL may be requested: at_rest() returns that. on_open is not used, because
+        this link cannot see a sender open the port."""
         self._escape.at_rest = at_rest
 
     def read_into(self, buf: bytearray) -> int:
         """Move the bytes received into buf; return how many."""
-        self.shared[TURNED] = 1
+        self.shared[TURNED] = 1  # for the supervisor: the loop is alive
         if self.shared[STOPPED]:
             self.check_supervisor()
         self.on_poll()

@@ -42,12 +42,19 @@ _PLUS = const(43)
 _HASH = const(35)
 _DOLLAR = const(36)
 _STAR = const(42)
-_AT_ANY_TIME = b"\0$GCX"
+_AT_ANY_TIME = b"\0$GCX"  # letters of commands that any state allows; \0 is the help of a lone $
 READ_ONLY = b"G$#IN"  # such a command, with nothing after it, changes nothing
 
 
 class Commands:
-    """Execute lines that begin with $. options: the letters and numbers of [OPT:...]."""
+    """Execute lines that begin with $.
+
+    options: the letters and numbers of [OPT:...]. single_axis_homing: $HX is allowed;
+    override_control: $G shows M56. A command's method is passed the line, which a 0 ends, and its
+    length without that; it raises GrblError to answer with an error. An "ok" is sent by the
+    caller. _answer: executes a line of G-code and answers it; health: returns a text on the chip,
+    if the chip can measure it; fault: text of the last one, "" for none.
+    """
 
     def __init__(
         self, machine: "Machine", options: str, single_axis_homing: bool, override_control: bool
@@ -67,8 +74,6 @@ class Commands:
         self._override_control = override_control
         self._startup = [""] * STARTUP_LINES
         self._letters = self._make_letters()
-        # $I+ also prints these: the chip's health, where the chip can measure it, and the last
-        # fault.
         self.health: "Callable[[], str] | None" = None
         self.fault = ""
 
@@ -81,8 +86,8 @@ class Commands:
 
     def load(self) -> None:
         """Load the startup lines. If the stored ones are invalid, empty lines replace them in the
-        store, and the next run_startup() reports each of them with error 7."""
-        self._store.load(_BUILD_INFO)  # so that damaged data is known from the start
+        store, and the next run_startup() reports each of them with error 7 (_startup_valid)."""
+        self._store.load(_BUILD_INFO)  # so that damage to it is reported at power-up, too
         lines = self._store.load(_STARTUP)
         self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
         self._startup_valid = lines is not None
@@ -94,7 +99,8 @@ class Commands:
         self._store.save(_STARTUP, self._startup)
 
     def run_startup(self) -> None:
-        """Execute the startup lines and print an answer to each."""
+        """Execute the startup lines that are not empty, and print an answer to each. If the stored
+        ones were invalid, report that once instead."""
         for text in self._startup:
             if not self._startup_valid:
                 self._report.startup_lost()
@@ -124,8 +130,9 @@ class Commands:
         }
 
     def find_command(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
-        """Return the function that executes a line beginning with $. Raises GrblError if the line
-        is refused. The loop calls the function, because the stack is short."""
+        """Return the function that executes a line beginning with $; its arguments are line and
+        length. Raises GrblError if the state does not allow the command. The main loop calls the
+        function, because the stack is short."""
         execute = self._letters.get(line[1])
         if execute and line[1] == _JOG:
             return execute  # it checks the state itself, and time is short
@@ -155,9 +162,11 @@ class Commands:
     # Commands that are answered at any time
 
     def _help(self, _line: bytearray, _length: int) -> None:
+        """Execute $."""
         self._report.help()
 
     def _show_settings(self, _line: bytearray, _length: int) -> None:
+        """Execute $$."""
         self.show_settings()
 
     def show_settings(self) -> None:
@@ -166,19 +175,21 @@ class Commands:
             self._report.setting(number, value, decimals)
 
     def _show_modes(self, _line: bytearray, _length: int) -> None:
+        """Execute $G."""
         self._report.modes(self.modes())
 
     def modes(self) -> str:
         """Return the modal state as text, as $G prints it."""
         modes, modal, report = self._modes, self._modes.modal, self._report
-        motion = modal[MOTION]  # 138 + 10 n for a probe, G38.n
+        motion = modal[MOTION]  # the number of G, or 138 + 10 n for a probe, G38.n
         words = ["G%d" % motion if motion < PROBE_TOWARD else "G38.%d" % ((motion - 138) // 10)]
         words.append("G%d" % (54 + modal[SYSTEM]))
         words.append("G%d" % (17 + modal[PLANE]))
         words.append("G%d" % (20 if modal[INCHES] else 21))
         words.append("G%d" % (91 if modal[RELATIVE] else 90))
         words.append("G%d" % (93 if modal[INVERSE_TIME] else 94))
-        numbers = [(5, 3, 4)[modal[SPINDLE] >> 4]]  # SPINDLE: 0, 0x10 or 0x20; M5, M3 or M4
+        # Numbers of M words. SPINDLE is 0, 0x10 or 0x20 for M5, M3 or M4.
+        numbers = [(5, 3, 4)[modal[SPINDLE] >> 4]]
         if modal[COOLANT] & MIST:
             numbers.append(7)
         if modal[COOLANT] & FLOOD:
@@ -205,7 +216,8 @@ class Commands:
             self._report.message(errors.MSG_ENABLED)
 
     def _unlock(self, _line: bytearray, _length: int) -> None:
-        """Execute $X: end an alarm, unless the emergency stop is pressed or the door is open."""
+        """Execute $X: end an alarm, unless the emergency stop is pressed or the door is open
+        (GrblError). Without an alarm it does nothing."""
         if self._state.run == st.ALARM:
             self._check_stop()
             if self._inputs.door_open():
@@ -238,14 +250,14 @@ class Commands:
             raise GrblError(errors.CHECK_DOOR)
         axes = 0  # mask; 0: all axes
         if length > 2:
-            at = b"XYZABC".find(line[2:3], 0, len(self._modes.position))
-            if at < 0 or length > 3 or not self._single_axis_homing:
+            axis = b"XYZABC".find(line[2:3], 0, len(self._modes.position))  # that this machine has
+            if axis < 0 or length > 3 or not self._single_axis_homing:
                 raise GrblError(errors.INVALID_STATEMENT)
-            axes = 1 << at
+            axes = 1 << axis
         self._state.enter(st.HOMING)
         homed = self._state.hooks.home(axes)
-        self._state.enter(st.IDLE)  # in both cases Homing is over
-        if not homed:  # a reset and an alarm are pending
+        self._state.enter(st.IDLE)
+        if not homed:  # it did not begin: a reset and an alarm are pending
             return
         # As in Grbl, the delay of $1 passes before the startup lines and the answer.
         self._canon.wait_motors_released()
@@ -268,6 +280,7 @@ class Commands:
             call_all(self._state.hooks.build_info)
             if is_long:
                 message = self._report.message
+                # Only a firmware that is frozen into the board's image imports this module.
                 where = ", frozen" if "base.frozen" in sys.modules else ""
                 message("Build: " + errors.BUILD_ID + where)
                 if self.health:
@@ -282,7 +295,7 @@ class Commands:
 
     def _restore(self, line: bytearray, length: int) -> None:
         """Execute $RST=$, # or *: restore settings, offsets, or everything stored; then reset."""
-        which = line[5] if length == 6 else 0
+        which = line[5] if length == 6 else 0  # 0 is none of the three
         if bytes(line[2:5]) != b"ST=" or which not in b"$#*":
             raise GrblError(errors.INVALID_STATEMENT)
         if which != _HASH:
@@ -302,37 +315,38 @@ class Commands:
 
     def _startup_lines(self, line: bytearray, length: int) -> None:
         """Execute $N, which prints the startup lines, or $N0=… and $N1=…, which execute a line
-        and, if it is not refused, store it."""
+        and, if it is not refused, store it. Other numbers only execute it."""
         if length == 2:
             for i in range(STARTUP_LINES):
                 self._report.startup_line(i, self._startup[i])
             return
         if self._state.run != st.IDLE:
             raise GrblError(errors.IDLE_ERROR)
-        at, number = bare(line, 2)
-        if at < 0:
+        end, number = bare(line, 2)  # index of the character after the number; -1 without one
+        if end < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != _EQUALS:
+        if line[end] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
-        startup = line[at + 1 : length + 1]  # with the 0 that ends it
-        self._state.hooks.execute(startup, length - at - 1)
+        startup = line[end + 1 : length + 1]  # with the 0 that ends it
+        self._state.hooks.execute(startup, length - end - 1)
         self._canon.synchronise()  # flash is written while idle
         index = truncate(number)
         if 0 <= index < STARTUP_LINES:
-            self._startup[index] = text_of(startup[: length - at - 1])
+            self._startup[index] = text_of(startup[: length - end - 1])
             self._keep_startup()
 
     def _set(self, line: bytearray, _length: int) -> None:
-        """Execute $number=value, after all planned motion."""
-        at, number = bare(line, 1)
-        if at < 0:
+        """Execute $number=value, after all planned motion. The setting is rounded down to an
+        integer; settings refuses unknown numbers and invalid values with GrblError."""
+        end, number = bare(line, 1)  # index of the character after the number; -1 without one
+        if end < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != _EQUALS:
+        if line[end] != _EQUALS:
             raise GrblError(errors.INVALID_STATEMENT)
-        at, value = bare(line, at + 1)
-        if at < 0:
+        end, value = bare(line, end + 1)
+        if end < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if line[at] != 0 or number > _HIGHEST_SETTING:
+        if line[end] != 0 or number > _HIGHEST_SETTING:
             raise GrblError(errors.INVALID_STATEMENT)
         self._canon.synchronise()  # blocks were planned with the old settings
         self._settings.set(int(number), value)

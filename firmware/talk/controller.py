@@ -48,7 +48,8 @@ if TYPE_CHECKING:
 
 
 class Controller:
-    """Hold all parts of the machine; wiring.build() makes it. motors: number of motors."""
+    """Hold all parts of the machine, each an attribute below; wiring.build() makes it. motors:
+    number of motors; _steps: scratch, one position per motor."""
 
     port: "Port"
     engine: "StepEngine"
@@ -80,7 +81,7 @@ class Controller:
     # Positions: machine (steps executed) -> planner -> parser
 
     def position(self, mm: "array[float]") -> None:
-        """Copy the machine position, in mm."""
+        """Copy the machine position, from the steps executed, into mm (one float per axis)."""
         self.engine.position(self._steps)
         self.planner.to_mm(self._steps, mm)
 
@@ -93,7 +94,8 @@ class Controller:
     # Settings
 
     def configure(self) -> None:
-        """Pass a changed setting to the parts that derive values from it."""
+        """Pass a changed setting to the parts that derive values from it. settings.changed is its
+        number."""
         settings = self.settings
         engine = self.engine
         engine.configure(settings.step_pulse_us, settings.step_invert, settings.dir_invert)
@@ -104,19 +106,19 @@ class Controller:
             engine.max_step_hz(settings.step_pulse_us),
         )
         self.spindle.configure(settings, self.planner.table)
-        # These depend on the setting that changed; a reset applies the rest.
+        # Only when these change: each call has an effect of its own.
         if settings.changed == _HARD_LIMITS:
             self.port.enable_limits(bool(settings.hard_limits))
         if settings.changed in (_MAX_RPM, _MIN_RPM):
-            self.spindle.stop()
+            self.spindle.stop()  # its power was computed with the old ones
         if settings.changed == _REPORT_INCHES:
-            self.state.wco_countdown = 0
+            self.state.wco_countdown = 0  # the next report has the offset in the new unit
 
     # Life
 
     def power_up(self) -> None:
-        """Load the stored data and attach the interrupt handlers. Then protocol.run() takes
-        over."""
+        """Load the stored data, attach the interrupt handlers and power the motors. Then
+        protocol.run() takes over. With homing ($22) the machine begins in Alarm."""
         self.engine.attach(
             self.state.hooks.next_segment, self.spindle.set_power, self.spindle.on_motion_end
         )
@@ -135,21 +137,21 @@ class Controller:
         self.motor_control.power(True)
 
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
-        """Load stored data; write the defaults at once if there is none. Returns the result of
-        load, False if data was invalid."""
+        """Call load, which loads stored data, and write at once the defaults that it has set if
+        there was none. Returns its result: False if data was invalid, or None for no result."""
         valid = load()
         self.save_due()
         return valid
 
     def at_rest(self) -> bool:
-        """Return whether nothing moves and no extra is about to move."""
+        """Return whether nothing moves or is planned, and no extra is about to move."""
         for is_busy in self.state.hooks.is_busy:
             if is_busy():
                 return False
         return self.stands()
 
     def stands(self) -> bool:
-        """Return whether nothing moves or is planned, extras not asked."""
+        """Return whether nothing moves or is planned; extras may still be about to move."""
         return self.state.run in (st.IDLE, st.ALARM) and self.planner.empty()
 
     def welcome(self) -> None:
@@ -161,8 +163,8 @@ class Controller:
             self.report.banner()
 
     def _banner(self) -> None:
-        """Print the banner and run the reset hooks. Damaged data is reported each time until
-        power-off, because at power-up no sender may have opened the port yet."""
+        """Print the banner and run the reset hooks of extras. Damaged data is reported each time
+        until power-off, because at power-up no sender may have opened the port yet."""
         self.report.banner()
         call_all(self.state.hooks.reset)
         for name, has_older in self.saves.damaged.items():
@@ -172,14 +174,14 @@ class Controller:
         self, allow: "Callable[[int], None]", written: "Callable[[], None] | None"
     ) -> "tuple[Callable[[], None], Callable[[], None]]":
         """Return the functions to call before and after a flash write, which blocks all
-        interrupts.
+        interrupts; the machine is idle then.
 
-        The machine is idle then. A spindle keeps turning. A laser that M3 has switched on would
-        burn longer than the program says, so it is off during the write. allow: sets by
-        how many ms the loop's next turn may be longer; written: notifies the engine, if it needs
-        that.
+        A spindle keeps turning. A laser that M3 has switched on would burn longer than the program
+        says, so it is off during the write. allow: sets by how many ms the main loop's next turn
+        may be longer without a reset by the watchdog; written: notifies the engine after a write,
+        None if it needs no notice.
         """
-        lit = False
+        lit = False  # before() has switched a laser off
         state, spindle, modes = self.state, self.spindle, self.modes
 
         def before() -> None:
@@ -201,16 +203,16 @@ class Controller:
         return before, after
 
     def restart(self) -> None:
-        """Reset the machine, greet, and run the startup lines. Raises Abort if another reset
-        comes."""
+        """Reset the machine, wait until the idle delay ($1) is over, greet, and run the startup
+        lines. Raises Abort if another reset comes."""
         self._reset()
         self.motor_control.wait_idle_delay()
         self.save_due()  # saves that the reset cut short
         self._greet()
 
     def save_due(self) -> None:
-        """Write pending saves; the machine is idle. Data that cannot be written stays valid until
-        power-off."""
+        """Write pending saves; the machine is idle. Data that cannot be written is reported, and
+        stays valid until power-off."""
         try:
             self.saves.write_due()
         except OSError:
@@ -220,7 +222,7 @@ class Controller:
         """Stop everything and set the modes of a fresh start; the position is kept."""
         state = self.state
         state.clear()
-        state.pending[:] = bytes(len(state.pending))
+        state.pending[:] = bytes(len(state.pending))  # drop all events
         state.alarm = 0
         self.engine.stop()
         self.reader.clear()
@@ -240,7 +242,9 @@ class Controller:
         self.motor_control.arm()
 
     def _greet(self) -> None:
-        """Print the banner, decide between Idle and Alarm, and in Idle run the startup lines."""
+        """Print the banner, decide between Idle and Alarm, and in Idle run the startup lines. The
+        state is Alarm after an alarm, before homing ($22), after sleep, and while a limit switch
+        ($21) or the emergency stop is active."""
         state = self.state
         self._banner()
         if self.settings.is_new:  # a message, not an error: senders stop at errors

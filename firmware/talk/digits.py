@@ -1,6 +1,10 @@
 # mypy: disable-error-code=arg-type
 """Digits: print numbers as Grbl does, in single precision, and build texts from forms.
 
+A form is bytes ended by a 0. Its placeholders are filled in from `ints` and `singles`: % by the
+next of the VALUES; #3 by the next single, with three decimals; ?P by a P if the lowest bit of the
+next of the VALUES is set: the value is then shifted right, for the next letter.
+
 A number is multiplied by 100 and 10 until its decimals are whole; then 0.5 is added and the
 fraction dropped. Each result is rounded to single precision, as Grbl's is, which shows in the last
 digit. With integers and an existing buffer a status report costs a quarter of the time that floats
@@ -27,20 +31,20 @@ _ZERO = const(48)
 
 
 @micropython.viper
-def scaled(x: ptr32, at: int, decimals: int) -> int:
-    """Return |x[at]| * 10**decimals, rounded to the nearest whole number; x holds singles.
+def scaled(x: ptr32, index: int, decimals: int) -> int:
+    """Return |x[index]| * 10**decimals, rounded to the nearest whole number; -1 if that needs more
+    than 31 bits. x: floats as bits; index: in x.
 
-    -1 if the result needs more than 31 bits. `number` is the mantissa, below 2**24, so `number *
-    100` fits 31 bits.
+    `number` is the mantissa, below 2**24, so `number * 100` fits 31 bits.
     """
-    exponent = ((x[at] >> 23) & 255) - 150  # |x| = number * 2**exponent
+    exponent = ((x[index] >> 23) & 255) - 150  # |x[index]| = number * 2**exponent
     if exponent == 105:  # 255 - 150: infinite, or not a number
         return -1
-    number = (x[at] & 0x7FFFFF) | 0x800000
+    number = (x[index] & 0x7FFFFF) | 0x800000
     while decimals > 0:
         number *= 100 if decimals > 1 else 10
         decimals -= 2
-        # Round to 24 bits again.
+        # Round to 24 bits again: ten times the mantissa has at least 3 bits more.
         shift = 3
         while number >> shift >= 1 << 24:
             shift += 1
@@ -66,11 +70,11 @@ def scaled(x: ptr32, at: int, decimals: int) -> int:
 
 @micropython.viper
 def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
-    """Append a form, which a 0 ends, to `out`, and fill in its placeholders. Returns END.
+    """Append a form to the text in `out`, and fill in its placeholders. Returns the length of the
+    whole text, which is in ints[END], too. out: with 12 bytes of space after the text; ints: END,
+    then from VALUES on the values; singles: floats as bits.
 
-    %: the next of the VALUES. #3: the next single, with three decimals. ?P: a P if the lowest bit
-    of the next of the VALUES is set; the value is then shifted right, for the next letter.
-    """
+    Each call begins with the first value and the first single."""
     end = ints[END]
     value_at = VALUES
     single_at = 0
@@ -97,7 +101,7 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
             # Written backwards from the last digit, at end + 12 at most, then moved to `end`. n *
             # 26215 >> 18 is n // 10 up to 43689: a division takes the chip ten times as long.
             at = end + 12
-            c = at  # where the digits end
+            c = at  # index after the last digit
             while number or decimals >= 0:
                 tenth = number // 10 if number < 0 or number > 43689 else (number * 26215) >> 18
                 digit = number - 10 * tenth
@@ -133,7 +137,7 @@ _single = array("f", (0.0,))
 
 
 def number(x: float, decimals: int) -> str:
-    """Return x as text with so many decimals (0, 1, 3 or 4)."""
+    """Return x as text, rounded to so many decimals (0, 1, 3 or 4), as Grbl prints it."""
     _end[END] = 0
     _single[0] = x
     end = write(b"#%d\0" % decimals, _out, _end, _single)

@@ -21,26 +21,28 @@ MOVING = const(HOMING | RUN | HOLD | JOG | DOOR)
 @micropython.viper
 def begin(name: ptr8, memory: object) -> int:
     """Begin a report: write the name of the state, and compute machine position in mm, without
-    writing it. name: a form that a 0 ends.
+    writing it. name: a form that a 0 ends. Returns 0.
 
-    memory: text, integers, singles, axes, steps, the planner's table, and the index in it of steps
-    per mm.
+    memory: out, the report's text; ints, digits.write()'s integers; mm, floats, for the position;
+    the number of axes; steps, the position to convert; the planner's table, and the index in it of
+    the first axis's steps per mm.
     """
-    out, ints, mm, axes, steps, table, at = memory
+    out, ints, mm, axes, steps, table, resolution_at = memory
     ptr32(ints)[END] = 0
     write(name, ptr8(out), ptr32(ints), ptr32(mm))
-    divide(ptr32(steps), ptr32(table), int(at), ptr32(mm), int(axes))
+    divide(ptr32(steps), ptr32(table), int(resolution_at), ptr32(mm), int(axes))
     return 0
 
 
 @micropython.viper
 def write_common(name: ptr8, memory: object, spindle: ptr32, state: int) -> int:
     """Write a whole report: state, machine position, free space in buffers, and speeds, as the
-    form has them. Returns its length.
+    form has them. Returns its length in bytes.
 
-    memory: the form, begin()'s memory, text, integers, singles (after the axes comes the spindle
-    speed), axes, the planner's flow and ring, LineReader's state, and whether the form has free
-    space.
+    name: the state's form; spindle: State.spindle; state: the run state. memory: the form of the
+    rest, begin()'s memory, the report's text, digits.write()'s integers and floats (after the axes
+    comes the spindle speed), the number of axes, the planner's flow and ring, LineReader's state,
+    and whether the form has free space (0: no).
     """
     form, begun, out, ints, mm, axes, flow, ring, reader, buffers = memory
     begin(name, begun)
@@ -75,8 +77,15 @@ def _speeds(
     spindle: ptr32,
     state: int,
 ) -> int:
-    """Fill in free blocks, free bytes, feed rate (mm/min) and spindle speed; then write the form.
-    Returns the report's length. state: the run state; spindle: the array with the speed (RPM)."""
+    """Set the values of the report's form, then write it. Returns the report's length in bytes.
+
+    form: the report after the state's name, with placeholders (digits.write()); out: the report's
+    text; ints: END, then from VALUES on free blocks and free bytes, if the form has them (buffers
+    is not 0), and the feed rate in mm/min; mm: the position, which is there already, and the
+    spindle speed after it. flow, ring: the planner's state and blocks; reader: LineReader's state;
+    spindle: State.spindle, with the speed at RPM; state: the run state, 0 feed rate if it is none
+    of MOVING.
+    """
     value = VALUES
     if buffers:
         free = flow[TAIL] - flow[HEAD] - 1  # of a ring; one block always stays free
@@ -85,8 +94,8 @@ def _speeds(
         value += 2
     rate = 0
     if state & MOVING:
-        rate = flow[CARRY]
-        if flow[LOADED]:
+        rate = flow[CARRY]  # between two blocks: the speed carried over, in mm/s
+        if flow[LOADED]:  # in a block: the speed reached, in units of which FACTOR are 1 mm/s
             rate = int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))
         rate = int(per_minute(rate))
     ints[value] = rate

@@ -19,26 +19,26 @@ NOTHING = const(0)
 LINE = const(1)
 TOO_LONG = const(2)
 
-# The reader's state, by index.
-_SIZE = const(0)  # size of the ring
-HEAD = const(1)
-TAIL = const(2)
+# Indices into the reader's state, an array of integers.
+_SIZE = const(0)  # size of the ring, in bytes; one of them always stays free
+HEAD = const(1)  # index in the ring where the next byte is stored
+TAIL = const(2)  # and from where the next one is read
 LENGTH = const(3)  # length of the line so far
-_LONGEST = const(4)
-_TOO_MUCH = const(5)
-SKIPPING = const(6)  # a mask:
+_LONGEST = const(4)  # length that a line may have
+_TOO_MUCH = const(5)  # what SKIPPING becomes when a line is longer: _OVERFLOW, or 0
+SKIPPING = const(6)  # why bytes are dropped, a mask of:
 _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
-_OVERFLOW = const(4)
+_OVERFLOW = const(4)  # the line is too long: the rest of it is dropped
 COMPLETE = const(8)  # the line is complete: the next call begins another
 _ADVERTISED = const(7)  # bytes that a sender may have sent and not had answered
 
 # Kinds of bytes, by value.
 _AS_IT_IS = const(0)
 REALTIME = const(1)
-END = const(2)
-_NOTHING = const(3)
-_COMMENT = const(4)
+END = const(2)  # of a line
+_NOTHING = const(3)  # dropped
+_COMMENT = const(4)  # begins one
 _LOWER_CASE = const(5)
 
 _OPENING = const(40)  # (
@@ -51,24 +51,27 @@ READS = (0x80, 0x84, _OVERFLOW)
 
 
 @micropython.viper
-def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
-    """Continue the line from the ring: make letters upper case; drop spaces, control characters,
-    slashes and comments. A 0 is stored after the line.
+def clean(ring: ptr8, state: ptr32, line: ptr8, kinds: ptr8) -> int:
+    """Continue the line with bytes from the ring: make letters upper case; drop spaces, control
+    characters, slashes and comments. A 0 is stored after the line.
 
-    at: the reader's state; kinds: the kind of each byte value. Returns NOTHING if the ring is
-    empty before the line ends, else length << 2 | LINE or TOO_LONG.
+    state: the reader's; line: the buffer; kinds: the kind of each byte value. Returns NOTHING if
+    the ring is empty before the line ends, else length << 2 | LINE or TOO_LONG. With
+    state[_TOO_MUCH] 0 a line is TOO_LONG at once, and its rest is another line; else after its
+    end.
     """
-    tail = at[TAIL]
-    head = at[HEAD]
-    size = at[_SIZE]
-    length = at[LENGTH]
-    skipping = at[SKIPPING]
+    tail = state[TAIL]
+    head = state[HEAD]
+    size = state[_SIZE]
+    length = state[LENGTH]
+    skipping = state[SKIPPING]
     if skipping & COMPLETE:
         length = 0
         skipping = 0
-    room = 0 if skipping else at[_LONGEST]  # the length that the line may have; 0 stores nothing
-    found = NOTHING
-    while tail != head and found == NOTHING:
+    # The length that the line may have; 0 stores nothing.
+    room = 0 if skipping else state[_LONGEST]
+    result = NOTHING
+    while tail != head and result == NOTHING:
         c = ring[tail]
         tail += 1
         if tail == size:
@@ -78,11 +81,11 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
             line[length] = c
             length += 1
         elif kind == END:
-            found = TOO_LONG if skipping & _OVERFLOW else LINE
+            result = TOO_LONG if skipping & _OVERFLOW else LINE
         elif skipping:
             if c == _CLOSING and skipping & _IN_PARENTHESES:
                 skipping &= ~_IN_PARENTHESES
-                room = 0 if skipping else at[_LONGEST]
+                room = 0 if skipping else state[_LONGEST]
         elif kind == _NOTHING:
             pass
         elif kind == _COMMENT:
@@ -93,43 +96,47 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
             length += 1
         else:
             # The line is too long.
-            skipping = at[_TOO_MUCH]
+            skipping = state[_TOO_MUCH]
             room = 0
             if skipping == 0:
-                found = TOO_LONG
+                result = TOO_LONG
     line[length] = 0
-    at[TAIL] = tail
-    at[LENGTH] = length
-    at[SKIPPING] = COMPLETE if found else skipping
-    return length << 2 | found if found else NOTHING
+    state[TAIL] = tail
+    state[LENGTH] = length
+    state[SKIPPING] = COMPLETE if result else skipping
+    return length << 2 | result if result else NOTHING
 
 
 @micropython.viper
-def free_space(at: ptr32) -> int:
-    """Return how many bytes a sender may still send. at: the reader's state."""
-    used = at[HEAD] - at[TAIL]
+def free_space(state: ptr32) -> int:
+    """Return how many bytes a sender may still send: the advertised number less the bytes in the
+    ring; the ring itself may hold more. state: the reader's state."""
+    used = state[HEAD] - state[TAIL]
     if used < 0:
-        used += at[_SIZE]
-    return at[_ADVERTISED] - used if used < at[_ADVERTISED] else 0
+        used += state[_SIZE]
+    return state[_ADVERTISED] - used if used < state[_ADVERTISED] else 0
 
 
 @micropython.viper
-def has_bytes(at: ptr32) -> int:
-    """Return 1 if the ring holds bytes, else 0. at: the reader's state."""
-    return 1 if at[HEAD] != at[TAIL] else 0
+def has_bytes(state: ptr32) -> int:
+    """Return 1 if the ring holds bytes, else 0. state: the reader's state."""
+    return 1 if state[HEAD] != state[TAIL] else 0
 
 
 @micropython.viper
-def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
-    """Move received bytes into the ring; call post with each real-time byte. Bytes that do not fit
-    are lost."""
-    head = at[HEAD]
-    tail = at[TAIL]
-    size = at[_SIZE]
+def feed(data: ptr8, count: int, ring: ptr8, state: ptr32, kinds: ptr8, post: object) -> int:
+    """Move the first `count` bytes of data into the ring; call post with each real-time byte.
+    Bytes that do not fit are lost. Returns 0.
+
+    state: the reader's state; kinds: the kind of each byte value.
+    """
+    head = state[HEAD]
+    tail = state[TAIL]
+    size = state[_SIZE]
     for i in range(count):
         c = data[i]
         if kinds[c] == REALTIME:
-            at[HEAD] = head
+            state[HEAD] = head  # post may read the state
             post(c)  # type: ignore[operator]
         else:
             following = head + 1
@@ -138,13 +145,13 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
             if following != tail:  # the ring is not full
                 ring[head] = c
                 head = following
-    at[HEAD] = head
+    state[HEAD] = head
     return 0
 
 
 def _make_kinds(first: int, extra: int) -> bytearray:
-    """Return the kind of each byte value. Real-time bytes: those from `first` on, and `extra`, in
-    addition to the common ones."""
+    """Return the kind of each of the 256 byte values. Real-time bytes: those from `first` on, and
+    `extra`, in addition to the common ones."""
     kinds = bytearray(bytes([_NOTHING]) * 33 + bytes(223))  # up to the space; then _AS_IT_IS
     kinds[97:123] = bytes([_LOWER_CASE]) * 26  # a to z
     for chars, kind in (
@@ -161,11 +168,12 @@ def _make_kinds(first: int, extra: int) -> bytearray:
 
 
 class LineReader:
-    """The ring and the line being read. size: bytes that a sender may have under way; longest: of
-    a line; more: bytes that the ring holds in addition, for senders that miscount.
+    """The ring and the line being read. size: bytes that a sender may have sent and not had
+    answered; longest: of a line; on_realtime: called with each real-time byte; reads: see READS;
+    more: bytes that the ring holds in addition, for senders that miscount.
 
-    clean(*memory()) continues the line. It returns length * 4 + LINE once the line is complete; a
-    0 follows the line.
+    clean(*memory()) continues the line. It returns length << 2 | LINE once the line is complete; a
+    0 follows the line. _at: the state, by the indices above.
     """
 
     def __init__(
@@ -184,11 +192,13 @@ class LineReader:
         self._kinds = _make_kinds(reads[0], reads[1])
 
     def memory(self) -> "tuple[bytearray, array[int], bytearray, bytearray]":
-        """Return the arguments of clean(): ring, reader's state, line, kinds of bytes."""
+        """Return the arguments of clean(): ring, reader's state (indices HEAD, TAIL, …), line,
+        kinds of bytes. All are shared, not copied."""
         return self._ring, self._at, self.line, self._kinds
 
     def feed(self, data: bytearray, count: int) -> None:
-        """Accept received bytes. Bytes that do not fit are lost: the sender has miscounted."""
+        """Accept the first `count` bytes of data. Bytes that do not fit are lost: the sender has
+        miscounted."""
         feed(data, count, self._ring, self._at, self._kinds, self.post)
 
     def free(self) -> int:
@@ -201,8 +211,8 @@ class LineReader:
 
     def has_line(self) -> bool:
         """Return whether a line is complete or begun, or bytes wait in the ring."""
-        at = self._at
-        return at[HEAD] != at[TAIL] or at[LENGTH] > 0 or at[SKIPPING] > 0
+        state = self._at
+        return state[HEAD] != state[TAIL] or state[LENGTH] > 0 or state[SKIPPING] > 0
 
     def clear(self) -> None:
         """Drop everything received, also the line in progress."""

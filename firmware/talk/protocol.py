@@ -21,14 +21,24 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Machine
 
-_LOCKED = const(st.ALARM | st.JOG)
+_LOCKED = const(st.ALARM | st.JOG)  # states that refuse G-code
 _DOLLAR = const(36)
 _IN_PYTHON = const(2)  # a line executed in Python counts as so many lines of the kernel
 _DEAF_MS = const(500)  # nothing is answered for so long after an alarm
 
 
 class Protocol:
-    """The main loop and its buffer. restart: prepares the machine for lines, and greets."""
+    """The main loop and its buffer.
+
+    echoes: a board option, to send each line back as the parser reads it. restart: prepares the
+    machine for lines after power-up or a reset, and greets. _interpret: executes G-code.
+
+    A turn of run() reads one line, or executes many move-only lines in a kernel; handles events
+    and hooks if they are due; then executes and answers the line. In run(), result is clean()'s:
+    the line's length << 2, and LINE, TOO_LONG or NOTHING in two bits. counts[LINES_LEFT]: lines
+    until events and hooks are due. counts[ASKED]: what run_lines() has found in checking the line
+    that it returned; 0: that must be checked again. due: values that wait to be stored.
+    """
 
     def __init__(self, machine: "Machine", link: "Link", echoes: bool) -> None:
         self._state = machine.state
@@ -40,8 +50,9 @@ class Protocol:
         self._interpreter = machine.interpreter
         self._canon = machine.canon
         self._echoes = echoes
-        # Read much at once, so that a ? does not wait after lines. A line longer than the ring
-        # passes through in parts.
+        # The bytes of one read. Large, so that a ? is found at once and does not wait until the
+        # lines before it are executed; half the reader's ring, because the ring may already hold
+        # a part of a line, and bytes for which it has no space are lost.
         self._buffer = bytearray(machine.reader.free() // 2)
         self._feed = machine.reader.feed
         # Extras may replace these before run().
@@ -50,13 +61,14 @@ class Protocol:
         self.read_into = link.read_into
 
     def pump(self) -> None:
-        """Read the bytes received and queue them."""
+        """Read the bytes received: queue them in the reader, post real-time bytes as events."""
         count = self.read_into(self._buffer)
         if count:
             self._feed(self._buffer, count)
 
     def service(self) -> None:
-        """Handle real-time events once while waiting. Raises Abort after a reset."""
+        """Do one turn of a wait: read bytes and handle real-time events; return once motion is no
+        longer suspended. Raises Abort after a reset."""
         count = self.read_into(self._buffer)  # pump() inlined: it saves a stack frame
         if count:
             self._feed(self._buffer, count)
@@ -65,8 +77,8 @@ class Protocol:
             self._realtime.wait_suspended()
 
     def run(self) -> None:
-        """Execute lines for ever; a reset restarts the loop. Inlined, because the stack is
-        short."""
+        """Execute and answer lines for ever; a reset (Abort) restarts the loop. It does not call
+        execute(), but has its code, because the stack is short."""
         reader, state, pending = self._reader, self._state, self._state.pending
         interpreter, write, due = self._interpreter, self.link.write, self._saves.due
         # Looked up once, because a bound method is a new object each time; and only here, because
@@ -107,12 +119,12 @@ class Protocol:
                             if pending[st.ANY]:  # something posts an event in every turn
                                 self.pump()
                             continue
-                        counts[ASKED] = 0  # the event may have changed the check
+                        counts[ASKED] = 0  # the event may have changed what the line may do
                     if result & LINE == 0:
                         state.hooks.refuse(errors.OVERFLOW)
                         continue
                     length = result >> 2
-                    try:  # as in execute()
+                    try:  # as in execute(); a pending reset reports the alarm in the outer loop
                         self._find_command(line, length)(line, length)
                         if due:
                             self._save()
@@ -126,7 +138,8 @@ class Protocol:
                 self._report_alarm()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
-        """Execute one line and answer it. before: text in front of the answer."""
+        """Execute one line, which a 0 ends, and answer it with "ok" or an error. length: without
+        the 0; before: text in front of the answer, b"" for none. Raises Abort after a reset."""
         try:
             self._find_command(line, length)(line, length)
             if self._saves.due:
@@ -140,14 +153,15 @@ class Protocol:
             self.link.write(OK)
 
     def _save(self) -> None:
-        """Write what the line has changed, once motion has ended: the line may have started
-        motion."""
+        """Write the stored values that the line has changed. A write blocks interrupts, so any
+        motion must end first. Raises OSError if they cannot be stored, Abort after a reset."""
         if self._state.run & st.UNDER_WAY:
             self._canon.synchronise()
         self._saves.write_due()
 
     def _find_command(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
-        """Return the function that executes the line. Raises GrblError if the line is refused."""
+        """Return the function that executes the line, to be called with line and length. Raises
+        GrblError if the line is refused."""
         if self._echoes:
             self._report.echo(bytes(line[:length]))
         if length == 0:
@@ -159,14 +173,17 @@ class Protocol:
         return self._interpret
 
     def _report_alarm(self) -> None:
-        """Report a pending alarm, then read without answering for half a second; after a limit
-        switch or a soft limit, until a reset. Done here because the stack is nearly empty here."""
+        """Report a pending alarm, if there is one, then read without answering for half a second;
+        after a limit switch or a soft limit, until a reset. Done here because the stack is nearly
+        empty here."""
         state, report, motor_control = self._state, self._report, self._motor_control
-        code = state.alarm
+        code = state.alarm  # Grbl's number
         if code == 0:
             return
-        after = motor_control.enter_alarm()
-        state.hooks.alarm(code)
+        # What caused the alarm may have more to send once it is reported: a probing cycle its
+        # contact, an internal fault its text.
+        send_details = motor_control.enter_alarm()  # sends nothing itself
+        state.hooks.alarm(code)  # sends ALARM:code
         motor_control.wait_unanswered(_DEAF_MS)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
             # Only a reset is accepted: the user must look at the machine first.
@@ -175,13 +192,14 @@ class Protocol:
             while not state.pending[st.RESET]:
                 motor_control.wait_unanswered(1)
         state.alarm = 0
-        if after:
+        if send_details:
             if not state.pending[st.RESET]:
                 self._realtime.handle_events()
-            after()
+            send_details()
 
     def _refuse(self, reason: Exception, before: bytes) -> None:
-        """Answer a line that raised an exception."""
+        """Answer a line that raised an exception: an error or, after a reset (Abort), "ok"; then
+        Abort is raised again. before: text in front of the answer."""
         self._report_alarm()
         if isinstance(reason, OSError):
             self._report.message(errors.MSG_NOT_KEPT)  # the change is valid until power-off

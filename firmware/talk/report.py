@@ -47,7 +47,7 @@ _STATES = {
     st.CHECK: b"<Check\0",
     st.SLEEP: b"<Sleep\0",
 }
-_REPORT_MPOS = const(1)
+_REPORT_MPOS = const(1)  # bits of $10
 _REPORT_BUFFERS = const(2)
 # Status reports from one WCO: or Ov: field to the next, while idle and during motion.
 _WCO_IDLE = const(10)
@@ -64,7 +64,15 @@ _VALUES = const(3)  # integers in one form, at most
 class Report:
     """Format the state of other objects as text and write it to the link.
 
-    An extra may replace this class: Options.report.
+    An extra may replace this class: Options.report. axes: their number; line_numbers: a board
+    option, to report N.
+
+    A form is a text with placeholders for digits.write(), ended by a 0: _form has the axis values,
+    _place_form the position, _speed_form the speeds. _text: the status report; _ints and _mm: the
+    integers and the floats that are filled into its forms, _mm position and then spindle speed.
+    _shown: scratch of the same size, for values converted before they are reported. turning: mask
+    of axes in degrees. _is_common: without rare fields a kernel can write the whole report, with
+    _common_args. _piece, _sent: the last report and its length.
     """
 
     # Name of the firmware in the answer to $I; senders look for this word.
@@ -86,37 +94,37 @@ class Report:
         self._coords = coords
         self._axes = axes
         self._line_numbers = line_numbers
-        # The status report, and the values it is made of.
         self._text = bytearray(_LONGEST + _PER_AXIS * axes)
-        self._sent = 0  # length of the last report, and its slice of the buffer
+        self._sent = 0
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
-        self._mm = vector(axes + 1)  # and the spindle speed
-        self._shown = vector(axes + 1)  # scratch: values converted for a report
-        self.turning = 0  # mask of axes in degrees, which are not converted to inches
+        self._mm = vector(axes + 1)
+        self._shown = vector(axes + 1)
+        self.turning = 0
 
     def connect(self, machine: "Machine") -> None:
-        """Store the objects that a status report reads. Called once all of the machine exists."""
+        """Store the objects that a status report reads, and the arguments of the kernels begin()
+        and write_common(). Called once all of the machine exists."""
         self._planner = machine.planner
         self._segments = machine.segments
         self._inputs = machine.inputs
         self._spindle = machine.spindle
         self._coolant = machine.coolant
-        self._reader = machine.reader.memory()[1]  # the reader's indices into its ring
+        self._reader = machine.reader.memory()[1]  # the array for lines.free_space()
         self._steps = array("i", bytes(4 * machine.planner.motors))
-        # Arguments of begin() and write_common(); each look-up of an attribute costs 5 us.
+        # Tuples, because each look-up of an attribute costs 5 us.
         self._write_args = self._text, self._ints, self._mm, self._axes
-        resolution = LIMITS + RESOLUTION * self._axes
-        self._begin_args = self._write_args + (self._steps, machine.planner.table, resolution)
+        resolution_at = LIMITS + RESOLUTION * self._axes  # index in table: steps per mm, from X on
+        self._begin_args = self._write_args + (self._steps, machine.planner.table, resolution_at)
         self._read_steps = machine.engine.position
         self._kinematics = machine.planner.kinematics
 
     def configure(self) -> None:
-        """Apply $10 and $13: build the forms for digits.write(), each ended by a 0."""
+        """Apply $10, $13 and $32: build the forms of the status report."""
         settings = self._settings
         self._form = (b",#3" * self._axes)[1:] + b"\0"
         self._speed_form = b"|FS:#0,#0\0"
-        if settings.report_inches:
+        if settings.report_inches:  # one more decimal
             self._form = self._form.replace(b"3", b"4")
             self._speed_form = b"|FS:#1,#0\0"
         name = b"|MPos:" if settings.report_mask & _REPORT_MPOS else b"|WPos:"
@@ -127,8 +135,8 @@ class Report:
         # The common report is written by one kernel, if it needs no other field.
         form = self._place_form[:-1] + b"|FS:%,#0>\r\n\0"
         planner, buffers = self._planner, settings.report_mask & _REPORT_BUFFERS
-        asked = planner.flow, planner.ring, self._reader, buffers
-        self._common_args = (form, self._begin_args) + self._write_args + asked
+        sources = planner.flow, planner.ring, self._reader, buffers
+        self._common_args = (form, self._begin_args) + self._write_args + sources
         # With work position, inches or line numbers a report is not the common one.
         in_mm = settings.report_mask & _REPORT_MPOS and not settings.report_inches
         self._is_common = bool(in_mm and not self._line_numbers)
@@ -160,7 +168,8 @@ class Report:
         self._link.write(b"[echo: " + line + b"]\r\n")
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """Send one line of $$."""
+        """Send one line of $$: key is the setting's number; its value is sent with so many
+        decimals."""
         self._line("$%d=%s" % (key, number(value, decimals)))
 
     def startup_line(self, index: int, text: str) -> None:
@@ -177,17 +186,17 @@ class Report:
         self.error(errors.SETTING_READ_FAIL)
 
     def build_info(self, info: str, options: str) -> None:
-        """Answer $I."""
+        """Answer $I. info: the user's text, "" for none; options: letters and numbers."""
         name = self.identity + " " + info if info else self.identity
         self._line("[VER:%s.%s:%s]" % (VERSION, BUILD, name))
         self._line("[OPT:" + options + "]")
 
     def modes(self, text: str) -> None:
-        """Answer $G."""
+        """Answer $G with the words of the modal state."""
         self._line("[GC:" + text + "]")
 
     def offsets(self, probe: "array[float]") -> None:
-        """Answer $#: all offsets and the last probe."""
+        """Answer $#: all offsets and the last probe position (mm of machine coordinates)."""
         coords = self._coords
         for i in range(len(coords.systems)):
             self._line("[%s:%s]" % (NAMES[i], self.vector(coords.systems[i])))
@@ -196,7 +205,8 @@ class Report:
         self.probe(probe)
 
     def probe(self, probe: "array[float]") -> None:
-        """Send the position of the last probe contact, and whether the probe succeeded."""
+        """Send the position of the last probe contact (mm of machine coordinates), and whether the
+        probe succeeded."""
         succeeded = 1 if self._state.probe_succeeded else 0
         self._line("[PRB:%s:%d]" % (self.vector(probe), succeeded))
 
@@ -231,7 +241,11 @@ class Report:
     # The status report
 
     def status(self) -> "memoryview":
-        """Return the answer to ?. The buffer is reused: send it before the next call."""
+        """Return the answer to ?. The buffer is reused: send it before the next call. If no rare
+        field is due, one kernel writes it all.
+
+        The countdowns count reports until the fields WCO: and Ov: are due; 0 is due.
+        """
         state = self._state
         self._read_steps(self._steps)
         if self._kinematics:
@@ -246,7 +260,7 @@ class Report:
             spindle = self._beam() if self._is_laser and state.run & MOVING else state.spindle
             end = write_common(name, self._common_args, spindle, state.run)
         if end != self._sent:
-            # A slice allocates an object; most reports are as long as the last one.
+            # A slice allocates an object; most reports are as long as the one before.
             self._sent = end
             self._piece = memoryview(self._text)[:end]
         return self._piece
@@ -254,8 +268,10 @@ class Report:
     # Its parts. Each call costs 40 us.
 
     def _long(self, name: bytes, closed: int) -> int:
-        """Write a report with rare fields, or in inches. Returns its length. closed: mask of
-        active inputs."""
+        """Write a report with rare fields, or in inches. Returns its length in bytes.
+
+        name: the state, a form that begins the report; closed: mask of active inputs.
+        """
         begin(name, self._begin_args)
         text, ints, mm = self._text, self._ints, self._mm
         self._fields(text, ints, mm, closed)
@@ -266,9 +282,9 @@ class Report:
     ) -> None:
         """Write all fields after the state.
 
-        mm: machine position, not written yet; unless $10 requests MPos:, it becomes work position
-        in place. ints: from VALUES on, the integers of the form that is written next. closed: mask
-        of active inputs.
+        text: the report; mm: machine position, not written yet; unless $10 requests MPos:, it
+        becomes work position in place. ints: from VALUES on, the integers of the form that is
+        written next. closed: mask of active inputs.
         """
         state, planner, settings = self._state, self._planner, self._settings
         mask, inches, moves = settings.report_mask, settings.report_inches, state.run & MOVING
@@ -293,11 +309,11 @@ class Report:
             self._extras(text, ints)
 
     def _speeds(self, text: bytearray, ints: "array[int]", moves: int, inches: int) -> None:
-        """Write feed rate and spindle speed. moves: not 0 in a state that has a feed rate; inches:
-        not 0 for inches per minute."""
+        """Write feed rate and spindle speed. text, ints: as in _fields(); moves: not 0 in a state
+        that has a feed rate; inches: not 0 for inches per minute."""
         shown, rate = self._shown, self._segments.rate() if moves else 0
         spindle = self._beam() if moves and self._is_laser else self._state.spindle
-        copy(spindle, shown, 2)  # index 0 is the feed rate, index 1 RPM
+        copy(spindle, shown, 2)  # RPM is index 1; index 0 is overwritten by the feed rate
         if inches:
             shown[0] = minifloat.value(rate) * 60 * INCH_PER_MM
         else:
@@ -305,8 +321,8 @@ class Report:
         write(self._speed_form, text, ints, shown)
 
     def _beam(self) -> "array[float]":
-        """Return the array with the spindle speed to report for a laser in motion: that of the
-        block that segments are made of."""
+        """Return the array that has, at RPM, the spindle speed to report for a laser in motion:
+        that of the block that segments are made of; without one, the state's."""
         state, rpm = self._state, self._segments.beam_rpm()
         spindle = state.spindle
         if rpm is None or state.suspend & st.HOLD_COMPLETE:
@@ -315,7 +331,8 @@ class Report:
         return self._shown
 
     def _lengths(self, name: bytes, mm: "array[float]") -> None:
-        """Write a field of axis values."""
+        """Write a field of axis values (mm), in the units of reports. name: a form that begins
+        it."""
         text, ints = self._text, self._ints
         write(name, text, ints, mm)
         if self._settings.report_inches:
@@ -323,14 +340,15 @@ class Report:
         write(self._form, text, ints, mm)
 
     def in_inches(self, mm: "array[float]") -> "array[float]":
-        """Convert axis values to inches. Returns the one scratch array, which the next call
-        overwrites."""
+        """Convert axis values to inches, except those of axes in degrees. Returns the one scratch
+        array, which the next call overwrites."""
         for i in range(self._axes):
             self._shown[i] = mm[i] if self.turning >> i & 1 else mm[i] * INCH_PER_MM
         return self._shown
 
     def _suspended(self) -> bytes:
-        """Return the name of a state that is not in _STATES: Hold or Door, with its phase."""
+        """Return the form of a state that is not in _STATES: Hold or Door, with its phase. Grbl's
+        Hold:0 is complete, Hold:1 still in motion."""
         state = self._state
         if state.run == st.HOLD:
             # A jog that is being cancelled stays in the state Jog.
@@ -348,7 +366,7 @@ class Report:
         return 2
 
     def _work_offset(self) -> "array[float]":
-        """Return machine position minus work position, per axis."""
+        """Return machine position minus work position, mm per axis, in the scratch array."""
         coords, offset = self._coords, self._shown
         copy(coords.zero(coords.active), offset, self._axes)
         if coords.length_axis < self._axes:  # the tool length is the last of the offsets
@@ -356,7 +374,8 @@ class Report:
         return offset
 
     def _extras(self, text: bytearray, ints: "array[int]") -> None:
-        """Write WCO: now and then; Ov: and A: now and then, but not together with WCO:."""
+        """Write WCO: if it is due; Ov: and A: if they are due, but not in a report with WCO:. Each
+        is due again after a number of reports, which is greater during motion."""
         state = self._state
         busy = state.run & MOVING
         if state.wco_countdown > 0:

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from talk.lines import LineReader
 
 # After so many lines the main loop runs, even if more lines wait: it monitors motion and runs the
-# hooks of extras. An even number.
+# hooks of extras. An even number, because answers are sent in pairs.
 LINES = const(16)
-# Bytes to read at once if the ring may not hold all that may arrive.
+# Bytes to read at once if the ring has no space for a full buffer.
 _LONG = const(64)
 _SHORT = const(16)
 
@@ -34,7 +34,9 @@ _SHORT = const(16)
 def kernel_args(
     reader: "LineReader", interpreter: "Interpreter", link: "Link", buffer: bytearray
 ) -> "tuple[Any, ...]":
-    """Return the second argument of run_lines(). buffer: for received bytes."""
+    """Return the second argument of run_lines(), a tuple of everything that it uses: the reader's
+    memory, the interpreter's, the answers and, for _receive(), the link and three buffers. buffer:
+    the largest of these, for received bytes."""
     long, short = bytearray(_LONG), bytearray(_SHORT)
     receiving = link.read_into, reader.post, len(buffer), buffer, long, short
     modal, machine, memory = interpreter.memory()
@@ -43,11 +45,12 @@ def kernel_args(
 
 @micropython.viper
 def run_lines(pending: ptr8, loop_args: object) -> int:
-    """Execute lines until one is not move-only or none is complete, an event is posted, or the
-    main loop is due. Returns the last result of clean(), whose line has not been executed.
+    """Execute lines until one is not move-only or none is complete, an event is posted, or
+    LINES_LEFT lines have been executed. Returns clean()'s result for the line that has not been
+    executed, length << 2 | LINE or TOO_LONG, or NOTHING.
 
-    loop_args: kernel_args(). Answers are sent in pairs, because a write takes as long as a third
-    of a line: one is owed if an odd number is left.
+    pending: State.pending; loop_args: kernel_args(). Answers are sent in pairs, because a write
+    takes as long as a third of a line: one is owed while the number of lines left is odd.
     """
     _ring, _reader, line, _kinds, _modal, _machine, memory, write, one_ok, two_oks, receiving = (
         loop_args
@@ -89,13 +92,15 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
 
 @micropython.viper
 def _receive(pending: ptr8, receiving: object, ring: ptr8, reader: ptr32, kinds: ptr8) -> int:
-    """Read the bytes received, because a ? after lines must not wait for them.
+    """Read the bytes received, because a ? after lines must not wait for them. Returns how many
+    bytes, or 0 if an event is posted (ANY).
 
     It reads no more than the ring has space for, so nothing is lost if a sender does not count.
-    After a full piece of _LONG or _SHORT bytes it reads on; a piece that is not full means that
-    nothing more has arrived. Returns how many bytes, or 0 if an event is posted.
+    The piece to read is the whole buffer; if the ring has less space, _LONG or _SHORT bytes. After
+    a full piece of these it reads on; a piece that is not full means that nothing more has
+    arrived.
 
-    receiving: of kernel_args().
+    pending: State.pending; receiving: see kernel_args(); ring, reader, kinds: see lines.feed().
     """
     read_into, post, size, piece, long, short = receiving
     free = int(free_space(reader))

@@ -57,7 +57,15 @@ def _field(result: "Any") -> str:
 
 
 class Events:
-    """The events, and the handlers of each."""
+    """The events, and the handlers of each: by its name, each as its name in messages and itself.
+
+    An event that waits is its name and the handlers' arguments: in _due for handlers that may
+    move, in _due_during_motion for the others. _timers: milliseconds, time of the last call, name,
+    function. _inputs: by name, whether it was closed. _changed[0]: 1: an interrupt has seen an
+    input change. _run: the run state at the last poll. _failed: handlers that failed after a
+    welcome; _has_failed: such a failure causes the next welcome. _pause: executes M0's hold, None
+    if none waits.
+    """
 
     def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
         self._cnc = cnc
@@ -66,18 +74,16 @@ class Events:
         self._state = cnc.machine.state
         self._runner = runner
         self._handlers: "dict[str, list[Handler]]" = {}
-        self._inputs: "dict[str, bool]" = {}  # by name: whether it was closed
-        self._timers: "list[list[Any]]" = []  # milliseconds, time of the last call, name, function
-        # Events to handle: by handlers that may move, and by the others.
+        self._inputs: "dict[str, bool]" = {}
+        self._timers: "list[list[Any]]" = []
         self._due: "list[tuple[str, tuple[Any, ...]]]" = []
         self._due_during_motion: "list[tuple[str, tuple[Any, ...]]]" = []
         self._is_polling = False  # poll() is running: a handler's wait calls it again
         self._has_started = False  # the welcome of power-up is over
-        self._run = cnc.machine.state.run  # the state at the last poll, of base/state.py
-        self._pause: "Callable[[], None] | None" = None  # M0's hold, to be executed
+        self._run = cnc.machine.state.run
+        self._pause: "Callable[[], None] | None" = None
         self._field = ""  # the status report's field, as on.report made it last
-        self._changed = bytearray(1)  # 1: an interrupt has seen an input change
-        # Handlers that failed after a welcome, and whether such a failure causes the next welcome.
+        self._changed = bytearray(1)
         self._failed: "list[Function]" = []
         self._has_failed = False
         self._synced_words = SyncedWords(cnc.machine, runner)
@@ -120,7 +126,8 @@ class Events:
             self._runner.run_housekeeping()
 
     def _run_due_between(self) -> None:
-        """Run events that no line waits for. Abort after an alarm: the main loop reports that."""
+        """Run due events between two lines, where no line waits for them. Raises Abort after an
+        alarm: the main loop reports that."""
         try:
             self.run_due()
         except GrblError:
@@ -145,7 +152,7 @@ class Events:
         """Run a handler after a welcome.
 
         If it causes an alarm, it is not run after that alarm's welcome. Otherwise the welcomes
-        would never end, and the machine could not be unlocked.
+        would never end, and the machine could not be unlocked. what: its name in messages.
         """
         if function in self._failed:
             return
@@ -158,7 +165,8 @@ class Events:
 
     @micropython.native
     def poll(self) -> None:
-        """Run the handlers that run during motion, if the stack has space.
+        """Run the handlers that run during motion, if the stack has space: those of due events and
+        timers, and words whose blocks have been executed. Called wherever the main loop waits.
 
         In check mode none runs; changes in that time are reported after it.
         """
@@ -198,7 +206,7 @@ class Events:
                 self._runner.run(what, function, False)
 
     def _detect_changes(self) -> None:
-        """Find changes of state and inputs. They have no hooks."""
+        """Find changes of state and inputs, and emit their events. They have no hooks."""
         run = self._state.run
         if run != self._run:
             self._emit("state_change", STATES[self._run], STATES[run])
@@ -281,7 +289,8 @@ class Events:
         hooks.execute = execute
 
     def _select(self, tool: int) -> None:
-        """Handle T, on a line of its own or with other words."""
+        """Handle a T on the line just executed (its number): a new tool is an event, except in
+        check mode."""
         if tool != self._runner.machine_api.tool and self._state.run != st.CHECK:
             self._runner.machine_api.tool = tool
             self._emit("tool_select", tool)
@@ -334,7 +343,7 @@ class Events:
         previous = hooks.probe
 
         def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-            """Probe, then call the handlers with the contact position, or None."""
+            """Probe as before, with the same arguments and result; then emit probe_done."""
             result = previous(target, move, away, alarms)
             self._emit(
                 "probe_done", Position(hooks.probed_at()) if state.probe_succeeded else None

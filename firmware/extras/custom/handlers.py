@@ -61,11 +61,16 @@ class Refuse(Exception):
 def _note(
     kind: str, key: "Any", letters: str, sync: "bool | None"
 ) -> "Callable[[Function], Function]":
-    """Return a decorator that notes its function, and leaves it as it is. See Note."""
+    """Return a decorator that notes its function, and leaves it as it is.
+
+    kind: M, G, EVERY, INPUT or an event's name; key: the number of the word, milliseconds, or a
+    name; letters: of a word's parameters; sync: see mcode().
+    """
     if sync is not True and sync is not False and sync is not None:  # 0 and 1 are neither
         raise TypeError("sync is True, False or None, not %r" % (sync,))
 
     def note(function: "Function") -> "Function":
+        """Note the function, and return it."""
         _notes.append((kind, key, letters, sync, function))
         return function
 
@@ -102,7 +107,8 @@ def gcode(
     letters: str = "",
     sync: "bool | None" = True,
 ) -> "Callable[[Function], Function]":
-    """Define a G word, as mcode(): 81, 81.1, or with an L that Grbl does not use, "10 L1"."""
+    """Define a G word. number: 81, 81.1, or with an L that Grbl does not use, "10 L1"; letters and
+    sync: as for mcode()."""
     _refuse_bare(number, "gcode(101)")
     return _note(G, number, letters, sync)
 

@@ -46,20 +46,23 @@ _MOST_JOGS = const(4)  # requested, not yet started
 
 
 def _never() -> bool:
+    """Return False: the condition of a wait that only its time ends."""
     return False
 
 
 class MachineApi(PinApi):
-    """What a handler may call. outputs, inputs: pins, by the names of the board file."""
+    """What a handler may call. outputs, inputs: pins' numbers, by the names of the board file.
+    tool: the number of the last T. _open: open m.saved() blocks, the innermost last. _jogs: lines
+    of requested jogs that have not started."""
 
     def __init__(
         self, machine: "Controller", outputs: "dict[str, int]", inputs: "dict[str, int]"
     ) -> None:
         super().__init__(machine, outputs, inputs)
-        self.tool = 0  # the number of the last T
+        self.tool = 0
         self.keep = PersistentValues(machine.saves)
-        self._open: "list[ModalState]" = []  # open m.saved() blocks, the innermost last
-        self._jogs: "list[str]" = []  # lines requested, not yet started
+        self._open: "list[ModalState]" = []
+        self._jogs: "list[str]" = []
 
     # For the firmware, not for handlers
 
@@ -354,10 +357,10 @@ class MachineApi(PinApi):
 
     def _of_work(self, mm: "Position | array[float]") -> Position:
         """Convert a position from machine to work coordinates, in mm."""
-        place = vector(self._machine.planner.axes)
-        for i in range(len(place)):
-            place[i] = mm[i] - self._zero(i)
-        return Position(place)
+        work = vector(self._machine.planner.axes)
+        for i in range(len(work)):
+            work[i] = mm[i] - self._zero(i)
+        return Position(work)
 
     def mm(self, length: float) -> float:
         """Convert a length of the program to mm, from inches if the program is in G20."""

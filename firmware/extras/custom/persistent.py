@@ -18,12 +18,12 @@ _FILE = "keep"
 
 
 class PersistentValues:
-    """The stored values, by name."""
+    """The stored values, by name. is_due: a value has changed and is not stored yet."""
 
     def __init__(self, saves: "Saves") -> None:
         self._saves = saves
         self._values: "dict[str, Any]" = {}
-        self.is_due = False  # a value has changed and is not stored yet
+        self.is_due = False
         for line in saves.load(_FILE) or ():
             try:
                 name, value = json.loads(line)
@@ -33,9 +33,11 @@ class PersistentValues:
                 self._values[name] = value
 
     def __getitem__(self, name: str) -> "Any":
+        """Return the value. KeyError if there is none."""
         return self._values[name]
 
     def __contains__(self, name: str) -> bool:
+        """Return whether there is a value of that name."""
         return name in self._values
 
     def get(self, name: str, default: "Any" = None) -> "Any":
@@ -60,6 +62,7 @@ class PersistentValues:
             self.is_due = True
 
     def __delitem__(self, name: str) -> None:
+        """Remove a value. KeyError if there is none."""
         del self._values[name]
         self.is_due = True
 

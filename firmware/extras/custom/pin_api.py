@@ -27,7 +27,13 @@ class Stopped(BaseException):
 
 
 class PinApi:
-    """The API's pins. outputs, inputs: pins, by the names of the board file."""
+    """The API's pins. outputs, inputs: pins' numbers, by the names of the board file.
+
+    _outputs, _inputs: the names, by index. _levels: bit i: output i is on. _hz: frequency of each
+    output's pulses, 0 without pulses. may_move: the handler that runs now may move. _since_ms:
+    when it began, or its last wait ended; slow_ms: the longest time that a handler took without a
+    call of m.
+    """
 
     def __init__(
         self, machine: "Controller", outputs: "dict[str, int]", inputs: "dict[str, int]"
@@ -36,11 +42,11 @@ class PinApi:
         self._state = machine.state
         self._outputs = list(outputs)
         self._inputs = list(inputs)
-        self._levels = 0  # bit i: output i is on
-        self._hz = [0] * len(outputs)  # pulse frequency of each output, 0 without pulses
-        self._since_ms = 0  # when the handler began, or its last wait ended
-        self.slow_ms = 0  # the longest time a handler took without a call of m
-        self.may_move = False  # whether the handler that runs now may move
+        self._levels = 0
+        self._hz = [0] * len(outputs)
+        self._since_ms = 0
+        self.slow_ms = 0
+        self.may_move = False
 
     # For the firmware, not for handlers
 
@@ -68,7 +74,8 @@ class PinApi:
     # Pins
 
     def out(self, name: str, on: "Any") -> None:
-        """Switch an output of the board file, after the motion of the handler.
+        """Switch an output of the board file on or off (any value is tested for truth). A handler
+        that may move waits for the end of its motion first.
 
         Switching off works also after a reset or an alarm, so use it in `finally`. ValueError for
         an unknown name.
@@ -108,7 +115,8 @@ class PinApi:
         self.pwm(name, us * _SERVO_HZ / 1000000, _SERVO_HZ)
 
     def _set_level(self, index: int, on: bool) -> None:
-        """Note an output's level, when the handler's motion has ended. The pin is not switched.
+        """Note an output's level (index), when the handler's motion has ended. The caller switches
+        the pin.
 
         After a reset or an alarm it raises Stopped for `on`; off is noted at once.
         """

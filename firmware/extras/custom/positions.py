@@ -40,9 +40,11 @@ class Position:
         self._mm = [mm[i] for i in range(len(mm))]
 
     def __getitem__(self, axis: int) -> float:
+        """Return an axis's position by its index."""
         return self._mm[axis]
 
     def __repr__(self) -> str:
+        """Return the position as text, with three decimals."""
         return "(%s)" % ", ".join(["%.3f" % mm for mm in self._mm])
 
     @property
@@ -59,6 +61,7 @@ class Position:
 
     @property
     def a(self) -> float:
+        """Position of axis A. ValueError on a machine without it."""
         if len(self._mm) <= _A:
             raise ValueError("the machine has no axis A")
         return self._mm[_A]
@@ -69,6 +72,10 @@ class ModalState:
 
     With `usual`, G17, G21, G90 and G94 hold inside. Spindle with its S, coolant and M56 stay as
     they are, because they are what the machine does. within: the open blocks, this one last.
+
+    Copies from the beginning of the block: modal, the modal state; _rates, the feed; _length and
+    _g92, the tool length and the G92 offset; _motions, canned cycles of extras, each with the
+    numbers that hold for its next line.
     """
 
     def __init__(self, machine: "Controller", usual: bool, within: "list[ModalState]") -> None:
@@ -83,7 +90,6 @@ class ModalState:
         self._rates = modes.rates[FEED]
         self._length, self._g92 = coords.tool_length, array("f", coords.g92)
         motions = self._machine.interpreter.motions.values()
-        # Canned cycles of extras, each with the numbers that hold for its next line.
         self._motions = [(motion, motion.kept) for motion in motions]
         self._within.append(self)
         if self._usual:
@@ -91,7 +97,7 @@ class ModalState:
                 modes.modal[i] = 0
 
     def keep_length(self) -> None:
-        """Keep the present tool length when the block ends."""
+        """Let the present tool length stay when the block ends, instead of the one before it."""
         self._length = self._machine.coords.tool_length
 
     def __exit__(self, *fault: object) -> None:

@@ -37,19 +37,21 @@ _BLOCKS = const(8)
 
 
 class Runner:
-    """Calls handlers. api: their argument m; modules: the names of the user's modules."""
+    """Calls handlers. api: their argument m; modules: the names of the user's modules. is_running:
+    a handler is running. has_run: run_housekeeping() may have work. _calls: handlers run since the
+    last garbage collection. _slow: names of handlers reported as slow. _disabled: handlers that
+    failed during motion: they would fail again at every turn of the loop."""
 
     def __init__(self, cnc: "Cnc", api: "MachineApi", modules: "tuple[str, ...]") -> None:
         self._cnc = cnc
         self._machine = cnc.machine
         self.machine_api = api
         self._modules = [module.replace(".", "/") for module in modules]
-        self.is_running = False  # a handler is running
-        self._slow: "list[str]" = []  # handlers reported as slow
-        # Handlers that failed during motion: they would fail again at every turn of the loop.
+        self.is_running = False
+        self._slow: "list[str]" = []
         self._disabled: "list[Function]" = []
         self._calls = 0
-        self.has_run = False  # run_housekeeping() may have work
+        self.has_run = False
 
     @micropython.native  # takes half the stack of bytecode
     def run(
@@ -62,9 +64,10 @@ class Runner:
     ) -> "Any":
         """Call a handler and return its result: None if it was stopped, or is disabled.
 
-        what: its name in messages. values: an event's arguments. given: the parameters of a word
-        by letter, None for an event. Raises GrblError if the handler refuses its line, and Abort
-        if the machine has been stopped.
+        what: its name in messages. may_move: it may move and wait; else it runs during motion.
+        values: an event's arguments. given: the parameters of a word by letter, None for an event.
+        Raises GrblError if the handler refuses its line, and Abort if the machine has been
+        stopped, also because the handler has failed.
         """
         api, state = self.machine_api, self._machine.state
         if function in self._disabled and not may_move:
@@ -109,7 +112,8 @@ class Runner:
     # Failing
 
     def text(self, lines: "list[str]") -> str:
-        """Return from a traceback the last line in the user's own files, and the exception.
+        """Return from a traceback the last place in the user's own files, and the exception, such
+        as `custom.py, line 7, in probe: ValueError: ...`.
 
         A traceback's lines are `File "custom.py", line 7, in probe`; the last is the exception.
         """
@@ -127,7 +131,8 @@ class Runner:
         return any((name == module or name.endswith("/" + module)) for module in self._modules)
 
     def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
-        """Report that a handler has failed, and stop the machine. Raises Abort."""
+        """Report that a handler has failed, store the traceback's end for $I+, and stop the
+        machine. what: the handler's name in messages. Raises Abort."""
         machine = self._machine
         # MicroPython removes an interrupt handler that found the stack full. Attach it again.
         machine.port.attach(machine.motor_control)
@@ -144,12 +149,12 @@ class Runner:
         self.machine_api.halt()
 
     def _report_disabled(self, what: str) -> None:
+        """Report that a handler, by its name in messages, is disabled."""
         self._cnc.message(what + " is disabled until power-up")
 
     def refuse_disabled(self, what: str, function: "Function") -> None:
-        """Raise GrblError if the handler is disabled.
-
-        Otherwise the sender would take the word's line as done.
+        """Report it and raise GrblError if the handler of a word is disabled. what: its name in
+        messages. Otherwise the sender would take the word's line as done.
         """
         if function in self._disabled:
             self._report_disabled(what)

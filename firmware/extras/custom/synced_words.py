@@ -20,24 +20,23 @@ if TYPE_CHECKING:
 
 _FAR = const(1_000_000)  # mm: outside of every machine
 
-# Indices of a waiting word's fields; see SyncedWords.waiting.
-_BLOCKS = const(0)
-_END = const(1)
-_DISTANCE = const(2)
-_CALL = const(3)  # name, function and parameters
+# Indices of a waiting word's fields.
+_BLOCKS = const(0)  # number of blocks still before it
+_END = const(1)  # their end position, mm
+_DISTANCE = const(2)  # mm to that position at the last look
+_CALL = const(3)  # from here on: name, function and parameters
 
 
 class SyncedWords:
-    """The words that wait for motion."""
+    """The words that wait for motion: waiting has a list of fields for each. _mm: the present
+    position. _tail: index of the planner's next block to read, at the last count."""
 
     def __init__(self, machine: "Controller", runner: "Runner") -> None:
         self._machine = machine
         self._runner = runner
-        # Per word: blocks still before it, their end position in mm, the distance to that at the
-        # last look in mm, then name, function and parameters.
         self.waiting: "list[list[Any]]" = []
-        self._mm = vector(len(machine.modes.position))  # the present position
-        self._tail = 0  # the planner's next block to read, at the last count
+        self._mm = vector(len(machine.modes.position))
+        self._tail = 0
 
     def add(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
         """Add a word after all planned blocks, and start motion if it has not started.
@@ -49,11 +48,12 @@ class SyncedWords:
         machine.canon.auto_start()
         self._count_passed()
         blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
-        place = tuple(machine.modes.position)
-        self.waiting.append([blocks, place, _FAR, what, function, given])
+        end = tuple(machine.modes.position)
+        self.waiting.append([blocks, end, _FAR, what, function, given])
 
     def run_reached(self) -> None:
-        """Run the words whose position has been reached."""
+        """Run the words whose position has been reached, in their order. Called at each turn of
+        the main loop while words wait."""
         self._count_passed()
         self._machine.state.pending[st.ANY] = 1  # check again after the next line
         waiting = self.waiting
@@ -62,7 +62,7 @@ class SyncedWords:
             self._runner.run(what, function, False, (), given)
 
     def _count_passed(self) -> None:
-        """Subtract the blocks that the engine has read since the last call."""
+        """Subtract from each word's blocks those that the engine has read since the last call."""
         flow = self._machine.planner.flow
         passed = (flow[TAIL] - self._tail) % flow[ROWS]
         self._tail = flow[TAIL]
@@ -70,7 +70,8 @@ class SyncedWords:
             word[_BLOCKS] = max(0, word[_BLOCKS] - passed)
 
     def _is_reached(self, word: "list[Any]") -> bool:
-        """Return whether the machine stands, or moves away from the word's position."""
+        """Return whether a word's position has been reached: the machine stands, or is farther
+        from it than at the last look. All blocks before it must have been read."""
         machine, mm = self._machine, self._mm
         machine.position(mm)
         distance = max([abs(end - now) for end, now in zip(word[_END], mm)])  # of the worst axis

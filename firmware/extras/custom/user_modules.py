@@ -85,7 +85,8 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
 
 
 def title(kind: str, key: "Any") -> str:
-    """Return a handler's name in messages: M100, on.spindle, on.input(door), every 50."""
+    """Return a handler's name in messages, from its note's kind and key: M100, on.spindle,
+    on.input(door), every 50."""
     if kind in (handlers.M, handlers.G):
         return "%s%s" % (kind, key)
     if kind == handlers.EVERY:
@@ -108,7 +109,7 @@ class Custom:
         ValueError if a word is taken or an input unknown, TypeError if letters are not text.
         """
         word_kinds = (handlers.M, handlers.G)
-        words = [note for note in notes if note[0] in word_kinds]
+        words = [note for note in notes if note[0] in word_kinds]  # note[0]: its kind
         events = [note for note in notes if note[0] not in word_kinds]
         # A handler of tool changes defines M6, too.
         m6 = [("M", 6, "t")] if "tool_change" in [kind for kind, _, _, _, _ in events] else []
@@ -135,14 +136,14 @@ class Custom:
         self._add_build_info(sanitize("Custom: " + ", ".join(names)))
 
     def leave_out(self, fault: BaseException) -> None:
-        """Leave all handlers out, and report why after each welcome and in $I."""
+        """Leave all handlers out, and report why (fault) after each welcome and in $I."""
         handlers.take_notes()  # forgets the handlers that were noted before the fault
         text = sanitize("Custom left out: " + self._runner.text(trace(fault)))
         self._cnc.after_reset(lambda: self._cnc.message(text))
         self._add_build_info(text)
 
     def _add_build_info(self, text: str) -> None:
-        """Add a line to $I."""
+        """Add a line to $I, and the last stored traceback to $I+."""
         self._machine.state.hooks.build_info += (lambda: self._cnc.message(text),)
         self._cnc.after_command(b"I+", self._report_trace)
 

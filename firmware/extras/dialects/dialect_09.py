@@ -115,7 +115,8 @@ _AXIS_SETTINGS = {
 
 
 class Report09(Report):
-    """Reports as 0.9j formats them."""
+    """Reports as 0.9j formats them. words: descriptions of settings by number; alarms: texts of
+    alarms by number. _blocks, _rx_bytes: free planner blocks and bytes while nothing is used."""
 
     VERSION = "0.9j"
 
@@ -123,7 +124,8 @@ class Report09(Report):
     alarms = _ALARMS
 
     def connect(self, machine: "Machine") -> None:
-        """As Report.connect(). Buffers are still empty: 0.9 counts the used entries."""
+        """Connect the machine as Report.connect() does, and note the free space of the buffers,
+        which are still empty: 0.9 reports used entries."""
         super().connect(machine)
         self.words = _WORDS.copy()  # other extras may add to these
         self.alarms = _ALARMS.copy()
@@ -158,7 +160,7 @@ class Report09(Report):
         self._link.write(_HELP)
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """Send one line of $$."""
+        """Send one line of $$: key is the setting's number; a mask is shown as bits."""
         _, _, _, _, unit = self._settings.row(key)[0]
         words = self.words.get(key) or unit
         if words[-1] == ":":  # a mask
@@ -168,7 +170,8 @@ class Report09(Report):
         self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
 
     def startup_run(self, text: str) -> bytes:
-        """Report a startup line before it is executed, and so before its answer."""
+        """Send the text of a startup line before it is executed; return nothing to put in front of
+        its answer, as 1.1 does."""
         self._link.write(text.encode())
         return b""
 
@@ -180,7 +183,8 @@ class Report09(Report):
         self._line("[%s.%s:%s]" % (self.VERSION, BUILD, info))
 
     def modes(self, text: str) -> None:
-        """Answer $G. M0 is always listed, before the spindle. T is T0: 0.9 drops its number."""
+        """Answer $G. text: 1.1's words. M0 is always listed, before the spindle's M word, and the
+        tool is always T0, as in 0.9."""
         words = ["T0" if word[0] == "T" else word for word in text.split(" ")]
         words.insert(_BEFORE_SPINDLE, "M0")
         self._line("[" + " ".join(words) + "]")
@@ -203,7 +207,7 @@ class Report09(Report):
     ) -> None:
         """Write all fields after the state. mm: machine position, which becomes work position.
 
-        text, ints: where write() puts the text, and its values.
+        text: the report, to which write() appends; ints: the integers that it fills in.
         """
         mask = self._settings.report_mask
         if mask & _MACHINE_POSITION:
@@ -229,7 +233,8 @@ class Report09(Report):
         write(form, self._text, self._ints, self._mm)
 
     def _suspended(self) -> bytes:
-        """Return the state's name where _STATES has none."""
+        """Return the form of a state that Report._STATES does not have: Door while it is open or
+        the tool is retracted, else Hold."""
         state = self._state
         suspend = state.suspend
         if state.run == st.DOOR and (suspend & st.DOOR_AJAR or not suspend & st.RETRACT_COMPLETE):

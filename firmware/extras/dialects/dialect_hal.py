@@ -69,7 +69,8 @@ class ReportHal(Report):
         super().alarm(code)
 
     def build_info(self, info: str, options: str) -> None:
-        """Answer $I."""
+        """Answer $I, with axes and features. info: the user's text, "" for none; options: letters
+        and numbers."""
         name, axes = "GrblHAL" + self.identity[_GRBL:], self._axes  # identity: Grbl and more
         self._line("[VER:%s.%s:%s]" % (self.VERSION, BUILD, name + " " + info if info else name))
         self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no tool table
@@ -96,7 +97,8 @@ class ReportHal(Report):
             return super().status()
         self.is_complete = False
         state = self._state
-        state.wco_countdown, state.override_countdown = 1, 0  # both do not fit in one report
+        # Grbl's report has either Ov: or WCO:. So it is made with Ov:, and WCO: is added here.
+        state.wco_countdown, state.override_countdown = 1, 0
         text = bytes(super().status())[: -len(">\r\n")]
         state.override_countdown = 0  # gSender needs Ov:, and reads it only in normal reports
         if self._alarm and state.run == st.ALARM:
@@ -107,13 +109,14 @@ class ReportHal(Report):
 
 
 class Bytes:
-    """Real-time bytes of grblHAL. Unknown ones are ignored."""
+    """Real-time bytes of grblHAL. Unknown ones are ignored. _stopping: a hold slows motion down,
+    and a reset follows it. _usual_post: what handles Grbl's bytes."""
 
     def __init__(self, machine: "Controller", report: ReportHal) -> None:
         self._state = machine.state
         self._motor_control = machine.motor_control
         self._report = report
-        self._stopping = False  # a hold slows motion down, and a reset follows it
+        self._stopping = False
         self._usual_post = machine.reader.post
         machine.reader.post = self.post
         machine.state.hooks.poll += (self._turn,)
@@ -141,8 +144,9 @@ class Bytes:
             self._motor_control.reset()
 
     def _begin(self) -> None:
-        """Forget a stop that was under way, after a reset."""
-        if not self._state.pending[st.FEED_HOLD]:  # a feed hold received since
+        """Forget a stop that was in progress, because the reset has come; but not one that was
+        received since, whose hold is pending."""
+        if not self._state.pending[st.FEED_HOLD]:
             self._stopping = False
 
     def _turn(self) -> None:
@@ -161,9 +165,10 @@ def texts() -> "IO[bytes]":
 
 
 def _enumerate(cnc: "Cnc", command: bytes) -> None:
-    """Send the rows of a command, such as ES. Of settings, send those that this machine has.
+    """Send the rows of a command, such as ES, from FILE. Of settings, send those that this machine
+    has.
 
-    GrblError if FILE has no row of that command.
+    GrblError if FILE has no row of that command. Without FILE a message says so.
     """
     try:
         rows = texts()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     # Letter, number as it is written, and tenths of a G or M word (-1 for other letters).
     Word = tuple[str, str, int]
 
-_PLANES = ((0, 1), (2, 0), (1, 2))  # the axes of G17, G18, G19
+_PLANES = ((0, 1), (2, 0), (1, 2))  # by modal plane: the axes of G17, G18, G19
 _G73 = const(730)
 _G83 = const(830)
 _G85 = const(850)
@@ -37,8 +37,8 @@ CYCLES = {
     _G85: ("", ""),
     _G89: ("P", ""),
 }
-MOTIONS = (0, 10, 20, 30, 382, 383, 384, 385)
-# Other words whose axis words do not give a hole; G80 is one of them.
+MOTIONS = (0, 10, 20, 30, 382, 383, 384, 385)  # G words in tenths: G0 to G3, G38.2 to G38.5
+# G words in tenths whose axis words do not give a hole; G80 is one of them.
 _CLAIMS = MOTIONS + (100, 280, 281, 300, 301, 431, 530, 800, 920, 921)
 _LETTERS = "XYZ"
 _OWN = "XYZRQPL"
@@ -46,12 +46,13 @@ _OWN = "XYZRQPL"
 _GAP_MM = 0.254
 _GAP_INCH = 0.01
 _MM_PER_INCH = 25.4
-_LEAST_Q = 0.001
+_LEAST_Q = 0.001  # mm or inches
 _LEAST = 0.0001  # mm or inches: a last peck thinner than this is drilled with the one above it
 
 
 def has(words: "list[Word]", letter: str, *tenths: int) -> bool:
-    """Return whether one of these G or M words is there; without tenths, whether the letter is."""
+    """Return whether one of these words is there: `letter`, G or M, with one of these numbers in
+    tenths; without numbers, whether the letter is there."""
     for word in words:
         if word[0] == letter and (not tenths or word[2] in tenths):
             return True
@@ -59,14 +60,17 @@ def has(words: "list[Word]", letter: str, *tenths: int) -> bool:
 
 
 def joined(words: "list[Word]") -> str:
-    """Return the words as a line."""
+    """Return the words as the text of a line."""
     return "".join([letter + number for letter, number, _ in words])
 
 
 class Holes:
-    """What a line of a cycle asks for, in the program's units.
+    """What a line of a cycle asks for, in the program's units. Drilling.plan() sets it.
 
-    Numbers stay text, as the program has them.
+    Numbers stay text, as the program has them. cycle: in tenths. kept: numbers by letter. letter:
+    the drilling axis; now: its position. to_r: G99. r, bottom, above: heights, R, the hole's
+    bottom, and where it ends. places: the axis words of each hole in the plane, "" for none. gap:
+    how far above the last depth a rapid back into the hole stops.
     """
 
     cycle: int
@@ -85,7 +89,8 @@ class Holes:
     places: "Iterator[str]"
 
     def lines(self) -> "Iterator[str]":
-        """Yield the lines for all holes, one hole after the other."""
+        """Yield the lines for all holes, one hole after the other: up to R if the tool is below,
+        across, to R, then the hole."""
         go_to_r = "G0" + self.letter + self.r
         height = self.now  # of the tool
         if height < float(self.r):
@@ -110,7 +115,8 @@ class Holes:
         yield (feed if self.cycle in (_G85, _G89) else rapid) + self.above
 
     def _pecks(self, feed: str, rapid: str) -> "Iterator[str]":
-        """Yield the pecks to all depths except the last, each with its retract to clear chips.
+        """Yield the pecks to all depths except the last, each with its retract to clear chips: to
+        R with G83, by `gap` with G73.
 
         feed, rapid: a move's words up to its number. Q is the depth of one peck.
         """
@@ -120,7 +126,7 @@ class Holes:
             depth = top - count * peck
             yield feed + _text(depth)
             if self.cycle == _G83:
-                yield rapid + self.r
+                yield rapid + self.r  # and back into the hole:
             yield rapid + _text(min(top, depth + self.gap))
             count += 1
 
@@ -128,7 +134,11 @@ class Holes:
 class Drilling:
     """State of the drilling cycles. cycle: the active one in tenths, or 0. to_r: G99 is active.
 
-    run executes a line. check refuses a line, or leaves it in the interpreter's block.
+    run executes a line. check refuses a line, or leaves it in the interpreter's block. _holes: the
+    result of the last plan(). _kept: numbers by letter that hold for the next line of the cycle.
+    _motion, _was_open: the motion mode and the interpreter's is_open (kernels may execute lines)
+    before the cycle. _begun_mm: position of the drilling axis then, in machine coordinates.
+    _manner: the drilling axis, inches and relative of the last line, on which _kept depends.
     """
 
     def __init__(
@@ -137,12 +147,12 @@ class Drilling:
         self._machine = machine
         self._run = run
         self._check = check
-        self._holes = Holes()  # the result of the last plan()
+        self._holes = Holes()
         self.cycle = 0
-        self._motion = 0  # the motion mode before the cycle
-        self._begun_mm = 0.0  # position of the drilling axis then, in machine coordinates
-        self._manner = (0, 0, 0)  # see Holes
-        self._was_open = True  # the interpreter's is_open before the cycle
+        self._motion = 0
+        self._begun_mm = 0.0
+        self._manner = (0, 0, 0)
+        self._was_open = True
         self.forget()
 
     def forget(self) -> None:
@@ -151,7 +161,8 @@ class Drilling:
         self.stop(False)
 
     def repeats(self, words: "list[Word]") -> bool:
-        """Return whether the line has only a new position for the active cycle."""
+        """Return whether a line with these words repeats the active cycle at a new position: it
+        has axis words, and no G word that uses them otherwise."""
         if not self.cycle or has(words, "G", *_CLAIMS) or has(words, "G", *CYCLES):
             return False
         return any(has(words, letter) for letter in _LETTERS)
@@ -167,7 +178,8 @@ class Drilling:
         self._kept: "dict[str, str]" = {}
 
     def make(self, holes: Holes) -> None:
-        """Execute what plan() has prepared."""
+        """Execute what plan() has prepared: first the line's other words, then all holes. holes:
+        its result. GrblError if a line is refused, Abort after a reset."""
         interpreter, modes = self._machine.interpreter, self._machine.modes
         modal = modes.modal
         before = list(modes.position)
@@ -191,7 +203,8 @@ class Drilling:
     # Checks
 
     def plan(self, words: "list[Word]", to_r: bool) -> Holes:
-        """Check a line and prepare its holes. GrblError if it is wrong. Nothing changes."""
+        """Check a line of a cycle and prepare its holes. words: the line's; to_r: G99 holds for
+        it. GrblError if it is wrong. Nothing changes."""
         holes = self._holes
         holes.to_r = to_r
         holes.cycle, given, others = self._split(words)
@@ -201,7 +214,7 @@ class Drilling:
         self._check_others()
         ints = self._machine.interpreter.block.ints  # the line just checked
         plane_axes = _PLANES[ints[PLANE]]
-        drill_axis = 0 + 1 + 2 - sum(plane_axes)  # the one of X, Y, Z that is not in the plane
+        drill_axis = 0 + 1 + 2 - sum(plane_axes)  # index of the one that is not in the plane
         holes.letter = _LETTERS[drill_axis]
         holes.manner = drill_axis, ints[INCHES], ints[RELATIVE]
         is_repeated = holes.cycle == self.cycle and holes.manner == self._manner
@@ -219,9 +232,9 @@ class Drilling:
         return holes
 
     def _split(self, words: "list[Word]") -> "tuple[int, dict[str, str], list[Word]]":
-        """Return the cycle in tenths, its numbers by letter, and all other words.
-
-        The active cycle, if the line names none.
+        """Return three things: the cycle that the line names, in tenths, or else the active one;
+        its numbers by letter (_OWN); and all other words. GrblError if the line names two cycles,
+        repeats a letter or has no axis word.
         """
         cycle = self.cycle
         is_named = False
@@ -244,7 +257,8 @@ class Drilling:
         return cycle, given, others
 
     def _check_others(self) -> None:
-        """Check that no other word moves or ends the program, and that there is a feed rate."""
+        """Check the interpreter's block, which has the line without the words of the cycle: no
+        word moves, uses axis words or ends the program, and there is a feed rate in mm/min."""
         block = self._machine.interpreter.block
         if block.ints[b.COMMANDS] & (b.GROUP_0 | b.GROUP_1 | b.GROUP_M4):
             raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
@@ -254,7 +268,8 @@ class Drilling:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
 
     def _place(self, holes: Holes, axis: int) -> None:
-        """Compute the bottom of the holes, R and the height at which each ends.
+        """Compute the bottom of the holes, R and the height at which each ends. GrblError if the
+        bottom is above R.
 
         axis: the drilling axis. In G91, R is relative to where the cycle began, and the bottom to
         R.
@@ -264,7 +279,7 @@ class Drilling:
         has_begun = self.cycle and axis == self._manner[0]
         holes.begun_mm = self._begun_mm if has_begun else self._machine.modes.position[axis]
         holes.now = self._now(axis)
-        begun = self._at(axis, holes.begun_mm)
+        begun = self._at(axis, holes.begun_mm)  # as now, in the program's units
         holes.r, holes.bottom = holes.kept["R"], holes.kept[holes.letter]
         if ints[RELATIVE]:
             holes.r = _text(begun + float(holes.r))
@@ -291,11 +306,12 @@ class Drilling:
         )
 
     def _now(self, axis: int) -> float:
-        """Return an axis' position in the units and work offset of the checked line."""
+        """Return an axis's position in the units and work coordinates of the checked line."""
         return self._at(axis, self._machine.modes.position[axis])
 
     def _at(self, axis: int, mm: float) -> float:
-        """Convert machine coordinates to the units and work offset of the checked line."""
+        """Convert a position on an axis from machine coordinates to the units and work coordinates
+        of the checked line."""
         coords, ints = self._machine.coords, self._machine.interpreter.block.ints
         mm -= coords.work_zero(ints[SYSTEM], axis)
         return mm / _MM_PER_INCH if ints[INCHES] else mm

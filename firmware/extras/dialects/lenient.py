@@ -73,7 +73,9 @@ _NUMBER = "0123456789.+-"
 
 
 class Lenient:
-    """Wraps the execution of lines."""
+    """Wraps the execution of lines. _usual: what executes a line otherwise. _tool: the number of
+    the last T, as it is written. _told: words reported since the last reset. _is_within: a line is
+    being executed; others may be within it."""
 
     def __init__(self, cnc: "Cnc") -> None:
         machine = cnc.machine
@@ -82,9 +84,9 @@ class Lenient:
         hooks = machine.state.hooks
         self._usual = hooks.execute
         self._drilling = Drilling(machine, self._run, self._check)
-        self._told: "list[str]" = []  # words reported since the last reset
-        self._tool = "0"  # number of the last T, as it is written
-        self._is_within = False  # a line is being executed; others may be within it
+        self._told: "list[str]" = []
+        self._tool = "0"
+        self._is_within = False
         hooks.execute = self.execute
         machine.interpreter.watch(SET_TOOL)
         cnc.after_reset(self._forget)
@@ -162,7 +164,8 @@ class Lenient:
     # A line that has been refused
 
     def _execute_rest(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
-        """Execute the line without the words that have no effect here.
+        """Execute a line that was refused: as a question, as a drilling cycle, or without the
+        words that have no effect here.
 
         words: those of the line, None if it is not words only. Return False, and do nothing, if
         no word can be dropped, or if the line is another extra's.
@@ -197,17 +200,18 @@ class Lenient:
         return bool(names)
 
     def _answers(self, words: "list[Word]") -> bool:
-        """Execute M114, M115 or M400, alone on its line but for N. Return whether it is one."""
-        asked = [word for word in words if word[0] != "N"]
-        if len(asked) != 1 or not has(asked, "M", _M114, _M115, _M400):
+        """Execute M114 (position), M115 (name) or M400 (wait), which has only N with it on its
+        line. Return whether it is one of these."""
+        others = [word for word in words if word[0] != "N"]
+        if len(others) != 1 or not has(others, "M", _M114, _M115, _M400):
             return False
         machine = self._machine
         axes = machine.planner.axes
         if machine.state.run == st.CHECK:
             return True
-        if has(asked, "M", _M400):
+        if has(others, "M", _M400):
             machine.canon.synchronise()
-        elif has(asked, "M", _M115):
+        elif has(others, "M", _M115):
             about = "FIRMWARE_NAME:Grbl FIRMWARE_VERSION:%s MACHINE_TYPE:ugrbl AXIS_COUNT:%d"
             self._cnc.write_line((about % (VERSION, axes)).encode())
         else:
@@ -216,12 +220,13 @@ class Lenient:
             coords = machine.coords
             for i in range(axes):
                 here[i] -= coords.work_zero(coords.active, i)
-            places = ["%s:%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
-            self._cnc.write_line(" ".join(places).encode())
+            positions = ["%s:%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
+            self._cnc.write_line(" ".join(positions).encode())
         return True
 
     def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":
-        """Return the words that stay. The names of the others are added to names."""
+        """Return the words that stay. The names of the others, keys of _WORDS, are added to
+        names. The S of G4 becomes P."""
         rest = []
         for word in words:
             _, text, tenths = word
@@ -255,7 +260,8 @@ class Lenient:
         return self._name_g(tenths, words) if letter == "G" else ""
 
     def _name_g(self, tenths: int, words: "list[Word]") -> str:
-        """Return _name() of a G word, by its number in tenths."""
+        """Return the key in _WORDS of a G word that may be dropped, or "". tenths: its number;
+        words: its line. G43 and G49 only without a tool length."""
         if tenths in (_G43, _G49):
             has_length = self._machine.coords.tool_length or has(words, "G", _G43_1)
             return "" if has_length else "G%d" % (tenths // 10)

@@ -82,7 +82,8 @@ class Jobs:
         self.command(_FLUIDNC[word] + name)
 
     def command(self, words: bytes) -> None:
-        """Execute the text after $F."""
+        """Execute the text after $F (words). GrblError if it is refused or a card cannot be read,
+        OSError if flash cannot."""
         if self._run.is_on():  # a line of the job itself
             raise GrblError(errors.IDLE_ERROR)
         self._machine.canon.synchronise()  # files are written only while idle
@@ -97,6 +98,8 @@ class Jobs:
             raise GrblError(errors.INVALID_STATEMENT)
 
     def _do(self, words: bytes) -> None:
+        """Execute the text after $F: nothing, +, M, B, or a verb (perhaps none), = and a name.
+        GrblError refuses it."""
         verb, equals, rest = words.partition(b"=")
         name = text_of(rest)
         if words in (b"", b"+"):
@@ -128,11 +131,13 @@ class Jobs:
         return name
 
     def _list(self) -> None:
+        """Send the names and sizes of all jobs, and the free space."""
         for name, size in self._files.files():
             self._cnc.write_line(b"[FILE:/%s|SIZE:%d]" % (name.encode(), size))
         self._cnc.message("Room for %d kB" % self._files.free_kb())
 
     def _show(self, name: str) -> None:
+        """Send the text of a job."""
         with self._files.open(name) as file:
             while True:
                 piece = file.read(_SHOWN_BYTES)
@@ -143,34 +148,39 @@ class Jobs:
         self._machine.report.send(b"\r\n")
 
     def _tell_button(self) -> None:
+        """Report the start button's job."""
         name = self._run.kept(BUTTON)
         self._cnc.message("Start button: " + (sanitize(name[0]) if name else "no job"))
 
     def _give_button(self, name: str) -> None:
+        """Assign a job to the start button; "" for none."""
         self._machine.saves.save(BUTTON, [self._known(name)] if name else [])
 
     def _start(self, name: str) -> None:
+        """Request a job: NAME, NAME@LINE, or NAME@ and @ for the noted line of the unfinished job.
+        GrblError if it cannot start."""
         if self._machine.state.run == st.ALARM:
             raise GrblError(errors.SYSTEM_GC_LOCK)
-        name, at, number = name.partition("@")
-        if at and not number:
+        name, sign, number = name.partition("@")
+        if sign and not number:
             name, number = self._noted(name)
         try:
-            line = int(number) if at else 0
+            line = int(number) if sign else 0  # 0: from the beginning
         except ValueError:
             line = -1
-        if line < 0 or (at and line == 0):
+        if line < 0 or (sign and line == 0):
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._known(name)
-        if at and not self._machine.homing_probing.homed:
+        if sign and not self._machine.homing_probing.homed:
             self._run.report(name, "to go on in its middle, home first ($H)")
             raise GrblError(errors.INVALID_STATEMENT)
         self._run.request(name, line)
 
     def _noted(self, name: str) -> "tuple[str, str]":
-        """Return the unfinished job and its last noted line."""
-        kept = self._run.journal()
-        if not kept or name not in ("", kept[0]):
+        """Return the unfinished job and its last noted line, as text. name: of that job, or "".
+        GrblError if none is noted, or another one."""
+        journal = self._run.journal()
+        if not journal or name not in ("", journal[0]):
             self._cnc.message("No job is noted" + (" of that name" if name else ""))
             raise GrblError(errors.INVALID_STATEMENT)
-        return kept[0], kept[1]
+        return journal[0], journal[1]

@@ -63,18 +63,20 @@ class CannotEnter(Exception):
 
 
 def in_force(machine: "Controller") -> "list[Any]":
-    """Return the position and all modes that a program can have set, for apply()."""
+    """Return the position and all modes that a program can have set, for apply(): position (mm),
+    modal state, feed and rpm, tool, G92 and tool length. It can be stored as JSON."""
     modes, coords = machine.modes, machine.coords
     modal = list(modes.modal[:MODAL_LENGTH])
-    place, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
-    return [place, modal, rates, modes.tool, g92, coords.tool_length]
+    position, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
+    return [position, modal, rates, modes.tool, g92, coords.tool_length]
 
 
 def apply(machine: "Controller", found: "list[Any]") -> None:
-    """Apply a result of in_force(). Spindle and coolant stay as they are."""
+    """Apply a result of in_force() (found) to the interpreter's modes and the offsets. Outputs of
+    spindle and coolant stay as they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
-    place, modal, rates, tool, g92, coords.tool_length = found
-    modes.position[:] = array("f", place)
+    position, modal, rates, tool, g92, coords.tool_length = found
+    modes.position[:] = array("f", position)
     modes.rates[:] = array("f", rates + [tool])
     for i in range(MODAL_LENGTH):
         modes.modal[i] = modal[i]
@@ -85,7 +87,12 @@ def apply(machine: "Controller", found: "list[Any]") -> None:
 
 
 class Entry:
-    """The approach to a line, and the modes that hold there."""
+    """The approach to a line, and the modes that hold there.
+
+    reader: for the lines of the file. _longest: bytes of a line at most. After find(), _there is
+    in_force() at that line, with the position at index 0, _systems the stored offsets there, and
+    _highest the greatest Z before it, mm. has_ended: the program has ended before the line.
+    """
 
     def __init__(self, cnc: "Cnc", reader: "LineReader") -> None:
         machine = cnc.machine
@@ -93,10 +100,10 @@ class Entry:
         self._machine = machine
         self._reader = reader
         self._longest = len(machine.reader.line) - 1
-        self._there: "list[Any]" = []  # in_force() at that line; its index 0 is the position
-        self._systems: "list[array[float]]" = []  # the stored offsets at that line
+        self._there: "list[Any]" = []
+        self._systems: "list[array[float]]" = []
         self._highest = 0.0
-        self.has_ended = False  # the program has ended before the line
+        self.has_ended = False
 
     def find(
         self, file: "IO[bytes]", line: int, start: "list[Any]", systems: "list[array[float]]"
@@ -112,12 +119,13 @@ class Entry:
         motions = machine.interpreter.motions
         if start[1][MOTION] in motions:
             raise CannotEnter("it begins within a cycle")
-        kept = [(motion, motion.kept) for motion in motions.values()]
+        cycles = [(motion, motion.kept) for motion in motions.values()]
         before = in_force(machine)
-        stored, self._systems = array("f", coords.offsets), systems
+        offsets_before, self._systems = array("f", coords.offsets), systems
         for i in range(len(systems)):
             coords.change(i, systems[i])
         hooks = state.hooks
+        # The lines change offsets in memory, and store none.
         write, hooks.write_offsets = hooks.write_offsets, coords.change
         self.has_ended = False
         self._highest = machine.modes.position[_Z]
@@ -125,19 +133,19 @@ class Entry:
         try:
             apply(machine, start)
             self._rehearse(file, line)
-            for why in self._cnc.entries:
-                if why():
-                    raise CannotEnter(why())
+            for why_not in self._cnc.entries:  # each returns a text if an extra objects
+                if why_not():
+                    raise CannotEnter(why_not())
             self._there = in_force(machine)
             self._systems = [array("f", values) for values in coords.systems]
             self._check_homed(before[0])
         finally:
             hooks.write_offsets = write
-            coords.offsets[:] = stored
+            coords.offsets[:] = offsets_before
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
             apply(machine, before)
-            for motion, numbers in kept:
+            for motion, numbers in cycles:
                 motion.kept = numbers
             machine.resync()
         if machine.reader.has_line():
@@ -146,14 +154,16 @@ class Entry:
             raise CannotEnter("hold or door is closed")
 
     def _rehearse(self, file: "IO[bytes]", line: int) -> None:
+        """Execute the lines before `line`, in check mode. CannotEnter if one is missing or what it
+        does is not certain."""
         self._reader.clear()
         for number in range(1, line):
-            found = self._next_line(file)
-            if found == 0:
+            result = self._next_line(file)  # length << 2, and LINE if it is not too long
+            if result == 0:
                 raise CannotEnter("there are only %d lines" % (number - 1))
-            if found & LINE == 0 or found >> 2 > self._longest:
+            if result & LINE == 0 or result >> 2 > self._longest:
                 raise CannotEnter("line %d is too long" % number)
-            self._do(self._reader.line, found >> 2, number)
+            self._do(self._reader.line, result >> 2, number)
             if number % _LINES == 0:
                 self.poll_realtime()
         if not file.read(1):
@@ -164,17 +174,17 @@ class Entry:
         """Return clean()'s result for the next line; 0 at the end of the file. Read in pieces,
         because a comment may be longer than one."""
         memory = self._reader.memory()
-        ring, at, _, kinds = memory
-        found, is_begun = 0, False
-        while found == 0:
+        ring, reader_state, _, kinds = memory
+        result, is_begun = 0, False
+        while result == 0:
             text = file.readline(_PIECE)
             if not text and not is_begun:
                 return 0
             is_begun = True
             piece = bytearray(text.replace(b"\r", b" ") or b"\n")
-            feed(piece, len(piece), ring, at, kinds, _pass_over)
-            found = clean(*memory)
-        return found
+            feed(piece, len(piece), ring, reader_state, kinds, _pass_over)
+            result = clean(*memory)
+        return result
 
     def poll_realtime(self) -> None:
         """Handle real-time commands. CannotEnter for a hold, which check mode would lose."""
@@ -186,6 +196,8 @@ class Entry:
         machine.realtime.handle_events()
 
     def _do(self, line: bytearray, length: int, number: int) -> None:
+        """Execute line `number` of the file, in check mode. CannotEnter if what it does is not
+        certain: a $ command, an added word, a probe, an error, the program's end."""
         machine = self._machine
         if length == 0:
             return
@@ -212,8 +224,8 @@ class Entry:
 
     def _check_setting(self, line: bytearray, number: int) -> None:
         """Check that a setting already has the line's value. It is not written again."""
-        at, setting = bare(line, 1)
-        _, value = bare(line, at + 1)
+        end, setting = bare(line, 1)
+        _, value = bare(line, end + 1)
         for known, amount, _ in self._machine.settings.each():
             if known == setting and differs(amount, value):
                 text = "line %d sets $%d, which has another value now"
@@ -225,12 +237,12 @@ class Entry:
         here: the position before the approach, in mm. Positions are compared in steps, because
         singles that differ by less than a step need no move.
         """
-        place = self._there[0]  # position at the line, mm
+        position = self._there[0]  # position at the line, mm
         for axis in range(len(here)):
-            way = [here[axis], place[axis]]
+            stops = [here[axis], position[axis]]  # positions on the approach
             if axis == _Z:  # it also moves to the safe height
-                way.append(self._highest)
-            moves = self._steps(axis, min(way)) != self._steps(axis, max(way))
+                stops.append(self._highest)
+            moves = self._steps(axis, min(stops)) != self._steps(axis, max(stops))
             if moves and not self._machine.homing_probing.homed >> axis & 1:
                 text = "%s is not homed, and would have to move: where it is is not known"
                 raise CannotEnter(text % LETTERS[axis])
@@ -238,16 +250,17 @@ class Entry:
     # The approach
 
     def approach_lines(self) -> "list[str]":
-        """Return the lines that move the tool to the start."""
-        place, modal, rates, _, _, _ = self._there
+        """Return the lines of G-code that move the tool to the start, some of them empty: all off,
+        up, across, tool on, down. A laser is switched on last."""
+        position, modal, rates, _, _, _ = self._there
         spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
         turn = ""
         if spindle:
             turn = "M%dS%.3f" % (3 if spindle == SPINDLE_CW else 4, rates[RPM])
-        up, down, across = self._word(_Z, self._highest), self._word(_Z, place[_Z]), ""
-        for axis in range(len(place)):
+        up, down, across = self._word(_Z, self._highest), self._word(_Z, position[_Z]), ""
+        for axis in range(len(position)):
             if axis != _Z:
-                across += self._word(axis, place[axis])
+                across += self._word(axis, position[axis])
         begin = ["G21G90G94M5M9", "G53G0" + up, "G53G0" + across]
         if self._machine.spindle.laser:  # dark during G0
             return begin + ["G53G0" + down, coolant, turn]
@@ -256,21 +269,25 @@ class Entry:
         return begin + [turn, coolant, dwell, "G53G1%sF%.3f" % (down, feed)]
 
     def _word(self, axis: int, mm: float) -> str:
-        """Return an axis word for the middle of a position's step: rounding keeps the step."""
+        """Return an axis word for a position (mm), rounded to a whole step, so that the machine
+        goes to that very step."""
         return "%s%.5f" % (LETTERS[axis], self._steps(axis, mm) / self._resolution(axis))
 
     def _resolution(self, axis: int) -> float:
+        """Return an axis's steps per mm."""
         return self._machine.planner.steps_per_mm[axis]
 
     def _steps(self, axis: int, mm: float) -> int:
+        """Return a position (mm) in steps, rounded as the planner does: halves away from 0."""
         product = f32(mm * self._resolution(axis))
         return truncate(product + 0.5) if product >= 0 else -truncate(0.5 - product)
 
     def apply_modes(self) -> None:
-        """Apply the modes at the line. CannotEnter if the tool is not at its position."""
-        place, here = self._there[0], self._machine.modes.position
-        for axis in range(len(place)):
-            if self._steps(axis, here[axis]) != self._steps(axis, place[axis]):
+        """Apply the modes at the line, and store the offsets that the lines before it have
+        changed. CannotEnter if the tool is not at its position."""
+        position, here = self._there[0], self._machine.modes.position
+        for axis in range(len(position)):
+            if self._steps(axis, here[axis]) != self._steps(axis, position[axis]):
                 raise CannotEnter("the way has not led there")
         coords = self._machine.coords
         for i in range(len(self._systems)):

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
     from talk.controller import Controller
 
-_BLOCK = const(512)
-_HEARD = const(32)
+_BLOCK = const(512)  # bytes of the file that are read at once
+_HEARD = const(32)  # bytes of the sender that are read at once
 _FEW = const(12)  # blocks: a piece of the file may make as many
-_OWED = const(32)
+_OWED = const(32)  # answers to the sender that may wait
 # Bytes of stack that may be in use, beyond the depth at the start of the job, when a hold is noted
 # and when the file is read. A file system needs much stack.
 _TO_NOTE = const(1216)
@@ -38,10 +38,10 @@ _TO_READ = const(1664)
 # ms: motion that the planner counts as executed may be in the engine for so long.
 _MADE_MS = const(40)
 
-# Indices of the kernels' state.
-_ANSWERED = const(0)  # lines answered
+# Indices of the kernels' state, an array of integers.
+_ANSWERED = const(0)  # number of lines answered
 _NOTED = const(1)  # row of the planner's ring up to which lines are noted
-_FROM = const(2)  # index of the next byte of the block,
+_FROM = const(2)  # index in the file's block of the next byte to deliver,
 _LEFT = const(3)  # and number of bytes left
 _LAST = const(4)  # the last byte delivered
 _ROOM = const(5)  # free bytes of the reader's ring when it is empty
@@ -56,11 +56,13 @@ _STARTUP = const(62)  # ">", before the result of a startup line
 
 @micropython.viper
 def _deliver(
-    block: ptr8, at: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
+    block: ptr8, state: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
 ) -> int:
     """Move bytes of the file into buf. Return their number, at most `size` and `room`.
 
-    room: the ring's free bytes. Real-time commands and CR become spaces; a line ends with LF.
+    block: the file's bytes; state: of the kernels; size: of buf; room: the free bytes of the
+    reader's ring; kinds: the kind of each byte value; flow: the planner's state. Real-time
+    commands and CR become spaces; a line ends with LF.
 
     With fewer than _FEW free blocks it delivers at most as many lines, and only when the ring is
     empty. So no line waits inside the interpreter, and a hold finds the stack nearly empty.
@@ -68,10 +70,10 @@ def _deliver(
     free = flow[layout.TAIL] - flow[layout.HEAD] - 1
     if free < 0:
         free += flow[layout.ROWS]
-    if free < _FEW and (free == 0 or room < at[_ROOM]):
+    if free < _FEW and (free == 0 or room < state[_ROOM]):
         return 0
-    start = at[_FROM]
-    left = at[_LEFT]
+    start = state[_FROM]
+    left = state[_LEFT]
     if room > size:
         room = size
     if room > left:
@@ -80,37 +82,38 @@ def _deliver(
     while count < room:
         c = block[start + count]
         buf[count] = 32 if kinds[c] == REALTIME or c == _RETURN else c
-        at[_LAST] = c
+        state[_LAST] = c
         count += 1
         if c == _NEWLINE:
             free -= 1
             if free == 0:
                 room = count
-    at[_FROM] = start + count
-    at[_LEFT] = left - count
+    state[_FROM] = start + count
+    state[_LEFT] = left - count
     return count
 
 
 @micropython.viper
-def _note(at: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
-    """Note the lines of the blocks planned since the last call. Return the last line.
+def _note(state: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
+    """Note the line of each block planned since the last call. The result is not used.
 
-    answers: number of lines answered now, 1 or 2; 0 within a line, an arc for example. If two
-    lines have made one block, it is noted as the first one's.
+    state: of the kernels; lines: the line's number of each row of the planner's ring; flow: the
+    planner's state. answers: number of lines answered now, 1 or 2; 0 within a line, an arc for
+    example. If two lines have made one block, it is noted as the first one's.
     """
-    row = at[_NOTED]
+    row = state[_NOTED]
     head = flow[layout.HEAD]
     rows = flow[layout.ROWS]
-    line = at[_ANSWERED] + 1
-    later = at[_ANSWERED] + answers if answers else line
-    at[_ANSWERED] += answers
+    line = state[_ANSWERED] + 1  # of the first block; the others are of the last line answered
+    later = state[_ANSWERED] + answers if answers else line
+    state[_ANSWERED] += answers
     while row != head:
         lines[row] = line
         line = later
         row += 1
         if row == rows:
             row = 0
-    at[_NOTED] = row
+    state[_NOTED] = row
     return line
 
 
@@ -118,7 +121,15 @@ class Feed:
     """A Link for the loop.
 
     on_refusal: called with Grbl's error number when a line of the file is refused. on_hold: called
-    in a hold, when its line is known.
+    in a hold, when its line is known. is_on: a job runs. fault: the error that has ended reading.
+
+    _file: None once all is read; _size, _read_bytes: its bytes, and how many were read. _block,
+    _at: its bytes being delivered, and the kernels' state. _lines: a line's number per row of the
+    planner's ring. _made, _before: the line that the engine was given last, at the last look and
+    at the one before, _MADE_MS earlier; _held: the line that on_hold() was called for. _depth:
+    bytes of stack in use at the start. Of the sender: _heard, bytes just read; _said, the first
+    _said_length bytes of its unfinished line; _owed, answers to its lines, _owed_count of them.
+    _is_startup: the next answer is a startup line's.
     """
 
     def __init__(
@@ -142,9 +153,9 @@ class Feed:
         self._at[_ROOM] = self._reader.free()
         self._block = bytearray(_BLOCK)
         self._heard = bytearray(_HEARD)
-        self._said = bytearray(len(machine.reader.line))  # the sender's unfinished line
+        self._said = bytearray(len(machine.reader.line))
         self._said_length = 0
-        self._owed = bytearray(_OWED)  # answers to the sender's lines
+        self._owed = bytearray(_OWED)
         self._owed_count = 0
         self._file: "IO[bytes] | None" = None
         self._size = self._read_bytes = 0
@@ -160,7 +171,8 @@ class Feed:
 
     @micropython.native
     def read_into(self, buf: bytearray) -> int:
-        """Read received bytes, or the file's while a job runs."""
+        """Read received bytes into buf, or the file's while a job runs; return how many. During a
+        job, handle the sender's bytes, and note in _made which line is in motion."""
         if not self.is_on:
             return self._read(buf)
         count = self._read(self._heard)
@@ -190,7 +202,7 @@ class Feed:
             self._is_startup = data[0] == _STARTUP
             self._write(data)
         else:
-            _note(self._at, self._lines, self._flow, len(data) >> 2)
+            _note(self._at, self._lines, self._flow, len(data) >> 2)  # 1 or 2 times "ok\r\n"
 
     def _refuse(self, code: int) -> None:
         """Handle a refused line: of the file by on_refusal, of the sender by an error."""
@@ -211,11 +223,11 @@ class Feed:
 
         `line` lines are before that position. Call it only while the ring is empty.
         """
-        at = self._at
-        at[_ANSWERED] = line
-        at[_NOTED] = self._flow[layout.HEAD]
-        at[_LEFT] = 0
-        at[_LAST] = _NEWLINE
+        state = self._at
+        state[_ANSWERED] = line
+        state[_NOTED] = self._flow[layout.HEAD]
+        state[_LEFT] = 0
+        state[_LAST] = _NEWLINE
         self._file, self._size, self._read_bytes = file, size, file.tell()
         self._made = self._before = line + 1
         self._held = 0
@@ -259,20 +271,24 @@ class Feed:
         return self._at[_ANSWERED]
 
     def executed_line(self) -> int:
-        """Return the line whose motion is executed, with a delay of some 40 to 80 ms."""
+        """Return the line whose motion was executed some 40 to 80 ms ago."""
         return self._before
 
     def _hold(self) -> None:
+        """Call on_hold() in a complete hold, once per line, if the line is the same at two looks
+        and the stack has space."""
         at_rest = self._before == self._made != self._held
         if at_rest and self._has_stack(_TO_NOTE):
             self._held = self._made
             self._on_hold()
 
     def _has_stack(self, more: int) -> bool:
+        """Return whether less stack is in use than `more` bytes beyond the job's start."""
         return micropython.stack_use() - self._depth < more
 
     def line_in_motion(self) -> int:
-        """Return the line of the block that the engine was given last."""
+        """Return the line of the block that the engine was given last; without blocks the line
+        that will be answered next."""
         flow = self._flow
         tail = flow[layout.TAIL]
         return self._at[_ANSWERED] + 1 if tail == flow[layout.HEAD] else self._lines[tail]
@@ -286,29 +302,31 @@ class Feed:
 
         At the file's end it is one LF if the last line has none.
         """
-        at, file = self._at, self._file
+        state, file = self._at, self._file
         assert file
         if not self._has_stack(_TO_READ):
             return 0
-        at[_FROM] = 0
+        state[_FROM] = 0
         try:
-            at[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
+            state[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
         except OSError as fault:
             self.fault = fault
             self.stop_reading()  # an incomplete line is dropped
             return 0
-        self._read_bytes += at[_LEFT]
-        if at[_LEFT] == 0:
+        self._read_bytes += state[_LEFT]
+        if state[_LEFT] == 0:
             file.close()
             self._file = None
-            if at[_LAST] != _NEWLINE:
+            if state[_LAST] != _NEWLINE:
                 self._block[0] = _NEWLINE
-                at[_LEFT] = 1
-        return at[_LEFT]
+                state[_LEFT] = 1
+        return state[_LEFT]
 
     # The sender, meanwhile
 
     def _receive(self, count: int) -> None:
+        """Handle the sender's first `count` bytes of _heard: post real-time bytes, store a line,
+        queue its answer."""
         for i in range(count):
             c = self._heard[i]
             if self._kinds[c] == REALTIME:
@@ -322,7 +340,8 @@ class Feed:
                 self._said_length += 1
 
     def _queue_answer(self) -> None:
-        """Queue the answer to the sender's complete line, for the loop's next turn."""
+        """Queue the answer to the sender's complete line, for the loop's next turn: an error
+        number, 0 for ok to an empty line, or _READ with the letter of a read-only command."""
         line = bytes(self._said[: self._said_length]).upper().strip()
         answer = 0
         if len(line) == 2 and line[0] == _DOLLAR and line[1] in READ_ONLY:
@@ -337,7 +356,8 @@ class Feed:
         self._machine.state.pending[st.ANY] = 1  # so that the loop answers between two lines
 
     def answer(self) -> None:
-        """Answer the sender's lines. Called at a turn of the loop."""
+        """Answer the sender's lines, and execute its read-only commands. Called between two
+        lines."""
         machine = self._machine
         for i in range(self._owed_count):
             answer = self._owed[i]

@@ -44,7 +44,14 @@ _PIECE = const(512)
 
 
 class JobRun:
-    """The job. No other part uses `reader` while it runs."""
+    """The job. No other part uses `reader` while it runs.
+
+    _name, _size: the running job, and the bytes of its file; _start: see _CRC and so on. _due,
+    _due_line, _due_crc: the requested job, "" for none, its first line, 0 for all of it, and the
+    CRC-32 of its file, once that has been read. _rest: the file, while the tool approaches its
+    line. _refused: Grbl's error number of the line that has ended the job. _pressed[0]: the start
+    button was pressed, at _pressed_ms.
+    """
 
     def __init__(self, cnc: "Cnc", files: "JobFiles", reader: "LineReader") -> None:
         self._cnc = cnc
@@ -55,16 +62,16 @@ class JobRun:
         hooks.is_busy += (self.is_on,)  # a job that waits, in a dwell for example, is not idle
         self._write, hooks.write_offsets = hooks.write_offsets, self._write_offsets
         self._entry = Entry(cnc, reader)
-        self._name = ""  # the running job
+        self._name = ""
         self._start: "list[Any]" = []
         self._pressed_ms = 0
-        self._due = ""  # requested; it starts when no line of the sender is left,
-        self._due_line = 0  # at this line, or 0 for all of it
-        self._due_crc = _UNKNOWN  # CRC-32 of its file, when that has been read
-        self._size = 0  # of its file, in bytes
-        self._rest: "IO[bytes] | None" = None  # the file, while the tool approaches its line
-        self._refused = 0  # Grbl's error number of the line that has ended it
-        self._pressed = bytearray(1)  # the start button was pressed
+        self._due = ""
+        self._due_line = 0
+        self._due_crc = _UNKNOWN
+        self._size = 0
+        self._rest: "IO[bytes] | None" = None
+        self._refused = 0
+        self._pressed = bytearray(1)
         self._has_started = False  # on_reset() has run once
 
     def is_on(self) -> bool:
@@ -77,7 +84,8 @@ class JobRun:
 
     @micropython.native
     def poll_job(self) -> None:
-        """Run the job's part of the main loop, between two lines."""
+        """Run the job's part of the main loop, between two lines: handle the start button, go on
+        with the running job, or start the requested one."""
         if self._pressed[0]:
             self._pressed[0] = 0
             if self._machine.port.elapsed_ms(self._pressed_ms) < _PRESSED_MS:
@@ -94,6 +102,8 @@ class JobRun:
         return at_rest and not machine.reader.has_line()
 
     def _begin(self) -> None:
+        """Start the requested job, or the approach to its first line; report why if that is
+        impossible. It waits again if the sender has sent a line meanwhile."""
         name, line, self._due = self._due, self._due_line, ""
         try:
             self._files.mount()
@@ -125,7 +135,7 @@ class JobRun:
         if line:
             self._lead(file, line)
             return
-        self._note(1)
+        self._note(1)  # its first line is in progress
         self.report(name, "begins")
         self._feed.start(file, self._size)
 
@@ -153,11 +163,11 @@ class JobRun:
         Entry.approach_lines() start them again. CannotEnter if the state at the line is not
         certain.
         """
-        kept = self.journal()
+        journal = self.journal()
         if self._machine.state.run != st.IDLE or not self._machine.homing_probing.homed:
             raise CannotEnter("the machine is not homed, or not idle")
-        if kept and kept[0] == self._name:
-            self._start = json.loads(kept[2])
+        if journal and journal[0] == self._name:
+            self._start = json.loads(journal[2])
             if self._start[_CRC] != self._due_crc:
                 raise CannotEnter("it is another file than the one that was noted")
         systems = self._systems()
@@ -167,10 +177,11 @@ class JobRun:
     def _lead(self, file: "IO[bytes]", line: int) -> None:
         """Start the approach to a line."""
         self._rest = file
-        way = [text for text in self._entry.approach_lines() if text]
+        approach = [text for text in self._entry.approach_lines() if text]
         self.report(self._name, "goes on at line %d" % line)
-        lines = io.BytesIO(("\n".join(way) + "\n").encode())
-        self._feed.start(lines, self._size, line - 1 - len(way))
+        lines = io.BytesIO(("\n".join(approach) + "\n").encode())
+        # The lines of the approach count as those before `line`, so that _arrive() finds line - 1.
+        self._feed.start(lines, self._size, line - 1 - len(approach))
 
     def _systems(self) -> "list[array[float]]":
         """Return a copy of the stored offsets, as they were before the job has written some.
@@ -187,19 +198,20 @@ class JobRun:
         return systems
 
     def _write_offsets(self, index: int, values: "array[float]") -> None:
-        """Replace Coords.write(): note what a job writes, and store it with the offsets."""
+        """Set and store a system of offsets (index, mm per axis), as Coords.write(); of a job,
+        also note its values before and now, and store them with the job's line."""
         if self._feed.is_on and self._machine.state.run != st.CHECK:
-            written = self._start[_WRITTEN]
-            found = [row for row in written if row[0] == index]
-            if not found:
-                found.append([index, list(self._machine.coords.systems[index]), []])
-                written.append(found[0])
-            found[0][2] = list(values)
+            written = self._start[_WRITTEN]  # rows of index, values before, values now
+            rows = [row for row in written if row[0] == index]
+            if not rows:
+                rows.append([index, list(self._machine.coords.systems[index]), []])
+                written.append(rows[0])
+            rows[0][2] = list(values)
             self._save(self._feed.line() + 1)
         self._write(index, values)
 
     def _arrive(self, file: "IO[bytes]") -> None:
-        """Start the file's lines, after the approach."""
+        """Start the file's lines, after the approach: apply the modes that hold there first."""
         self._rest = None
         line = self._feed.line()
         try:
@@ -213,10 +225,12 @@ class JobRun:
         self._feed.start(file, self._size, line)
 
     def _give_up(self, file: "IO[bytes]", why: str) -> None:
+        """Close the file of a job that cannot start, and report why."""
         file.close()
         self.report(self._name, why)
 
     def _start_by_button(self) -> None:
+        """Request the start button's job, if the machine is idle and the file exists."""
         name = self.kept(BUTTON)
         is_idle = self._machine.state.run == st.IDLE and not (self._feed.is_on or self._due)
         if name and is_idle and self._is_free():
@@ -229,6 +243,8 @@ class JobRun:
                 self.report(name[0], "there is no card to read it from")
 
     def _go_on(self) -> None:
+        """Answer the sender; once all lines are executed, go on from the approach to the file, or
+        end the job and report how."""
         feed = self._feed
         feed.answer()
         if feed.has_ended() and self._is_free():
@@ -272,14 +288,17 @@ class JobRun:
         machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
 
     def _close_rest(self) -> None:
+        """Close the file of a job that is still approaching its line."""
         if self._rest:
             self._rest.close()
             self._rest = None
 
     def line_at_stop(self, is_certain: bool) -> "tuple[int, int]":
-        """Return the line of a job that has stopped, and its CRC-32; zeros without one.
+        """Return the line at which the running job has stopped, and the CRC-32 of its file; zeros
+        without a job, during its approach and in check mode.
 
-        Not certain: motion was stopped at once, so it is a line 40 to 80 ms before.
+        is_certain: motion has ended by itself. Else it was stopped at once, and the line is that
+        of 40 to 80 ms before.
         """
         if not self._feed.is_on or self._rest or self._machine.state.run == st.CHECK:
             return 0, 0
@@ -287,13 +306,14 @@ class JobRun:
         return line, self._start[_CRC]
 
     def correct(self, line: int, crc: int) -> str:
-        """Store the line if the unfinished job has this CRC-32. Return its name, or ""."""
-        kept = self.journal()
-        if not kept or json.loads(kept[2])[_CRC] != crc:
+        """Store another line in the journal if the file of the unfinished job has this CRC-32.
+        Return the job's name, or "" if it has not."""
+        journal = self.journal()
+        if not journal or json.loads(journal[2])[_CRC] != crc:
             return ""
-        self._machine.saves.save(_JOURNAL, [kept[0], str(line), kept[2]])
+        self._machine.saves.save(_JOURNAL, [journal[0], str(line), journal[2]])
         self._machine.save_due()
-        return kept[0]
+        return journal[0]
 
     def on_program_end(self) -> None:
         """Drop the lines after M2 or M30."""
@@ -328,9 +348,9 @@ class JobRun:
             self._close_rest()
         if not self._has_started:
             self.kept(BUTTON)  # reports a damaged file at power-up
-            kept = self.journal()
-            if kept:
-                self.report(kept[0], "did not come to its end; last noted: line " + kept[1])
+            journal = self.journal()
+            if journal:
+                self.report(journal[0], "did not come to its end; last noted: line " + journal[1])
         self._has_started = True
 
     @micropython.native
@@ -375,5 +395,6 @@ class JobRun:
         self._machine.save_due()
 
     def _save(self, line: int) -> None:
+        """Save the journal with the job's line, or an empty one for 0; it is written later."""
         kept = [self._name, str(line), json.dumps(self._start)] if line else []
         self._machine.saves.save(_JOURNAL, kept)

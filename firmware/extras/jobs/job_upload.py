@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_PIECE = const(2048)
+_PIECE = const(2048)  # bytes of the file
 _LINE_BYTES = const(256)  # bytes packed in one line
-_WINDOW_LOG2 = const(10)
-_READ = const(128)
-_SILENCE_MS = const(5000)
+_WINDOW_LOG2 = const(10)  # of deflate
+_READ = const(128)  # bytes of one read
+_SILENCE_MS = const(5000)  # a sender that is silent for so long has gone
 _QUIET_MS = const(300)
 _LOWER_CASE = b"abcdefghijklmnopqrstuvwxyz"
 _SLASH = const(47)
@@ -59,9 +59,9 @@ class Upload:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         self._check(name, size)
         self._reader.clear()
-        kinds = self._reader.memory()[3]
+        kinds = self._reader.memory()[3]  # the kind of each byte value
         before = bytes(kinds)
-        for c in _LOWER_CASE:
+        for c in _LOWER_CASE:  # base64 has them, and the slash
             kinds[c] = _AS_IT_IS
         kinds[_SLASH] = _AS_IT_IS
         try:
@@ -70,6 +70,7 @@ class Upload:
             kinds[:] = before
 
     def _check(self, name: str, size: int) -> None:
+        """Refuse a file by a message and GrblError if its name or size (bytes) is impossible."""
         if not self._files.is_name(name):
             self._refuse("A job is called so: letters, digits, . _ -, at most 32")
         room_kb = self._files.free_kb()
@@ -78,10 +79,13 @@ class Upload:
             self._refuse(text % (sanitize(name), size, room_kb))
 
     def _refuse(self, why: str) -> None:
+        """Send a message, and raise GrblError."""
         self._cnc.message(why)
         raise GrblError(errors.INVALID_STATEMENT)
 
     def _write_file(self, name: str, size: int, checksum: int) -> None:
+        """Request all pieces, and write them. In case of an error the received file is deleted.
+        GrblError if a piece or the CRC-32 (checksum) is wrong, OSError if flash is full."""
         files = self._files
         file = files.begin(name)
         try:
@@ -98,13 +102,15 @@ class Upload:
             self._drain("its checksum is another")
 
     def _piece(self, size: int) -> bytearray:
+        """Receive the next piece of so many bytes, and return it. GrblError if it is damaged."""
         piece = bytearray(size)
         if self._unpack(piece) != size:
             self._drain("it came damaged")
         return piece
 
     def _unpack(self, piece: bytearray) -> int:
-        """Fill the piece with the data up to an empty line. Return the number of bytes."""
+        """Fill the piece with the data of the lines up to an empty one: base64, then deflate.
+        Return the number of bytes; 0 if the data is damaged."""
         packed = b""
         length = self._next_line()
         try:
@@ -116,22 +122,23 @@ class Upload:
             return 0
 
     def _next_line(self) -> int:
-        """Return the length of the next line. Raises Abort after a reset."""
+        """Receive a line, which is then in the reader, and return its length. GrblError if it is
+        too long or does not come in time, Abort after a reset."""
         port = self._machine.port
         since = port.ticks_ms()
         while True:
             if self._receive():
                 since = port.ticks_ms()
-            found = clean(*self._reader.memory())
-            if found & LINE:
-                return found >> 2
-            if found & TOO_LONG:
+            result = clean(*self._reader.memory())  # length << 2, and LINE or TOO_LONG
+            if result & LINE:
+                return result >> 2
+            if result & TOO_LONG:
                 self._drain("it came damaged")
             if port.elapsed_ms(since) > _SILENCE_MS:
                 self._drain("it broke off")
 
     def _receive(self) -> bool:
-        """Read received bytes and handle real-time commands. Return whether there were more."""
+        """Read received bytes and handle real-time commands. Return whether there were bytes."""
         reader, free = self._reader, self._reader.free()
         count = self._link.read_into(self._buffer)
         if count:
@@ -141,7 +148,7 @@ class Upload:
 
     def _drain(self, why: str) -> None:
         """Drop the rest, which must not be read as commands, until the sender is quiet for
-        _QUIET_MS, or for _SILENCE_MS at the most; then report why."""
+        _QUIET_MS, or for _SILENCE_MS at the most; then report why, and raise GrblError."""
         port = self._machine.port
         begun = since = port.ticks_ms()
         while port.elapsed_ms(since) < _QUIET_MS and port.elapsed_ms(begun) < _SILENCE_MS:

@@ -32,17 +32,20 @@ _KEY_SIGNS = "23456789ABCDFGHJKLMNPQRSTVWXYZ"
 def has_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> bool:
     """Return whether the reader has an unfinished line.
 
-    ring, state, kinds: as LineReader.memory() returns them. The last byte in the ring shows it;
-    with an empty ring, the part of a line that has been read.
+    ring, state, kinds: as LineReader.memory() returns them. If the ring holds bytes, its last one
+    shows it: it is no line end. If the ring is empty, a line may have been read in part (LENGTH,
+    SKIPPING).
     """
-    head = state[HEAD]
+    head = state[HEAD]  # index after the last byte; ring[-1] is before index 0
     if head != state[TAIL]:
         return kinds[ring[head - 1]] != END
     return bool(state[LENGTH] or state[SKIPPING]) and not state[SKIPPING] & COMPLETE
 
 
 def drop_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> None:
-    """Drop the unfinished line, and nothing before it. Arguments are those of has_half()."""
+    """Drop the reader's unfinished line, and nothing before it. ring, state, kinds: as
+    LineReader.memory() returns them. The bytes after the last line end are taken out of the ring;
+    if that leaves it empty, the part of a line that was read before is dropped, too."""
     head = state[HEAD]
     while head != state[TAIL] and kinds[ring[head - 1]] != END:
         head = (head or len(ring)) - 1  # one byte back in the ring
@@ -52,7 +55,8 @@ def drop_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> None:
 
 
 class Network:
-    """`$NET` and its stored values. link: None in a simulator without network."""
+    """`$NET` and its stored values. link: None in a simulator without network. _kept: values by
+    name, such as SSID, as text. _is_new: the key was just made, and is still to be reported."""
 
     def __init__(self, cnc: "Cnc", link: "NetworkLink | None") -> None:
         machine = cnc.machine
@@ -60,7 +64,7 @@ class Network:
         self._link = link
         self._saves = machine.saves
         self._reader: "LineReader" = machine.reader
-        self._kept: "dict[str, str]" = {}  # stored values by name, such as SSID
+        self._kept: "dict[str, str]" = {}
         for line in machine.saves.load(_FILE) or []:
             name, _, self._kept[name] = line.partition("=")
         self._is_new = link is not None and "KEY" not in self._kept
@@ -73,7 +77,7 @@ class Network:
             link.control.has_half = lambda: has_half(*self._received())
 
     def _new_key(self) -> str:
-        """Return a random key: 39 bits from the chip's noise source."""
+        """Return a random key of _KEY_LENGTH signs: 39 bits from the chip's noise source."""
         noise = self._link.access.random_bytes(_KEY_LENGTH) if self._link else b""
         return "".join([_KEY_SIGNS[byte % len(_KEY_SIGNS)] for byte in noise])
 
@@ -89,7 +93,8 @@ class Network:
     # Hooks
 
     def between(self) -> None:
-        """Complete a requested handover between two lines."""
+        """Complete a requested handover of control once all lines of the client before are
+        executed. Called between two lines."""
         link = self._link
         if link and link.control.ending and not self._reader.has_line():
             link.control.done()
@@ -114,7 +119,8 @@ class Network:
     # The command
 
     def command(self, rest: bytes) -> None:
-        """Execute $NET, or $NET/… without the slash, which the reader drops. Raises GrblError."""
+        """Execute $NET, or $NET/…: rest is the text after $NET; the reader drops the slash. Raises
+        GrblError."""
         text, link = text_of(rest), self._link
         if not rest:
             count = link.client_count() if link else 0
@@ -137,7 +143,8 @@ class Network:
             self._set(text)
 
     def _set(self, text: str) -> None:
-        """Set a value. Its module takes 1.5 kB, so it is loaded only for this call."""
+        """Set a value by NAME=VALUE or a similar text; GrblError if it is wrong. The module for it
+        takes 1.5 kB, so it is loaded only for this call."""
         from extras.net import net_setup
 
         why = net_setup.change(self._kept, text)

@@ -15,8 +15,8 @@ _HIGHEST_PORT = const(65535)
 def change(kept: "dict[str, str]", text: str) -> str:
     """Store a value in kept and return "", or return why not and change nothing.
 
-    kept: values by name. text: `NAME=VALUE`; `PASS+VALUE` continues a password; `OFF` removes the
-    network's name and password.
+    kept: values by name; SSID and PASS are stored as hexadecimal digits. text: `NAME=VALUE`;
+    `PASS+VALUE` continues a password; `OFF` removes the network's name and password.
     """
     name, sign, value = _parted(text)
     if name == "OFF" and not sign:
@@ -73,7 +73,7 @@ def _port(text: str) -> str:
 
 
 def _parted(text: str) -> "tuple[str, str, str]":
-    """Split `NAME=VALUE`, `NAME+VALUE` or `NAME` into name, sign and value."""
+    """Split `NAME=VALUE`, `NAME+VALUE` or `NAME` into name, sign and value; "" without a sign."""
     for sign in "=+":
         name, found, value = text.partition(sign)
         if found and _is_of(name.lower(), _LETTERS):

@@ -58,12 +58,14 @@ _MINUS = const(128)  # and is this bit
 # The words of a straight cut: a line with a cluster must have no others.
 _CUT = const(CHECKED | MOVE | IN_MOTION)
 
-# A row per block: the number of dots, 0 for a normal block, then their powers, in POWER's unit.
-MOST = const(16)
+# The array `clusters` has a row per block: the number of dots, 0 for a normal block, then their
+# powers, as a block's own power: PWM steps, or 1/64 of one if power follows speed.
+MOST = const(16)  # dots of a block
 ROOM = const(17)  # integers in such a row
 # The S values of a block's dots are in another array, MOST per block.
 
-# The dots of the line just read: their number, then their S values, as bits of floats.
+# Indices into `dots`, the dots of the line just read: their number, then their S values, as bits
+# of floats.
 DOTS = const(0)
 FIRST_DOT = const(1)
 
@@ -76,8 +78,8 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
     letters and values that scan() fills, dots, and the block's ints.
 
     span: the end of the line in bits 8 to 15. found, and the result, as scan() returns them: count
-    of words in bits 0 to 7, error number << 8, index of the colon << 16. ONLY is set, so that the
-    line is refused if it asks for more than a straight cut.
+    of words in bits 0 to 7, error number << 8, index in the line of the colon << 16; 0 for none.
+    ints[ONLY] is set, so that the line is refused if it asks for more than a straight cut.
     """
     _letters, _values, _dots, _ints = memory
     text = ptr8(line)
@@ -114,10 +116,12 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
 def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
     """Return the tick in the segment at which a motor reaches whole + over / parts steps.
 
-    row[base]: number of steps, tick of the first, tick of the last. A step is generated half way
-    between two positions, so
+    row[base] and the two after it: the motor's number of steps, tick of the first, tick of the
+    last. A step is generated half way between two positions, so
 
         tick = step tick of `whole` + gap * (over / parts - 1 / 2)
+
+    with the gap between two steps, in ticks.
     """
     gaps = row[base] - 1
     gap = (row[base + 2] - row[base + 1]) // gaps if gaps > 0 else row[ROW_TICKS]
@@ -126,7 +130,8 @@ def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
 
 @micropython.viper
 def leader(ring: ptr32, at: int) -> int:
-    """Return the motor with the most steps in the block at ring[at]: its steps are the events."""
+    """Return the index of the motor with the most steps in the block that begins at ring[at]: its
+    steps are the block's events."""
     motor = 0
     while ring[at + STEPS + motor] != ring[at + EVENTS]:
         motor += 1
@@ -150,23 +155,27 @@ def dots(
     clusters: ptr32,
     own: int,
 ) -> int:
-    """Write the changes of power in a segment of a cluster, whose row begins at clusters[own].
+    """Write the changes of power in a segment of a cluster's block. Returns 0.
+
+    flow, ring, table: the planner's; row: the segment's; beam, levels: see laser.emit().
+    clusters[own]: the number of the block's dots, with their powers after it.
 
     All dots have equal length, and the first begins with the block. If power follows speed (M4), a
     segment in which no dot begins has the power of the current dot at the segment's speed.
 
     Of the block's events (steps of its leading motor), `before` are made when the segment begins,
     and `done` when it ends. number: dots that begin in it, the first of them is `dot`. A dot
-    begins at events * dot / parts: whole + over / parts steps. A block with fewer events than dots
-    has only as many parts as events.
+    begins at events * dot / parts: whole + over / parts steps. first, last: ticks in the segment
+    at which the first and the last of them begin. A block with fewer events than dots has only as
+    many parts as events.
     """
-    at = flow[AT]
+    at = flow[AT]  # index of the block in ring
     events = ring[at + EVENTS]
     count = clusters[own]
     parts = count if count < events else events
     motor = int(leader(ring, at))
-    base = ROW_AXES + ROW_STRIDE * motor
-    done = events - flow[MOTORS + 2 * motor]
+    base = ROW_AXES + ROW_STRIDE * motor  # index in row of its number of steps
+    done = events - flow[MOTORS + 2 * motor]  # less the steps that it has left
     before = done - row[base]
     dot = int(begun(before, events, parts))
     number = int(begun(done, events, parts)) - dot
@@ -208,7 +217,8 @@ def mark_dots(
     levels: ptr32,
     clusters: ptr32,
 ) -> int:
-    """Move a segment's power to the beam, as laser.mark(), also if its block is a cluster."""
+    """Move a segment's power to the beam, as laser.mark(), also if its block is a cluster. Returns
+    0. flow, ring, table: the planner's; row: the segment's; beam, levels: see laser.emit()."""
     own = flow[AT] // flow[ROW_SIZE] * ROOM  # index of the block's dots
     if clusters[own] == 0:
         mark(table, row, beam, levels)
@@ -232,11 +242,12 @@ def store(
 ) -> int:
     """Store the powers of a block's dots, and the S values that they are computed from.
 
-    values: `count` S values, as bits of floats. block: its row in the planner's ring. scale,
-    flags: see spindle.power_from_rpm(). Equal S values in a row are computed once.
+    values: `count` S values, as bits of floats. block: index of its row in the planner's ring.
+    clusters: see ROOM; speeds: the S values of all blocks, MOST each. scale, flags: see
+    spindle.power_from_rpm(). Equal S values in a row are computed once. Returns 0.
     """
     own = ROOM * block  # index of the block's dots
-    last = -1
+    last = -1  # no S value
     power = 0
     for i in range(count):
         if values[i] != last:
@@ -253,12 +264,13 @@ class ClusterLaser(Laser):
     """A laser whose power also changes within blocks."""
 
     def connect_dots(self, planner: "Planner", clusters: "array[int]") -> None:
-        """Connect the planner's blocks and the dots of each."""
+        """Connect the planner's blocks and the dots of each (clusters: see ROOM)."""
         self._flow, self._ring, self._clusters = planner.flow, planner.ring, clusters
 
     @micropython.viper
     def next(self, row: object) -> int:
-        """Fill the next segment's row, as segments.Segments.next(), with its changes of power."""
+        """Fill the next segment's row, as segments.Segments.next(), with its changes of power.
+        Returns 1, or 0 if nothing is left to move. Called in the engine's interrupt."""
         if int(self._usual_next(row)) == 0:
             return 0
         flow = ptr32(self._flow)
@@ -270,13 +282,14 @@ class ClusterLaser(Laser):
         return 1
 
     def restore_dot(self) -> bool:
-        """Restore the power of a dot that a hold has interrupted, before motion starts.
+        """Restore the power of a dot that a hold has interrupted, before motion starts. Without
+        this the laser would stay off until the next dot begins.
 
-        Power that follows speed starts at 0 instead. Returns True: motion may start.
+        Power that follows speed (M4) starts at 0 instead. Returns True: motion may start.
         """
         flow, ring = self._flow, self._ring
-        at = flow[AT]
-        own = at // flow[ROW_SIZE] * ROOM
+        at = flow[AT]  # index of the block in ring
+        own = at // flow[ROW_SIZE] * ROOM  # index of its dots
         count = self._clusters[own]
         if count and flow[LOADED] and not self._reversed and self._engine.idle():
             events = ring[at + EVENTS]
@@ -289,14 +302,18 @@ class ClusterLaser(Laser):
 
 
 class Clusters:
-    """Hooks of clusters in the reading of lines and in the planner."""
+    """Hooks of clusters in the reading of lines and in the planner.
+
+    powers, _speeds: powers and S values of each block's dots, see ROOM and MOST. _dots: the dots
+    of the line just read, _values their S values. _ints: the interpreter's block.
+    """
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         flow = machine.planner.flow
         blocks = flow[ROWS] + 1
         self.powers = array("i", (0 for _ in range(ROOM * blocks)))
-        # S of each dot, because a spindle override computes the powers again.
+        # Kept, because a spindle override computes the powers again.
         self._speeds = array("f", (0.0 for _ in range(MOST * blocks)))
         self._dots = array("i", (0 for _ in range(FIRST_DOT + MOST)))
         self._values = memoryview(self._dots)[FIRST_DOT:]
@@ -313,13 +330,15 @@ class Clusters:
     # The planner
 
     def _weigh(self, power: "Any", flags: int, block: int) -> None:
-        """Compute the powers of a block's dots from their S values, by power(flags, S)."""
+        """Compute the powers of a block's dots from their S values, by power(flags, S). block:
+        index of its row in the planner's ring; flags: its own."""
         for i in range(self.powers[ROOM * block]):
             self.powers[ROOM * block + 1 + i] = power(flags, self._speeds[MOST * block + i])
 
     @micropython.native
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a line, as motion.planner.Planner.plan(). Without M3 and M4 it has no dots."""
+        """Plan a line, as motion.planner.Planner.plan(), whose arguments and result it has; and
+        store the dots of its block. Without M3 and M4 it has none."""
         machine = self._machine
         head = machine.planner.flow[HEAD]
         if not flags & SYSTEM_MOTION:

@@ -51,14 +51,16 @@ _LOWEST_HZ = const(10)
 _HIGHEST_HZ = const(100_000)
 _BESIDE_RADIO = const(4)  # most motors, on an RP2040 with a radio
 _SOONEST = const(8)  # ticks that an engine needs before the first change of a segment
-_LONG = const(0x100000)  # ticks: limit of SINCE
+_LONG = const(0x100000)  # ticks: limit of beam[SINCE], so that it cannot overflow
 
 
 @micropython.viper
 def emit(beam: ptr32, levels: ptr32, power: int) -> int:
-    """Append a change of power to the ring of levels.
+    """Append a change of power (PWM steps) to the ring of levels. Returns 0.
 
-    level = power * FULL / 2**FULL_LOG2; beam_layout.full() keeps the product within 31 bits.
+    beam: the beam's state: beam[COUNT] changes so far, beam[LEVEL] the last power. level = power *
+    beam[FULL] / 2**FULL_LOG2; beam_layout.full() keeps the product within 31 bits. beam[BOTH] is a
+    factor by which the hardware's register gets the level once or twice.
     """
     levels[beam[COUNT] & LEVELS_MASK] = ((power * beam[FULL]) >> FULL_LOG2) * beam[BOTH]
     beam[COUNT] += 1
@@ -68,10 +70,14 @@ def emit(beam: ptr32, levels: ptr32, power: int) -> int:
 
 @micropython.viper
 def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: int) -> int:
-    """Write `number` changes of power into a row, from tick `first` to tick `last` of the segment.
+    """Write into a segment's row when its `number` changes of power come: evenly from tick `first`
+    to tick `last` of the segment. Returns 0. Their levels are written by emit(). In the row the
+    beam follows the motors and, as they do, has a number, a first tick and a last one.
 
     Both are delayed where the hardware would not be ready: it needs _SOONEST ticks from the start
-    of the segment, and GAP ticks from one change to the next.
+    of the segment, and beam[GAP] ticks from one change to the next. beam[SINCE]: ticks from the
+    last change to the end of the segment before, and afterwards of this one. table: the
+    planner's.
     """
     base = ROW_AXES + ROW_STRIDE * table[MOTOR_COUNT]
     row[base] = number
@@ -94,9 +100,11 @@ def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: in
 
 @micropython.viper
 def mark(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
-    """Move the power of a segment just made to the beam: a change at its start, or none.
+    """Move the power of a segment just made to the beam: a change at its start, or none if it is
+    the last power. Returns 0.
 
-    The row's own power becomes KEEP_POWER, so that no interrupt sets it.
+    row[ROW_POWER], the power that an interrupt would set, becomes KEEP_POWER: it sets none. beam,
+    levels: see emit(); table: the planner's.
     """
     number = 0
     if row[ROW_POWER] != beam[LEVEL]:
@@ -108,7 +116,9 @@ def mark(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
 
 
 class Laser(Spindle):
-    """A spindle whose power the engine changes during motion."""
+    """A spindle whose power the engine changes during motion. _engine: None if it cannot. _beam:
+    its state of the beam; _beam[bm.LEVEL] is the power that it was given last, UNKNOWN while idle.
+    _reversed: M4."""
 
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
         super().__init__(port, state, enable_by_direction)
@@ -116,7 +126,8 @@ class Laser(Spindle):
         self._engine: "Any" = None
 
     def connect(self, engine: "BeamEngine", planner: "Planner", usual_next: "NextSegment") -> None:
-        """Connect the engine, which sets the power during motion, and the planner."""
+        """Connect the engine, which sets the power during motion, and the planner. usual_next:
+        fills a segment's row."""
         self._usual_next = usual_next
         self._engine = engine
         self._beam = engine.beam
@@ -127,7 +138,7 @@ class Laser(Spindle):
     def next(self, row: object) -> int:
         """Fill the next segment's row, as segments.Segments.next(), with its changes of power.
 
-        Return 0 if nothing is left to move. Called in the engine's interrupt.
+        Return 1, or 0 if nothing is left to move. Called in the engine's interrupt.
         """
         if int(self._usual_next(row)) == 0:
             return 0
@@ -135,7 +146,8 @@ class Laser(Spindle):
         return 1
 
     def set_power(self, power: int) -> None:
-        """Set PWM directly: while idle, or per segment without a beam engine. Interrupt-safe."""
+        """Set PWM directly (PWM steps): while idle, or per segment with an engine that cannot.
+        Safe in an interrupt."""
         self._power = power
         self._port.spindle(power != 0, power)
 
@@ -147,7 +159,7 @@ class Laser(Spindle):
             self.set_power(0)
         elif beam[bm.LEVEL] >= 0:  # not UNKNOWN: the engine has set a power
             self.set_power(beam[bm.LEVEL])
-        beam[bm.LEVEL] = bm.UNKNOWN
+        beam[bm.LEVEL] = bm.UNKNOWN  # the next motion sends its first power in any case
 
     def stop(self) -> None:
         """Switch off at once, whatever is queued for the pin. Safe in an interrupt."""
@@ -156,7 +168,8 @@ class Laser(Spindle):
         super().stop()
 
     def direction(self) -> int:
-        """Return OFF, CW or CCW. Whether it is on depends on the power set last."""
+        """Return OFF, CW or CCW. Without an enable pin, the power set last says whether it is
+        on."""
         if self._beam[bm.LEVEL] >= 0:  # during motion the engine has set it
             self._power = self._beam[bm.LEVEL]
         return super().direction()

@@ -74,7 +74,12 @@ _UP = const(2)
 
 
 class Punch(Spindle):
-    """The actuators and their sensors. Armed corresponds to a turning spindle."""
+    """The actuators and their sensors. Armed corresponds to a turning spindle.
+
+    pins: numbers, by PINS. _armed: sp.OFF, CW or CCW. _going_down: the actuator down is on. _lost:
+    the upper sensor has lost the punch during motion. _down_invert, _up_invert: of the actuators,
+    0 or 1; _sensor_invert: mask of _DOWN and _UP.
+    """
 
     pins: "tuple[int, ...]" = ()
     timeout_ms = 0
@@ -83,8 +88,8 @@ class Punch(Spindle):
         super().__init__(port, state, False)
         self._armed = sp.OFF
         self._going_down = False
-        self._lost = False  # the upper sensor has lost the punch during motion
-        self._sensor_invert = 0  # mask of _DOWN and _UP
+        self._lost = False
+        self._sensor_invert = 0
         port.add_pins(self.pins[:2], self.pins[2:])
 
     def connect(self, machine: "Controller") -> None:
@@ -95,7 +100,8 @@ class Punch(Spindle):
     # As a spindle
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
-        """Apply $30 to $33."""
+        """Apply $30 to $33, the inversions of actuators and sensors, and raise the punch. table:
+        the planner's."""
         super().configure(settings, table)
         for i in range(sp.HIGHEST, st.SPINDLE_LENGTH):  # there is neither speed nor power
             self._state.spindle[i] = 0.0
@@ -104,14 +110,15 @@ class Punch(Spindle):
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
         # Levels after a reset: bit 0 of the output down, which is off; bit 1 of up, which is on.
         self._port.rest(self._down_invert | (1 ^ self._up_invert) << 1)
-        self._motor_control(False)
+        self._move(False)
 
     def set_speed(self, direction: int, rpm: float) -> None:
-        """Arm or disarm. Disarmed, also by a reset, the punch is up or the machine in alarm."""
+        """Arm with CW or CCW; disarm with OFF, and raise the punch: if it is not up in time, the
+        machine is in alarm. A reset disarms, too. rpm is ignored."""
         self._armed = direction
         self._state.override_countdown = 0
         if direction == sp.OFF:
-            self._motor_control(False)
+            self._move(False)
             if not self._reach_up(self._machine.motor_control.pump):
                 self._fail(ALARM_PUNCH_UP, _NOT_UP)
             elif self._lost:
@@ -120,7 +127,7 @@ class Punch(Spindle):
 
     def stop(self) -> None:
         """Raise the punch at once. Safe in an interrupt."""
-        self._motor_control(False)
+        self._move(False)
 
     def direction(self) -> int:
         """Return OFF, or the direction with which it was armed."""
@@ -128,19 +135,22 @@ class Punch(Spindle):
 
     # The actuators: one of the two is always on.
 
-    def _motor_control(self, down: bool) -> None:
-        """Switch the actuators: down, or up. Safe in an interrupt."""
+    def _move(self, down: bool) -> None:
+        """Switch the actuators, one on and the other off, so that the punch goes down, or up.
+        Safe in an interrupt."""
         self._going_down = down
+        # Bit 0 is the output down, bit 1 the output up.
         self._port.drive(down ^ self._down_invert | ((not down) ^ self._up_invert) << 1)
         if down and not self._going_down:
-            self._motor_control(False)  # an interrupt has raised it meanwhile
+            self._move(False)  # an interrupt has raised it meanwhile
 
     def _sees(self) -> int:
         """Return which sensors detect the punch, a mask of _DOWN and _UP."""
         return self._port.sense() ^ self._sensor_invert
 
     def is_up(self) -> bool:
-        """Return whether it is up by both sensors, and not about to go down."""
+        """Return whether only the upper sensor detects the punch, and it is not about to go
+        down."""
         return not self._going_down and self._sees() == _UP
 
     def _reach_up(self, turn: "Callable[[], None]") -> bool:
@@ -164,10 +174,10 @@ class Punch(Spindle):
         if not self.may_move():
             self._machine.realtime.handle_events()  # raises Abort
         try:
-            self._motor_control(True)
+            self._move(True)
             is_down = self._go_down()
         finally:
-            self._motor_control(False)
+            self._move(False)
         if is_down is None:  # the lower sensor did not answer in time
             self._fail(ALARM_PUNCH_DOWN, _NOT_DOWN)
             self._machine.motor_control.reset()
@@ -196,7 +206,8 @@ class Punch(Spindle):
     # Guards
 
     def may_move(self) -> bool:
-        """Return whether motion may start. If not, set the alarm and reset."""
+        """Return whether motion may start, which is if the punch is up. If not, set the alarm and
+        reset."""
         if self.is_up():
             return True
         self._fail(ALARM_PUNCH_UP, _NOT_UP)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 # Lines that change nothing, in the form that plain() returns.
 READING = (b"", b"$", b"$$", b"$#", b"$G", b"$I", b"$I+", b"$N", b"$NET")
-_KEY = b"$NETKEY="
+_KEY = b"$NETKEY="  # $NET/KEY= in the form that plain() returns
 OK = b"ok\r\n"
 REFUSED = b"error:%d\r\n"
 _LOCKED = REFUSED % errors.SYSTEM_GC_LOCK
@@ -25,7 +25,7 @@ _OF_BROWSERS = (b"GE", b"PO", b"PU", b"HE", b"OP", b"PA", b"DE", b"CO", b"TR", b
 
 
 def plain(received: bytearray) -> bytes:
-    """Return a line in capitals, without spaces, slashes, ?, and its end."""
+    """Return a line in capitals, without spaces, slashes, ? and its end: the form to compare."""
     line = bytes(received).upper()
     for sign in (b" ", b"/", b"?", b"\r", b"\n"):
         line = line.replace(sign, b"")
@@ -41,8 +41,8 @@ def is_browser(received: bytearray, count: int) -> bool:
 
 
 class Access:
-    """The access check. secret: the key, "" if there is none. No address is trusted, because a
-    sender shares its address with every page open in a browser on the same computer."""
+    """The access check. secret: the key in capitals, "" if there is none. No address is trusted,
+    because a sender shares its address with every page open in a browser on the same computer."""
 
     def __init__(self) -> None:
         self.secret = ""
@@ -53,8 +53,11 @@ class Access:
 
     def answer(self, client: "Client", line: bytes) -> bytes:
         """Return the answer to a client's line if the line must not be executed: one with the key,
-        or one that the client may not send; else b"". Each key tried costs the same time, and no
-        client waits for another's: there are 30 ** 8 keys."""
+        or one that the client may not send; else b"". line: as plain() returns it.
+
+        The right key makes the client trusted; a wrong one costs one of its tries. There is no
+        delay after a wrong key, for which other clients would wait: there are 30 ** 8 keys.
+        """
         if not line.startswith(_KEY):
             return b"" if client.trusted or line in READING else _MSG_KEY
         if self.secret and line[len(_KEY) :] == self.secret.encode():

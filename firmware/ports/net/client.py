@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 _QUESTION = const(0x3F)
 _SAID = const(256)  # twice the bytes that a sender that counts has under way
-_PIECE = const(64)
-_OUT = const(512)
-_SEGMENT = const(100)  # what a write counts for, at least
+_PIECE = const(64)  # bytes of one read
+_OUT = const(512)  # bytes of output that may be queued
+_SEGMENT = const(100)  # bytes that a write counts for, at least: lwIP's own data about it
 MEMORY = const(7200)  # bytes; a client may use a third
-_CLOSED_MS = const(10_000)
+_CLOSED_MS = const(10_000)  # for so long lwIP keeps the output of a closed connection
 # Senders request a report a few times a second: a client silent for so long has gone.
 _GONE_MS = const(3000)
 # How long a client may keep its place if another client needs one: without the key, since it
@@ -40,7 +40,7 @@ _TRIES = const(3)  # wrong keys that are allowed
 
 @micropython.viper
 def asks(data: ptr8, count: int) -> int:
-    """Return 1 if there is a ? among the bytes, else 0."""
+    """Return 1 if there is a ? among the first `count` bytes of data, else 0."""
     for i in range(count):
         if data[i] == _QUESTION:
             return 1
@@ -48,52 +48,62 @@ def asks(data: ptr8, count: int) -> int:
 
 
 class Memory:
-    """Bytes that lwIP may hold for all connections, including closed ones. Clients without the key
-    together have a third of it."""
+    """Bytes that lwIP may hold for all connections, including closed ones: `most` in all. held:
+    bytes counted as in use; share: a third, for one client, and for all clients without the key
+    together."""
 
     def __init__(self, most: int = MEMORY) -> None:
-        self.share = most // 3  # of one client, and of all without the key together
-        self.held = 0  # bytes counted as in use
+        self.share = most // 3
+        self.held = 0
         self._most = most
         self._closed: "list[tuple[int, int]]" = []  # time of closing, in ms, and bytes held
 
     def space(self, trusted: bool) -> int:
-        """Return how many bytes may be sent."""
+        """Return how many bytes may be sent, below 0 if too many are in use. trusted: to a client
+        with the key; all others have only the share."""
         return (self._most if trusted else self.share) - self.held
 
     def leave(self, count: int) -> None:
-        """Count bytes that a closed connection still holds."""
+        """Note that a connection has been closed; lwIP still holds so many bytes for it, which
+        stay counted until forget()."""
         if count:
             self._closed.append((time.ticks_ms(), count))
 
     def forget(self, now_ms: int) -> None:
-        """Free the bytes that MicroPython has given up."""
+        """Stop counting the bytes of connections that were closed _CLOSED_MS ago: lwIP has freed
+        them."""
         while self._closed and time.ticks_diff(now_ms, self._closed[0][0]) >= _CLOSED_MS:
             self.held -= self._closed.pop(0)[1]
 
 
 class Client:
-    """A place for a client. conn: None if the place is free. trusted: the client has sent the
-    key."""
+    """A place for a client. conn: None if the place is free, and always for the client at the
+    cable. trusted: the client has sent the key.
+
+    asked: it requested a status report that it has not been sent. tries: wrong keys still allowed.
+    heard_ms: time of its last bytes; spoke_ms: of its last line or, without the key, of its
+    connection. said: bytes received and not yet passed to the machine, `length` of them, of which
+    the first `ready` may be passed. _out: queued output, _waiting bytes. _held: bytes of lwIP's
+    memory. _proves: the connection counts by itself the bytes sent that have not been read.
+    """
 
     def __init__(self, memory: Memory) -> None:
         self._memory = memory
         self.conn: "Connection | None" = None
         self.address = ""
         self.trusted = False
-        self.asked = False  # it requested a status report that it has not been sent
+        self.asked = False
         self.tries = _TRIES
         self.heard_ms = 0
-        self.spoke_ms = 0  # time of its last line; without the key, of its connection
-        # Bytes received and not yet passed to the machine; those before `ready` may be passed.
+        self.spoke_ms = 0
         self.said = bytearray(_SAID)
         self.length = 0
         self.ready = 0
         self.is_too_long = False
         self._out = bytearray(_OUT)
-        self._waiting = 0  # bytes queued in _out
-        self._held = 0  # bytes of lwIP's memory
-        self._proves = False  # the connection counts its unread bytes itself: a websocket
+        self._waiting = 0
+        self._held = 0
+        self._proves = False
 
     def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
         """Assign the place to a new connection."""
@@ -104,11 +114,11 @@ class Client:
         self.tries = _TRIES
         self.spoke_ms = self.heard_ms = now_ms
         self._waiting = 0
-        self._proves = hasattr(conn, "unproved")
+        self._proves = hasattr(conn, "unproved")  # a websocket
         self.forget()
 
     def end(self) -> None:
-        """Close the connection."""
+        """Close the connection and free the place; its output stays counted for a while."""
         conn, self.conn = self.conn, None
         self.forget()
         self._memory.leave(self._held)
@@ -122,13 +132,14 @@ class Client:
         self.is_too_long = False
 
     def note_received(self, now_ms: int) -> None:
-        """Note that bytes arrived: the client is alive."""
+        """Note that bytes arrived: the client is alive and, with the key, is assumed to have read
+        all output before, so that none counts as held."""
         self.heard_ms = now_ms
         if self.trusted and not self._proves:
             self._hold(0)
 
     def _hold(self, count: int) -> None:
-        """Count so many bytes of lwIP's memory as this client's."""
+        """Set the bytes of lwIP's memory that count as this client's."""
         self._memory.held += count - self._held
         self._held = count
 
@@ -137,13 +148,13 @@ class Client:
         return bool(self.conn) and time.ticks_diff(now_ms, self.heard_ms) >= _GONE_MS
 
     def overdue_ms(self, now_ms: int) -> int:
-        """Return how many ms the client has kept its place beyond its time."""
+        """Return how many ms the client has kept its place beyond its time; below 0 before."""
         if self.trusted:
             return time.ticks_diff(now_ms, self.heard_ms) - _LOST_MS
         return time.ticks_diff(now_ms, self.spoke_ms) - _STRANGER_MS
 
     def read(self, buf: bytearray) -> int:
-        """Read the bytes received and return how many; -1 if the client has gone."""
+        """Read the bytes received into buf and return how many; -1 if the client has gone."""
         try:
             count = self.conn.readinto(buf) if self.conn else 0
         except OSError:
@@ -159,7 +170,7 @@ class Client:
         return self.length <= _SAID - _PIECE if self.trusted else not self.ready
 
     def keep(self, byte: int) -> None:
-        """Store a received byte."""
+        """Store a received byte; one that does not fit is lost, and the line is then too long."""
         if self.length < _SAID:
             self.said[self.length] = byte
             self.length += 1
@@ -167,7 +178,7 @@ class Client:
             self.is_too_long = True
 
     def end_line(self, byte: int, now_ms: int) -> None:
-        """Store the end of a line, which may be passed to the machine then."""
+        """Store the end of a line (byte: CR or LF), which may be passed to the machine then."""
         self.keep(byte)
         self.ready = self.length
         if self.trusted:
@@ -205,7 +216,8 @@ class Client:
         return True
 
     def send(self) -> bool:
-        """Send as much queued output as there is memory for. False if the client is gone."""
+        """Send as much queued output as lwIP has memory for. False if the connection has failed.
+        A client that cannot prove that it reads (TCP without the key) loses the rest."""
         if not self._waiting or not self.conn:
             return True
         space = self.space()
@@ -225,11 +237,12 @@ class Client:
 
 
 def slot_for(address: str, clients: "list[Client]", at_rest: bool, now_ms: int) -> "Client | None":
-    """Return the place for a new connection: a free one, or the one most overdue; None if there is
-    none.
+    """Return the place for a new connection: a free one, or one whose client is overdue; None if
+    there is none.
 
-    During motion no client with the key loses its place. Without the key, a computer that has a
-    place is given no other client's.
+    address: of the new connection; at_rest: the machine is idle. Of overdue clients the one most
+    overdue loses its place, during motion only one without the key. A computer that already has a
+    place without the key is given that one, once overdue, and no other client's.
     """
     most_overdue = own = None  # own: a place without the key from the same address
     most_ms = 0

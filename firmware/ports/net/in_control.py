@@ -23,17 +23,18 @@ class Control:
     """Who controls the machine. owner: the client in control; driver: the client whose lines the
     machine is passed; they differ while a client borrows the machine; None: no client. receiver:
     the client that gets the answers. ending: lines of the previous driver are not all executed
-    yet, and this one's wait."""
+    yet, and this one's wait. _reads: lines of the borrower that have no answer yet. user: the
+    client at the cable, which is in control at first."""
 
     def __init__(self, user: "Client") -> None:
         self.owner: "Client | None" = user
         self.driver: "Client | None" = user
         self.receiver: "Client | None" = user
         self.ending = False
-        # Drop the unfinished line; and whether there is one.
+        # Drop the driver's unfinished line in the reader; and whether there is one.
         self.drop_half: "Callable[[], None]" = lambda: None
         self.has_half: "Callable[[], bool]" = lambda: False
-        self._reads = 0  # lines of the borrower that have no answer yet
+        self._reads = 0
 
     def is_borrowed(self) -> bool:
         """Return whether the owner's lines wait for a borrower's."""
@@ -46,7 +47,8 @@ class Control:
 
     def request(self, client: "Client", at_rest: bool, reads: bool, now_ms: int) -> bool:
         """Give the machine to a client that is not in control, if that is allowed. Returns
-        whether. reads: its line only reads."""
+        whether. at_rest: the machine is idle. reads: its line only reads, so the machine is only
+        lent: not while another borrows it, nor in the middle of a line."""
         if reads and client is self.driver:
             self._reads += 1
             return True
@@ -64,8 +66,8 @@ class Control:
     def _is_free(self, client: "Client", at_rest: bool, now_ms: int) -> bool:
         """Return whether this client may get the machine. at_rest: the machine is idle.
 
-        Without the key: while idle, and if no client is in control. With it: also if the client in
-        control has gone, or while idle if it is silent.
+        Without the key: while idle, if no client is in control, and if there is memory to answer
+        it. With it: if no client is in control, or that one has gone, or it is silent while idle.
         """
         owner = self.owner
         if not client.trusted:
@@ -80,7 +82,8 @@ class Control:
         return time.ticks_diff(now_ms, client.spoke_ms) >= _SILENT_MS
 
     def _transfer_control(self, owner: "Client | None") -> None:
-        """Give control to another client, or to none."""
+        """Give control to another client, or to none, and notify the one that loses it. While the
+        machine is borrowed, the borrower's lines are finished first."""
         before = self.owner
         if not self.is_borrowed():
             self._hand_over(owner)
@@ -90,7 +93,8 @@ class Control:
             before.put(MSG_TAKEN)
 
     def _hand_over(self, driver: "Client | None") -> None:
-        """Switch to another client's lines; the answers to those before have no receiver."""
+        """Switch to another client's lines. Those before are still executed (ending, until
+        done()); their answers have no receiver."""
         self.driver, self.receiver = driver, None
         self.ending = True
         self.drop_half()
@@ -112,12 +116,13 @@ class Control:
         self.receiver = self.driver
 
     def answered(self) -> None:
-        """Note that a line was answered by ok or error."""
+        """Note that a line was answered by ok or error. After the answer to a borrower's last line
+        the machine returns to the owner."""
         if self.is_borrowed() and not self.ending:
             self._reads -= 1
             if self._reads == 0:
                 self.give_back()
 
     def give_back(self) -> None:
-        """Return the machine to the owner."""
+        """End a loan: the owner's lines are executed again, and it gets the answers."""
         self.driver = self.receiver = self.owner

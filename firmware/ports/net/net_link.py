@@ -43,17 +43,22 @@ _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
 _ANSWERS = b"oe"  # the first letters of ok and error:
-# Output with these first bytes goes to all clients: alarms, the banner, and messages, [M.
-_A = const(0x41)
-_RETURN = const(0x0D)
-_BRACKET = const(0x5B)
-_M = const(0x4D)
-_REPORT = const(0x3C)
+# First bytes of output that goes to all clients.
+_ALARM = const(0x41)  # A of ALARM:
+_RETURN = const(0x0D)  # an empty line, with which the banner begins, has this or a lower one
+_BRACKET = const(0x5B)  # [ and
+_MESSAGE = const(0x4D)  # M of [MSG:
+_REPORT = const(0x3C)  # < of a status report
 
 
 class NetLink:
     """A Link. cable: the cable's link. calls: new connections, None without a network. memory: of
-    lwIP, for all clients. on_poll: as UartLink's."""
+    lwIP, for all clients. on_poll: as UartLink's. _user: the cable's client; _clients: the places
+    of network clients, free if conn is None; _all: both. control.owner is the client in control,
+    control.driver the one whose lines are executed. _is_plain: only the cable is used, its bytes
+    pass unchecked; _user.asked then says that some did since the last _round(). _is_nobodys: they
+    never did, so a network client need not wait for control. _piece: bytes just read, unchecked.
+    _urgent: real-time bytes that pass before all lines."""
 
     def __init__(
         self, cable: "BoardLink", calls: "Incoming | None", memory: "Memory | None" = None
@@ -69,32 +74,29 @@ class NetLink:
         self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
         self.questions = b"?"
         self.access = Access()
-        # The radio's, if there is one: a function called once a second, with whether the machine
-        # is idle; and one that returns its state.
+        # radio: called once a second, with whether the machine is idle; status: returns its state.
         self.radio: "Callable[[bool], None] | None" = None
         self.status: "Callable[[], str]" = lambda: "no network is set up"
-        # Returns whether the machine is idle: see attach().
         self._at_rest: "Callable[[], bool]" = lambda: True
         self._read = cable.read_into
         self._write = cable.write
         self._memory = memory or Memory()
-        self._user = Client(self._memory)  # the client at the cable
+        self._user = Client(self._memory)
         self._user.trusted = True
         self._clients = [Client(self._memory) for _ in range(_MOST_CLIENTS)]
         self._all = [self._user] + self._clients
         self.control = Control(self._user)
-        self._is_plain = True  # only the cable is used: its bytes pass unchecked
-        # Nothing was received at the cable: a network client need not wait for control.
+        self._is_plain = True
         self._is_nobodys = True
-        self._piece = bytearray(_PIECE)  # bytes just read, before they are checked
-        self._urgent = bytearray(_URGENT)  # real-time bytes that pass before all lines
+        self._piece = bytearray(_PIECE)
+        self._urgent = bytearray(_URGENT)
         self._urgent_count = 0
         self._round_ms = self._radio_ms = time.ticks_ms()
 
     # The Link interface
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Set when the prompt may be requested, and what greets a sender."""
+        """Set when the prompt may be requested, and what greets a sender at the cable."""
         self._at_rest = at_rest
         cable = self._cable
         cable.check_supervisor = self.check_supervisor
@@ -102,7 +104,7 @@ class NetLink:
             cable.on_poll = self.on_poll  # type: ignore[attr-defined]  # UartLink's
 
         def greet() -> None:
-            is_plain, self._is_plain = self._is_plain, True  # no network client is new
+            is_plain, self._is_plain = self._is_plain, True  # greet only the cable's client
             on_open()
             self._is_plain = is_plain
 
@@ -114,7 +116,7 @@ class NetLink:
         if self._is_plain:
             count = self._read(buf)
             if count:
-                self._user.asked = True  # has sent bytes: see _round()
+                self._user.asked = True
                 return count
         now_ms = time.ticks_ms()
         if time.ticks_diff(now_ms, self._round_ms) >= _ROUND_MS:
@@ -123,14 +125,14 @@ class NetLink:
         return 0 if self._is_plain else self._sort(buf, now_ms)
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send output to the clients it is for."""
+        """Send output to the clients it is for: see _distribute()."""
         if self._is_plain:
             self._write(data)
         elif len(data):
             self._distribute(data)
 
     def discard(self) -> None:
-        """Drop the bytes received: they were sent before a reset."""
+        """Drop the bytes received before a reset, also those still in the connection."""
         self._cable.discard()
         self.control.give_back()
         driver = self.control.driver
@@ -188,10 +190,9 @@ class NetLink:
         is_owner = client is control.driver is control.owner
         return is_owner and client.trusted and not (control.ending or client.length)
 
-    # In
-
     def _sort(self, buf: bytearray, now_ms: int) -> int:
-        """Fill buf for the machine: first real-time commands, then the controlling client's."""
+        """Fill buf for the machine, and return how many bytes: queued real-time commands; else
+        what the client in control sends unchecked; else stored lines of control.driver."""
         count, self._urgent_count = self._urgent_count, 0
         if count:
             buf[:count] = self._urgent[:count]
@@ -213,9 +214,9 @@ class NetLink:
         return 0
 
     def _read_driver(self, driver: Client, buf: bytearray, now_ms: int) -> int:
-        """Read the client in control: into buf, returning how many bytes pass unchecked; 0 if
-        there are none or each is checked."""
-        is_open = self._is_open(driver)
+        """Read the network client whose lines are executed. Returns how many bytes were put into
+        buf; 0 if there are none, or if each is checked and stored first."""
+        is_open = self._is_open(driver)  # its bytes pass unchecked
         if not is_open and not driver.has_room():
             return 0
         piece = buf if is_open else self._piece
@@ -232,15 +233,17 @@ class NetLink:
         return 0
 
     def _note(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
-        """Note bytes that pass unchecked. A lone ? is no line."""
+        """Note what the client in control sends unchecked: a ?, to which it is sent a report, and
+        the time of a line that is not read-only. Returns count, for the caller to return."""
         if asks(buf, count):
             driver.asked = True
+        # READING has the read-only lines; plain() removes a ?, and b"" is one of them.
         if count > _LONGEST_READING or plain(buf[:count]) not in READING:
             driver.spoke_ms = now_ms
         return count
 
     def _round(self, now_ms: int) -> None:
-        """Serve all clients except the one in control, and accept new connections."""
+        """Serve the network clients (control.driver is read elsewhere); accept a connection."""
         self._memory.forget(now_ms)
         if self._is_plain and self._user.asked:
             self._user.asked = self._is_nobodys = False
@@ -269,14 +272,14 @@ class NetLink:
             self._restore_plain()
 
     def _accept(self, conn: "Connection", address: str, now_ms: int) -> None:
-        """Give a new connection a place."""
+        """Give a new connection a place, which may be another's, and greet it; or close it."""
         place = slot_for(address, self._clients, self._at_rest(), now_ms)
         if place is None:
             conn.close()
             return
         if place.conn:
             self._drop(place)
-        if self._is_plain:
+        if self._is_plain:  # the first network client
             self._is_plain = False
             is_silent = self.control.is_silent(self._user, now_ms)
             if self._is_nobodys or (is_silent and self._at_rest()):
@@ -293,10 +296,8 @@ class NetLink:
         if self.control.on_client_gone(client):
             self._queue_realtime(_JOG_CANCEL)
 
-    # Bytes of other clients, and of the client in control while lines wait
-
     def _filter_bytes(self, client: Client, data: bytearray, count: int, now_ms: int) -> None:
-        """Check a client's bytes: queue its real-time commands, store lines, end a browser's."""
+        """Check each byte: queue real-time commands, store lines, close a browser's connection."""
         for i in range(count):
             byte = data[i]
             if byte in self.questions:
@@ -318,14 +319,15 @@ class NetLink:
                 return
 
     def _may_act(self, client: Client, byte: int, now_ms: int) -> bool:
-        """Return whether a client's real-time command acts."""
+        """Return whether a client's real-time command acts: a stop from any client with the key,
+        others only in control, which the client gets here if that is allowed."""
         if not client.trusted:
             return False
         is_owner = client is self.control.owner
         return is_owner or byte in _STOPS or self._request_control(client, False, now_ms)
 
     def _request_control(self, client: Client, reads: bool, now_ms: int) -> bool:
-        """Give the machine to a client, if that is allowed. Return whether. See Control."""
+        """Give the machine to a client, if allowed; return whether. reads: its line only reads."""
         return self.control.request(client, self._at_rest(), reads, now_ms)
 
     def _queue_realtime(self, byte: int) -> None:
@@ -366,14 +368,12 @@ class NetLink:
         if not client.tries:
             self._drop(client)
 
-    # Out
-
     def _distribute(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send a report to those that asked, alarms and messages to all, an answer to one."""
+        """Send a report to those that asked; alarms, messages, banner to all; an answer to one."""
         control, first = self.control, data[0]
         if first == _REPORT:
             self._report(data)
-        elif first <= _RETURN or first == _A or (first == _BRACKET and data[1] == _M):
+        elif first <= _RETURN or first == _ALARM or (first == _BRACKET and data[1] == _MESSAGE):
             self._write(data)
             for client in self._clients:
                 if client.conn:
@@ -393,7 +393,7 @@ class NetLink:
             self._send(client, data)
 
     def _send(self, client: Client, data: "bytes | bytearray | memoryview") -> None:
-        """Send to one client. A network client that reads too slowly is dropped."""
+        """Send to one client; one on the network that reads too slowly is dropped."""
         if client is self._user:
             self._write(data)
         elif client.conn and not client.put(data):

@@ -25,23 +25,23 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from interfaces import Connection, Incoming
 
-FIRST = "page.html"
+FIRST = "page.html"  # file names
 NAME = "page.gz"
-PIECE = const(672)  # with its head it fits one segment of lwIP
-_HEAD = const(512)
-_READ = const(256)
+PIECE = const(672)  # bytes; with its head it fits one segment of lwIP
+_HEAD = const(512)  # bytes that a head may have
+_READ = const(256)  # bytes of one read
 _LONGEST = const(4096)  # longest request, in bytes
 _VISITORS = const(2)
 _SILENT_MS = const(2000)  # a request that is not complete by then is dropped
 _MEMORY = const(2400)  # bytes of lwIP's memory: three pieces
-_SEGMENT = const(800)  # what a piece with its head counts for
+_SEGMENT = const(800)  # bytes of it that a piece with its head counts for
 _SHORT = const(300)  # an answer without a piece; a websocket's, with its last frame
 _SMALLEST = const(150)  # what any answer counts for, at least
 _CHANCE = const(2)  # random bytes in a path
 
 _KEY_LENGTH = const(24)
 _LONGEST_HOST = const(21)  # longest numeric host, with its port
-_DIGITS = const(5)
+_DIGITS = const(5)  # a piece's number has fewer
 # The constants are in few tuples, because a garbage collection can keep track of 60 objects of a
 # module at once.
 # Fields of a request that are read, the first line being "", and their indices.
@@ -63,7 +63,7 @@ _KEY = const(4)
 _VERSION = const(5)
 _LENGTH = const(6)
 _ENCODING = const(7)
-# Values that some fields must have.
+# Values that some fields must have, used by their indices.
 _WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")
 _NAMES = (b"localhost", b".local")
 _SIGNS = b".0123456789"
@@ -78,7 +78,7 @@ _REFUSALS = (
     (b"400 Bad Request", b"here a websocket is wanted: open / in a browser"),
     (b"426 Upgrade Required", b"version 13 is wanted"),
 )
-_NO_REQUEST = const(0)
+_NO_REQUEST = const(0)  # indices into _REFUSALS
 _NO_READING = const(1)
 _OTHER_NAME = const(2)
 _OTHER_PAGE = const(3)
@@ -86,7 +86,7 @@ _NOT_HERE = const(4)
 _NO_PAGE = const(5)
 _NO_SOCKET = const(6)
 _OTHER_VERSION = const(7)
-_GOOD = const(-1)
+_GOOD = const(-1)  # the request is not refused
 # An answer's head; its end; the policy, by which no site may hold our page in a frame and have its
 # buttons clicked unseen; the answer to a handshake; the header of the next piece; paths of pieces.
 _FORMS = (
@@ -100,8 +100,8 @@ _FORMS = (
     b"/0?0000",
     b"/%d?%s",
 )
-_ANSWER = const(0)
-_AND_GO = const(1)
+_ANSWER = const(0)  # indices into _FORMS
+_AND_CLOSE = const(1)
 _POLICY = const(2)
 _ACCEPTED = const(3)
 _NEXT = const(4)
@@ -115,16 +115,21 @@ _PIECE = const(2)
 
 
 class Visitor:
-    """A place for an HTTP connection. conn: None if the place is free."""
+    """A place for an HTTP connection. conn: None if the place is free.
+
+    owes: bytes sent that may not have been read; proof: the path whose request proves that they
+    have. begun_ms: start of the present request, or of the wait for one. asks: fields of the
+    request that waits for its answer, None if none does. Of the request being received _rest is
+    the unfinished line, _size the number of bytes so far, _fields the fields by index.
+    """
 
     def __init__(self) -> None:
         self.conn: "Connection | None" = None
         self.address = ""
-        self.owes = 0  # bytes sent that may not have been read
-        self.proof = b""  # the path of the request that proves it
-        self.begun_ms = 0  # start of the present request, or of the wait for one
-        self.asks: "dict[int, bytes] | None" = None  # the request that has no answer yet
-        # The request being received: the unfinished line, all bytes so far, fields by index.
+        self.owes = 0
+        self.proof = b""
+        self.begun_ms = 0
+        self.asks: "dict[int, bytes] | None" = None
         self._rest = b""
         self._size = 0
         self._fields: "dict[int, bytes]" = {}
@@ -146,8 +151,8 @@ class Visitor:
         self._fields = {}
 
     def hear(self, data: bytes) -> "dict[int, bytes] | None":
-        """Return the request's fields once it is complete, None before; {} if it is
-        malformed or too long."""
+        """Add bytes of the request. Returns its fields by index (_LINE, _HOST, …) once it is
+        complete, None before; {} if it is malformed or too long."""
         self._size += len(data)
         lines = (self._rest + data).split(b"\n")
         self._rest = lines.pop()
@@ -171,8 +176,9 @@ class Visitor:
 
 
 class Page:
-    """An Incoming. calls: by TCP; visits: by HTTP; host: the board's name; folder: where the page
-    lies, with a slash at its end."""
+    """An Incoming. calls: new connections by TCP; visits: by HTTP; host: the board's name; folder:
+    where the page lies, with a slash at its end. _memory: a share of lwIP's. _out: the answer
+    being sent, _read: the bytes just read."""
 
     def __init__(self, calls: "Incoming", visits: "Incoming", host: str, folder: str = "") -> None:
         self._calls = calls
@@ -185,8 +191,8 @@ class Page:
         self._read = bytearray(_READ)
 
     def next(self) -> "tuple[Connection, str] | None":
-        """Return a new TCP client, or one that has opened a websocket, with its address. Serve all
-        visitors."""
+        """Serve all visitors. Returns a visitor that has opened a websocket, or else a new TCP
+        client, with its address; None without either."""
         now_ms = time.ticks_ms()
         self._memory.forget(now_ms)
         for visitor in self._visitors:
@@ -216,22 +222,23 @@ class Page:
     # Requests
 
     def _serve(self, visitor: Visitor, now_ms: int) -> "WebSocket | None":
-        """Read more of the request; answer it once it is complete. Return an opened websocket."""
+        """Read more of the request; answer it once it is complete. Return an opened websocket,
+        else None. OSError if the connection has failed."""
         count = visitor.conn.readinto(self._read) if visitor.conn else 0
-        if count is None:
+        if count is None:  # nothing has arrived
             if visitor.asks:
                 return self._answer(visitor, visitor.asks, now_ms)
             if time.ticks_diff(now_ms, visitor.begun_ms) >= _SILENT_MS:
                 self._end(visitor)
             return None
-        if not count or visitor.asks:  # it has gone, or does not wait for the answer
+        if not count or visitor.asks:  # it has closed, or does not wait for the answer
             self._end(visitor)
             return None
         fields = visitor.hear(bytes(memoryview(self._read)[:count]))
         return None if fields is None else self._answer(visitor, fields, now_ms)
 
     def _owe(self, visitor: Visitor, count: int) -> None:
-        """Count so many bytes of lwIP's memory as this visitor's."""
+        """Set the bytes of lwIP's memory that this visitor's answers take."""
         self._memory.held += count - visitor.owes
         visitor.owes = count
 
@@ -240,10 +247,11 @@ class Page:
     ) -> "WebSocket | None":
         """Answer a request: refuse it, send a piece, or return a websocket that it has opened.
 
-        It waits in visitor.asks if there is no memory for a piece now.
+        fields: by index, {} if it was malformed. It waits in visitor.asks if there is no memory
+        for a piece now.
         """
         words = fields.get(_LINE, b"").split(b" ")  # method, path, version
-        if visitor.proof and visitor.proof in words:
+        if visitor.proof and visitor.proof in words:  # all before has been read
             self._owe(visitor, 0)
         why = self._refusal(fields, words)
         if why >= 0:
@@ -263,62 +271,65 @@ class Page:
         return None
 
     def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
-        """Return why a request is refused, an index into _REFUSALS; _GOOD if it is not."""
-        if len(words) != 3 or words[2] != _WORDS[1]:
+        """Return why a request is refused, an index into _REFUSALS; _GOOD if it is not. fields: by
+        index; words: of its first line, which should be method, path and version."""
+        if len(words) != 3 or words[2] != _WORDS[1]:  # HTTP/1.1
             return _NO_REQUEST
-        if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:
+        if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:  # GET, no body
             return _NO_READING
         host = fields.get(_HOST, b"").lower()
         if not self._is_ours(host):
             return _OTHER_NAME
-        here = b"http://" + host
-        if fields.get(_ORIGIN, here).lower() != here:
+        own_origin = b"http://" + host  # of our page; a browser sends that of the page that asks
+        if fields.get(_ORIGIN, own_origin).lower() != own_origin:
             return _OTHER_PAGE
         path = words[1]
         return _GOOD if path in (b"/", b"/ws") or _number(path) >= 0 else _NOT_HERE
 
     def _is_ours(self, host: bytes) -> bool:
-        """Return whether a host is a name of the board or a number; a number cannot resolve to
-        another address later."""
+        """Return whether a request's Host (lower case) is a name of the board or a number. Numbers
+        are safe: they cannot resolve to another address later, as a name from elsewhere can."""
         name = host.partition(b":")[0]
         if name in (self._host, self._host + _NAMES[1], _NAMES[0]):
             return True
         return _is_of(name, _SIGNS) and len(host) <= _LONGEST_HOST
 
     def _open(self, visitor: Visitor, fields: "dict[int, bytes]") -> "WebSocket | None":
-        """Answer the handshake and return the websocket, None if it is refused."""
+        """Answer the handshake and return the websocket, which takes over the connection; None if
+        it is refused or the connection has failed."""
         key = fields.get(_KEY, b"")
-        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:
+        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:  # websocket
             self._refuse(visitor, _NO_SOCKET)
             return None
-        if fields.get(_VERSION) != _WORDS[3]:
+        if fields.get(_VERSION) != _WORDS[3]:  # 13
             self._refuse(visitor, _OTHER_VERSION)
             return None
         conn, answer = visitor.conn, _FORMS[_ACCEPTED] % web_socket.accepted(key)
         if conn is None or conn.write(answer) != len(answer):
             self._end(visitor)
             return None
-        visitor.conn = None
+        visitor.conn = None  # so that _end() frees the place and closes nothing
         self._owe(visitor, visitor.owes + _SHORT)
-        self._end(visitor)  # the answer, and a last frame that finds no place
+        self._end(visitor)
         return WebSocket(conn)
 
     # Answers
 
     def _refuse(self, visitor: Visitor, why: int) -> None:
-        """Answer with a text of _REFUSALS, if there is memory for more than that, and end the
-        connection."""
+        """Answer with a text of _REFUSALS (why: its index) and end the connection. Without an
+        answer if no memory for a piece would remain: pieces for other visitors have priority."""
         status, text = _REFUSALS[why]
-        head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_GO]
-        if self._memory.space(True) >= _SEGMENT + _SHORT:
+        head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_CLOSE]
+        if self._memory.space(True) >= _SEGMENT + _SHORT:  # True: all of it, not a client's share
             self._put(visitor, memoryview(head + b"\r\n" + text + b"\n"))
         self._end(visitor)
 
     def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes) -> None:
         """Send piece `number` of a file: FIRST if kind is _HTML, else NAME.
 
-        After the last piece comes an empty one, and the end. more: further header lines. out has
-        the head, which ends at _HEAD, and the piece after it.
+        After the last piece comes an empty one, and the connection ends. more: further header
+        lines. out has the head, which ends at _HEAD, and the piece after it. The path of the
+        request that is to follow is random: it becomes visitor.proof.
         """
         out = memoryview(self._out)
         name = self._folder + (FIRST if kind == _HTML else NAME)
@@ -331,14 +342,14 @@ class Page:
             return
         head = _FORMS[_ANSWER] % (b"200 OK", _KINDS[kind], count) + more
         chance = binascii.hexlify(os.urandom(_CHANCE))
-        if kind == _HTML:
+        if kind == _HTML:  # the file's text has a path to replace
             visitor.proof = _FORMS[_PATH] % (0, chance)
             path_at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
             out[path_at : path_at + len(visitor.proof)] = visitor.proof
         elif count:
             visitor.proof = _FORMS[_PATH] % (number + 1, chance)
             head += _FORMS[_NEXT] % visitor.proof
-        head += (b"" if count else _FORMS[_AND_GO]) + b"\r\n"
+        head += (b"" if count else _FORMS[_AND_CLOSE]) + b"\r\n"
         start = _HEAD - len(head)
         out[start:_HEAD] = head
         self._put(visitor, out[start : _HEAD + count])
@@ -346,7 +357,7 @@ class Page:
             self._end(visitor)
 
     def _put(self, visitor: Visitor, data: memoryview) -> None:
-        """Send all of it at once, or end the connection."""
+        """Send all of data at once, or end the connection: lwIP should have memory for it."""
         self._owe(visitor, visitor.owes + max(len(data), _SMALLEST))
         if visitor.conn and visitor.conn.write(data) != len(data):
             self._end(visitor)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from interfaces import BoardLink, Incoming
 
 _HTTP = const(80)
-_MEMORY = const(4800)
-_JSON = (b"false", b"true")
+_MEMORY = const(4800)  # bytes
+_JSON = (b"false", b"true")  # by truth
 _NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
 
 
@@ -29,7 +29,7 @@ class PageLink(NetLink):
         self._host = host
 
     def _round(self, now_ms: int) -> None:
-        """Serve the clients, as NetLink._round(), and send news of control to pages."""
+        """Serve the clients, as NetLink._round(), and send a changed state of control to pages."""
         NetLink._round(self, now_ms)
         if not self._is_plain:
             self._tell()
@@ -43,7 +43,7 @@ class PageLink(NetLink):
             socket = client.conn
             if not isinstance(socket, WebSocket):
                 continue
-            # A number that is another whenever the text is another.
+            # A number that differs whenever the text differs; the websocket sends `news`.
             state = watchers * 8 + client.trusted * 4 + (client is driver) * 2 + (driver is None)
             if state != socket.told:
                 socket.told = state

@@ -19,7 +19,9 @@ _AGAIN_MS = const(15000)  # between two attempts to join the network
 
 
 class Radio:
-    """The radio. name: of the network; password: empty for an open network."""
+    """The radio. name: of the network; password: empty for an open network; host: the board's
+    name; is_station: join the network, else be its access point. _called_ms: time of the last
+    attempt to join."""
 
     def __init__(self, name: bytes, password: bytes, host: str, is_station: bool) -> None:
         network.hostname(host)
@@ -43,7 +45,8 @@ class Radio:
             self._join(name, password)
 
     def poll_radio(self, at_rest: bool) -> None:
-        """Rejoin the network if it is lost and the machine is idle (at_rest)."""
+        """Try to rejoin the network if it is lost and the machine is idle (at_rest), at most once
+        in _AGAIN_MS."""
         if not (self._is_station and at_rest) or self._wlan.isconnected():
             return
         now_ms = time.ticks_ms()
@@ -55,7 +58,8 @@ class Radio:
                 return  # it is already trying
 
     def status(self) -> str:
-        """Return the radio's state as text, without the network's name or password."""
+        """Return the radio's state as text: kind, address, host name; the network's name and
+        password are secret."""
         if self._is_station and not self._wlan.isconnected():
             return "station, no network yet (%d), %s.local" % (self._wlan.status(), self._host)
         kind = "station" if self._is_station else "access point"

@@ -17,7 +17,7 @@ _IPPROTO_TCP = const(6)
 
 
 class Calls:
-    """Listen at a port of every address of the board. OSError if that fails."""
+    """An Incoming. Listens at a port of every address of the board; OSError if that fails."""
 
     def __init__(self, port: int) -> None:
         self._listener: "Any" = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -30,7 +30,7 @@ class Calls:
         self._no_delay: int = getattr(socket, "TCP_NODELAY", 0)  # desktops' MicroPython has none
 
     def next(self) -> "tuple[Connection, str] | None":
-        """Return a new connection and its address; None if there is none."""
+        """Return a new connection and the address of its other end; None if there is none."""
         for _ in self._arrived.ipoll(0):
             try:
                 client, address = self._listener.accept()

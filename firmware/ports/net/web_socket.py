@@ -20,28 +20,28 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from interfaces import Connection
 
-_GUID = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
-_CONTINUED = const(0)
+_GUID = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455's, for the handshake
+_CONTINUED = const(0)  # opcodes of frames; those from _CLOSE on are control frames
 _TEXT = const(1)
 _BINARY = const(2)
 _CLOSE = const(8)
 _PING = const(9)
 _PONG = const(10)
 _LAST = const(0x80)  # in the first byte: the message ends with this frame
-_RESERVED = const(0x70)
+_RESERVED = const(0x70)  # bits that must be 0
 _OPCODE = const(0x0F)
 _MASKED = const(0x80)  # in the second byte
-_TWO_BYTES = const(126)  # two bytes of length follow; a higher number: eight
-_MOST_CONTROL = const(125)
-_MASK = const(4)
-_HEAD = const(8)  # first two bytes, length, mask
-_PAYLOAD = const(512)  # of a frame sent, at most
-_CHANCE = const(4)
+_TWO_BYTES = const(126)  # as a length: two bytes of length follow; a higher number: eight
+_MOST_CONTROL = const(125)  # bytes of a control frame's payload, at most
+_MASK = const(4)  # bytes of a mask
+_HEAD = const(8)  # bytes of a head: the first two, length, mask
+_PAYLOAD = const(512)  # bytes of a frame sent, at most
+_CHANCE = const(4)  # random bytes of a ping
 _READS = const(4)  # reads in a row: a pong does not delay the message after it
 _SEGMENT = const(100)  # what a frame counts for, at least, as in client.py
 _UNPROVED = const(1600)  # with more than that, neither pongs nor news are sent
 
-_GOOD_BYE = const(1000)
+_GOOD_BYE = const(1000)  # codes of RFC 6455 for the end
 _GOING_AWAY = const(1001)
 _NO_FRAME = const(1002)
 _NOT_TAKEN = const(1003)
@@ -49,16 +49,17 @@ _TOO_BIG = const(1009)
 
 
 def accepted(key: bytes) -> bytes:
-    """Return the handshake's answer to a Sec-WebSocket-Key."""
+    """Return the value of Sec-WebSocket-Accept for a client's Sec-WebSocket-Key (RFC 6455)."""
     return binascii.b2a_base64(hashlib.sha1(key + _GUID).digest())[:-1]
 
 
 @micropython.viper
 def unmask(data: ptr8, at: int, count: int, to: int, head: ptr8, mask: int, phase: int) -> int:
-    """Move `count` bytes down from `at` to `to`, without their mask. Returns count.
+    """Move `count` bytes of data down from index `at` to `to`, and remove their mask. Returns
+    count.
 
-    mask: index of the mask's four bytes in head. phase: index of the first byte in the frame's
-    payload.
+    mask: index of the mask's four bytes in head. phase: index of the first of these bytes in the
+    frame's payload, whose bytes are masked by each of the four in turn.
     """
     for i in range(count):
         data[to + i] = data[at + i] ^ head[mask + ((phase + i) & 3)]
@@ -66,34 +67,42 @@ def unmask(data: ptr8, at: int, count: int, to: int, head: ptr8, mask: int, phas
 
 
 class WebSocket:
-    """A Connection. conn: the TCP connection after the handshake, whose OSErrors pass through."""
+    """A Connection. conn: the TCP connection after the handshake, whose OSErrors pass through.
+
+    unproved: bytes sent that may not have been read; _covered: how many of them the ping under way
+    will prove; _chance: its random bytes. news: text to send about control; told: the state that
+    was sent last, see page_link.py. _over: code of the end; 0: open.
+
+    The frame being received: _have of the _wanted bytes of its _head have come, as far as its
+    length is known; then _done bytes of its payload, and _left are to come. _is_open: a message
+    has begun and not ended. _control: a ping's or pong's payload. _pong: bytes of it to send back;
+    -1: none. The frame being sent: _out, of which the bytes from _at to _end must still be sent.
+    """
 
     def __init__(self, conn: "Connection") -> None:
         self._conn = conn
-        self.told = -1  # the state of control that was sent last, see page_link.py
-        self.news = b""  # text to send about it
-        self.unproved = 0  # bytes sent that may not have been read
-        self._covered = 0  # how many of them the ping under way will prove
-        self._chance = b""  # the random bytes of that ping
-        # In: the frame being received.
+        self.told = -1
+        self.news = b""
+        self.unproved = 0
+        self._covered = 0
+        self._chance = b""
         self._head = bytearray(_HEAD)
-        self._have = 0  # bytes of its head received
-        self._wanted = 2  # bytes that the head has, as far as is known
-        self._left = 0  # bytes of its payload to come
-        self._done = 0  # and those received
-        self._is_open = False  # a message has begun and not ended
+        self._have = 0
+        self._wanted = 2
+        self._left = 0
+        self._done = 0
+        self._is_open = False
         self._control = bytearray(_MOST_CONTROL)
-        self._pong = -1  # bytes of the ping to answer; -1: none
-        # Out: the frame being sent.
+        self._pong = -1
         self._out = bytearray(_HEAD + _PAYLOAD)
-        self._at = self._end = 0  # the part of it that must still be sent
-        self._over = 0  # code of the end; 0: open
+        self._at = self._end = 0
+        self._over = 0
 
     # The Connection interface
 
     def readinto(self, buf: bytearray) -> "int | None":
-        """Move the bytes received into buf; return how many, None if there are none, 0 at the
-        end."""
+        """Move the bytes received into buf; return how many, None if there are none, 0 if the
+        connection has ended."""
         self._flush()
         if self._over:
             return 0
@@ -107,7 +116,8 @@ class WebSocket:
         return None
 
     def write(self, data: "bytes | bytearray | memoryview") -> "int | None":
-        """Send as much as fits into a frame; None while another frame is being sent."""
+        """Send as much of data as fits into a frame, and return how many bytes; None while another
+        frame is being sent or after the end."""
         if self._over or not self._flush():
             return None
         count = min(len(data), _PAYLOAD)
@@ -126,7 +136,8 @@ class WebSocket:
     # In
 
     def _decode(self, buf: bytearray, count: int) -> int:
-        """Move the machine's bytes to the beginning of the same buf. Returns how many."""
+        """Read frames, or parts of them, from the first `count` bytes of buf. The messages' bytes,
+        which are the machine's, are moved to the beginning of the same buf. Returns how many."""
         moved = at = 0
         while at < count and not self._over:
             if self._have < self._wanted:
@@ -145,7 +156,8 @@ class WebSocket:
         return moved
 
     def _read_head(self) -> None:
-        """Handle the head as far as it has come: the first two bytes, then length and mask."""
+        """Handle the head as far as it has come: after two bytes check them and set the head's
+        length; once it is complete set the payload's length."""
         head, have = self._head, self._have
         if have < 2:
             return
@@ -167,7 +179,8 @@ class WebSocket:
                 self._end_frame()
 
     def _fault(self, first: int, second: int, length: int) -> int:
-        """Return the code of a frame that is not allowed; 0 if it is."""
+        """Return the code with which a frame that is not allowed ends the connection; 0 if it is
+        allowed. first, second: bytes of its head; length: the second without the mask bit."""
         opcode = first & _OPCODE
         is_last = first & _LAST
         if first & _RESERVED or not second & _MASKED:
@@ -176,6 +189,7 @@ class WebSocket:
             return 0 if is_last and length <= _MOST_CONTROL else _NO_FRAME
         if opcode == _TEXT:
             return _NOT_TAKEN
+        # A message begins with _BINARY, its further frames are _CONTINUED.
         if opcode not in (_CONTINUED, _BINARY) or self._is_open == (opcode == _BINARY):
             return _NO_FRAME
         if length > _TWO_BYTES:
@@ -186,7 +200,8 @@ class WebSocket:
     def _take_piece(self, buf: bytearray, at: int, count: int, to: int) -> int:
         """Read part of a frame's payload: `count` bytes of buf from `at` on.
 
-        A message's bytes are moved to index `to` of buf. Returns how many are the machine's.
+        A message's bytes are moved to index `to` of buf. Returns how many these are: 0 for a
+        control frame, of which a ping's or pong's payload is stored with its mask.
         """
         opcode = self._head[0] & _OPCODE
         if opcode in (_PING, _PONG):
@@ -196,7 +211,8 @@ class WebSocket:
         return 0
 
     def _end_frame(self) -> None:
-        """Handle a complete frame: close, answer a ping, or count what a pong has proved."""
+        """Handle a complete frame: close, note a ping to answer, or count what a pong has
+        proved."""
         opcode, control = self._head[0] & _OPCODE, self._control
         if opcode == _CLOSE:
             self._fail(_GOOD_BYE)
@@ -213,7 +229,8 @@ class WebSocket:
     # Out
 
     def _frame(self, opcode: int, data: "bytes | bytearray | memoryview", count: int) -> None:
-        """Make the next frame to send. Only if the one before has been sent."""
+        """Put the first `count` bytes of data into the frame to send. Only if the one before has
+        been sent."""
         out, start = self._out, 2
         out[0] = _LAST | opcode
         if count < _TWO_BYTES:
@@ -230,7 +247,7 @@ class WebSocket:
 
     def _flush(self) -> bool:
         """Send the rest of the frame, then pings, pongs and news that are due. Returns whether all
-        were sent."""
+        frames were sent: then another one may be made. Above _UNPROVED pongs and news wait."""
         while True:
             while self._at < self._end:
                 sent = self._conn.write(memoryview(self._out)[self._at : self._end])
@@ -239,7 +256,7 @@ class WebSocket:
                 self._at += sent
             if self._over:
                 return True
-            if self.unproved and not self._covered:
+            if self.unproved and not self._covered:  # no ping is under way
                 self._chance = os.urandom(_CHANCE)
                 self._frame(_PING, self._chance, _CHANCE)
                 self._covered = self.unproved
@@ -255,7 +272,7 @@ class WebSocket:
                 return True
 
     def _fail(self, code: int) -> None:
-        """Send the last frame, if there is space for it."""
+        """End the connection: send a last frame with the code, if there is space for it."""
         if not self._over and self._flush():
             self._frame(_CLOSE, bytes((code >> 8, code & 0xFF)), 2)
             self._over = code

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 
 def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
-    """Return the cable's link with the network around it. with_page: it also serves the page."""
-    stored: "dict[str, str]" = {}
+    """Return the cable's link with the network around it. with_page: it also serves the page. If
+    no network is stored or the radio fails, only the cable works, and status() says why."""
+    stored: "dict[str, str]" = {}  # by name; SSID and PASS are in hex digits
     for line in FlashStore().load("network") or []:
         name, _, stored[name] = line.partition("=")
     if not stored.get("SSID"):

@@ -33,7 +33,7 @@ def _nothing() -> None:
 
 
 def _checksum(data: "bytes | memoryview") -> bytes:
-    """Return the last line of a file."""
+    """Return the last line of a file with this data before it."""
     return _CHECKSUM + b"%08x\n" % binascii.crc32(data)
 
 
@@ -50,14 +50,15 @@ class FlashStore:
     root: littlefs reads all changes of a folder at each look into it, and a start looks into the
     root several times for each module.
 
-    before, after: called around each save, also if it fails.
+    before, after: called around each save, also if it fails. damaged: names whose file was
+    damaged, with True if an older copy was used.
     """
 
     def __init__(self, folder: str = "/saved/") -> None:
         self._folder = folder
         self.before: "Callable[[], None]" = _nothing
         self.after: "Callable[[], None]" = _nothing
-        self.damaged: "dict[str, bool]" = {}  # by name: whether an older copy was used
+        self.damaged: "dict[str, bool]" = {}
 
     def load(self, name: str) -> "list[str] | None":
         """Return the lines stored under a name: [] if nothing was ever stored, None if no copy is
@@ -80,8 +81,8 @@ class FlashStore:
         return []
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
-        """Replace the lines atomically. Raises OSError if flash is full or worn, or memory cannot
-        hold all lines."""
+        """Replace the lines stored under a name, atomically. Raises OSError if flash is full or
+        worn, or memory cannot hold all lines."""
         kept = list(lines)
         self.before()
         try:
@@ -96,12 +97,13 @@ class FlashStore:
             raise OSError(_NO_MEMORY)
         finally:
             self.after()
-            # Files have buffers of 1 kB. As garbage they would fill the low addresses, and the
-            # next value of a setting would lie in the middle of the largest hole.
+            # Files have buffers of 1 kB. As garbage they would fill the low addresses of memory,
+            # and the next value of a setting would lie in the middle of the largest free piece.
             gc.collect()
 
     def _write(self, path: str, data: bytes) -> None:
-        """Write a new file, read it back, and put it in the place of the old one.
+        """Write a new file, read it back, and put it in the place of the old one, which becomes
+        the older copy if it is whole.
 
         path: of the files, without suffix. OSError if that fails.
         """
@@ -119,8 +121,8 @@ class FlashStore:
         os.rename(path + _NEW, path + _NOW)
 
     def _read(self, path: str) -> "tuple[bytes | None, bool]":
-        """Return a file's bytes without its checksum, None if it is not whole; and whether the
-        file exists."""
+        """Return two things: a file's bytes without its checksum, None if it cannot be read or the
+        checksum is wrong; and whether the file exists."""
         try:
             with open(path, "rb") as file:
                 data = file.read()

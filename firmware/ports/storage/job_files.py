@@ -64,18 +64,19 @@ def _called(name: bytes) -> str:
 
 
 def _coming(name: bytes, suffix: str) -> str:
-    """Return the job that our file with this suffix belongs to, "" for other files."""
+    """Return the job that a file name with this suffix (_NEW or _WHOLE) belongs to, "" for other
+    file names."""
     job = name[: -len(suffix)] if name.endswith(suffix.encode()) else b""
     return text_of(job) if _called(job) else ""
 
 
 class JobFiles:
-    """The folder of job files. card: a removable card that is mounted there."""
+    """The folder of job files. card: a removable card that is mounted there, None in flash.
+    on_progress: called repeatedly while files are read."""
 
     def __init__(self, folder: str, card: "Card | None" = None) -> None:
         self._folder = folder
         self._card = card
-        # Called repeatedly while files are read.
         self.on_progress: "Callable[[], object]" = _nothing
 
     def connect(self, store: "Store", link: "Link") -> None:
@@ -91,8 +92,9 @@ class JobFiles:
             self._card = None
 
     def mount(self) -> None:
-        """Mount the card that is in the holder now, if the files are on a card. OSError if it
-        cannot be read. Call it only while no file is open."""
+        """Mount the card that is in the holder now, if the files are on a card, and finish a
+        replacement that a power cut has interrupted there. OSError if the card cannot be read.
+        Call it only while no file is open."""
         if self._card:
             self._around(self._card.mount)
             for name in self._names():
@@ -121,7 +123,8 @@ class JobFiles:
         return self._folder + "/" + name
 
     def _names(self) -> "list[bytes]":
-        """Return the names of all files, sorted."""
+        """Return the names of all files in the folder, sorted; OSError if a card cannot be
+        read."""
         try:
             names = self._around(lambda: os.listdir(self._folder.encode()))
         except OSError:
@@ -153,7 +156,7 @@ class JobFiles:
         return _called(name.encode()) == name
 
     def files(self) -> "list[tuple[str, int]]":
-        """Return names and sizes, sorted."""
+        """Return the jobs' names, as their files are written, and sizes in bytes, sorted."""
         jobs = []
         for name in [text_of(file) for file in self._names() if _called(file)]:
             self.on_progress()
@@ -194,7 +197,8 @@ class JobFiles:
     # Files received in pieces
 
     def begin(self, name: str) -> "IO[bytes]":
-        """Create the file into which a job is received. OSError if that fails."""
+        """Create the file into which a job is received, and return it; files left by earlier
+        transfers are deleted. OSError if that fails."""
         if not self._is_there():
             self._around(lambda: os.mkdir(self._folder))
         for file in self._names():
@@ -217,12 +221,12 @@ class JobFiles:
             return False
 
     def append(self, file: "IO[bytes]", piece: "bytes | bytearray") -> None:
-        """Write the next piece. OSError if no space is free."""
+        """Write the next piece to a file from begin(). OSError if no space is free."""
         self._around(lambda: file.write(piece))
 
     def finish(self, name: str, file: "IO[bytes]", checksum: int) -> bool:
-        """Replace the job by the received file. False if its checksum is another than the
-        sender's; the old job is then kept."""
+        """Close the received file and replace the job by it. Returns False if its CRC-32 is
+        another than the sender's (checksum); the old job is then kept."""
         self._around(file.close)
         if self._checksum(self._path(name + _NEW)) != checksum:
             self._remove(name + _NEW)
@@ -238,7 +242,8 @@ class JobFiles:
         return True
 
     def _copy(self, name: str) -> None:
-        """Copy a complete received file to its job, now or after a power cut."""
+        """Copy a complete received file to its job, now or after a power cut; only on a card. The
+        file with the suffix _WHOLE says until the end that the copy is to be made."""
         file = self._create(name)
         try:
             self._pieces(self._path(name + _NEW), lambda piece: self.append(file, piece))
@@ -248,7 +253,7 @@ class JobFiles:
         self._remove(name + _NEW)
 
     def drop(self, name: str, file: "IO[bytes]") -> None:
-        """Delete the received file."""
+        """Close and delete a received file, whose transfer has failed."""
         self._around(file.close)
         self._remove(name + _NEW)
 
@@ -257,6 +262,7 @@ class JobFiles:
         checksum = 0
 
         def add(piece: bytes) -> None:
+            """Add a piece of the file to the checksum."""
             nonlocal checksum
             checksum = binascii.crc32(piece, checksum)
 

@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 _FILE = "/pages"
 _NEW = "/pages.new"
-_BLOCK = const(4096)
-_PAGE = const(256)
-_PAGES = const(16)
+_BLOCK = const(4096)  # bytes
+_PAGE = const(256)  # bytes
+_PAGES = const(16)  # of a block; page 0 has the mark, the others records
 _MARK = const(16)  # bytes at the beginning of the block: the name, then random ones
 _NAME = b"page"
-_BLANK = const(0xFF)
-_NONE = const(-1)
+_BLANK = const(0xFF)  # a byte of erased flash
+_NONE = const(-1)  # as _block: it was not found
 _COUNT_BLOCKS = const(4)  # ioctl() of a block device
 # A page has the record's length, its CRC-32, and the record.
-_HEAD = "<HI"
+_HEAD = "<HI"  # for struct
 _HEAD_BYTES = const(6)
 
 
@@ -56,14 +56,19 @@ def _nothing() -> None:
 
 
 class PreparedPages:
-    """The pages. All calls only while idle; find() and erase() take time."""
+    """The pages. All calls only while idle; find() and erase() take time.
+
+    _flash: the chip's block device. _block: number of the block there, _NONE if it was not found;
+    _page: the next page to write. _is_foreign: the file system does not keep the file as one
+    block. _data: a page's bytes.
+    """
 
     def __init__(self) -> None:
         self._flash: "Any" = None
         self._store: "Any" = None
         self._block = _NONE
-        self._page = _PAGES  # the next one to be written
-        self._is_foreign = False  # the file system does not keep the file as one block
+        self._page = _PAGES
+        self._is_foreign = False
         self._data = bytearray(_PAGE)
 
     def connect(self, store: "Store") -> None:
@@ -75,7 +80,8 @@ class PreparedPages:
         return self._block != _NONE and self._page == 1
 
     def find(self) -> None:
-        """Find the block of the file, and its first free page."""
+        """Find the file's block on the chip by its mark, and the first free page in it. Without
+        success write() returns False."""
         self._block, self._page = _NONE, 1
         if self._flash is None:
             self._flash = flash_of_chip()
@@ -89,25 +95,26 @@ class PreparedPages:
             return
         if not is_whole or mark[: len(_NAME)] != _NAME:
             return
-        found = self._blocks(mark)
-        self._is_foreign = not found
-        if len(found) == 1:  # two of them: the file system has moved it
-            self._block = found[0]
+        blocks = self._blocks(mark)
+        self._is_foreign = not blocks
+        if len(blocks) == 1:  # two of them: the file system has moved it
+            self._block = blocks[0]
             blank = bytes([_BLANK]) * _PAGE
             while self._page < _PAGES and self._content(self._page) != blank:
                 self._page += 1
 
     def _blocks(self, mark: bytes) -> "list[int]":
+        """Return the numbers of the chip's blocks that begin with the mark."""
         begin = bytearray(_MARK)
-        found = []
+        numbers = []
         for block in range(self._flash.ioctl(_COUNT_BLOCKS, 0)):
             self._flash.readblocks(block, begin, 0)
             if begin == mark:
-                found.append(block)
-        return found
+                numbers.append(block)
+        return numbers
 
     def _content(self, page: int) -> bytearray:
-        """Return a page, in an array that the next call changes."""
+        """Return a page (number) of the block, in an array that the next call changes."""
         self._flash.readblocks(self._block, self._data, _PAGE * page)
         return self._data
 
@@ -126,6 +133,8 @@ class PreparedPages:
         return self.is_fresh()
 
     def _make(self) -> None:
+        """Write a new file of one block, with another mark, and put it in the place of the old
+        one. OSError if that fails."""
         blank = bytes([_BLANK]) * _PAGE
         with open(_NEW, "wb") as file:
             file.write(_NAME + os.urandom(_MARK - len(_NAME)) + blank[_MARK:])
@@ -134,6 +143,7 @@ class PreparedPages:
         os.rename(_NEW, _FILE)
 
     def _around(self, work: "Any") -> None:
+        """Call work(), which writes to flash, between the store's before() and after()."""
         getattr(self._store, "before", _nothing)()
         try:
             work()
@@ -141,10 +151,11 @@ class PreparedPages:
             getattr(self._store, "after", _nothing)()
 
     def write(self, record: "bytes | bytearray") -> bool:
-        """Program a record of up to 250 bytes into the next page. False if it is not there then.
+        """Program a record of up to 250 bytes into the next free page. Returns whether it can be
+        read back.
 
-        A page that did not keep it is left out, and the next one is tried. The rest of the page
-        has no meaning.
+        A page that did not keep it is left out, and the next one is tried; False if none is left.
+        What follows the record in its page has no meaning.
         """
         data = self._data
         while self._block != _NONE and self._page < _PAGES:
@@ -157,6 +168,7 @@ class PreparedPages:
         return False
 
     def _program(self) -> None:
+        """Program _data into the next page."""
         self._flash.writeblocks(self._block, self._data, _PAGE * self._page)
 
     def records(self) -> "Iterator[bytes]":
@@ -167,6 +179,7 @@ class PreparedPages:
                 yield record
 
     def _read(self, page: int) -> "bytes | None":
+        """Return the record of a page (number); None if its checksum is wrong."""
         data = self._content(page)
         length, checksum = struct.unpack_from(_HEAD, data, 0)
         record = bytes(data[_HEAD_BYTES : _HEAD_BYTES + length])

@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from array import array
     from collections.abc import Callable
 
-_BLOCK = const(512)
+_BLOCK = const(512)  # bytes
 _BLOCK_LOG2 = const(9)
-_BEGIN_HZ = const(400_000)
+_BEGIN_HZ = const(400_000)  # of the bus while the card starts
 _HZ = const(12_000_000)
 
+# Numbers of commands: CMD0 and so on.
 _GO_IDLE = const(0)
 _INTERFACE = const(8)
 _READ_CSD = const(9)
@@ -38,15 +39,15 @@ _CHECKSUMS = const(59)
 
 _VOLTAGE = const(0x1AA)  # 2.7 to 3.6 V, and a pattern that the card returns
 _LARGE = const(0x40000000)  # HCS: we support cards of more than 2 GB
-_IDLE = const(1)
+_IDLE = const(1)  # a command's answer: good, the card is not started yet; 0: good
 _START = const(0xFE)  # the token before a block
-_ACCEPTED = const(5)
+_ACCEPTED = const(5)  # the answer to a block
 _HIGH = const(0xFF)  # the level of an idle line
 _COMMAND = const(0x40)  # the first byte of a command, with its number
 _NO_ANSWER = const(0x80)  # an answer's byte is below
 _DATA_STATUS = const(0x1F)  # the bits of the answer to a block
 
-_ANSWER_BYTES = const(9)
+_ANSWER_BYTES = const(9)  # a command's answer is one of so many bytes after it
 _TRIES = const(3)
 # The specification's longest times for a card to start, to read, and to write.
 _BEGIN_MS = const(1000)
@@ -61,8 +62,8 @@ _SIZE = const(5)  # ioctl: bytes of a block
 def _sum7(command: ptr8, count: int) -> int:
     """Return a command's checksum (CRC-7) as it is sent: in bits 7 to 1, bit 0 is 1."""
     crc = 0
-    for at in range(count):
-        crc ^= command[at]
+    for i in range(count):
+        crc ^= command[i]
         for _ in range(8):
             crc <<= 1
             if crc & 0x100:
@@ -77,8 +78,8 @@ def _sum16(block: ptr8, count: int) -> int:
     Eight bits at once: `bits` is what the polynomial adds for a byte, at x^12, x^5 and 1.
     """
     crc = 0
-    for at in range(count):
-        bits = crc >> 8 ^ block[at]
+    for i in range(count):
+        bits = crc >> 8 ^ block[i]
         bits ^= bits >> 4
         crc = (crc << 8 ^ bits << 12 ^ bits << 5 ^ bits) & 0xFFFF
     return crc
@@ -86,7 +87,10 @@ def _sum16(block: ptr8, count: int) -> int:
 
 class SdBlocks:
     """The block device of a file system, from begin() to end(). pins: clock, to the card, from the
-    card, select; shared: memory shared with the supervisor, which is notified of each block."""
+    card, select; shared: memory shared with the supervisor: shared[TURNED] = 1 says that the loop
+    is alive. is_faulty: a read or write failed: all later ones fail, too. _since: ticks_ms() at
+    the start of the transfer. _count: number of blocks, 0 before begin() and after end(). _shift:
+    from a block's number to its address."""
 
     def __init__(self, pins: "tuple[int, ...]", shared: "array[int]") -> None:
         clock, to_card, from_card, select = pins
@@ -97,10 +101,10 @@ class SdBlocks:
         self._byte = bytearray(1)
         self._command = bytearray(6)
         self._sum = bytearray(2)
-        self._since = 0  # ticks_ms() at the start of the transfer
-        self._shift = 0  # shift from a block's number to its address
+        self._since = 0
+        self._shift = 0
         self._count = 0
-        self.is_faulty = False  # a read or write failed: all later ones fail, too
+        self.is_faulty = False
 
     def begin(self) -> None:
         """Start the card that is in the holder now. OSError if there is none, or it does not
@@ -110,6 +114,7 @@ class SdBlocks:
         self._set_speed(_HZ)
 
     def _set_speed(self, hz: int) -> None:
+        """Set the clock of the bus."""
         self._bus.init(baudrate=hz)
 
     def end(self) -> None:
@@ -148,15 +153,16 @@ class SdBlocks:
         number: int,
         data: "bytes | bytearray | memoryview",
     ) -> int:
-        """Call `do` for each block of data, from `number` on. Return 0, or -EIO after a fault."""
+        """Call do(address, block) for each block of data, whose numbers count from `number` on.
+        Return 0, or -EIO after a fault."""
         if not self._count:  # after end()
             return 0
         if self.is_faulty:
             return -errno.EIO
         view = memoryview(data)
         try:
-            for at in range(0, len(view), _BLOCK):
-                do(number << self._shift, view[at : at + _BLOCK])
+            for start in range(0, len(view), _BLOCK):
+                do(number << self._shift, view[start : start + _BLOCK])
                 number += 1
         except OSError:
             self.is_faulty = True
@@ -206,13 +212,13 @@ class SdBlocks:
         raise OSError(errno.ENODEV)
 
     def _status(self) -> int:
-        """Return the card's status, 0 if it is good."""
+        """Return the card's status, 0 if it is good: its two bytes, combined by or."""
         answer = bytearray(1)
         return self._order(_STATUS, 0, answer) | answer[0]
 
     def _order(self, command: int, argument: int, more: "bytearray | None" = None) -> int:
-        """Send a command without data and return its answer, a byte. more: filled with the bytes
-        that follow."""
+        """Select the card, send a command without data and return its answer, a byte of bits, 0 or
+        _IDLE if it is good. more: filled with the bytes that follow. OSError without an answer."""
         self._since = time.ticks_ms()
         self._select(0)
         try:
@@ -224,11 +230,12 @@ class SdBlocks:
             self._release()
 
     def _read_block(self, address: int, into: memoryview) -> None:
-        """Read a block. OSError if that fails."""
+        """Read a block at a card's address. OSError if that fails."""
         self._read(_READ, address, into)
 
     def _read(self, command: int, argument: int, into: "bytearray | memoryview") -> None:
-        """Send a command and read the block that it returns, at most _TRIES times."""
+        """Send a command and read the block that it returns, at most _TRIES times. OSError if its
+        checksum was wrong each time."""
         self._since = time.ticks_ms()
         for _ in range(_TRIES):
             self._select(0)
@@ -240,7 +247,7 @@ class SdBlocks:
         raise OSError(errno.EIO)
 
     def _write_block(self, address: int, block: memoryview) -> None:
-        """Write a block, at most _TRIES times. OSError if that fails."""
+        """Write a block at a card's address, at most _TRIES times. OSError if that fails."""
         for _ in range(_TRIES):
             self._since = time.ticks_ms()
             self._select(0)
@@ -253,7 +260,8 @@ class SdBlocks:
         raise OSError(errno.EIO)
 
     def _ask(self, command: int, argument: int) -> int:
-        """Send a command to the selected card; return its answer, a byte of bits."""
+        """Send a command to the selected card; return its answer, a byte of bits. argument: 32
+        bits. OSError (ENODEV) without an answer."""
         self._wait(_READ_MS)
         data = self._command
         data[0] = _COMMAND | command
@@ -268,7 +276,8 @@ class SdBlocks:
         raise OSError(errno.ENODEV)
 
     def _take(self, into: "bytearray | memoryview") -> bool:
-        """Receive a block; False if its checksum is wrong or the card sends none."""
+        """Receive a block into a buffer; False if its checksum is wrong or the card answers with
+        an error. OSError if it does not come in time."""
         token = self._next()
         while token == _HIGH:
             self._check_time(_READ_MS)
@@ -280,7 +289,8 @@ class SdBlocks:
         return _sum16(into, len(into)) == self._sum[0] << 8 | self._sum[1]
 
     def _give(self, block: memoryview) -> bool:
-        """Send a block; False if the card reports that it was damaged."""
+        """Send a block, and wait until it is written; False if the card reports that it was
+        damaged."""
         checksum = _sum16(block, len(block))
         self._sum[0], self._sum[1] = checksum >> 8, checksum & 0xFF
         self._next()  # the card needs a byte in between
@@ -299,7 +309,7 @@ class SdBlocks:
             self._check_time(limit_ms)
 
     def _next(self) -> int:
-        """Return the next byte from the card."""
+        """Return the next byte from the card; _HIGH if it sends none."""
         self._bus.readinto(self._byte, _HIGH)
         return self._byte[0]
 
@@ -321,7 +331,7 @@ def _blocks(about: bytearray) -> int:
     is_version_2 = about[0] >> 6
     if is_version_2:
         c_size = (about[7] & 0x3F) << 16 | about[8] << 8 | about[9]
-        return c_size + 1 << 10  # in units of 512 kB
+        return c_size + 1 << 10  # C_SIZE is in units of 512 kB, which are 1024 blocks
     c_size = (about[6] & 3) << 10 | about[7] << 2 | about[8] >> 6
     factor_log2 = ((about[9] & 3) << 1 | about[10] >> 7) + 2  # C_SIZE_MULT
     length_log2 = about[5] & 15  # READ_BL_LEN: bytes of a block

@@ -17,7 +17,8 @@ _ESP32_SLOT = const(2)  # over SPI, like slot 3
 
 
 class SdCard:
-    """The card in a holder. pins: clock, to the card, from the card, select."""
+    """The card in a holder. folder: where its files appear; pins: numbers of clock, to the card,
+    from the card, select. _mounted: the block device of the mounted card, or None."""
 
     shared: "array[int]"  # shared with the supervisor
 
@@ -27,8 +28,9 @@ class SdCard:
         self._mounted: "Any" = None
 
     def mount(self) -> None:
-        """Mount the card that is in the holder now. OSError if there is none, or none with a FAT
-        file system. Call it only while no file of the card is open."""
+        """Mount the card that is in the holder now, unless it is mounted and works. OSError if
+        there is no card, or none with a FAT file system. Call it only while no file of the card is
+        open."""
         if isinstance(self._mounted, SdBlocks) and self._mounted.is_there():
             return
         self.unmount()
@@ -48,7 +50,8 @@ class SdCard:
             _end(blocks)
 
     def check(self) -> None:
-        """Raise OSError if a read or write has failed."""
+        """Raise OSError if a read or write has failed since the card was mounted; the driver of an
+        ESP32 raises by itself."""
         if isinstance(self._mounted, SdBlocks) and self._mounted.is_faulty:
             raise OSError(errno.EIO)
 

@@ -71,8 +71,8 @@ _ANSWER = const(16)  # up to so many bytes are the answer to a line, more are ot
 _LATER = const(1)  # result of _keep(): the answer waits. More is a count of bytes to send
 _DOLLAR = const(0x24)
 
-# Flags of _take()'s result: NOTE, with a count of bytes, asks for UsbLink._note(); FLUSH, without
-# one, asks to send the answers.
+# Flags of _take()'s result: _NOTE, added to a count of bytes, asks to call UsbLink._note();
+# _FLUSH, without bytes, asks to send the answers that wait.
 _NOTE = const(0x100)
 _FLUSH = const(0x200)
 
@@ -90,71 +90,78 @@ _SET_OR_GET = const(0xFE7F)
 
 
 @micropython.viper
-def _take(at: ptr32, buf: ptr8, room: int) -> int:
-    """Move up to `room` bytes, but fewer than NOTE, from the ring into buf.
+def _take(state: ptr32, buf: ptr8, room: int) -> int:
+    """Move up to `room` bytes, but fewer than _NOTE, from MicroPython's ring into buf.
 
-    Returns how many, with NOTE set if UsbLink._note() has work to do; or FLUSH if answers have
-    waited long enough.
+    state: the link's, by the indices of link_memory.py; state[RING] is the ring's address. Returns
+    how many bytes were moved, plus _NOTE if UsbLink._note() has work to do: the port was opened
+    again, the supervisor has stopped the machine, control bytes were read that may request the
+    prompt, or no byte was moved and the ring was so full that more may wait outside it. Without
+    bytes and work, _FLUSH if answers have waited for _QUIET_TURNS calls.
     """
     if room >= _NOTE:
         room = _NOTE - 1
-    at[TAKING] = 1
-    at[TURNED] = 1
-    shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
-    data = ptr8(ptr32(at[RING])[0])
+    state[TAKING] = 1  # _poll_reset(), an interrupt, must not move iget now
+    state[TURNED] = 1  # for the supervisor: the loop is alive
+    shorts = ptr16(state[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
+    data = ptr8(ptr32(state[RING])[0])
     get = shorts[3]
     put = shorts[4]
     if (put - get) & (RING_BYTES - 1) >= RING_BYTES - _PACKET:
-        at[FULL] = 1
+        state[FULL] = 1
     count = 0
     while get != put and count < room:
         c = data[get]
         buf[count] = c
         if c <= CTRL_C:
-            at[ESCAPES] = 1
+            state[ESCAPES] = 1
         elif c == _DOLLAR:
-            at[ASKED] = 1
+            state[ASKED] = 1
         get = (get + 1) & (RING_BYTES - 1)
         count += 1
     shorts[3] = get
-    at[TAKING] = 0
-    if at[OPENED] | at[STOPPED] | at[FULL if count == 0 else ESCAPES]:
+    state[TAKING] = 0
+    if state[OPENED] | state[STOPPED] | state[FULL if count == 0 else ESCAPES]:
         return count | _NOTE
-    if count == 0 and at[LENGTH]:
-        at[TURNS] += 1
-        if at[TURNS] >= _QUIET_TURNS:
+    if count == 0 and state[LENGTH]:
+        state[TURNS] += 1
+        if state[TURNS] >= _QUIET_TURNS:
             return _FLUSH
     return count
 
 
 @micropython.viper
 def _keep(memory: object, data: ptr8, count: int) -> int:
-    """Append an answer to those that wait. Returns 0 if it does not fit, LATER if it waits, or how
-    many bytes of answers to send now. memory: the link's state and the waiting answers."""
-    at, out = memory
-    return int(_put(ptr32(at), ptr8(out), data, count))
+    """Append the first `count` bytes of data to the answers that wait. Returns 0 if they do not
+    fit, _LATER if they wait, or how many bytes of waiting answers to send now. memory: the link's
+    state and the buffer of these."""
+    state, out = memory
+    return int(_put(ptr32(state), ptr8(out), data, count))
 
 
 @micropython.viper
-def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
-    """Append data to the answers that wait. Returns as _keep().
+def _put(state: ptr32, out: ptr8, data: ptr8, count: int) -> int:
+    """Append the first `count` bytes of data to the answers that wait, in out. Returns 0 if they
+    do not fit, _LATER if they wait, or how many bytes of out to send now.
 
-    Up to _ANSWER bytes are the answer to a line: it waits for more unless it answers a $. Longer
-    data is other output: it is sent now, with all that waits.
+    state: the link's. state[LENGTH] bytes wait, for state[TURNS] turns without input;
+    state[ASKED]: a $ was received that has not been answered. Up to _ANSWER bytes are the answer
+    to a line: it waits for more unless it answers a $. Longer data is other output: it is sent
+    now, with all that waits.
     """
-    length = at[LENGTH]
+    length = state[LENGTH]
     if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
     length += count
-    at[LENGTH] = length
+    state[LENGTH] = length
     if count <= _ANSWER:
-        if at[ASKED] == 0:
+        if state[ASKED] == 0:
             return _LATER
-        at[ASKED] = 0
-    at[LENGTH] = 0
-    at[TURNS] = 0
+        state[ASKED] = 0
+    state[LENGTH] = 0
+    state[TURNS] = 0
     return length
 
 
@@ -164,7 +171,8 @@ class UsbLink:
     read_into(buf) moves the bytes received into buf and returns how many; write(data) sends, soon.
     shared: memory shared with the supervisor. poll_reset: called by the supervisor's timer, None
     if the ring was not found. check_supervisor: the supervisor's, called in the main loop, which
-    raises. is_slow: Ctrl-X is found only when the main loop reads.
+    raises. is_slow: Ctrl-X is found only when the main loop reads. _at: the link's state, the same
+    array as `shared`, by the indices of link_memory.py.
     """
 
     read_into: "Callable[[bytearray], int]"
@@ -183,7 +191,7 @@ class UsbLink:
         self._waiting_out = bytearray(_OUT_BYTES)  # answers that wait
         self._since = 0  # ticks_ms() when the port was opened: see _greet()
         self._escape = Escape(self.close)
-        # One array with two names: the supervisor's, and ours (link_memory.py has its places).
+        # One array with two names, the supervisor's and ours.
         self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
         self._memory = for_kernels(self._at), for_kernels(self._waiting_out)  # for _keep()
         if sys.platform == "rp2":
@@ -198,25 +206,28 @@ class UsbLink:
         self.write = self._make_write()
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
-        """Set when the REPL may be requested, and what greets a sender that opens the port
-        again."""
+        """Set two functions: at_rest returns whether the REPL may be requested now; on_open greets
+        a sender that opens the port again."""
         self._escape.at_rest = at_rest
         self._on_open = on_open
 
     @micropython.viper
     def _poll_reset(self) -> int:
-        """Drop all bytes received up to a Ctrl-X. Returns whether there was one. Interrupt.
+        """Drop all bytes received up to the last Ctrl-X. Returns 1 if there was one, else 0.
+        Interrupt.
 
-        It also notes when the port is opened; the first time needs no greeting.
+        It also notes whether the port is open (DTR): from TinyUSB's variable if that was found,
+        else from the host's last request. state[OPENED] becomes 1 if it is opened again: the first
+        time needs no greeting.
         """
-        at = ptr32(self._at)
-        shorts = ptr16(at[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
-        data = ptr8(ptr32(at[RING])[0])
+        state = ptr32(self._at)
+        shorts = ptr16(state[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
+        data = ptr8(ptr32(state[RING])[0])
         get = shorts[3]
         put = shorts[4]
-        is_open = at[DTR]
-        if at[LINE]:
-            is_open = ptr8(at[LINE])[0] & 1
+        is_open = state[DTR]
+        if state[LINE]:
+            is_open = ptr8(state[LINE])[0] & 1
         else:
             request = ptr32(_SETUP)[0] & _REQUEST_WITH_DTR
             if request & _REQUEST == _SET_LINE_STATE:
@@ -225,14 +236,14 @@ class UsbLink:
                 is_open = 1
             if request & _REQUEST == _SET_CONFIGURATION:
                 is_open = 0
-        if is_open != at[DTR]:
-            at[DTR] = is_open
+        if is_open != state[DTR]:
+            state[DTR] = is_open
             # Only a port that was open before, or has sent bytes, is greeted.
-            at[OPENED] = is_open & at[USED]
+            state[OPENED] = is_open & state[USED]
         if is_open or get != put:
-            at[USED] = 1
+            state[USED] = 1
         found = 0
-        if at[TAKING] == 0:  # otherwise _take() moves iget
+        if state[TAKING] == 0:  # otherwise _take() moves iget
             while get != put:
                 get = (get + 1) & (RING_BYTES - 1)
                 if data[(get - 1) & (RING_BYTES - 1)] == _CTRL_X:
@@ -241,25 +252,26 @@ class UsbLink:
         return found
 
     def _drain(self) -> bytearray:
-        """Return all bytes received."""
-        early = bytearray()
+        """Read all bytes received, one at a time by MicroPython's stream, and return them."""
+        received = bytearray()
         while self._waiting() and self._in.readinto(self._byte):
-            early.append(self._byte[0])
-        return early
+            received.append(self._byte[0])
+        return received
 
     # These closures are called in every turn and look up no attribute. With arguments a closure
     # may hold at most five values: MicroPython allocates at each call for more.
 
     def _make_read_into(self) -> "Callable[[bytearray], int]":
-        """Return read_into(): from the ring, or by MicroPython's stream if it was not found."""
+        """Return read_into(): the one that reads the ring, or MicroPython's stream if the ring was
+        not found."""
         if self._at[RING] == 0:
             return self._read_plainly
-        at, take, note, flush = for_kernels(self._at), _take, self._note, self._flush
+        state, take, note, flush = for_kernels(self._at), _take, self._note, self._flush
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
-            """Store received bytes; returns their number."""
-            count: int = take(at, buf, len(buf))
+            """Store received bytes in buf; returns their number."""
+            count: int = take(state, buf, len(buf))  # with the flags of _take()
             if count < _NOTE:
                 return count
             return flush() if count == _FLUSH else note(buf, count - _NOTE)
@@ -267,44 +279,47 @@ class UsbLink:
         return read_into
 
     def _make_send(self) -> "Callable[..., None]":
-        """Return the function that sends: so many bytes of the waiting answers, or of other data.
-        It waits once for a host that does not read; after that output to it is dropped."""
+        """Return send(length, data): it sends that many bytes of data, of the waiting answers if
+        there is no second argument; the others look up no attribute. It waits once for a host that
+        does not read (DEAF); after that output to it is dropped until it reads."""
 
         def send(
             length: int,
             data: "bytes | bytearray | memoryview" = self._waiting_out,
-            at: "array.array[int]" = self._at,
+            state: "array.array[int]" = self._at,
             out: "Callable[[bytes | bytearray | memoryview, int], object]" = self._out.write,
             sendable: "Callable[[int], object]" = self._sendable.poll,
             now_ms: "Callable[[], int]" = time.ticks_ms,
             passed_ms: "Callable[[int, int], int]" = time.ticks_diff,
         ) -> None:
-            if at[DEAF] and not sendable(0):
+            """Send the first `length` bytes of data."""
+            if state[DEAF] and not sendable(0):
                 return
             since = now_ms()
-            at[AWAY] = -WRITE_MS
+            state[AWAY] = -WRITE_MS  # the supervisor allows the loop to be away for so long
             out(data, length)
-            at[AWAY] = 0
-            at[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
+            state[AWAY] = 0
+            state[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
 
         return send
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
-        """Return the function that sends answers."""
+        """Return write(), which collects answers and sends them (see _put())."""
         memory, keep, send, make_room = self._memory, _keep, self._send, self._make_room
 
         # Eleven values including those it passes on: MicroPython allocates at each call for more.
         def write(data: "bytes | bytearray | memoryview") -> None:
-            kept = keep(memory, data, len(data))
-            if kept > _LATER:
-                send(kept)
-            elif not kept:
+            """Collect an answer, or send it with those that wait."""
+            due = keep(memory, data, len(data))  # bytes to send now, _LATER, or 0: no space
+            if due > _LATER:
+                send(due)
+            elif not due:
                 make_room(data)
 
         return write
 
     def _make_room(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send the answers that wait, then write one that did not fit."""
+        """Send the answers that wait, then write data that did not fit."""
         self._flush()
         if len(data) > _OUT_BYTES:
             self._send(len(data), data)
@@ -312,29 +327,32 @@ class UsbLink:
             self.write(data)
 
     def _note(self, buf: bytearray, count: int) -> int:
-        """Handle events other than bytes. Returns the count of bytes."""
-        at = self._at
-        if at[STOPPED]:
+        """Handle what _take() has flagged: a stop by the supervisor (raises), an opened port, a
+        request for the prompt among the first `count` bytes of buf, a ring that was full. Returns
+        count."""
+        state = self._at
+        if state[STOPPED]:
             self.check_supervisor()
-        if at[OPENED]:
+        if state[OPENED]:
             self._greet(count)
         if count:
-            at[ESCAPES] = 0
+            state[ESCAPES] = 0
             self._escape.listen(buf, count)
             return count
-        if at[FULL]:
-            at[FULL] = 0
+        if state[FULL]:
+            state[FULL] = 0
             self._waiting()  # polling refills the ring
         return 0
 
     def _greet(self, count: int) -> None:
-        """Greet a program that has opened the port, once it sends something or after _GREET_MS."""
-        at = self._at
-        if at[OPENED] == JUST:
-            at[OPENED] = JUST + 1
+        """Greet a program that has opened the port, once it sends something or after _GREET_MS.
+        count: bytes just read. state[OPENED]: JUST at the first call, then more, 0 after that."""
+        state = self._at
+        if state[OPENED] == JUST:
+            state[OPENED] = JUST + 1
             self._since = time.ticks_ms()
-        if at[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
-            at[OPENED] = 0
+        if state[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
+            state[OPENED] = 0
             self._on_open()
 
     def _waiting(self) -> bool:
@@ -344,7 +362,8 @@ class UsbLink:
         return False
 
     def _read_plainly(self, buf: bytearray) -> int:
-        """Move the bytes received into buf, one at a time, and return how many."""
+        """Move the bytes received into buf, one at a time, and return how many. Answers that wait
+        are sent first."""
         self._at[TURNED] = 1
         if self._at[STOPPED]:
             self.check_supervisor()
@@ -366,9 +385,9 @@ class UsbLink:
             self.read_into(piece)
 
     def _flush(self) -> int:
-        """Send the answers that wait. Returns 0, the count of bytes read."""
-        at = self._at
-        length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
+        """Send the answers that wait. Returns 0, for read_into(): no bytes were read."""
+        state = self._at
+        length, state[LENGTH], state[TURNS] = state[LENGTH], 0, 0
         if length:
             self._send(length)
         return 0

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _MEMORY = const(0x20000000)  # where the chip's RAM begins,
-_MEMORY_WORDS = const(0x10000)  # and how much of it is searched
+_MEMORY_WORDS = const(0x10000)  # and how much of it is searched, in words of 4 bytes
 _LOW_16 = const(0xFFFF)
 _RING_MASK = const(511)  # RING_BYTES - 1: indices wrap
-_TRIALS = (b"Where is the ring?", b"Here?")
+_TRIALS = (b"Where is the ring?", b"Here?")  # what is received as a trial
 
 # TinyUSB's struct cdcd_interface_t, in words: 7 bytes, the last of which are line_state and
 # wanted_char, -1; line_coding; from _FIFOS on two FIFOs of a few words, each with address and size
@@ -33,10 +33,11 @@ _LINE_STATE = const(5)  # byte offset
 
 @micropython.viper
 def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
-    """Return the index, from `start` on, of a word that may begin a ring whose bytes are the
+    """Return the index, from `start` on, of a word that may begin a ring whose next bytes are the
     trial; -1 if there is none.
 
-    MicroPython's ringbuf_t: the data's address, then size, iget and iput of 16 bits each.
+    memory: the chip's RAM as words; length: of the trial, in bytes. MicroPython's ringbuf_t: the
+    data's address, then size, iget and iput of 16 bits each.
     """
     i = start
     while i < _MEMORY_WORDS - 3:
@@ -58,7 +59,8 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
 
 @micropython.viper
 def find_line(memory: ptr32) -> int:
-    """Return the address of line_state, or 0 if no words look like TinyUSB's struct."""
+    """Return the address of line_state, or 0 if no words look like TinyUSB's struct. memory: the
+    chip's RAM as words."""
     for i in range(_MEMORY_WORDS - 3 * _FIFO_WORDS_MOST):
         here = _MEMORY + 4 * (i + _FIFOS)
         fifo = (memory[i + _FIFOS] - here) >> 3  # words of a FIFO; two of them lie in between
@@ -71,12 +73,12 @@ def find_line(memory: ptr32) -> int:
 
 
 def find(
-    at: "array.array[int]",
+    state: "array.array[int]",
     drain: "Callable[[], bytearray]",
     take: "Callable[[array.array[int], bytearray, int], int]",
 ) -> None:
-    """Store both addresses in a link's state, 0 if not found. drain: reads all bytes received;
-    take: usb_link._take.
+    """Store both addresses in a link's state (RING, LINE), 0 if not found. drain: reads all bytes
+    received; take: usb_link._take, which reads from the ring at RING.
 
     Some bytes are received as a trial, and memory is searched for them. A place that has them is
     the ring if it also gets a second trial. Bytes received meanwhile are put back.
@@ -92,15 +94,15 @@ def find(
         index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
         if index < 0:
             break
-        at[RING] = _MEMORY + 4 * index
+        state[RING] = _MEMORY + 4 * index  # where take() reads
         trial = bytearray(len(_TRIALS[0]))
-        take(at, trial, len(trial))
+        take(state, trial, len(trial))
         push(_TRIALS[1])
         if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-            ring = at[RING]
+            ring = state[RING]
     early += drain()
     text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
     if text:
         push(text)
-    at[RING] = ring
-    at[LINE] = find_line(_MEMORY)
+    state[RING] = ring
+    state[LINE] = find_line(_MEMORY)
