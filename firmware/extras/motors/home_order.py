@@ -68,7 +68,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Let $H use this order. A command for one axis ($HX) has no order."""
+    """Let $H use the order of $44 to $49, and the rates of $180 and $190. A command for one axis
+    ($HX) has no order."""
     hooks, settings = cnc.machine.state.hooks, cnc.machine.settings
     all_axes = (1 << cnc.machine.planner.axes) - 1
     previous = hooks.home

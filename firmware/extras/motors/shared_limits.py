@@ -59,7 +59,7 @@ def clash(shared: "list[int]", cycle: int) -> str:
 
 
 def grbl_order(axes: int) -> "tuple[int, int]":
-    """Return the masks that $H homes by default: Z, then the others together."""
+    """Return the masks that $H homes by default: Z, then the others of so many axes together."""
     return 1 << Z, (1 << axes) - 1 & ~(1 << Z)
 
 
