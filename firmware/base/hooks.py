@@ -80,7 +80,7 @@ def call_all(calls: "Calls") -> None:
 
 
 def all_agree(asks: "Asks") -> bool:
-    """Return whether all of them return True. Stops at the first False."""
+    """Return whether all of an event's functions return True. Stops at the first False."""
     for ask in asks:
         if not ask():
             return False

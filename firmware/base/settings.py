@@ -200,7 +200,7 @@ class Settings:
             self._store_value(row, axis, value)
 
     def save(self) -> None:
-        """Store all settings."""
+        """Store all settings as lines ($100=250), with those that this firmware does not know."""
         lines = [
             "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
         ]
@@ -237,12 +237,12 @@ class Settings:
         return numbers
 
     def _decimals(self, row: "Row") -> int:
-        """Return how many decimals $$ shows."""
+        """Return how many decimals $$ shows of a row's settings."""
         _, _, kind, _, _ = row
         return 3 if kind > WHOLE else 0
 
     def _shown(self, number: int, row: "Row") -> float:
-        """Return a setting's value in the unit of its row."""
+        """Return the value of the setting `number` in the unit of its row."""
         first, attribute, kind, _, _ = row
         amount: float = getattr(self, attribute)
         if kind == AXIS:
@@ -300,8 +300,9 @@ class Settings:
             check(self, axis, amount)
         self._store_value(row, axis, amount)
 
-    # Checks of one setting each, which may involve others. A board's step rate is limited in Hz;
-    # rates are in mm/min, resolutions in steps/mm.
+    # Checks of one setting each, which may involve others, before it gets the value `amount`. They
+    # raise GrblError. A board's step rate is limited in Hz; rates are in mm/min, resolutions in
+    # steps/mm. & 255: whole numbers wrap there, as they are stored.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
         if truncate(amount) & 255 < self.step_pulse_min_us:

@@ -49,7 +49,7 @@ class EspPort(PortPins):
         super().attach(listener)
 
     def poll_inputs(self) -> None:
-        """Handle changed inputs as if their interrupts had come."""
+        """Handle inputs that have changed since the last call as if their interrupts had come."""
         limits = self.limits()
         if limits != self._limits_looked:
             self._limits_looked = limits
@@ -87,5 +87,6 @@ class EspPort(PortPins):
 
 
 def _first(pins: "list[Pin | None]") -> "Pin":
-    """Return one of the wired pins; the interrupt of any of them does the same."""
+    """Return one of the wired pins, to call their interrupt's handler with: it does the same for
+    any of them."""
     return next(pin for pin in pins if pin)
