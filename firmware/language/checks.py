@@ -10,8 +10,9 @@ the standard's.
 
 Arguments: ints, singles, xyz, the block's integers, numbers and axis words; stored, what G10
 stores or where G28 and G30 go; machine, Interpreter.machine (all: block_layout.py); modal, rates,
-position, the modes in force (modes.py). offsets has all work offsets (coords.py), a float per axis
-each: those of system 0 (G54) first, system n at n * axes; then G28, G30, G92, and tool length.
+position, the modes in force (modes.py); plane, arc, the plane and the numbers of an arc, which are
+set here (arc_geometry.py). offsets has all work offsets (coords.py), a float per axis each: those
+of system 0 (G54) first, system n at n * axes; then G28, G30, G92, and the tool length.
 
 A float is its bits; & 0x7FFFFFFF removes its sign, so that -0 is 0, too. multiply(a, i, b, j) is
 a[i] *= b[j], subtract(a, i, b, j) is a[i] -= b[j]; but add_single(b, j, a, i) is a[i] += b[j].
@@ -49,8 +50,7 @@ def check(
     arc: ptr32,
 ) -> int:
     """Check a block that was read in that modal state. Returns its requests, bits of
-    block_layout.py, or minus Grbl's error number. laser: not 0 in laser mode; jog: 1 for a $J=
-    line, else 0; plane, arc: get the plane and the numbers of an arc (arc_geometry.py)."""
+    block_layout.py, or minus Grbl's error number. laser: laser mode; jog: 1 for a $J= line."""
     words = ints[b.WORDS]
     if ints[b.CLAIM] == b.AXES_UNCLAIMED and words & b.AXIS_WORDS:
         ints[b.CLAIM] = b.AXES_MOTION
@@ -62,7 +62,6 @@ def check(
         return 0 - error
     if words & b.WORD_S == 0:
         singles[b.S] = rates[mode.RPM]
-    # Bits of the value words that something uses: a line with others is refused below.
     used_words = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
     if ints[b.COMMANDS] & b.GROUP_M9:
         # Grbl's own: M56 P0 disables parking, M56 or M56 P1 enables it.
@@ -123,7 +122,7 @@ def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> 
 
 @micropython.viper
 def _in_mm(xyz: ptr32, machine: ptr32, singles: ptr32) -> int:
-    """Convert xyz from inches to mm, for axes that are lengths (rotary ones are not)."""
+    """Convert xyz from inches to mm, for axes that are lengths. (Others are angles.)"""
     for i in range(machine[b.AXES]):
         if (machine[b.LENGTHS] >> i) & 1:
             multiply(xyz, i, singles, b.INCH_MM)

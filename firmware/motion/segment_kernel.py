@@ -254,25 +254,22 @@ def add_piece(flow: ptr32, part: int) -> int:
 
 @micropython.viper
 def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
-    """Choose and plan the next piece of the segment. Returns 0 at the end of the block, else
-    another number. scale: ROOT_SCALE, for look_ahead().
+    """Choose and plan the segment's next piece. Returns 0 at the block's end. scale: ROOT_SCALE.
 
     speed        ________            A piece is one of: speed up, cruise, brake,
                 /        `.          slow down to a lowered nominal speed or to a hold.
                /           `. leave  It brakes as soon as the distance left is no longer
       entry __/              `.__    than the braking distance.
 
-    slack = distance left - braking distance, both in 2**-unit step: unit is 18, or 0 for whole
-    steps if the distance is too long for that. Cruising uses up as much slack as it is long.
-    Speeding up uses up twice that, because the braking distance grows as fast. So room, the
-    longest distance that the piece may have, is the slack or half of it. With unit 0 braking
-    begins 2**-12 of its distance early, for the error of braking().
+    slack = distance left - braking distance. Cruising uses up as much of it as the piece is long,
+    speeding up twice that, because the braking distance grows as fast. So room, how long the piece
+    may be, is the slack or half of it. With unit 0 braking is 2**-12 early, for braking()'s error.
     """
     at = flow[AT]
     ramp = ring[at + RAMP]
     top = ring[at + CRUISE]
     speed = flow[NOW]
-    unit = 18 if flow[WHOLE] < _COUNTED else 0
+    unit = 18 if flow[WHOLE] < _COUNTED else 0  # slack is in 2**-unit step
     rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else HIGHEST  # distance left of the block
     room = rest
     due = 0  # 1: braking has to begin
@@ -281,13 +278,11 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
         leave = top
     if flow[HOLD]:
         top = 0
-    # A hold, too, ends at the block's end, if the block stops there.
-    if top or leave == 0:
+    if top or leave == 0:  # a hold, too, ends at the block's end, if the block stops there
         slack = rest if unit else flow[WHOLE]
         if speed != leave:
             fast = speed if speed > leave else leave
             slow = leave if speed > leave else speed
-            # The braking distance is only computed again if one of these has changed.
             if fast != flow[BRAKE_FROM] or slow != flow[BRAKE_TO] or unit != flow[BRAKE_UNIT]:
                 flow[BRAKE_FROM] = fast
                 flow[BRAKE_TO] = slow

@@ -85,9 +85,8 @@ def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
 
 @micropython.viper
 def measure(table: ptr32, ring: ptr32, at: int) -> int:
-    """Begin a block from POSITION to TARGET in the row at ring[at]: compute STEPS, EVENTS, DIRS,
-    and LENGTH, a real, mm. Returns EVENTS: steps of the motor that makes the most, or 0 if nothing
-    is to move.
+    """Begin a block from POSITION to TARGET, in the row at ring[at]: STEPS, EVENTS, DIRS, LENGTH
+    (a real, mm). Returns EVENTS: steps of the motor that makes the most; 0: nothing is to move.
 
     length = sqrt(sum of distance_i**2), of the motors' distances, one per axis, as in Grbl: on a
     CoreXY machine $110 and $120 limit motors. The distances (reals, mm) are left in the table for

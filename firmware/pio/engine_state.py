@@ -148,8 +148,7 @@ def _prepare(state: ptr32) -> int:
     """Restart all machines, which have stopped or run dry, at their start with empty FIFOs.
 
     DMA knows a FIFO's free space by counting writes and pulls: a forced pull may remove words, as
-    the machine itself does, but only DMA may write them. If DMA makes no progress, FAULT is
-    JAMMED. `patience` bounds the loops that wait for hardware.
+    the machine itself does, but only DMA may write them. FAULT is JAMMED if DMA does not move on.
     """
     axes = state[s.AXES]
     pio = ptr32(state[s.PIO0])
@@ -187,7 +186,6 @@ def _prepare(state: ptr32) -> int:
         state[s.FAULT] = s.JAMMED
         return 0
     for i in range(axes):
-        # DMA reads again from the start of the lane's ring.
         ptr32(state[s.DMA + i])[reg.READ] = state[s.WORDS] + 4 * (RING_MASK + 1) * i
         lane = LANE * i
         lanes[lane + HEAD] = 0

@@ -14,7 +14,8 @@ A segment's row (motion/layout.py) has at ROW_TICKS its time, at ROW_DIRS a mask
 turn backwards, and per motor ROW_STRIDE integers from ROW_AXES on: its steps, the tick of the
 first one and the tick of the last one, counted from the row's start.
 
-Viper; all of it runs in the engine's interrupt. No hardware is accessed here.
+Arguments: lanes, LANE integers per axis; words, the lanes' rings, one after the other; timing, see
+set_timing(). Viper; all of it runs in the engine's interrupt. No hardware is accessed here.
 """
 
 import micropython
@@ -124,9 +125,7 @@ def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
 def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     """Add a segment's words to the lanes' rings. Returns by how many ticks all axes begin late.
 
-    All wait if one would step or reverse too soon after its last step. row: the segment; lanes:
-    LANE integers per axis, of which HEAD, CARRY and DIR are updated; words: the lanes' rings, one
-    after the other; timing: see set_timing().
+    All wait if one would step or reverse too soon after its last step. HEAD, CARRY, DIR change.
     """
     late = 0
     for i in range(timing[AXES]):
