@@ -100,7 +100,10 @@ _PER_SECOND_SQR = 3600.0
 
 
 class Settings:
-    """All settings. They are read from the store and written to it."""
+    """All settings. They are read from the store and written to it.
+
+    axes: how many there are. defaults: the board's, by number; they replace those of the rows.
+    """
 
     step_pulse_us: int
     idle_lock_ms: int
@@ -158,6 +161,7 @@ class Settings:
         self._callbacks.append(callback)
 
     def _announce(self, number: int) -> None:
+        """Call the subscribers after a change of the setting `number`, or of ALL."""
         self.changed = number
         for callback in self._callbacks:
             callback()
@@ -305,22 +309,27 @@ class Settings:
     # steps/mm. & 255: whole numbers wrap there, as they are stored.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
+        """Refuse a step pulse that is too short, by GrblError."""
         if truncate(amount) & 255 < self.step_pulse_min_us:
             raise GrblError(errors.SETTING_STEP_PULSE_MIN)
 
     def _check_soft_limits(self, axis: int, amount: float) -> None:
+        """Refuse soft limits without homing, by GrblError."""
         if truncate(amount) & 255 and not self.homing:
             raise GrblError(errors.SOFT_LIMIT_ERROR)
 
     def _check_homing(self, axis: int, amount: float) -> None:
+        """Switch soft limits off if homing is switched off, because they need it."""
         if not truncate(amount) & 255:
-            self.soft_limits = 0  # soft limits need homing
+            self.soft_limits = 0
 
     def _check_resolution(self, axis: int, amount: float) -> None:
+        """Refuse steps/mm that need, at the axis' rate, more steps/s than the board makes."""
         if self.max_step_hz and amount * self.max_rate[axis] > self.max_step_hz * 60.0:
             raise GrblError(errors.MAX_STEP_RATE_EXCEEDED)
 
     def _check_rate(self, axis: int, amount: float) -> None:
+        """Refuse a rate that needs more steps/s than the board makes, by GrblError."""
         if self.max_step_hz and amount * self.steps_per_mm[axis] > self.max_step_hz * 60.0:
             raise GrblError(errors.MAX_STEP_RATE_EXCEEDED)
 

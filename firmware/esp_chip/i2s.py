@@ -154,9 +154,8 @@ class I2sEngine(TimerEngine):
         return -(-us * self._rate_hz // 1_000_000)
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Apply $0 and $3. Called while idle only.
-
-        $2 is ignored: with inverted steps, the zeros of a late stream would be a step.
+        """Apply $0, the length of a pulse, and $3, a mask of motors with inverted DIR. While idle
+        only. $2 is ignored: with inverted steps, the zeros of a late stream would be a step.
         """
         timing = self._timing
         timing[frames.PULSE] = self._frames_of(pulse_us)

@@ -136,12 +136,12 @@ class RmtEngine(TimerEngine):
     # The StepEngine interface
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Return the highest rate of one axis: as many steps as can be prepared per train."""
+        """Return the highest rate of one axis, steps/s: as many as can be prepared per train."""
         most = self._timing[trains.MOST] * RESOLUTION_HZ // _SHORTEST_US
         return min(_HIGHEST_HZ, most, RESOLUTION_HZ // (2 * pulse_us))
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Apply $0, $2 and $3. Called while idle only."""
+        """Apply $0, and $2 and $3: masks of motors with inverted STEP or DIR. Only while idle."""
         self._timing[trains.PULSE] = pulse_us
         self._dir_invert = dir_invert
         for i in range(self._axes):

@@ -202,4 +202,5 @@ def _make_urgent() -> None:
 
 
 def _is_rp2350() -> bool:
+    """Return whether the chip is an RP2350."""
     return "RP2350" in sys.implementation._machine

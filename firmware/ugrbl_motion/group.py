@@ -330,6 +330,7 @@ class Group:
             yield
 
     def _wait_for_space(self) -> None:
+        """Wait until the queue has space. Raises GroupError during a pause."""
         while not self.space():
             self._refuse_pause()
             self.sleep()

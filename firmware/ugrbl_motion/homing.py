@@ -64,7 +64,8 @@ class Homing:
         away = -self._back_off if self._speed > 0 else self._back_off
         yield from group.until_done()
 
-        def on_change() -> None:  # in an interrupt
+        def on_change() -> None:
+            """Stop motion in the pin's interrupt, if it goes towards the switch."""
             if self._watching:
                 group.halt()
 

@@ -272,11 +272,12 @@ class LineQueue:
         return self._steps
 
     def end(self, index: int) -> int:
-        """Return the steps from 0 of an axis at the end of the queued moves."""
+        """Return the steps from 0 of the axis number `index` at the end of the queued moves."""
         return self._planner.position[index] - _BIAS
 
     def place(self, index: int, steps: int) -> None:
-        """Declare the present position of an axis. Only while nothing moves."""
+        """Declare the present position of the axis number `index`, in steps. Only while nothing
+        moves."""
         present = self.present()
         present[index] = steps
         self._engine.set_position(present)

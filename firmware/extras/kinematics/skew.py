@@ -190,6 +190,7 @@ def install(cnc: "Cnc") -> None:
     planner.move_hook = planner.lean
 
     def resync() -> None:
+        """Read positions again, from the motors, if a setting has changed the skew."""
         if planner.is_new:
             planner.is_new = False
             machine.resync()

@@ -306,6 +306,7 @@ def install(cnc: "Cnc") -> None:
         cnc.check_setting(_FIRST + i, _check)
 
     def watch() -> None:
+        """Have lines that move executed by the interpreter, if an axis has slack."""
         if canon.active:
             interpreter.watch(MOVE)
 
@@ -343,13 +344,14 @@ def _hook_probing(machine: "Any") -> None:
     usual_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-        """Probe, and store the contact position."""
+        """Probe, as HomingProbing.probe(), and store the contact position, if it has moved."""
         reached: bool = usual_probe(target, move, away, alarms)
         if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
             copy(usual_position(), place, axes)
         return reached
 
     def forget() -> None:
+        """Forget the contact position, also the one stored here."""
         usual_forget()
         for i in range(axes):
             place[i] = 0.0

@@ -82,6 +82,7 @@ def install(cnc: "Cnc") -> None:
         return all(previous(mask) for mask in cycles if mask)
 
     def check(mask: float) -> None:
+        """Refuse a value of $44 to $49 with axes that this machine has not."""
         if not mask <= all_axes:
             raise GrblError(errors.INVALID_STATEMENT)
 

@@ -87,6 +87,7 @@ def install(cnc: "Cnc") -> None:
     usual_home, usual_find = hooks.home, hooks.find_switches
 
     def give_up(text: str, alarm: int) -> None:
+        """Send a message, stop the machine, and set the alarm, a number of base/errors.py."""
         cnc.message(text)
         machine.motor_control.reset()
         machine.state.alarm = alarm
@@ -108,6 +109,7 @@ def install(cnc: "Cnc") -> None:
         usual_find(axes)
 
     def check(mask: float) -> None:
+        """Refuse a value of $44 to $49, a mask of axes, if two of them share an input."""
         if clash(shared, int(mask)):
             raise GrblError(errors.INVALID_STATEMENT)
 

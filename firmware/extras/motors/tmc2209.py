@@ -238,7 +238,7 @@ class Drivers:
         self._cnc.message("Motor driver %s: %s" % (self._names[motor], what))
 
     def _lose(self, motor: int, why: str) -> None:
-        """Report a driver's fault, and note that it must be configured again."""
+        """Report the fault (why) of a motor's driver, which must then be configured again."""
         self._ready &= ~(1 << motor)
         self._told |= 1 << motor
         self._report(motor, why)
@@ -272,6 +272,7 @@ class Drivers:
                 self._rest()
 
         def phase(axes: int, approach: bool, travel: float, rate: float) -> None:
+            """Set thresholds, then run a phase of homing: see HomingProbing.home_phase()."""
             self._feel(axes, approach, rate)
             usual_phase(axes, approach, travel, rate)
 
