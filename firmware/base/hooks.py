@@ -32,7 +32,8 @@ class Hooks:
     find_command: "Callable[[bytearray, int], Line]"  # returns what executes a $-line
     refuse: "Callable[[int], None]"  # reports an error to the sender, by Grbl's number
     alarm: "Callable[[int], None]"  # and an alarm
-    probe: "Probe"  # see Seek
+    # Methods of HomingProbing.
+    probe: "Probe"
     probed_at: "Callable[[], array[float]]"
     forget_probe: "Callable[[], None]"
     home: "Callable[[int], bool]"

@@ -154,7 +154,7 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
     Ticks and frames count from the start of the buffer that is being filled. A direction changes
     in the first frame in which its axis may step (FREE) and the row has begun.
     """
-    now = timing[ROW_END] >> FRAME_LOG2
+    now = timing[ROW_END] >> FRAME_LOG2  # frame in which the last row ends
     start = timing[ROW_END] + late
     timing[ROW_END] = start + row[ROW_TICKS]
     for i in range(timing[AXES]):

@@ -87,7 +87,8 @@ def same_position(position: ptr32, xyz: ptr32, axes: int) -> int:
 def _by_radius(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, r: ptr32
 ) -> int:
-    """Find the centre of the arc with radius R over the chord to the target.
+    """Find the centre of the arc with radius R over the chord from position to xyz: CENTRE_0,
+    CENTRE_1 and RADIUS of r.
 
     The centre is on the chord's perpendicular bisector: left of the direction of motion for a
     counterclockwise arc of less than half a circle. R < 0 requests the longer arc. Returns Grbl's

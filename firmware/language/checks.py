@@ -296,7 +296,7 @@ def _motion(
     axis_words = words & b.AXIS_WORDS
     if motion == b.NO_MOTION:  # 3.5.15
         return 0 - errors.GCODE_AXIS_WORDS_EXIST if axis_words else 0
-    if ints[b.CLAIM] != b.AXES_MOTION:
+    if ints[b.CLAIM] != b.AXES_MOTION:  # the axis words are those of another command
         return 0
     if motion != b.SEEK and singles[b.F] & int(0x7FFFFFFF) == 0:
         return 0 - errors.GCODE_UNDEFINED_FEED_RATE
@@ -311,7 +311,7 @@ def _motion(
         return b.WORD_R if words & b.WORD_R else b.WORD_IJK
     elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # an extra's: see interfaces.Motion
         return b.MOTION_WORDS
-    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: it must move
+    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: probes move
         return 0 - errors.GCODE_INVALID_TARGET
     return 0
 

@@ -21,8 +21,13 @@ A segment is planned as up to four pieces, each with a constant acceleration. Th
     LEFT              time that the segment lacks to a full one
     PIECE             index in the flow of the next piece: its time, then its final speed
     WAY, ADVANCE      distance of the piece just planned; of all that are not in a row yet
+    SLICES, REACHED   rows of the segment still to be made; speed at the end of the last row
     CARRY             a real: speed in mm/s from one block to the next
+    TAIL, HEAD        numbers of the row of the block executed, and of that after the newest block
     HOLD, SYSTEM      stop; execute the system's own block (1), which is done (2)
+
+In a block RAMP, CRUISE and FACTOR are its acceleration, its nominal speed, and its units of speed
+per mm/s, a real.
 """
 
 import micropython

@@ -117,7 +117,7 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
         shortest -= shortest >> 2  # a quarter shorter
     count = (flow[TIME] + (shortest >> 1)) // shortest or 1
     slight_change = fast >> (8 if dynamic else 5)
-    steps = fast >> 18
+    steps = fast >> 18  # of a full segment at the highest speed
     log2 = table[SEGMENT_LOG2]
     least = (steps * steps + (1 << log2)) >> (log2 + 1)
     if least > 1 and int(is_alone(flow, table[MOTOR_COUNT])):

@@ -85,7 +85,7 @@ def read_progress(state: ptr32) -> int:
     pio = ptr32(state[s.CLOCK_PIO])
     level = (pio[reg.FLEVEL] >> 8 * s.CLOCK) & _LEVEL  # words in the clock's FIFO
     beat = state[s.BEATS] - level
-    ends = ROW_AXES + ROW_STRIDE * state[s.AXES] + 2
+    ends = ROW_AXES + ROW_STRIDE * state[s.AXES] + 2  # index in a row: BEATS when it ends
     row = ptr32(state[s.ROW + (state[s.BEGUN] & s.LAST_ROW)])
     power = KEEP_POWER
     while state[s.BEGUN] < state[s.FED] - 1 and row[ends] < beat:

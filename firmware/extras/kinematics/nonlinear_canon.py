@@ -165,8 +165,8 @@ class NonlinearHoming(HomingProbing):
     _planner: "NonlinearPlanner"
 
     def find_switches(self, axes: int) -> None:
-        """Home these axes (a mask), as Seek.find_switches(). Axis i stands for joint i: positions,
-        travel and rates are those of joints, in their units."""
+        """Home these axes (a mask), as HomingProbing.find_switches(). Axis i stands for joint i:
+        positions, travel and rates are those of joints, in their units."""
         settings, planner = self._settings, self._planner
         travel = settings.max_travel[:]
         planner.homing = True

@@ -92,21 +92,21 @@ def follow_arc(
     """
     result = 0
     while result == 0:
-        if course[KNOWN] == 0:
+        if course[KNOWN] == 0:  # else TARGET is the end of the next chord already
             course[KNOWN] = 1
             if int(advance(course, table)):
                 return OUTSIDE
             to_motors(table, skew)
         if int(full(flow)):
             return FULL
-        row = flow[HEAD]
+        row = flow[HEAD]  # number of the row that plan() fills
         if int(plan(course, table, ring, flow, flags, line, power, rate)):
-            speeds[row] = speeds[flow[ROWS] + 1]
+            speeds[row] = speeds[flow[ROWS] + 1]  # the arc's programmed spindle speed
         else:
             result = NOWHERE
         course[KNOWN] = 0
         chords_left = course[LEFT] - 1
         course[LEFT] = chords_left
-        if chords_left & SOME == 0:
+        if chords_left & SOME == 0:  # each eighth one
             break
     return result

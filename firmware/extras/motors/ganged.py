@@ -130,7 +130,8 @@ class GangedHoming(HomingProbing):
         self._racked = [0 for _ in pairs]
 
     def home(self, axes: int) -> bool:
-        """Home, as Seek.home(). Refuse if a switch of a squared axis is closed already.
+        """Home the axes (a mask; 0: all), as HomingProbing.home(). Refuse, by an alarm, if a
+        switch of a squared axis is closed already.
 
         The distance that its motor has gone beyond the switch is unknown then.
         """
@@ -151,8 +152,8 @@ class GangedHoming(HomingProbing):
         super().find_switches(axes)
 
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
-        """Run a phase of homing, as Seek.home_phase(). axes: a mask, with second motors. approach:
-        False for a pull-off. travel: mm; rate: mm/min.
+        """Run a phase of homing, as HomingProbing.home_phase(). axes: a mask, with second motors.
+        approach: False for a pull-off. travel: mm; rate: mm/min.
 
         Before a pull-off both switches must still be closed. A motor that stopped without its
         switch closed would leave the axis racked.
@@ -161,6 +162,7 @@ class GangedHoming(HomingProbing):
         for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
                 self._racked[i] += self._difference(axis, motor)
+                # closed has a bit per motor; the axis' number is also that of its first motor.
                 if not approach and not closed >> axis & closed >> motor & 1:
                     self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
                     self._motor_control.reset()
