@@ -49,11 +49,15 @@ class EspPort(PortPins):
         super().attach(listener)
 
     def poll_inputs(self) -> None:
-        """Handle inputs that have changed since the last call as if their interrupts had come."""
+        """Handle inputs that have changed since the last call as if their interrupts had come.
+
+        ..._looked: levels that the last call has found; ..._seen: those reported last. ..._wait,
+        _quiet: a timer of debouncing runs, which will read the inputs itself.
+        """
         limits = self.limits()
         if limits != self._limits_looked:
             self._limits_looked = limits
-            waits = self._limits_wait  # its timer will check, and must not start again
+            waits = self._limits_wait  # the timer must not start again
             if self._limits_enabled and limits != self._limits_seen and not waits:
                 self._limit_changed(_first(self._limits))
         if not self._quiet and self.controls() != self._controls_seen:

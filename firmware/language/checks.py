@@ -188,7 +188,7 @@ def _set_coords(
     words = ints[b.WORDS]
     if words & b.AXIS_WORDS == 0:
         return 0 - errors.GCODE_NO_AXIS_WORDS
-    if words & (b.WORD_P | b.WORD_L) == 0:
+    if words & (b.WORD_P | b.WORD_L) == 0:  # as in Grbl, one of them is enough
         return 0 - errors.GCODE_VALUE_WORD_MISSING
     # & 255: Grbl stores the numbers of P and L in a byte. P: 1 to 6; 0: the active system.
     system = int(whole_part(singles, b.P, 0)) & 255

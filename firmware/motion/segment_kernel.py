@@ -109,7 +109,7 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     flow[LEAVE_SQR] = 0
     flow[WHOLE] = ring[at + EVENTS]
     flow[FRACTION] = 0
-    flow[PARTIAL] = STEP_BIAS
+    flow[PARTIAL] = STEP_BIAS  # so that rounding never loses the last step of a hold
     flow[BRAKE_FROM] = 0
     flow[SPARE] = 0
     for i in range(motors):

@@ -94,7 +94,8 @@ def install(cnc: "Cnc") -> None:
 
 
 def _have_rates(cnc: "Cnc") -> None:
-    """Hook into homing: its rates are those of the axes that are homed ($180, $190)."""
+    """Hook into homing: its rates are those of the axes that are homed ($180, $190), which replace
+    $24 and $25 meanwhile."""
     machine: "Any" = cnc.machine
     hooks, settings = machine.state.hooks, machine.settings
     previous: "Callable[[int], None]" = hooks.find_switches

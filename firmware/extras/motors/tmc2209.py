@@ -69,7 +69,8 @@ _made: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Assign drivers to motors. ValueError if the board file is wrong."""
+    """Assign drivers to motors: TMC2209 has an address per motor, in the order of STEP. ValueError
+    if the board file is wrong, or if its DEFAULTS are nothing a driver can do."""
     addresses: "tuple[int, ...]" = board.__dict__["TMC2209"]
     motors = len(board.__dict__.get("STEP", ()))
     if len(addresses) != motors:
@@ -100,7 +101,8 @@ def _can_be(number: int, amount: float, most_ma: float) -> bool:
 
 
 def install(cnc: "Cnc") -> None:
-    """Create the drivers, and add their settings, command and hooks."""
+    """Create the drivers, and add their settings, the command $TMC, and hooks: drivers are polled
+    between lines, checked before motion, and prepared for homing."""
     machine: "Any" = cnc.machine
     wire, ohm = _made["wire"], _made["ohm"]
     chips = [Chip(wire, address, ohm) for address in _made["addresses"]]
