@@ -389,7 +389,7 @@ class RmtEngine(TimerEngine):
         lanes[lane + _START] = began
         lanes[lane + _COUNT] = count
         state[_SKEW] = max(state[_SKEW], abs(took - call))
-        learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4
+        learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of the error
         estimate = max(lanes[lane + _CALL] + learned, _LEAST_CALL_US)
         lanes[lane + _CALL] = min(estimate, _MOST_CALL_US)
         end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK

@@ -119,7 +119,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
     flow = ptr32(_flow)
     moves = 0  # 1: there is a move to plan
     if asked & b.MOVE:
-        obstacles = int(check_travel(xyz, travel, flow))
+        obstacles = int(check_travel(xyz, travel, flow))  # a mask
         moves = 0 if ptr32(running)[0] & CHECK else 1
         if obstacles & OUTSIDE or (moves and obstacles & FULL):
             return 0
@@ -143,7 +143,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
         line = int(whole_part(singles, b.N, 0))
         rate = int(per_second(singles, b.F))
         at = flow[layout.HEAD]
-        if hook:
+        if hook:  # an extra's function, which plans instead of plan_block()
             planned = int(hook(target, flags, line, power, rate))
         else:
             planned = int(

@@ -69,7 +69,7 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
             exponent += 4  # 10 * 2**20
             power -= 1
         number = int(mantissa_product(number, factor))
-        if number & SMALL:
+        if number & SMALL:  # the product has 47 bits, and not 48
             number ^= SMALL
             exponent -= 1
     if number == 1 << 24:

@@ -152,14 +152,14 @@ def follow(
         if flags:
             if int(full(flow)):
                 return FULL
-            at = flow[HEAD]  # the row that plan() fills
+            row = flow[HEAD]  # the one that plan() fills
             if int(plan(course, table, ring, flow, flags, line, power, rate)):
-                speeds[at] = speeds[flow[ROWS] + 1]
+                speeds[row] = speeds[flow[ROWS] + 1]
             else:
                 reason = NOWHERE
         course[KNOWN] = 0
-        at = course[LEFT] - 1  # chords still to be made
-        course[LEFT] = at
-        if at & SOME == 0:  # each eighth one
+        chords_left = course[LEFT] - 1
+        course[LEFT] = chords_left
+        if chords_left & SOME == 0:  # each eighth one
             break
     return reason

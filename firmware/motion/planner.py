@@ -109,7 +109,7 @@ class Planner:
         # Programmed spindle speed of each block, rpm, then of the system's block and of an arc's
         # chords. The interrupt does not use it.
         self.speeds = vector(blocks + 2)
-        # End of the last block, in steps; part of the table.
+        # End of the last block, in steps + _BIAS; part of the table.
         at = layout.LIMITS + layout.POSITION * axes
         self.position = memoryview(self.table)[at : at + axes]
         self.steps_per_mm = vector(axes)
@@ -278,23 +278,23 @@ class Planner:
         for replan in self._state.hooks.replan:
             if replan():
                 return
-        at = flow[TAIL]
-        while at != flow[HEAD]:
-            plan_kernel.compute_profile(self.table, self.ring, at * flow[layout.ROW_SIZE])
-            if at != flow[TAIL]:  # the block being executed has been entered
-                plan_kernel.limit_entry(self.ring, flow, at)
-            at = (at + 1) % flow[ROWS]
+        row = flow[TAIL]
+        while row != flow[HEAD]:
+            plan_kernel.compute_profile(self.table, self.ring, row * flow[layout.ROW_SIZE])
+            if row != flow[TAIL]:  # the block being executed has been entered
+                plan_kernel.limit_entry(self.ring, flow, row)
+            row = (row + 1) % flow[ROWS]
         plan_kernel.reverse_pass(self.ring, flow, 1)
 
     def each_power(self, power: "Callable[[int, float], int]") -> None:
         """Set the spindle power of every block again. power(flags, rpm) returns it, from a block's
         flags and programmed speed."""
         flow = self.flow
-        at = flow[TAIL]
-        while at != flow[HEAD]:
-            row = at * flow[layout.ROW_SIZE]
-            self.ring[row + layout.POWER] = power(self.ring[row + FLAGS], self.speeds[at])
-            at = (at + 1) % flow[ROWS]
+        row = flow[TAIL]
+        while row != flow[HEAD]:
+            at = row * flow[layout.ROW_SIZE]  # its index in the ring
+            self.ring[at + layout.POWER] = power(self.ring[at + FLAGS], self.speeds[row])
+            row = (row + 1) % flow[ROWS]
         for call in self._state.hooks.powered:
             call(power)
 

@@ -51,7 +51,7 @@ def to_steps(target: ptr32, table: ptr32) -> int:
         b = table[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 253
         product = int(mantissa_product((a & _FRACTION) | _LEADING, (b & _FRACTION) | _LEADING))
-        if product & SMALL:
+        if product & SMALL:  # the product is from 1 to 2
             product ^= SMALL
             exponent -= 1
         if exponent > 28:

@@ -194,12 +194,12 @@ class LineQueue:
         self._factor = factor
         self._overrides.feed_override = self._overrides.rapid_override = 100 * factor
         planner.override()
-        at = flow[TAIL]
-        while at != flow[HEAD]:
-            row = at * flow[layout.ROW_SIZE]
-            if planner.ring[row + LINE]:
-                planner.ring[row + LINE] = self._period_bits(at)
-            at = (at + 1) % flow[ROWS]
+        row = flow[TAIL]
+        while row != flow[HEAD]:
+            at = row * flow[layout.ROW_SIZE]  # its index in the ring
+            if planner.ring[at + LINE]:  # it has an exact rate
+                planner.ring[at + LINE] = self._period_bits(row)
+            row = (row + 1) % flow[ROWS]
 
     @property
     def levels(self) -> int:

@@ -340,19 +340,19 @@ def _hook_probing(machine: "Any") -> None:
     state, axes = machine.state, machine.planner.axes
     hooks = state.hooks
     place = vector(axes)
-    usual_probe, usual_forget = hooks.probe, hooks.forget_probe
-    usual_position: "Callable[[], array[float]]" = hooks.probed_at
+    previous_probe, previous_forget = hooks.probe, hooks.forget_probe
+    previous_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
         """Probe, as HomingProbing.probe(), and store the contact position, if it has moved."""
-        reached: bool = usual_probe(target, move, away, alarms)
+        reached: bool = previous_probe(target, move, away, alarms)
         if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
-            copy(usual_position(), place, axes)
+            copy(previous_position(), place, axes)
         return reached
 
     def forget() -> None:
         """Forget the contact position, also the one stored here."""
-        usual_forget()
+        previous_forget()
         for i in range(axes):
             place[i] = 0.0
 

@@ -102,13 +102,13 @@ def _have_rates(cnc: "Cnc") -> None:
 
     def find(axes: int) -> None:
         """Search the switches of the axes, a mask, at the lowest of their rates."""
-        usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
-        settings.homing_feed = _slowest(settings.homing_feeds, usual_feed, axes)
-        settings.homing_seek = _slowest(settings.homing_seeks, usual_seek, axes)
+        common_feed, common_seek = settings.homing_feed, settings.homing_seek
+        settings.homing_feed = _slowest(settings.homing_feeds, common_feed, axes)
+        settings.homing_seek = _slowest(settings.homing_seeks, common_seek, axes)
         try:
             previous(axes)
         finally:
-            settings.homing_feed, settings.homing_seek = usual_feed, usual_seek
+            settings.homing_feed, settings.homing_seek = common_feed, common_seek
 
     hooks.find_switches = find
 

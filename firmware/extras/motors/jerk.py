@@ -57,14 +57,15 @@ class Jerk:
         self._ring = planner.ring
         self._table = planner.table
         self._line = array("i", (0 for _ in range(jl.TAP_DISTANCES + _MOST_SLOTS)))
-        self._usual_plan = planner.move_hook or planner.plan
+        # The functions that plan() and next() replace, and call.
+        self._plan = planner.move_hook or planner.plan
         planner.move_hook = self.plan
         hooks = state.hooks
         hooks.planned += (lambda: self.release_blocks(0),)
         hooks.caught_up += (lambda: self.release_blocks(1),)
         hooks.cleared += (self._clear,)
         hooks.replan += (self._replan,)
-        self._usual_next, hooks.next_segment = hooks.next_segment, self.next
+        self._next_segment, hooks.next_segment = hooks.next_segment, self.next
 
     @micropython.viper
     def next(self, row: object) -> int:
@@ -85,7 +86,7 @@ class Jerk:
                 advance(flow, line, ring, table, _PIECES)
             elif int(smooth(flow, line, ring, table)) == 0:
                 return 0
-        return int(self._usual_next(row))  # Segments.next()
+        return int(self._next_segment(row))  # Segments.next()
 
     # Hooks of the planner
 
@@ -93,7 +94,7 @@ class Jerk:
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
         """Plan a block as Planner.plan() does, with the same arguments and result. Release it to
         the averaging plan, unless it is the system's own."""
-        planned = self._usual_plan(target, flags, line, power, rate)
+        planned = self._plan(target, flags, line, power, rate)
         if not flags & layout.SYSTEM_MOTION:
             self.release_blocks(0)
         return planned

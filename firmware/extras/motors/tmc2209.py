@@ -262,21 +262,21 @@ class Drivers:
     def feel_homing(self) -> None:
         """Hook into homing and each of its phases: drivers get StallGuard's thresholds for it."""
         hooks = self._state.hooks
-        usual_home, usual_phase = hooks.home, hooks.home_phase
+        previous_home, previous_phase = hooks.home, hooks.home_phase
 
         def home(axes: int) -> bool:
             """Home the axes if the drivers are ready, and have these configured again."""
             if not self.may_start():
                 return False
             try:
-                return usual_home(axes)
+                return previous_home(axes)
             finally:
                 self._rest()
 
         def phase(axes: int, approach: bool, travel: float, rate: float) -> None:
             """Set thresholds, then run a phase of homing: see HomingProbing.home_phase()."""
             self._feel(axes, approach, rate)
-            usual_phase(axes, approach, travel, rate)
+            previous_phase(axes, approach, travel, rate)
 
         hooks.home, hooks.home_phase = home, phase
 
