@@ -162,7 +162,7 @@ class RotaryCanon(Canon):
         planner, engine = self.planner, self.engine
         motors = array("i", bytes(4 * planner.motors))
         engine.position(motors)
-        steps = degrees * planner.steps_per_mm[axis]
+        steps = degrees * planner.steps_per_mm[axis]  # rounded by // 1, also if negative
         position = planner.axis_steps(motors, axis) - int((steps + 0.5) // 1)
         if planner.kinematics:
             planner.kinematics.set_axis(motors, axis, position)

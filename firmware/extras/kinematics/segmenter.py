@@ -176,7 +176,8 @@ class Segmenter:
     def _strays(self, end: float) -> float:
         """Return the largest deviation of the tool within the next chord, in mm.
 
-        end: the part of the path at which the chord ends. Its joints are in _ahead.
+        end: the part of the path at which the chord ends. Its joints are in _ahead. `made` is
+        where evenly moving joints put the tool, `meant` the path's position.
         """
         between, made, meant = self._between, self._made, self._meant
         largest = 0.0  # square of a deviation

@@ -79,7 +79,7 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
         return 0
     released = 0
     row = line[RELEASED]
-    unreleased = flow[HEAD] - row
+    unreleased = flow[HEAD] - row  # numbers of blocks, once the ring's wrap is added
     waiting = flow[HEAD] - line[TAIL]
     if unreleased < 0:
         unreleased += flow[ROWS]
