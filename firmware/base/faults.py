@@ -21,7 +21,7 @@ _REPLACEMENTS = (
 
 
 def trace(fault: BaseException) -> "list[str]":
-    """Return the whole traceback, one text per line."""
+    """Return the exception's whole traceback, one text per line."""
     out = io.BytesIO()  # bytes, because names in a damaged source may not decode
     sys.print_exception(fault, out)
     return [text_of(line) for line in out.getvalue().strip().split(b"\n")]

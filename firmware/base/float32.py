@@ -25,7 +25,7 @@ def f32(x: float) -> float:
 
 
 def truncate(x: float) -> int:
-    """Return x without its fraction; 0 if 32 bits cannot hold it."""
+    """Return x without its fraction, an integer; 0 if 32 bits, signed or not, cannot hold it."""
     return int(x) if -2147483648 <= x < 4294967296 else 0
 
 
@@ -39,7 +39,7 @@ INCH_PER_MM = f32(0.0393701)
 
 @micropython.viper
 def copy(source: ptr32, target: ptr32, count: int) -> int:
-    """Copy integers, or floats as bits, from source to target."""
+    """Copy count integers, or floats as bits, from source to target. Returns 0."""
     for i in range(count):
         target[i] = source[i]
     return 0

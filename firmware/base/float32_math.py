@@ -118,7 +118,8 @@ def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
 
 @micropython.viper
 def quotient(values: ptr32, at: int, divisors: ptr32, of: int) -> int:
-    """Divide values[at] by divisors[of], which is not 0, both floats as bits. Rounds to even."""
+    """Divide values[at] by divisors[of], which is not 0, both floats as bits. Rounds to even.
+    Returns 0."""
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
@@ -153,6 +154,7 @@ def store(values: ptr32, at: int, number: int, exponent: int, sign: int) -> int:
 @micropython.viper
 def root(values: ptr32, at: int) -> int:
     """Replace values[at], a float that is not negative, by its square root, rounded to nearest.
+    Returns 0.
 
     Digit by digit, as on paper: a bit of the result is 1 where the remainder is large enough for
     (2 * result + 1).
@@ -244,9 +246,10 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
 
 @micropython.viper
 def add(numbers: ptr32, flip: int, sums: ptr32, count: int) -> int:
-    """Add numbers to sums, or subtract them; both are floats as bits.
+    """Add numbers[i] to sums[i], or subtract them, for i below count; all are floats as bits.
 
     flip: 0 adds. MINUS subtracts, and leaves the numbers negated. An infinite sum stays infinite.
+    Returns 0.
     """
     for i in range(count):
         ptr8(numbers)[4 * i + 3] ^= flip

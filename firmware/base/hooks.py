@@ -32,7 +32,8 @@ class Hooks:
     find_command: "Callable[[bytearray, int], Line]"  # returns what executes a $-line
     refuse: "Callable[[int], None]"  # reports an error to the sender, by Grbl's number
     alarm: "Callable[[int], None]"  # and an alarm
-    probe: "Probe"  # see Seek
+    # Methods of HomingProbing.
+    probe: "Probe"
     probed_at: "Callable[[], array[float]]"
     forget_probe: "Callable[[], None]"
     home: "Callable[[int], bool]"
@@ -80,7 +81,7 @@ def call_all(calls: "Calls") -> None:
 
 
 def all_agree(asks: "Asks") -> bool:
-    """Return whether all of them return True. Stops at the first False."""
+    """Return whether all of an event's functions return True. Stops at the first False."""
     for ask in asks:
         if not ask():
             return False

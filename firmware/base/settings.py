@@ -100,7 +100,10 @@ _PER_SECOND_SQR = 3600.0
 
 
 class Settings:
-    """All settings. They are read from the store and written to it."""
+    """All settings. They are read from the store and written to it.
+
+    axes: how many there are. defaults: the board's, by number; they replace those of the rows.
+    """
 
     step_pulse_us: int
     idle_lock_ms: int
@@ -158,6 +161,7 @@ class Settings:
         self._callbacks.append(callback)
 
     def _announce(self, number: int) -> None:
+        """Call the subscribers after a change of the setting `number`, or of ALL."""
         self.changed = number
         for callback in self._callbacks:
             callback()
@@ -200,7 +204,7 @@ class Settings:
             self._store_value(row, axis, value)
 
     def save(self) -> None:
-        """Store all settings."""
+        """Store all settings as lines ($100=250), with those that this firmware does not know."""
         lines = [
             "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
         ]
@@ -237,12 +241,12 @@ class Settings:
         return numbers
 
     def _decimals(self, row: "Row") -> int:
-        """Return how many decimals $$ shows."""
+        """Return how many decimals $$ shows of a row's settings."""
         _, _, kind, _, _ = row
         return 3 if kind > WHOLE else 0
 
     def _shown(self, number: int, row: "Row") -> float:
-        """Return a setting's value in the unit of its row."""
+        """Return the value of the setting `number` in the unit of its row."""
         first, attribute, kind, _, _ = row
         amount: float = getattr(self, attribute)
         if kind == AXIS:
@@ -300,26 +304,32 @@ class Settings:
             check(self, axis, amount)
         self._store_value(row, axis, amount)
 
-    # Checks of one setting each, which may involve others. A board's step rate is limited in Hz;
-    # rates are in mm/min, resolutions in steps/mm.
+    # Checks of one setting each, which may involve others, before it gets the value `amount`. They
+    # raise GrblError. A board's step rate is limited in Hz; rates are in mm/min, resolutions in
+    # steps/mm. & 255: whole numbers wrap there, as they are stored.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
+        """Refuse a step pulse that is too short, by GrblError."""
         if truncate(amount) & 255 < self.step_pulse_min_us:
             raise GrblError(errors.SETTING_STEP_PULSE_MIN)
 
     def _check_soft_limits(self, axis: int, amount: float) -> None:
+        """Refuse soft limits without homing, by GrblError."""
         if truncate(amount) & 255 and not self.homing:
             raise GrblError(errors.SOFT_LIMIT_ERROR)
 
     def _check_homing(self, axis: int, amount: float) -> None:
+        """Switch soft limits off if homing is switched off, because they need it."""
         if not truncate(amount) & 255:
-            self.soft_limits = 0  # soft limits need homing
+            self.soft_limits = 0
 
     def _check_resolution(self, axis: int, amount: float) -> None:
+        """Refuse steps/mm that need, at the axis' rate, more steps/s than the board makes."""
         if self.max_step_hz and amount * self.max_rate[axis] > self.max_step_hz * 60.0:
             raise GrblError(errors.MAX_STEP_RATE_EXCEEDED)
 
     def _check_rate(self, axis: int, amount: float) -> None:
+        """Refuse a rate that needs more steps/s than the board makes, by GrblError."""
         if self.max_step_hz and amount * self.steps_per_mm[axis] > self.max_step_hz * 60.0:
             raise GrblError(errors.MAX_STEP_RATE_EXCEEDED)
 

@@ -105,7 +105,8 @@ class State:
         self.clear()
 
     def enter(self, run: int) -> None:
-        """Change the run state. Raises RuntimeError, an internal fault, if it may not follow."""
+        """Change the run state to `run`. Raises RuntimeError, an internal fault, if that may not
+        follow the present one."""
         if not _FOLLOWS[run] & (self.run or _IDLE_BIT):
             raise RuntimeError("state %d cannot follow %d" % (run, self.run))
         if (self.run | run) & CHECK:  # check mode begins or ends: it changes what lines do
@@ -118,12 +119,14 @@ class State:
         self.changes[0] = (self.changes[0] + 1) & 0xFFFF
 
     def post(self, event: int) -> None:
-        """Request an event at the next realtime.run(). Safe in an interrupt."""
+        """Request an event, an index of `pending`, at the next realtime.run(). Safe in an
+        interrupt."""
         self.pending[event] = 1
         self.pending[ANY] = 1
 
     def count(self, event: int) -> None:
-        """Request an event one more time, up to 255."""
+        """Request an event one more time than before, up to 255 times: for overrides, each byte of
+        which changes a value by a step."""
         self.pending[event] = min(self.pending[event] + 1, 255)
 
     def take_event(self, event: int) -> int:

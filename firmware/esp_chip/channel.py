@@ -36,13 +36,15 @@ def _chip() -> "tuple[int, int, int, int]":
 
 
 def most_steps(axes: int) -> int:
-    """Return the most steps in a train: one symbol each, and one for the end."""
+    """Return the most steps in a train with so many axes, which share RMT's memory: each step
+    takes a symbol, and the end takes one."""
     symbols, blocks, _, _ = _chip()
     return symbols * (blocks // axes) - 1
 
 
 class Channel:
-    """number: from 0, one per axis. axes: how many there are; they share RMT's memory."""
+    """The pulses of one axis. number: of the channel, from 0, one per axis. pin: number of STEP.
+    axes: how many there are; they share RMT's memory."""
 
     def __init__(self, number: int, pin: int, axes: int) -> None:
         symbols, blocks, first_signal, word_0 = _chip()
@@ -60,7 +62,7 @@ class Channel:
         self.cut()
 
     def invert(self, on: int) -> None:
-        """Make pulses low, or high. Only while idle."""
+        """Make pulses low (on = 1), or high (0). Only while idle."""
         self._inverted = _INVERTED if on else 0
         self.cut()
 

@@ -8,6 +8,11 @@ later than its end. Only positions may be negative.
 
 A pulse never crosses the end of a buffer: zeros may follow (see i2s.py), and must not replace the
 second half of a step. Called in the engine's turns; nothing here allocates.
+
+Arguments: frames, the words of a buffer; lanes, LANE integers per axis; timing, integers shared by
+all lanes; row, a segment's row (motion/layout.py): at ROW_TICKS its time, at ROW_DIRS a mask of
+the axes that turn backwards, and per axis, from ROW_AXES on, its steps and the ticks of the first
+and of the last one. Results are 0 unless a function says otherwise.
 """
 
 import micropython
@@ -22,7 +27,7 @@ FRAMES = const(256)  # per buffer: DMA_BUF_LEN_IN_I2S_FRAMES of MicroPython's ma
 FRAME_LOG2 = const(4)  # log2 of the ticks per frame
 _TICKS = const(4096)  # per buffer
 
-# Lanes: integers per axis.
+# Lanes: integers per axis, and the index of each among them.
 LANE = const(12)
 STEP = const(0)  # the bit of its step output,
 DIR = const(1)  # and of its direction output
@@ -37,11 +42,11 @@ LONGER = const(9)  # how many of the next gaps are one tick longer,
 PLACE = const(10)  # position after all steps put into buffers
 LAST_LONGER = const(11)  # and how many of the row's last gaps are
 
-# Integers shared by all lanes.
-AXES = const(0)
+# Integers shared by all lanes (timing): indexes.
+AXES = const(0)  # number of lanes
 PULSE = const(1)  # frames of a pulse
 SETUP = const(2)  # frames from a change of direction to a step
-WORD = const(3)  # the direction outputs at the end of the filled frames
+WORD = const(3)  # levels of the direction outputs at the end of the filled frames
 ROW_END = const(4)  # tick at which the row ends
 LOCKED = const(5)  # mask of locked axes, which do not step
 ENABLE = const(6)  # the enable outputs, for the next buffer
@@ -60,7 +65,7 @@ def blank(frames: ptr32, word: int) -> int:
 def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
     """Start the next buffer: no steps yet, but the due changes of direction.
 
-    Returns its first word. lanes: LANE integers per axis.
+    Returns its first word: the outputs before any change.
     """
     start = timing[WORD] | timing[ENABLE]
     for i in range(FRAMES):
@@ -78,7 +83,7 @@ def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def end_buffer(timing: ptr32, lanes: ptr32) -> int:
-    """Make all times relative to the start of the next buffer."""
+    """Make all times in timing and lanes relative to the start of the next buffer."""
     end = timing[ROW_END] - _TICKS
     timing[ROW_END] = end if end > 0 else 0
     for i in range(timing[AXES]):
@@ -94,8 +99,8 @@ def end_buffer(timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
-    """Make a row that takes the owed steps back, `gap` ticks apart. Returns the most steps
-    of an axis; 0 if none is owed. owed: per axis, positive or negative; becomes 0."""
+    """Make a row that takes the owed steps back, `gap` ticks apart. Returns the steps of the axis
+    that makes the most; 0 if none is owed. owed: per axis, positive or negative; becomes 0."""
     most = 0
     dirs = 0
     for i in range(axes):
@@ -143,13 +148,13 @@ def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
 
 @micropython.viper
 def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int) -> int:
-    """Start a row `late` ticks after the end of the last one. Due directions change.
+    """Start a row `late` ticks (see lateness()) after the end of the last one: set up the lanes
+    for render(), and change directions in the buffer.
 
-    A row has per axis, from `base` on, its steps and the ticks of the first and of the last one.
     Ticks and frames count from the start of the buffer that is being filled. A direction changes
     in the first frame in which its axis may step (FREE) and the row has begun.
     """
-    now = timing[ROW_END] >> FRAME_LOG2
+    now = timing[ROW_END] >> FRAME_LOG2  # frame in which the last row ends
     start = timing[ROW_END] + late
     timing[ROW_END] = start + row[ROW_TICKS]
     for i in range(timing[AXES]):
@@ -183,8 +188,8 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
 
 @micropython.viper
 def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
-    """Put the row's steps into the buffer. Returns 1 if the row is over and the buffer has space
-    for another one, else 0."""
+    """Put the row's steps into the buffer, up to its end. Returns 1 if the row is over and the
+    buffer has space for another one, else 0."""
     over = 1 if timing[ROW_END] < _TICKS else 0
     pulse = timing[PULSE]
     for i in range(timing[AXES]):
@@ -258,9 +263,10 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
 
 @micropython.viper
 def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
-    """Update PLAYING, the buffer being played. Returns for how long it has been played, in us.
+    """Update PLAYING, the number of the buffer being played, and BEGAN, its start. Returns for how
+    long it has been played, in us.
 
-    now: us, masked by base/times.py. buffer_us: length of a buffer.
+    state: see i2s_layout.py. now: us, masked by base/times.py. buffer_us: length of a buffer.
     """
     passed = (now - state[BEGAN]) & MASK
     if passed > NEGATIVE:
@@ -277,8 +283,9 @@ def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     """Return the slot of the buffer being played. While zeros are played, it is the next buffer's
     slot - BEFORE, or NOWHERE if there is none.
 
-    notes: `size` integers per slot of our ring (i2s_layout.py). Buffer n has slot n % slots, and
-    NUMBER is the number under which the stream plays it. Buffers still in the ring are searched.
+    notes: `size` integers per slot of our ring, of which slots is the number (i2s_layout.py). Our
+    buffer n has slot n % slots, and its NUMBER is that under which the stream plays it. Buffers
+    still in the ring are searched.
     """
     sent = state[SENT]
     first = sent - slots + 1

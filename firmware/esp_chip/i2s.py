@@ -14,11 +14,9 @@ stable long before the next step. No step is lost or repeated.
 Position is counted from the bits of the buffer being played. An immediate stop closes the stream;
 a new one begins with zeros. What DMA has received cannot be taken back for one axis alone: a
 locked axis continues to the end of it, and returns before the next motion, which therefore starts
-where the axis was locked.
-
-While flash is written, notices of played buffers are lost (the interrupt of ESP-IDF is not in
-RAM), and the next free buffer is no longer the next one to be played. So the stream is opened
-again before the next motion, which starts one round of the ring, 32 ms, later.
+where the axis was locked. While flash is written, notices of played buffers are lost (the
+interrupt of ESP-IDF is not in RAM), and the next free buffer is no longer the next one to be
+played: the stream is opened again before the next motion, which starts a round, 32 ms, later.
 
 Philips format: data come one bit later than WS, which the registers use as their latch. So an
 output's bit is one place higher than its number. Unverified on hardware, like all here.
@@ -139,7 +137,7 @@ class I2sEngine(TimerEngine):
         state = self._state
         state[BEGAN] = self._stream.open() & MASK
         state[PLAYING] = state[STALE] = 0
-        state[WRITTEN] = self._buffers
+        state[WRITTEN] = self._buffers  # the first that can be written: see Stream.open()
         state[LAST] = -1
         state[PAUSE] = 1
         for slot in range(self._slots):  # buffers are numbered from 0 again
@@ -152,13 +150,12 @@ class I2sEngine(TimerEngine):
         return self._rate_hz // (self._frames_of(pulse_us) + 1)
 
     def _frames_of(self, us: int) -> int:
-        """Return the number of frames in so many us, rounded up."""
+        """Return how many frames a time in us takes, rounded up."""
         return -(-us * self._rate_hz // 1_000_000)
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Apply $0 and $3. Called while idle only.
-
-        $2 is ignored: with inverted steps, the zeros of a late stream would be a step.
+        """Apply $0, the length of a pulse, and $3, a mask of motors with inverted DIR. While idle
+        only. $2 is ignored: with inverted steps, the zeros of a late stream would be a step.
         """
         timing = self._timing
         timing[frames.PULSE] = self._frames_of(pulse_us)
@@ -172,19 +169,19 @@ class I2sEngine(TimerEngine):
         self._timing[frames.ENABLE] = self._enable_bits if level else 0
 
     def flash_written(self) -> None:
-        """Note that the stream must be opened again. Only while idle."""
+        """Note that flash was written, so the stream must be opened again. Only while idle."""
         self._state[STALE] = 1
 
     def arm(self) -> None:
         """Enable motion after power-up or stop()."""
-        if self._failure:  # since then no turn has followed the stream
-            self.flash_written()
+        if self._failure:
+            self.flash_written()  # since the failure no turn has followed the stream
             self._failure = None
         self._timing[frames.LOCKED] = 0
         self._state[STOPPED] = 0
 
     def start(self) -> None:
-        """Begin to pull, in the timer's next turn. A stopped engine stays stopped."""
+        """Begin to pull segments, in the timer's next turn. A stopped engine stays stopped."""
         state = self._state
         if state[STOPPED] or state[PULLING]:
             return
@@ -258,11 +255,12 @@ class I2sEngine(TimerEngine):
         return bool(self._state[MOVING]) and since_us > LOST_US
 
     def position(self, steps: "array[int]") -> None:
-        """Copy the steps really made, per motor, to the frame, without those to be taken back."""
+        """Copy the steps made, per motor, exact to a frame, without those to be taken back."""
         self._find_note(steps, time.ticks_us())
 
     def _find_note(self, steps: "array[int]", now: int) -> None:
-        """Compute the positions at a time (us) from the notes and bits of the buffer played."""
+        """Compute the positions at the time now (us) into steps, from the buffer being played: its
+        notes have those at its start, and its bits the steps since then."""
         state, axes = self._state, self._axes
         passed = frames.find_playing(state, now, self._buffer_us)
         slot = frames.playing_slot(state, self._notes, self._slots, self._size)
@@ -346,7 +344,7 @@ class I2sEngine(TimerEngine):
             self._on_power(power)
 
     def _make(self) -> None:
-        """Fill the next buffer of our ring."""
+        """Fill the next buffer of our ring with frames, and its notes."""
         state, timing, lanes = self._state, self._timing, self._lanes
         row, slot = self._row, state[MADE] % self._slots
         note = slot * self._size
@@ -376,7 +374,8 @@ class I2sEngine(TimerEngine):
         state[MADE] += 1
 
     def _send_pause(self) -> bool:
-        """Send a buffer without steps after zeros, with the directions of the next one."""
+        """Send, after zeros, a buffer without steps that has the directions of the next one.
+        Returns False if DMA has no space yet."""
         state = self._state
         frames.blank(self._pause, self._notes[state[SENT] % self._slots * self._size + START])
         if not self._stream.write(self._pause):

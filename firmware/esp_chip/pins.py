@@ -49,11 +49,15 @@ class EspPort(PortPins):
         super().attach(listener)
 
     def poll_inputs(self) -> None:
-        """Handle changed inputs as if their interrupts had come."""
+        """Handle inputs that have changed since the last call as if their interrupts had come.
+
+        ..._looked: levels that the last call has found; ..._seen: those reported last. ..._wait,
+        _quiet: a timer of debouncing runs, which will read the inputs itself.
+        """
         limits = self.limits()
         if limits != self._limits_looked:
             self._limits_looked = limits
-            waits = self._limits_wait  # its timer will check, and must not start again
+            waits = self._limits_wait  # the timer must not start again
             if self._limits_enabled and limits != self._limits_seen and not waits:
                 self._limit_changed(_first(self._limits))
         if not self._quiet and self.controls() != self._controls_seen:
@@ -87,5 +91,6 @@ class EspPort(PortPins):
 
 
 def _first(pins: "list[Pin | None]") -> "Pin":
-    """Return one of the wired pins; the interrupt of any of them does the same."""
+    """Return one of the wired pins, to call their interrupt's handler with: it does the same for
+    any of them."""
     return next(pin for pin in pins if pin)

@@ -62,8 +62,8 @@ _PULLING = const(1)  # there may be more segments
 _RUNNING = const(2)  # a train is being played, or waited for
 _READY = const(3)  # the next train is prepared
 _DUE = const(4)  # when the next train is due, in us
-_FREE = const(5)  # when the channels have ended
-_BEGAN = const(6)  # when the train being played was due
+_FREE = const(5)  # when the channels will have ended, in us
+_BEGAN = const(6)  # when the train being played was due, in us
 _REPORTED = const(7)  # last spindle power reported
 _GAP = const(8)  # longest standstill between trains, in us,
 _SKEW = const(9)  # largest error of a channel's start, us,
@@ -83,7 +83,7 @@ _CALL = const(5)  # time of write_pulses(), without that per duration, us
 
 @micropython.viper
 def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
-    """Return the position of a motor at a time: us, masked by base/times.py.
+    """Return the position of a motor at the time now: us, masked by base/times.py.
 
     playing: the durations of the axis' train, which began at _START.
     """
@@ -136,12 +136,12 @@ class RmtEngine(TimerEngine):
     # The StepEngine interface
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Return the highest rate of one axis: as many steps as can be prepared per train."""
+        """Return the highest rate of one axis, steps/s: as many as can be prepared per train."""
         most = self._timing[trains.MOST] * RESOLUTION_HZ // _SHORTEST_US
         return min(_HIGHEST_HZ, most, RESOLUTION_HZ // (2 * pulse_us))
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Apply $0, $2 and $3. Called while idle only."""
+        """Apply $0, and $2 and $3: masks of motors with inverted STEP or DIR. Only while idle."""
         self._timing[trains.PULSE] = pulse_us
         self._dir_invert = dir_invert
         for i in range(self._axes):
@@ -150,7 +150,7 @@ class RmtEngine(TimerEngine):
             self._direction[i].value(level ^ (dir_invert >> i & 1))
 
     def arm(self) -> None:
-        """Enable motion after power-up or stop()."""
+        """Enable motion after power-up or stop(). Clears the fault and all locks."""
         self._failure = None
         self._timing[trains.LOCKED] = 0
         self._state[_HALT] = 0
@@ -189,7 +189,7 @@ class RmtEngine(TimerEngine):
         timing[trains.HELD] = timing[trains.DONE] = timing[trains.LOCKED] = 0
 
     def _cut_off(self, axes: int) -> None:
-        """End these axes' trains now; their positions are the clock's."""
+        """End the trains of the axes in a mask now; their positions are the clock's."""
         for i in range(self._axes):
             if axes >> i & 1:
                 self._channels[i].cut()
@@ -218,7 +218,7 @@ class RmtEngine(TimerEngine):
         return bool(self._state[_RUNNING]) and late_us > LOST_US
 
     def position(self, steps: "array[int]") -> None:
-        """Copy the steps made, per motor, by the clock."""
+        """Copy each motor's position, in steps, into `steps`, as the clock says."""
         for i in range(self._axes):
             steps[i] = _place(self._lanes, i, self._playing[i], time.ticks_us())
 
@@ -229,11 +229,11 @@ class RmtEngine(TimerEngine):
             self._lanes[_LANE * i + _COUNT] = 0
 
     def longest_gap_us(self) -> int:
-        """Return the longest standstill of motion between trains."""
+        """Return the longest standstill of motion between trains, in us."""
         return self._state[_GAP]
 
     def worst_skew_us(self) -> int:
-        """Return the largest error of a channel's start, early or late."""
+        """Return the largest error of a channel's start, early or late, in us."""
         return self._state[_SKEW]
 
     # The timer's turns: no other soft interrupt runs within them
@@ -266,7 +266,7 @@ class RmtEngine(TimerEngine):
         self._collect(self._timing[trains.LENGTH] - _PREPARE_US)
 
     def _prepare(self) -> bool:
-        """Prepare the next train. Returns False if there is nothing to move."""
+        """Prepare the next train: _next, _counts. Returns False if there is nothing to move."""
         state, timing, rows = self._state, self._timing, self._rows
         size = self._size
         while (
@@ -295,7 +295,7 @@ class RmtEngine(TimerEngine):
         return True
 
     def _note_powers(self) -> None:
-        """Store the spindle powers of the next train, with their start times."""
+        """Store the spindle powers of the next train, with their start times in it (us)."""
         timing, rows = self._timing, self._rows
         start_us = -timing[trains.DONE]
         for k in range(trains.ROWS):
@@ -389,7 +389,7 @@ class RmtEngine(TimerEngine):
         lanes[lane + _START] = began
         lanes[lane + _COUNT] = count
         state[_SKEW] = max(state[_SKEW], abs(took - call))
-        learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4
+        learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of the error
         estimate = max(lanes[lane + _CALL] + learned, _LEAST_CALL_US)
         lanes[lane + _CALL] = min(estimate, _MOST_CALL_US)
         end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK

@@ -17,7 +17,8 @@ _COMPILED = const(88_000)  # compiled code's part of it
 
 
 def prepare() -> None:
-    """Call before any compiled code. Raises MemoryError if it and the heap would not fit."""
+    """Set the clock, and check the free memory. Call it before any compiled code is loaded.
+    Raises MemoryError if that and the heap would not fit."""
     machine.freq(_HZ)
     heaps = esp32.idf_heap_info(esp32.HEAP_DATA)
     free = sum([free_bytes for _, free_bytes, _, _ in heaps])

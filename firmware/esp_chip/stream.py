@@ -18,7 +18,8 @@ BYTES = const(1024)  # per buffer
 
 
 class Stream:
-    """pins: BCK, WS and DATA. rate_hz: frames per second. buffers: the number of DMA's."""
+    """The stream of bits. pins: numbers of BCK, WS and DATA. rate_hz: frames per second. buffers:
+    how many DMA has. buffer_us: how long one lasts."""
 
     def __init__(self, pins: "tuple[int, int, int]", rate_hz: int, buffers: int) -> None:
         if FRAMES * 1_000_000 % rate_hz:
@@ -54,7 +55,7 @@ class Stream:
         return began
 
     def write(self, buffer: "bytearray | memoryview") -> bool:
-        """Hand over a buffer; False if DMA has no space for it yet."""
+        """Hand over a whole buffer of BYTES. Returns False if DMA has no space for it yet."""
         return bool(self._i2s.write(buffer))
 
     def close(self) -> None:

@@ -48,8 +48,9 @@ class TimerEngine:
         on_power: "Callable[[int], None]",
         on_rest: "Callable[[], None]",
     ) -> None:
-        """Set the source of segments, and two callbacks: one is passed the spindle power of each
-        segment as it starts, the other is called when motion has ended."""
+        """Set the source of segments, and two callbacks. next_segment(row) fills in a segment's
+        row, and returns 0 if there is none. on_power is passed the spindle power of each segment
+        as it starts, on_rest is called when motion has ended."""
         self._next_segment = next_segment
         self._on_power = on_power
         self._on_rest = on_rest
@@ -75,7 +76,8 @@ class TimerEngine:
             self._fail(why)
 
     def _fail(self, why: BaseException) -> None:
-        """Note a fault, switch the tool off, and stop the motors."""
+        """Note a fault, which the main loop will report, switch the tool off, and stop the
+        motors. If one of these fails, too, its exception is the fault."""
         self._failure = why
         try:
             self.on_fault()

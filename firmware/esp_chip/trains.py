@@ -6,6 +6,11 @@ and none has more steps than a channel can hold. cut() chooses its length; durat
 train of one axis. It begins with the time to the first step; then pulses and pauses alternate, and
 a pulse is last.
 
+Arguments: rows, the ring of ROWS rows, `size` integers each; timing, the integers shared by all
+axes. A row (motion/layout.py) has at ROW_TICKS, which is 0, its time in us, at ROW_DIRS a mask of
+the axes that turn backwards, and per axis, from ROW_AXES on, its steps and the times of the first
+and of the last one, in us from the row's start.
+
 Called in the engine's turns; nothing here allocates.
 """
 
@@ -14,7 +19,7 @@ from micropython import const
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from motion.slice_kernel import leading
 
-ROWS = const(16)
+ROWS = const(16)  # in the ring
 _ROWS_MASK = const(15)
 
 # Longest train, in us: a hold waits for its end. Up to _WORTH a train may end after any row; later
@@ -23,14 +28,14 @@ LONGEST = const(18000)
 _WORTH = const(9000)
 _LEAST_PAUSE = const(2)  # us between two pulses
 
-# Integers shared by all axes.
-AXES = const(0)
-PULSE = const(1)  # us
-FIRST = const(2)  # the first row of the next train,
-DONE = const(3)  # and how much of it was in the last one, us
-HELD = const(4)  # rows in the ring
-TAKEN = const(5)  # whole rows in the next train,
-PART = const(6)  # and how much of another one, us
+# Integers shared by all axes (timing): indexes.
+AXES = const(0)  # number of axes
+PULSE = const(1)  # length of a pulse, us
+FIRST = const(2)  # number in the ring of the first row of the next train,
+DONE = const(3)  # and how much of that row was in the last train, us
+HELD = const(4)  # how many rows are in the ring
+TAKEN = const(5)  # how many whole rows are in the next train,
+PART = const(6)  # and where it ends in the row after them, us from that row's start; 0: not in it
 LENGTH = const(7)  # of the next train, in us
 DIRS = const(8)  # directions in the next train, for axes that step
 LOCKED = const(9)  # mask of locked axes, which do not step
@@ -51,8 +56,11 @@ def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
 
 @micropython.viper
 def cut(rows: ptr32, timing: ptr32, size: int) -> int:
-    """Choose the end of the next train: the end of a row, where steps are slow. Returns its
-    length, us."""
+    """Choose the end of the next train: TAKEN, PART, LENGTH, DIRS. Returns its length, us.
+
+    It ends at the end of a row, where steps are slow; within a row only if the first one alone is
+    too long, or has more steps than a channel can hold (MOST).
+    """
     known = 0  # mask of axes that step in the train so far,
     dirs = 0  # and their directions
     total = 0 - timing[DONE]  # its length
@@ -109,7 +117,8 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
 @micropython.viper
 def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
     """Return where to cut a long row, in us from its start: after the last step before `end`, or
-    at `end` if that step is in the first half of what is left. at: the row's index in rows."""
+    at `end` if that step is in the first half of what is left. at: the row's index in rows; end:
+    the latest possible cut, us from the row's start."""
     latest = timing[DONE]
     for i in range(timing[AXES]):
         base = at + ROW_AXES + ROW_STRIDE * i
@@ -130,7 +139,8 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
 
 @micropython.viper
 def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> int:
-    """Make one axis' train in `out`. Returns the number of durations; 0 if it does not step.
+    """Make one axis' train in `out`: durations in us, a pause, a pulse, and so on. Returns their
+    number; 0 if the axis does not step.
 
     -1: it is longer than a channel, which would lose steps. size: integers in a row.
     """
@@ -162,7 +172,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
             if tick >= done:
                 if count >> 1 >= timing[MOST]:
                     return -1
-                edge = origin + tick
+                edge = origin + tick  # start of the pulse
                 if count and edge < last + _LEAST_PAUSE:
                     edge = last + _LEAST_PAUSE
                 out[count] = edge - last if count else edge
@@ -179,7 +189,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
 
 @micropython.viper
 def advance(timing: ptr32) -> int:
-    """Move on in the ring: the train after the next one begins at its end."""
+    """Remove the next train's rows from the ring: the train after it begins at its end."""
     timing[FIRST] = (timing[FIRST] + timing[TAKEN]) & _ROWS_MASK
     timing[HELD] = timing[HELD] - timing[TAKEN]
     if timing[TAKEN]:
@@ -191,7 +201,8 @@ def advance(timing: ptr32) -> int:
 
 @micropython.viper
 def made(durations: ptr32, count: int, passed: int) -> int:
-    """Return the steps of a train that are made `passed` us after its start."""
+    """Return how many steps of a train are made `passed` us after its start. durations: count
+    times in us, a pause first, then pulses and pauses."""
     steps = 0
     for k in range(count):
         passed -= durations[k]
@@ -204,7 +215,7 @@ def made(durations: ptr32, count: int, passed: int) -> int:
 
 @micropython.viper
 def lasts(durations: ptr32, count: int) -> int:
-    """Return the length of a train, in us."""
+    """Return the length of a train, the sum of its durations (count of them), in us."""
     total = 0
     for k in range(count):
         total += durations[k]

@@ -2,8 +2,13 @@
 """The words of an arc: from its target and offsets, or radius, to an Arc, checked as Grbl does.
 
 Arguments: ints, singles, xyz, the block's integers, numbers and axis words (block_layout.py);
-position, the parser's, as xyz in mm; plane and r, the arc's plane and numbers (arc_geometry.py).
-Floats are handled as their bits; & 0x7FFFFFFF removes the sign.
+position, the parser's, as xyz in mm; plane and r, the arc's plane and numbers (arc_geometry.py),
+in which A, B and C are scratch, and CENTRE_0, CENTRE_1 the centre relative to the start.
+
+Floats are handled as their bits; & 0x7FFFFFFF removes the sign, ^ MINUS in the last byte changes
+it. multiply(r, i, s, j) is r[i] *= s[j]; likewise quotient() and subtract(); but add_single(s, j,
+r, i) is r[i] += s[j]. length(r, i, j) sets r[i] to sqrt(r[i]**2 + r[j]**2), root(r, i) to its
+square root.
 """
 
 import micropython
@@ -28,8 +33,8 @@ _HALF = const(0x3F000000)
 def find_arc(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, r: ptr32
 ) -> int:
-    """Find plane, centre and radius of a block's arc from position to xyz. Returns Grbl's error
-    number, or 0. r: the arc's numbers; its centre is relative to the start."""
+    """Find plane, centre and radius of a block's arc from position to xyz, mm, into plane and r.
+    Returns Grbl's error number, or 0."""
     words = ints[b.WORDS]
     if words & b.AXIS_WORDS == 0:
         return errors.GCODE_NO_AXIS_WORDS
@@ -82,7 +87,8 @@ def same_position(position: ptr32, xyz: ptr32, axes: int) -> int:
 def _by_radius(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, r: ptr32
 ) -> int:
-    """Find the centre of the arc with radius R over the chord to the target.
+    """Find the centre of the arc with radius R over the chord from position to xyz: CENTRE_0,
+    CENTRE_1 and RADIUS of r.
 
     The centre is on the chord's perpendicular bisector: left of the direction of motion for a
     counterclockwise arc of less than half a circle. R < 0 requests the longer arc. Returns Grbl's

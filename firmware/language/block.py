@@ -63,7 +63,12 @@ dictionary = bytearray(ROW)  # row 0 means no word
 def add_word(
     at: int, group: int, place: int, setting: int, claim: int = b.AXES_UNCLAIMED, decimals: int = 0
 ) -> None:
-    """Add a word to the dictionary: a G number, or M_WORDS plus an M number."""
+    """Add a word to the dictionary.
+
+    at: its G number, or M_WORDS plus its M number. group: a bit of block_layout.py. place: the
+    modal state's place that it sets, or NOWHERE. setting: the value set there; of GROUP_0, in
+    NON_MODAL. claim, decimals: see _CLAIM and _DECIMALS.
+    """
     index[at] = len(dictionary) // ROW
     dictionary.extend(bytes((place, setting, claim, decimals, group & 255, group >> 8)))
 
@@ -124,9 +129,9 @@ def decimals_of(at: int) -> int:
 
 @micropython.viper
 def byte(value: int, top: int) -> int:
-    """Return the float as a whole number from 0 to 255, or 256 if it is not one.
+    """Return a float as a whole number from 0 to 255, or 256 if it is not one.
 
-    value: its bits; top: the last byte of these, above 127 if the float is negative.
+    value: its bits; top: the highest byte of these, above 127 if the float is negative.
     """
     # 127 is the exponent of 1, 134 that of 128 to 255. A mantissa of 24 bits has 150.
     exponent = (value >> 23) & 255
@@ -141,7 +146,8 @@ def byte(value: int, top: int) -> int:
 def enter(place: int, setting: int, claim: int, group: int, ints: ptr32) -> int:
     """Store a G or M word in a block's ints. Returns Grbl's error number, or 0.
 
-    place, setting, claim, group: from the word's row of the dictionary, see above.
+    place, setting, claim, group: from the word's row of the dictionary, see add_word(). The error
+    is that of a second word of a modal group, or a second one that uses the axis words.
     """
     if claim:
         if ints[b.CLAIM]:
@@ -251,7 +257,7 @@ def read(
 
 @micropython.viper
 def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> int:
-    """Clear a block and copy the modal state into it."""
+    """Clear a block (ints, xyz, singles) and copy the modal state into ints. Returns 0."""
     for i in range(axes):
         xyz[i] = 0
     for i in range(b.TOOL_LIMIT):  # constants follow
@@ -262,7 +268,11 @@ def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> 
 
 
 class Block:
-    """The block of the line being interpreted. Reused for every line."""
+    """The block of the line being interpreted. Reused for every line.
+
+    ints, singles, xyz: its integers, numbers and axis words (block_layout.py). longest: most
+    characters in a line.
+    """
 
     def __init__(
         self,
@@ -282,8 +292,8 @@ class Block:
         self.stored = vector(axes)
         self._words = Words(longest)
         # An extra's kernel for text that scan() cannot read, and an object for it. It is passed
-        # line, span, the result of scan() and the object, and returns a new result. It may set
-        # ONLY.
+        # line, span, the result of scan() and the object, and returns a new result as scan()'s. It
+        # may set ONLY.
         self.read_on: "tuple[ReadOn | None, object]" = None, None
         self._index = bytearray(index)
         if not has_mist:
@@ -309,12 +319,13 @@ class Block:
         self._rows = self._rows + row
 
     def _store_rare(self, i: int) -> int:
-        """Store word i, a G or M word of any number. Returns Grbl's error number, or 0."""
+        """Store the line's word i, a G or M word of any number, also with decimals. Returns Grbl's
+        error number, or 0."""
         # The number's whole part, modulo 256; the rest, however large, is in hundredths.
         value = self._words.values[i]
         number = truncate(value) & 255
         hundredths = _round(100 * f32(value - number))
-        at, end = number, M_WORDS  # in the index: the word's place, and where its letter's end
+        at, end = number, M_WORDS  # in _index: the word's index, and the end of its letter's
         if self._words.letters[i] == _M:
             if hundredths:
                 return errors.GCODE_COMMAND_VALUE_NOT_INTEGER

@@ -66,17 +66,14 @@ IN_MOTION = const(0x200)  # S takes effect with the motion
 SYNC = const(0x400)  # the beam changes without motion
 CHECKED = const(0x800)  # always set
 
-# Places in Interpreter.machine, for kernels: the number of axes; a mask of axes whose numbers are
-# in mm or inches; the axis of the tool length; whether kernels may execute lines; the requests (a
-# mask) that need Python before a line is executed; how many lines may be executed before the
-# loop's next turn; the last result of check(), 0 if there is none for this line.
-AXES = const(0)
-LENGTHS = const(1)
-LENGTH_AXIS = const(2)
-IS_OPEN = const(3)
-WATCHED = const(4)
-LINES_LEFT = const(5)
-ASKED = const(6)
+# Places in Interpreter.machine, for kernels.
+AXES = const(0)  # the number of axes
+LENGTHS = const(1)  # mask of axes whose numbers are in mm or inches
+LENGTH_AXIS = const(2)  # the axis of the tool length
+IS_OPEN = const(3)  # 1: kernels may execute lines
+WATCHED = const(4)  # mask of requests that need Python before a line is executed
+LINES_LEFT = const(5)  # how many lines may be executed before the loop's next turn
+ASKED = const(6)  # the last result of check(), 0 if there is none for this line
 MACHINE_LENGTH = const(7)
 
 # Numbers of a line: places in Block.singles. Axis words are in Block.xyz.

@@ -10,8 +10,12 @@ the standard's.
 
 Arguments: ints, singles, xyz, the block's integers, numbers and axis words; stored, what G10
 stores or where G28 and G30 go; machine, Interpreter.machine (all: block_layout.py); modal, rates,
-position, the modes in force (modes.py); offsets, all work offsets (coords.py). A float is its
-bits; & 0x7FFFFFFF removes its sign, so that -0 is 0, too.
+position, the modes in force (modes.py); plane, arc, the plane and the numbers of an arc, which are
+set here (arc_geometry.py). offsets has all work offsets (coords.py), a float per axis each: those
+of system 0 (G54) first, system n at n * axes; then G28, G30, G92, and the tool length.
+
+A float is its bits; & 0x7FFFFFFF removes its sign, so that -0 is 0, too. multiply(a, i, b, j) is
+a[i] *= b[j], subtract(a, i, b, j) is a[i] -= b[j]; but add_single(b, j, a, i) is a[i] += b[j].
 """
 
 import micropython
@@ -26,7 +30,7 @@ from motion.planner import SPINDLE_CW
 from language import block_layout as b
 from language.arc_words import find_arc, same_position
 
-_CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)
+_CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)  # motion modes in which a laser cuts
 
 
 @micropython.viper
@@ -46,7 +50,7 @@ def check(
     arc: ptr32,
 ) -> int:
     """Check a block that was read in that modal state. Returns its requests, bits of
-    block_layout.py, or minus Grbl's error number. laser: laser mode; jog: a $J= line."""
+    block_layout.py, or minus Grbl's error number. laser: laser mode; jog: 1 for a $J= line."""
     words = ints[b.WORDS]
     if ints[b.CLAIM] == b.AXES_UNCLAIMED and words & b.AXIS_WORDS:
         ints[b.CLAIM] = b.AXES_MOTION
@@ -94,8 +98,9 @@ def check(
 
 @micropython.viper
 def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> int:
-    """Compute the block's feed rate, mm/min, or 1/min in inverse time mode, into F. Returns Grbl's
-    error number, or 0. Without an F word the last rate stays in force, but not in inverse time."""
+    """Compute the block's feed rate, mm/min, or 1/min in inverse time mode, into singles[F].
+    Returns Grbl's error number, or 0. Without an F word the last rate stays in force, except in
+    inverse time, and except in a jog, which needs its own. jog: 1 for a $J= line."""
     has_f = ints[b.WORDS] & b.WORD_F
     motion = ints[mode.MOTION]
     if jog:
@@ -117,7 +122,7 @@ def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> 
 
 @micropython.viper
 def _in_mm(xyz: ptr32, machine: ptr32, singles: ptr32) -> int:
-    """Convert inches to mm, for axes that are lengths."""
+    """Convert xyz from inches to mm, for axes that are lengths. (Others are angles.)"""
     for i in range(machine[b.AXES]):
         if (machine[b.LENGTHS] >> i) & 1:
             multiply(xyz, i, singles, b.INCH_MM)
@@ -134,8 +139,9 @@ def _targets(
     machine: ptr32,
     stored: ptr32,
 ) -> int:
-    """Convert axis words into a target or offsets. Returns the value words used, or minus Grbl's
-    error number."""
+    """Convert axis words into a target (in xyz), or into what a non-modal command does: offsets of
+    G10 (stored) or G92 (xyz), the position of G28 or G30 (stored). Returns a mask of the other
+    value words used, or minus Grbl's error number."""
     command = ints[b.NON_MODAL]
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if command != b.SET_COORDS and command != b.SET_G92:  # noqa: PLR1714 (a viper cannot ask `in`)
@@ -152,6 +158,7 @@ def _targets(
     if command == b.SET_G92:
         if axis_words == 0:
             return 0 - errors.GCODE_NO_AXIS_WORDS
+        # The new G92 offset, with the active system's in force, replaces xyz.
         system = ints[mode.SYSTEM] * axes
         _offset(ints, singles, xyz, position, offsets, machine, system, G92 * axes, xyz)
     elif command == b.GO_G28:
@@ -171,23 +178,30 @@ def _set_coords(
     offsets: ptr32,
     machine: ptr32,
 ) -> int:
-    """3.5.5, G10 L2 and L20: compute the new offsets into stored, the system's number into
-    INDEX. Returns the value words used, or minus Grbl's error number."""
+    """3.5.5, G10 L2 and L20: compute a coordinate system's new offsets into stored, and its
+    number, from 0, into INDEX. Returns a mask of the value words used, or minus Grbl's error
+    number.
+
+    L2: the axis words are the offsets. L20: they are what the present position is to read. An axis
+    without a word keeps its offset.
+    """
     words = ints[b.WORDS]
     if words & b.AXIS_WORDS == 0:
         return 0 - errors.GCODE_NO_AXIS_WORDS
-    if words & (b.WORD_P | b.WORD_L) == 0:
+    if words & (b.WORD_P | b.WORD_L) == 0:  # as in Grbl, one of them is enough
         return 0 - errors.GCODE_VALUE_WORD_MISSING
-    system = int(whole_part(singles, b.P, 0)) & 255  # P: 1 to 6; 0: the active one
+    # & 255: Grbl stores the numbers of P and L in a byte. P: 1 to 6; 0: the active system.
+    system = int(whole_part(singles, b.P, 0)) & 255
     if system > SYSTEMS:
         return 0 - errors.GCODE_UNSUPPORTED_COORD_SYS
-    kind = int(whole_part(singles, b.L, 0)) & 255  # L
+    kind = int(whole_part(singles, b.L, 0)) & 255
     if kind != 20 and (kind != 2 or words & b.WORD_R):
         return 0 - errors.GCODE_UNSUPPORTED_COMMAND
     ints[b.INDEX] = system - 1 if system else ints[mode.SYSTEM]
     axes = machine[b.AXES]
-    at = ints[b.INDEX] * axes  # the system's first place in offsets
+    at = ints[b.INDEX] * axes  # index in offsets of the system's first one
     if kind == 20:
+        # G92 stays in force, so it is the other part; the system's old offset is at `at`.
         _offset(ints, singles, xyz, position, offsets, machine, G92 * axes, at, stored)
     else:
         for i in range(axes):
@@ -207,14 +221,16 @@ def _offset(
     old: int,
     new: ptr32,
 ) -> int:
-    """3.5.18, G92 and G10 L20: compute the offset that, together with the other offset, makes the
-    current position read as programmed.
+    """3.5.18, G92 and G10 L20: compute the offset that, together with another one that is in
+    force, makes the current position read as programmed (xyz). Returns 0.
 
-    other, old: the offsets' first places in offsets; new: the result, may be xyz.
+    new: the result, a float per axis; it may be xyz. other: index in offsets of the one in force;
+    old: of the one to be replaced, which an axis without a word keeps. So for each axis with a
+    word: new = position - other - programmed, and for the tool's axis, - tool length.
     """
     axes = machine[b.AXES]
     for i in range(axes):
-        singles[b.SCRATCH] = offsets[old + i]  # an axis without a word keeps its offset
+        singles[b.SCRATCH] = offsets[old + i]
         if (ints[b.WORDS] >> i) & 1:
             singles[b.SCRATCH] = position[i]
             subtract(singles, b.SCRATCH, offsets, other + i)
@@ -229,10 +245,11 @@ def _offset(
 def _target(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, offsets: ptr32, machine: ptr32
 ) -> int:
-    """Convert axis words into a target in machine coordinates; an axis without a word stays."""
+    """Convert the axis words in xyz into a target in machine coordinates, mm, in place. An axis
+    without a word stays at position. Returns 0."""
     axes = machine[b.AXES]
-    system = ints[mode.SYSTEM] * axes
-    adds = ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE
+    system = ints[mode.SYSTEM] * axes  # index of the active system in offsets
+    adds = ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE  # with G53 nothing is added
     for i in range(axes):
         if (ints[b.WORDS] >> i) & 1 == 0:
             xyz[i] = position[i]
@@ -252,13 +269,15 @@ def _target(
 def _where_stored(
     ints: ptr32, stored: ptr32, position: ptr32, offsets: ptr32, system: int, axes: int
 ) -> int:
-    """3.5.8: compute where G28 or G30 goes, into stored; with axis words, on those axes only.
+    """3.5.8: compute where G28 or G30 goes, in machine coordinates, into stored; with axis words,
+    on those axes only. Returns 0.
 
     system: G28 or G30, the number of the stored position in offsets.
     """
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if axis_words == 0:
-        ints[b.CLAIM] = b.AXES_UNCLAIMED  # there is no move to a target before
+        # The move to the target of the axis words, which would come first, is left out.
+        ints[b.CLAIM] = b.AXES_UNCLAIMED
     for i in range(axes):
         stored[i] = offsets[system * axes + i]
         if axis_words and (axis_words >> i) & 1 == 0:
@@ -270,13 +289,14 @@ def _where_stored(
 def _motion(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, arc: ptr32
 ) -> int:
-    """Check group 1, the motion. Returns the value words it uses, or minus Grbl's error number."""
+    """Check group 1, the motion, from position to xyz. Returns a mask of the value words that it
+    uses, or minus Grbl's error number. plane, arc: get the plane and the numbers of an arc."""
     motion = ints[mode.MOTION]
     words = ints[b.WORDS]
     axis_words = words & b.AXIS_WORDS
     if motion == b.NO_MOTION:  # 3.5.15
         return 0 - errors.GCODE_AXIS_WORDS_EXIST if axis_words else 0
-    if ints[b.CLAIM] != b.AXES_MOTION:
+    if ints[b.CLAIM] != b.AXES_MOTION:  # the axis words are those of another command
         return 0
     if motion != b.SEEK and singles[b.F] & int(0x7FFFFFFF) == 0:
         return 0 - errors.GCODE_UNDEFINED_FEED_RATE
@@ -291,14 +311,15 @@ def _motion(
         return b.WORD_R if words & b.WORD_R else b.WORD_IJK
     elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # an extra's: see interfaces.Motion
         return b.MOTION_WORDS
-    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: it must move
+    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: probes move
         return 0 - errors.GCODE_INVALID_TARGET
     return 0
 
 
 @micropython.viper
 def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) -> int:
-    """Return the requests of a valid block: bits of block_layout.py."""
+    """Return the requests of a valid block: bits of block_layout.py. What differs from the modes
+    in force (modal, rates) is requested. laser: not 0 in laser mode."""
     asked = b.CHECKED
     # Another speed, unless both are 0.
     if rates[mode.RPM] != singles[b.S] and (rates[mode.RPM] | singles[b.S]) & int(0x7FFFFFFF):

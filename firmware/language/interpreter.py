@@ -80,9 +80,10 @@ class Interpreter:
         self.memory()
 
     def memory(self) -> "tuple[array[int], array[int], tuple[Any, ...]]":
-        """Return what kernels work on: one tuple, because each attribute look-up costs 5 us.
+        """Return what kernels work on: the modal state, `machine`, and a tuple of everything else.
 
-        Call it again after extras are installed.
+        It is one tuple, because each attribute look-up costs 5 us. Call it again after extras are
+        installed.
         """
         planner = self._canon.planner
         plans = (
@@ -113,7 +114,8 @@ class Interpreter:
         return self.machine[b.WATCHED] != 0 or not self.is_open
 
     def watch(self, asked: int) -> None:
-        """Pass lines with any of these requests (bits of block_layout.py) to execute()."""
+        """Pass lines with any of these requests (bits of block_layout.py) to execute(), instead of
+        letting kernels execute them."""
         self.machine[b.WATCHED] |= asked
 
     def add_motion(self, number: int, motion: "Motion") -> None:
@@ -146,7 +148,12 @@ class Interpreter:
             self._canon.finish()
 
     def check_line(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
-        """Steps one to three: see line.check_line(). Raises GrblError if the line is refused."""
+        """Steps one to three: read and check line[start:end] into the block. Returns its requests,
+        bits of block_layout.py. Raises GrblError if the line is refused.
+
+        span: end << 8 | start; modal: the modal state that the line starts from; jog: 1 for a $J=
+        line, else 0.
+        """
         asked = ln.check_line(line, span, modal, jog, self._memory)
         if asked < 0:
             raise GrblError(-asked)
@@ -155,7 +162,8 @@ class Interpreter:
         return asked
 
     def jog(self, line: bytearray, length: int) -> None:
-        """Interpret a "$J=" line. The modal state does not change."""
+        """Interpret a "$J=" line, line[:length]. Raises GrblError. The line is read with a copy of
+        the modal state, in which motion is G1 and feed mode G94: the state does not change."""
         block, modes, modal = self.block, self._modes, self._jog_modal
         copy(modes.modal, modal, mode.MODAL_LENGTH)
         modal[mode.MOTION] = b.LINEAR
@@ -171,8 +179,8 @@ class Interpreter:
     # Step four
 
     def _execute(self, asked: int) -> None:
-        """Execute a checked block in the standard's order. Moves are only requested here:
-        execute() then calls Canon.finish(), with less on the stack."""
+        """Execute the checked block, whose requests are `asked`, in the standard's order. Moves
+        are only requested here: execute() then calls Canon.finish(), with less on the stack."""
         block, modes = self.block, self._modes
         if asked & b.SPECIAL and block.ints[mode.MOTION] in self.motions:
             self.motions[block.ints[mode.MOTION]].check(block)
@@ -194,7 +202,8 @@ class Interpreter:
             self._control_program(block.ints[mode.PROGRAM_FLOW])
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
-        """Return the move of a block, with its feed rate and the active spindle and coolant."""
+        """Return the move of a block, with its feed rate and the active spindle and coolant.
+        flags: further ones of motion/layout.py."""
         # (More than three at once would allocate a tuple.)
         move, numbers, modes = self._move, self._numbers, self._modes
         if store_if_changed(numbers, mode.FEED, block.singles, b.F):
@@ -221,14 +230,16 @@ class Interpreter:
             self._offsets_changed()
 
     def _set_speed(self, block: "Block", asked: int) -> None:
-        """Set S, after all motion; a laser's S that belongs to a motion is only stored."""
+        """Set S, after all motion; a laser's S that belongs to a motion is only stored, because
+        the motion sets it. asked: the block's requests."""
         modes, speed = self._modes, block.singles[b.S]
         if modes.modal[mode.SPINDLE] and not asked & b.IN_MOTION:
             self._canon.spin(modes.modal[mode.SPINDLE], 0.0 if asked & b.DARK else speed)
         modes.rates[mode.RPM] = speed
 
     def _set_accessories(self, new: "array[int]", rpm: float) -> None:
-        """Execute M words of spindle, coolant and override control."""
+        """Execute M words of spindle, coolant and override control. new: the block's integers, the
+        modal state after it; rpm: the spindle's speed."""
         canon, modal = self._canon, self._modes.modal
         if modal[mode.SPINDLE] != new[mode.SPINDLE]:
             canon.spin(new[mode.SPINDLE], rpm)
@@ -256,12 +267,14 @@ class Interpreter:
         return changed
 
     def _offsets_changed(self) -> None:
-        """Show WCO: in the next status report, after all motion, so that reports do not jump."""
+        """Show the work offset (WCO:) in the next status report, once all motion has ended, so
+        that positions in reports do not jump."""
         self._canon.synchronise()
         self._state.wco_countdown = 0
 
     def _non_modal(self, block: "Block", move: "plan.Move") -> None:
-        """Execute G10, G28, G30, G92 and those with decimals; the block has their values."""
+        """Execute G10, G28, G30, G92 and those with decimals; the block has their values. move:
+        how to move for G28 and G30."""
         command = block.ints[b.NON_MODAL]
         coords, modes = self._coords, self._modes
         if command == b.SET_COORDS:
@@ -289,7 +302,8 @@ class Interpreter:
             self._offsets_changed()
 
     def run_move(self, block: "Block", move: "plan.Move") -> None:
-        """Request the motion of a block."""
+        """Request the motion of a block from the canon, and set the parser's position to its
+        target. move: how to move."""
         modes = self._modes
         motion = modes.modal[mode.MOTION]
         if motion == b.LINEAR:
@@ -310,7 +324,8 @@ class Interpreter:
             call_all(self._state.hooks.moved)
 
     def _probe(self, block: "Block", move: "plan.Move") -> bool:
-        """Execute a probe cycle. Returns whether the target has been reached."""
+        """Execute a probe cycle to the block's target. Returns whether the parser's position is
+        now that target; if not, it has been set already, or must not change."""
         motion = self._modes.modal[mode.MOTION]
         move.flags |= layout.NO_FEED_OVERRIDE
         away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
@@ -318,7 +333,7 @@ class Interpreter:
         return self._state.hooks.probe(block.xyz, move, away, alarms)
 
     def _control_program(self, flow: int) -> None:
-        """Pause or end the program."""
+        """Pause the program (flow: PAUSED), or end it and reset the modes as M2 and M30 do."""
         self._canon.synchronise()
         if flow == b.PAUSED:
             self._canon.pause_program()

@@ -6,7 +6,10 @@ that a chord could violate.
 
 The loop (talk/stream_loop.py) calls this for every line. The interpreter executes other lines.
 `memory`, a tuple, is Interpreter.memory()'s: words for block.read(); the block and the modes; the
-planner. Kernels unpack it, because they have no attributes.
+planner. Kernels unpack it, because they have no attributes. `modal` is the modal state, a value
+per modal group (control/modes.py). `machine` is Interpreter.machine, and `ints`, `singles` and
+`xyz` are the block's integers, numbers and axis words (block_layout.py). Floats are handled as
+their bits. Requests are a mask: what a line asks for beyond plain motion.
 """
 
 import micropython
@@ -37,25 +40,26 @@ PLAIN = const(b.CHECKED | b.MOVE | b.SPECIAL | b.SPEED | b.SET_TOOL | b.DARK | b
 
 @micropython.viper
 def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: object) -> int:
-    """Execute a move-only line, if nothing makes it wait. Returns 1; or 0, and then nothing has
-    moved, and the block is ready, with check_line()'s result in machine[ASKED].
-
-    machine, memory: an interpreter's.
+    """Execute a move-only line, text[:length], if nothing makes it wait. Returns 1; or 0, and then
+    nothing has moved, and the interpreter must execute the line. The block is ready for that, with
+    check_line()'s result in machine[ASKED], unless that is 0.
     """
     machine[b.ASKED] = 0
-    if machine[b.IS_OPEN] == 0:
+    if machine[b.IS_OPEN] == 0:  # kernels may not execute lines now
         return 0
     if length == 0:
         return 1
     asked = int(check_line(text, length << 8, modal, 0, memory))
     machine[b.ASKED] = asked
+    # WATCHED: the requests that an extra wants the interpreter to execute.
     return 0 if asked < 0 or asked & machine[b.WATCHED] else int(run_move(asked, modal, memory))
 
 
 @micropython.viper
 def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) -> int:
-    """Read and check line[start:end], which ends with a 0; span: end << 8 | start. Returns its
-    requests, or minus Grbl's error number: see check(). memory: an interpreter's."""
+    """Read and check text[start:end], where text[end] is 0; span: end << 8 | start. Returns its
+    requests, bits of block_layout.py, or minus Grbl's error number. jog: 1 for a $J= line, else 0.
+    The block then has the line's numbers and its target."""
     words, block, _ = memory
     _ints, _singles, _xyz, rates, position, offsets, _machine, scale, rare = block
     stored, plane, arc = rare
@@ -92,8 +96,12 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
 
 @micropython.viper
 def run_move(asked: int, modal: ptr32, memory: object) -> int:
-    """Execute a block with those requests, if it is one line and the ring has a free block.
-    Returns 1; or 0, and the interpreter must do the rest. memory: the interpreter's."""
+    """Execute the checked block, whose requests are `asked`, if its motion is one straight line
+    and the ring has a free row. Returns 1; or 0, and the interpreter must do the rest.
+
+    Modes, rates and the parser's position are those after the line then. With 0 the modes may be,
+    too, but the position is not.
+    """
     # Another S of a turning spindle has to wait for the end of motion, except a laser's.
     if asked & ~PLAIN or (asked & b.SPEED and modal[mode.SPINDLE] and asked & b.IN_MOTION == 0):
         return 0
@@ -111,7 +119,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
     flow = ptr32(_flow)
     moves = 0  # 1: there is a move to plan
     if asked & b.MOVE:
-        obstacles = int(check_travel(xyz, travel, flow))
+        obstacles = int(check_travel(xyz, travel, flow))  # a mask
         moves = 0 if ptr32(running)[0] & CHECK else 1
         if obstacles & OUTSIDE or (moves and obstacles & FULL):
             return 0
@@ -135,7 +143,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
         line = int(whole_part(singles, b.N, 0))
         rate = int(per_second(singles, b.F))
         at = flow[layout.HEAD]
-        if hook:
+        if hook:  # an extra's function, which plans instead of plan_block()
             planned = int(hook(target, flags, line, power, rate))
         else:
             planned = int(
@@ -151,7 +159,8 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
 
 @micropython.viper
 def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
-    """Return the flags of a block's move, for the planner. laser: 0 unless in laser mode."""
+    """Return the flags of a block's move, for the planner (motion/layout.py). laser: 0 unless in
+    laser mode."""
     flags = modal[mode.SPINDLE] | modal[mode.COOLANT] << COOLANT_SHIFT
     if laser and flags & SPINDLE_CCW:  # M4: power follows the speed
         flags |= layout.DYNAMIC
@@ -164,8 +173,8 @@ def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
 
 @micropython.viper
 def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object) -> int:
-    """Return 0 if one chord is enough for an arc, from position to xyz; else how many more it
-    takes. Uses the planner's course as scratch."""
+    """Return 0 if one chord is enough for the block's arc, from position to xyz; else how many
+    more it takes. rare, plans: parts of `memory`. Uses the planner's course as scratch."""
     _, plane, arc = rare
     _, _, _, _, _, _, _, steps_per_mm, course = plans
     places = ptr32(course)
@@ -177,8 +186,8 @@ def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object
 
 @micropython.viper
 def commit_modal(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32) -> int:
-    """Apply the modes of a checked block that need no action: units, plane, distance, feed rate
-    and motion mode, and the feed rate."""
+    """Apply the modes of a checked block (ints) that need no action, and its feed rate: units,
+    plane, distance, feed rate and motion mode. They go to modal and rates. Returns 0."""
     modal[mode.INVERSE_TIME] = ints[mode.INVERSE_TIME]
     modal[mode.PLANE] = ints[mode.PLANE]
     modal[mode.INCHES] = ints[mode.INCHES]

@@ -30,13 +30,14 @@ _TEN = const(0xA00000)
 
 @micropython.viper
 def store_single(number: int, power: int, values: ptr32, at: int) -> int:
-    """Store number * 10**power in single precision as values[at]; number < 2**27.
+    """Store number * 10**power in single precision as values[at]; number: 0 to 2**27 - 1.
 
-    Multiplies by 0.01, 0.1 or 10, and rounds each product to even, as Grbl does.
+    Multiplies by 0.01, 0.1 or 10, and rounds each product to even, as Grbl does. The result is
+    stored as the bits of a float. Returns 0.
     """
-    # The exponent of a whole number of 24 bits.
+    # The exponent of a float whose mantissa is a whole number of 24 bits, with the bias.
     exponent = 150
-    # Round to 24 bits. rest: the bits dropped, as a part of unit.
+    # Round to 24 bits. rest: the bits dropped; unit: one more than they can be.
     rest = 0
     unit = 1
     while number >= 1 << 24:
@@ -68,7 +69,7 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
             exponent += 4  # 10 * 2**20
             power -= 1
         number = int(mantissa_product(number, factor))
-        if number & SMALL:
+        if number & SMALL:  # the product has 47 bits, and not 48
             number ^= SMALL
             exponent -= 1
     if number == 1 << 24:
@@ -85,7 +86,8 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
 
 @micropython.viper
 def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
-    """Read a number at text[pos] into values[at]. Returns the index after it, 0 for none.
+    """Read a number at text[pos] into values[at], a float as its bits. Returns the index in text
+    after it, or 0 if there is no digit. The text must end with a character that no number has.
 
     The number is mantissa * 10**power; point is 1 after the decimal point.
     """
@@ -124,9 +126,10 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
     """Read words from text[start:end]; text[end] is 0. span: count of earlier words << 16 |
     end << 8 | start.
 
-    Letters and values, as bits of single-precision floats, are stored in their arrays. Returns the
-    count of words; plus, << 8, Grbl's error number of what follows them, if that is wrong; plus,
-    << 16, its index in text, if a letter was expected there.
+    Letters (character codes) and values (bits of single-precision floats) are stored in their
+    arrays, from the index count on. Returns count | error << 8 | index << 16: the count of words,
+    earlier ones included; Grbl's error number of what follows them, or 0; and its index in text,
+    if a letter was expected there, else 0.
     """
     pos = span & 255
     end = span >> 8 & 255
@@ -144,7 +147,8 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
 
 
 class Words:
-    """The words of one line. letters[i] is a character code, values[i] its number."""
+    """The words of one line. letters[i] is a character code, values[i] its number. longest: most
+    characters in a line."""
 
     def __init__(self, longest: int = LINE_LENGTH) -> None:
         most = longest // 2 + 1  # a word has at least two characters

@@ -2,9 +2,11 @@
 """The geometry of an arc: from its ends and its centre to a course (arcs.py).
 
 In single precision, as Grbl's, but on the bits of floats (base/float32_math.py), so that nothing
-is left on the heap. An arc's numbers are an array, r: the arc's own, scratch places, constants. A
-function names the places of its results; A, B and C may be lost. To the bits of a float, + _TWICE
-doubles it and - _TWICE halves it, & 0x7FFFFFFF removes its sign, ^ MINUS (last byte) negates it.
+is left on the heap. An arc's numbers are an array of floats, r: the arc's own, scratch places,
+constants, at the indexes below. A function names the indexes of its results; A, B and C may be
+lost. On a float's bits, + _TWICE doubles it and - _TWICE halves it, & 0x7FFFFFFF removes its
+sign, ^ MINUS (last byte) negates it. multiply(r, i, s, j) is r[i] *= s[j]; likewise quotient() and
+subtract(); but add_single(s, j, r, i) is r[i] += s[j]. start, target: mm, a float per axis.
 """
 
 from array import array
@@ -15,22 +17,20 @@ from micropython import const
 
 from motion import arcs
 
-# An arc's numbers: its radius in mm, as the parser has it; its centre, relative to the start, in
-# the plane; how far chords may be off the arc, mm; the angle travelled, radians.
-RADIUS = const(0)
-CENTRE_0 = const(1)
+# Indexes of an arc's numbers.
+RADIUS = const(0)  # mm, as the parser has it
+CENTRE_0 = const(1)  # its centre in the plane, relative to the start, mm
 CENTRE_1 = const(2)
-TOLERANCE = const(3)
-ANGLE = const(4)
-# Scratch places, and the results of _turn() and _scale();
-A = const(5)
+TOLERANCE = const(3)  # how far chords may be off the arc, mm
+ANGLE = const(4)  # the angle travelled, radians
+A = const(5)  # scratch
 B = const(6)
 C = const(7)
-_SINE = const(8)
-_TANGENT = const(9)
-_SCALE = const(10)
-_RATIO = const(11)
-# and constants: 1, pi / 4, pi / 2, pi, 2 * pi, and the factors of two series of odd powers, fitted
+_SINE = const(8)  # of a chord's angle: see _turn(). In sweep() scratch, too
+_TANGENT = const(9)  # of half that angle. In sweep() scratch, too
+_SCALE = const(10)  # units of positions per mm: see _scale()
+_RATIO = const(11)  # units per mm of one axis over those of the other: see _place()
+# Constants: 1, pi / 4, pi / 2, pi, 2 * pi, and the factors of two series of odd powers, fitted
 # for the least relative error: the arc tangent up to _FLAT, and the sine up to 0.8.
 _ONE = const(12)
 _EIGHTH = const(13)
@@ -42,7 +42,7 @@ _ATAN_TERMS = const(5)
 _SIN = const(22)
 _SIN_TERMS = const(3)
 
-# An arc's plane: its axes, in the order of the offsets; whether it turns clockwise.
+# An arc's plane, an array: its axes, in the order of the offsets; whether it turns clockwise.
 ONE_AXIS = const(0)
 OTHER_AXIS = const(1)
 CLOCKWISE = const(2)
@@ -53,21 +53,19 @@ _FACTORS = (
     (-0.16666664, 0.0083327042, -0.00019578569),
 )
 
-# Bits of floats: an angle that counts as none, 5e-7, which means a full circle where the ends are
-# the same; how far apart those are at most, for rounding, 0.00005 mm; tan(pi / 8).
-_NO_SWEEP = const(0x350637BD)
-_SAME = const(0x3851B717)
-_FLAT = const(0x3ED413CD)
+# Bits of floats.
+_NO_SWEEP = const(0x350637BD)  # 5e-7 radians: counts as none, so as a full circle of equal ends
+_SAME = const(0x3851B717)  # 0.00005 mm: equal ends are no farther apart
+_FLAT = const(0x3ED413CD)  # tan(pi / 8)
 _TWICE = const(0x800000)  # added to the bits of a float, doubles it
-# Radians: an arc with wider chords gets more of them, also within the tolerance. In 2**-16, 1.5.
-_WIDEST = const(98304)
+_WIDEST = const(98304)  # 1.5 radians, in 2**-16: if chords are wider, there are twice as many
 _FEW = const(5)  # so many cannot be as wide
 _FINEST = const(27)  # so many units, as a power of two, are a step at the most
 
 
 @micropython.viper
 def subtract(r: ptr32, at: int, other: ptr32, i: int) -> int:
-    """Subtract the float other[i] from r[at]: negate, add, negate. A zero keeps no sign."""
+    """Subtract the float other[i] from r[at]: negate, add, negate. A 0 is never -0."""
     ptr8(r)[4 * at + 3] ^= MINUS
     add_single(other, i, r, at)
     if r[at] & int(0x7FFFFFFF):
@@ -102,7 +100,7 @@ def _series(r: ptr32, at: int, first: int, terms: int) -> int:
 
 @micropython.viper
 def _direction(r: ptr32, y: int, x: int) -> int:
-    """Set ANGLE to atan2(r[y], r[x]), radians, -pi to pi. r[x] and r[y] are lost.
+    """Set r[ANGLE] to atan2(r[y], r[x]), radians, -pi to pi (0 if both are 0); these are lost.
 
     The smaller of the two by the larger is a tangent t from 0 to 1. Above tan(pi / 8) it is
     replaced by (t - 1) / (t + 1), whose angle is pi / 4 less, so that the series is short.
@@ -142,8 +140,8 @@ def _direction(r: ptr32, y: int, x: int) -> int:
 
 @micropython.viper
 def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
-    """Return 1 where the ends of an arc whose ANGLE is about 0 differ by more than 0.00005 mm, or
-    than rounding: it is short, and no full circle. ANGLE is distance / radius then."""
+    """Return 1 if an arc whose ANGLE is about 0 is short: its ends differ by more than 0.00005 mm
+    and than rounding. ANGLE is distance / radius then. Else 0: it is a full circle."""
     if r[RADIUS] == 0:
         return 0
     r[C] = _SAME  # becomes the largest difference that may be rounding, mm
@@ -154,7 +152,7 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
         rounding = target[axis] & int(0x7FFFFFFF)
         if rounding < start[axis] & int(0x7FFFFFFF):
             rounding = start[axis] & int(0x7FFFFFFF)
-        rounding -= 23 * _TWICE  # its last bit, or two
+        rounding -= 23 * _TWICE  # halved 23 times: its last bit, or two
         if r[C] < rounding:
             r[C] = rounding
     if r[A] & int(0x7FFFFFFF) <= r[C] and r[B] & int(0x7FFFFFFF) <= r[C]:
@@ -171,7 +169,7 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
 
 @micropython.viper
 def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
-    """Set ANGLE to the angle travelled, radians, 0 to 2 pi. Equal ends make a full circle.
+    """Set r[ANGLE] to the angle travelled, radians, 0 to 2 pi. Equal ends make a full circle.
 
     atan2(r0 x r1, r0 . r1) of the radii to start and end. Both products are computed from the
     difference of the ends, because that of two nearly equal radii would lose all digits. Grbl
@@ -180,7 +178,7 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     one = plane[ONE_AXIS]
     other = plane[OTHER_AXIS]
     # x and y of the difference.
-    r[_SINE] = target[one]
+    r[_SINE] = target[one]  # used as scratch here
     subtract(r, _SINE, start, one)
     r[_TANGENT] = target[other]
     subtract(r, _TANGENT, start, other)
@@ -209,7 +207,8 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
 @micropython.viper
 def _count(r: ptr32) -> int:
     """Return the number of chords, Grbl's: angle / 2 * radius / sqrt(tolerance * (2 radius -
-    tolerance)), rounded down, at most 65535. The root is half a chord that is `tolerance` high."""
+    tolerance)), rounded down, at most 65535; 0: a straight line will do. The root is half the
+    length of a chord that is `tolerance` off the arc in its middle."""
     if r[RADIUS] == 0:
         return 0
     r[A] = r[RADIUS] + _TWICE
@@ -226,8 +225,8 @@ def _count(r: ptr32) -> int:
 
 @micropython.viper
 def _turn(r: ptr32, chords: int) -> int:
-    """Set _SINE to sin(phi) and _TANGENT to tan(phi / 2); phi: the angle of a chord. Returns the
-    shift of rotate(): by how many bits the sine is below 1, at most as many as chords has.
+    """Set r[_SINE] to sin(phi), r[_TANGENT] to tan(phi / 2); phi: the angle of a chord. Returns
+    SHIFT for arcs.rotate(): by how many bits the sine is below 1, at most as many as chords has.
 
     With h = sin(phi / 2) by the series, c = sqrt(1 - h**2): sin(phi) = 2 h c, tangent = h / c.
     """
@@ -254,8 +253,9 @@ def _turn(r: ptr32, chords: int) -> int:
 
 @micropython.viper
 def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int) -> int:
-    """Set _SCALE to the units per mm of the course's positions, at most 2**27 per step of the
-    coarsest axis. Returns 0 where positions are too far for whole steps, or no numbers, else 1."""
+    """Set r[_SCALE] to the units per mm of the course's positions: so many that the farthest one
+    fits (FARTHEST), but at most 2**27 per step of the coarsest axis. Returns 0 if positions are
+    too far for whole steps, or are no numbers, else 1."""
     farthest = int(0x4D800000)  # the float FARTHEST
     if r[RADIUS] >= farthest:
         return 0
@@ -311,7 +311,7 @@ def _place(
 ) -> int:
     """Fill the course's axes: position, bits of a step, centre in the plane, advance per chord.
 
-    An axis's unit is its step / 2**bits. Sets _RATIO to units per mm of the first axis of the
+    An axis's unit is its step / 2**bits. Sets r[_RATIO] to units per mm of the first axis of the
     rotation over those of the second, for shears between axes of different resolution.
     """
     chords = course[arcs.LEFT] + 1
@@ -394,8 +394,8 @@ class Arc:
         steps_per_mm: "array[float]",
         course: "array[int]",
     ) -> int:
-        """Fill its course, from start to target in mm. Returns how many chords it has; 0 and 1
-        mean a straight line."""
+        """Fill a course (arcs.py) from start to target, mm, for this arc's numbers and plane.
+        Returns how many chords it has; 0 and 1 mean a straight line."""
         return lay(self.numbers, self.plane, start, target, steps_per_mm, course, len(start))
 
     def sweep(self, start: "array[float]", target: "array[float]") -> float:

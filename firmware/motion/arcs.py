@@ -2,9 +2,10 @@
 """Arcs: chord by chord along a course.
 
 A course is an array of integers that arc_geometry.lay() fills once for each arc. Positions in it
-are fixed-point numbers of steps. The two axes of the plane rotate about the centre; the others of
-a helix advance evenly. Integers, because an interrupt may come at any time and a float is an
-object; main loop only.
+are fixed-point numbers of steps: an axis has a unit, which is its step / 2**BITS. The two axes of
+the plane rotate about the centre; the others of a helix advance evenly. Integers, because an
+interrupt may come at any time and a float is an object; main loop only. The planner's arrays
+table, ring and flow are described in layout.py.
 """
 
 from array import array
@@ -19,27 +20,25 @@ from motion.plan_kernel import FULL, OUTSIDE, full, plan
 # Units of places: so many reach as far as an arc does.
 FARTHEST = 268435456.0
 
-NOWHERE = const(4)  # a third result, with OUTSIDE and FULL
-SOME = const(7)  # so many chords, and one, are planned without a look at the link: a mask
+NOWHERE = const(4)  # a third result of follow(), with OUTSIDE and FULL
+# A mask: follow() returns when the count of chords left is a multiple of eight, so that the link
+# is read again.
+SOME = const(7)
 
-# A course: chords still to be made, all but the last; whether the place of the next is known;
-LEFT = const(0)
-KNOWN = const(1)
-# where the plane's axes begin, in the order in which the arc turns; what its turn is made of,
-# in 2**-(28 + shift);
-TURNING = const(2)
-SHIFT = const(4)
-SHEARS = const(5)
-# how far chords may stray from the arc, a float, mm;
-STRAY = const(7)
-# and per axis: its place, and 2**-shift of its unit; how many of its bits are a part of a step;
-# where its centre is; how far it goes per chord, in 2**-shift; between which TARGETs it has to be.
+# A course: indexes.
+LEFT = const(0)  # chords still to be made, less the last one
+KNOWN = const(1)  # 1: the end of the next chord is in TARGET already
+TURNING = const(2)  # two: the plane's axes, as indexes in the course, in the order of the turn
+SHIFT = const(4)  # how many more bits shears, RESTs and WAYs have than units
+SHEARS = const(5)  # two: the rotation by one chord, in 2**-(28 + SHIFT): see rotate()
+STRAY = const(7)  # how far chords may stray from the arc, a float, mm
+# Then, per axis, from FIRST + STRIDE * axis on: its position, in units; and further:
 FIRST = const(8)
-REST = const(1)
-BITS = const(2)
-CENTRE = const(3)
-WAY = const(4)
-_LEAST = const(5)
+REST = const(1)  # the position's fraction, in 2**-SHIFT unit
+BITS = const(2)  # a step is 2**BITS units
+CENTRE = const(3)  # position of the arc's centre, in units; in the plane only
+WAY = const(4)  # how far a helix advances per chord, in 2**-SHIFT unit
+_LEAST = const(5)  # the least and the greatest TARGET allowed, in steps
 _GREATEST = const(6)
 STRIDE = const(7)
 FAR = const(0x20000000)  # added to places and shears, as to TARGET
@@ -52,8 +51,8 @@ def course_length(axes: int) -> int:
 
 
 def limit(course: "array[int]", axis: int, least: float, greatest: float) -> None:
-    """Set the steps from 0 between which an axis must stay. They are cut to what a course can
-    hold."""
+    """Set the positions, in steps, between which an axis must stay. They are cut to the range that
+    a course can hold, FARTHEST."""
     at = FIRST + STRIDE * axis
     course[at + _LEAST] = FAR + int(max(least, -FARTHEST))
     course[at + _GREATEST] = FAR + int(min(greatest, FARTHEST))
@@ -103,13 +102,13 @@ def rotate(course: ptr32, shift: int) -> int:
 def advance(course: ptr32, table: ptr32) -> int:
     """Advance by one chord: its end, in whole steps, goes into TARGET of the planner's table.
 
-    Returns OUTSIDE where that is outside the machine's travel, else 0.
+    Returns OUTSIDE if that is outside the limits of any axis (limit()), else 0.
     """
     shift = course[SHIFT]
     rotate(course, shift)
     first = LIMITS + TARGET * table[AXES]
-    at = FIRST
-    beyond = 0
+    at = FIRST  # index in the course of an axis
+    beyond = 0  # negative once an axis is outside
     for place in range(first, first + table[AXES]):
         # Units first, then whole steps. WAY has a bias of 1 << WAY_BIAS, a position one of FAR.
         rest = course[at + REST] + course[at + WAY]
@@ -140,26 +139,27 @@ def follow(
     """Plan chords, up to eight, until the link must be read again.
 
     flags, line, power, rate: as of plan_kernel.plan(); flags 0: check mode, nothing is to move.
-    Returns why the next chord cannot be planned, OUTSIDE or FULL; NOWHERE where the last one had
-    no steps; else 0. speeds[ROWS + 1] is the arc's programmed speed, for reports.
+    Returns the reason to pause: OUTSIDE or FULL if the next chord cannot be planned, NOWHERE if
+    the last one had no steps, else 0. speeds: each block's programmed spindle speed, for reports;
+    speeds[flow[ROWS] + 1] is the arc's.
     """
     reason = 0
     while reason == 0:
-        if course[KNOWN] == 0:
+        if course[KNOWN] == 0:  # after FULL the end is known already
             course[KNOWN] = 1
             if int(advance(course, table)):
                 return OUTSIDE
         if flags:
             if int(full(flow)):
                 return FULL
-            at = flow[HEAD]  # the row that plan() fills
+            row = flow[HEAD]  # the one that plan() fills
             if int(plan(course, table, ring, flow, flags, line, power, rate)):
-                speeds[at] = speeds[flow[ROWS] + 1]
+                speeds[row] = speeds[flow[ROWS] + 1]
             else:
                 reason = NOWHERE
         course[KNOWN] = 0
-        at = course[LEFT] - 1  # chords still to be made
-        course[LEFT] = at
-        if at & SOME == 0:  # each eighth one
+        chords_left = course[LEFT] - 1
+        course[LEFT] = chords_left
+        if chords_left & SOME == 0:  # each eighth one
             break
     return reason

@@ -8,15 +8,13 @@ ring, a level per change.
 
 from micropython import const
 
-# Places in the array `beam`: levels made since power-up; the last one's power, or UNKNOWN;
-COUNT = const(0)
-LEVEL = const(1)
-# ticks from the last change to the end of the rows made, and the least from one to the next;
-SINCE = const(2)
-GAP = const(3)
-# what converts power to a level, in 2**-FULL_LOG2, see full(), and a factor on all levels.
-FULL = const(4)
-BOTH = const(5)
+# Indexes in the array `beam`.
+COUNT = const(0)  # levels put into the ring since power-up
+LEVEL = const(1)  # spindle power of the last one, or UNKNOWN
+SINCE = const(2)  # ticks from the last change to the end of the rows made
+GAP = const(3)  # least ticks from one change to the next
+FULL = const(4)  # level per power, in 2**-FULL_LOG2: see full()
+BOTH = const(5)  # a factor on all levels: the engine's format of a level
 LENGTH = const(6)
 
 UNKNOWN = const(-1)
@@ -30,5 +28,6 @@ FULL_LOG2 = const(14)
 
 
 def full(level: int, power: int) -> int:
-    """Return FULL, if the highest power has that level. No product of it has more than 31 bits."""
+    """Return FULL, the factor that turns the highest power into that level: level / power in
+    2**-FULL_LOG2, rounded up. Power times FULL has no more than 31 bits."""
     return ((level << FULL_LOG2) + power - 1) // power

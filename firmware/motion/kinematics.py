@@ -23,8 +23,9 @@ COREXY = (0x003, 0x201)  # A makes x + y, B makes x - y
 
 
 class Kinematics:
-    """A machine's table. moves: numbers of its first motors (see above); alone: a mask of motors
-    that stop at a switch of their own, which has the motor's number."""
+    """Which motors a machine's axes move. moves: a number for each of its first motors (see
+    above); alone: a mask of motors that stop at a switch of their own, which has the motor's
+    number."""
 
     def __init__(self, axes: int, moves: "Sequence[int]", alone: int = 0) -> None:
         self.moves = list(moves) + [1 << i for i in range(len(moves), axes)]
@@ -34,8 +35,8 @@ class Kinematics:
         self._places = array("i", bytes(8 * axes))  # steps of the axes, then zeros
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """Return the steps of an axis: the mean of its motors' steps, rounded towards 0. If
-        several motors move only this axis, it is the first one's."""
+        """Return the steps of an axis, from those of all motors: the mean of the steps of its
+        motors, rounded towards 0. If several motors move only this axis, it is the first one's."""
         if self.moves[axis] == 1 << axis:
             return motors[axis]
         total = count = 0  # of the motors that this axis turns
@@ -50,17 +51,19 @@ class Kinematics:
         return total // count if total >= 0 else -(-total // count)
 
     def to_axes(self, motors: "array[int]") -> None:
-        """Replace the steps of the first motors by those of the axes. Takes no memory."""
+        """Replace the steps of the first motors by the steps of the axes that they mean, one per
+        axis. Takes no memory."""
         self._find(motors)
         for i in self._axes:
             motors[i] = self._places[i]
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
-        """Change the steps of an axis' motors so that it is there, and no other axis moves."""
+        """Change the steps of an axis' motors so that the axis is at `steps`, and all others stay
+        where they are."""
         self._find(motors)
         self._places[axis] = steps
         changed = self.motors_of(1 << axis)
-        # After the axes' steps, places has zeros: a motor's steps from there.
+        # motor_steps() counts from a second position, which is all zeros here.
         for i in self._motors:
             if changed >> i & 1:
                 motors[i] = motor_steps(self._places, 0, len(self._axes), self.moves[i])
@@ -74,8 +77,8 @@ class Kinematics:
         return mask
 
     def stopped_by(self, switches: int) -> int:
-        """Return the motors (a mask) that stop at these switches (a mask): a motor's own, else an
-        axis'."""
+        """Return the motors (a mask) that stop at these switches (a mask). A switch stops the
+        motor that has it alone, or all motors that move the axis of its number."""
         return self.motors_of(switches & ~self.alone) | switches & self.alone
 
     def _find(self, motors: "array[int]") -> None:

@@ -1,4 +1,4 @@
-"""Layout: the places in the arrays of integers that motion uses.
+"""Layout: the places (indexes) in the arrays of integers that motion uses.
 
 Blocks are the rows of the planner's ring. The table has what the kernels need to know of the
 machine. The flow is shared by main loop and interrupt. Segments are the rows that go to a pulse
@@ -57,7 +57,7 @@ JUNCTION_DERATE = const(14)
 LIMITS = const(15)  # three reals per axis: mm per step, mm/s, mm/s2
 # After the limits, one each per axis: direction of the last block, direction of the present one,
 # its distances. Then, at these multiples of the number of axes after LIMITS:
-RESOLUTION = const(6)  # steps/mm, bits of a float
+RESOLUTION = const(6)  # steps/mm: a float, as its bits
 TARGET = const(7)  # steps + 2**29
 POSITION = const(8)  # steps + 2**29 where the last block ends
 MOVES = const(9)  # per motor: bit n, its steps go up with those of axis n; bit n + REVERSE, down
@@ -66,22 +66,22 @@ REVERSE = const(8)
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
 ROWS = const(1)  # blocks in the ring; the system's own block follows them
-HEAD = const(2)  # the main loop's: where the next block is put
-TAIL = const(3)  # the interrupt's: the block being executed
-HOLD = const(4)  # the main loop's: stop, and stay stopped
-SYSTEM = const(5)  # 1: execute only the system's own block; 2: it is executed
-LOADED = const(6)  # the interrupt's, from here on: a block is loaded
-AT = const(7)  # index of the loaded block in the ring
+HEAD = const(2)  # the main loop's: number of the row where the next block is put
+TAIL = const(3)  # the interrupt's: number of the row of the block being executed
+HOLD = const(4)  # the main loop's: 1: stop, and stay stopped
+SYSTEM = const(5)  # 1: execute only the system's own block; 2: it has been executed
+LOADED = const(6)  # the interrupt's, from here on: 1: a block is loaded
+AT = const(7)  # index in the ring of the loaded block's first integer
 NOW = const(8)  # speed in block speed units, at the end of the segment planned
 CARRY = const(9)  # real, mm/s: speed between blocks
-LEAVE = const(10)  # speed at which to leave the block
-LEAVE_SQR = const(11)  # the same as the planner set it
+LEAVE = const(10)  # speed at which to leave the block, in block speed units
+LEAVE_SQR = const(11)  # the same as the planner set it: squared and scaled
 WHOLE = const(12)  # steps of the longest axis still to be made,
 FRACTION = const(13)  # and 2**-18 of one
 PARTIAL = const(14)  # distance since the last step of the longest axis, in 2**-18 step,
 SPARE = const(15)  # and its time, in ticks: both are added to the next row
 ADVANCE = const(16)  # distance of the segment planned that is not yet in a row,
-LEFT = const(17)  # and its time short of a full segment, in 2**-17
+LEFT = const(17)  # and the time that the segment planned lacks to a full one, in 2**-17 of that
 BRAKE_FROM = const(18)  # braking from this speed to BRAKE_TO takes BRAKE_WAY whole steps,
 BRAKE_TO = const(19)
 BRAKE_WAY = const(20)
@@ -90,9 +90,9 @@ UNPLANNED = const(22)  # the main loop's: blocks that reverse_pass() has not vis
 SLICES = const(23)  # most rows into which the rest of the planned segment is cut;
 TIME = const(24)  # how long they last, in 2**-17 of a full segment;
 REACHED = const(25)  # their first speed, the last one of the row before
-PIECE = const(26)  # index of the piece being cut
-WAY = const(27)  # distance of the piece being planned
-PIECES = const(28)  # per piece of the segment: its time, its final speed
+PIECE = const(26)  # index in the flow of the piece being planned, or later cut
+WAY = const(27)  # distance of the piece being planned, in 2**-18 step
+PIECES = const(28)  # four times, a piece of the segment: its time, its final speed
 MOTORS = const(36)  # per motor: steps still to go; phase, 2**18 is a step
 FLOW_LENGTH = const(36)
 
@@ -115,20 +115,20 @@ KEEP_POWER = const(0x3FFFFFFF)
 
 
 def block_length(motors: int) -> int:
-    """Return the integers in a row of the planner's ring."""
+    """Return how many integers a row of the planner's ring has."""
     return STEPS + 2 * motors
 
 
 def ring(motors: int, blocks: int) -> "array[int]":
-    """Return the planner's ring, empty: its blocks, then the system's own."""
+    """Return the planner's ring, empty: so many blocks, then the system's own."""
     return array("i", bytes(4 * block_length(motors) * (blocks + 1)))
 
 
 def table_length(axes: int, motors: int) -> int:
-    """Return the integers in the table of the machine."""
+    """Return how many integers the table of the machine has."""
     return LIMITS + MOVES * axes + motors
 
 
 def row_length(motors: int) -> int:
-    """Return the integers in a segment row."""
+    """Return how many integers a segment's row has."""
     return ROW_AXES + ROW_STRIDE * motors

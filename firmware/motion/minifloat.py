@@ -18,10 +18,10 @@ from micropython import const
 
 _INFINITE = 1e18  # no limit of a machine is as high
 SMALLEST = const(16384)  # a mantissa has 15 bits
-LIMIT = const(32768)
+LIMIT = const(32768)  # a mantissa is below this
 MANTISSA = const(32767)  # the mask of a mantissa; its exponent is >> 15
-BIAS = const(64)  # the exponent of whole numbers
-HIGHEST = const(0x3FFFFFFF)
+BIAS = const(64)  # a real with this exponent has the value of its mantissa
+HIGHEST = const(0x3FFFFFFF)  # the largest number of 30 bits
 ONE = const(0x194000)  # the real 1
 
 
@@ -40,8 +40,11 @@ def value(r: int) -> float:
 
 @micropython.viper
 def per_minute(r: int) -> int:
-    """Return 60 times the real r, rounded, a half up; at most 30 bits. Reports are in mm/min."""
-    # One bit more than asked for, the half, is added before it is dropped.
+    """Return 60 times the real r as an integer, rounded, a half up; at most 30 bits.
+
+    It converts mm/s to mm/min, for reports.
+    """
+    # Twice the result is computed first: adding 1 to that, then halving, rounds a half up.
     twice = r % LIMIT * 120
     shift = BIAS - r // LIMIT
     if shift <= 0:
@@ -51,7 +54,8 @@ def per_minute(r: int) -> int:
 
 @micropython.viper
 def per_second(rate: ptr32, at: int) -> int:
-    """Return the real nearest below rate[at] / 60; rate: bits of floats, not negative (mm/min)."""
+    """Return rate[at] / 60 as a real, rounded down: mm/min to mm/s. rate: floats, not negative,
+    read as their bits."""
     bits = rate[at]
     if bits == 0:
         return 0
@@ -80,7 +84,7 @@ def pack(mantissa: int, exponent: int) -> int:
 
 @micropython.viper
 def mul(a: int, b: int) -> int:
-    """Return the product of two reals."""
+    """Return the product of two reals, a real; 0 if one of them is 0."""
     # 2**14 <= m < 2**15 each: the product has 29 or 30 bits, and 15 or 16 once 14 are dropped.
     mantissa = ((a & MANTISSA) * (b & MANTISSA)) >> 14
     if mantissa == 0:
@@ -135,7 +139,7 @@ def square_root(n: int) -> int:
 
 @micropython.viper
 def product(a: int, b: int, c: int) -> int:
-    """Return the whole part of a * b * c, three reals; HIGHEST where it is more."""
+    """Return the whole part of a * b * c, three reals, as an integer; HIGHEST if it is more."""
     # Two mantissas, back at 15 or 16 bits, times the third: at most 2147287044, just below 2**31.
     mantissa = (((a & MANTISSA) * (b & MANTISSA)) >> 14) * (c & MANTISSA)
     # Three exponents, each with a bias; 14 bits of the product were dropped.

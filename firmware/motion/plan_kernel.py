@@ -4,7 +4,9 @@
 docs/motion.md derives the formulas. All of it is viper on integers: no allocation, no objects.
 Arguments and results are from 0 to 2**30 - 1 unless a function says otherwise, so they mean the
 same on a 32-bit board, on 64-bit desktop MicroPython and under CPython. layout.py has the places
-in table, ring and flow. Main loop only; the interrupt reads the ring, and writes only TAIL.
+in table, ring and flow; `at` is the index in the ring of a block's row. From LIMITS on the table
+has mm/step, mm/s and mm/s2 per axis, then, each per axis, the last block's direction, this one's,
+its distances. Reals: minifloat.py. Main loop only; the interrupt reads the ring, writes only TAIL.
 
 Speeds squared are scaled so that the square of the machine's highest speed is 2**30 (SQR_SCALE):
 a sum of two still fits 31 bits.
@@ -79,12 +81,12 @@ from motion.steps import measure, to_steps
 NEAR = const(16)
 AT_ONCE = const(4)
 
-# What may stand against a block (mask).
-OUTSIDE = const(1)
-FULL = const(2)
+# Reasons not to add a block: bits of a mask.
+OUTSIDE = const(1)  # it leaves the machine's travel
+FULL = const(2)  # the ring has no free row
 _UNIT = const(16384)  # 1, of a component of a direction: in 2**-14
-_REVERSAL = const(0x3FFFFC00)  # nearly 2**30, the square of 2 in 2**-28
-_STRAIGHT = const(16)
+_REVERSAL = const(0x3FFFFC00)  # nearly 2**30, the square of 2 in 2**-28: |D|**2 of a reversal
+_STRAIGHT = const(16)  # |D|**2 in 2**-28: less is rounding
 
 
 @micropython.viper
@@ -98,7 +100,8 @@ def full(flow: ptr32) -> int:
 
 @micropython.viper
 def limit(table: ptr32, ring: ptr32, at: int) -> int:
-    """Compute a measured block's RAPID (mm/s), ACCEL (mm/s2), both reals, and its direction.
+    """Compute a block's RAPID (mm/s), ACCEL (mm/s2), both reals, and its direction, after
+    steps.measure() has left its LENGTH and its distances per axis. Returns 0.
 
     An axis moves by distance / length of the path's speed, so the path's limit is the smallest,
     over the axes, of axis limit * length / distance. The direction goes into the table, for the
@@ -108,7 +111,7 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
     length = ring[at + LENGTH]
     rapid = HIGHEST
     accel = HIGHEST
-    direction = LIMITS + 4 * axes  # its place in the table; the distances follow
+    direction = LIMITS + 4 * axes  # its index in the table; the distances follow
     for i in range(axes):
         mm = table[direction + axes + i]
         component = 0
@@ -161,7 +164,7 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
     previous one of the next corner.
     """
     axes = table[AXES]
-    previous = LIMITS + 3 * axes  # places: the last direction, followed by this one
+    previous = LIMITS + 3 * axes  # index of the last direction, followed by this one
     squares = 0
     least = HIGHEST
     for i in range(axes):
@@ -253,9 +256,9 @@ def compute_profile(table: ptr32, ring: ptr32, at: int) -> int:
 
 @micropython.viper
 def step_ratios(ring: ptr32, at: int, motors: int) -> int:
-    """Compute each motor's steps / EVENTS, from 0 to 1 in 2**-29, after the steps in the row.
+    """Compute each motor's steps / EVENTS, from 0 to 1 in 2**-29, into the row after STEPS.
 
-    Long division, as many bits at once as a remainder below EVENTS leaves room for in 31.
+    Long division. A digit has as many bits as fit 31 together with a remainder below EVENTS.
     """
     events = ring[at + EVENTS]
     width = 15 if events < LIMIT else (9 if events < 1 << 21 else 1)  # bits per digit
@@ -279,8 +282,8 @@ def step_ratios(ring: ptr32, at: int, motors: int) -> int:
 
 @micropython.viper
 def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
-    """Append the block made at HEAD to the ring: its corner's speed, then the backward pass; in a
-    well filled ring for several new blocks at once (NEAR, AT_ONCE). Returns 0."""
+    """Append the block in row HEAD to the ring: compute its corner's speed, advance HEAD, run the
+    backward pass; in a well filled ring once for several blocks (NEAR, AT_ONCE). Returns 0."""
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     at = head * size
@@ -309,8 +312,8 @@ def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
 
 @micropython.viper
 def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
-    """Set a block's MAX_ENTRY_SQR: the least of its corner's speed squared and of the nominal
-    ones of the block and the one before. row: its number in the ring. Returns 0."""
+    """Set a block's MAX_ENTRY_SQR, the least of three: its corner's speed squared, and the nominal
+    speeds squared of this block and the one before. row: number of its row. Returns 0."""
     size = flow[ROW_SIZE]
     at = row * size
     previous = (row if row else flow[ROWS]) * size - size
@@ -334,11 +337,10 @@ def plan(
     power: int,
     rate: int,
 ) -> int:
-    """Add a block from POSITION to target (mm, bits of floats). Returns 0 where it has no steps.
-
-    flags: see layout.py; with PLACED, TARGET in the table is set already. line: the N word.
-    power: of the spindle. rate: real, mm/s, or 1/s with INVERSE_TIME. The ring must have a free
-    row: see full().
+    """Add a block from POSITION to target (mm, bits of floats). Returns 1, or 0 if it has no
+    steps and is not added. flags: see layout.py; with PLACED, TARGET in the table is set already,
+    and target is not read. line: the N word. power: of the spindle. rate: real, mm/s, or 1/s with
+    INVERSE_TIME. The ring must have a free row: see full(). With SYSTEM_MOTION it is the system's.
     """
     at = flow[ROWS] if flags & SYSTEM_MOTION else flow[HEAD]
     at *= flow[ROW_SIZE]

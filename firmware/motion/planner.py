@@ -54,7 +54,8 @@ _FINEST = 1e8  # highest steps/mm, so that nothing is divided by 0, whatever $10
 class Move:
     """How to move: one reusable record, which the caller fills in.
 
-    feed: mm/min, or lines per minute with INVERSE_TIME; spindle_rpm: programmed speed.
+    feed: mm/min, or lines per minute with INVERSE_TIME; flags: those of a block (layout.py and
+    below); spindle_rpm: programmed speed; line_number: the N word, or 0.
     """
 
     def __init__(self) -> None:
@@ -69,10 +70,11 @@ class Move:
 
 
 class Planner:
-    """The ring. `flow` is shared with the interrupt; see layout.py.
+    """The ring of blocks. layout.py describes the arrays: `ring`, `flow`, which is shared with the
+    interrupt, and `table`, the machine's numbers for the kernels.
 
-    kinematics: None if each motor moves the axis of its own number. ring: its memory, all 0, if
-    allocated in advance.
+    blocks: how many rows the ring has. kinematics: None if each motor moves the axis of its own
+    number. ring: its memory, all 0, if allocated in advance.
     """
 
     # An extra's replacement for plan().
@@ -107,7 +109,7 @@ class Planner:
         # Programmed spindle speed of each block, rpm, then of the system's block and of an arc's
         # chords. The interrupt does not use it.
         self.speeds = vector(blocks + 2)
-        # End of the last block, in steps; part of the table.
+        # End of the last block, in steps + _BIAS; part of the table.
         at = layout.LIMITS + layout.POSITION * axes
         self.position = memoryview(self.table)[at : at + axes]
         self.steps_per_mm = vector(axes)
@@ -121,8 +123,9 @@ class Planner:
     ) -> None:
         """Apply rates, accelerations and resolution: compute the table for the kernels.
 
-        tick_hz: ticks per second; a full segment has 2**segment_log2 of them, or less where an
-        axis is fast. step_hz: the engine's highest rate.
+        settings: rates in mm/min, accelerations in mm/min2, as Grbl has them. tick_hz: ticks per
+        second; a full segment has 2**segment_log2 of them, or less where an axis is fast.
+        step_hz: the engine's highest rate, in steps/s.
         """
         table = self.table
         fastest_sqr = fastest_hz = 0.0
@@ -156,8 +159,8 @@ class Planner:
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
 
     def reach_mm(self, axis: int) -> float:
-        """Return how far from 0 an axis may be. A motor of several axes counts the steps of
-        all."""
+        """Return how far from 0 an axis may be, in mm. A motor that several axes move counts the
+        steps of all, so each may go less far."""
         moves = self.kinematics.moves if self.kinematics else (1,)
         # The most axes that one motor moves: the bits of its number.
         most_axes = max(
@@ -171,7 +174,8 @@ class Planner:
         return (flow[TAIL] - flow[HEAD] - 1) % flow[ROWS]
 
     def full(self) -> bool:
-        """Return whether no block can be added. Without free(), because waits call it often."""
+        """Return whether no block can be added. It does not call free(), because loops that wait
+        call it often."""
         flow = self.flow
         return (flow[HEAD] + 1 - flow[TAIL]) % flow[ROWS] == 0
 
@@ -194,12 +198,13 @@ class Planner:
         return self.ring[self.flow[TAIL] * self.flow[layout.ROW_SIZE] + LINE]
 
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """Add a straight line to target. A block must be free. Returns False if it has no steps.
+        """Add a straight line to target (mm per axis). A row of the ring must be free. Returns
+        False if the line has no steps.
 
         power: the power for the move's spindle speed (Spindle.block_power).
         """
         flags, flow = move.flags, self.flow
-        head = flow[HEAD]
+        head = flow[HEAD]  # the row that plan() fills
         plan = self.move_hook or self.plan
         if not plan(target, flags, move.line_number, power, self.rate(move.feed)):
             return False
@@ -208,18 +213,24 @@ class Planner:
 
     @micropython.native  # a replacement must be, too: the stack has no space for bytecode's frame
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a line to target (mm) in the ring. Returns 0 if it has no steps, else 1: see
-        plan_kernel.plan()."""
+        """Plan a line to target (mm per axis) in the ring. Returns 0 if it has no steps, else 1.
+
+        flags: the block's; line: the N word; power: of the spindle; rate: see rate(), or a real in
+        1/s with INVERSE_TIME.
+        """
         return plan_kernel.plan(target, self.table, self.ring, self.flow, flags, line, power, rate)
 
     def rate(self, feed: float) -> int:
-        """Convert a feed in mm/min to a real in mm/s (minifloat.py)."""
+        """Return a feed in mm/min as a real in mm/s (minifloat.py)."""
         self._feed[0] = feed
         return minifloat.per_second(self._feed, 0)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """Add some chords of an arc, or skip them if moves is False. Returns the reason to pause:
-        see arcs.follow()."""
+        """Add some chords of an arc, or skip them if moves is False (check mode). Returns the
+        reason to pause, arcs.NOWHERE, plan_kernel.OUTSIDE or FULL, or 0: see arcs.follow().
+
+        course: the arc's (arcs.py), which holds how many chords are left; power: of the spindle.
+        """
         self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm
         return arcs.follow(
             course,
@@ -236,9 +247,11 @@ class Planner:
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"
     ) -> bool:
-        """Add a move of the system's own, outside the ring, from standstill to standstill.
+        """Add a move of the system's own (homing, parking), outside the ring, from standstill to
+        standstill. move.flags must have SYSTEM_MOTION.
 
-        start: motor positions, in steps. Returns False if the move has no steps.
+        target: mm per axis; start: motor positions, in steps; power: of the spindle. Returns False
+        if the move has no steps.
         """
         # The target of the next block may already be set: TARGET, with POSITION after it. Both are
         # restored at the end.
@@ -257,29 +270,31 @@ class Planner:
             call_all(self._state.hooks.caught_up)
 
     def override(self) -> None:
-        """Plan every block again after a changed override."""
+        """Plan every block again after a changed override. An extra that plans in another way
+        (hooks.replan) does it itself, and returns True."""
         flow = self.flow
         self.table[layout.FEED_OVERRIDE] = minifloat.real(self._state.feed_override / 100)
         self.table[layout.RAPID_OVERRIDE] = minifloat.real(self._state.rapid_override / 100)
         for replan in self._state.hooks.replan:
             if replan():
                 return
-        at = flow[TAIL]
-        while at != flow[HEAD]:
-            plan_kernel.compute_profile(self.table, self.ring, at * flow[layout.ROW_SIZE])
-            if at != flow[TAIL]:  # the block being executed has been entered
-                plan_kernel.limit_entry(self.ring, flow, at)
-            at = (at + 1) % flow[ROWS]
+        row = flow[TAIL]
+        while row != flow[HEAD]:
+            plan_kernel.compute_profile(self.table, self.ring, row * flow[layout.ROW_SIZE])
+            if row != flow[TAIL]:  # the block being executed has been entered
+                plan_kernel.limit_entry(self.ring, flow, row)
+            row = (row + 1) % flow[ROWS]
         plan_kernel.reverse_pass(self.ring, flow, 1)
 
     def each_power(self, power: "Callable[[int, float], int]") -> None:
-        """Set the spindle power of every block again, from its flags and speed."""
+        """Set the spindle power of every block again. power(flags, rpm) returns it, from a block's
+        flags and programmed speed."""
         flow = self.flow
-        at = flow[TAIL]
-        while at != flow[HEAD]:
-            row = at * flow[layout.ROW_SIZE]
-            self.ring[row + layout.POWER] = power(self.ring[row + FLAGS], self.speeds[at])
-            at = (at + 1) % flow[ROWS]
+        row = flow[TAIL]
+        while row != flow[HEAD]:
+            at = row * flow[layout.ROW_SIZE]  # its index in the ring
+            self.ring[at + layout.POWER] = power(self.ring[at + FLAGS], self.speeds[row])
+            row = (row + 1) % flow[ROWS]
         for call in self._state.hooks.powered:
             call(power)
 
@@ -316,6 +331,6 @@ class Planner:
             motors[axis] = steps
 
     def sync_motors(self, motors: "array[int]") -> None:
-        """Plan from this machine position, in the motors' steps."""
+        """Set the position from which the next block is planned, by the motors' steps."""
         for i in range(self.axes):
             self.position[i] = _BIAS + self.axis_steps(motors, i)

@@ -18,10 +18,10 @@ FULL_TIME = const(131072)
 
 @micropython.viper
 def share(part: int, whole: int) -> int:
-    """Return part / whole in 2**-17; FULL_TIME, which is 1, where part >= whole. Both: 0 to
-    2**30 - 1.
+    """Return part / whole in 2**-17; FULL_TIME, which is 1, where part >= whole.
 
-    A long division in two digits, of 9 and 8 bits: whole is kept below 2**22, so they fit.
+    Both are integers from 0 to 2**30 - 1. A long division in two digits, of 9 and 8 bits: both are
+    halved until whole is below 2**22, so that part << 9 fits 31 bits.
     """
     if part >= whole:
         return FULL_TIME
@@ -35,16 +35,18 @@ def share(part: int, whole: int) -> int:
 
 @micropython.viper
 def times(x: int, part: int) -> int:
-    """Return x * part, x: 0 to 2**30 - 1; part: 0 to 2**17, in 2**-17, as share() has it.
+    """Return x * part / 2**17; x: 0 to 2**30 - 1; part: a fraction in 2**-17, as share() returns
+    it, 0 to 2**17.
 
-    part loses two bits, so that each half of x times part stays below 2**31.
+    part loses two bits, so that each half of x (15 bits) times part stays below 2**31.
     """
     return (x >> 15) * (part >> 2) + (((x & 32767) * (part >> 2)) >> 15)
 
 
 @micropython.viper
 def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
-    """Return the distance, in 2**-unit step, over which ramp changes one speed into the other.
+    """Return the distance, in 2**-unit step, in which the acceleration ramp changes one speed into
+    the other; slow <= fast.
 
     s = (fast2 - slow2) / (2 * ramp) = (fast + slow) * (fast - slow) / (2 * ramp), of the leading
     15 bits of each factor: right to 2**-13 of itself. Speeds and ramp: 0 to 2**30 - 1, in 2**-18
@@ -77,22 +79,23 @@ def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
 
 @micropython.viper
 def after(speed: int, ramp: int, distance: int, down: int) -> int:
-    """Return the speed after a distance of speeding up, or of braking with down: v2 +- 2 ramp s.
+    """Return the speed after a distance of speeding up (down = 0) or of braking (down = 1):
+    sqrt(speed2 +- 2 ramp distance), or 0 if braking ends before.
 
-    speed, ramp: 2**-18 step per full segment; distance: 2**-18 step. 0 where braking would end
-    before. The sum is made of two reals at the larger exponent, with 14 more bits of each.
+    speed: 2**-18 step per full segment, which ramp changes so much in a full segment; distance:
+    2**-18 step. The sum is made of two reals at the larger exponent, with 14 more bits of each.
     """
     square = int(pack(speed, BIAS))
     square = int(mul(square, square))
-    change = int(mul(int(pack(ramp, BIAS + 1)), int(pack(distance, BIAS))))
+    change = int(mul(int(pack(ramp, BIAS + 1)), int(pack(distance, BIAS))))  # + 1: twice ramp
     exponent = square >> 15
     if change >> 15 > exponent:
         exponent = change >> 15
     shift = exponent - (square >> 15)
     mantissa = ((square & MANTISSA) << 14) >> shift if shift < 30 else 0
     shift = exponent - (change >> 15)
-    other = ((change & MANTISSA) << 14) >> shift if shift < 30 else 0
-    mantissa = mantissa - other if down else mantissa + other
+    term = ((change & MANTISSA) << 14) >> shift if shift < 30 else 0
+    mantissa = mantissa - term if down else mantissa + term
     if mantissa <= 0:
         return 0
     exponent -= BIAS + 14  # from here on the sum is mantissa * 2**exponent

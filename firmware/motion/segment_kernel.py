@@ -13,7 +13,21 @@ A full segment lasts 2**SEGMENT_LOG2 ticks, about 10 ms. Units within a block, o
     distance  2**-18 step; one of 4095 steps or more does not fit: it is HIGHEST, and whole steps
               are counted instead (unit 0 for 18)
 
-A segment is planned as up to four pieces, each with a constant acceleration.
+A segment is planned as up to four pieces, each with a constant acceleration. The flow holds:
+
+    AT                index in the ring of the loaded block's row; LOADED is 1 if there is one
+    NOW               speed at the end of what is planned; LEAVE: at which to leave the block
+    WHOLE, FRACTION   distance left of the block: whole steps, and 2**-18 of one
+    LEFT              time that the segment lacks to a full one
+    PIECE             index in the flow of the next piece: its time, then its final speed
+    WAY, ADVANCE      distance of the piece just planned; of all that are not in a row yet
+    SLICES, REACHED   rows of the segment still to be made; speed at the end of the last row
+    CARRY             a real: speed in mm/s from one block to the next
+    TAIL, HEAD        numbers of the row of the block executed, and of that after the newest block
+    HOLD, SYSTEM      stop; execute the system's own block (1), which is done (2)
+
+In a block RAMP, CRUISE and FACTOR are its acceleration, its nominal speed, and its units of speed
+per mm/s, a real.
 """
 
 import micropython
@@ -79,14 +93,14 @@ _SPLINTER = const(64)  # time: less is not worth a piece, the segment ends there
 
 @micropython.viper
 def load(flow: ptr32, ring: ptr32, motors: int) -> int:
-    """Begin the block at TAIL, or the system's own: copy its numbers to the flow. Returns 0 where
-    there is none, else 1."""
+    """Begin the block at TAIL, or the system's own: copy its numbers to the flow. Returns 0 if
+    there is none, else 1. motors: their number."""
     at = flow[ROWS] if flow[SYSTEM] else flow[TAIL]  # the system's block follows the others
-    if flow[SYSTEM] == 2 or at == flow[HEAD]:
+    if flow[SYSTEM] == 2 or at == flow[HEAD]:  # 2: it has been executed
         return 0
     at *= flow[ROW_SIZE]
     flow[AT] = at
-    speed = int(product(flow[CARRY], ring[at + FACTOR], ONE))
+    speed = int(product(flow[CARRY], ring[at + FACTOR], ONE))  # from mm/s
     cruise = ring[at + CRUISE]
     if speed < cruise and speed + (cruise >> 9) >= cruise:
         speed = cruise  # within 1/512: only rounding between the units of two blocks
@@ -95,7 +109,7 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     flow[LEAVE_SQR] = 0
     flow[WHOLE] = ring[at + EVENTS]
     flow[FRACTION] = 0
-    flow[PARTIAL] = STEP_BIAS
+    flow[PARTIAL] = STEP_BIAS  # so that rounding never loses the last step of a hold
     flow[BRAKE_FROM] = 0
     flow[SPARE] = 0
     for i in range(motors):
@@ -135,14 +149,15 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
 def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
     """Plan a piece that changes the speed by ramp towards goal, over a distance of at most room.
 
-    It ends with the goal, the segment (LEFT) or the room, whichever comes first:
+    ramp: acceleration; goal: a speed; room: a distance. The piece ends with the goal, the segment
+    (LEFT) or the room, whichever comes first:
 
         time to the goal = |goal - speed| / ramp        distance = (speed + end) / 2 * time
 
     Leaves the speed at its end in NOW, its distance in WAY. Returns its time.
     """
     speed = flow[NOW]
-    down = 1 if goal < speed else 0
+    down = 1 if goal < speed else 0  # 1: it slows down
     time = int(share(speed - goal if down else goal - speed, ramp))
     end = goal
     if time >= flow[LEFT]:
@@ -164,7 +179,7 @@ def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
 
 @micropython.viper
 def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
-    """Plan a piece that brakes, to leave the block, rest ahead, at the speed `leave`.
+    """Plan a piece that brakes, to leave the block at the speed `leave` after the distance rest.
 
     The deceleration is computed anew from the distance that is left, so rounding never adds up; it
     exceeds ramp by a sixteenth at most. From v to u over s it is (v**2 - u**2) / 2s. With
@@ -173,7 +188,8 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
         (v - u) * distance at mean speed / s      where s fits 2**-18 step
         ramp * time * braking distance / s        both in whole steps, where s is HIGHEST
 
-    rest: s, or HIGHEST. Results as change_speed().
+    rest: s, the distance left of the block, or HIGHEST. ramp: the block's acceleration. Leaves the
+    speed at its end in NOW, its distance in WAY. Returns its time.
     """
     speed = flow[NOW]
     time = flow[LEFT]
@@ -214,16 +230,18 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
 
 @micropython.viper
 def add_piece(flow: ptr32, part: int) -> int:
-    """Add the piece that ends at NOW after WAY to the segment; part: its time.
+    """Add a piece to the segment: part is its time, flow[NOW] the speed at its end, flow[WAY] its
+    distance.
 
-    WAY is subtracted from the distance that the block has left. Returns 0 where that is nothing.
+    The distance is subtracted from that left of the block. Returns 0 if nothing is left, else
+    another number.
     """
     if part > flow[LEFT]:
         part = flow[LEFT]
     flow[LEFT] = flow[LEFT] - part
-    at = flow[PIECE]
+    at = flow[PIECE]  # index in the flow: a piece's time, and then its final speed
     if at == MOTORS:
-        at -= 2  # the places are used up: it is merged with the last one
+        at -= 2  # the pieces' places end there: it is merged with the last piece
     else:
         flow[at] = 0
         flow[PIECE] = at + 2
@@ -241,23 +259,23 @@ def add_piece(flow: ptr32, part: int) -> int:
 
 @micropython.viper
 def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
-    """Choose and plan the next piece of the segment. Returns 0 at the end of the block.
+    """Choose and plan the segment's next piece. Returns 0 at the block's end. scale: ROOT_SCALE.
 
     speed        ________            A piece is one of: speed up, cruise, brake,
                 /        `.          slow down to a lowered nominal speed or to a hold.
                /           `. leave  It brakes as soon as the distance left is no longer
       entry __/              `.__    than the braking distance.
 
-    slack = distance left - braking distance (unit 18 or 0). Cruising uses its own length of it,
-    speeding up twice that, because the braking distance grows as fast: room, how far a piece may
-    go, is all of it or half. With unit 0 braking begins 2**-12 early, for the error of braking().
+    slack = distance left - braking distance. Cruising uses up as much of it as the piece is long,
+    speeding up twice that, because the braking distance grows as fast. So room, how long the piece
+    may be, is the slack or half of it. With unit 0 braking is 2**-12 early, for braking()'s error.
     """
     at = flow[AT]
     ramp = ring[at + RAMP]
     top = ring[at + CRUISE]
     speed = flow[NOW]
-    unit = 18 if flow[WHOLE] < _COUNTED else 0
-    rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else HIGHEST
+    unit = 18 if flow[WHOLE] < _COUNTED else 0  # slack is in 2**-unit step
+    rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else HIGHEST  # distance left of the block
     room = rest
     due = 0  # 1: braking has to begin
     leave = int(look_ahead(flow, ring, scale))
@@ -265,7 +283,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
         leave = top
     if flow[HOLD]:
         top = 0
-    if top or leave == 0:  # a hold, too, ends where the block does, when both come to rest there
+    if top or leave == 0:  # a hold, too, ends at the block's end, if the block stops there
         slack = rest if unit else flow[WHOLE]
         if speed != leave:
             fast = speed if speed > leave else leave
@@ -276,7 +294,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 flow[BRAKE_UNIT] = unit
                 flow[BRAKE_WAY] = int(braking(fast, slow, ramp, unit))
             way = flow[BRAKE_WAY]
-            if speed < leave:
+            if speed < leave:  # it need not brake: way is the distance to speed up to leave
                 slack += way if way < slack else slack
             else:
                 slack -= way
@@ -304,8 +322,8 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 @micropython.viper
 def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
-    """Return 1 where there is a segment to plan, else 0: a block, loaded here if none is, which no
-    hold has stopped."""
+    """Return 1 if a segment can be planned, else 0. It needs a block, which is loaded here if none
+    is, and that no hold has stopped motion. motors: their number."""
     if flow[LOADED]:
         return 0 if flow[HOLD] and flow[NOW] == 0 else 1
     if flow[HOLD] and flow[CARRY] == 0:
@@ -315,18 +333,20 @@ def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
 
 @micropython.viper
 def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Plan the next segment as pieces, and its number of rows. Returns 0 where nothing is to move.
+    """Plan the next segment as pieces, and its number of rows (SLICES). Returns 1, or 0 if nothing
+    is to move.
 
-    Pieces are added until the segment is full, and further full segments where that is less than
-    _LEAST: a row needs a step. A hold ends it where the speed is 0.
+    Pieces are added until the segment is full. If it is shorter than _LEAST then, its time is
+    prolonged by further full segments, because a row needs a step. A hold ends it when the speed
+    is 0.
     """
     if int(is_due(flow, ring, table[MOTOR_COUNT])) == 0:
         return 0
-    flow[REACHED] = flow[NOW]
+    flow[REACHED] = flow[NOW]  # the segment's first speed
     flow[PIECE] = PIECES
     flow[LEFT] = FULL_TIME
     flow[ADVANCE] = 0
-    span = FULL_TIME
+    span = FULL_TIME  # longest time of the segment
     more = 1  # the block has distance left
     while more and not (flow[HOLD] and flow[NOW] == 0):
         if flow[LEFT] <= _SPLINTER:
@@ -337,14 +357,14 @@ def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
         more = int(next_piece(flow, ring, table[ROOT_SCALE]))
     flow[TIME] = span - flow[LEFT]
     flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
-    flow[PIECE] = PIECES
+    flow[PIECE] = PIECES  # from now on the first piece that is not in a row yet
     return 1
 
 
 @micropython.viper
 def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
-    """Make the next row for the pulse engine, planning a segment first where all rows of the last
-    one are made. Returns 0 where nothing is to move. At the end of a block TAIL moves on."""
+    """Make the next row for the pulse engine, and plan a segment first if all rows of the last one
+    are made. Returns 1, or 0 if nothing is to move. At the end of a block TAIL is advanced."""
     if flow[SLICES] == 0:
         if int(plan(flow, ring, table)) == 0:
             return 0
@@ -359,7 +379,7 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
         row[ROW_POWER] = int(scaled_power(table, row[ROW_POWER], int(speed_share(flow, ring))))
     place_steps(flow, ring, row, table[MOTOR_COUNT], steps)
     if more == 0:
-        flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))
+        flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))  # in mm/s
         flow[LOADED] = 0
         if flow[SYSTEM]:
             flow[SYSTEM] = 2

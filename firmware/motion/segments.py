@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 
 class Segments:
-    """The source of segments for the engine. planner: the owner of ring and flow."""
+    """The source of segments for the engine.
+
+    planner: the owner of flow, ring and table, arrays whose places layout.py names.
+    """
 
     def __init__(self, planner: "Planner") -> None:
         self._planner = planner
@@ -36,7 +39,8 @@ class Segments:
 
     @micropython.viper
     def next(self, row: ptr32) -> int:
-        """Fill in the next segment's row, for the engine's interrupt; 0 if no motion is due.
+        """Fill in the next segment's row, for the engine's interrupt. Returns 1; 0 if no motion is
+        due, and then the row is not valid.
 
         Only viper runs from there to here: a frame of bytecode takes a quarter of a kilobyte of
         the stack, which the interrupt shares with the code that it interrupts.
@@ -51,7 +55,7 @@ class Segments:
         self._flow[HOLD] = 1 if on else 0
 
     def progress(self) -> int:
-        """Return a number that changes as motion is executed."""
+        """Return a number that changes as motion is executed; it has no other meaning."""
         flow = self._flow
         # Any mixture of the three: two such numbers are only compared.
         return flow[layout.TAIL] ^ flow[layout.WHOLE] << 6 ^ flow[LOADED] << 5
@@ -74,7 +78,7 @@ class Segments:
             self._saved = None
 
     def clear(self) -> None:
-        """Drop the block in progress. Only while the engine is stopped."""
+        """Drop the block that begin_system() has saved. Only while the engine is stopped."""
         self._saved = None
 
     @micropython.viper
@@ -84,13 +88,15 @@ class Segments:
         flow = ptr32(self._flow)
         if flow[LOADED]:
             ring = ptr32(self._ring)
+            # In a block: from its own speed units, of which FACTOR is the number per mm/s.
             return int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))
-        return flow[CARRY]
+        return flow[CARRY]  # between blocks
 
     def beam_rpm(self) -> "float | None":
         """Return S, in rpm, of the block being cut into rows; with DYNAMIC, scaled to its present
         speed. None if there is no block."""
         flow, ring = self._flow, self._ring
+        # Index in the ring of the loaded block, or of the next one.
         at = flow[AT] if flow[LOADED] else flow[layout.TAIL] * flow[layout.ROW_SIZE]
         if not flow[LOADED] and flow[layout.TAIL] == flow[layout.HEAD]:
             return None

@@ -1,9 +1,19 @@
 # mypy: disable-error-code=arg-type
 """The slices' kernel: a planned segment becomes rows for the engine, one or several.
 
-Viper, as segment_kernel.py is, which plans it; units and places are the same. All of it runs in
-the engine's interrupt. A row has, per motor, steps that are evenly spaced between a first and a
-last tick; hardware plays it.
+Viper, as segment_kernel.py is, which plans it. All of it runs in the engine's interrupt. A row
+has, per motor, steps that are evenly spaced between a first and a last tick; hardware plays it.
+
+Speeds and distances are in 2**-18 step of the block's longest axis, speeds per full segment. Times
+are in 2**-17 of a full segment, or in ticks, of which it has 2**SEGMENT_LOG2. The flow holds:
+
+    SLICES, TIME      of the segment: rows still to be made, at most, and how long they last
+    ADVANCE           distance of the segment that is not in a row yet
+    PARTIAL, SPARE    distance and ticks between the last step and the end of the last row
+    PIECE             index in the flow of a piece of the segment: its time, then its final speed
+    REACHED, NOW      speed at the end of the last row, and at the end of the segment
+    WHOLE, FRACTION   distance of the block that is not planned yet: steps, and 2**-18 of one
+    MOTORS + 2 * i    of motor i: steps still to go in the block; then its phase, 2**-18 step
 """
 
 import micropython
@@ -46,9 +56,10 @@ _STEP_FRACTION = const(0x3FFFF)  # a step is 1 << 18
 def leading(gaps: int, gap: int, longer: int) -> int:
     """Return how many of a row's longer gaps come first; its other longer gaps come last.
 
-    gaps: between the row's steps, `longer` of which take gap + 1 ticks and the others gap. All
-    long ones first would put a motor off its line by up to gaps / (4 * gap) steps, half of them
-    first by half of that: so it is where that is an eighth of a step or more.
+    gaps: how many there are between the row's steps; `longer` of them take gap + 1 ticks, and the
+    others gap. With all longer ones first, a motor is off its line by up to gaps / (4 * gap)
+    steps; with half of them first, by half of that. So they are halved if the error would be an
+    eighth of a step or more.
     """
     return longer >> 1 if gaps > gap >> 1 else longer
 
@@ -78,13 +89,15 @@ def step_tick(row: ptr32, base: int, k: int) -> int:
 
 @micropython.viper
 def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
-    """Return the number of rows for the planned segment, because the steps of a row are even.
+    """Return into how many rows the planned segment is cut. The steps of a row are evenly spaced,
+    so each row has one speed.
 
-    Enough that no row changes the speed by more than 1/32, or 1/256 where power follows speed
-    (dynamic), because power is constant in a row; but none shorter than SLICE. And enough that
-    motors, where several move, are off the line by at most a quarter of a step, in addition to
-    the half of rounding: a row of n steps in t ticks is off by n**2 / 8t steps (leading()), so a
-    full segment of 2**log2 ticks and n steps, up to 4095, takes n**2 / 2**(log2 + 1) rows.
+    The rows are so many that none changes the speed by more than 1/32, or 1/256 if power follows
+    speed (dynamic is not 0), because power is constant in a row; but none is shorter than SLICE.
+    And they are so many that motors, if several move, are off the line by at most a quarter of a
+    step, in addition to the half of rounding: a row of n steps in t ticks is off by n**2 / 8t
+    steps (leading()), so a full segment of 2**log2 ticks and n steps, up to 4095, takes
+    n**2 / 2**(log2 + 1) rows.
     """
     # The segment's lowest and highest speed: its first, and that at the end of each piece.
     slow = flow[REACHED]
@@ -99,12 +112,12 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
             fast = speed
     if flow[TIME] > FULL_TIME:
         return 1  # it is so long for the sake of one step
-    shortest = table[SLICE]
+    shortest = table[SLICE]  # time of a row
     if dynamic:
         shortest -= shortest >> 2  # a quarter shorter
     count = (flow[TIME] + (shortest >> 1)) // shortest or 1
     slight_change = fast >> (8 if dynamic else 5)
-    steps = fast >> 18
+    steps = fast >> 18  # of a full segment at the highest speed
     log2 = table[SEGMENT_LOG2]
     least = (steps * steps + (1 << log2)) >> (log2 + 1)
     if least > 1 and int(is_alone(flow, table[MOTOR_COUNT])):
@@ -118,8 +131,8 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
 
 @micropython.viper
 def is_alone(flow: ptr32, motors: int) -> int:
-    """Return 1 if the block's steps left are those of one motor, which has no line to leave, else
-    0."""
+    """Return 1 if at most one motor has steps left in the block, else 0. Alone it cannot leave the
+    line. motors: their number."""
     moving = 0
     for i in range(motors):
         if flow[MOTORS + 2 * i]:
@@ -129,8 +142,8 @@ def is_alone(flow: ptr32, motors: int) -> int:
 
 @micropython.viper
 def travel(flow: ptr32, part: int) -> int:
-    """Consume the segment's pieces for the time part, 2**-17 of a full segment. Returns the
-    distance, in 2**-18 step, and leaves the speed at its end in REACHED.
+    """Remove the time part from the segment's pieces, from the first on. Returns the distance in
+    that time, and leaves the speed at its end in REACHED.
 
     A piece that lasts longer is split: its speed there is speed + (end - speed) * part / time,
     with both times in units of 64, so that the product fits.
@@ -156,12 +169,13 @@ def travel(flow: ptr32, part: int) -> int:
 
 @micropython.viper
 def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
-    """Make the next row from the next slice of the segment. Returns its steps.
+    """Make the next row from the next slice of the segment. Returns its steps of the longest axis;
+    ROW_TICKS of the row is its time. log2: a full segment has 2**log2 ticks.
 
-    It has at least one step of the longest axis, so slices are merged at low speed; the last row
-    gets all that is left, also where the rest would make no step.
+    A row has at least one step, so slices are merged at low speed. It gets all that is left of the
+    segment if the rest would make no step.
     """
-    # Whole steps are counted from the last row's end: PARTIAL is the distance since its last step.
+    # A step is due when PARTIAL, the distance since the last one, and distance are a whole step.
     distance = 0
     time = 0
     steps = 0
@@ -173,22 +187,25 @@ def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
         time += slice_time
         distance += int(travel(flow, slice_time))
         steps = (flow[PARTIAL] + distance) >> 18
+    # The last slice, or all steps that the segment still has: this is its last row.
     if steps == 0 or steps >= (flow[PARTIAL] + flow[ADVANCE]) >> 18:
         distance = flow[ADVANCE]
         time += flow[TIME]
         flow[SLICES] = 0
         flow[REACHED] = flow[NOW]
     flow[ADVANCE] = flow[ADVANCE] - distance
+    # From 2**-17 of a full segment to ticks.
     return int(end_on_step(flow, row, distance, time >> (17 - log2)))
 
 
 @micropython.viper
 def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
-    """End the row with a step of the longest axis. Returns its steps; ROW_TICKS is their time.
+    """End a row that was to have this distance and these ticks at its last whole step of the
+    longest axis. Returns its steps; its time goes to ROW_TICKS.
 
     ticks' = ticks * whole steps / distance. The rest of distance (PARTIAL) and time (SPARE) goes
     into the next row. So all intervals of a row are equal, and at a constant speed all intervals
-    of a block; otherwise each row would end with an odd one.
+    of a block; otherwise each row would end with an interval of another length.
     """
     distance += flow[PARTIAL]
     ticks += flow[SPARE]
@@ -210,8 +227,9 @@ def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
 def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) -> int:
     """Place each motor's steps in the row: how many, the tick of the first and of the last.
 
-    A motor with the share q of the longest axis's steps (events) advances its phase by
-    gain = events * q, in 2**-18 step, and steps where the phase passes a whole number:
+    motors: their number; events: the row's steps of the longest axis. A motor with the share q of
+    those advances its phase by gain = events * q, in 2**-18 step, and steps where the phase passes
+    a whole number:
 
         tick of step k = ticks * (k - phase) / gain        k = 1, and k = steps
 
@@ -236,11 +254,11 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
         steps_left = flow[MOTORS + 2 * i]
         if last or steps > steps_left:
             steps = steps_left
-        at = ROW_AXES + ROW_STRIDE * i
+        at = ROW_AXES + ROW_STRIDE * i  # index in the row: steps, first tick, last tick
         row[at] = steps
         flow[MOTORS + 2 * i] = steps_left - steps
         flow[MOTORS + 2 * i + 1] = (phase + gain) & _STEP_FRACTION
-        scale = 0
+        scale = 0  # bits that gain loses, for the products below
         while gain >= 1 << 21:
             gain >>= 1
             scale += 1
@@ -267,10 +285,11 @@ def speed_share(flow: ptr32, ring: ptr32) -> int:
 
 @micropython.viper
 def scaled_power(table: ptr32, full: int, part: int) -> int:
-    """Return the power at a part of the programmed rate (2**-17), where power follows speed.
+    """Return the spindle power at a part of the programmed rate (2**-17), where power follows
+    speed.
 
-    full: the power at all of it, in 1/64; POWER_FLOOR and below give the least power, 1. As Grbl's
-    laser mode: linear in the speed, never 0 while S is not.
+    full: the power at the whole rate, in 1/64; POWER_FLOOR and below give the least power, 1. As
+    in Grbl's laser mode the power is linear in the speed, and never 0 while S is not.
     """
     if part < FULL_TIME:
         full = int(times(full, part))

@@ -1,7 +1,9 @@
 # mypy: disable-error-code=arg-type
 """Steps: from a target in mm to the steps of each motor, and the length of their way.
 
-Viper, for plan_kernel.py. layout.py has the places in ring and table.
+Viper, for plan_kernel.py. In the machine's table (layout.py), TARGET and POSITION are the end and
+the start of a block, in steps + 2**29 per axis, and RESOLUTION is steps/mm. Reals are the numbers
+of minifloat.py: a mantissa of 15 bits, and above it an exponent.
 """
 
 import micropython
@@ -43,18 +45,18 @@ def to_steps(target: ptr32, table: ptr32) -> int:
     signs = ptr8(target)
     for i in range(axes):
         # mm * steps/mm = product * 2**(exponent - 23). 253: two biases, less 1, because a
-        # product is from 2 to 4.
+        # product is from 2 to 4. a, b: bits of mm, without the sign, and of steps/mm.
         a = target[i] & 0x3FFFFFFF
-        high = (signs[4 * i + 3] & 0x40) << 24  # bit 30
+        high = (signs[4 * i + 3] & 0x40) << 24  # bit 30 of a, which no number of 31 bits holds
         b = table[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 253
         product = int(mantissa_product((a & _FRACTION) | _LEADING, (b & _FRACTION) | _LEADING))
-        if product & SMALL:
+        if product & SMALL:  # the product is from 1 to 2
             product ^= SMALL
             exponent -= 1
         if exponent > 28:
             inside = 0
-            product = _FARTHEST  # as far as it goes, on the right side
+            product = _FARTHEST  # the sign is set below
         elif exponent >= 23:
             product <<= exponent - 23
         elif exponent >= -1:  # half a step or more: one bit of the fraction decides
@@ -71,7 +73,8 @@ def to_steps(target: ptr32, table: ptr32) -> int:
 def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
     """Return a motor's steps from the position at places[at + axes] to the one at places[at].
 
-    moves: which axes turn this motor, and which of them backwards; see MOVES in layout.py.
+    places: steps of axes, one position after the other; axes: how many axes each has. moves: which
+    axes turn this motor: forwards with bit i set for axis i, backwards with bit i + REVERSE.
     """
     steps = 0
     for i in range(axes):
@@ -82,14 +85,15 @@ def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
 
 @micropython.viper
 def measure(table: ptr32, ring: ptr32, at: int) -> int:
-    """Begin a block from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.
+    """Begin a block from POSITION to TARGET, in the row at ring[at]: STEPS, EVENTS, DIRS, LENGTH
+    (a real, mm). Returns EVENTS: steps of the motor that makes the most; 0: nothing is to move.
 
     length = sqrt(sum of distance_i**2), of the motors' distances, one per axis, as in Grbl: on a
     CoreXY machine $110 and $120 limit motors. The distances (reals, mm) are left in the table for
-    limit(). EVENTS: steps of the motor that makes the most; 0: nothing is to move.
+    plan_kernel.limit().
     """
     axes = table[AXES]
-    # Places in the table.
+    # Indexes in the table.
     distance = LIMITS + 5 * axes
     target = LIMITS + TARGET * axes
     moves = LIMITS + MOVES * axes

@@ -61,7 +61,10 @@ def slice_of(pin: int) -> int:
 
 
 class BeamEngine(PioEngine):
-    """A PioEngine with a beam. power: the pin of the PWM."""
+    """A PioEngine with a beam. power: number of the PWM's pin; other arguments as of PioEngine.
+
+    The array `beam` is described in motion/beam_layout.py; `levels` is the ring of PWM levels.
+    """
 
     def __init__(
         self,
@@ -100,13 +103,14 @@ class BeamEngine(PioEngine):
         import rp2
 
         taker, mover = rp2.DMA(), rp2.DMA()
-        taker_at, mover_at = (DMA_AT + DMA_EACH * one.channel for one in (taker, mover))
+        # Addresses of the channels' registers.
+        taker_at, mover_at = (DMA_AT + DMA_EACH * dma.channel for dma in (taker, mover))
         self._taker, self._mover, self._mover_at = taker, mover, mover_at
         # Twice the ring's size, so that an aligned ring fits in it. The addresses are read back
         # from the channel's registers.
-        memory, unused = (array("i", (0 for _ in range(n))) for n in (_BYTES // 2, 1))
+        memory, unused = (array("i", (0 for _ in range(length))) for length in (_BYTES // 2, 1))
         mover.config(read=memory, write=unused)
-        address, self._nowhere = (machine.mem32[mover_at + 4 * n] for n in (READ, WRITE))
+        address, self._nowhere = (machine.mem32[mover_at + 4 * reg] for reg in (READ, WRITE))
         self._ring = (address + _BYTES - 1) // _BYTES * _BYTES
         first = (self._ring - address) // 4  # index of the ring's first word in memory
         self.levels = memoryview(memory)[first : first + _BYTES // 4]
@@ -133,31 +137,38 @@ class BeamEngine(PioEngine):
         machine.mem32[taker_at + 4 * COUNT_TRIGGER] = 1
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Apply $0, $2 and $3. Called only while idle."""
+        """Apply $0, $2 and $3, as PioEngine does; pulse_us is also the beam's length of a change.
+        Called only while idle."""
         super().configure(pulse_us, step_invert, dir_invert)
         self.beam[bm.GAP] = pulses.shortest_gap(self._memory.timing[pulses.PULSE])
 
     def scale(self, power_max: int) -> None:
-        """Compute the level of full power again, after the PWM's frequency has changed."""
+        """Compute the level of full power again, after the PWM's frequency has changed. power_max:
+        the highest spindle power."""
         self.beam[bm.FULL] = bm.full(machine.mem32[self._slice + _TOP] + 1, power_max)
 
     def arm(self) -> None:
-        """Allow motion again; levels of dropped segments are dropped, too."""
+        """Allow motion again; levels of dropped segments are dropped, too.
+
+        The mover goes on with the level that is made next: COUNT of them were made.
+        """
         channel = self._mover_at
         machine.mem32[channel + 4 * READ] = self._ring + 4 * (self.beam[bm.COUNT] & bm.LEVELS_MASK)
         super().arm()
 
     def start(self) -> None:
         """Request segments after the engine had run out of them; the beam may be switched on
-        again."""
+        again, also after put_out()."""
         if not self._engine_state[RUNNING]:
+            # The level at the pin may be another now. UNKNOWN differs from any power, so the first
+            # segment changes it. The mover writes to the PWM again, and not to the unused word.
             self.beam[bm.LEVEL] = bm.UNKNOWN
             machine.mem32[self._mover_at + 4 * WRITE] = self._slice + _COMPARE
         super().start()
 
     @micropython.viper
     def put_out(self) -> int:
-        """Keep the beam off until the next motion: no level reaches the pin. Safe in an
-        interrupt."""
+        """Let no more level reach the pin until start(): the mover writes to an unused word. The
+        pin itself is switched off by the caller. Safe in an interrupt. Returns 0."""
         ptr32(self._mover_at)[WRITE] = int(self._nowhere)
         return 0

@@ -65,11 +65,12 @@ def _ticks(us: int) -> int:
 
 
 class PioEngine:
-    """A StepEngine on PIO. step, direction: pin numbers per axis; hold_us, setup_us: of DIR after
-    and before a step.
+    """A StepEngine on PIO. step, direction: pin numbers per motor.
 
-    on_fault: called in the interrupt if that has failed, to switch the tool off. It must call
-    nothing, because next to no stack may be left.
+    hold_us, setup_us: how long DIR keeps its level after a step pulse, and before the next one.
+    more_lanes: lanes in addition to the motors' (a beam's). on_fault: called in the interrupt if
+    that has failed, to switch the tool off. It must call nothing, because next to no stack may be
+    left.
     """
 
     tick_hz = _TICK_HZ
@@ -120,7 +121,8 @@ class PioEngine:
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
-        """Return the state machine of a motor, on its pins. It is started later."""
+        """Return the state machine of a motor (its number, from 0), on its pins. It is started
+        later."""
         import rp2
 
         from pio import programs
@@ -134,23 +136,29 @@ class PioEngine:
         )
 
     def _make_lane(self, axis: int) -> "tuple[rp2.StateMachine, rp2.DMA]":
-        """Return a lane's state machine, and the DMA channel that copies its ring to the FIFO."""
+        """Return a lane's state machine, and the DMA channel that copies words from the lane's
+        ring to the machine's FIFO. axis: the lane's number, from 0; from 4 on it is on PIO 1."""
         import rp2
 
         stepper = self._make_machine(axis)
         channel = rp2.DMA()
         control = channel.pack_ctrl(
-            size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis + (axis & 4)
-        )  # words of 32 bits; DREQ of the TX FIFO: 0 to 3, PIO 1's 8 to 11
+            size=2,  # words of 32 bits
+            inc_write=False,
+            ring_size=pulses.RING_LOG2 + 2,  # log2 of its bytes
+            treq_sel=axis + (axis & 4),  # DREQ of the TX FIFO: 0 to 3, PIO 1's are 8 to 11
+        )
         ring = self._engine_state[s.WORDS] + (4 * axis << pulses.RING_LOG2)
         channel.config(read=ring, write=stepper, ctrl=control)
+        # Store the addresses of the machine's and the channel's registers in the engine state.
         self._memory.connect(axis, channel.channel)
         return stepper, channel
 
     # The StepEngine interface
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Return the highest step rate of one axis with step pulses of pulse_us microseconds."""
+        """Return the highest step rate of one axis, in steps/s, with pulses of pulse_us
+        microseconds."""
         return _TICK_HZ // pulses.shortest_gap(_ticks(pulse_us))
 
     def attach(
@@ -159,14 +167,16 @@ class PioEngine:
         on_power: "Callable[[int], None]",
         on_rest: "Callable[[], None]",
     ) -> None:
-        """Set the source of segments. on_power is called with the spindle power of each segment as
-        it starts, on_rest when the machines have stopped."""
+        """Set the source of segments: next_segment(row) fills a row, and returns 0 if there is
+        none. on_power is called with the spindle power of each segment as it starts, on_rest when
+        the machines have stopped."""
         self._next_segment = next_segment
         self._on_power = on_power
         self._on_rest = on_rest
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Apply $0, $2 and $3. Called only while idle."""
+        """Apply $0, $2 and $3: the length of step pulses, and masks of motors whose STEP or DIR
+        output is inverted. Called only while idle."""
         hold, setup = _ticks(self._hold_us), _ticks(self._setup_us)
         pulses.set_timing(self._memory.timing, _ticks(pulse_us), hold, setup)
         for i in range(len(self._step)):
@@ -174,9 +184,10 @@ class PioEngine:
             self._invert(self._direction[i], dir_invert >> i & 1)
 
     def _invert(self, pin: int, invert: int) -> None:
-        """Invert a pin's output (1) or not (0), by OUTOVER of its control register."""
-        address = self._pin_control + 8 * pin
-        others = machine.mem32[address] & ~(3 << self._invert_shift)
+        """Invert a pin's output (1) or not (0), by OUTOVER of its control register. pin: its
+        number."""
+        address = self._pin_control + 8 * pin  # each pin has two registers of 4 bytes
+        others = machine.mem32[address] & ~(3 << self._invert_shift)  # OUTOVER has two bits
         machine.mem32[address] = others | invert << self._invert_shift
 
     def arm(self) -> None:
@@ -186,8 +197,8 @@ class PioEngine:
         arm(self._engine_state)
 
     def start(self) -> None:
-        """Request segments, after the engine had run out of them. A stopped engine stays
-        stopped."""
+        """Request segments by the engine's interrupt, after the engine had run out of them. A
+        stopped engine stays stopped."""
         request_refill(self._engine_state)
 
     @micropython.viper
@@ -211,12 +222,13 @@ class PioEngine:
         return state[s.RUNNING] == 0 and (state[s.HALT] != 0 or state[s.MADE] == state[s.FED])
 
     def position(self, steps: "array[int]") -> None:
-        """Copy the steps executed, per motor: the only source of position. Safe in an
-        interrupt."""
+        """Copy each motor's present position, in steps, into `steps`: the only source of
+        position. Safe in an interrupt."""
         position(self._engine_state, steps)
 
     def set_position(self, steps: "array[int]") -> None:
-        """Set the present position, also of locked motors. Only while idle."""
+        """Set the present position, in steps per motor, also of locked motors. Only while
+        idle."""
         lanes = self._memory.lanes
         for i in range(len(self._step)):
             lane, place = pulses.LANE * i, steps[i]
@@ -235,7 +247,8 @@ class PioEngine:
         except:  # noqa: E722
             state[s.FAULT] = s.RAISED
         if state[s.FAULT]:
-            # No calls up to here: a full stack may be the cause.
+            # No calls up to here: a full stack may be the cause. This disables the machines: CTRL
+            # is a PIO's first register, and reg.CLEAR its alias in which ones clear bits.
             state[s.HALT] = 1
             ptr32(state[s.PIO0])[reg.CLEAR] = state[s.OURS]
             ptr32(state[s.PIO1])[reg.CLEAR] = state[s.OURS + 1]
@@ -246,7 +259,7 @@ class PioEngine:
                 self.on_fault()
             except:  # noqa: E722
                 state[s.FAULT] = s.RAISED  # the main loop switches the tool off
-            try:
+            try:  # stop completely: positions too
                 halt(state, -1)
             except:  # noqa: E722
                 state[s.FAULT] = s.RAISED

@@ -3,6 +3,19 @@
 
 It is one array because each argument of a viper call costs 1 us. state_layout.py says what it
 holds; engine.py gives an overview. Nothing here allocates.
+
+Segments are numbered from power-up: MADE of them were made, FED handed to the hardware, and BEGUN
+is the number of the one being played. Each has a row (motion/layout.py: time, directions, power,
+steps per motor), in a ring of ROWS rows. After those, at `begins`, the row has when it begins (us,
+half ticks), the value of BEATS when it ends, and each motor's position at its start. BEATS counts
+the words handed to the clock, a state machine that interrupts as segments begin. END_US and
+END_REST are when all words handed over will have ended.
+
+A lane, one per motor, has LANE integers in `lanes` (pulses.py): HEAD and SENT are indexes in its
+ring of words, after the last word made and after the last one handed over; PLACE and END are its
+positions in steps at those two places. OURS, OURS + 1 and THIRD are masks of this engine's
+machines in PIO 0, 1 and 2; `player` is the registers of one machine. LOCKED is a mask of lanes
+that are stopped while others go on. Each kernel returns 0 unless it says otherwise.
 """
 
 import micropython
@@ -63,15 +76,16 @@ _CLOCK_OVERHEAD = const(4)  # ticks of its loop in addition to the count
 
 @micropython.viper
 def read_progress(state: ptr32) -> int:
-    """Update the state from what the hardware has played. Returns the power to set, or
-    KEEP_POWER.
+    """Update BEGUN, AHEAD, EARLY and RUNNING from what the hardware has played. Returns the
+    spindle power to set, that of the segment begun last, or KEEP_POWER.
 
-    The clock has read `beat` of its words. A row ends with the word whose number is row[ends].
+    The clock has read `beat` of its words. A row ends with the word whose number is row[ends], so
+    EARLY > 0 means that the segment has more words: the clock interrupts again before its end.
     """
     pio = ptr32(state[s.CLOCK_PIO])
-    level = (pio[reg.FLEVEL] >> 8 * s.CLOCK) & _LEVEL
+    level = (pio[reg.FLEVEL] >> 8 * s.CLOCK) & _LEVEL  # words in the clock's FIFO
     beat = state[s.BEATS] - level
-    ends = ROW_AXES + ROW_STRIDE * state[s.AXES] + 2
+    ends = ROW_AXES + ROW_STRIDE * state[s.AXES] + 2  # index in a row: BEATS when it ends
     row = ptr32(state[s.ROW + (state[s.BEGUN] & s.LAST_ROW)])
     power = KEEP_POWER
     while state[s.BEGUN] < state[s.FED] - 1 and row[ends] < beat:
@@ -90,7 +104,12 @@ def read_progress(state: ptr32) -> int:
 
 @micropython.viper
 def append(state: ptr32) -> int:
-    """Add the segment just made to the rows, or the next piece of a long one; update positions."""
+    """Add the segment just made to the rows, or the next piece of a long one; update positions.
+
+    The segment is in row MADE of the ring. If it is too long for the words, it is copied to WHOLE,
+    and the row becomes its first piece; further calls add the others (CUT: the tick at which the
+    next one begins; 0 after the last).
+    """
     axes = state[s.AXES]
     lanes = ptr32(state[s.LANES])
     row = ptr32(state[s.ROW + (state[s.MADE] & s.LAST_ROW)])
@@ -102,9 +121,9 @@ def append(state: ptr32) -> int:
         state[s.CUT] = int(cut(row, whole, state[s.CUT], axes))
     start = ROW_AXES + ROW_STRIDE * axes + s.ROW_EXTRA
     for i in range(axes):
-        place = lanes[LANE * i + PLACE]
+        place = lanes[LANE * i + PLACE]  # position in steps
         row[start + i] = place
-        steps = row[ROW_AXES + ROW_STRIDE * i]
+        steps = row[ROW_AXES + ROW_STRIDE * i]  # without sign
         lanes[LANE * i + PLACE] = place - steps if (row[ROW_DIRS] >> i) & 1 else place + steps
     state[s.AHEAD] += row[ROW_TICKS]
     state[s.MADE] += 1
@@ -113,7 +132,8 @@ def append(state: ptr32) -> int:
 
 @micropython.viper
 def _load(player: ptr32, pulse: int) -> int:
-    """Load the length of a pulse (15 bits) into a machine's ISR, five bits at a time."""
+    """Load `pulse` (ticks, up to 15 bits) into a machine's ISR, five bits at a time, because the
+    instruction `set` takes no more. player: the machine's registers."""
     player[reg.INSTR] = _CLEAR_ISR
     shift = 15
     while shift:
@@ -128,7 +148,7 @@ def _prepare(state: ptr32) -> int:
     """Restart all machines, which have stopped or run dry, at their start with empty FIFOs.
 
     DMA knows a FIFO's free space by counting writes and pulls: a forced pull may remove words, as
-    the machine itself does, but only DMA may write them.
+    the machine itself does, but only DMA may write them. FAULT is JAMMED if DMA does not move on.
     """
     axes = state[s.AXES]
     pio = ptr32(state[s.PIO0])
@@ -180,17 +200,23 @@ def _prepare(state: ptr32) -> int:
         player[reg.INSTR] = _STEP_LOW
         player[reg.INSTR] = (player[reg.EXECCTRL] >> 7) & _ADDRESS  # jmp to WRAP_BOTTOM, the start
     clock[_CLOCK_INSTR] = state[s.CLOCK_AT] - 1  # jmp to the irq before the clock's pull
-    state[s.END_US] = 0
+    state[s.END_US] = 0  # until _launch() adds the present time
     state[s.END_REST] = 0
-    state[s.POWER] = -1
+    state[s.POWER] = -1  # none reported yet
     return 0
 
 
 @micropython.viper
 def feed(state: ptr32) -> int:
-    """Convert waiting segments to words, if the hardware has space, and hand the words over."""
+    """Convert waiting segments (from FED to MADE) to words, and hand the words over.
+
+    Only if all lanes' DMA channels have moved their words and the clock's FIFO has space. If the
+    machines are stopped, they are prepared first and started at the end. `count` counts the
+    clock's words: one per segment, or two for a long one, so that the clock interrupts LEAD before
+    its end.
+    """
     axes = state[s.AXES]
-    space = s.CLOCK_FIFO
+    space = s.CLOCK_FIFO  # words that the clock can take
     if state[s.RUNNING]:
         # us until the words handed over end, negative if they have ended.
         left = (state[s.END_US] - (ptr32(state[s.TIMER])[0] & MASK)) & MASK
@@ -217,6 +243,7 @@ def feed(state: ptr32) -> int:
         long = ticks >= 2 * LEAD  # it takes two of the clock's words
         if long and count + 1 == space:
             break
+        # By how many ticks the segment begins after the end of the one before.
         late = int(convert(row, state[s.LANES], state[s.WORDS], state[s.TIMING]))
         lasts = late + ticks
         clocked[count] = lasts - _CLOCK_OVERHEAD if lasts > _CLOCK_OVERHEAD else 0
@@ -224,7 +251,7 @@ def feed(state: ptr32) -> int:
             clocked[count] -= LEAD
             count += 1
             clocked[count] = LEAD - _CLOCK_OVERHEAD
-        rest = state[s.END_REST] + 2 * late
+        rest = state[s.END_REST] + 2 * late  # half ticks since END_US
         row[begins] = (state[s.END_US] + rest // s.HALF_TICKS_PER_US) & MASK
         row[begins + 1] = rest % s.HALF_TICKS_PER_US
         rest += 2 * ticks
@@ -239,11 +266,11 @@ def feed(state: ptr32) -> int:
 
 @micropython.viper
 def _start_transfer(state: ptr32, fed: int, count: int) -> int:
-    """Hand DMA the words up to segment `fed`, and the clock `count` words; start the machines if
-    they are stopped.
+    """Hand DMA the words of all segments before number `fed`, and the clock `count` words; start
+    the machines if they are stopped.
 
-    Interrupts that may stop the engine are masked meanwhile. If a word was lost, nothing is
-    started.
+    Interrupts that may stop the engine (RIVALS) are masked meanwhile. If a word was lost, written
+    to a full FIFO, nothing is started, and FAULT is LOST.
     """
     axes = state[s.AXES]
     lanes = ptr32(state[s.LANES])
@@ -263,10 +290,11 @@ def _start_transfer(state: ptr32, fed: int, count: int) -> int:
         for i in range(axes):
             lane = LANE * i
             if (state[s.LOCKED] >> i) & 1 == 0:
-                new = (lanes[lane + HEAD] - lanes[lane + SENT]) & RING_MASK
+                new = (lanes[lane + HEAD] - lanes[lane + SENT]) & RING_MASK  # words not sent yet
                 if new:
                     ptr32(state[s.DMA + i])[reg.COUNT_TRIGGER] = new
                 lanes[lane + SENT] = lanes[lane + HEAD]
+                # The position at the end of these words is that where the next segment starts.
                 place = lanes[lane + PLACE]
                 if fed != state[s.MADE]:
                     place = following[ROW_AXES + ROW_STRIDE * axes + s.ROW_EXTRA + i]
@@ -278,14 +306,14 @@ def _start_transfer(state: ptr32, fed: int, count: int) -> int:
         if state[s.RUNNING] == 0:
             _launch(state, fed)
         state[s.FED] = fed
-    nvic[0] = state[s.RIVALS]
+    nvic[0] = state[s.RIVALS]  # enables these interrupts again
     return 0
 
 
 @micropython.viper
 def _launch(state: ptr32, fed: int) -> int:
-    """Start all machines within one tick, and add the present time to the times of rows up to
-    `fed`, which were counted from 0."""
+    """Start all machines within one tick, and add the present time to END_US and to the begins of
+    the rows before number `fed`, which were counted from 0."""
     axes = state[s.AXES]
     for i in range(axes):
         pio = ptr32(state[s.PIO0 + (i >> s.BLOCK_LOG2)])

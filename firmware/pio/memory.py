@@ -24,12 +24,13 @@ def _make_array(length: int) -> "array[int]":
 class Memory:
     """The arrays of the interrupt, and the engine state, which holds their addresses.
 
-    axes: number of lanes. rp2350: whether the chip is one. The constant RP2350 says whether it may
-    be one: a build for an RP2040 has 0 there.
+    axes: number of lanes, one per motor and one for a beam. rp2350: whether the chip is one. The
+    constant RP2350 says whether it may be one: a build for an RP2040 has 0 there.
     """
 
     def __init__(self, axes: int, rp2350: bool) -> None:
-        """Make all arrays, of zeros, and fill the engine state in: stopped, nothing begun."""
+        """Make all arrays, of zeros, and fill the engine state in: stopped (HALT), no segment
+        begun. DMA channels are added later, by connect()."""
         length = row_length(axes)
         state_length = s.DMA + axes
         if s.RP2350:  # the build may be for one; rp2350: this chip is one
@@ -87,7 +88,9 @@ class Memory:
                 state[s.RIVALS] |= 1 << 19  # PIO2_IRQ_0
 
     def connect(self, axis: int, channel: int) -> None:
-        """Assign a DMA channel to a lane."""
+        """Store the addresses of a lane's registers: those of its state machine among the lane's
+        integers, those of its DMA channel, `channel`, in the engine state. axis: the lane's
+        number."""
         pio = self.state[s.PIO0 + (axis >> s.BLOCK_LOG2)]
         self.lanes[LANE * axis + MACHINE] = pio + 4 * (reg.MACHINES + reg.SM * (axis & s.IN_BLOCK))
         self.state[s.DMA + axis] = at = reg.DMA_AT + reg.DMA_EACH * channel

@@ -107,8 +107,10 @@ class GpioPort(PortPins):
         return 0
 
     def levels(self) -> int:
-        """Return all inputs as PortInputs.levels() does, from the register of all pins at once."""
+        """Return the active inputs as PortInputs.levels() does, a bit each, in the order of
+        _input_numbers: from the register of all pins, so at one instant."""
         numbers = self._input_numbers
+        # The address as a signed integer of 32 bits.
         return _levels(_GPIO_IN - (1 << 32), numbers, len(numbers), self._control_invert)
 
     def revive(self) -> None:
@@ -121,9 +123,9 @@ class GpioPort(PortPins):
             _release(self._pads, self._all_bits)
 
     def _begin_pulses(self, index: int, hz: int) -> PWM:
-        """Start PWM on an output of an extra, by its index. ValueError on a conflict: the two pins
-        of a slice have one frequency, and two pins of the same channel of a slice have the same
-        pulses. Which pins share a slice: see _SLICES."""
+        """Start PWM of `hz` on an output of an extra, by its index, and return it. ValueError on a
+        conflict: the two pins of a slice have one frequency, and two pins of the same channel of a
+        slice have the same pulses. Which pins share a slice: see _SLICES."""
         own = self._own_numbers[index]
         others: "list[tuple[int | None, int]]" = list(zip(self._own_numbers, self._own_hz))
         slices = _SLICES
@@ -142,7 +144,8 @@ class GpioPort(PortPins):
         return pwm
 
     def rest(self, levels: int) -> None:
-        """Set the levels that kill() gives to an extra's outputs."""
+        """Set the levels that kill() gives to extras' outputs. levels: a bit per output, as
+        PortPins.rest() has it."""
         super().rest(levels)
         self._list_pads()
 
@@ -160,7 +163,11 @@ class GpioPort(PortPins):
 @micropython.viper
 def _levels(gpio_in: ptr32, pins: ptr8, count: int, inverted: int) -> int:
     """Return the active inputs, a bit each: those at the low level; at the high level if their
-    bit of `inverted` is set. NOT_WIRED counts as high."""
+    bit of `inverted` is set.
+
+    gpio_in: the register of all pins' levels; pins: each input's pin number, of which NOT_WIRED
+    counts as high; count: number of inputs.
+    """
     levels = gpio_in[0]
     mask = 0
     for i in range(count):
@@ -171,8 +178,11 @@ def _levels(gpio_in: ptr32, pins: ptr8, count: int, inverted: int) -> int:
 
 @micropython.viper
 def _release(pads: ptr32, bits: int) -> int:
-    """Clear these bits of all pads' control registers. pads: the table of kill()."""
-    pads[0] = 0
+    """Clear `bits` in the control registers of all pads that kill() holds. Returns 0.
+
+    pads: the table of kill(), see _list_pads().
+    """
+    pads[0] = 0  # kill() is no longer in effect
     i = 1
     while pads[i]:
         control = ptr32(pads[i])
@@ -182,7 +192,8 @@ def _release(pads: ptr32, bits: int) -> int:
 
 
 def _make_urgent() -> None:
-    """Give the interrupt of pins a higher priority than all others have."""
+    """Give the interrupt of pins a higher priority than all others have, in the interrupt
+    controller's table."""
     number = _PINS_IRQ_2350 if _is_rp2350() else _PINS_IRQ
     address = _PRIORITIES + number // 4 * 4  # of the word with the interrupt's byte
     shift = number % 4 * 8
@@ -191,4 +202,5 @@ def _make_urgent() -> None:
 
 
 def _is_rp2350() -> bool:
+    """Return whether the chip is an RP2350."""
     return "RP2350" in sys.implementation._machine

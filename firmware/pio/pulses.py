@@ -10,7 +10,12 @@ a segment is its CARRY, and becomes part of its next delay.
     delay   2**19 - 1 at most: a row, CARRY and a late start fit
     steps   4095 at most per row and motor
 
-Viper; all of it runs in the engine's interrupt. No hardware is accessed here.
+A segment's row (motion/layout.py) has at ROW_TICKS its time, at ROW_DIRS a mask of the motors that
+turn backwards, and per motor ROW_STRIDE integers from ROW_AXES on: its steps, the tick of the
+first one and the tick of the last one, counted from the row's start.
+
+Arguments: lanes, LANE integers per axis; words, the lanes' rings, one after the other; timing, see
+set_timing(). Viper; all of it runs in the engine's interrupt. No hardware is accessed here.
 """
 
 import micropython
@@ -23,7 +28,7 @@ if TYPE_CHECKING:
     from array import array
 
 
-# Lanes: integers per axis.
+# Lanes: integers per axis, and the index of each among them.
 LANE = const(8)
 CARRY = const(0)  # ticks from the end of the lane's words to the next segment; may be negative
 DIR = const(1)  # level of the direction output
@@ -43,15 +48,16 @@ RING_MASK = const(31)
 LONGEST = const(0x40000)
 _PIECE = const(0x20000)
 
-# The timing array of convert(), in ticks.
-AXES = const(0)
+# The timing array of convert(): indexes. Times are in ticks.
+AXES = const(0)  # number of lanes
 PULSE = const(1)  # length of a pulse, up to 2**15 - 1
 TURN_WAIT = const(2)  # delay of the word that waits before DIR changes,
 TURN_DELAY = const(3)  # and least delay of the word after it
-KEEP = const(4)  # an idle lane waits until so long before the end of the segment
+KEEP = const(4)  # a lane's words end so long before the segment, if it has no step to make
 TIMING_LENGTH = const(5)
 
-# In a row, per motor from `base` on: the number of steps, then the ticks of these.
+# In a row, per motor from the index `base` on: its steps; then, at base + these, the ticks of the
+# first step and of the last.
 _FIRST = const(1)
 _LAST = const(2)
 
@@ -69,7 +75,7 @@ _TURN_HELD = const(10)  # from the end of a pulse to the change of DIR; with the
 _TURN_SET = const(5)  # from the change of DIR to the next edge
 _SPARE = const(3)  # reserve for gaps that rounding makes shorter than the mean
 
-# Program addresses of programs.stepper, as there.
+# Program addresses of programs.stepper, from its start: as there.
 _NEXT = const(0)
 _STEP = const(3)
 _RISEN = const(7)
@@ -82,8 +88,8 @@ def shortest_gap(pulse: int) -> int:
 
 
 def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
-    """Set the timing. All in ticks: the length of a pulse; how long DIR must keep its level after
-    a pulse (hold), and before the next one (setup)."""
+    """Fill the timing array, except AXES. All in ticks: the length of a pulse; how long DIR must
+    keep its level after a pulse (hold), and before the next one (setup)."""
     timing[PULSE] = pulse
     timing[TURN_WAIT] = max(hold - _TURN_HELD, 0)
     timing[TURN_DELAY] = max(setup - _TURN_SET, 0)
@@ -93,7 +99,12 @@ def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
 
 @micropython.viper
 def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
-    """Add a word with that many steps to a lane's ring, unless 0. Returns the next index."""
+    """Add a word with `steps` steps to a lane's ring, unless they are 0. Returns the index after
+    it in the ring.
+
+    ring: index in `words` where the lane's ring begins; head: index in the ring of the new word.
+    word: its delay and direction, without steps.
+    """
     if steps == 0:
         return head
     words[ring + head] = word | (steps << _STEPS_SHIFT)
@@ -114,7 +125,7 @@ def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
 def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     """Add a segment's words to the lanes' rings. Returns by how many ticks all axes begin late.
 
-    All wait if one would step or reverse too soon after its last step.
+    All wait if one would step or reverse too soon after its last step. HEAD, CARRY, DIR change.
     """
     late = 0
     for i in range(timing[AXES]):
@@ -155,7 +166,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
                     longer = 0
                 carry -= gap * steps + longer
                 word = level | ((gap - timing[PULSE] - _BETWEEN) << _DELAY_SHIFT)
-                front = int(leading(steps, gap, longer))
+                front = int(leading(steps, gap, longer))  # longer gaps that come first
                 head = int(_put(words, ring, head, word + (1 << _DELAY_SHIFT), front))
                 head = int(_put(words, ring, head, word, steps - longer))
                 head = int(_put(words, ring, head, word + (1 << _DELAY_SHIFT), longer - front))
@@ -175,8 +186,8 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
 
 @micropython.viper
 def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
-    """Fill a row with the piece of a long one that begins at tick `begin`. Returns the tick of its
-    end, or 0 for the last piece.
+    """Fill a row with the piece of a long one (whole) that begins at tick `begin` of that. Returns
+    the tick of its end, or 0 for the last piece.
 
     For rows longer than LONGEST, because a delay does not fit. Pieces have 2**17 ticks, the last
     one less than 2**18. A long row has few steps, so a loop over them is fast enough.
@@ -190,7 +201,7 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
     row[ROW_POWER] = whole[ROW_POWER]
     for i in range(axes):
         base = ROW_AXES + ROW_STRIDE * i
-        count = 0
+        count = 0  # steps in this piece
         for k in range(whole[base]):
             tick = int(step_tick(whole, base, k)) - begin
             if tick >= 0 and (tick < end - begin or end == ticks):
@@ -206,7 +217,8 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
 def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) -> int:
     """Return the steps that a stopped machine has not made; backward ones are negative.
 
-    sent: SENT of its lane. waiting: words sent that it has not fetched. at: its address from the
+    words: the lanes' rings; axis: the lane's number. sent: SENT of its lane, the index after the
+    last word sent. waiting: words sent that the machine has not fetched. at: its address from the
     program's start; x: its X register, the steps left of its word, which from _RISEN to _MADE
     still counts a step that is made.
     """
@@ -215,7 +227,7 @@ def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) ->
     for k in range(waiting if at == _NEXT else waiting + 1):
         word = words[ring + ((sent - 1 - k) & RING_MASK)]
         steps = (word >> _STEPS_SHIFT) & _STEPS_MASK
-        if k == waiting and at >= _STEP:
+        if k == waiting and at >= _STEP:  # the word in the machine, and X is loaded
             steps = x
             if at >= _RISEN and at < _MADE:
                 steps -= 1
@@ -225,7 +237,9 @@ def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) ->
 
 @micropython.viper
 def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
-    """Compute the axes' positions into steps, `tick` ticks after the segment's begin at start.
+    """Compute each axis's position in steps, `tick` ticks after the begin of the segment in row.
+
+    start: the positions at its begin; steps: receives the results. Returns 0.
 
     The steps made are counted from the first one, or back from the last one where the longer gaps
     at the end begin: the gaps are in the order of leading(), as in convert().
@@ -240,7 +254,7 @@ def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
             gap = span // (made - 1)
             longer = span - gap * (made - 1)
             front = int(leading(made - 1, gap, longer))
-            rest = tick - row[base + _FIRST]
+            rest = tick - row[base + _FIRST]  # ticks after the first step
             ticks_to_last = span - rest  # ticks before the last step
             if rest < front * (gap + 1):
                 made = rest // (gap + 1) + 1

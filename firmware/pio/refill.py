@@ -1,5 +1,11 @@
 # mypy: disable-error-code=operator
-"""Refill: the PIO engine's interrupt, the path without errors (engine.py)."""
+"""Refill: the PIO engine's interrupt, the path without errors (engine.py).
+
+`state` is the engine state (state_layout.py). Segments are counted from power-up: MADE of them
+were made, FED handed to the hardware. AHEAD is how many ticks of motion were made after the begin
+of the segment being played. RUNNING: the state machines are enabled. CUT is not 0 while a long
+segment is made in pieces. HALT is 1 after a stop.
+"""
 
 import micropython
 from micropython import const
@@ -18,7 +24,9 @@ def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object
     hardware.
 
     Motion is made up to LEAD ticks ahead of the segment being played (AHEAD), because a hold takes
-    effect only after the segments already made.
+    effect only after the segments already made. next_segment(row) fills in a segment's row; it
+    returns 0 if no motion is due. on_power(power) sets spindle power. on_rest() is called if the
+    machines have stopped, and nothing more is to be played. Returns 0.
     """
     power = int(read_progress(state)) if state[RUNNING] else KEEP_POWER
     if power != KEEP_POWER:
@@ -31,6 +39,7 @@ def refill(state: ptr32, next_segment: object, on_power: object, on_rest: object
         made = 0
         while made < _MOST and state[AHEAD] < LEAD and state[MADE] - state[FED] < _WAITING:
             if state[CUT] == 0:  # else append() cuts the next piece off a long segment
+                # Its argument is the address of a row: ROW is the first of the ring's.
                 if int(next_segment(state[ROW + (state[MADE] & LAST_ROW)])) == 0:
                     break
             append(state)

@@ -23,7 +23,7 @@ _CALLS = const(256)  # bytes that paint() itself and its calls may use
 
 @micropython.viper
 def _fill(words: ptr32, count: int) -> int:
-    """Write the pattern into so many words from an address on."""
+    """Write the pattern into `count` words, from the address `words` on. Returns 0."""
     for i in range(count):
         words[i] = _PATTERN
     return 0
@@ -31,7 +31,10 @@ def _fill(words: ptr32, count: int) -> int:
 
 @micropython.viper
 def _untouched(words: ptr32, count: int) -> int:
-    """Return how many words from the bottom on still hold the pattern."""
+    """Return how many words still hold the pattern, from the stack's lowest address (words) on.
+
+    count: the stack's words.
+    """
     i = 0
     while i < count and words[i] == _PATTERN:
         i += 1
@@ -44,7 +47,10 @@ def _bottom() -> int:
 
 
 def paint() -> None:
-    """Start a new measurement: fill the stack below the present depth with the pattern."""
+    """Start a new measurement: fill the stack below the present depth with the pattern.
+
+    The lowest bytes of the stack come first; `free` are those that no call uses now.
+    """
     free = SIZE - micropython.stack_use() - _CALLS
     _fill(_bottom(), free // 4)
 
@@ -61,5 +67,5 @@ def used() -> int:
 
 
 def report() -> str:
-    """Return the same as text, for a message."""
+    """Return used() as a text, for a message."""
     return "Stack: %d of %d bytes used" % (used(), SIZE)

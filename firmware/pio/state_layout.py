@@ -1,5 +1,6 @@
 """Layout of the engine state: the one array that the kernels of the PIO engine work on.
 
+RUNNING to CLOCK_PIO are indexes in that array; a comment says what the element there holds.
 Lanes and timing, whose addresses the engine state holds, are described in pulses.py, the chips'
 registers in registers.py.
 """
@@ -24,18 +25,18 @@ IN_BLOCK = const(3)
 # First the engine's state ...
 RUNNING = const(0)  # the machines are enabled
 HALT = const(1)  # stopped: nothing moves before arm()
-MADE = const(2)  # segments made, since power-up
-FED = const(3)  # segments handed to the hardware
-BEGUN = const(4)  # the segment that is played
-AHEAD = const(5)  # ticks made after BEGUN
+MADE = const(2)  # how many segments were made, since power-up
+FED = const(3)  # how many of them were handed to the hardware
+BEGUN = const(4)  # number of the segment that is played; the first one made is 0
+AHEAD = const(5)  # ticks of motion made after the begin of segment BEGUN
 POWER = const(6)  # the last spindle power reported
-LOCKED = const(7)  # mask of lanes that are locked
-END_US = const(8)  # when the words end: in us, and a rest in half ticks
-END_REST = const(9)
-CUT = const(10)  # where in a long segment the next piece begins; 0: no long segment
+LOCKED = const(7)  # mask of lanes that are locked: stopped, while others may go on
+END_US = const(8)  # when the words handed over end: in us of the timer,
+END_REST = const(9)  # and a rest in half ticks
+CUT = const(10)  # tick in a long segment where the next piece begins; 0: no long segment
 BEATS = const(11)  # words handed to the clock, since power-up
 EARLY = const(12)  # > 0: the clock interrupts again before the segment ends
-AXES = const(13)
+AXES = const(13)  # number of lanes
 # ... then registers, which depend on the chip ...
 PIO0 = const(14)
 PIO1 = const(15)
@@ -46,17 +47,19 @@ BUSY = const(19)  # mask of STATUS: a channel has words to move
 MOTORS = const(20)  # number of lanes that are motors'
 CLOCK_AT = const(21)  # program address at which the clock waits for a word
 OURS = const(22)  # masks: our machines of PIO 0, of PIO 1 (of PIO 2: THIRD)
-LANES = const(24)
+LANES = const(24)  # addresses of arrays in pulses.py: lanes, the lanes' rings of words, timing
 WORDS = const(25)
 TIMING = const(26)
-CLOCKED = const(27)  # words for the clock
-WHOLE = const(28)  # a long segment that is made in pieces
-ROW = const(29)  # a row per segment, ROWS of them
+# Addresses of: words for the clock; a copy of a long segment's row, which is made in pieces; and,
+# from ROW on, a row per segment, ROWS of them: segment n has the row at ROW + n % ROWS.
+CLOCKED = const(27)
+WHOLE = const(28)
+ROW = const(29)
 FAULT = const(ROW + ROWS)  # fault code (below), until arm()
 ASKED = const(ROW + ROWS + 1)  # start() has requested the interrupt, which has not come yet
-DMA = const(ROW + ROWS + 2)  # a DMA channel per lane. The engine state of an RP2040 ends here.
-# An RP2350's goes on: the mask of our machines of PIO 2, which is the clock's or 0; and the
-# address of the clock's PIO.
+DMA = const(ROW + ROWS + 2)  # address of a DMA channel, per lane
+# An RP2040's engine state ends here. An RP2350's goes on: the mask of our machines of PIO 2, which
+# is the clock's or 0; and the address of the clock's PIO.
 THIRD = const(DMA + 8)
 CLOCK_PIO = const(THIRD + 1 if RP2350 else PIO1)
 LENGTH = const(THIRD + 2)

@@ -3,6 +3,16 @@
 
 They may be called in any interrupt, also in one that has interrupted the engine's own. Sections
 that must not be interrupted mask all these interrupts, for a few microseconds.
+
+`state` is the engine state, indexed by the constants of state_layout.py. Segments are numbered
+from power-up: MADE of them have been made, FED handed to the hardware, and BEGUN is the number of
+the one being played. HALT is 1 from a stop until arm(). RUNNING is 1 while the machines are
+enabled. LOCKED is a mask of lanes that were stopped while the others go on. OURS, OURS + 1 and
+THIRD are masks of this engine's machines in PIO 0, 1 and 2. RIVALS is a mask of interrupts.
+
+A lane, one per motor, has LANE integers in `lanes` (pulses.py). Three are positions, in steps:
+PLACE at the end of all segments made, END at the end of all words handed to its machine, FROZEN
+where it was stopped. SENT is the index after the last word handed over, in the lane's ring.
 """
 
 import micropython
@@ -33,12 +43,14 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     It is the position at the end of all words sent, less the steps not made: those of words in
     DMA and in the FIFO, and those left of the word in the machine. X, which counts them, is read
     by pushing it into the machine's RX FIFO.
+
+    state: the engine state; axis: the lane's number. If DMA makes no progress, FAULT is JAMMED.
     """
     pio = ptr32(state[s.PIO0 + (axis >> s.BLOCK_LOG2)])
     number = axis & s.IN_BLOCK
     dma = ptr32(state[s.DMA + axis])
     lanes = ptr32(state[s.LANES])
-    player = ptr32(lanes[LANE * axis + MACHINE])
+    player = ptr32(lanes[LANE * axis + MACHINE])  # registers of the lane's machine
     end = lanes[LANE * axis + END]
     if state[s.RUNNING] == 0:
         return end
@@ -47,26 +59,27 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     # is full.
     busy = 1
     waiting = 0
-    patience = 100
+    patience = 100  # readings: the loop ends also if DMA is stuck
     while busy and waiting < _FIFO and patience:
         busy = dma[reg.STATUS] & state[s.BUSY]
         waiting = (pio[reg.FLEVEL] >> 8 * number) & _LEVEL
         patience -= 1
-    left = dma[reg.COUNT] if busy else 0  # words in memory
+    unmoved = dma[reg.COUNT] if busy else 0  # words still in memory
     if patience == 0:
         state[s.FAULT] = s.JAMMED
     address = player[reg.ADDR] - ((player[reg.EXECCTRL] >> 7) & _ADDRESS)  # in the program
     player[reg.INSTR] = _PUSH
     sent = lanes[LANE * axis + SENT]
     x = pio[reg.RXF + number]
-    return end - int(undone(state[s.WORDS], axis, sent, waiting + left, address, x))
+    return end - int(undone(state[s.WORDS], axis, sent, waiting + unmoved, address, x))
 
 
 @micropython.viper
 def halt(state: ptr32, which: int) -> int:
-    """Stop the machines of these lanes (a mask), positions as they are; -1: all, until arm().
+    """Stop the machines of the lanes in the mask `which`, and store in FROZEN where they are.
 
-    Nothing may raise here. Once compiled, it is one function that calls no other.
+    These lanes stay locked until all are stopped. -1 stops all until arm(), and ends the locks.
+    Nothing may raise here. Once compiled, it is one function that calls no other. Returns 0.
     """
     axes = state[s.AXES]
     lanes = ptr32(state[s.LANES])
@@ -78,7 +91,7 @@ def halt(state: ptr32, which: int) -> int:
     ptr32(state[s.PIO1])[reg.CTRL + reg.CLEAR] = (which >> 4) & state[s.OURS + 1]
     if s.RP2350 and which < 0 and state[s.THIRD]:
         ptr32(state[s.CLOCK_PIO])[reg.CTRL + reg.CLEAR] = state[s.THIRD]
-    which &= -1 - state[s.LOCKED]
+    which &= -1 - state[s.LOCKED]  # the positions of locked lanes are in FROZEN already
     for i in range(axes):
         if (which >> i) & 1:
             lanes[LANE * i + FROZEN] = int(_stopped_position(state, i))
@@ -91,13 +104,16 @@ def halt(state: ptr32, which: int) -> int:
             state[s.END_US] = ptr32(state[s.TIMER])[0] & MASK
         state[s.RUNNING] = 0
         state[s.LOCKED] = 0
-    nvic[0] = state[s.RIVALS]
+    nvic[0] = state[s.RIVALS]  # enables these interrupts again
     return 0
 
 
 @micropython.viper
 def request_refill(state: ptr32) -> int:
-    """Trigger the engine's interrupt, unless the engine is stopped."""
+    """Trigger the engine's interrupt, unless the engine is stopped. Returns 0.
+
+    ASKED stays 1 until the interrupt has come; fault_code() reports one that does not.
+    """
     if state[s.HALT] == 0:
         state[s.ASKED] = 1
         ptr32(state[s.CLOCK_PIO])[reg.IRQ_FORCE] = 1 << s.CLOCK
@@ -106,18 +122,23 @@ def request_refill(state: ptr32) -> int:
 
 @micropython.viper
 def arm(state: ptr32) -> int:
-    """Clear faults and drop the segments that were not handed over: motion is possible again."""
+    """End a stop: clear faults and drop the segments that were not handed over. Returns 0.
+
+    Motion is possible again, from the positions where the motors have stopped. Without a stop
+    nothing changes.
+    """
     axes = state[s.AXES]
     lanes = ptr32(state[s.LANES])
     if state[s.HALT] == 0:
         return 0
-    state[s.MADE] = state[s.FED]
-    state[s.BEGUN] = state[s.FED] - 1
-    state[s.AHEAD] = 0
-    state[s.CUT] = 0
+    state[s.MADE] = state[s.FED]  # counts of segments: none waits to be handed over,
+    state[s.BEGUN] = state[s.FED] - 1  # and the last one handed over has begun
+    state[s.AHEAD] = 0  # ticks of motion made after that one
+    state[s.CUT] = 0  # no long segment is half made
     for i in range(axes):
+        # Positions in steps: the next segment starts where halt() has stopped the motor.
         lanes[LANE * i + PLACE] = lanes[LANE * i + END]
-    # Ones clear these bits.
+    # FDEBUG's flags of words that were lost: writing ones clears them.
     ptr32(state[s.PIO0])[reg.FDEBUG] = state[s.OURS] << reg.TXOVER
     ptr32(state[s.PIO1])[reg.FDEBUG] = state[s.OURS + 1] << reg.TXOVER
     if s.RP2350 and state[s.THIRD]:
@@ -130,7 +151,12 @@ def arm(state: ptr32) -> int:
 
 @micropython.viper
 def fault_code(state: ptr32) -> int:
-    """Return the fault code, 0 if there is no fault. Main loop only."""
+    """Return the fault code of state_layout.py, 0 if there is no fault. Main loop only.
+
+    FAULT holds a fault that the interrupt has found. Further ones are looked for here: a word
+    written to a full FIFO, an interrupt that was requested and has not come, and machines that
+    should have run out of words long ago.
+    """
     if state[s.FAULT]:
         return state[s.FAULT]
     over = (ptr32(state[s.PIO0])[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS]
@@ -151,12 +177,14 @@ def fault_code(state: ptr32) -> int:
 
 @micropython.viper
 def position(state: ptr32, steps: ptr32) -> int:
-    """Copy the present position of each motor, in steps.
+    """Copy the present position of each motor, in steps, into `steps`. Returns 0.
 
-    During motion it follows from the row that has begun last, and the time since then.
+    During motion it follows from the row of the segment that has begun last, and the time since
+    then; a locked motor is where it has stopped.
     """
     motors = state[s.MOTORS]
     lanes = ptr32(state[s.LANES])
+    # Index in a row of its begin: us, then half ticks; its start positions follow (ROW_EXTRA).
     begins = ROW_AXES + ROW_STRIDE * state[s.AXES]
     locked = state[s.LOCKED]  # read now, because stop() may come in between
     if state[s.RUNNING] == 0:
@@ -166,12 +194,12 @@ def position(state: ptr32, steps: ptr32) -> int:
         now = ptr32(state[s.TIMER])[0] & MASK
         fed = state[s.FED]
         passed = NEGATIVE  # us since the row began; from NEGATIVE on it has not begun
-        k = 0
+        k = 0  # rows back from the last one handed over
         while passed >= NEGATIVE and k < s.LAST_ROW:
             k += 1
             row = ptr32(state[s.ROW + ((fed - k) & s.LAST_ROW)])
             passed = (now - row[begins]) & MASK
-        tick = -1  # the row has not begun yet
+        tick = -1  # ticks since the row began; -1: it has not begun yet
         if passed < NEGATIVE:
             if passed > _LONGEST_US:
                 passed = _LONGEST_US  # or the product wraps

@@ -34,14 +34,16 @@ _END_LOG2 = const(6)  # and a row's end may be 2**-7 step off (slice_kernel.STEP
 
 @micropython.viper
 def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> int:
-    """Give a row at about the block's exact rate exactly its time. Returns 1 if that was done.
+    """Give a row at about the block's exact rate exactly its time. Returns 1 if that was done, 0
+    if the row has another rate (a ramp, a hold), or its block no exact one.
 
-    rest[0]: fraction of a tick that is due, in 2**-17. A slow block's speed is a small number
-    (CRUISE), so its error may be larger. Steps keep their places within the row.
+    flow, ring: the planner's; row: just made, of the loaded block; motors: their number. rest[0]:
+    fraction of a tick that is due, in 2**-17. A slow block's speed is a small number (CRUISE), so
+    its error may be larger. Steps keep their places within the row, in proportion.
     """
-    at = flow[AT]
-    bits = ring[at + LINE]
-    steps = 0
+    at = flow[AT]  # index of the loaded block in the ring
+    bits = ring[at + LINE]  # ticks per step, a float
+    steps = 0  # of the motor that makes the most
     for i in range(motors):
         if row[ROW_AXES + ROW_STRIDE * i] > steps:
             steps = row[ROW_AXES + ROW_STRIDE * i]
@@ -66,7 +68,7 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     change = exact - ticks
     if change < 0:
         change = 0 - change
-    near = (ticks >> _NEAR_LOG2) + (whole >> _END_LOG2)
+    near = (ticks >> _NEAR_LOG2) + (whole >> _END_LOG2)  # the planner's errors, in ticks
     if change > near + ticks // ((ring[at + CRUISE] >> 1) + 1) + 2:
         return 0
     rest[0] = fraction & ((1 << _FRACTION_BITS) - 1)
@@ -83,7 +85,7 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
 
 
 class ExactSegments(Segments):
-    """Segments with exact rates."""
+    """Segments with exact rates. rest: an array of one integer, for set_time()."""
 
     def __init__(self, planner: "Planner", rest: "array[int]") -> None:
         super().__init__(planner)
@@ -92,7 +94,8 @@ class ExactSegments(Segments):
 
     @micropython.viper
     def next(self, row: ptr32) -> int:
-        """Fill in the next segment's row, as Segments.next() does, at its exact rate."""
+        """Fill in the next segment's row, as Segments.next() does, at its exact rate. Returns 0 if
+        no motion is due, else 1."""
         flow = ptr32(self._flow_at)
         ring = ptr32(self._ring_at)
         table = ptr32(self._table_at)

@@ -178,7 +178,11 @@ class Group:
     def _queue(
         self, speed: "float | None", seconds: "float | None", wanted: "dict[str, float]", by: bool
     ) -> int:
-        """Check a move completely, then plan it."""
+        """Check a move completely, then plan it. Returns its number.
+
+        wanted: positions in units, or distances if `by` is True, and levels of outputs, by name.
+        speed, seconds: see move(). Raises ValueError, and nothing has changed then.
+        """
         if (speed is not None and speed <= 0) or (seconds is not None and seconds <= 0):
             raise ValueError("speed and seconds have to be above 0")
         names = [axis.name for axis in self.axes]
@@ -202,7 +206,8 @@ class Group:
         return self._lines.plan(*self._rate(speed, seconds))
 
     def _levels(self, wanted: "Mapping[str, float]") -> int:
-        """Return the outputs' levels after all moves, with these changes."""
+        """Return the outputs' levels after all moves, a bit each, with these changes: 0 or 1 by
+        name. Raises ValueError for an unknown name."""
         levels = self._lines.levels
         for name in wanted:
             if name not in self._outputs:
@@ -260,7 +265,10 @@ class Group:
         self._lines.resume()
 
     def _check(self) -> None:
-        """Let the queue do what is due. Raises GroupError if the engine has failed."""
+        """Let the queue do what is due after stops. Raises GroupError if the engine has failed.
+
+        After a stop, positions are those where the motors are: rests of rounding no longer count.
+        """
         stopped = self._lines.stopping
         fault = self._lines.check()
         if fault or (stopped and not self._lines.stopping):
@@ -322,6 +330,7 @@ class Group:
             yield
 
     def _wait_for_space(self) -> None:
+        """Wait until the queue has space. Raises GroupError during a pause."""
         while not self.space():
             self._refuse_pause()
             self.sleep()

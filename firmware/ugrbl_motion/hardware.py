@@ -44,7 +44,8 @@ class Hardware:
         self._outputs: "list[Pin]" = []
 
     def engine(self, step: "Pins", direction: "Pins") -> "StepEngine":
-        """Create the step engine. Raises OSError if this chip has none, or it is in use."""
+        """Create the step engine. step, direction: pin numbers per motor. Raises OSError if this
+        chip has none, or it is in use."""
         engines = {"rp2": pio, "esp32": rmt}
         if sys.platform not in engines:
             raise OSError("no step engine for %s: use the simulator's" % sys.platform)
@@ -55,7 +56,7 @@ class Hardware:
         return made
 
     def make_outputs(self, pins: "Sequence[int]", levels: int) -> None:
-        """Create the outputs that write() sets."""
+        """Create the outputs that write() sets, at these pin numbers. levels: a bit each."""
         from machine import Pin
 
         self._outputs = [Pin(pin, Pin.OUT, value=levels >> i & 1) for i, pin in enumerate(pins)]
@@ -70,7 +71,7 @@ class Hardware:
     def watch(
         self, number: int, level: int, on_change: "Callable[[], object]"
     ) -> "Callable[[], bool]":
-        """Call on_change, in an interrupt, when the input gets that level.
+        """Call on_change, in an interrupt, when the input at pin `number` gets that level.
 
         Returns a function that says whether it has the level; the pull-up is on. on_change comes
         as soon as the chip can: in a hard interrupt where there are any.

@@ -56,12 +56,16 @@ class Homing:
             await axis.group.sleep_task()
 
     def _steps(self, axis: "Axis") -> "Iterator[None]":
-        """Do it; yield while motion goes on."""
+        """Find the switch of an axis, and set the position; yield while motion goes on.
+
+        Fast towards it, back, slowly towards it, where the position is set, and back.
+        """
         group = axis.group
         away = -self._back_off if self._speed > 0 else self._back_off
         yield from group.until_done()
 
-        def on_change() -> None:  # in an interrupt
+        def on_change() -> None:
+            """Stop motion in the pin's interrupt, if it goes towards the switch."""
             if self._watching:
                 group.halt()
 
@@ -75,7 +79,8 @@ class Homing:
         yield from self._leave(axis, away)
 
     def _approach(self, axis: "Axis", distance: float, speed: float) -> "Iterator[None]":
-        """Move until the switch closes."""
+        """Move until the switch closes, by at most `distance`, units; speed: units/s. Yields while
+        motion goes on. Raises GroupError if the switch does not close."""
         self._watching = True
         try:
             if not self._is_closed():
@@ -89,7 +94,8 @@ class Homing:
             raise GroupError("no switch at pin %d was found: longer travel?" % self._switch.pin)
 
     def _leave(self, axis: "Axis", distance: float) -> "Iterator[None]":
-        """Move off the switch."""
+        """Move off the switch by `distance`, units, slowly. Yields while motion goes on. Raises
+        GroupError if the switch stays closed."""
         axis.move_by(distance, self._slow)
         yield from axis.group.until_done()
         if self._is_closed():

@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
     from interfaces import GroupHardware
 
-REACH = const(0x1FFFFF00)  # steps from 0
-_BIAS = const(0x20000000)
+REACH = const(0x1FFFFF00)  # farthest position, in steps from 0
+_BIAS = const(0x20000000)  # 2**29, added to positions in the planner's table
 
-# What the interrupt shares with the main loop.
-_PLAYING = const(0)  # the move being executed: its number, and the outputs' levels below that
+# What the interrupt shares with the main loop: indexes in _state.
+_PLAYING = const(0)  # the move being executed: its number << LEVEL_BITS, and the outputs' levels
 _AT_END = const(1)  # levels after all moves
 LEVEL_BITS = const(8)
-_LEVELS = const(0xFF)
-_NUMBERS = const(0xFFFFF)  # of moves
-_HALF = const(0x80000)
+_LEVELS = const(0xFF)  # mask of levels
+_NUMBERS = const(0xFFFFF)  # mask of a move's number, which wraps
+_HALF = const(0x80000)  # a difference of two numbers from here on is negative
 
 
 class Motor:
@@ -59,7 +59,8 @@ class Motor:
 
 
 class _Limits:
-    """Limits of axes for Planner.configure(): per minute, and in its unit, `scale` to one."""
+    """Limits of axes for Planner.configure(), which expects mm and minutes: scale * mm stand for
+    one unit of the program. corner: junction deviation, in units."""
 
     def __init__(self, axes: "Sequence[Motor]", scale: float, corner: float) -> None:
         self.steps_per_mm = [axis.steps_per_unit / scale for axis in axes]
@@ -69,7 +70,7 @@ class _Limits:
 
 
 class _Overrides:
-    """What the planner reads of a machine's state; percent."""
+    """What the planner reads of a machine's state: overrides, in percent, and hooks."""
 
     def __init__(self) -> None:
         self.hooks = Hooks()
@@ -80,7 +81,7 @@ class _Overrides:
 class LineQueue:
     """The queue. Arguments: see Group. `ends` is filled in before plan().
 
-    levels: of the outputs, a bit each, at the start.
+    length: rows of the planner's ring. levels: of the outputs, a bit each, at the start.
     """
 
     def __init__(
@@ -128,7 +129,8 @@ class LineQueue:
 
     @micropython.native
     def _on_row(self, playing: int) -> None:
-        """A row begins: note its move, and set the outputs if they change."""
+        """Note the move of a row that begins, and set the outputs if they change. playing: as
+        _PLAYING; the planner has it as the row's spindle power."""
         state = self._state
         before = state[_PLAYING]
         state[_PLAYING] = playing
@@ -137,7 +139,7 @@ class LineQueue:
 
     @micropython.native
     def _on_rest(self) -> None:
-        """The engine has run out of rows: set the outputs that change after the last move."""
+        """Set the outputs that change after the last move: the engine has run out of rows."""
         flow = self._planner.flow
         if flow[HEAD] == flow[TAIL]:
             state = self._state
@@ -152,10 +154,11 @@ class LineQueue:
     # Moves
 
     def plan(self, rate: float, feed: float) -> int:
-        """Plan a line to `ends`, which must be within REACH, and start motion. Returns its number.
+        """Plan a line to `ends`, which must be within REACH, and start motion. Returns the number
+        of the last move: this one, or the one before if this one has no steps.
 
-        There must be space. rate: steps/s of the axis with the most steps, and feed, units/s along
-        the line, are the same speed; 0: as fast as possible. Without steps there is no new move.
+        The queue must have space. rate: steps/s of the axis with the most steps, and feed, units/s
+        along the line, are the same speed; 0: as fast as possible.
         """
         planner, move = self._planner, self._move
         move.clear()
@@ -179,23 +182,24 @@ class LineQueue:
         return self._number
 
     def _period_bits(self, row: int) -> int:
-        """Return the ticks per step of a row of the ring for exact.set_time(), at this pace."""
+        """Return the ticks per step of a row of the ring, at the pace in force, as the bits of a
+        float: for exact.set_time()."""
         self._cell[0] = self._periods[row] / self._factor
         copy(self._cell, self._bits, 1)
         return self._bits[0]
 
     def pace(self, factor: float) -> None:
-        """Execute all moves, the present one too, at so many times their speed."""
+        """Execute all moves, the present one too, at `factor` times their speed."""
         planner, flow = self._planner, self._planner.flow
         self._factor = factor
         self._overrides.feed_override = self._overrides.rapid_override = 100 * factor
         planner.override()
-        at = flow[TAIL]
-        while at != flow[HEAD]:
-            row = at * flow[layout.ROW_SIZE]
-            if planner.ring[row + LINE]:
-                planner.ring[row + LINE] = self._period_bits(at)
-            at = (at + 1) % flow[ROWS]
+        row = flow[TAIL]
+        while row != flow[HEAD]:
+            at = row * flow[layout.ROW_SIZE]  # its index in the ring
+            if planner.ring[at + LINE]:  # it has an exact rate
+                planner.ring[at + LINE] = self._period_bits(row)
+            row = (row + 1) % flow[ROWS]
 
     @property
     def levels(self) -> int:
@@ -203,7 +207,8 @@ class LineQueue:
         return self._state[_AT_END]
 
     def set_levels(self, levels: int, now: bool) -> None:
-        """Set the outputs' levels from the end of the queued moves on; at once, if that is now."""
+        """Set the outputs' levels, a bit each, from the end of the queued moves on. now: also set
+        them at once, if nothing moves or waits."""
         self._state[_AT_END] = levels
         if now and not self.busy():
             self._on_rest()
@@ -211,7 +216,7 @@ class LineQueue:
     # Stops
 
     def stop(self) -> None:
-        """Slow down, stop, and drop all moves, in check()."""
+        """Slow down and stop. All moves are dropped then, by check()."""
         self.stopping = True
         self._segments.hold(True)
 
@@ -246,7 +251,8 @@ class LineQueue:
         return ""
 
     def _settle(self) -> None:
-        """After a stop: drop all moves, and plan from where the motors are."""
+        """Drop all moves after a stop, plan from where the motors are, and allow motion again. The
+        outputs keep their present levels."""
         self._engine.stop()
         self._planner.clear()
         self._segments.clear()
@@ -266,11 +272,12 @@ class LineQueue:
         return self._steps
 
     def end(self, index: int) -> int:
-        """Return the steps from 0 of an axis at the end of the queued moves."""
+        """Return the steps from 0 of the axis number `index` at the end of the queued moves."""
         return self._planner.position[index] - _BIAS
 
     def place(self, index: int, steps: int) -> None:
-        """Declare the present position of an axis. Only while nothing moves."""
+        """Declare the present position of the axis number `index`, in steps. Only while nothing
+        moves."""
         present = self.present()
         present[index] = steps
         self._engine.set_position(present)

@@ -49,7 +49,12 @@ def _distance(one: "array[float]", other: "array[float]") -> float:
 
 
 class NonlinearKinematics:
-    """Converts between joints and the tool's position. Motor i moves joint i."""
+    """Converts between joints and the tool's position. Motor i moves joint i.
+
+    geometry: the user's module, with inverse(place, joints) and forward(joints, place), which
+    compute one from the other. Joints are in their own units, places in mm. home, travel: per
+    joint.
+    """
 
     def __init__(self, axes: int, geometry: "Geometry") -> None:
         self.geometry = geometry
@@ -66,7 +71,7 @@ class NonlinearKinematics:
             joints[i] = self.start[i] + motors[i] / self.resolution[i]
 
     def steps_of(self, joint: float, i: int) -> int:
-        """Return the motor steps of a joint's position."""
+        """Return the motor steps of joint i at the position `joint`, in its unit."""
         return _nearest((joint - self.start[i]) * self.resolution[i])
 
     def place_of(self, motors: "array[int]", place: "array[float]") -> None:
@@ -97,8 +102,9 @@ class NonlinearKinematics:
 class NonlinearPlanner(Planner):
     """A planner of chords.
 
-    place, joints: the end of the last chord. homing: positions are those of joints, in their
-    units, until it is False again.
+    place, joints: the tool's position (mm) and that of the joints at the end of the last chord.
+    homing: positions are those of joints, in their units, until it is False again. pace: joint
+    units per mm of the tool's path, of all joints together.
     """
 
     kinematics: "NonlinearKinematics"
@@ -114,9 +120,9 @@ class NonlinearPlanner(Planner):
         self._place = vector(axes)  # its exact end, because chords may have no steps
         self._joints = vector(axes)
         self._next = vector(axes)  # end of a system move; or the bend of each joint, see _limit()
-        self._slope = vector(axes)  # joint units per mm in the last block,
+        self._slope = vector(axes)  # per joint: its units per mm of path in the last block,
         self._pace = 1.0  # root of the sum of their squares,
-        self._length = 1.0  # and its length in mm
+        self._length = 1.0  # and the length of that block's path, mm
         self._rates = vector(axes)  # highest of each joint, units/s
         self._accelerations = vector(axes)  # units/s2
         self._fastest = 1.0  # the tool's highest speed, mm/s
@@ -155,7 +161,8 @@ class NonlinearPlanner(Planner):
             self.kinematics.place_of(motors, mm)
 
     def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
-        """Set a joint's position, as Planner.set_axis(). Used only while homing."""
+        """Set a joint's position (mm: in its own unit), as Planner.set_axis(). Used only while
+        homing."""
         motors[axis] = self.kinematics.steps_of(mm, axis)
 
     def sync_motors(self, motors: "array[int]") -> None:
@@ -177,9 +184,9 @@ class NonlinearPlanner(Planner):
     # Blocks
 
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """Add the chord that course has computed last; it ends at target.
+        """Add the chord that self.course has computed last; it ends at target, mm.
 
-        Return False if it has no steps.
+        Return False if it has no steps: the next chord then begins where this one did.
         """
         copy(target, self.place, self.axes)
         copy(self.course.joints, self.joints, self.axes)
@@ -201,8 +208,9 @@ class NonlinearPlanner(Planner):
         """Plan a system move, as Planner.system_line(). All joints move evenly.
 
         So the tool's path is straight only if one joint moves one axis alone, as in parking.
-        target: the tool's position; while homing, positions of joints, and the length is theirs.
-        start: motor steps. Return False if nothing moves, or if target is out of reach.
+        target: the tool's position, mm; while homing, positions of joints, and the length of the
+        path is the distance in their units. start: motor steps. Return False if nothing moves, or
+        if target is out of reach.
         """
         begin, end = vector(self.axes), self._next
         self.kinematics.joints_of(start, begin)
@@ -231,14 +239,15 @@ class NonlinearPlanner(Planner):
         move: "Move",
         power: int,
     ) -> bool:
-        """Fill a row of the ring: joints move from begin (steps: start) to end.
+        """Fill a row of the ring: joints move from begin to end, positions in their units. start:
+        the motor steps at begin.
 
-        length: of the tool's path, mm. Return False if there are no steps.
+        length: of the tool's path, mm. power: of the spindle. Return False if there are no steps.
         """
         table, ring, flow, flags = self.table, self.ring, self.flow, move.flags
         row = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
-        at = row * flow[layout.ROW_SIZE]
-        events = dirs = 0
+        at = row * flow[layout.ROW_SIZE]  # index of the row in the ring
+        events = dirs = 0  # steps of the joint that makes the most; mask of those that go back
         squares = 0.0
         for i in range(self.axes):
             change = end[i] - begin[i]
@@ -276,12 +285,14 @@ class NonlinearPlanner(Planner):
     ) -> None:
         """Compute a chord's speed and acceleration limits, and the limit of its first corner.
 
-        at: its row's index in the ring. pace: joint units per mm of the tool's path, of all joints
-        together. With the tool's speed v, a joint's speed is slope * v, and its acceleration is
-        slope * acceleration + bend * v**2, where bend is the change of slope per mm.
+        at: its row's index in the ring. begin, end: of the joints. length: of the tool's path, mm.
+        pace: joint units per mm of that path, of all joints together. With the tool's speed v, a
+        joint's speed is slope * v, and its acceleration is slope * acceleration + bend * v**2,
+        where slope is its units per mm, and bend is the change of slope per mm.
         """
         ring, table, slope = self.ring, self.table, self._slope
-        direction = layout.LIMITS + _DIRECTION * self.axes
+        direction = layout.LIMITS + _DIRECTION * self.axes  # index in the table
+        # The scalar product of this chord's change and the last slope has their angle's cosine.
         product = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
         is_bend = product > _STRAIGHT * pace * length * self._pace  # and not a corner
         per_distance = 2 / (length + self._length)  # from one chord's middle to the next one's
@@ -312,7 +323,7 @@ class NonlinearPlanner(Planner):
         self._pace, self._length = pace, length
 
     def _rate(self, move: "Move", rapid: float) -> float:
-        """Return the programmed rate in mm/s: of a rapid, the highest one."""
+        """Return the programmed rate in mm/s. rapid: the highest possible one, that of G0."""
         if move.flags & layout.RAPID_MOTION:
             return rapid
         return max(move.feed, 1.0) / 60

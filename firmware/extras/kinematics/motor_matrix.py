@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
 
 def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
-    """Return what each motor moves, as in motion/kinematics.py.
+    """Return a number for each motor, which axes move it: as in motion/kinematics.py, bit i for
+    axis i, and bit i + REVERSE if the motor turns backwards for it.
 
-    ValueError if a word is wrong, or if the axes' positions do not follow from the motors'.
+    words: those of MOVES; axes: how many there are. ValueError if a word is wrong, or if the axes'
+    positions do not follow from the motors'.
     """
     if len(words) > axes:
         raise ValueError("MOVES has %d words, and there are %d axes" % (len(words), axes))
@@ -40,9 +42,9 @@ def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
 
 
 def _motor(word: str, axes: int) -> int:
-    """Return the masks for a motor's word, such as X-Z: axes, and reversed axes << REVERSE."""
+    """Return a motor's number (see parse_words()) for its word, such as X-Z."""
     moves = 0
-    shift = 0
+    shift = 0  # REVERSE after a minus sign
     for character in word:
         axis = LETTERS[:axes].find(character)
         if character in "+-":
@@ -58,7 +60,7 @@ def _motor(word: str, axes: int) -> int:
 def _sign(moves: int, axis: int) -> int:
     """Return the direction in which a motor turns for an axis: 1, -1, or 0 for not at all.
 
-    moves: the motor's masks, as _motor() returns them.
+    moves: the motor's number, as _motor() returns it.
     """
     return (moves >> axis & 1) - (moves >> axis + REVERSE & 1)
 

@@ -30,7 +30,8 @@ _REQUIRED = ("inverse", "forward", "START", "HOME", "TRAVEL", "CENTRED", "FASTES
 
 
 def _geometry(name: str, axes: int) -> "Geometry":
-    """Import the geometry module. ValueError if it lacks a name or has a wrong length."""
+    """Import the geometry module of that name. ValueError if it lacks a name of _REQUIRED, or if
+    one of its tuples has not one number per axis."""
     geometry: "Any" = __import__(name)
     for word in _REQUIRED:
         if not hasattr(geometry, word):
@@ -55,7 +56,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Hook the check of reach into lines. No line uses the stream kernel."""
+    """Hook the check of reach into lines. No line is executed by the stream kernel, because that
+    plans a line as one block."""
     machine: "Any" = cnc.machine
     canon, interpreter = machine.canon, machine.interpreter
     canon.pump, canon.tell = machine.protocol.pump, cnc.message

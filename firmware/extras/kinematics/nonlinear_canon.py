@@ -33,7 +33,7 @@ class NonlinearCanon(Canon):
 
     planner: "NonlinearPlanner"
     pump: "Callable[[], None]"  # reads the link
-    tell: "Callable[[str], None]"
+    tell: "Callable[[str], None]"  # sends a message to the client
     modes: "Modes"
     block: "Block"
     stop_planning = False
@@ -47,13 +47,14 @@ class NonlinearCanon(Canon):
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
 
     def line(self, target: "array[float]", move: "Move") -> None:
-        """Request a line, as Canon.line()."""
+        """Request a line, as Canon.line(): finish() plans it later, by _plan_line()."""
         super().line(target, move)
         self._arc = None
         self.stop_planning = False
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """Request an arc, as Canon.arc()."""
+        """Request an arc, as Canon.arc(): as a line, whose path _plan_line() bends. start is where
+        the last path ended, so it is not needed."""
         self.line(target, move)
         self._arc = arc
 
@@ -86,7 +87,8 @@ class NonlinearCanon(Canon):
     def check(
         self, start: "array[float]", target: "array[float]", arc: "Arc | None", code: int
     ) -> None:
-        """Refuse a path from start to target (mm) that leaves the reach, by error `code`.
+        """Refuse a path from start to target (mm) that leaves the reach, by GrblError(code). arc:
+        None for a straight line.
 
         All its chords are checked. The link is read meanwhile, because that takes long.
         """
@@ -102,9 +104,10 @@ class NonlinearCanon(Canon):
             self._refuse(code)
 
     def _refuse(self, code: int) -> None:
-        """Report the position that is out of reach, and raise GrblError."""
-        letters = zip(LETTERS, self.planner.course.place)
-        self.tell("%s is out of reach" % " ".join(["%s%.3f" % pair for pair in letters]))
+        """Report the position that is out of reach, where the course has stopped, and raise
+        GrblError(code)."""
+        words = zip(LETTERS, self.planner.course.place)
+        self.tell("%s is out of reach" % " ".join(["%s%.3f" % word for word in words]))
         raise GrblError(code)
 
     def wait_for_room(self) -> None:
@@ -114,11 +117,16 @@ class NonlinearCanon(Canon):
             self.service()
 
     def _is_cut(self) -> bool:
-        """Return whether the rest of the path is not to be planned: a reset, or a contact."""
+        """Return whether the rest of the path is not to be planned: after a reset (synced), or
+        after the probe's contact (stop_planning)."""
         return self.planner.synced or self.stop_planning
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
-        """Plan a line or an arc as chords, as Canon._plan_line() plans lines."""
+        """Plan a line or an arc as chords, as Canon._plan_line() plans lines. target: mm.
+
+        An alarm stops it if a chord is out of reach, or outside the soft limits. The machine is
+        serviced between chords, so a reset or a contact may end it.
+        """
         state, planner, course = self._state, self.planner, self.planner.course
         arc, self._arc = self._arc, None
         limited = state.run != st.JOG and not self._is_jog  # a jog has been checked before
@@ -133,7 +141,7 @@ class NonlinearCanon(Canon):
             move.feed *= course.path.length  # G93: from 1/min to mm/min
             move.flags &= ~layout.INVERSE_TIME
         planner.synced = False
-        moves = False
+        moves = False  # whether a chord has had steps
         while course.has_next():
             if not course.next_chord() or (arc and limited and self.outside(course.place)):
                 self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
@@ -157,7 +165,8 @@ class NonlinearHoming(HomingProbing):
     _planner: "NonlinearPlanner"
 
     def find_switches(self, axes: int) -> None:
-        """Home, as Seek.find_switches(). Positions, travel and rates are those of joints."""
+        """Home these axes (a mask), as HomingProbing.find_switches(). Axis i stands for joint i:
+        positions, travel and rates are those of joints, in their units."""
         settings, planner = self._settings, self._planner
         travel = settings.max_travel[:]
         planner.homing = True
@@ -170,7 +179,8 @@ class NonlinearHoming(HomingProbing):
             copy(travel, settings.max_travel, planner.axes)
 
     def _set_origin(self, axes: int) -> None:
-        """Set the joints' positions: HOME plus the pull-off."""
+        """Set the positions of the joints in a mask: the geometry's HOME, less or plus the
+        distance that homing has pulled off."""
         settings, planner = self._settings, self._planner
         self._engine.position(self._steps)
         for i in range(planner.axes):

@@ -48,7 +48,7 @@ _ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERS
 class RotaryPlanner(Planner):
     """A planner whose feed rates are those of the linear axes.
 
-    Blocks are as usual: their rates and accelerations are along the path of all axes.
+    Blocks are those of any Planner: their rates and accelerations are along the path of all axes.
     """
 
     linear = 0  # mask of linear axes
@@ -59,11 +59,11 @@ class RotaryPlanner(Planner):
 
     @micropython.native
     def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a line, as Planner.plan(). rate: of the linear axes, a real.
+        """Plan a line, as Planner.plan(). rate: along the linear axes, a real, mm/s.
 
-        The planner's rate is along the path of all axes, so it is longer than the linear part by
-        the ratio of stretch(). A line of rotary axes only has its rate in degrees per minute,
-        which G20 has multiplied by 25.4.
+        Planner.plan() needs the rate along the path of all axes. That path is longer than its
+        linear part by the factor of stretch(), and so the rate is higher by it. The rate of a line
+        of rotary axes only is in degrees; with G20 it was multiplied by 25.4, which is undone.
         """
         if not flags & _ITS_OWN_RATE:
             factor = stretch(target, self.table, self.ring, self.flow, self.linear)
@@ -73,7 +73,8 @@ class RotaryPlanner(Planner):
         return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """Plan an arc's chords, as Planner.chords()."""
+        """Plan an arc's chords, as Planner.chords(). rate() multiplies its result by on_arc
+        meanwhile."""
         if not move.flags & _ITS_OWN_RATE:
             self._times = self.on_arc
         result = super().chords(course, move, power, moves)
@@ -81,12 +82,13 @@ class RotaryPlanner(Planner):
         return result
 
     def rate(self, feed: float) -> int:
-        """Return a feed rate, as Planner.rate(), along the path of all axes."""
+        """Return a feed rate in mm/min as a real in mm/s, as Planner.rate(). On an arc the result
+        is along the path of all axes; on a line turn() converts it."""
         return minifloat.mul(super().rate(feed), self._times)
 
 
 class RotaryCanon(Canon):
-    """Canon of a machine with rotary axes."""
+    """Canon of a machine with rotary axes. axes: their numbers."""
 
     axes: "tuple[int, ...]" = ()
     planner: "RotaryPlanner"
@@ -118,10 +120,12 @@ class RotaryCanon(Canon):
         super()._plan_line(target, move)
 
     def _unwind(self, target: "array[float]") -> None:
-        """Subtract whole turns from endless axes whose target is beyond _EXACT steps.
+        """Subtract whole turns from endless axes whose target is beyond _EXACT steps. target: mm
+        or degrees per axis, changed in place.
 
-        Target, parser position and G92 change together, so the program's numbers stay valid. A
-        line that is itself longer than that is allowed, up to the limit of any axis.
+        Target, parser position and G92 change together, so the program's numbers stay valid. The
+        motors' position can only be changed while idle, so this waits for the end of motion. A
+        line that is itself longer than _EXACT steps is allowed, up to the limit of any axis.
         """
         planner, state = self.planner, self._state
         for axis in self.endless():
@@ -147,7 +151,8 @@ class RotaryCanon(Canon):
             self.limit(axis, max(far, exact))
 
     def _whole_turns(self, axis: int, target: "array[float]") -> float:
-        """Return an axis' whole turns in degrees: those planned, or in check mode all of them."""
+        """Return the whole turns to subtract from an axis, in degrees: those in the position at
+        the end of all planned blocks; in check mode, which plans none, those in the target."""
         if self._state.run == st.CHECK:
             return int(target[axis] / _TURN) * _TURN if abs(target[axis]) < _FAR else 0.0
         steps = self.planner.position[axis] - arcs.FAR
@@ -158,7 +163,7 @@ class RotaryCanon(Canon):
         planner, engine = self.planner, self.engine
         motors = array("i", bytes(4 * planner.motors))
         engine.position(motors)
-        steps = degrees * planner.steps_per_mm[axis]
+        steps = degrees * planner.steps_per_mm[axis]  # rounded by // 1, also if negative
         position = planner.axis_steps(motors, axis) - int((steps + 0.5) // 1)
         if planner.kinematics:
             planner.kinematics.set_axis(motors, axis, position)
@@ -190,7 +195,8 @@ class RotaryCanon(Canon):
 
 
 def mask_of(letters: str, axes: int) -> int:
-    """Return the mask of these letters. ValueError if one is not a rotary axis."""
+    """Return the mask of the axes with these letters, of a machine with so many axes. ValueError
+    if one cannot be a rotary axis."""
     mask = 0
     for letter in letters:
         axis = LETTERS[:axes].find(letter)
@@ -204,7 +210,8 @@ _found: "dict[str, int]" = {}  # prepare() stores here what install() needs: mas
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Select planner and canon, and find rotary axes. ValueError if the board file is wrong."""
+    """Select planner and canon, and find rotary axes, and those of them without a limit switch.
+    ValueError if the board file is wrong."""
     option = board.__dict__.get
     _found["rotary"] = rotary = mask_of(option("ROTARY", ""), options.axes)
     limits: "tuple[int | None, ...]" = option("LIMIT", ())
@@ -232,23 +239,23 @@ def install(cnc: "Cnc") -> None:
 
 
 def _home(machine: "Any", homed: int) -> None:
-    """Hook into $H: axes without a switch are not homed.
+    """Hook into $H: rotary axes without a switch are left out.
 
-    An endless axis gets one turn of travel meanwhile, so its search ends after one and a half
-    turns. homed: mask of the axes that are homed.
+    homed: mask of the axes that $H includes. An endless axis, whose travel setting is 0, gets one
+    turn of travel during homing, so its search ends after one and a half turns.
     """
     hooks, settings, canon = machine.state.hooks, machine.settings, machine.canon
-    usual: "Callable[[int], bool]" = hooks.home
+    previous: "Callable[[int], bool]" = hooks.home
 
     def home(axes: int) -> bool:
-        """Home the axes, a mask; 0: all. Returns whether that succeeded."""
+        """Home the axes, a mask; 0: all that $H includes. Returns whether that succeeded."""
         if axes == 0:  # Grbl's own order: Z, then all others together
             return home(1 << Z) and home(homed & ~(1 << Z))
         endless = [axis for axis in canon.endless() if axes >> axis & 1]
         for axis in endless:
             settings.max_travel[axis] = _TURN
         try:
-            return usual(axes)
+            return previous(axes)
         finally:
             for axis in endless:
                 settings.max_travel[axis] = 0.0

@@ -18,10 +18,11 @@ _MANTISSA = const(32767)
 
 @micropython.viper
 def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) -> int:
-    """Return length of all axes / length of the linear axes (a mask), as a real.
+    """Return the length of the line to target, over the length of its part along the linear axes
+    (linear: a mask of them), as a real.
 
-    ONE if nothing moves, 0 if no linear axis moves. target: mm or degrees, float32. The
-    ring must have a free row, because the line is measured in the next block's row.
+    ONE if nothing moves, 0 if no linear axis moves. target: mm or degrees, float32. table, ring,
+    flow: the planner's. The ring must have a free row, because the line is measured there.
 
     Linear distances are added as squares of 14-bit mantissas with a common exponent, so five axes
     fit 31 bits.

@@ -46,7 +46,7 @@ class Path:
         self.length = 0.0
 
     def set_path(self, start: "array[float]", target: "array[float]", arc: "Arc | None") -> None:
-        """Set the path from start to target, in mm."""
+        """Set the path from start to target, in mm. arc: None for a straight line."""
         copy(start, self._start, len(start))
         self._plane = (arc.plane[0], arc.plane[1]) if arc else (-1, -1)
         squares = 0.0
@@ -75,7 +75,7 @@ class Path:
         self._change[b] = target[b] - self._centre_1 - self._radius * math.sin(end)
 
     def point_at(self, part: float, place: "array[float]") -> None:
-        """Compute the position after a part of the path, 0 to 1."""
+        """Compute the position after a part of the path, 0 to 1, into place (mm)."""
         start, change = self._start, self._change
         for i in range(len(place)):
             place[i] = start[i] + part * change[i]
@@ -87,7 +87,8 @@ class Path:
 
 
 class Segmenter:
-    """Cuts a path. place, joints: the end of the last chord. Methods copy their arguments."""
+    """Cuts a path into chords. place, joints: the tool's position (mm) and the joints' at the end
+    of the last chord. Methods copy their arguments."""
 
     def __init__(self, axes: int, geometry: "Geometry") -> None:
         self._geometry = geometry
@@ -112,7 +113,8 @@ class Segmenter:
         arc: "Arc | None",
         tolerance: float,
     ) -> None:
-        """Start a path from start, where the joints are `joints`, to target, in mm."""
+        """Start a path from start, where the joints are `joints`, to target, in mm. arc: None for
+        a straight line. tolerance: how far chords may leave the path, mm."""
         self.path.set_path(start, target, arc)
         copy(start, self.place, self._axes)
         copy(joints, self.joints, self._axes)
@@ -121,9 +123,10 @@ class Segmenter:
         self._step = min(1.0, _LONGEST_MM / (self.path.length or 1.0))
 
     def is_in_reach(self) -> bool:
-        """Return whether the path is in reach, by positions at equal distances.
+        """Return whether the path is in reach: by positions on it at equal distances, at most
+        _MOST_LOOKS.
 
-        If not, place is the first of them that is not.
+        If not, place is the first of them that is out of reach.
         """
         copy(self.joints, self._ahead, self._axes)
         looks = min(int(self.path.length / _LONGEST_MM) + 1, _MOST_LOOKS)
@@ -138,9 +141,10 @@ class Segmenter:
         return self._part < 1
 
     def next_chord(self) -> bool:
-        """Compute the next chord. Return False if it is out of reach; place is its end then.
+        """Compute the next chord: its end goes to place and joints. Return False if it is out of
+        reach; place is its end then, too.
 
-        It begins with the length that fitted the chord before, and is cut until its deviation is
+        The first try has the length that fitted the chord before. It is cut until its deviation is
         within the tolerance. step, longest: lengths as parts of the path.
         """
         longest = _LONGEST_MM / (self.path.length or 1.0)
@@ -172,10 +176,11 @@ class Segmenter:
     def _strays(self, end: float) -> float:
         """Return the largest deviation of the tool within the next chord, in mm.
 
-        end: the part of the path at which the chord ends. Its joints are in _ahead.
+        end: the part of the path at which the chord ends. Its joints are in _ahead. `made` is
+        where evenly moving joints put the tool, `meant` the path's position.
         """
         between, made, meant = self._between, self._made, self._meant
-        worst = 0.0
+        largest = 0.0  # square of a deviation
         for part in _SAMPLES:
             for i in range(self._axes):
                 between[i] = self.joints[i] + part * (self._ahead[i] - self.joints[i])
@@ -185,5 +190,5 @@ class Segmenter:
             for i in range(self._axes):
                 deviation = made[i] - meant[i]
                 squares += deviation * deviation
-            worst = max(worst, squares)
-        return math.sqrt(worst)
+            largest = max(largest, squares)
+        return math.sqrt(largest)

@@ -54,7 +54,8 @@ _EXCLUDED = ("KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
 class SkewKinematics(Kinematics):
     """Kinematics in which motors differ from their axes by the skew.
 
-    skew: the table of skew_kernel.py. homing: an axis' position is that of its motor.
+    skew: the table of skew_kernel.py. homing: while it is True, an axis' position is that of its
+    motor. active: some factor is not 0.
     """
 
     def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
@@ -68,8 +69,8 @@ class SkewKinematics(Kinematics):
         return super().axis_steps(motors, axis)
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """Return the position of an axis, as Kinematics.axis_steps(): its motor's, plus what the
-        motors of Y and Z bring along. Z and further axes have their motor's position."""
+        """Return the position of an axis in steps, as Kinematics.axis_steps(): its motor's, plus
+        what the motors of Y and Z add to it. Z and further axes have their motor's position."""
         steps = self.motor_of(motors, axis)
         if axis >= Z or self.homing or not self.active:
             return steps
@@ -87,10 +88,11 @@ class SkewKinematics(Kinematics):
         self.skew[kernel.HOMED + axis] = FAR + self.motor_of(motors, axis)
 
     def lean(self, factors: "list[float]") -> bool:
-        """Set the factors XY, XZ, YZ, in steps per step. Return whether they have changed.
+        """Set the factors XY, XZ, YZ, in steps of the axis that is moved per step of the motor
+        that moves it. Return whether they have changed.
 
         Each factor gets as many fraction bits as leave it 28 significant ones, within the limits
-        of the kernel. It is stored as factor + FAR.
+        of the kernel. It is stored as factor + FAR, and its number of fraction bits after it.
         """
         skew, before = self.skew, bytes(self.skew)
         self.active = False
@@ -129,7 +131,8 @@ class SkewPlanner(Planner):
 
     @micropython.native
     def lean(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a line, as Planner.plan(), to the motors' places. PLACED: TARGET has them."""
+        """Plan a line, as Planner.plan(), to the positions of motors that correspond to target.
+        They are put into TARGET of the table, which PLACED says."""
         kinematics = self.kinematics
         if kinematics.active and not kinematics.homing:
             to_steps(target, self.table)
@@ -138,7 +141,7 @@ class SkewPlanner(Planner):
         return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """Plan an arc's chords, as Planner.chords()."""
+        """Plan an arc's chords, as Planner.chords(), to positions of motors."""
         if not moves or not self.kinematics.active:
             return super().chords(course, move, power, moves)
         self.speeds[self.flow[layout.ROWS] + 1] = (
@@ -158,7 +161,8 @@ class SkewPlanner(Planner):
         )
 
     def sync_motors(self, motors: "array[int]") -> None:
-        """Synchronise with the motors, as Planner.sync_motors()."""
+        """Set the position from which the next block is planned, as Planner.sync_motors(): here it
+        is the motors' own."""
         for i in range(self.axes):
             self.position[i] = FAR + self.kinematics.motor_of(motors, i)
 
@@ -186,6 +190,7 @@ def install(cnc: "Cnc") -> None:
     planner.move_hook = planner.lean
 
     def resync() -> None:
+        """Read positions again, from the motors, if a setting has changed the skew."""
         if planner.is_new:
             planner.is_new = False
             machine.resync()
@@ -194,16 +199,17 @@ def install(cnc: "Cnc") -> None:
 
 
 def _home(machine: "Any") -> None:
-    """Hook into homing, which moves motors instead of axes."""
+    """Hook into homing, which moves each motor alone, instead of axes with their skew."""
     hooks, engine, kinematics = machine.state.hooks, machine.engine, machine.planner.kinematics
-    usual: "Callable[[int], None]" = hooks.find_switches
+    previous: "Callable[[int], None]" = hooks.find_switches
     motors = array("i", (0 for _ in range(machine.planner.motors)))
 
     def find(axes: int) -> None:
-        """Search the switches of the axes, a mask, and tell the kinematics where they are."""
+        """Search the switches of the axes, a mask, and store where the motors are then: their
+        skew is counted from there."""
         kinematics.homing = True
         try:
-            usual(axes)
+            previous(axes)
         finally:
             kinematics.homing = False
         engine.position(motors)

@@ -62,7 +62,8 @@ def back_y(z: int, skew: ptr32) -> int:
 
 @micropython.viper
 def to_motors(table: ptr32, skew: ptr32) -> int:
-    """Replace TARGET in the planner's table, steps of axes, by steps of their motors."""
+    """Replace TARGET in the planner's table, steps of axes, by steps of their motors. skew: the
+    skew table. Z's motor is at Z; Y's depends on it, and X's on both. Returns 0."""
     x = LIMITS + TARGET * table[AXES]  # index of X's target; Y and Z follow
     z = table[x + _Z] - skew[HOMED + _Z]
     table[x + _Y] = table[x + _Y] - int(back_y(z, skew))
@@ -83,28 +84,29 @@ def follow_arc(
     rate: int,
     skew: ptr32,
 ) -> int:
-    """Plan an arc's chords, as arcs.follow(), where something moves. Return its result:
+    """Plan an arc's chords, as arcs.follow() with the same arguments, to positions of motors.
+    skew: the skew table. Return the reason to pause:
 
     0 after some chords (the caller then services the machine) or all of them, OUTSIDE if the next
-    is outside the travel, FULL if no row is free, NOWHERE if a chord has no steps.
+    is outside the travel, FULL if no row is free, NOWHERE if the last chord had no steps.
     """
     result = 0
     while result == 0:
-        if course[KNOWN] == 0:
+        if course[KNOWN] == 0:  # else TARGET is the end of the next chord already
             course[KNOWN] = 1
             if int(advance(course, table)):
                 return OUTSIDE
             to_motors(table, skew)
         if int(full(flow)):
             return FULL
-        row = flow[HEAD]
+        row = flow[HEAD]  # number of the row that plan() fills
         if int(plan(course, table, ring, flow, flags, line, power, rate)):
-            speeds[row] = speeds[flow[ROWS] + 1]
+            speeds[row] = speeds[flow[ROWS] + 1]  # the arc's programmed spindle speed
         else:
             result = NOWHERE
         course[KNOWN] = 0
         chords_left = course[LEFT] - 1
         course[LEFT] = chords_left
-        if chords_left & SOME == 0:
+        if chords_left & SOME == 0:  # each eighth one
             break
     return result

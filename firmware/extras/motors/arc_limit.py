@@ -28,7 +28,8 @@ def install(cnc: "Cnc") -> None:
     previous = canon.arc
 
     def arc(start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """Prepare an arc, then limit its feed: v * v / radius is at most the acceleration."""
+        """Request an arc (start, target: mm), then limit its feed (mm/min) so that v * v / radius
+        is at most the acceleration of the plane's weaker axis."""
         previous(start, target, arc, move)  # planned by finish(); move.feed is in mm/min now
         plane, accelerations = arc.plane, settings.acceleration  # mm/min2
         accel = min(accelerations[plane[ONE_AXIS]], accelerations[plane[OTHER_AXIS]])

@@ -47,7 +47,10 @@ _EXCLUDED = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PAR
 
 
 class BacklashKinematics(Kinematics):
-    """Kinematics in which motors differ from their axis' position by its slack, in steps."""
+    """Kinematics in which motors differ from their axis' position by its slack, in steps.
+
+    slack: per axis, the steps that its motor has made to take up slack. held: see below.
+    """
 
     def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
         super().__init__(axes, moves, alone)
@@ -72,7 +75,7 @@ class BacklashKinematics(Kinematics):
 
 
 class BacklashPlanner(Planner):
-    """A planner that can move motors to take up slack."""
+    """A planner that can move motors while their axes stand, to take up slack."""
 
     kinematics: "BacklashKinematics"
     synced = False  # the plan has been cleared
@@ -83,12 +86,15 @@ class BacklashPlanner(Planner):
         self.synced = True
 
     def take_up(self, ways: "array[int]", move: "Move", power: int) -> bool:
-        """Plan a system move by `ways` steps per axis, as a rapid. Return whether it moves.
+        """Plan a system move of motors by ways[i] steps for axis i, as a rapid. Return whether it
+        moves.
 
-        move: the program's, which keeps its line number, spindle and coolant.
+        move: the program's, whose line number, spindle and coolant are used. power: of the
+        spindle.
         """
         table = self.table
-        # The table's targets, followed by the positions of all axes; the program's are put back.
+        # The table's TARGET, followed by POSITION, in steps; the program's are put back at the
+        # end. With PLACED plan() reads TARGET instead of its first argument.
         places = memoryview(table)[layout.LIMITS + layout.TARGET * self.axes :]
         before = array("i", places[: 2 * self.axes])
         for i in range(self.axes):
@@ -158,7 +164,8 @@ class BacklashCanon(Canon):
         super()._plan_line(target, move)
 
     def _plan_chords(self) -> None:
-        """Plan chords as Canon._plan_chords(), one by one, because axes reverse within an arc."""
+        """Plan all chords of the arc as Canon._plan_chords(), but one by one, because axes reverse
+        within an arc: slack is taken up before a chord."""
         state, move, course, planner = self._state, self._move, self.course, self.planner
         if not self.active or state.run == st.CHECK:
             super()._plan_chords()
@@ -168,6 +175,7 @@ class BacklashCanon(Canon):
         while course[arcs.LEFT]:
             if arcs.advance(course, table):
                 self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
+            # advance() has put the chord's end into TARGET; it is put back there after the waits.
             places = memoryview(table)[layout.LIMITS + layout.TARGET * planner.axes :]
             target = array("i", places[: planner.axes])
             self._take_up(move)
@@ -184,9 +192,10 @@ class BacklashCanon(Canon):
                 self.service()
 
     def _take_up(self, move: "Move") -> bool:
-        """Take up the slack before the line in the planner's table.
+        """Take up the slack that is in the way of the line to TARGET in the planner's table.
 
-        Return False if a jog has been cancelled meanwhile.
+        First wait until all motion has ended, because axes must stand still. Return False if a jog
+        has been cancelled meanwhile, else True. move: the line's.
         """
         planner = self.planner
         if not self._turns():
@@ -200,7 +209,11 @@ class BacklashCanon(Canon):
         return not (self._is_jog and planner.synced)
 
     def _turns(self) -> bool:
-        """Note the direction of each axis. Return whether one of them has slack to take up."""
+        """Note the direction of each axis on the way from POSITION to TARGET in the planner's
+        table. Return whether one of them has slack to take up.
+
+        An axis whose slack is unknown is assumed to have it taken up in this direction.
+        """
         table, axes = self.planner.table, self.planner.axes
         target = layout.LIMITS + layout.TARGET * axes
         for i in range(axes):
@@ -211,7 +224,8 @@ class BacklashCanon(Canon):
         return self._slack_ahead()
 
     def _slack_ahead(self) -> bool:
-        """Compute how far each motor has to turn, into _ways. Return whether any has to.
+        """Compute how many steps each axis' motor has to turn, with a sign, into _ways. Return
+        whether any has to.
 
         In the positive direction that is `ahead`, in the negative one the rest of the slack.
         """
@@ -226,9 +240,10 @@ class BacklashCanon(Canon):
         return has_slack
 
     def _move_motors(self, move: "Move") -> None:
-        """Turn the motors, with the axes at standstill, and count the steps made.
+        """Turn the motors by _ways, with the axes at standstill, and count the steps made.
 
-        Hold and reset work meanwhile, so they may be fewer than requested.
+        Hold and reset work meanwhile, so the steps may be fewer than requested. move: the line's,
+        for its line number, spindle and coolant.
         """
         planner, kinematics, motor_control = (
             self.planner,
@@ -291,6 +306,7 @@ def install(cnc: "Cnc") -> None:
         cnc.check_setting(_FIRST + i, _check)
 
     def watch() -> None:
+        """Have lines that move executed by the interpreter, if an axis has slack."""
         if canon.active:
             interpreter.watch(MOVE)
 
@@ -301,7 +317,7 @@ def install(cnc: "Cnc") -> None:
 
 
 def _hook_homing(machine: "Any") -> None:
-    """Hook into homing: it leaves the slack on the side from which the axis has pulled off."""
+    """Hook into homing: its pull-off takes up the slack in the direction of the pull-off."""
     canon, hooks, settings = machine.canon, machine.state.hooks, machine.settings
     previous: "Callable[[int], None]" = hooks.find_switches
 
@@ -324,18 +340,19 @@ def _hook_probing(machine: "Any") -> None:
     state, axes = machine.state, machine.planner.axes
     hooks = state.hooks
     place = vector(axes)
-    usual_probe, usual_forget = hooks.probe, hooks.forget_probe
-    usual_position: "Callable[[], array[float]]" = hooks.probed_at
+    previous_probe, previous_forget = hooks.probe, hooks.forget_probe
+    previous_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
-        """Probe, and store the contact position."""
-        reached: bool = usual_probe(target, move, away, alarms)
+        """Probe, as HomingProbing.probe(), and store the contact position, if it has moved."""
+        reached: bool = previous_probe(target, move, away, alarms)
         if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
-            copy(usual_position(), place, axes)
+            copy(previous_position(), place, axes)
         return reached
 
     def forget() -> None:
-        usual_forget()
+        """Forget the contact position, also the one stored here."""
+        previous_forget()
         for i in range(axes):
             place[i] = 0.0
 

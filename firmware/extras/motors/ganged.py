@@ -96,7 +96,8 @@ class GangedInputs(Inputs):
     pairs: "Pairs" = ()
 
     def closed(self) -> int:
-        """Return Inputs.closed(); an axis' bit is set if any of its switches is closed."""
+        """Return Inputs.closed(), a mask: bit 0 is the probe, bit i + 1 axis i, which is set if
+        any of its switches is closed."""
         closed = super().closed()
         limits = self.limits()
         for axis, motor in self.pairs:
@@ -105,14 +106,15 @@ class GangedInputs(Inputs):
         return closed
 
     def add(self, pairs: "Pairs") -> None:
-        """Use the limit switches of these second motors, too."""
+        """Use the limit switches of these pairs' second motors, too."""
         self.pairs = pairs
         for _, motor in pairs:
             self._all |= 1 << motor
 
 
 class GangedHoming(HomingProbing):
-    """Homing that squares.
+    """Homing that squares a gantry. pairs: of each squared axis, its number, which is also its
+    first motor's, and its second motor.
 
     The steps of a pair's motors differ by how far the axis is racked. Only homing makes them
     differ, also homing that fails; they stay so until homing succeeds or the board restarts.
@@ -128,7 +130,8 @@ class GangedHoming(HomingProbing):
         self._racked = [0 for _ in pairs]
 
     def home(self, axes: int) -> bool:
-        """Home, as Seek.home(). Refuse if a switch of a squared axis is closed already.
+        """Home the axes (a mask; 0: all), as HomingProbing.home(). Refuse, by an alarm, if a
+        switch of a squared axis is closed already.
 
         The distance that its motor has gone beyond the switch is unknown then.
         """
@@ -149,7 +152,8 @@ class GangedHoming(HomingProbing):
         super().find_switches(axes)
 
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
-        """Run a phase of homing, as Seek.home_phase().
+        """Run a phase of homing, as HomingProbing.home_phase(). axes: a mask, with second motors.
+        approach: False for a pull-off. travel: mm; rate: mm/min.
 
         Before a pull-off both switches must still be closed. A motor that stopped without its
         switch closed would leave the axis racked.
@@ -158,6 +162,7 @@ class GangedHoming(HomingProbing):
         for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
                 self._racked[i] += self._difference(axis, motor)
+                # closed has a bit per motor; the axis' number is also that of its first motor.
                 if not approach and not closed >> axis & closed >> motor & 1:
                     self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
                     self._motor_control.reset()

@@ -68,7 +68,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Let $H use this order. A command for one axis ($HX) has no order."""
+    """Let $H use the order of $44 to $49, and the rates of $180 and $190. A command for one axis
+    ($HX) has no order."""
     hooks, settings = cnc.machine.state.hooks, cnc.machine.settings
     all_axes = (1 << cnc.machine.planner.axes) - 1
     previous = hooks.home
@@ -81,6 +82,7 @@ def install(cnc: "Cnc") -> None:
         return all(previous(mask) for mask in cycles if mask)
 
     def check(mask: float) -> None:
+        """Refuse a value of $44 to $49 with axes that this machine has not."""
         if not mask <= all_axes:
             raise GrblError(errors.INVALID_STATEMENT)
 
@@ -92,20 +94,21 @@ def install(cnc: "Cnc") -> None:
 
 
 def _have_rates(cnc: "Cnc") -> None:
-    """Hook into homing: its rates are those of the axes that are homed ($180, $190)."""
+    """Hook into homing: its rates are those of the axes that are homed ($180, $190), which replace
+    $24 and $25 meanwhile."""
     machine: "Any" = cnc.machine
     hooks, settings = machine.state.hooks, machine.settings
     previous: "Callable[[int], None]" = hooks.find_switches
 
     def find(axes: int) -> None:
         """Search the switches of the axes, a mask, at the lowest of their rates."""
-        usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
-        settings.homing_feed = _slowest(settings.homing_feeds, usual_feed, axes)
-        settings.homing_seek = _slowest(settings.homing_seeks, usual_seek, axes)
+        common_feed, common_seek = settings.homing_feed, settings.homing_seek
+        settings.homing_feed = _slowest(settings.homing_feeds, common_feed, axes)
+        settings.homing_seek = _slowest(settings.homing_seeks, common_seek, axes)
         try:
             previous(axes)
         finally:
-            settings.homing_feed, settings.homing_seek = usual_feed, usual_seek
+            settings.homing_feed, settings.homing_seek = common_feed, common_seek
 
     hooks.find_switches = find
 

@@ -39,12 +39,17 @@ _MOST_SUM = const(1 << 29)  # highest sum of the taps, in units of the line
 _HIGHEST_ROOT = const(32768)  # root of the highest scaled speed squared
 _PIECES = const(2)  # pieces planned ahead with each row
 _LIMITS_OF_AN_AXIS = const(3)  # in the planner's table, from LIMITS on,
-_ACCELERATION = const(2)  # and this one of them, a real in mm/s2
+_ACCELERATION = const(2)  # and the index among them of a real in mm/s2
 _PER_MM = const(65536)  # distance units of the line per mm
 
 
 class Jerk:
-    """The stage between planner and engine. next() replaces Segments.next()."""
+    """The stage between planner and engine. next() replaces Segments.next().
+
+    It averages planned speeds in `line`, a delay line (an array; jerk_layout.py names its places):
+    line[FILTER_TAPS] is the number of slots over which it averages, 0 without a limit. A slot
+    lasts as long as a full segment. `flow`, `ring` and `table` are the planner's.
+    """
 
     def __init__(self, planner: "Planner", state: "State") -> None:
         self._planner = planner
@@ -52,45 +57,51 @@ class Jerk:
         self._ring = planner.ring
         self._table = planner.table
         self._line = array("i", (0 for _ in range(jl.TAP_DISTANCES + _MOST_SLOTS)))
-        self._usual_plan = planner.move_hook or planner.plan
+        # The functions that plan() and next() replace, and call.
+        self._plan = planner.move_hook or planner.plan
         planner.move_hook = self.plan
         hooks = state.hooks
         hooks.planned += (lambda: self.release_blocks(0),)
         hooks.caught_up += (lambda: self.release_blocks(1),)
         hooks.cleared += (self._clear,)
         hooks.replan += (self._replan,)
-        self._usual_next, hooks.next_segment = hooks.next_segment, self.next
+        self._next_segment, hooks.next_segment = hooks.next_segment, self.next
 
     @micropython.viper
     def next(self, row: object) -> int:
-        """Make the next row as Segments.next() does, from a segment of averaged speed.
+        """Fill in the next row, as Segments.next() does, from a segment of averaged speed.
 
-        While rows of the last segment are left, plan a little ahead instead. Return 0 if nothing
-        is left to move. Called in the engine's interrupt.
+        Segments.next() makes the row in any case. If it has rows of the present segment left
+        (SLICES), this plans a little ahead before it; otherwise it computes the next averaged
+        segment, from which that row is made. Return 1, or 0 if nothing is left to move. Called in
+        the engine's interrupt.
         """
         flow = ptr32(self._flow)
-        line = ptr32(self._line)
+        line = ptr32(self._line)  # the delay line
         ring = ptr32(self._ring)
         table = ptr32(self._table)
+        # Not without a limit of jerk, nor in a move of the system's own, such as homing.
         if line[FILTER_TAPS] and flow[SYSTEM] == 0:
             if flow[SLICES]:
                 advance(flow, line, ring, table, _PIECES)
             elif int(smooth(flow, line, ring, table)) == 0:
                 return 0
-        return int(self._usual_next(row))
+        return int(self._next_segment(row))  # Segments.next()
 
     # Hooks of the planner
 
     @micropython.native
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
-        """Plan a block as Planner.plan() does. Release it, unless it is the system's own."""
-        planned = self._usual_plan(target, flags, line, power, rate)
+        """Plan a block as Planner.plan() does, with the same arguments and result. Release it to
+        the averaging plan, unless it is the system's own."""
+        planned = self._plan(target, flags, line, power, rate)
         if not flags & layout.SYSTEM_MOTION:
             self.release_blocks(0)
         return planned
 
     def release_blocks(self, everything: int) -> None:
-        """Release the new blocks to the plan; everything: even if they are only a few."""
+        """Release the new blocks to the averaging plan, which reads no others: if they are many,
+        or everything is not 0."""
         jerk_plan.release_blocks(self._table, self._ring, self._flow, self._line, everything)
 
     def may_start(self) -> bool:
@@ -106,7 +117,7 @@ class Jerk:
         return self._line[FILTER_TAPS] != 0
 
     def _clear(self) -> None:
-        """Empty the line, after the planner was cleared."""
+        """Empty the delay line, after the planner was cleared. The limit stays."""
         line, flow = self._line, self._flow
         taps, per_tap = line[FILTER_TAPS], line[jl.PER_TAP]
         for i in range(len(line)):
@@ -155,7 +166,7 @@ def install(cnc: "Cnc") -> None:
     jerk = Jerk(machine.planner, machine.state)
 
     def configure() -> None:
-        """Take the limits from the settings, in mm/s2 and mm/s3."""
+        """Set the limits of the settings. Their accelerations are in mm/min2, jerks in mm/s3."""
         segment_ticks = 1 << machine.planner.table[layout.SEGMENT_LOG2]
         jerk.limit(
             [mm_min2 / 3600 for mm_min2 in settings.acceleration],

@@ -19,7 +19,17 @@ Distances are whole numbers and remainders are carried on, so no distance is los
 flow, units are those of segment_kernel.py: 2**-18 step, and 2**-18 step per slot.
 
 Viper, as segment_kernel.py is; all of it runs in the engine's interrupt. jerk_layout.py and
-motion/layout.py have the places.
+motion/layout.py have the places. In the line, they hold:
+
+    OPEN, SLOT_DISTANCE    1: the plan has begun the next slot; and its distance in it so far
+    RESTS                  slots for which the plan still stands
+    SUM, BEFORE            speed of the average at the end of the slot being laid out; and at the
+                           end of its part that is laid out already
+    TO_GO, TIME_LEFT       distance and time of that slot that are not laid out yet
+    PLAN_LEFT, MADE_LEFT   distance left of the block: of the plan's, of the executed one
+    LEFT, WAY              of the plan: time left of its slot; distance of its last piece
+
+`plan` in the texts below is the motion before averaging.
 """
 
 import micropython
@@ -95,8 +105,8 @@ _SIXTEEN = const(0x1B4000)  # the real 16
 
 @micropython.viper
 def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Plan the next segment of the executed motion, and its number of rows, as
-    segment_kernel.plan() does. Returns 0 where nothing is to move.
+    """Plan the next segment of the executed motion, and its number of rows (SLICES), as
+    segment_kernel.plan() does. Returns 1, or 0 if nothing is to move.
 
     The rest of a slot and further slots are added until the segment covers _LEAST or lasts
     _LONGEST slots, so its time is below 2**23. It ends where the block does.
@@ -132,9 +142,9 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 
 @micropython.viper
 def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
-    """Begin a segment; load the next block if none is loaded. Returns 0 where there is none.
+    """Begin a segment; load the next block if none is loaded. Returns 1, or 0 if there is none.
 
-    motors: number of motors. NOW becomes the average speed in the new block's units.
+    motors: number of motors. In a new block NOW becomes the average speed in its units.
     """
     if flow[LOADED] == 0:
         if int(load(flow, ring, motors)) == 0:
@@ -165,9 +175,11 @@ def distance_left(flow: ptr32) -> int:
 
 @micropython.viper
 def part_of(part: int, whole: int, other: int, scale: int) -> int:
-    """Return part / whole * other * scale, 0 to 2**30 - 1: from mm to steps, or back.
+    """Return part / whole * other * scale, an integer from 0 to 2**30 - 1: it converts from mm to
+    steps, or back.
 
-    part: 0 to 2**30 - 1. whole, other, scale: reals; whole is not 0.
+    part: 0 to 2**30 - 1, of the distance whole, which is other in the other unit. whole, other,
+    scale: reals; whole is not 0.
     """
     return int(product(int(ratio(part, whole)), other, scale))
 
@@ -183,7 +195,7 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
         f (v + u) / (v + w)     because distance = mean speed * time
     """
     block_left = line[MADE_LEFT]
-    way = line[TO_GO]
+    way = line[TO_GO]  # the distance to lay out: 2**-16 mm; steps: the same in 2**-18 step
     time = line[TIME_LEFT]
     # What is left of the block in two units, as reals: of the line and of the flow.
     in_line = int(pack(block_left or 1, BIAS))
@@ -237,19 +249,21 @@ def speed_between(start: int, end: int, part: int) -> int:
 
 @micropython.viper
 def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Plan a slot to its end, put it into the line as a tap, and take the average out.
+    """Plan a slot to its end, put its distance into the line as a tap, and compute the next slot
+    of the average: TO_GO, TIME_LEFT, BEFORE. Returns 1, or 0 if nothing is planned and the line is
+    empty.
 
     SUM += the new tap - the oldest one. The distance of the slot is that at the mean speed,
 
         (SUM before + SUM after + REMAINDER) / (2 * FILTER_TAPS)
 
     where both sums are at most 2**29 and REMAINDER is below 128. While RESTS lasts, the plan
-    stands and the new tap is 0. Returns 0 where nothing is planned and the line is empty.
+    stands and the new tap is 0.
     """
     before = line[SUM]
     way = 0  # the new tap: distance of the plan in this slot
     if before == 0 and line[OPEN] == 0:
-        line[RESTS] = 0
+        line[RESTS] = 0  # the average has stopped already
     if line[RESTS] and line[OPEN] == 0:
         line[RESTS] = line[RESTS] - 1
     else:
@@ -277,10 +291,10 @@ def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 
 @micropython.viper
 def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> int:
-    """Plan the next slot, by at most so many pieces (most). Returns 0.
+    """Continue the plan of the next slot by pieces, at most `most` of them. Returns 0.
 
     So a slot of many short blocks is planned bit by bit, while the one before it is executed.
-    SLOT_DISTANCE becomes its distance. It ends early where no block is due.
+    SLOT_DISTANCE becomes its distance. The slot ends early if no block is due.
     """
     line[HEAD] = line[RELEASED]
     line[HOLD] = flow[HOLD]
@@ -327,7 +341,8 @@ def count(line: ptr32, rest: int) -> int:
 
 @micropython.viper
 def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
-    """End the plan's block. If the next one is entered from standstill, let the plan stand.
+    """End the plan's block. If the next one is entered from standstill, let the plan stand for
+    RESTS slots. Returns 0.
 
     The average over T also stops if the plan stands for T. With the acceleration a before and
     after, and a stop of the time r, it slows down to a (T - r)**2 / 4T. The corner and both rates

@@ -7,7 +7,7 @@ from micropython import const
 # distances are in 2**-16 mm.
 FILTER_TAPS = const(36)  # slots over which speed is averaged; 0: jerk is not limited
 PER_TAP = const(37)  # real: 1 / FILTER_TAPS
-RELEASED = const(38)  # the main loop's: the first block that the plan must not read yet
+RELEASED = const(38)  # the main loop's: row of the first block that the plan must not read yet
 PLAN_LEFT = const(39)  # the interrupt's, from here on: distance left of the plan's block,
 PLAN_FRACTION = const(40)  # and 2**-4 of that unit
 OPEN = const(41)  # 1: the plan has begun the next slot,
@@ -15,7 +15,7 @@ SLOT_DISTANCE = const(42)  # and this is its distance in it so far
 RESTS = const(43)  # slots for which the plan still stands, so that the average slows down
 OLDEST = const(44)  # index of the oldest tap, which the next one replaces
 SUM = const(45)  # of all taps: FILTER_TAPS times the speed at the end of the slot; up to 2**29
-BEFORE = const(46)  # the same where the part of the slot that is laid out ends
+BEFORE = const(46)  # the same speed at the end of the part of the slot that is laid out
 REMAINDER = const(47)  # of the division of sums by 2 * FILTER_TAPS
 TO_GO = const(48)  # distance of the slot that is not yet laid out,
 TIME_LEFT = const(49)  # and its time, in 2**-17 slot

@@ -14,8 +14,11 @@ than its corners allow, so the average is no faster either (calm); a corner that
 steps makes does not count (link).
 
 Viper, as plan_kernel.py is, with its units and ranges: speeds squared are scaled, 0 to 2**30 - 1,
-so their roots are below 2**15. Main loop only, called after a block is planned; the plan reads a
-block only once it is released.
+so their roots are below 2**15. Main loop only, called after a block is planned; the plan (the
+motion before averaging) reads a block only once it is released. table, ring and flow are the
+planner's, line is the delay line (jerk_layout.py). A row is the number of a block in the ring; at,
+before and after are indexes in the ring where a block's numbers begin. JUNCTION_SQR is the speed
+squared allowed in the corner at a block's begin, HIGHEST if it goes straight on.
 """
 
 import micropython
@@ -69,14 +72,14 @@ _ACCELERATION = const(2)  # and this one of them
 def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everything: int) -> int:
     """Release new blocks to the plan, with their accelerations and entry speeds.
 
-    Where many blocks are waiting, new ones are collected until there are AT_ONCE, as in
-    plan_kernel.append_block(), unless everything is set. Returns how many were released.
+    If many blocks are waiting, new ones are collected until there are AT_ONCE, as in
+    plan_kernel.append_block(), unless everything is not 0. Returns how many were released.
     """
     if line[FILTER_TAPS] == 0:
         return 0
     released = 0
     row = line[RELEASED]
-    unreleased = flow[HEAD] - row
+    unreleased = flow[HEAD] - row  # numbers of blocks, once the ring's wrap is added
     waiting = flow[HEAD] - line[TAIL]
     if unreleased < 0:
         unreleased += flow[ROWS]
@@ -106,7 +109,7 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
 def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
     """Compute all blocks again after an override changed. present: row of the plan's block.
 
-    Returns what reverse_pass() does.
+    Returns how many blocks reverse_pass() has visited.
     """
     row = flow[TAIL]
     while row != flow[HEAD]:
@@ -145,6 +148,7 @@ def soften(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> in
 @micropython.viper
 def enter(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     """Set a block's MAX_ENTRY_SQR from its corner, its rate and the rate of the block before.
+    Returns 0.
 
     Corner and rate are lowered by what the average is faster than the plan. Exceptions: a straight
     line or equal rates; two calm blocks, whose squared rates are within 1/8; a corner of the grid.
@@ -168,7 +172,8 @@ def enter(table: ptr32, ring: ptr32, at: int, before: int) -> int:
 
 @micropython.viper
 def link(table: ptr32, ring: ptr32, line: ptr32, at: int, before: int) -> int:
-    """Mark a new block as _LINKED if its corner is one of the grid.
+    """Mark a new block as _LINKED if its corner is one that only the grid of steps makes, or if it
+    goes straight on from such a block. Returns 0.
 
     Within a chain of such blocks, the average is no faster than the plan is somewhere in it. At
     the end it may be, where a long block goes straight on, so that block gets the chain's last
@@ -192,7 +197,7 @@ def link(table: ptr32, ring: ptr32, line: ptr32, at: int, before: int) -> int:
 
 @micropython.viper
 def is_grid(table: ptr32, ring: ptr32, at: int, before: int) -> int:
-    """Return 1 where a corner between two short blocks is within a step of a straight line.
+    """Return 1 if the corner between two short blocks is within a step of a straight line, else 0.
 
     A corner by the angle t, n steps from the next one (the shorter block's, at most _FINE), is
     n t / 2 steps away from it, so it is where t < 2 / n. Junction deviation d allows, with the
@@ -214,7 +219,7 @@ def is_grid(table: ptr32, ring: ptr32, at: int, before: int) -> int:
 
 @micropython.viper
 def is_short(table: ptr32, ring: ptr32, at: int, sqr: int) -> int:
-    """Return 1 where a block is shorter than the distance v T at the speed squared sqr (scaled).
+    """Return 1 if a block is shorter than the distance v T, v**2 being sqr (scaled), else 0.
 
     T, the averaging time in s, is 4 * JUNCTION_DERATE * ROOT_SCALE; v in mm/s is the root of sqr
     times ROOT_SCALE. Lengths are compared in 2**-16 mm, HIGHEST for 16384 mm and more.
@@ -231,8 +236,8 @@ def calm(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> int:
     """Limit the rate of a short block whose corners would be stops to what its corners allow.
 
     Nor is it faster than a calm block before it. Then the average is no faster than the corners
-    allow, and the plan need not stop. at, after, before: indices in the ring of the block, the
-    next and the previous one.
+    allow, and the plan need not stop. at, after, before: indexes in the ring of the block, the
+    next and the previous one. Returns 0; the block has the flag _CALM if it was limited.
     """
     sqr = ring[after + JUNCTION_SQR]  # becomes the speed squared that the corners allow
     entry = ring[at + JUNCTION_SQR]
@@ -257,14 +262,15 @@ def calm(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> int:
 def begin(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int:
     """Set a new block's acceleration: that of the block before, unless the machine stops between.
 
-    It stops, so JUNCTION_SQR becomes 0, where the plan is already at this block (present: its
-    row); where this block allows less; where it allows more and the corner would be a stop anyway;
-    and before and after a block of 16384 mm or more. Returns 1 where ACCEL has changed.
+    It stops, so JUNCTION_SQR becomes 0, if the plan is already at this block (present: row of the
+    plan's block); if this block allows less; if it allows more and the corner would be a stop
+    anyway; and before and after a block of 16384 mm or more. row: the new block's. Returns 1 if
+    ACCEL has changed, else 0.
     """
     size = flow[ROW_SIZE]
     at = row * size
     before = (row if row else flow[ROWS]) * size - size
-    own = int(level(table, ring[at + ACCEL]))
+    own = int(level(table, ring[at + ACCEL]))  # the acceleration that this block allows
     accel = ring[before + ACCEL]
     junction = ring[at + JUNCTION_SQR]
     is_long = ring[at + LENGTH] >= _LONG or ring[before + LENGTH] >= _LONG
@@ -293,7 +299,7 @@ def lower(table: ptr32, accel: int, sqr: int) -> int:
 
 @micropython.viper
 def level(table: ptr32, accel: int) -> int:
-    """Return the highest acceleration up to accel that is an axis's, or 1/2, 1/4, ... of one.
+    """Return the highest acceleration, at most accel, that is an axis's, or 1/2, 1/4, ... of one.
 
     So similar directions have the same acceleration, and blocks need not stop between them. Reals,
     mm/s2; one less in the exponent (LIMIT) is a half.
@@ -303,9 +309,9 @@ def level(table: ptr32, accel: int) -> int:
         return accel
     most = int(pack((accel & _MANTISSA) + _ROUNDING, accel >> _EXPONENT_AT))
     for i in range(table[AXES]):
-        one = table[LIMITS + _LIMITS_OF_AN_AXIS * i + _ACCELERATION]
-        while one > most:
-            one -= LIMIT
-        if one > highest:
-            highest = one
+        limit = table[LIMITS + _LIMITS_OF_AN_AXIS * i + _ACCELERATION]
+        while limit > most:
+            limit -= LIMIT  # halve it
+        if limit > highest:
+            highest = limit
     return highest

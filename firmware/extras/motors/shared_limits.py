@@ -59,7 +59,7 @@ def clash(shared: "list[int]", cycle: int) -> str:
 
 
 def grbl_order(axes: int) -> "tuple[int, int]":
-    """Return the masks that $H homes by default: Z, then the others together."""
+    """Return the masks that $H homes by default: Z, then the others of so many axes together."""
     return 1 << Z, (1 << axes) - 1 & ~(1 << Z)
 
 
@@ -84,9 +84,10 @@ def install(cnc: "Cnc") -> None:
     shared_axes = 0
     for mask in shared:
         shared_axes |= mask
-    usual_home, usual_find = hooks.home, hooks.find_switches
+    previous_home, previous_find = hooks.home, hooks.find_switches
 
     def give_up(text: str, alarm: int) -> None:
+        """Send a message, stop the machine, and set the alarm, a number of base/errors.py."""
         cnc.message(text)
         machine.motor_control.reset()
         machine.state.alarm = alarm
@@ -96,7 +97,7 @@ def install(cnc: "Cnc") -> None:
         if inputs.limits() & shared_axes:
             give_up("Move off the closed limit switch first", errors.ALARM_HARD_LIMIT)
             return False
-        return bool(usual_home(axes))
+        return bool(previous_home(axes))
 
     def find(axes: int) -> None:
         """Search the switches of the axes, a mask, unless two of them share an input."""
@@ -105,9 +106,10 @@ def install(cnc: "Cnc") -> None:
             text = "%s share a limit input: have them homed one after the other, $44 to $49"
             give_up(text % letters, errors.ALARM_HOMING_FAIL_RESET)
             cnc.service()  # raises Abort
-        usual_find(axes)
+        previous_find(axes)
 
     def check(mask: float) -> None:
+        """Refuse a value of $44 to $49, a mask of axes, if two of them share an input."""
         if clash(shared, int(mask)):
             raise GrblError(errors.INVALID_STATEMENT)
 

@@ -69,7 +69,8 @@ _made: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Assign drivers to motors. ValueError if the board file is wrong."""
+    """Assign drivers to motors: TMC2209 has an address per motor, in the order of STEP. ValueError
+    if the board file is wrong, or if its DEFAULTS are nothing a driver can do."""
     addresses: "tuple[int, ...]" = board.__dict__["TMC2209"]
     motors = len(board.__dict__.get("STEP", ()))
     if len(addresses) != motors:
@@ -87,7 +88,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def _can_be(number: int, amount: float, most_ma: float) -> bool:
-    """Return whether a setting may have that value. most_ma: the drivers' highest current."""
+    """Return whether the setting $number may have that value (amount). most_ma: the drivers'
+    highest current, mA. Settings that are not a driver's may have any."""
     base = number // 10 * 10  # the last digit is the axis
     if base not in _ROWS or number - base >= _LETTERS:
         return True  # not a driver's
@@ -99,7 +101,8 @@ def _can_be(number: int, amount: float, most_ma: float) -> bool:
 
 
 def install(cnc: "Cnc") -> None:
-    """Create the drivers, and add their settings, command and hooks."""
+    """Create the drivers, and add their settings, the command $TMC, and hooks: drivers are polled
+    between lines, checked before motion, and prepared for homing."""
     machine: "Any" = cnc.machine
     wire, ohm = _made["wire"], _made["ohm"]
     chips = [Chip(wire, address, ohm) for address in _made["addresses"]]
@@ -122,7 +125,10 @@ def _names(letters: str, motors: int) -> "list[str]":
 
 
 class Drivers:
-    """All drivers. Masks are of motors, except those of settings, which are of axes."""
+    """All drivers. Masks are of motors, except those of settings, which are of axes.
+
+    chips, names: per motor. sense_ohm: the drivers' sense resistors.
+    """
 
     def __init__(
         self, cnc: "Cnc", chips: "list[Chip]", names: "list[str]", sense_ohm: float
@@ -139,10 +145,11 @@ class Drivers:
         self._names = names
         self._axes = [LETTERS.index(name[0]) for name in names]
         self._most_ma = tmc2209_chip.full_scale_ma(sense_ohm)
+        # Masks of motors whose drivers
         self._wanted = 0  # are to be configured: $338
-        self._ready = 0  # configured
+        self._ready = 0  # are configured
         self._known = 0  # have answered, so silence is a fault
-        self._told = 0  # already reported as warm or silent
+        self._told = 0  # have been reported as warm or faulty already
         self._next = 0  # the motor whose driver is polled next
         self._since_ms = self._port.ticks_ms()  # of the last poll
 
@@ -178,7 +185,9 @@ class Drivers:
     # Polling
 
     def poll_drivers(self) -> None:
-        """Check the next driver, while the machine is idle."""
+        """Check the next driver, if the machine is idle and _LOOK_MS have passed since the last
+        one. A fault raises an alarm if the driver has worked before; otherwise it is reported
+        once."""
         if self._port.elapsed_ms(self._since_ms) < _LOOK_MS or not self._machine.at_rest():
             return
         self._since_ms = self._port.ticks_ms()
@@ -231,7 +240,7 @@ class Drivers:
         self._cnc.message("Motor driver %s: %s" % (self._names[motor], what))
 
     def _lose(self, motor: int, why: str) -> None:
-        """Report a driver's fault, and note that it must be configured again."""
+        """Report the fault (why) of a motor's driver, which must then be configured again."""
         self._ready &= ~(1 << motor)
         self._told |= 1 << motor
         self._report(motor, why)
@@ -251,27 +260,29 @@ class Drivers:
     # Homing without switches
 
     def feel_homing(self) -> None:
-        """Hook into homing and each of its phases."""
+        """Hook into homing and each of its phases: drivers get StallGuard's thresholds for it."""
         hooks = self._state.hooks
-        usual_home, usual_phase = hooks.home, hooks.home_phase
+        previous_home, previous_phase = hooks.home, hooks.home_phase
 
         def home(axes: int) -> bool:
             """Home the axes if the drivers are ready, and have these configured again."""
             if not self.may_start():
                 return False
             try:
-                return usual_home(axes)
+                return previous_home(axes)
             finally:
                 self._rest()
 
         def phase(axes: int, approach: bool, travel: float, rate: float) -> None:
+            """Set thresholds, then run a phase of homing: see HomingProbing.home_phase()."""
             self._feel(axes, approach, rate)
-            usual_phase(axes, approach, travel, rate)
+            previous_phase(axes, approach, travel, rate)
 
         hooks.home, hooks.home_phase = home, phase
 
     def _homing(self, axes: int) -> "list[int]":
-        """Return the motors that detect the end of one of these axes (a mask)."""
+        """Return the numbers of the motors that detect the end of one of these axes (a mask): axes
+        of $339, and drivers that are configured."""
         axes &= self._settings.driver_homing
         kinematics = self._planner.kinematics
         motors = []
@@ -308,7 +319,8 @@ class Drivers:
                 self._cnc.service()  # raises Abort
 
     def _rest(self) -> None:
-        """Have the drivers configured again, after homing has ended or was aborted."""
+        """Have the drivers that StallGuard has used configured again, after homing has ended or
+        was aborted."""
         for motor in self._homing((1 << self._planner.axes) - 1):
             self._ready &= ~(1 << motor)
 

@@ -77,7 +77,8 @@ def checksum(data: "bytes | bytearray") -> int:
 
 
 def full_scale_ma(sense_ohm: float, volts: float = _FULL_V) -> float:
-    """Return the highest current (RMS, mA) with these sense resistors (ohm)."""
+    """Return the highest current (RMS, mA) with these sense resistors (ohm). volts: the full-scale
+    voltage at them."""
     return volts / (sense_ohm + _WIRES_OHM) / _PEAK * 1000
 
 
@@ -115,6 +116,7 @@ class Chip:
                 why = "the wire is broken"
             elif len(answer) < _ANSWER_BYTES:
                 why = "no answer: is the motors' supply on?"
+            # The checksum is wrong, or its first bytes are not those of an answer.
             elif checksum(answer[:_CHECKSUM_AT]) != answer[_CHECKSUM_AT] or answer[
                 :_VALUE_AT
             ] != bytes((_SYNC, _MASTER, register)):
@@ -179,7 +181,8 @@ class Chip:
     def feel(self, threshold: int, steps_per_s: float, microsteps: int) -> None:
         """Let DIAG report a stalled motor, at more than half of that step rate. Raises Silence.
 
-        A higher threshold is more sensitive; 0 switches it off.
+        threshold: 0 to 255; higher is more sensitive, 0 switches it off. microsteps: those of
+        steps_per_s, per full step.
         """
         longest_clocks = 0
         if threshold:
@@ -207,7 +210,7 @@ class Chip:
         return bool(self._status & _WARM)
 
     def fault(self) -> str:
-        """Return the fault, or ""."""
+        """Return the fault that the status read last shows, as text, or ""."""
         for mask, words in _FAULTS:
             if self._status & mask:
                 return words
