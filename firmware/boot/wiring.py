@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Port, StepEngine, Store
 
-# cncjs 1.11 counts each resume as an answer: it sends up to 198 bytes where 128 are advertised.
+# Bytes that may be received beyond those advertised: cncjs 1.11 counts each resume as an answer,
+# and sends up to 198 bytes for 128.
 _MISCOUNTED = const(128)
 
 

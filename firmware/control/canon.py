@@ -298,7 +298,7 @@ class Canon:
         for call in self._state.hooks.cooled:
             call(mask)
 
-    def tool_off(self) -> None:
+    def safe(self) -> None:
         """Switch spindle and coolant off at once, and notify the extras."""
         self._spin(0, 0.0)
         self._cool(0)
@@ -312,7 +312,7 @@ class Canon:
         self.planner.override()
         if state.run != st.CHECK:
             state.override_control = True
-            self.tool_off()
+            self.safe()
         call_all(state.hooks.ended)
 
     def control_overrides(self, parking: bool) -> None:

@@ -109,7 +109,7 @@ class MotorControl:
         """Handle a change of a control input or the emergency stop. active: mask of those in
         effect now. Interrupt."""
         state = self._state
-        emergency = active & EMERGENCY_STOP and not self._is_off()
+        emergency = active & EMERGENCY_STOP and not self.at_rest()
         if active & RESET or emergency:
             self._port.kill()
             self._engine.stop()
@@ -125,12 +125,12 @@ class MotorControl:
     def emergency(self) -> None:
         """Handle a pressed emergency stop."""
         state = self._state
-        if state.alarm != errors.ALARM_EMERGENCY_STOP and not self._is_off():
+        if state.alarm != errors.ALARM_EMERGENCY_STOP and not self.at_rest():
             self.reset()
             state.alarm = errors.ALARM_EMERGENCY_STOP
 
     @micropython.native
-    def _is_off(self) -> bool:
+    def at_rest(self) -> bool:
         """Return whether an alarm has stopped all. After a failed probing the tool is on, as with
         Grbl. Called in an interrupt."""
         if self._state.run != st.ALARM:

@@ -100,7 +100,7 @@ class Overrides:
         if state.run in (st.IDLE, st.ALARM):
             state.update_spindle = False
             if spindle.is_on():
-                spindle.set_speed(self._modes.modal[SPINDLE], self._modes.rates[RPM])
+                spindle.restore_laser(self._modes.modal[SPINDLE], self._modes.rates[RPM])
             return
         state.update_spindle = True
         reported = state.spindle[st.RPM]
@@ -122,8 +122,8 @@ class Overrides:
         state.invalidate_lines()
         self._coolant.set(self._modes.modal[COOLANT])
 
-    def darken(self) -> None:
-        """Stop a laser again that was restored for a start which a hold has prevented."""
+    def hold(self) -> None:
+        """A hold prevents a start: stop a laser again that was restored for it."""
         state = self._state
         if self._spindle.laser and not state.stop_override:
             self.stop_spindle()

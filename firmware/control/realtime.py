@@ -108,7 +108,7 @@ class Realtime:
                         if not held:
                             self._cycle_start()
                         else:
-                            self._overrides.darken()
+                            self._overrides.hold()
                     if state.take_event(st.CYCLE_STOP):
                         self._cycle_stop()
                     if state.take_event(st.OVERRIDE):

@@ -295,9 +295,9 @@ class RmtEngine(TimerEngine):
         return True
 
     def _note_powers(self) -> None:
-        """Store the spindle powers of the next train, with their start times in it (us)."""
+        """Store the next train's spindle powers and start times (us); MASK: row not in it."""
         timing, rows = self._timing, self._rows
-        start_us = -timing[trains.DONE]
+        start_us = -timing[trains.DONE]  # part of the first row was in the last train
         for k in range(trains.ROWS):
             row = (timing[trains.FIRST] + k) % trains.ROWS * self._size
             is_in_train = k < timing[trains.TAKEN] or (k == 0 and timing[trains.PART])

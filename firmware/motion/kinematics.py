@@ -32,7 +32,8 @@ class Kinematics:
         self.alone = alone
         self._axes = range(axes)
         self._motors = range(len(self.moves))
-        self._places = array("i", bytes(8 * axes))  # steps of the axes, then zeros
+        # Steps of the axes, then those of the position all zeros, from which set_axis() counts.
+        self._places = array("i", bytes(8 * axes))
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
         """Return the steps of an axis, from those of all motors: the mean of the steps of its

@@ -379,7 +379,7 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
         row[ROW_POWER] = int(scaled_power(table, row[ROW_POWER], int(speed_share(flow, ring))))
     place_steps(flow, ring, row, table[MOTOR_COUNT], steps)
     if more == 0:
-        flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))  # in mm/s
+        flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))  # a real, mm/s
         flow[LOADED] = 0
         if flow[SYSTEM]:
             flow[SYSTEM] = 2

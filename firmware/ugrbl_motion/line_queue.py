@@ -79,7 +79,7 @@ class _Overrides:
 
 
 class LineQueue:
-    """The queue. Arguments: see Group. `ends` is filled in before plan().
+    """The queue. `ends` is filled in before plan(). corner: junction deviation, in units.
 
     length: rows of the planner's ring. levels: of the outputs, a bit each, at the start.
     """
@@ -120,9 +120,9 @@ class LineQueue:
         self._nowhere = array("f", (0.0 for _ in range(count)))  # targets are in whole steps
         self._steps = array("i", (0 for _ in range(count)))
         self._periods = array("f", (0.0 for _ in range(length)))  # ticks per step, per block
-        self._cell = array("f", (0.0,))
-        self._bits = array("i", (0,))
-        self._factor = 1.0
+        self._cell = array("f", (0.0,))  # a float,
+        self._bits = array("i", (0,))  # and its bits: _period_bits()
+        self._factor = 1.0  # of pace()
         self._number = 0  # of the last move
 
     # In the engine's interrupt

@@ -145,6 +145,7 @@ def test_both_motors_home_as_one_without_a_second_switch() -> None:
     told = gantry.told("$H", "$$")
     _, y, _, y2 = gantry.physical()
     assert y == y2 and abs(y - (_AT - _STEPS_PER_MM)) <= 1
+    # Settings of the second motor: its direction, but none of squaring.
     assert "$8=0" in told and not any(line.startswith(("$17", "$347=")) for line in told)
 
 

@@ -68,7 +68,8 @@ def test_entry_starts_with_the_offsets_written_by_the_lines_before_it(
 
 
 def stopped(bench: Bench, *lines: str) -> None:
-    """Run a job of these lines, and stop it in the last one by a reset, which stores the line."""
+    """Run a job of these lines, and stop it in the last one by a reset, which stores the line. The
+    last line is still in motion after 5 s, and all others have ended."""
     homed(bench).put("A.NC", *lines)
 
     def script(bench: Bench) -> Iterator[Any]:

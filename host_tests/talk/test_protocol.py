@@ -239,9 +239,10 @@ def test_a_sender_that_counts_a_resume_as_an_answer_loses_no_line() -> None:
     cncjs = Miscounting(machine, lines)
 
     def script() -> "Iterator[Any]":
+        """Stream as cncjs, and hold and resume after 20, 40 and 60 answers."""
         yield from sender.wait("banner", "")
         sender.take()
-        sender.allow(300_000)
+        sender.allow(300_000)  # ms for all of it
         cncjs.go_on()
         for count in (20, 40, 60):
             yield from sender.until(lambda count=count: cncjs.turn() or cncjs.heard > count)

@@ -150,11 +150,11 @@ def in_place(arch: str, more: Mapping[str, str] = MappingProxyType({})) -> dict[
 
 
 def prepared(arch: str) -> Apart:
-    """Return the modules as they are compiled. Kernels are apart if the processor has machine
-    code."""
+    """Return the texts that are compiled: if there is machine code for the processor, with kernels
+    taken out, as C."""
     texts = in_place(arch)
     if arch not in compilers.PROCESSORS:
-        return Apart(texts, "", {})
+        return Apart(texts, c="", pieces={})
     return _apart(tuple(texts.items()), tuple(_reached(texts, _plain(arch))))
 
 

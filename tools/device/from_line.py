@@ -57,11 +57,11 @@ def approach(
     _check_settings(lines[: number - 1], here)
     _check_places(lines[number - 1 :], here, state)
     path = _Way(here, state, place, max(forecast.highest_mm(number), here.place[2]))
-    steps = [step for step in path.steps() if step[0]]
+    steps = [(text, description) for text, description in path.steps() if text]
     to_send = [Line(0, text.encode("ascii"), text) for text, _ in steps]
-    words = [words_of_step for _, words_of_step in steps if words_of_step]
+    words = [description for _, description in steps if description]
     cautions = _cautions(lines[: number - 1])
-    cautions += _later(lines, number)
+    cautions += _cautions_after(lines, number)
     cautions += [f"{name} is on by then: see that it is" for name in forecast.outputs_on]
     return Approach(to_send, words, cautions)
 
@@ -224,7 +224,7 @@ class _Way:
         return " ".join([*words, self._speed()])
 
 
-def _later(lines: Sequence[bytes], number: int) -> list[str]:
+def _cautions_after(lines: Sequence[bytes], number: int) -> list[str]:
     """Return a warning if a line still to come stores offsets and may have been executed
     before."""
     for number_of_line, line in enumerate(lines[number - 1 :], number):

@@ -194,7 +194,7 @@ class Feed:
 
     @micropython.native
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send an answer, or count it if it is to a line of the file.
+        """Send an answer, but only count an ok to a line of the file, with the block it made.
 
         The results of startup lines, after $H, are sent.
         """
@@ -332,12 +332,12 @@ class Feed:
             if self._kinds[c] == REALTIME:
                 self._reader.post(c)
             elif c in b"\r\n":
-                self._queue_answer()
+                self._queue_answer()  # after CR, LF has one of its own, as with Grbl
                 self._said_length = 0
             else:
                 if self._said_length < len(self._said):
                     self._said[self._said_length] = c
-                self._said_length += 1
+                self._said_length += 1  # more than _said holds: the line is too long
 
     def _queue_answer(self) -> None:
         """Queue the answer to the sender's complete line, for the loop's next turn: an error

@@ -198,8 +198,8 @@ class JobRun:
         return systems
 
     def _write_offsets(self, index: int, values: "array[float]") -> None:
-        """Set and store a system of offsets (index, mm per axis), as Coords.write(); of a job,
-        also note its values before and now, and store them with the job's line."""
+        """Set and store a system of offsets (index, mm per axis), as Coords.write(). A job's are
+        noted before and now, with its line, so that a later start can take them back."""
         if self._feed.is_on and self._machine.state.run != st.CHECK:
             written = self._start[_WRITTEN]  # rows of index, values before, values now
             rows = [row for row in written if row[0] == index]
@@ -207,7 +207,7 @@ class JobRun:
                 rows.append([index, list(self._machine.coords.systems[index]), []])
                 written.append(rows[0])
             rows[0][2] = list(values)
-            self._save(self._feed.line() + 1)
+            self._save(self._feed.line() + 1)  # its line has no answer yet
         self._write(index, values)
 
     def _arrive(self, file: "IO[bytes]") -> None:
@@ -284,7 +284,7 @@ class JobRun:
     def _tool_off(self) -> None:
         """Switch spindle and coolant off in any state. Nothing moves."""
         machine = self._machine
-        machine.canon.tool_off()
+        machine.canon.safe()
         machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
 
     def _close_rest(self) -> None:

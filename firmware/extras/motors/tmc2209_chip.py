@@ -170,7 +170,7 @@ class Chip:
         self._write(_NODECONF, _SEND_DELAY)
         self._write(_GCONF, _SERIAL | self._spread)
         self._write(_IHOLD_IRUN, _HOLD_DELAY << 16 | (run - 1) << 8 | hold - 1)
-        self._write(_TCOOLTHRS, 0)
+        self._write(_TCOOLTHRS, 0)  # no stall is reported until homing asks for it
         self._write(_SGTHRS, 0)
         self._write(_CHOPCONF, chopper)
         self._write(_GSTAT, _ALL_FLAGS)

@@ -117,9 +117,9 @@ def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
     """Return the tick in the segment at which a motor reaches whole + over / parts steps.
 
     row[base] and the two after it: the motor's number of steps, tick of the first, tick of the
-    last. A step is generated half way between two positions, so
+    last. Step k, from 0, is generated half way between the positions k and k + 1, so
 
-        tick = step tick of `whole` + gap * (over / parts - 1 / 2)
+        tick = tick of step `whole` + gap * (over / parts - 1 / 2)
 
     with the gap between two steps, in ticks.
     """
