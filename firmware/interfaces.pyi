@@ -259,6 +259,9 @@ class Port(Protocol):
         """Call on_limits at changes of limit inputs, or do not ($21). After a call an input is
         ignored for some milliseconds, and then checked again."""
 
+    def safe(self) -> None:
+        """Switch off spindle, laser, coolant, and outputs of extras."""
+
     def kill(self) -> object:
         """Switch off spindle, laser, coolant, and outputs of extras. They stay off until revive(),
         whatever is called meanwhile. The first action of an interrupt that must stop the machine;
@@ -399,7 +402,17 @@ class PowerInput(Protocol):
         """Call on_fail again at the next failure."""
 
 class Job(Protocol):
-    """The running job, for what must be recorded: extras/jobs/job_run.py."""
+    """The running job, for what must be recorded, and for a sender that has gone:
+    extras/jobs/job_run.py."""
+
+    def is_on(self) -> bool:
+        """Return whether a job runs."""
+
+    def has_half(self) -> bool:
+        """Return whether the sender has begun a line."""
+
+    def drop_half(self) -> None:
+        """Drop the sender's unfinished line."""
 
     def line_at_stop(self, is_certain: bool) -> tuple[int, int]:
         """Return its line, and the CRC-32 of its file; zeros if none runs."""

@@ -154,7 +154,10 @@ class Canon:
         if state.pending[st.ANY] or state.suspend:
             self.service()
         if reasons & FULL:
+            jogs = state.run == st.JOG
             self.wait_for_room()
+            if jogs and state.run != st.JOG:  # cancelled: this one would go all the way
+                return
         if not self.planner.line(target, move, self.power_of(move)):  # it has no steps
             self._apply_zero_length(move)
 

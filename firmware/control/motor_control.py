@@ -115,6 +115,8 @@ class MotorControl:
             self._engine.stop()
             self.note_reset(errors.ALARM_EMERGENCY_STOP if emergency else 0)
             self.by_pin = True
+        elif active & EMERGENCY_STOP:
+            self._port.safe()  # outputs that custom.py has switched on in the alarm
         if active & HOLD:
             state.post(st.FEED_HOLD)
         if active & START:
@@ -123,9 +125,13 @@ class MotorControl:
             state.post(st.SAFETY_DOOR)
 
     def emergency(self) -> None:
-        """Handle a pressed emergency stop."""
+        """Handle a pressed emergency stop: in each turn of the main loop."""
         state = self._state
-        if state.alarm != errors.ALARM_EMERGENCY_STOP and not self.at_rest():
+        if state.alarm == errors.ALARM_EMERGENCY_STOP:
+            return
+        if self.at_rest():
+            self._port.safe()
+        else:
             self.reset()
             state.alarm = errors.ALARM_EMERGENCY_STOP
 

@@ -254,8 +254,18 @@ def test_build_without_a_board_compiles_everything(tmp_path: Path) -> None:
         assert f" {source}" in done.output.replace(".mpy", ".py")
 
 
+@pytest.mark.parametrize("options", [(), ("--frozen",)])
+def test_build_writes_over_no_files_of_others(tmp_path: Path, options: "tuple[str, ...]") -> None:
+    (tmp_path / "main.py").write_text("# mine")
+    (tmp_path / "mine.mpy").write_bytes(b"M")
+    done = ugrbl("build", "--board", "rpi_pico", "--out", tmp_path, *options)
+    assert done.exit_code == 1 and "has other files" in done.output.replace("\n", " ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["main.py", "mine.mpy"]
+    assert (tmp_path / "main.py").read_text() == "# mine"
+
+
 def test_files_of_an_earlier_build_are_removed(tmp_path: Path) -> None:
-    (tmp_path / "pio").mkdir()
+    ugrbl("build", "--board", "rpi_pico", "-o", tmp_path)
     gone, mine = tmp_path / "pio" / "gone.mpy", tmp_path / "mine.py"
     gone.write_bytes(b"M")
     mine.write_bytes(b"")

@@ -1,9 +1,12 @@
 """The network link: which client controls, which only reads, what each receives, which is
 dropped."""
 
+from types import ModuleType
+
 import pytest
 from net_bench import KEY, WELCOME, NetBench, connected, joined
 from ports.net.net_link import NetLink
+from ugrbl.boardfile.files import load_board
 
 
 @pytest.fixture
@@ -272,6 +275,72 @@ def test_a_jog_ends_when_its_client_disconnects_and_a_program_continues(bench) -
     bench.run(script)
 
 
+def test_jogs_that_wait_end_with_their_client(bench) -> None:
+    """The planner is full of them, one waits for space there, and more in the receive buffer."""
+
+    def script(bench):
+        one = yield from joined(bench)
+        one.send("$J=G91X5F600\n" * 25)
+        yield from bench.wait(1000)
+        one.is_broken = True
+        yield from bench.wait(1500)
+        stopped = bench.steps()
+        yield from bench.wait(3000)
+        assert bench.steps() == stopped and 1000 < stopped[0] < 5000
+
+    bench.run(script)
+
+
+@pytest.fixture
+def with_job(monkeypatch, tmp_path):
+    """Return a bench whose machine has a job of 60 lines; line 31 is a dwell of 2 s."""
+    board = ModuleType("board")
+    vars(board).update(vars(load_board("sim_wifi")), JOBS=str(tmp_path))
+    lines = ["G21G91", *["G1X0.10Y0.20F3000"] * 29, "G4P2", *["G1X0.10Y0.20"] * 28, "M2"]
+    (tmp_path / "A.NC").write_text("\n".join(lines) + "\n")
+    return NetBench(monkeypatch, {110: 3000, 111: 3000, 120: 500, 121: 500}, board=board)
+
+
+_JOB_STEPS = [57 * 25, 57 * 50, 0]
+
+
+@pytest.mark.parametrize("lost_ms", range(100, 2300, 157))
+@pytest.mark.parametrize("half", ["", "G1X9"])
+def test_lines_of_a_job_are_executed_whole_whoever_comes_and_goes(
+    with_job, lost_ms: int, half: str
+) -> None:
+    def script(bench):
+        one = yield from joined(bench)
+        assert (yield from bench.ask(one, "$F=A.NC\n")).startswith("ok")
+        yield from bench.wait(lost_ms)
+        one.send(half)
+        stranger = bench.call("10.0.0.66")
+        yield from bench.wait(20)
+        stranger.send("$G\n")
+        yield from bench.wait(20)
+        one.is_broken = stranger.has_hung_up = True
+        yield from bench.wait(6000)
+
+    with_job.run(script)
+    assert with_job.steps() == _JOB_STEPS
+
+
+def test_line_of_a_client_that_takes_control_during_a_job_is_refused(with_job) -> None:
+    def script(bench):
+        one = yield from joined(bench)
+        assert (yield from bench.ask(one, "$F=A.NC\n")).startswith("ok")
+        yield from bench.wait(1500)  # in the dwell
+        one.has_hung_up = True
+        yield from bench.wait(100)
+        two = yield from joined(bench)
+        two.send("G1X20F3000\n")
+        yield from bench.wait(6000)
+        assert "error:9\r\n" in two.take()
+
+    with_job.run(script)
+    assert with_job.steps() == _JOB_STEPS
+
+
 def test_a_reconnected_client_can_resume_a_moving_machine(bench) -> None:
     def script(bench):
         one = yield from joined(bench)
@@ -409,6 +478,35 @@ def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -
 
     bench.run(script)
     assert bench.steps() == [275, 0, 0]
+
+
+def test_a_line_begun_at_the_cable_is_not_broken_by_a_connection(bench) -> None:
+    def script(bench):
+        bench.rig.link.cable.send(b"G91 ")
+        yield from bench.wait(6000)  # control is free for a sender that is silent so long
+        stranger = bench.call("10.0.0.66")
+        yield from bench.wait(100)
+        bench.rig.link.cable.send(b"G0 X50\nG90\nG91 G0 X1\n")
+        yield from bench.wait(12_000)
+        stranger.has_hung_up = True
+
+    bench.run(script)
+    assert bench.steps()[0] == 51 * 250 and "G91" not in bench.sender.take()
+
+
+def test_network_settings_of_a_client_that_hung_up_are_not_the_cables(bench) -> None:
+    def script(bench):
+        one = yield from joined(bench)
+        yield from bench.ask(one, f"$NET/KEY={KEY}\n")
+        one.send("G4P1\n$NET/KEY=NEW\n")
+        yield from bench.wait(200)
+        one.has_hung_up = True
+        yield from bench.wait(200)
+        bench.rig.link.cable.send(b"G0X1\n")
+        yield from bench.wait(3000)
+
+    bench.run(script)
+    assert bench.store.files["network"] == [f"KEY={KEY}"]
 
 
 def test_a_long_answer_arrives_complete(bench) -> None:

@@ -58,6 +58,7 @@ def test_a_request_for_the_next_piece_proves_that_the_last_was_read(bench) -> No
         (403, request("/", Host="ugrbl.local.evil.example")),
         (403, request("/", Host="")),
         (403, request("/", Host="1" * 300)),
+        (403, request("/", Host="ugrbl.local:" + "8" * 400)),
         (403, request("/", Origin="http://evil.example")),
         (403, request("/", Origin="null")),
         (403, request("/", Origin="https://ugrbl.local")),

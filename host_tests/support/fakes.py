@@ -191,6 +191,9 @@ class FakePort:
     def enable_limits(self, on: bool) -> None:
         self._note(f"hear_limits {on}")
 
+    def safe(self) -> None:
+        self._note("outputs off")
+
     def kill(self) -> object:
         self._note("kill")
         return None

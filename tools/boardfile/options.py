@@ -392,7 +392,7 @@ OPTIONS = (
         "Simulator: so many us it works on the first segments of a motion.",
     ),
     Option(
-        *("PUNCH_STROKE_MS", COUNT, NEEDED),
+        *("PUNCH_STROKE_MS", COUNT, 40),
         "Simulator: so many ms a stroke of the punch takes, one way.",
         low=1,
     ),

@@ -11,7 +11,7 @@ from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
 from ..compiling import build, freeze, motion_package
 from ..compiling.build import Build, BuildError, Progress
-from ..compiling.folder import save, save_motion, save_to_freeze
+from ..compiling.folder import check, save, save_motion, save_to_freeze
 from ..device.deploy import ARCHS
 from .outputs import check_outputs, examples, save_json, words
 
@@ -68,8 +68,7 @@ def command(
     kind = "frozen" if frozen else "motion" if motion else ""
     folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
-        if folder.exists() and not folder.is_dir():
-            raise BuildError(f"{folder} is no folder")
+        check(folder)
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
         made = _make(board, getattr(described, "MPY_ARCH", arch), progress, kind)

@@ -6,10 +6,20 @@ from pathlib import Path
 from .. import __version__, paths
 from ..boardfile.chips import CHIPS
 from . import motion_package, prebuilt, stubs
-from .build import KERNELS, LIBRARY, START, Build, firmware, sources, texts
+from .build import KERNELS, LIBRARY, START, Build, BuildError, firmware, sources, texts
 from .inline import inline
 
 _PACKAGE_LIST = "package.json"
+
+
+def check(folder: Path) -> None:
+    """Raise BuildError if a build in this folder would write over other files than a build's."""
+    if folder.exists() and not folder.is_dir():
+        raise BuildError(f"{folder} is no folder")
+    of_a_build = (_PACKAGE_LIST, "boot/power_up.mpy")  # with and without --frozen
+    if folder.exists() and any(folder.iterdir()):
+        if not any((folder / name).is_file() for name in of_a_build):
+            raise BuildError(f"{folder} has other files: name a new folder, or an empty one")
 
 
 def save(made: Build, folder: Path) -> None:

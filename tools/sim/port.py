@@ -102,14 +102,14 @@ class SimPort:
 
     def kill(self) -> None:
         self._killed = True
-        self._switch_off()
+        self.safe()
 
     def revive(self) -> None:
         if self._killed:
-            self._switch_off()
+            self.safe()
             self._killed = False
 
-    def _switch_off(self) -> None:
+    def safe(self) -> None:
         """Switch spindle, coolant and an extra's outputs off."""
         self.spindle_on = False
         self.spindle_pwm = self.flood = self.mist = 0
@@ -147,19 +147,19 @@ class SimPort:
     def direction(self, level: int) -> None:
         self.spindle_dir = level
         if self._killed:
-            self._switch_off()
+            self.safe()
 
     def spindle(self, on: bool, power: int) -> None:
         self.spindle_on = on
         self.spindle_pwm = power
         if self._killed:
-            self._switch_off()
+            self.safe()
 
     def coolant(self, mask: int) -> None:
         self.flood = mask & 1
         self.mist = mask >> 1 & 1
         if self._killed:
-            self._switch_off()
+            self.safe()
 
     def add_pins(self, outputs: "tuple[int, ...]", inputs: "tuple[int, ...]") -> None:
         self._own_inputs = tuple(["pin_%d" % pin for pin in inputs])
@@ -167,7 +167,7 @@ class SimPort:
     def drive(self, levels: int) -> None:
         self.own_outputs = levels
         if self._killed:
-            self._switch_off()
+            self.safe()
 
     def pulse(self, index: int, hz: int, duty: int) -> None:
         """Set the frequency and duty of an extra's output."""
@@ -175,7 +175,7 @@ class SimPort:
         bit = 1 << index
         self.own_outputs = self.own_outputs | bit if duty else self.own_outputs & ~bit
         if self._killed:
-            self._switch_off()
+            self.safe()
 
     def rest(self, levels: int) -> None:
         self._rest = levels

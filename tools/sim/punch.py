@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from .seams import Clock
 
+_STROKE_MS = 40  # of a board file that says nothing, as in boardfile/options.py
 # Positions of the punch, and the bits of its sensors.
 UP, DOWN = 0.0, 1.0
 SENSOR_DOWN, SENSOR_UP = 1, 2
@@ -43,7 +44,8 @@ class PunchPort(SimPort):
         self.stuck = False
         self.holes: "list[tuple[int, ...]]" = []
         self.on_hole: "Callable[[], None] | None" = None
-        self._stroke_ticks = rig.ms(board.PUNCH_STROKE_MS) - rig.now
+        stroke_ms = getattr(board, "PUNCH_STROKE_MS", _STROKE_MS)
+        self._stroke_ticks = rig.ms(stroke_ms) - rig.now
         self._place = UP
         self._since = rig.now  # time of that position
         self._speed = 0  # 1: down, -1: up
@@ -63,10 +65,10 @@ class PunchPort(SimPort):
     def drive(self, levels: int) -> None:
         self._drive(levels & 1, levels >> 1)
         if self._killed:
-            self._switch_off()
+            self.safe()
 
-    def _switch_off(self) -> None:
-        super()._switch_off()
+    def safe(self) -> None:
+        super().safe()
         if self._has_rest:
             self._drive(self._rest & 1, self._rest >> 1)
 

@@ -287,7 +287,7 @@ class MachineApi(PinApi):
     def halt(self) -> None:
         """Stop wherever the main loop waits, with all off and ALARM:34. Raises Abort."""
         machine, state = self._machine, self._state
-        while state.run == st.HOLD and state.holding:
+        while state.run & (st.HOLD | st.DOOR | st.SLEEP) and state.holding:  # it slows down
             machine.motor_control.pump()
             machine.realtime.handle_events()
         machine.canon.stop_with_alarm(errors.ALARM_HANDLER)

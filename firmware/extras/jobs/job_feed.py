@@ -339,6 +339,14 @@ class Feed:
                     self._said[self._said_length] = c
                 self._said_length += 1  # more than _said holds: the line is too long
 
+    def has_half(self) -> bool:
+        """Return whether the sender has begun a line, while the job runs."""
+        return self._said_length > 0
+
+    def drop_half(self) -> None:
+        """Drop the sender's unfinished line, because it has gone."""
+        self._said_length = 0
+
     def _queue_answer(self) -> None:
         """Queue the answer to the sender's complete line, for the loop's next turn: an error
         number, 0 for ok to an empty line, or _READ with the letter of a read-only command."""

@@ -57,15 +57,15 @@ class JobRun:
         self._cnc = cnc
         self._machine = cnc.machine
         self._files = files
-        self._feed = Feed(cnc.machine, self._refuse, self._note_line)
+        self._feed = feed = Feed(cnc.machine, self._refuse, self._note_line)
+        self.has_half, self.drop_half = feed.has_half, feed.drop_half
         hooks = cnc.machine.state.hooks
         hooks.is_busy += (self.is_on,)  # a job that waits, in a dwell for example, is not idle
         self._write, hooks.write_offsets = hooks.write_offsets, self._write_offsets
         self._entry = Entry(cnc, reader)
-        self._name = ""
+        self._name = self._due = ""
         self._start: "list[Any]" = []
         self._pressed_ms = 0
-        self._due = ""
         self._due_line = 0
         self._due_crc = _UNKNOWN
         self._size = 0

@@ -90,7 +90,7 @@ class NonlinearCanon(Canon):
         """Refuse a path from start to target (mm) that leaves the reach, by GrblError(code). arc:
         None for a straight line.
 
-        All its chords are checked. The link is read meanwhile, because that takes long.
+        All its chords are checked. The machine is serviced meanwhile, because that takes long.
         """
         planner, course = self.planner, self.planner.course
         joints = vector(planner.axes)
@@ -99,7 +99,7 @@ class NonlinearCanon(Canon):
         course.start_path(start, joints, target, arc, self._settings.arc_tolerance_mm)
         while is_in_reach and course.has_next():
             is_in_reach = course.next_chord()
-            self.pump()
+            self.service()
         if not is_in_reach:
             self._refuse(code)
 

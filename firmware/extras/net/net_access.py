@@ -9,6 +9,7 @@ lower-case letters nor spaces. They are never reported. docs/network.md lists th
 import sys
 
 from base import errors
+from base import state as st
 from base.errors import GrblError
 from base.text import text_of
 from micropython import const
@@ -73,8 +74,8 @@ class Network:
             self._keep()
         self._load()
         if link:
-            link.control.drop_half = lambda: drop_half(*self._received())
-            link.control.has_half = lambda: has_half(*self._received())
+            link.control.drop_half = self._drop_half
+            link.control.has_half = self._has_half
 
     def _new_key(self) -> str:
         """Return a random key of _KEY_LENGTH signs: 39 bits from the chip's noise source."""
@@ -94,16 +95,33 @@ class Network:
 
     def between(self) -> None:
         """Complete a requested handover of control once all lines of the client before are
-        executed. Called between two lines."""
-        link = self._link
-        if link and link.control.ending and not self._reader.has_line():
-            link.control.done()
+        executed: at once while a job runs. Called between two lines."""
+        link, job = self._link, self._cnc.job
+        if link and link.control.ending:
+            if (job and job.is_on()) or not self._reader.has_line():
+                link.control.done()
 
     def greet(self) -> None:
         """Send a new key after the welcome of the first start."""
         if self._is_new:
             self._is_new = False
             self._send_key()
+
+    def _has_half(self) -> bool:
+        """Return whether the client in control has begun a line."""
+        job = self._cnc.job
+        return job.has_half() if job and job.is_on() else has_half(*self._received())
+
+    def _drop_half(self) -> None:
+        """Drop the unfinished line of the client in control. While a job runs the reader has the
+        job's lines, and not the client's. A jog ends with its client: those that wait do, too."""
+        job = self._cnc.job
+        if job and job.is_on():
+            job.drop_half()
+        elif self._cnc.machine.state.run & st.JOG:
+            self._reader.clear()
+        else:
+            drop_half(*self._received())
 
     def _received(self) -> "tuple[bytearray, array[int], bytearray]":
         """Return the arguments of has_half() and drop_half()."""

@@ -163,7 +163,7 @@ class NetLink:
 
     def by_cable(self) -> bool:
         """Return whether the client whose lines are executed is at the cable."""
-        return self.control.driver is self._user
+        return self.control.driver is self._user and not self.control.ending
 
     def write_cable(self, data: bytes) -> None:
         """Send output that only the cable's client may read."""
@@ -280,10 +280,10 @@ class NetLink:
         if place.conn:
             self._drop(place)
         if self._is_plain:  # the first network client
-            self._is_plain = False
-            is_silent = self.control.is_silent(self._user, now_ms)
-            if self._is_nobodys or (is_silent and self._at_rest()):
-                self.control.set(None)
+            self._is_plain, control = False, self.control
+            is_free = control.is_silent(self._user, now_ms) and not control.has_half()
+            if self._is_nobodys or (is_free and self._at_rest()):
+                control.set(None)
         place.begin(conn, address, now_ms)
         place.put(self.welcome)
         if not place.send():

@@ -204,7 +204,7 @@ class Page:
                 continue
             try:
                 websocket = self._serve(visitor, now_ms)
-            except OSError:
+            except Exception:  # OSError; and nothing that a visitor sends may stop the machine
                 self._owe(visitor, 0)  # lwIP has freed all of it
                 self._end(visitor)
                 continue
@@ -289,8 +289,8 @@ class Page:
     def _is_ours(self, host: bytes) -> bool:
         """Return whether a request's Host (lower case) is a name of the board or a number. Numbers
         are safe: they cannot resolve to another address later, as a name from elsewhere can."""
-        name = host.partition(b":")[0]
-        if name in (self._host, self._host + _NAMES[1], _NAMES[0]):
+        name, _, port = host.partition(b":")
+        if len(port) <= _DIGITS and name in (self._host, self._host + _NAMES[1], _NAMES[0]):
             return True
         return _is_of(name, _SIGNS) and len(host) <= _LONGEST_HOST
 
