@@ -136,7 +136,8 @@ class MachineApi(PinApi):
     def saved(self) -> ModalState:
         """Use `with m.saved():` to work in G21 G90 G17 G94 (mm, absolute, XY plane, mm/min).
 
-        Modes, feed and offsets are restored when the block ends.
+        Modes, feed and offsets are restored when the block ends. Spindle with its S, coolant and
+        M56 stay as the block has left them.
         """
         return ModalState(self._machine, True, self._open)
 
