@@ -387,6 +387,16 @@ def test_refusal_refuses_only_its_line(bench: Make) -> None:
     assert said == [["[MSG:close the door]", "error:3"], ["ok"]]
 
 
+def test_question_in_an_alarm_ends_its_handler(bench: Make) -> None:
+    """Nothing would hold there, and what follows the question would be done unasked."""
+    made = bench(
+        "@on.after_reset\ndef r(m):\n    if m.state == 'Alarm':\n"
+        "        m.ask('hands away?')\n        m.out('vacuum', 1)"
+    )
+    made.say(("G1X9F500\n", "ms 300"), ("\x18", "ms 2000"))
+    assert made.outputs == 0
+
+
 def test_refused_tool_change_keeps_the_tool(bench: Make) -> None:
     made = bench(
         """

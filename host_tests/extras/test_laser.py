@@ -253,3 +253,13 @@ def test_impossible_board_file_is_reported(changes: "dict[str, Any]", said: str)
 
 def load_board_with(**changes: Any) -> Any:
     return SimpleNamespace(**{**vars(load_board("pico_laser")), **changes})
+
+
+@pytest.mark.parametrize("dots", ["S-1", "S-1:0:5", "S0:-1:5", "S5:0:-1"])
+def test_dot_below_0_is_refused_wherever_it_is(dots: str) -> None:
+    machine = Machine({32: 1}, "sim_laser", watched=False)
+    answers: "list[str]" = []
+    machine.converse(
+        ["G21G91G1F3000M3", f"X0.8{dots}"], lambda line, replies: answers.append(replies[-1])
+    )
+    assert answers == ["ok", "error:4"]

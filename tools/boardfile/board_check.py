@@ -258,7 +258,10 @@ def _names_of_extras(board: ModuleType) -> set[str]:
 def own_modules(board: Any) -> tuple[str, ...]:
     """Return the names of the user's modules that are stored in the board file's folder."""
     kinematics = getattr(board, "KINEMATICS", "")
-    return (*getattr(board, "EXTRAS", ()), *((kinematics,) if kinematics else ()))
+    return (
+        *getattr(board, "EXTRAS", ()),
+        *((kinematics,) if kinematics and isinstance(kinematics, str) else ()),
+    )
 
 
 def _own_extras(board: ModuleType) -> dict[str, str]:

@@ -332,8 +332,11 @@ class MachineApi(PinApi):
         return is_done
 
     def ask(self, text: str) -> None:
-        """Send a message when motion has ended, and hold until cycle start (`~`)."""
+        """Send a message when motion has ended, and hold until cycle start (`~`). RuntimeError in
+        an alarm, where nothing holds."""
         self._check_may_wait()
+        if self._state.run == st.ALARM:
+            raise RuntimeError("m.ask: not in an alarm")
         self._machine.canon.synchronise()
         self.restart_clock()
         self.message(text)

@@ -93,6 +93,8 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
         count -= 1
         if letters[count] != _S:
             return count | BAD_NUMBER_FORMAT << 8
+        if ptr8(values)[4 * count + _MINUS_BYTE] & _MINUS:
+            return count | NEGATIVE_VALUE << 8
         dots[FIRST_DOT] = values[count]
         dots[DOTS] = 1
         while text[pos] == _COLON:
