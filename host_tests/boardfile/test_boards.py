@@ -27,6 +27,16 @@ GOOD: dict[str, Any] = {
 PICO2_W = {"CHIP": "pico2_w", "MPY_ARCH": "armv7emsp", "LINK": "wifi", "PAGE": True}
 
 
+PUNCH = {
+    "TOOL": "punch",
+    "PUNCH_DOWN": 20,
+    "PUNCH_UP": 21,
+    "REPL_PIN": None,
+    "PUNCH_DOWN_SENSOR": 22,
+    "PUNCH_UP_SENSOR": 26,
+    "SPINDLE_PWM": None,
+    "SPINDLE_DIR": None,
+}
 OF_48: dict[str, Any] = {"CHIP": "rp2350b", "MPY_ARCH": "armv7emsp"}
 WIFI: dict[str, Any] = {
     "CHIP": "pico_w",
@@ -144,6 +154,7 @@ def test_board_is_data_only(name: str) -> None:
         ({"DIALECT": 0.9}, 'DIALECT is 0.9 and wants quotation marks: "0.9"'),
         ({"TOOL": "hammer"}, "TOOL: 'hammer' is not one of spindle, laser, punch"),
         ({"TOOL": "punch", "PUNCH_UP": 20}, "no pin for PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_"),
+        ({**PUNCH, "OUTPUTS": {"lamp": 28}}, "OUTPUTS: not possible with a punch"),
         ({"DIR": None}, "DIR is missing"),
         ({"DIR": None, "ENGINE": "sim"}, ""),
         ({"ENGINE": "sim", "LOOP_US": "200"}, "LOOP_US is '200': it is a whole number"),

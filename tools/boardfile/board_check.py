@@ -128,8 +128,11 @@ def _problem(board: ModuleType, name: str) -> str:
 
 
 def _values(board: ModuleType) -> Iterator[str]:
-    """Check the type, range and word of every option."""
+    """Check the type, range and word of every option, and that a punch has its pins alone."""
     yield from filter(None, (_problem(board, name) for name in BY_NAME))
+    own = [name for name in ("OUTPUTS", "INPUTS") if getattr(board, name, None)]
+    if own and getattr(board, "TOOL", None) == "punch":
+        yield f"{' and '.join(own)}: not possible with a punch, which has such pins"
 
 
 def _kinds(board: ModuleType) -> Iterator[str]:
@@ -258,10 +261,8 @@ def _names_of_extras(board: ModuleType) -> set[str]:
 def own_modules(board: Any) -> tuple[str, ...]:
     """Return the names of the user's modules that are stored in the board file's folder."""
     kinematics = getattr(board, "KINEMATICS", "")
-    return (
-        *getattr(board, "EXTRAS", ()),
-        *((kinematics,) if kinematics and isinstance(kinematics, str) else ()),
-    )
+    own = (kinematics,) if kinematics and isinstance(kinematics, str) else ()
+    return (*getattr(board, "EXTRAS", ()), *own)
 
 
 def _own_extras(board: ModuleType) -> dict[str, str]:

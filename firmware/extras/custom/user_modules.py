@@ -41,7 +41,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     option = board.__dict__.get
     _found["modules"] = options.custom
     _found["outputs"], _found["inputs"] = option("OUTPUTS", {}), option("INPUTS", {})
-    if option("TOOL", "") == "punch" and (_found["outputs"] or _found["inputs"]):
+    if option("TOOL") == "punch" and (_found["outputs"] or _found["inputs"]):
         raise ValueError("OUTPUTS and INPUTS are not possible with a punch, which has such pins")
 
 
