@@ -307,14 +307,13 @@ class Canon:
         self._cool(0)
 
     def end_program(self) -> None:
-        """Execute the end of M2 and M30: set overrides to 100 %, allow parking, switch spindle and
-        coolant off, and notify the extras."""
+        """Execute the end of M2 and M30: set overrides to 100 %, switch spindle and coolant off,
+        and notify the extras. M56 stays, as with Grbl."""
         state = self._state
         state.feed_override = state.rapid_override = 100
         state.override_spindle(100)
         self.planner.override()
         if state.run != st.CHECK:
-            state.override_control = True
             self.safe()
         call_all(state.hooks.ended)
 

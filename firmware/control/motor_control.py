@@ -116,7 +116,7 @@ class MotorControl:
             self.note_reset(errors.ALARM_EMERGENCY_STOP if emergency else 0)
             self.by_pin = True
         elif active & EMERGENCY_STOP:
-            self._port.safe()  # outputs that custom.py has switched on in the alarm
+            self._port.safe()  # also what an extra has switched on in the alarm
         if active & HOLD:
             state.post(st.FEED_HOLD)
         if active & START:

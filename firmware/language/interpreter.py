@@ -343,7 +343,6 @@ class Interpreter:
         modal[mode.PLANE] = modal[mode.RELATIVE] = modal[mode.INVERSE_TIME] = 0
         modal[mode.SYSTEM] = self._coords.active = 0
         modal[mode.SPINDLE] = modal[mode.COOLANT] = 0
-        modal[mode.OVERRIDE_CONTROL] = 1
         self._canon.end_program()
         if self._state.run != st.CHECK:
             self._offsets_changed()

@@ -167,9 +167,10 @@ def test_speed_beyond_single_precision_is_no_fault(value: str) -> None:
     assert shown[-1].state in ("Run", "Idle")
 
 
-def test_parking_is_allowed_again_after_the_program() -> None:
+def test_parking_stays_off_after_the_program_until_m56() -> None:
     tool = Tool(PARKING=True, OVERRIDE_CONTROL=True)
-    tool.play("M56P0", "M30", "$G")
-    assert any("M56" in line for line in tool.machine.received)
+    tool.play("M56P0", "M30", "$G", "M56", "$G")
+    modes = [line for line in tool.machine.received if line.startswith("[GC:")]
+    assert ["M56" in line for line in modes] == [False, True]
     controller: Any = tool.machine.rig.controller
     assert controller.state.override_control
