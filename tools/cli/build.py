@@ -68,7 +68,8 @@ def command(
     kind = "frozen" if frozen else "motion" if motion else ""
     folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
-        check(folder)
+        if out:
+            check(out)
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
         made = _make(board, getattr(described, "MPY_ARCH", arch), progress, kind)
