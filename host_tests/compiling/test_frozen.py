@@ -217,7 +217,7 @@ Manifest = Callable[..., "tuple[list[str], set[str]]"]
 
 def test_manifest_freezes_only_the_files_of_its_build(manifest: Manifest, tmp_path: Path) -> None:
     of_an_older_build = tmp_path / "build" / "frozen" / "rpi_pico" / "motion" / "gone.mpy"
-    of_an_older_build.parent.mkdir(parents=True)
+    manifest(BOARD="RPI_PICO")
     of_an_older_build.write_bytes(b"M\6")  # how .mpy files begin: the letter, and the version
     included, frozen = manifest(BOARD="RPI_PICO")
     assert included == ["$(BOARD_DIR)/manifest.py"]
