@@ -109,7 +109,7 @@ class MotorControl:
         """Handle a change of a control input or the emergency stop. active: mask of those in
         effect now. Interrupt."""
         state = self._state
-        emergency = active & EMERGENCY_STOP and not self.at_rest()
+        emergency = active & EMERGENCY_STOP and (state.run != st.ALARM or self.is_on())
         if active & RESET or emergency:
             self._port.kill()
             self._engine.stop()
@@ -129,19 +129,17 @@ class MotorControl:
         state = self._state
         if state.alarm == errors.ALARM_EMERGENCY_STOP:
             return
-        if self.at_rest():
-            self._port.safe()
-        else:
+        if state.run != st.ALARM or self.is_on():
             self.reset()
             state.alarm = errors.ALARM_EMERGENCY_STOP
+        else:
+            self._port.safe()
 
     @micropython.native
-    def at_rest(self) -> bool:
-        """Return whether an alarm has stopped all. After a failed probing the tool is on, as with
-        Grbl. Called in an interrupt."""
-        if self._state.run != st.ALARM:
-            return False
-        return not (self._spindle.direction() or self._coolant.mask)
+    def is_on(self) -> bool:
+        """Return whether spindle or coolant is on: also in an alarm, after a failed probing, as
+        with Grbl. Called in an interrupt."""
+        return bool(self._spindle.direction() or self._coolant.mask)
 
     def on_fault(self) -> None:
         """Stop everything with an internal alarm, because a callback of the port has raised an

@@ -100,7 +100,7 @@ class Overrides:
         if state.run in (st.IDLE, st.ALARM):
             state.update_spindle = False
             if spindle.is_on():
-                spindle.restore_laser(self._modes.modal[SPINDLE], self._modes.rates[RPM])
+                spindle.restore(self._modes.modal[SPINDLE], self._modes.rates[RPM])
             return
         state.update_spindle = True
         reported = state.spindle[st.RPM]

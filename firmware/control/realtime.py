@@ -105,10 +105,10 @@ class Realtime:
                 if any(pending):
                     held = self._holds()
                     if state.take_event(st.CYCLE_START):
-                        if not held:
-                            self._cycle_start()
-                        else:
+                        if held:
                             self._overrides.hold()
+                        else:
+                            self._cycle_start()
                     if state.take_event(st.CYCLE_STOP):
                         self._cycle_stop()
                     if state.take_event(st.OVERRIDE):

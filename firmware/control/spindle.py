@@ -160,12 +160,12 @@ class Spindle:
             self._state.spindle[RPM] = 0.0
             self.stop()
         else:
-            self.restore_laser(direction, rpm)
+            self.restore(direction, rpm)
         self._state.override_countdown = 0
 
-    def restore_laser(self, direction: int, rpm: float) -> None:
-        """Switch on: direction is CW or CCW. Restores a laser that a hold has switched off; unlike
-        set_speed() it does not make the next status report show it, as in Grbl."""
+    def restore(self, direction: int, rpm: float) -> None:
+        """Switch on: direction is CW or CCW. For the end of a hold, or an override: unlike after
+        set_speed(), the next status report does not show it, as in Grbl."""
         self.enable(direction)
         if self.laser and self._reversed:
             rpm = 0.0

@@ -157,7 +157,7 @@ class Suspension:
         if not spindle.laser:
             spindle.set_speed(direction, self._rpm)
         elif self._planner.empty():
-            spindle.restore_laser(direction, self._rpm if self._lit else 0.0)
+            spindle.restore(direction, self._rpm if self._lit else 0.0)
         else:
             self._state.update_spindle = True  # power is set when motion resumes
             spindle.enable(direction)

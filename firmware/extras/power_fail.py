@@ -169,7 +169,7 @@ class PowerFail:
             self._go_on()
         elif self._input.is_good():
             self._begin()
-        elif self._machine.spindle.direction() or self._machine.coolant.mask:
+        elif self._motor_control.is_on():
             self._end()  # the tool was started after $X
 
     def _go_on(self) -> None:

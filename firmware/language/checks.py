@@ -23,14 +23,11 @@ from base import errors
 from base.float32_math import add_single, multiply, whole_part
 from control import modes as mode
 from control.coords import G28, G30, G92, SYSTEMS
-from micropython import const
 from motion.arc_geometry import subtract
 from motion.planner import SPINDLE_CW
 
 from language import block_layout as b
 from language.arc_words import find_arc, same_position
-
-_CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)  # motion modes in which a laser cuts
 
 
 @micropython.viper
@@ -342,8 +339,9 @@ def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) 
         asked |= b.FLOW
     if laser:
         # Whether this line's motion mode cuts, and whether the last one's did.
-        cuts = 1 if ints[mode.MOTION] <= b.CCW_ARC and (_CUTS >> ints[mode.MOTION]) & 1 else 0
-        did_cut = 1 if modal[mode.MOTION] <= b.CCW_ARC and (_CUTS >> modal[mode.MOTION]) & 1 else 0
+        cuts = 1 if ints[mode.MOTION] <= b.CCW_ARC and (b.CUTTING >> ints[mode.MOTION]) & 1 else 0
+        last = modal[mode.MOTION]
+        did_cut = 1 if last <= b.CCW_ARC and (b.CUTTING >> last) & 1 else 0
         if cuts == 0:
             asked |= b.DARK
         if ints[b.WORDS] & b.AXIS_WORDS and ints[b.CLAIM] == b.AXES_MOTION:

@@ -128,11 +128,8 @@ def _problem(board: ModuleType, name: str) -> str:
 
 
 def _values(board: ModuleType) -> Iterator[str]:
-    """Check the type, range and word of every option, and that a punch has its pins alone."""
+    """Check the type, range and word of every option."""
     yield from filter(None, (_problem(board, name) for name in BY_NAME))
-    own = [name for name in ("OUTPUTS", "INPUTS") if getattr(board, name, None)]
-    if own and getattr(board, "TOOL", None) == "punch":
-        yield f"{' and '.join(own)}: not possible with a punch, which has such pins"
 
 
 def _kinds(board: ModuleType) -> Iterator[str]:

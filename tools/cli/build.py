@@ -68,6 +68,8 @@ def command(
     kind = "frozen" if frozen else "motion" if motion else ""
     folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
+        if folder.exists() and not folder.is_dir():
+            raise BuildError(f"{folder} is no folder")
         if out:
             check(out)
         described = load_for_build(board_file(board)) if board else None

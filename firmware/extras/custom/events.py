@@ -324,17 +324,17 @@ class Events:
     def _change_tool(self, tool: "float | None") -> None:
         """Execute M6, with T on its line or before it. tool: the number of that T, or None. If a
         handler refuses the line, the tool is the one before."""
-        cnc = self._runner.machine_api
-        before = cnc.tool
+        api = self._runner.machine_api
+        before = api.tool
         try:
             if tool is not None:
                 if not 0 <= tool <= HIGHEST_TOOL:
                     raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
                 self._select(int(tool))
-            self._emit("tool_change", cnc.tool)
+            self._emit("tool_change", api.tool)
             self.run_due()
         except GrblError:
-            cnc.tool = before
+            api.tool = before
             raise
 
     def _wrap_probe(self) -> None:

@@ -18,7 +18,7 @@ from control.modes import (
     SYSTEM,
 )
 from control.spindle import CW
-from language.block_layout import CCW_ARC, CW_ARC, LINEAR
+from language.block_layout import CUTTING
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 _A = const(3)  # index of axis A
 # Modes that stay, because the machine does what they say; S does for the same reason.
 _OF_THE_MACHINE = (SPINDLE, COOLANT, OVERRIDE_CONTROL)
-_CUTTING = (LINEAR, CW_ARC, CCW_ARC)  # motion modes in which a laser with M3 shines
 # Modes that m.saved() sets to 0: G17, G90, G94 and G21.
 _USUAL = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
 
@@ -108,7 +107,7 @@ class ModalState:
             self._within.remove(self)
         if machine.state.pending[st.RESET]:
             return  # the reset has set the modes
-        did_cut = modes.modal[MOTION] in _CUTTING
+        did_cut = CUTTING >> modes.modal[MOTION] & 1
         for i in range(MODAL_LENGTH):
             if i not in _OF_THE_MACHINE:
                 modes.modal[i] = self.modal[i]
@@ -119,6 +118,6 @@ class ModalState:
         coords.tool_length = self._length
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0  # the next status report has the offsets
-        cuts = modes.modal[MOTION] in _CUTTING
+        cuts = CUTTING >> modes.modal[MOTION] & 1
         if machine.spindle.laser and modes.modal[SPINDLE] == CW and cuts != did_cut:
             machine.canon.spin(CW, modes.rates[RPM] if cuts else 0.0)  # as a line with G0 or G1

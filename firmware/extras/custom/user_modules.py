@@ -36,13 +36,10 @@ _found: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Note the modules to read and the pins of the board file. ValueError if these are another
-    extra's."""
+    """Note the modules to read and the pins of the board file."""
     option = board.__dict__.get
     _found["modules"] = options.custom
     _found["outputs"], _found["inputs"] = option("OUTPUTS", {}), option("INPUTS", {})
-    if option("TOOL") == "punch" and (_found["outputs"] or _found["inputs"]):
-        raise ValueError("OUTPUTS and INPUTS are not possible with a punch, which has such pins")
 
 
 def install(cnc: "Cnc") -> None:

@@ -60,7 +60,7 @@ def install(cnc: "Cnc") -> None:
     plans a line as one block."""
     machine: "Any" = cnc.machine
     canon, interpreter = machine.canon, machine.interpreter
-    canon.pump, canon.tell = machine.protocol.pump, cnc.message
+    canon.tell = cnc.message
     canon.modes, canon.block = machine.modes, interpreter.block
     machine.state.hooks.checked += (canon.check_block,)
     interpreter.is_open = False

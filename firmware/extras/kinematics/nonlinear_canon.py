@@ -32,7 +32,6 @@ class NonlinearCanon(Canon):
     """
 
     planner: "NonlinearPlanner"
-    pump: "Callable[[], None]"  # reads the link
     tell: "Callable[[str], None]"  # sends a message to the client
     modes: "Modes"
     block: "Block"

@@ -19,7 +19,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
 
-    from interfaces import NetworkLink
+    from interfaces import Job, NetworkLink
     from talk.lines import LineReader
 
     from extras.api import Cnc
@@ -96,10 +96,9 @@ class Network:
     def between(self) -> None:
         """Complete a requested handover of control once all lines of the client before are
         executed: at once while a job runs. Called between two lines."""
-        link, job = self._link, self._cnc.job
-        if link and link.control.ending:
-            if (job and job.is_on()) or not self._reader.has_line():
-                link.control.done()
+        link = self._link
+        if link and link.control.ending and (self._job() or not self._reader.has_line()):
+            link.control.done()
 
     def greet(self) -> None:
         """Send a new key after the welcome of the first start."""
@@ -107,16 +106,21 @@ class Network:
             self._is_new = False
             self._send_key()
 
+    def _job(self) -> "Job | None":
+        """Return the job that runs, or None. The reader has its lines, and not a client's."""
+        job = self._cnc.job
+        return job if job and job.is_on() else None
+
     def _has_half(self) -> bool:
         """Return whether the client in control has begun a line."""
-        job = self._cnc.job
-        return job.has_half() if job and job.is_on() else has_half(*self._received())
+        job = self._job()
+        return job.has_half() if job else has_half(*self._received())
 
     def _drop_half(self) -> None:
-        """Drop the unfinished line of the client in control. While a job runs the reader has the
-        job's lines, and not the client's. A jog ends with its client: those that wait do, too."""
-        job = self._cnc.job
-        if job and job.is_on():
+        """Drop the unfinished line of the client in control. A jog ends with its client: those
+        that wait do, too."""
+        job = self._job()
+        if job:
             job.drop_half()
         elif self._cnc.machine.state.run & st.JOG:
             self._reader.clear()

@@ -241,12 +241,16 @@ class Punch(Spindle):
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Check the board file before the machine is created. ValueError if it lacks a pin."""
+    """Check the board file before the machine is created. ValueError if it lacks a pin, or has
+    pins for custom.py, because an extra's pins are one extra's only."""
     option = board.__dict__.get
     pins = [option(name) for name in PINS]
     missing = [PINS[i] for i in range(len(pins)) if pins[i] is None]
     if missing:
         raise ValueError("TOOL = punch: the board file names no pin for " + ", ".join(missing))
+    others = [name for name in ("OUTPUTS", "INPUTS") if option(name)]
+    if others:
+        raise ValueError(" and ".join(others) + ": not possible with a punch, which has such pins")
     Punch.pins = tuple([pin for pin in pins if pin is not None])
     Punch.timeout_ms = option("PUNCH_TIMEOUT_MS", 1000)
     options.spindle = Punch

@@ -280,10 +280,10 @@ class NetLink:
         if place.conn:
             self._drop(place)
         if self._is_plain:  # the first network client
-            self._is_plain, control = False, self.control
-            is_free = control.is_silent(self._user, now_ms) and not control.has_half()
+            self._is_plain = False
+            is_free = self.control.is_silent(self._user, now_ms) and not self.control.has_half()
             if self._is_nobodys or (is_free and self._at_rest()):
-                control.set(None)
+                self.control.set(None)
         place.begin(conn, address, now_ms)
         place.put(self.welcome)
         if not place.send():
