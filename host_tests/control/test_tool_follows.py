@@ -47,28 +47,22 @@ class Tool:
 
     def do(self, step: Step) -> Iterator[Any]:
         """Do a step, and wait for the answer of a line."""
-        machine = self.machine
-        if isinstance(step, int):
-            yield machine.rig.ms(step)
-            return
-        machine.take()
-        machine.rig.link.send(step if isinstance(step, bytes) else f"{step}\n".encode())
+        sender = self.machine.sender
         if isinstance(step, str):
-            seen = len(machine.received)
-            while not {"ok", "error:9"} & set(machine.received[seen:]):
-                yield machine.rig.ms(5)
-                machine.take()
+            yield from sender.wait("ok", f"{step}\n", settle=1)
+        elif isinstance(step, bytes):
+            self.machine.rig.link.send(step)
+        else:
+            yield self.machine.rig.ms(step)
 
     def look(self) -> "Generator[Any, None, Shown]":
         """Return what a status report shows."""
         machine = self.machine
-        machine.rig.link.send(b"?")
-        while True:
-            yield machine.rig.ms(5)
-            for line in machine.take():
-                if line.startswith("<"):
-                    speed = float(line.split("|FS:")[1].split("|")[0].split(",")[1].rstrip(">"))
-                    return Shown(line[1:].split("|")[0], speed, machine.rig.port.spindle_pwm)
+        machine.take()
+        yield from machine.sender.wait("report", "?", settle=1)
+        line = next(line for line in machine.take() if line.startswith("<"))
+        speed = float(line.split("|FS:")[1].split("|")[0].split(",")[1].rstrip(">"))
+        return Shown(line[1:].split("|")[0], speed, machine.rig.port.spindle_pwm)
 
 
 _MOVES = ("G1F600", "M3S1000", "X4", "X8", "X12")
