@@ -68,10 +68,7 @@ def command(
     kind = "frozen" if frozen else "motion" if motion else ""
     folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
-        if folder.exists() and not folder.is_dir():
-            raise BuildError(f"{folder} is no folder")
-        if out:
-            check(out)
+        check(folder, is_named=out is not None)
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
         made = _make(board, getattr(described, "MPY_ARCH", arch), progress, kind)

@@ -12,10 +12,13 @@ from .inline import inline
 _PACKAGE_LIST = "package.json"
 
 
-def check(folder: Path) -> None:
-    """Raise BuildError if a build in this folder would write over other files than a build's."""
+def check(folder: Path, is_named: bool) -> None:
+    """Raise BuildError if this is no folder or, if the user has named it, if a build in it would
+    write over other files than a build's."""
+    if folder.exists() and not folder.is_dir():
+        raise BuildError(f"{folder} is no folder")
     of_a_build = (_PACKAGE_LIST, "boot/power_up.mpy")  # with and without --frozen
-    if folder.exists() and any(folder.iterdir()):
+    if is_named and folder.exists() and any(folder.iterdir()):
         if not any((folder / name).is_file() for name in of_a_build):
             raise BuildError(f"{folder} has other files: name a new folder, or an empty one")
 
