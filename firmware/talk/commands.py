@@ -35,13 +35,13 @@ _STARTUP = "startup"
 _BUILD_INFO = "build"
 STARTUP_LINES = const(2)
 _HIGHEST_SETTING = const(999)  # Grbl's end at 255; extras have higher ones
-_MOVES = const(st.RUN | st.JOG)
-_JOG = const(74)  # $J
-_EQUALS = const(61)  # characters
-_PLUS = const(43)
-_HASH = const(35)
-_DOLLAR = const(36)
-_STAR = const(42)
+_MOVES = const(st.RUN | st.JOG)  # states of motion
+_JOG = const(74)  # the character J
+_EQUALS = const(61)  # the character =
+_PLUS = const(43)  # the character +
+_HASH = const(35)  # the character #
+_DOLLAR = const(36)  # the character $
+_STAR = const(42)  # the character *
 _AT_ANY_TIME = b"\0$GCX"  # letters of commands that any state allows; \0 is the help of a lone $
 READ_ONLY = b"G$#IN"  # such a command, with nothing after it, changes nothing
 
@@ -90,7 +90,7 @@ class Commands:
         self._store.load(_BUILD_INFO)  # so that damage to it is reported at power-up, too
         lines = self._store.load(_STARTUP)
         self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
-        self._startup_valid = lines is not None
+        self._startup_valid = lines is not None  # None: the stored ones are invalid
         if lines is None:
             self._keep_startup()
 
@@ -140,8 +140,8 @@ class Commands:
             if length > 2:
                 raise GrblError(errors.INVALID_STATEMENT)
         elif self._state.run not in (st.IDLE, st.ALARM):
-            # A sender that connects during motion sends these. In Grbl, connecting resets the
-            # machine.
+            # A sender that connects during motion sends lines of READ_ONLY. In Grbl, connecting
+            # resets the machine.
             if not (self._state.run & _MOVES and length == 2 and line[1] in READ_ONLY):
                 raise GrblError(errors.IDLE_ERROR)
         return execute or self._set  # anything else is the number of a setting

@@ -9,14 +9,13 @@ from control import spindle as sp
 from control.modes import RPM, SPINDLE
 from micropython import const
 
-# A save erases at most six sectors of flash, each in 400 ms.
-_FLASH_MS = const(2500)
+_FLASH_MS = const(2500)  # longest save: it erases at most six sectors of flash, each in 400 ms
 
 # Settings whose change acts at once.
-_REPORT_INCHES = const(13)
-_HARD_LIMITS = const(21)
-_MAX_RPM = const(30)
-_MIN_RPM = const(31)
+_REPORT_INCHES = const(13)  # number of the setting: $13
+_HARD_LIMITS = const(21)  # $21
+_MAX_RPM = const(30)  # $30
+_MIN_RPM = const(31)  # $31
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -122,13 +121,13 @@ class Controller:
         self.engine.attach(
             self.state.hooks.next_segment, self.spindle.set_power, self.spindle.on_motion_end
         )
-        settings_valid = self._loads(self.settings.load)
+        settings_valid = self._load_stored(self.settings.load)
         if not settings_valid:
             # As Grbl does with erased memory: report it and print the settings in force.
             self.report.error(errors.SETTING_READ_FAIL)
             self.commands.show_settings()
-        self._loads(self.commands.load)
-        self._loads(self.coords.load)
+        self._load_stored(self.commands.load)
+        self._load_stored(self.coords.load)
         if settings_valid and self.saves.damaged:  # the banner says which
             self.report.error(errors.SETTING_READ_FAIL)
         self.port.attach(self.motor_control)
@@ -136,7 +135,7 @@ class Controller:
             self.state.enter(st.ALARM)
         self.motor_control.power(True)
 
-    def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
+    def _load_stored(self, load: "Callable[[], bool | None]") -> "bool | None":
         """Call load, which loads stored data, and write at once the defaults that it has set if
         there was none. Returns its result: False if data was invalid, or None for no result."""
         valid = load()
@@ -188,6 +187,7 @@ class Controller:
             """Allow the loop a long turn, and switch off a laser that shines without motion."""
             nonlocal lit
             allow(_FLASH_MS)
+            # CW: by M3; a laser that M4 has switched on is dark while nothing moves
             lit = spindle.laser and modes.modal[SPINDLE] == sp.CW and spindle.is_on()
             if lit:
                 spindle.stop()
@@ -222,7 +222,7 @@ class Controller:
         """Stop everything and set the modes of a fresh start; the position is kept."""
         state = self.state
         state.clear()
-        state.pending[:] = bytes(len(state.pending))  # drop all events
+        state.pending[:] = bytes(len(state.pending))  # all 0: drop all events
         state.alarm = 0
         self.engine.stop()
         self.reader.clear()

@@ -22,12 +22,18 @@ END = const(0)  # length of the text written so far
 VALUES = const(1)  # integers and masks, in the order in which the form uses them
 
 # Characters: the placeholders of a form, and those of a number.
-_SINGLE = const(35)  # #
-_INTEGER = const(37)  # %
-_LETTER = const(63)  # ?
-_MINUS = const(45)
-_POINT = const(46)
-_ZERO = const(48)
+_SINGLE = const(35)  # the character #
+_INTEGER = const(37)  # the character %
+_LETTER = const(63)  # the character ?
+_MINUS = const(45)  # the character -
+_POINT = const(46)  # the character .
+_ZERO = const(48)  # the character 0
+
+_EXPONENT_BIAS = const(150)  # of a single whose mantissa is read as an integer of 24 bits
+_MINUS_ZERO_HIGH = const(128)  # the highest byte of -0.0; of other negative floats it is above
+_SCRATCH = const(12)  # bytes after the text in which a number is written, its last digit first
+_QUICK_TENTH = const(43689)  # up to here n * 26215 >> 18 is n // 10, in a tenth of the time
+_TENTH_OF_2_31 = const(214748364)  # 2147483648 // 10
 
 
 @micropython.viper
@@ -37,10 +43,10 @@ def scaled(x: ptr32, index: int, decimals: int) -> int:
 
     `number` is the mantissa, below 2**24, so `number * 100` fits 31 bits.
     """
-    exponent = ((x[index] >> 23) & 255) - 150  # |x[index]| = number * 2**exponent
-    if exponent == 105:  # 255 - 150: infinite, or not a number
+    exponent = ((x[index] >> 23) & 255) - _EXPONENT_BIAS  # |x[index]| = number * 2**exponent
+    if exponent == 255 - _EXPONENT_BIAS:  # infinite, or not a number
         return -1
-    number = (x[index] & 0x7FFFFF) | 0x800000
+    number = (x[index] & 0x7FFFFF) | 0x800000  # with the mantissa's first bit, which is implied
     while decimals > 0:
         number *= 100 if decimals > 1 else 10
         decimals -= 2
@@ -60,7 +66,7 @@ def scaled(x: ptr32, index: int, decimals: int) -> int:
             number += number & 1
         return number << exponent if exponent < 8 else 0 - 1
     exponent = 0 - exponent
-    if exponent > 25:
+    if exponent > 25:  # below 0.5
         return 0
     number += 1 << (exponent - 1)  # add 0.5
     if number >> 24 and number & 3 == 3:  # 25 bits: round to 24, halves to even
@@ -81,9 +87,8 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
     i = 0
     c = form[0]
     while c:
-        # Any byte that is no placeholder is copied.
         if c > _LETTER or (c < _LETTER and c != _SINGLE and c != _INTEGER):  # noqa: PLR1714
-            out[end] = c
+            out[end] = c  # no placeholder
             end += 1
         elif c < _LETTER:
             decimals = 0
@@ -94,19 +99,19 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
                 i += 1
                 decimals = form[i] - _ZERO
                 number = int(scaled(singles, single_at, decimals))
-                if ptr8(singles)[4 * single_at + 3] > 128:  # negative, and not -0.0
+                if ptr8(singles)[4 * single_at + 3] > _MINUS_ZERO_HIGH:  # negative
                     out[end] = _MINUS
                     end += 1
                 single_at += 1
-            # Written backwards from the last digit, at end + 12 at most, then moved to `end`. n *
-            # 26215 >> 18 is n // 10 up to 43689: a division takes the chip ten times as long.
-            at = end + 12
-            c = at  # index after the last digit
-            while number or decimals >= 0:
-                tenth = number // 10 if number < 0 or number > 43689 else (number * 26215) >> 18
+            # Written backwards from the last digit, then moved to `end`.
+            after_digits = end + _SCRATCH
+            at = after_digits
+            while number or decimals >= 0:  # a 0 has a digit, too, and its decimals
+                is_quick = 0 if number < 0 or number > _QUICK_TENTH else 1
+                tenth = (number * 26215) >> 18 if is_quick else number // 10
                 digit = number - 10 * tenth
-                if number < 0:
-                    tenth = 214748364  # Grbl's 32 bits end with 2147483648
+                if number < 0:  # -1: too large. Grbl's 32 bits end with 2147483648
+                    tenth = _TENTH_OF_2_31
                     digit = 8
                 number = tenth
                 at -= 1
@@ -115,11 +120,11 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
                 if decimals == 0:
                     at -= 1
                     out[at] = _POINT
-            while at < c:
+            while at < after_digits:
                 out[end] = out[at]
                 end += 1
                 at += 1
-        else:
+        else:  # a letter, if the value's lowest bit is set
             i += 1
             if ints[value_at] & 1:
                 out[end] = form[i]

@@ -14,8 +14,7 @@ from motion.minifloat import per_minute, ratio
 from talk.digits import END, VALUES, write
 from talk.lines import free_space
 
-# States that have a feed rate.
-MOVING = const(HOMING | RUN | HOLD | JOG | DOOR)
+MOVING = const(HOMING | RUN | HOLD | JOG | DOOR)  # run states that have a feed rate
 
 
 @micropython.viper
@@ -25,30 +24,32 @@ def begin(name: ptr8, memory: object) -> int:
 
     memory: out, the report's text; ints, digits.write()'s integers; mm, floats, for the position;
     the number of axes; steps, the position to convert; the planner's table, and the index in it of
-    the first axis's steps per mm.
+    the X axis's steps per mm, which those of the other axes follow.
     """
-    out, ints, mm, axes, steps, table, resolution_at = memory
-    ptr32(ints)[END] = 0
+    out, ints, mm, axes, steps, table, x_resolution_at = memory
+    ptr32(ints)[END] = 0  # the text is empty
     write(name, ptr8(out), ptr32(ints), ptr32(mm))
-    divide(ptr32(steps), ptr32(table), int(resolution_at), ptr32(mm), int(axes))
+    # mm = steps / steps per mm, for each axis
+    divide(ptr32(steps), ptr32(table), int(x_resolution_at), ptr32(mm), int(axes))
     return 0
 
 
 @micropython.viper
 def write_common(name: ptr8, memory: object, spindle: ptr32, state: int) -> int:
-    """Write a whole report: state, machine position, free space in buffers, and speeds, as the
-    form has them. Returns its length in bytes.
+    """Write a whole report: the state by begin(), all that follows by _write_rest(). Returns its
+    length in bytes.
 
     name: the state's form; spindle: State.spindle; state: the run state. memory: the form of the
-    rest, begin()'s memory, the report's text, digits.write()'s integers and floats (after the axes
-    comes the spindle speed), the number of axes, the planner's flow and ring, LineReader's state,
-    and whether the form has free space (0: no).
+    rest (machine position, free space in buffers if requested, speeds), begin()'s memory, the
+    report's text, digits.write()'s integers and floats (after the axes comes the spindle speed),
+    the number of axes, the planner's flow and ring, LineReader's state, and whether the form has
+    free space (0: no).
     """
-    form, begun, out, ints, mm, axes, flow, ring, reader, buffers = memory
-    begin(name, begun)
+    rest_form, begin_args, out, ints, mm, axes, flow, ring, reader, buffers = memory
+    begin(name, begin_args)
     return int(
-        _speeds(
-            ptr8(form),
+        _write_rest(
+            ptr8(rest_form),
             ptr8(out),
             ptr32(ints),
             ptr32(mm),
@@ -64,7 +65,7 @@ def write_common(name: ptr8, memory: object, spindle: ptr32, state: int) -> int:
 
 
 @micropython.viper
-def _speeds(
+def _write_rest(
     form: ptr8,
     out: ptr8,
     ints: ptr32,
@@ -77,7 +78,8 @@ def _speeds(
     spindle: ptr32,
     state: int,
 ) -> int:
-    """Set the values of the report's form, then write it. Returns the report's length in bytes.
+    """Fill in all of a report that follows the state, and write it. Returns the report's length in
+    bytes.
 
     form: the report after the state's name, with placeholders (digits.write()); out: the report's
     text; ints: END, then from VALUES on free blocks and free bytes, if the form has them (buffers
@@ -86,18 +88,18 @@ def _speeds(
     spindle: State.spindle, with the speed at RPM; state: the run state, 0 feed rate if it is none
     of MOVING.
     """
-    value = VALUES
+    value_at = VALUES
     if buffers:
         free = flow[TAIL] - flow[HEAD] - 1  # of a ring; one block always stays free
-        ints[value] = free + flow[ROWS] if free < 0 else free
-        ints[value + 1] = int(free_space(reader))
-        value += 2
-    rate = 0
+        ints[value_at] = free + flow[ROWS] if free < 0 else free
+        ints[value_at + 1] = int(free_space(reader))
+        value_at += 2
+    rate = 0  # in mm/s a minifloat, from per_minute() on whole mm/min
     if state & MOVING:
         rate = flow[CARRY]  # between two blocks: the speed carried over, in mm/s
         if flow[LOADED]:  # in a block: the speed reached, in units of which FACTOR are 1 mm/s
             rate = int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))
         rate = int(per_minute(rate))
-    ints[value] = rate
-    mm[axes] = spindle[RPM]
+    ints[value_at] = rate
+    mm[axes] = spindle[RPM]  # the float's bits
     return int(write(form, out, ints, mm))

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 # What clean() found, in the lowest two bits; the length of the line is above them.
-NOTHING = const(0)
-LINE = const(1)
-TOO_LONG = const(2)
+NOTHING = const(0)  # the line has not ended yet
+LINE = const(1)  # a complete line
+TOO_LONG = const(2)  # a line of which bytes were dropped
 
 # Indices into the reader's state, an array of integers.
 _SIZE = const(0)  # size of the ring, in bytes; one of them always stays free
@@ -25,25 +25,25 @@ HEAD = const(1)  # index in the ring where the next byte is stored
 TAIL = const(2)  # and from where the next one is read
 LENGTH = const(3)  # length of the line so far
 _LONGEST = const(4)  # length that a line may have
-_TOO_MUCH = const(5)  # what SKIPPING becomes when a line is longer: _OVERFLOW, or 0
+_IF_TOO_LONG = const(5)  # what SKIPPING becomes then: _OVERFLOW, or 0: its rest is not skipped
 SKIPPING = const(6)  # why bytes are dropped, a mask of:
-_IN_PARENTHESES = const(1)
-_AFTER_SEMICOLON = const(2)
+_IN_PARENTHESES = const(1)  # in a comment that ) ends
+_AFTER_SEMICOLON = const(2)  # in a comment that the line's end ends
 _OVERFLOW = const(4)  # the line is too long: the rest of it is dropped
 COMPLETE = const(8)  # the line is complete: the next call begins another
 _ADVERTISED = const(7)  # bytes that a sender may have sent and not had answered
 
 # Kinds of bytes, by value.
-_AS_IT_IS = const(0)
-REALTIME = const(1)
+_STORED = const(0)  # as it is
+REALTIME = const(1)  # never in the ring
 END = const(2)  # of a line
-_NOTHING = const(3)  # dropped
-_COMMENT = const(4)  # begins one
-_LOWER_CASE = const(5)
+_DROPPED = const(3)
+_COMMENT_START = const(4)
+_LOWER_CASE = const(5)  # stored as upper case
 
-_OPENING = const(40)  # (
-_CLOSING = const(41)  # )
-_TO_UPPER = const(32)  # less, in ASCII
+_OPENING = const(40)  # the character (
+_CLOSING = const(41)  # the character )
+_TO_UPPER = const(32)  # subtracted from a lower-case letter
 
 # LineReader's `reads`: the first of the upper real-time bytes; one more real-time byte; and what
 # to do with the rest of a line that is too long: _OVERFLOW skips it, 0 makes it a line of its own.
@@ -55,10 +55,10 @@ def clean(ring: ptr8, state: ptr32, line: ptr8, kinds: ptr8) -> int:
     """Continue the line with bytes from the ring: make letters upper case; drop spaces, control
     characters, slashes and comments. A 0 is stored after the line.
 
-    state: the reader's; line: the buffer; kinds: the kind of each byte value. Returns NOTHING if
-    the ring is empty before the line ends, else length << 2 | LINE or TOO_LONG. With
-    state[_TOO_MUCH] 0 a line is TOO_LONG at once, and its rest is another line; else after its
-    end.
+    state: the reader's, by the indices above, with length and SKIPPING of the line so far; line:
+    the buffer; kinds: the kind of each byte value. Returns NOTHING if the ring is empty before the
+    line ends, else length << 2 | LINE or TOO_LONG. With state[_IF_TOO_LONG] 0 a line is TOO_LONG
+    at once, and its rest is another line; else after its end.
     """
     tail = state[TAIL]
     head = state[HEAD]
@@ -68,8 +68,7 @@ def clean(ring: ptr8, state: ptr32, line: ptr8, kinds: ptr8) -> int:
     if skipping & COMPLETE:
         length = 0
         skipping = 0
-    # The length that the line may have; 0 stores nothing.
-    room = 0 if skipping else state[_LONGEST]
+    longest = 0 if skipping else state[_LONGEST]  # 0: no more bytes are stored
     result = NOTHING
     while tail != head and result == NOTHING:
         c = ring[tail]
@@ -77,7 +76,7 @@ def clean(ring: ptr8, state: ptr32, line: ptr8, kinds: ptr8) -> int:
         if tail == size:
             tail = 0
         kind = kinds[c]
-        if kind == _AS_IT_IS and length < room:
+        if kind == _STORED and length < longest:
             line[length] = c
             length += 1
         elif kind == END:
@@ -85,20 +84,19 @@ def clean(ring: ptr8, state: ptr32, line: ptr8, kinds: ptr8) -> int:
         elif skipping:
             if c == _CLOSING and skipping & _IN_PARENTHESES:
                 skipping &= ~_IN_PARENTHESES
-                room = 0 if skipping else state[_LONGEST]
-        elif kind == _NOTHING:
+                longest = 0 if skipping else state[_LONGEST]
+        elif kind == _DROPPED:
             pass
-        elif kind == _COMMENT:
+        elif kind == _COMMENT_START:
             skipping = _IN_PARENTHESES if c == _OPENING else _AFTER_SEMICOLON
-            room = 0
-        elif length < room:
+            longest = 0
+        elif length < longest:
             line[length] = c - _TO_UPPER
             length += 1
-        else:
-            # The line is too long.
-            skipping = state[_TOO_MUCH]
-            room = 0
-            if skipping == 0:
+        else:  # no space for a byte to store
+            skipping = state[_IF_TOO_LONG]
+            longest = 0
+            if skipping == 0:  # the byte that does not fit is lost
                 result = TOO_LONG
     line[length] = 0
     state[TAIL] = tail
@@ -152,12 +150,12 @@ def feed(data: ptr8, count: int, ring: ptr8, state: ptr32, kinds: ptr8, post: ob
 def _make_kinds(first: int, extra: int) -> bytearray:
     """Return the kind of each of the 256 byte values. Real-time bytes: those from `first` on, and
     `extra`, in addition to the common ones."""
-    kinds = bytearray(bytes([_NOTHING]) * 33 + bytes(223))  # up to the space; then _AS_IT_IS
+    kinds = bytearray(bytes([_DROPPED]) * 33 + bytes(223))  # 0 to the space; then _STORED, 0
     kinds[97:123] = bytes([_LOWER_CASE]) * 26  # a to z
     for chars, kind in (
-        (b"/", _NOTHING),
+        (b"/", _DROPPED),
         (b"\r\n", END),
-        (b"(;", _COMMENT),
+        (b"(;", _COMMENT_START),
         (b"\x18?~!", REALTIME),
     ):
         for c in chars:
@@ -173,7 +171,8 @@ class LineReader:
     more: bytes that the ring holds in addition, for senders that miscount.
 
     clean(*memory()) continues the line. It returns length << 2 | LINE once the line is complete; a
-    0 follows the line. _at: the state, by the indices above.
+    0 follows the line. _state: an array of integers, by the indices _SIZE, HEAD, TAIL, LENGTH,
+    _LONGEST, _IF_TOO_LONG, SKIPPING, _ADVERTISED.
     """
 
     def __init__(
@@ -187,35 +186,35 @@ class LineReader:
         self.line = bytearray(longest + 1)
         self.post = on_realtime
         self._ring = bytearray(size + more + 1)
-        # By index, from _SIZE to _ADVERTISED.
-        self._at = array("i", (len(self._ring), 0, 0, 0, longest, reads[2], 0, size))
+        # In the order of the indices, from _SIZE to _ADVERTISED.
+        self._state = array("i", (len(self._ring), 0, 0, 0, longest, reads[2], 0, size))
         self._kinds = _make_kinds(reads[0], reads[1])
 
     def memory(self) -> "tuple[bytearray, array[int], bytearray, bytearray]":
         """Return the arguments of clean(): ring, reader's state (indices HEAD, TAIL, …), line,
         kinds of bytes. All are shared, not copied."""
-        return self._ring, self._at, self.line, self._kinds
+        return self._ring, self._state, self.line, self._kinds
 
     def feed(self, data: bytearray, count: int) -> None:
         """Accept the first `count` bytes of data. Bytes that do not fit are lost: the sender has
         miscounted."""
-        feed(data, count, self._ring, self._at, self._kinds, self.post)
+        feed(data, count, self._ring, self._state, self._kinds, self.post)
 
     def free(self) -> int:
         """Return how many bytes a sender may still send."""
-        return free_space(self._at)
+        return free_space(self._state)
 
     def waiting(self) -> bool:
         """Return whether the ring holds bytes that clean() has not read."""
-        return self._at[HEAD] != self._at[TAIL]
+        return self._state[HEAD] != self._state[TAIL]
 
     def has_line(self) -> bool:
         """Return whether a line is complete or begun, or bytes wait in the ring."""
-        state = self._at
+        state = self._state
         return state[HEAD] != state[TAIL] or state[LENGTH] > 0 or state[SKIPPING] > 0
 
     def clear(self) -> None:
         """Drop everything received, also the line in progress."""
-        self._at[TAIL] = self._at[HEAD]
-        self._at[LENGTH] = 0
-        self._at[SKIPPING] = 0
+        self._state[TAIL] = self._state[HEAD]
+        self._state[LENGTH] = 0
+        self._state[SKIPPING] = 0

@@ -2,7 +2,7 @@
 answers "ok" or "error:n".
 
 pump() reads the link and removes real-time bytes; it decides nothing. service() is pump() plus the
-handling of real-time events: the only place where code waits.
+handling of real-time events: the only place where code service_due.
 """
 
 from base import errors
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from interfaces import Link, Machine
 
 _LOCKED = const(st.ALARM | st.JOG)  # states that refuse G-code
-_DOLLAR = const(36)
+_DOLLAR = const(36)  # the character $
 _IN_PYTHON = const(2)  # a line executed in Python counts as so many lines of the kernel
 _DEAF_MS = const(500)  # nothing is answered for so long after an alarm
 
@@ -87,7 +87,7 @@ class Protocol:
         interpreter.line = line = reader.line
         loop_args = kernel_args(reader, interpreter, self.link, self._buffer)
         ring, reader_state, _, kinds = reader.memory()
-        counts = interpreter.machine
+        counts = interpreter.machine  # an array: LINES_LEFT and ASKED, see the class
         echoes = self._echoes
         while True:
             try:
@@ -95,7 +95,7 @@ class Protocol:
                     self._motor_control.by_pin = False
                     self.link.discard()
                 self.restart()
-                asked = 0  # not 0: this turn answers a ?
+                answers_query = 0  # not 0: this turn, later the last one, answers a ?
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         result = clean(ring, reader_state, line, kinds)
@@ -107,12 +107,12 @@ class Protocol:
                     # Events and hooks are handled here, not at each line; always before a $ line,
                     # which may ask about their effect.
                     counts[LINES_LEFT] -= _IN_PYTHON
-                    waits = pending[st.ANY] or state.suspend or counts[LINES_LEFT] <= 0
-                    if waits or result & LINE == 0 or line[0] == _DOLLAR:
+                    events_due = pending[st.ANY] or state.suspend or counts[LINES_LEFT] <= 0
+                    if events_due or result & LINE == 0 or line[0] == _DOLLAR:
                         counts[LINES_LEFT] = LINES
                         # Answer a ? before auto_start(), which delays it, but not twice in a row.
-                        asked = pending[st.STATUS_REPORT] and not asked
-                        if result == NOTHING and not asked and not reader.waiting():
+                        answers_query = pending[st.STATUS_REPORT] and not answers_query
+                        if result == NOTHING and not answers_query and not reader.waiting():
                             self._canon.auto_start()
                         self._realtime.run()
                         if result == NOTHING:

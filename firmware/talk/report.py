@@ -2,6 +2,10 @@
 
 Formats are those of Grbl 1.1h, byte for byte. Answers are constant bytes. A status report, which
 is requested during motion, is written into a buffer of its own and allocates nothing.
+
+It is written from forms, texts that a 0 ends, by digits.write(text, ints, mm): % is the next
+integer of ints, which begin at VALUES; #3 the next float of mm, with 3 decimals; ?P is a P if the
+lowest bit of the next integer is set, which is then shifted right for the next letter.
 """
 
 from array import array
@@ -47,18 +51,16 @@ _STATES = {
     st.CHECK: b"<Check\0",
     st.SLEEP: b"<Sleep\0",
 }
-_REPORT_MPOS = const(1)  # bits of $10
-_REPORT_BUFFERS = const(2)
-# Status reports from one WCO: or Ov: field to the next, while idle and during motion.
-_WCO_IDLE = const(10)
-_WCO_BUSY = const(30)
-_OVERRIDE_IDLE = const(10)
-_OVERRIDE_BUSY = const(20)
-# Bytes of a status report: the fields that do not depend on axes, with 12 bytes of scratch for
-# write(); and per axis a position and an offset.
-_LONGEST = const(112)
-_PER_AXIS = const(26)
-_VALUES = const(3)  # integers in one form, at most
+_REPORT_MPOS = const(1)  # bits of $10: machine position, else work position,
+_REPORT_BUFFERS = const(2)  # and free planner blocks and bytes
+_WCO_IDLE = const(10)  # reports from one WCO: field to the next while idle,
+_WCO_BUSY = const(30)  # and during motion
+_OVERRIDE_IDLE = const(10)  # from one Ov: field to the next while idle,
+_OVERRIDE_BUSY = const(20)  # and during motion
+# Bytes of a status report: 12 of them scratch for write(); per axis a position and an offset.
+_LONGEST = const(112)  # bytes of a report without what depends on axes, with scratch
+_PER_AXIS = const(26)  # bytes per axis
+_MOST_VALUES = const(3)  # integers in one form, at most
 
 
 class Report:
@@ -67,12 +69,13 @@ class Report:
     An extra may replace this class: Options.report. axes: their number; line_numbers: a board
     option, to report N.
 
-    A form is a text with placeholders for digits.write(), ended by a 0: _form has the axis values,
-    _place_form the position, _speed_form the speeds. _text: the status report; _ints and _mm: the
-    integers and the floats that are filled into its forms, _mm position and then spindle speed.
-    _shown: scratch of the same size, for values converted before they are reported. turning: mask
-    of axes in degrees. _is_common: without rare fields a kernel can write the whole report, with
-    _common_args. _piece, _sent: the last report and its length.
+    Forms: _axes_form has the axis values, _position_form a position with its name and free space
+    in buffers, _speed_form the speeds. _text: the status report; _ints and _mm: the integers and
+    the floats that are filled into its forms, _mm position and then spindle speed. _shown: scratch
+    of the same size, for values converted before they are reported. turning: mask of axes in
+    degrees. _is_common: without rare fields a kernel can write the whole report, with
+    _common_args. _last_report, _last_length: the last one and its length. _reader: the array for
+    lines.free_space().
     """
 
     # Name of the firmware in the answer to $I; senders look for this word.
@@ -95,9 +98,9 @@ class Report:
         self._axes = axes
         self._line_numbers = line_numbers
         self._text = bytearray(_LONGEST + _PER_AXIS * axes)
-        self._sent = 0
-        self._piece = memoryview(self._text)
-        self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
+        self._last_length = 0
+        self._last_report = memoryview(self._text)
+        self._ints = array("i", bytes(4 * (VALUES + _MOST_VALUES)))
         self._mm = vector(axes + 1)
         self._shown = vector(axes + 1)
         self.turning = 0
@@ -110,33 +113,33 @@ class Report:
         self._inputs = machine.inputs
         self._spindle = machine.spindle
         self._coolant = machine.coolant
-        self._reader = machine.reader.memory()[1]  # the array for lines.free_space()
+        self._reader = machine.reader.memory()[1]
         self._steps = array("i", bytes(4 * machine.planner.motors))
         # Tuples, because each look-up of an attribute costs 5 us.
         self._write_args = self._text, self._ints, self._mm, self._axes
-        resolution_at = LIMITS + RESOLUTION * self._axes  # index in table: steps per mm, from X on
-        self._begin_args = self._write_args + (self._steps, machine.planner.table, resolution_at)
+        x_resolution_at = LIMITS + RESOLUTION * self._axes  # index in table: steps per mm of X
+        self._begin_args = self._write_args + (self._steps, machine.planner.table, x_resolution_at)
         self._read_steps = machine.engine.position
         self._kinematics = machine.planner.kinematics
 
     def configure(self) -> None:
         """Apply $10, $13 and $32: build the forms of the status report."""
         settings = self._settings
-        self._form = (b",#3" * self._axes)[1:] + b"\0"
-        self._speed_form = b"|FS:#0,#0\0"
+        self._axes_form = (b",#3" * self._axes)[1:] + b"\0"  # without the first comma
+        self._speed_form = b"|FS:#0,#0\0"  # feed rate and spindle speed
         if settings.report_inches:  # one more decimal
-            self._form = self._form.replace(b"3", b"4")
+            self._axes_form = self._axes_form.replace(b"3", b"4")
             self._speed_form = b"|FS:#1,#0\0"
-        name = b"|MPos:" if settings.report_mask & _REPORT_MPOS else b"|WPos:"
-        self._place_form = name + self._form
-        if settings.report_mask & _REPORT_BUFFERS:
-            self._place_form = self._place_form[:-1] + b"|Bf:%,%\0"  # without its 0
+        position_name = b"|MPos:" if settings.report_mask & _REPORT_MPOS else b"|WPos:"
+        self._position_form = position_name + self._axes_form
+        has_buffers = settings.report_mask & _REPORT_BUFFERS
+        if has_buffers:  # [:-1] drops the 0 at the end
+            self._position_form = self._position_form[:-1] + b"|Bf:%,%\0"
         self._is_laser = settings.laser_mode
         # The common report is written by one kernel, if it needs no other field.
-        form = self._place_form[:-1] + b"|FS:%,#0>\r\n\0"
-        planner, buffers = self._planner, settings.report_mask & _REPORT_BUFFERS
-        sources = planner.flow, planner.ring, self._reader, buffers
-        self._common_args = (form, self._begin_args) + self._write_args + sources
+        rest_form = self._position_form[:-1] + b"|FS:%,#0>\r\n\0"  # all after the state's name
+        sources = self._planner.flow, self._planner.ring, self._reader, has_buffers
+        self._common_args = (rest_form, self._begin_args) + self._write_args + sources
         # With work position, inches or line numbers a report is not the common one.
         in_mm = settings.report_mask & _REPORT_MPOS and not settings.report_inches
         self._is_common = bool(in_mm and not self._line_numbers)
@@ -215,7 +218,7 @@ class Report:
     def vector(self, mm: "array[float]") -> str:
         """Return axis values as text, in the units of reports."""
         self._ints[END] = 0
-        self._lengths(b"\0", mm)
+        self._write_lengths(b"\0", mm)  # a field without a name
         return text_of(self._text[: self._ints[END]])
 
     def _length(self, mm: float) -> str:
@@ -250,34 +253,35 @@ class Report:
         self._read_steps(self._steps)
         if self._kinematics:
             self._kinematics.to_axes(self._steps)
-        name = _STATES.get(state.run) or self._suspended()
-        closed = self._inputs.closed()
-        if closed or not (self._is_common and state.wco_countdown and state.override_countdown):
-            end = self._long(name, closed)
+        state_form = _STATES.get(state.run) or self._suspended()
+        active = self._inputs.closed()  # mask of active inputs
+        if active or not (self._is_common and state.wco_countdown and state.override_countdown):
+            length = self._write_long(state_form, active)
         else:
             state.wco_countdown -= 1
             state.override_countdown -= 1
-            spindle = self._beam() if self._is_laser and state.run & MOVING else state.spindle
-            end = write_common(name, self._common_args, spindle, state.run)
-        if end != self._sent:
+            laser_moves = self._is_laser and state.run & MOVING
+            spindle = self._laser_speed() if laser_moves else state.spindle
+            length = write_common(state_form, self._common_args, spindle, state.run)
+        if length != self._last_length:
             # A slice allocates an object; most reports are as long as the one before.
-            self._sent = end
-            self._piece = memoryview(self._text)[:end]
-        return self._piece
+            self._last_length = length
+            self._last_report = memoryview(self._text)[:length]
+        return self._last_report
 
     # Its parts. Each call costs 40 us.
 
-    def _long(self, name: bytes, closed: int) -> int:
+    def _write_long(self, name: bytes, closed: int) -> int:
         """Write a report with rare fields, or in inches. Returns its length in bytes.
 
         name: the state, a form that begins the report; closed: mask of active inputs.
         """
-        begin(name, self._begin_args)
+        begin(name, self._begin_args)  # writes the name; puts the machine position into mm
         text, ints, mm = self._text, self._ints, self._mm
-        self._fields(text, ints, mm, closed)
+        self._write_fields(text, ints, mm, closed)
         return write(b">\r\n\0", text, ints, mm)
 
-    def _fields(
+    def _write_fields(
         self, text: bytearray, ints: "array[int]", mm: "array[float]", closed: int
     ) -> None:
         """Write all fields after the state.
@@ -287,18 +291,18 @@ class Report:
         written next. closed: mask of active inputs.
         """
         state, planner, settings = self._state, self._planner, self._settings
-        mask, inches, moves = settings.report_mask, settings.report_inches, state.run & MOVING
-        if not mask & _REPORT_MPOS:
-            add(self._work_offset(), MINUS, mm, self._axes)
-        if mask & _REPORT_BUFFERS:
+        report_mask, inches = settings.report_mask, settings.report_inches
+        if not report_mask & _REPORT_MPOS:
+            add(self._work_offset(), MINUS, mm, self._axes)  # mm -= offset
+        if report_mask & _REPORT_BUFFERS:
             ints[VALUES] = planner.free()
             ints[VALUES + 1] = free_space(self._reader)
-        write(self._place_form, text, ints, self.in_inches(mm) if inches else mm)
+        write(self._position_form, text, ints, self.in_inches(mm) if inches else mm)
         if self._line_numbers:
             ints[VALUES] = planner.line_number()
-            if ints[VALUES]:
+            if ints[VALUES]:  # 0: a line without a number, or none
                 write(b"|Ln:%\0", text, ints, mm)
-        self._speeds(text, ints, moves, inches)
+        self._write_speeds(text, ints, state.run & MOVING, inches)
         if closed:
             ints[VALUES] = closed
             write(b"|Pn:?P?X?Y?Z?A?B?C?D?R?H?S\0", text, ints, mm)
@@ -306,38 +310,39 @@ class Report:
             state.wco_countdown -= 1
             state.override_countdown -= 1
         else:
-            self._extras(text, ints)
+            self._write_rare(text, ints)
 
-    def _speeds(self, text: bytearray, ints: "array[int]", moves: int, inches: int) -> None:
-        """Write feed rate and spindle speed. text, ints: as in _fields(); moves: not 0 in a state
-        that has a feed rate; inches: not 0 for inches per minute."""
-        shown, rate = self._shown, self._segments.rate() if moves else 0
-        spindle = self._beam() if moves and self._is_laser else self._state.spindle
+    def _write_speeds(self, text: bytearray, ints: "array[int]", moves: int, inches: int) -> None:
+        """Write feed rate and spindle speed. text, ints: as in _write_fields(); moves: not 0 in a
+        state that has a feed rate; inches: not 0 for inches per minute."""
+        shown = self._shown
+        rate = self._segments.rate() if moves else 0  # mm/s, in minifloat's integer format
+        spindle = self._laser_speed() if moves and self._is_laser else self._state.spindle
         copy(spindle, shown, 2)  # RPM is index 1; index 0 is overwritten by the feed rate
         if inches:
             shown[0] = minifloat.value(rate) * 60 * INCH_PER_MM
         else:
-            shown[0] = minifloat.per_minute(rate)
+            shown[0] = minifloat.per_minute(rate)  # whole mm/min
         write(self._speed_form, text, ints, shown)
 
-    def _beam(self) -> "array[float]":
+    def _laser_speed(self) -> "array[float]":
         """Return the array that has, at RPM, the spindle speed to report for a laser in motion:
         that of the block that segments are made of; without one, the state's."""
         state, rpm = self._state, self._segments.beam_rpm()
         spindle = state.spindle
         if rpm is None or state.suspend & st.HOLD_COMPLETE:
             return spindle
-        self._shown[st.RPM] = in_range(spindle, rpm)
+        self._shown[st.RPM] = in_range(spindle, rpm)  # with override and limits
         return self._shown
 
-    def _lengths(self, name: bytes, mm: "array[float]") -> None:
+    def _write_lengths(self, name: bytes, mm: "array[float]") -> None:
         """Write a field of axis values (mm), in the units of reports. name: a form that begins
         it."""
         text, ints = self._text, self._ints
         write(name, text, ints, mm)
         if self._settings.report_inches:
             mm = self.in_inches(mm)
-        write(self._form, text, ints, mm)
+        write(self._axes_form, text, ints, mm)
 
     def in_inches(self, mm: "array[float]") -> "array[float]":
         """Convert axis values to inches, except those of axes in degrees. Returns the one scratch
@@ -353,7 +358,7 @@ class Report:
         if state.run == st.HOLD:
             # A jog that is being cancelled stays in the state Jog.
             return b"<Hold:0\0" if state.suspend & st.HOLD_COMPLETE else b"<Hold:1\0"
-        self._ints[VALUES] = self._door_phase()
+        self._ints[VALUES] = self._door_phase()  # replaces the % when the form is written
         return b"<Door:%\0"
 
     def _door_phase(self) -> int:
@@ -368,32 +373,33 @@ class Report:
     def _work_offset(self) -> "array[float]":
         """Return machine position minus work position, mm per axis, in the scratch array."""
         coords, offset = self._coords, self._shown
-        copy(coords.zero(coords.active), offset, self._axes)
+        copy(coords.zero(coords.active), offset, self._axes)  # G54…G59 and G92
         if coords.length_axis < self._axes:  # the tool length is the last of the offsets
             add_single(coords.offsets, len(coords.offsets) - 1, offset, coords.length_axis)
         return offset
 
-    def _extras(self, text: bytearray, ints: "array[int]") -> None:
+    def _write_rare(self, text: bytearray, ints: "array[int]") -> None:
         """Write WCO: if it is due; Ov: and A: if they are due, but not in a report with WCO:. Each
         is due again after a number of reports, which is greater during motion."""
         state = self._state
-        busy = state.run & MOVING
+        is_busy = state.run & MOVING
         if state.wco_countdown > 0:
             state.wco_countdown -= 1
         else:
-            state.wco_countdown = (_WCO_BUSY if busy else _WCO_IDLE) - 1
+            state.wco_countdown = (_WCO_BUSY if is_busy else _WCO_IDLE) - 1
             if state.override_countdown == 0:  # due too: in the next report
                 state.override_countdown = 1
-            self._lengths(b"|WCO:\0", self._work_offset())
+            self._write_lengths(b"|WCO:\0", self._work_offset())
         if state.override_countdown > 0:
             state.override_countdown -= 1
             return
-        state.override_countdown = (_OVERRIDE_BUSY if busy else _OVERRIDE_IDLE) - 1
+        state.override_countdown = (_OVERRIDE_BUSY if is_busy else _OVERRIDE_IDLE) - 1
         ints[VALUES] = state.feed_override
         ints[VALUES + 1] = state.rapid_override
         ints[VALUES + 2] = state.spindle_override
         write(b"|Ov:%,%,%\0", text, ints, self._mm)
-        # Bits 0 and 1: spindle clockwise and counterclockwise; 2 and 3: flood and mist.
+        # direction() is 0, 0x10 or 0x20. Bits 0 and 1: clockwise, counterclockwise; 2 and 3: flood
+        # and mist.
         accessories = self._spindle.direction() >> 4 | self._coolant.mask << 2
         if accessories:
             ints[VALUES] = accessories

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
 # After so many lines the main loop runs, even if more lines wait: it monitors motion and runs the
 # hooks of extras. An even number, because answers are sent in pairs.
 LINES = const(16)
-# Bytes to read at once if the ring has no space for a full buffer.
-_LONG = const(64)
-_SHORT = const(16)
+_LONG = const(64)  # bytes to read at once if the ring has no space for a full buffer,
+_SHORT = const(16)  # and if it has none for _LONG
 
 
 def kernel_args(
@@ -65,11 +64,11 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
     if int(has_bytes(reader)):  # a ? must not wait for the line that is complete
         _receive(pending, receiving, ring, reader, kinds)
     while lines_left > 0:
-        result = int(clean(ring, reader, text, kinds))
-        done = 0 if pending[ANY] else result & LINE
-        if done:
-            done = int(execute(line, result >> 2, modal, counts, memory))
-        if done:
+        result = int(clean(ring, reader, text, kinds))  # length << 2 | LINE or TOO_LONG; NOTHING
+        is_executed = 0 if pending[ANY] else result & LINE
+        if is_executed:  # a line; execute() returns 0 if it is not move-only
+            is_executed = int(execute(line, result >> 2, modal, counts, memory))
+        if is_executed:
             lines_left -= 1
             counts[LINES_LEFT] = lines_left
             if lines_left & 1 == 0:  # two answers are owed
@@ -78,7 +77,7 @@ def run_lines(pending: ptr8, loop_args: object) -> int:
         else:
             if lines_left & 1:
                 write(one_ok)
-            # A part of a line counts as one line. An even number: no answer is owed.
+            # This turn counts as one line; & -2 makes the number even: no answer is owed.
             lines_left = (lines_left - 1) & -2
             counts[LINES_LEFT] = lines_left
             if (

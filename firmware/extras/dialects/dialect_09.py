@@ -202,7 +202,7 @@ class Report09(Report):
 
     # The status report
 
-    def _fields(
+    def _write_fields(
         self, text: bytearray, ints: "array[int]", mm: "array[float]", _closed: int
     ) -> None:
         """Write all fields after the state. mm: machine position, which becomes work position.
@@ -211,10 +211,10 @@ class Report09(Report):
         """
         mask = self._settings.report_mask
         if mask & _MACHINE_POSITION:
-            self._lengths(b",MPos:\0", mm)
+            self._write_lengths(b",MPos:\0", mm)
         if mask & _WORK_POSITION:
             add(self._work_offset(), MINUS, mm, self._axes)
-            self._lengths(b",WPos:\0", mm)
+            self._write_lengths(b",WPos:\0", mm)
         if mask & _PLANNER_BLOCKS:
             self._number(b",Buf:%\0", self._blocks - self._planner.free())
         if mask & _RX_BYTES:
