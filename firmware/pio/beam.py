@@ -38,17 +38,17 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     import rp2
 
-_PWM = const(0x40050000)
+_PWM = const(0x40050000)  # address of the first slice's registers
 _PWM_2350 = const(0x400A8000)
 _SLICE = const(0x14)  # bytes from one slice to the next; two pins each
-_COMPARE = const(0x0C)  # compare levels of both its pins
+_COMPARE = const(0x0C)  # in a slice: the compare levels of both its pins
 _TOP = const(0x10)
-_BOTH = const(0x10001)  # factor: a level in the lower 16 bits becomes that of both pins
+_BOTH = const(0x10001)  # factor: a level of 16 bits becomes that of both the slice's pins
 
 _LAST_OF_8 = const(31)  # pins above have slices from the ninth on (RP2350B)
 
 _RX = const(4)  # DREQ of the first RX FIFO of PIO 0; PIO 1's come 8 later
-_UNPACED = const(63)
+_UNPACED = const(63)  # instead of a DREQ: copy at once
 _BYTES = const(1024)  # size of the ring of levels, which is aligned to its size
 
 
@@ -78,10 +78,10 @@ class BeamEngine(PioEngine):
         self._slice = slice_of(power)
         # The array that motion/beam_layout.py works on.
         self.beam = array("i", (0 for _ in range(bm.LENGTH)))
-        self.beam[bm.BOTH] = _BOTH
-        self.beam[bm.LEVEL] = bm.UNKNOWN
+        self.beam[bm.BOTH] = _BOTH  # the PWM's format of a level
+        self.beam[bm.LEVEL] = bm.UNKNOWN  # power of the last level: differs from any
         self._make_channels(len(step))
-        self._engine_state[MOTORS] = len(step)
+        self._engine_state[MOTORS] = len(step)  # the lane after these, the beam's, has no position
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
         """Return a lane's state machine: of a motor, or for the last lane of the beam."""
@@ -103,19 +103,19 @@ class BeamEngine(PioEngine):
         import rp2
 
         taker, mover = rp2.DMA(), rp2.DMA()
-        # Addresses of the channels' registers.
+        # Addresses of the channels' registers, of 4 bytes each.
         taker_at, mover_at = (DMA_AT + DMA_EACH * dma.channel for dma in (taker, mover))
         self._taker, self._mover, self._mover_at = taker, mover, mover_at
         # Twice the ring's size, so that an aligned ring fits in it. The addresses are read back
         # from the channel's registers.
         memory, unused = (array("i", (0 for _ in range(length))) for length in (_BYTES // 2, 1))
-        mover.config(read=memory, write=unused)
-        address, self._nowhere = (machine.mem32[mover_at + 4 * reg] for reg in (READ, WRITE))
+        mover.config(read=memory, write=unused)  # not started
+        address, self._unused_at = (machine.mem32[mover_at + 4 * reg] for reg in (READ, WRITE))
         self._ring = (address + _BYTES - 1) // _BYTES * _BYTES
         first = (self._ring - address) // 4  # index of the ring's first word in memory
         self.levels = memoryview(memory)[first : first + _BYTES // 4]
-        self._nothing = unused  # DMA has only its address: the reference keeps it allocated
-        number = lane & IN_BLOCK
+        self._unused = unused  # DMA has only its address: the reference keeps it allocated
+        number = lane & IN_BLOCK  # of the lane's machine in its PIO, lane >> BLOCK_LOG2
         control = taker.pack_ctrl(
             size=2,  # words of 32 bits
             inc_read=False,
@@ -124,15 +124,15 @@ class BeamEngine(PioEngine):
             chain_to=mover.channel,
         )
         rx_fifo = self._engine_state[PIO0 + (lane >> BLOCK_LOG2)] + 4 * (RXF + number)
-        taker.config(read=rx_fifo, write=self._nowhere, count=1, ctrl=control)
+        taker.config(read=rx_fifo, write=self._unused_at, count=1, ctrl=control)
         control = mover.pack_ctrl(
             size=2,
             inc_write=False,
-            ring_size=bm.LEVELS_LOG2 + 2,  # log2 of its bytes
+            ring_size=bm.LEVELS_LOG2 + 2,  # log2 of the ring's bytes: reading wraps there
             treq_sel=_UNPACED,
             chain_to=taker.channel,
         )
-        mover.config(read=self._ring, write=self._nowhere, count=1, ctrl=control)
+        mover.config(read=self._ring, write=self._unused_at, count=1, ctrl=control)
         machine.mem32[taker_at + 4 * CREDITS] = 0  # the channel counts from 0: the FIFO is empty
         machine.mem32[taker_at + 4 * COUNT_TRIGGER] = 1
 
@@ -150,18 +150,20 @@ class BeamEngine(PioEngine):
     def arm(self) -> None:
         """Allow motion again; levels of dropped segments are dropped, too.
 
-        The mover goes on with the level that is made next: COUNT of them were made.
+        The mover continues with the level that is made next: COUNT of them were made, and each has
+        its place in the ring.
         """
-        channel = self._mover_at
-        machine.mem32[channel + 4 * READ] = self._ring + 4 * (self.beam[bm.COUNT] & bm.LEVELS_MASK)
+        next_level = self.beam[bm.COUNT] & bm.LEVELS_MASK  # index in the ring
+        machine.mem32[self._mover_at + 4 * READ] = self._ring + 4 * next_level
         super().arm()
 
     def start(self) -> None:
         """Request segments after the engine had run out of them; the beam may be switched on
         again, also after put_out()."""
         if not self._engine_state[RUNNING]:
-            # The level at the pin may be another now. UNKNOWN differs from any power, so the first
-            # segment changes it. The mover writes to the PWM again, and not to the unused word.
+            # The level at the pin may be another now, because put_out() sets it. UNKNOWN differs
+            # from any power, so the first segment changes it. The mover writes to the PWM again,
+            # and not to the unused word.
             self.beam[bm.LEVEL] = bm.UNKNOWN
             machine.mem32[self._mover_at + 4 * WRITE] = self._slice + _COMPARE
         super().start()
@@ -170,5 +172,5 @@ class BeamEngine(PioEngine):
     def put_out(self) -> int:
         """Let no more level reach the pin until start(): the mover writes to an unused word. The
         pin itself is switched off by the caller. Safe in an interrupt. Returns 0."""
-        ptr32(self._mover_at)[WRITE] = int(self._nowhere)
+        ptr32(self._mover_at)[WRITE] = int(self._unused_at)
         return 0

@@ -17,6 +17,11 @@ switches the machines off and calls on_fault; the main loop reads the cause from
 
 During motion, positions follow from the time and the rows; after a stop they are read from the
 machines. Nothing here allocates once the engine is made.
+
+`state` is the engine state, indexed by the constants of state_layout.py. HALT: 1 from a stop until
+arm(). REQUESTED: 1 until the interrupt that start() has requested has come. FAULT: a fault code.
+MADE, FED: segments made, and handed to the hardware. OURS_0, OURS_1, OURS_2: masks of this
+engine's machines in PIO 0, 1 and 2. BEFORE_CLOCK: so many lanes at most leave the clock on PIO 1.
 """
 
 import sys
@@ -41,21 +46,21 @@ if TYPE_CHECKING:
     import rp2
     from interfaces import NextSegment
 
-_TICK_HZ = const(12_500_000)
+_TICK_HZ = const(12_500_000)  # a tick is 80 ns
 _SEGMENT_LOG2 = const(17)
 # Most motors: one machine of PIO 1 stays free, for a radio or a beam; an RP2350's PIO 2 has three.
-_MOST = const(6)
-_MOST_2350 = const(8)
+_MOST_MOTORS = const(6)
+_MOST_2350 = const(8)  # of an RP2350, with the beam's lane
 _LAST_PIN = const(31)  # highest pin of a PIO after reset; an RP2350B has 48 pins
 
 # Texts of fault(), by fault code (state_layout.RAISED and the following ones).
 _FAULTS = (
     "",
     "the pulse engine's interrupt has failed",
-    "pulses were lost on their way to the hardware",
-    "DMA has no more pulses for the hardware",
-    "the pulse engine's interrupt does not come",
-    "motion is behind its own schedule",
+    "step pulses were lost before they reached the pins",
+    "DMA ran out of step pulses during motion",
+    "the pulse engine's interrupt did not occur",
+    "step pulses are late on their schedule",
 )
 
 
@@ -90,9 +95,9 @@ class PioEngine:
         self._direction = direction
         self._hold_us = hold_us
         self._setup_us = setup_us
-        # The control register of pin 0, and the place of OUTOVER in it.
+        # The address of pin 0's control register, and the first bit of OUTOVER in it.
         self._pin_control, self._invert_shift = 0x40014004, 8
-        lanes, most, rp2350 = len(step) + more_lanes, _MOST, False
+        lanes, most, rp2350 = len(step) + more_lanes, _MOST_MOTORS, False
         if s.RP2350:
             rp2350 = "RP2350" in sys.implementation._machine
             if rp2350:
@@ -101,7 +106,7 @@ class PioEngine:
                 if max(step + direction) > _LAST_PIN:
                     raise ValueError("STEP, DIR: only pins 0 to 31 make pulses")
         if len(step) > most:
-            raise ValueError("%d motors at most" % most)
+            raise ValueError("STEP: %d motors at most" % most)
         self._memory = Memory(lanes, rp2350)
         self._engine_state = self._memory.state
         self._state_at = address_of(self._memory.state)
@@ -112,12 +117,14 @@ class PioEngine:
 
         from pio import programs
 
-        block = 1
+        clock_pio = 1
         if s.RP2350:
-            block = 2 if lanes > s.BEFORE_CLOCK else 1
-        self._pio = rp2.PIO(block)
-        self._clock = rp2.StateMachine(4 * block + s.CLOCK, programs.clock, freq=_TICK_HZ)
-        self._engine_state[s.CLOCK_AT] = programs.clock[1 + block] + programs.CLOCK_PULL
+            clock_pio = 2 if lanes > s.BEFORE_CLOCK else 1
+        self._pio = rp2.PIO(clock_pio)
+        self._clock = rp2.StateMachine(4 * clock_pio + s.CLOCK, programs.clock, freq=_TICK_HZ)
+        # A program is a list, in which MicroPython notes its address in each PIO, from index 1 on.
+        program_address = programs.clock[1 + clock_pio]
+        self._engine_state[s.CLOCK_PULL_AT] = program_address + programs.CLOCK_PULL
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
@@ -232,29 +239,30 @@ class PioEngine:
         lanes = self._memory.lanes
         for i in range(len(self._step)):
             lane, place = pulses.LANE * i, steps[i]
-            lanes[lane + pulses.END] = lanes[lane + pulses.PLACE] = place
-            lanes[lane + pulses.FROZEN] = place
+            # Of the segments made, of the words sent, and of a locked motor: equal while idle.
+            lanes[lane + pulses.SENT_PLACE] = lanes[lane + pulses.MADE_PLACE] = place
+            lanes[lane + pulses.STOPPED_PLACE] = place
 
     @micropython.viper
     def _refill(self, _source: object) -> int:
         """Refill the hardware. Interrupt: a segment has begun, or start() has requested it."""
         state = ptr32(self._state_at)
-        state[s.ASKED] = 0
+        state[s.REQUESTED] = 0
         if state[s.HALT]:
             return 0
         try:
             refill(state, self._next_segment, self._on_power, self._on_rest)
         except:  # noqa: E722
-            state[s.FAULT] = s.RAISED
-        if state[s.FAULT]:
+            state[s.FAULT] = s.RAISED  # MicroPython must see no exception
+        if state[s.FAULT]:  # also one that refill() has found
             # No calls up to here: a full stack may be the cause. This disables the machines: CTRL
             # is a PIO's first register, and reg.CLEAR its alias in which ones clear bits.
             state[s.HALT] = 1
-            ptr32(state[s.PIO0])[reg.CLEAR] = state[s.OURS]
-            ptr32(state[s.PIO1])[reg.CLEAR] = state[s.OURS + 1]
+            ptr32(state[s.PIO0])[reg.CLEAR] = state[s.OURS_0]
+            ptr32(state[s.PIO1])[reg.CLEAR] = state[s.OURS_1]
             if s.RP2350:
-                if state[s.THIRD]:
-                    ptr32(state[s.CLOCK_PIO])[reg.CLEAR] = state[s.THIRD]
+                if state[s.OURS_2]:
+                    ptr32(state[s.CLOCK_PIO])[reg.CLEAR] = state[s.OURS_2]
             try:
                 self.on_fault()
             except:  # noqa: E722

@@ -24,36 +24,33 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
-# The interrupt controller's table of priorities, a byte each. MicroPython sets all to 0x80; a
-# lower value comes first.
+# The interrupt controller's table of priorities, a byte each.
 _PRIORITIES = const(0xE000E400)
-_FIRST = const(0x40)
+_URGENT = const(0x40)  # a lower value comes first; MicroPython sets all to 0x80
 _PINS_IRQ = const(13)  # number of the pins' interrupt, IO_IRQ_BANK0
 _PINS_IRQ_2350 = const(21)
 
-# The watchdog's control register, and the offset of its alias where ones clear bits.
+# The watchdog's control register.
 _WATCHDOG = const(0x40058000)
 _WATCHDOG_2350 = const(0x400D8000)
-_CLEAR = const(0x3000)
+_TO_CLEAR_BYTES = const(0x3000)  # from a register to its alias where ones clear bits
 _WATCHDOG_ENABLE = const(1 << 30)
 
-# The control register of pin 0, in the alias where ones set bits; bytes from one pin to the next;
-# words to the alias where ones clear bits. Its field OUTOVER says what comes out: 0 the output as
-# it is, 2 low, 3 high.
-_CONTROL = const(0x40016004)
+# A pad's control register. Its field OUTOVER says what comes out: 0 the output as it is, 2 low,
+# 3 high.
+_CONTROL = const(0x40016004)  # of pin 0, in the alias where ones set bits
 _CONTROL_2350 = const(0x4002A004)
-_CONTROL_STEP = const(8)
-_TO_CLEAR = const(0x400)
-_OUTOVER = const(8)
+_CONTROL_STEP = const(8)  # bytes from one pin to the next
+_TO_CLEAR_WORDS = const(0x400)  # words from there to the alias where ones clear bits
+_OUTOVER = const(8)  # first bit of OUTOVER
 _OUTOVER_2350 = const(12)
-_FORCED = const(2)
-_ALL_BITS = const(3)
+_FORCED = const(2)  # value of OUTOVER for low; + 1 for high
+_OUTOVER_BITS = const(3)  # mask of OUTOVER, before it is shifted
 _GPIO_IN = const(0xD0000004)  # levels of pins 0 to 31
-_LAST = const(31)
-# Two pins whose numbers differ in no bit of this mask, except the lowest, share a PWM slice. Pins
-# above 31, which an RP2350B has, have a mask of their own.
-_SLICES = const(0x2F)
-_SLICES_ABOVE = const(0x27)
+_LAST_COMMON_PIN = const(31)  # only an RP2350B has pins above
+# Pins share a PWM slice if their numbers differ in no bit of this mask, except the lowest.
+_SLICE_BITS = const(0x2F)  # the lowest bit is the channel in the slice
+_SLICE_BITS_ABOVE = const(0x27)  # of pins above 31
 
 
 class GpioPort(PortPins):
@@ -64,17 +61,18 @@ class GpioPort(PortPins):
         super().__init__(board, (Timer(), Timer()), enables, True)
         if RP2350:  # this build supports one: only that chip has pins above 31
             for number in self._input_numbers:
-                if _LAST < number < NOT_WIRED:
+                if _LAST_COMMON_PIN < number < NOT_WIRED:
                     raise ValueError("pin %d: limits, probe, buttons are pins 0 to 31" % number)
-        # What kill() writes: 1 once it has run, then pairs of an address and bits, then 0.
+        # For kill(): 1 once it has run; then pairs, a register's address and bits; then 0.
         self._pads = array("i", [0, 0])
-        self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
+        self._all_bits = _OUTOVER_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
         self._list_pads()
         _make_urgent()  # the pins' interrupt comes before all others
 
     def _list_pads(self) -> None:
         """Make the table _pads of kill(): for each output, the address of its pad's control
-        register and the bits that force its level when off.
+        register and the bits that force its level when off. _tools: (pin number, pin, level when
+        off) of each output except the PWM.
 
         The PWM is first, so that kill() switches off the spindle or laser first. Element 0, the
         mark that kill() has run, keeps its value; the last 0 ends kill()'s loop.
@@ -82,12 +80,12 @@ class GpioPort(PortPins):
         control, shift = _CONTROL, _OUTOVER
         if _is_rp2350():
             control, shift = _CONTROL_2350, _OUTOVER_2350
-        held = [(number, level) for number, _, level in self._tools]
+        held = [(number, off_level) for number, _, off_level in self._tools]
         if self.pwm:
             held.insert(0, (self._pwm_number, self._pwm_off))
         pads = [self._pads[0]]
-        for number, level in held:
-            pads += [control + _CONTROL_STEP * number, (_FORCED | level) << shift]
+        for number, off_level in held:
+            pads += [control + _CONTROL_STEP * number, (_FORCED | off_level) << shift]
         self._pads = array("i", pads + [0])
 
     @micropython.viper
@@ -97,7 +95,7 @@ class GpioPort(PortPins):
         The pads are held at their level: what an interrupted set_power() still writes does not
         come out.
         """
-        pads = ptr32(self._pads)
+        pads = ptr32(self._pads)  # see _list_pads()
         pads[0] = 1
         i = 1
         while pads[i]:
@@ -110,34 +108,39 @@ class GpioPort(PortPins):
         """Return the active inputs as PortInputs.levels() does, a bit each, in the order of
         _input_numbers: from the register of all pins, so at one instant."""
         numbers = self._input_numbers
-        # The address as a signed integer of 32 bits.
+        # _control_invert: mask of inputs that are active at the high level. The address is a
+        # signed integer of 32 bits.
         return _levels(_GPIO_IN - (1 << 32), numbers, len(numbers), self._control_invert)
 
     def revive(self) -> None:
         """Release what kill() has held. The outputs are off and can be set again."""
-        if self._pads[0]:
-            self.safe()
+        if self._pads[0]:  # kill() has run
+            self.safe()  # all off, before they are released
             for pwm in [self.pwm] + self._own_pwm:
-                if pwm:  # a new duty cycle takes effect with the next pulse
+                if pwm:  # a new duty cycle takes effect with the next pulse: wait for it
                     time.sleep_us(1_000_000 // pwm.freq() + 1)
             _release(self._pads, self._all_bits)
 
     def _begin_pulses(self, index: int, hz: int) -> PWM:
         """Start PWM of `hz` on an output of an extra, by its index, and return it. ValueError on a
         conflict: the two pins of a slice have one frequency, and two pins of the same channel of a
-        slice have the same pulses. Which pins share a slice: see _SLICES."""
+        slice have the same pulses. Pins share a slice if
+        their numbers differ in no bit of slice_bits except the lowest, which is the channel."""
         own = self._own_numbers[index]
         others: "list[tuple[int | None, int]]" = list(zip(self._own_numbers, self._own_hz))
-        slices = _SLICES
+        slice_bits = _SLICE_BITS
         if RP2350:
-            slices = _SLICES_ABOVE if own > _LAST else _SLICES
+            slice_bits = _SLICE_BITS_ABOVE if own > _LAST_COMMON_PIN else _SLICE_BITS
         if self.pwm:
             others.append((self._pwm_number, self.pwm.freq()))
         for number, its_hz in others:
-            if not its_hz or number is None or number == own or (number ^ own) & slices > 1:
+            # Without pulses, without a pin, the pin itself, or in another slice.
+            if not its_hz or number is None or number == own or (number ^ own) & slice_bits > 1:
                 continue
-            if its_hz != hz or (number ^ own) & 1 == 0:
-                raise ValueError("pin %d cannot have other pulses than pin %d" % (own, number))
+            if its_hz != hz or (number ^ own) & 1 == 0:  # 0: the same channel
+                raise ValueError(
+                    "pin %d shares a PWM slice with pin %d: same frequency only" % (own, number)
+                )
         pwm = super()._begin_pulses(index, hz)
         if self._pads[0]:  # switching a pad to the PWM releases it
             self.kill()
@@ -156,7 +159,8 @@ class GpioPort(PortPins):
             watchdog: "Callable[[], None]" = machine.WDT(timeout=timeout_ms).feed
             return watchdog
         # MicroPython cannot stop the watchdog; clearing its enable bit can.
-        machine.mem32[(_WATCHDOG_2350 if _is_rp2350() else _WATCHDOG) + _CLEAR] = _WATCHDOG_ENABLE
+        control = _WATCHDOG_2350 if _is_rp2350() else _WATCHDOG
+        machine.mem32[control + _TO_CLEAR_BYTES] = _WATCHDOG_ENABLE
         return None
 
 
@@ -186,7 +190,7 @@ def _release(pads: ptr32, bits: int) -> int:
     i = 1
     while pads[i]:
         control = ptr32(pads[i])
-        control[_TO_CLEAR] = bits
+        control[_TO_CLEAR_WORDS] = bits
         i += 2
     return 0
 
@@ -198,7 +202,7 @@ def _make_urgent() -> None:
     address = _PRIORITIES + number // 4 * 4  # of the word with the interrupt's byte
     shift = number % 4 * 8
     others = machine.mem32[address] & ~(0xFF << shift)
-    machine.mem32[address] = others | _FIRST << shift
+    machine.mem32[address] = others | _URGENT << shift
 
 
 def _is_rp2350() -> bool:

@@ -4,25 +4,25 @@
 
 A machine executes one instruction per engine tick (80 ns); the comment on a line says how many
 ticks it takes. pulses.py makes the words, engine.py hands them over.
+
+`stepper` makes the steps of one axis. A word, which out() reads from the lowest bit on:
+
+    bit  31              13 12          1   0
+        +------------------+-------------+---+
+        |    delay : 19    |  steps : 12 |DIR|
+        +------------------+-------------+---+
+
+asks for so many steps in direction DIR, each after a delay in ticks; a word without steps is the
+delay alone. ISR holds the length of a pulse less 3 ticks; the engine loads it (_load_isr()
+in engine_state.py), and the program never changes it.
+
+Times, from the tick in which a machine is ready for its next word (at `next`): the first edge
+comes after 6 + delay ticks; without steps, the machine is ready again after 6 + delay ticks.
+From a step's edge it is length + 9 + delay ticks to the next step of the same word, and length +
+3 ticks until the machine is ready for the next word.
 """
 
 from rp2 import PIO, asm_pio
-
-# One axis. A word, which out() reads from the lowest bit on:
-#
-#     bit  31              13 12          1   0
-#         +------------------+-------------+---+
-#         |    delay : 19    |  steps : 12 |DIR|
-#         +------------------+-------------+---+
-#
-# asks for so many steps in direction DIR, each after a delay in ticks; a word without steps is the
-# delay alone. ISR holds the length of a pulse less 3 ticks; the engine loads it (_load() in
-# engine_state.py), and the program never changes it.
-#
-# Times, from the tick in which a machine is ready for its next word (at `next`): the first edge
-# comes after 6 + delay ticks; without steps, the machine is ready again after 6 + delay ticks.
-# From a step's edge it is length + 9 + delay ticks to the next step of the same word, and length +
-# 3 ticks until the machine is ready for the next word.
 
 
 @asm_pio(

@@ -11,8 +11,19 @@ a segment is its CARRY, and becomes part of its next delay.
     steps   4095 at most per row and motor
 
 A segment's row (motion/layout.py) has at ROW_TICKS its time, at ROW_DIRS a mask of the motors that
-turn backwards, and per motor ROW_STRIDE integers from ROW_AXES on: its steps, the tick of the
-first one and the tick of the last one, counted from the row's start.
+turn backwards, and per motor ROW_STRIDE integers from ROW_AXES on (`base`): its steps, the tick of
+the first one and the tick of the last one, counted from the row's start.
+
+The words that convert() makes of a row, for a lane:
+
+    wait          before a reversal only: no steps, delay = TURN_WAIT, at the old level of DIR
+    first step    delay = CARRY + late + its tick - _FETCH_TICKS
+    n gaps        span = last tick - first tick: gaps of span // n, and span % n of them one
+                  longer, ordered by leading(); delay = gap - PULSE - _BETWEEN_TICKS, at least 0
+    rest          no steps, until IDLE_CARRY before the end of the segment, if that is longer
+
+CARRY loses what each word takes and gains the row's ticks, so no rounding adds up. A delay has
+19 bits: from 2**18 on the word is negative here, so 2**19 is subtracted, with the same bits.
 
 Arguments: lanes, LANE integers per axis; words, the lanes' rings, one after the other; timing, see
 set_timing(). Viper; all of it runs in the engine's interrupt. No hardware is accessed here.
@@ -34,57 +45,55 @@ CARRY = const(0)  # ticks from the end of the lane's words to the next segment; 
 DIR = const(1)  # level of the direction output
 HEAD = const(2)  # index in the ring of the next word
 SENT = const(3)  # index after the last word handed to the hardware
-PLACE = const(4)  # position in steps: at the end of all segments made,
-END = const(5)  # at the end of all words sent,
-FROZEN = const(6)  # and where a locked axis has stopped
+MADE_PLACE = const(4)  # position in steps: at the end of all segments made,
+SENT_PLACE = const(5)  # at the end of all words sent,
+STOPPED_PLACE = const(6)  # and where a locked axis has stopped
 MACHINE = const(7)  # address of its state machine's registers
 
 # Words in a lane's ring. A segment has six at most: wait before a reversal, first step, long
 # gaps, short gaps, long gaps, rest.
-RING_LOG2 = const(5)
+RING_LOG2 = const(5)  # a lane's ring has 32 words
 RING_MASK = const(31)
 
 # The longest row that convert() accepts, and the pieces of longer ones, in ticks: 21 and 10.5 ms.
 LONGEST = const(0x40000)
-_PIECE = const(0x20000)
+_PIECE = const(0x20000)  # ticks
 
 # The timing array of convert(): indexes. Times are in ticks.
 AXES = const(0)  # number of lanes
 PULSE = const(1)  # length of a pulse, up to 2**15 - 1
 TURN_WAIT = const(2)  # delay of the word that waits before DIR changes,
 TURN_DELAY = const(3)  # and least delay of the word after it
-KEEP = const(4)  # a lane's words end so long before the segment, if it has no step to make
+IDLE_CARRY = const(4)  # a lane's words end so long before the segment, if it has no step to make
 TIMING_LENGTH = const(5)
 
-# In a row, per motor from the index `base` on: its steps; then, at base + these, the ticks of the
-# first step and of the last.
-_FIRST = const(1)
-_LAST = const(2)
+# In a row, per motor from the index `base` on: its steps; then, at base + these, two ticks.
+_FIRST_TICK = const(1)  # of the first step
+_LAST_TICK = const(2)  # of the last
 
-# A word: bits 31 to 13 are the delay, 12 to 1 the steps, 0 the direction.
-_STEPS_SHIFT = const(1)
+_STEPS_SHIFT = const(1)  # a word's bits 12 to 1: steps; bit 0: direction
 _STEPS_MASK = const(0xFFF)
-_DELAY_SHIFT = const(13)
-_HALF_DELAY = const(0x40000)
-_ALL_DELAY = const(0x80000)
+_DELAY_SHIFT = const(13)  # a word's bits 31 to 13: delay
+_HALF_DELAY = const(0x40000)  # from here on a delay of 19 bits, shifted, has the sign bit:
+_ALL_DELAY = const(0x80000)  # less this it is the same bits, as a negative integer
 # Ticks that programs.stepper takes, where a word's delay is added unless it says otherwise:
-_FETCH = const(6)  # from ready to the first edge; without steps, to ready again
-_AFTER = const(3)  # from the end of a pulse to ready; no delay is added
-_BETWEEN = const(9)  # from the end of a pulse to the next edge of the same word
+_FETCH_TICKS = const(6)  # from ready to the first edge, plus delay; without steps, to ready again
+_AFTER_TICKS = const(3)  # from the end of a pulse to ready; no delay is added
+_BETWEEN_TICKS = const(9)  # from the end of a pulse to the next edge of the same word, plus delay
 _TURN_HELD = const(10)  # from the end of a pulse to the change of DIR; with the waiting word
 _TURN_SET = const(5)  # from the change of DIR to the next edge
 _SPARE = const(3)  # reserve for gaps that rounding makes shorter than the mean
 
 # Program addresses of programs.stepper, from its start: as there.
-_NEXT = const(0)
-_STEP = const(3)
-_RISEN = const(7)
-_MADE = const(11)
+_AT_NEXT = const(0)  # it waits for a word
+_AT_STEP = const(3)  # from here on X is loaded
+_AT_RISEN = const(7)  # STEP has risen, but X still counts this step,
+_AT_MADE = const(11)  # and from here on no longer
 
 
 def shortest_gap(pulse: int) -> int:
     """Return the ticks from step to step at the highest rate; pulse: its length in ticks."""
-    return pulse + _BETWEEN + _SPARE
+    return pulse + _BETWEEN_TICKS + _SPARE
 
 
 def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
@@ -94,7 +103,7 @@ def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
     timing[TURN_WAIT] = max(hold - _TURN_HELD, 0)
     timing[TURN_DELAY] = max(setup - _TURN_SET, 0)
     # As long as a reversal takes, so that a reversal after a pause does not delay other axes.
-    timing[KEEP] = 2 * _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
+    timing[IDLE_CARRY] = 2 * _FETCH_TICKS + timing[TURN_WAIT] + timing[TURN_DELAY]
 
 
 @micropython.viper
@@ -103,7 +112,7 @@ def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
     it in the ring.
 
     ring: index in `words` where the lane's ring begins; head: index in the ring of the new word.
-    word: its delay and direction, without steps.
+    word: its delay and direction, without steps. steps: 0 to 4095.
     """
     if steps == 0:
         return head
@@ -111,16 +120,6 @@ def _put(words: ptr32, ring: int, head: int, word: int, steps: int) -> int:
     return (head + 1) & RING_MASK
 
 
-# The words that convert() makes of a row, for a lane:
-#
-#     wait          before a reversal only: no steps, delay = TURN_WAIT, at the old level of DIR
-#     first step    delay = CARRY + late + its tick - _FETCH
-#     n gaps        span = last tick - first tick: gaps of span // n, and span % n of them one
-#                   longer, ordered by leading(); delay = gap - PULSE - _BETWEEN, at least 0
-#     rest          no steps, until KEEP before the end of the segment, if that is longer
-#
-# CARRY loses what each word takes and gains the row's ticks, so no rounding adds up. A delay has
-# 19 bits: from 2**18 on the word is negative here, so 2**19 is subtracted, with the same bits.
 @micropython.viper
 def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     """Add a segment's words to the lanes' rings. Returns by how many ticks all axes begin late.
@@ -130,10 +129,10 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     late = 0
     for i in range(timing[AXES]):
         base = ROW_AXES + ROW_STRIDE * i
-        if row[base]:  # lack: by how much its first step would be too early
-            lack = _FETCH - lanes[LANE * i + CARRY] - row[base + _FIRST]
+        if row[base]:  # lack: ticks by which its first step would be too early
+            lack = _FETCH_TICKS - lanes[LANE * i + CARRY] - row[base + _FIRST_TICK]
             if (row[ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
-                lack += _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
+                lack += _FETCH_TICKS + timing[TURN_WAIT] + timing[TURN_DELAY]
             if lack > late:
                 late = lack
     for i in range(timing[AXES]):
@@ -148,36 +147,36 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
             if (row[ROW_DIRS] >> i) & 1 != level:
                 words[ring + head] = level | (timing[TURN_WAIT] << _DELAY_SHIFT)  # wait
                 head = (head + 1) & RING_MASK
-                carry -= _FETCH + timing[TURN_WAIT]
+                carry -= _FETCH_TICKS + timing[TURN_WAIT]
                 level = 1 - level
-            carry += row[base + _FIRST] - _FETCH
+            carry += row[base + _FIRST_TICK] - _FETCH_TICKS
             if carry >= _HALF_DELAY:
                 carry -= _ALL_DELAY
             words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)  # first
             head = (head + 1) & RING_MASK
-            carry = 0 - row[base + _FIRST] - timing[PULSE] - _AFTER
+            carry = 0 - row[base + _FIRST_TICK] - timing[PULSE] - _AFTER_TICKS
             steps -= 1
-            if steps:  # gaps: long, short, long
-                span = row[base + _LAST] - row[base + _FIRST]
+            if steps:  # gaps: some are a tick longer; of these half come first, half last
+                span = row[base + _LAST_TICK] - row[base + _FIRST_TICK]
                 gap = span // steps
                 longer = span - gap * steps
-                if gap < timing[PULSE] + _BETWEEN:
-                    gap = timing[PULSE] + _BETWEEN
+                if gap < timing[PULSE] + _BETWEEN_TICKS:
+                    gap = timing[PULSE] + _BETWEEN_TICKS
                     longer = 0
                 carry -= gap * steps + longer
-                word = level | ((gap - timing[PULSE] - _BETWEEN) << _DELAY_SHIFT)
-                front = int(leading(steps, gap, longer))  # longer gaps that come first
+                word = level | ((gap - timing[PULSE] - _BETWEEN_TICKS) << _DELAY_SHIFT)
+                front = int(leading(steps, gap, longer))  # how many longer gaps come first
                 head = int(_put(words, ring, head, word + (1 << _DELAY_SHIFT), front))
                 head = int(_put(words, ring, head, word, steps - longer))
                 head = int(_put(words, ring, head, word + (1 << _DELAY_SHIFT), longer - front))
         carry += row[ROW_TICKS]
-        if carry >= timing[KEEP] + _FETCH:
-            carry -= timing[KEEP] + _FETCH
+        if carry >= timing[IDLE_CARRY] + _FETCH_TICKS:
+            carry -= timing[IDLE_CARRY] + _FETCH_TICKS
             if carry >= _HALF_DELAY:
                 carry -= _ALL_DELAY
             words[ring + head] = level | (carry << _DELAY_SHIFT)  # rest
             head = (head + 1) & RING_MASK
-            carry = timing[KEEP]
+            carry = timing[IDLE_CARRY]
         lanes[lane + HEAD] = head
         lanes[lane + CARRY] = carry
         lanes[lane + DIR] = level
@@ -195,7 +194,7 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
     ticks = whole[ROW_TICKS]
     end = begin + _PIECE
     if end + _PIECE > ticks:
-        end = ticks
+        end = ticks  # this is the last piece
     row[ROW_TICKS] = end - begin
     row[ROW_DIRS] = whole[ROW_DIRS]
     row[ROW_POWER] = whole[ROW_POWER]
@@ -206,30 +205,30 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
             tick = int(step_tick(whole, base, k)) - begin
             if tick >= 0 and (tick < end - begin or end == ticks):
                 if count == 0:
-                    row[base + _FIRST] = tick
-                row[base + _LAST] = tick
+                    row[base + _FIRST_TICK] = tick
+                row[base + _LAST_TICK] = tick
                 count += 1
         row[base] = count
     return end if end < ticks else 0
 
 
 @micropython.viper
-def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) -> int:
+def undone(words: ptr32, axis: int, sent: int, waiting: int, address: int, x: int) -> int:
     """Return the steps that a stopped machine has not made; backward ones are negative.
 
     words: the lanes' rings; axis: the lane's number. sent: SENT of its lane, the index after the
-    last word sent. waiting: words sent that the machine has not fetched. at: its address from the
-    program's start; x: its X register, the steps left of its word, which from _RISEN to _MADE
-    still counts a step that is made.
+    last word sent. waiting: words sent that the machine has not fetched. address: where the
+    machine is, from the program's start; x: its X register, the steps left of its word, which from
+    _AT_RISEN to _AT_MADE still counts a step that is made.
     """
     ring = axis << RING_LOG2
     total = 0
-    for k in range(waiting if at == _NEXT else waiting + 1):
-        word = words[ring + ((sent - 1 - k) & RING_MASK)]
+    for k in range(waiting if address == _AT_NEXT else waiting + 1):
+        word = words[ring + ((sent - 1 - k) & RING_MASK)]  # the last one sent first
         steps = (word >> _STEPS_SHIFT) & _STEPS_MASK
-        if k == waiting and at >= _STEP:  # the word in the machine, and X is loaded
+        if k == waiting and address >= _AT_STEP:  # the word in the machine, and X is loaded
             steps = x
-            if at >= _RISEN and at < _MADE:
+            if address >= _AT_RISEN and address < _AT_MADE:
                 steps -= 1
         total += 0 - steps if word & 1 else steps
     return total
@@ -247,18 +246,18 @@ def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
     for i in range(axes):
         base = ROW_AXES + ROW_STRIDE * i
         made = row[base]
-        if made == 0 or tick < row[base + _FIRST]:
+        if made == 0 or tick < row[base + _FIRST_TICK]:
             made = 0
-        elif tick < row[base + _LAST]:
-            span = row[base + _LAST] - row[base + _FIRST]
+        elif tick < row[base + _LAST_TICK]:  # else all are made
+            span = row[base + _LAST_TICK] - row[base + _FIRST_TICK]
             gap = span // (made - 1)
             longer = span - gap * (made - 1)
             front = int(leading(made - 1, gap, longer))
-            rest = tick - row[base + _FIRST]  # ticks after the first step
+            rest = tick - row[base + _FIRST_TICK]  # ticks after the first step
             ticks_to_last = span - rest  # ticks before the last step
-            if rest < front * (gap + 1):
+            if rest < front * (gap + 1):  # among the longer gaps that come first
                 made = rest // (gap + 1) + 1
-            elif ticks_to_last <= (longer - front) * (gap + 1):
+            elif ticks_to_last <= (longer - front) * (gap + 1):  # among those that come last
                 made -= (ticks_to_last + gap) // (gap + 1)
             else:
                 made = (rest - front) // gap + 1

@@ -18,7 +18,7 @@ RXF = const(8)
 IRQ_FORCE = const(13)
 PADOUT = const(15)  # levels of all pins
 MACHINES = const(0x32)  # registers of the first machine begin here,
-SM = const(6)  # those of the next so many words further
+MACHINE_STRIDE = const(6)  # those of the next so many words further
 SET = const(0x800)  # alias in which ones set bits of the same register,
 CLEAR = const(0xC00)  # and in which ones clear them
 

@@ -14,11 +14,11 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-SIZE = const(8192)
-_TOP = const(0x20042000)
+SIZE = const(8192)  # bytes of the stack
+_TOP = const(0x20042000)  # address of its end
 _TOP_2350 = const(0x20082000)
 _PATTERN = const(0x2A2A2A2A)
-_CALLS = const(256)  # bytes that paint() itself and its calls may use
+_CALLS_BYTES = const(256)  # bytes that paint() itself and its calls may use
 
 
 @micropython.viper
@@ -49,9 +49,9 @@ def _bottom() -> int:
 def paint() -> None:
     """Start a new measurement: fill the stack below the present depth with the pattern.
 
-    The lowest bytes of the stack come first; `free` are those that no call uses now.
+    It grows downwards, so the bytes that no call uses now (`free`) are the lowest.
     """
-    free = SIZE - micropython.stack_use() - _CALLS
+    free = SIZE - micropython.stack_use() - _CALLS_BYTES
     _fill(_bottom(), free // 4)
 
 

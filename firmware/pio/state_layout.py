@@ -28,44 +28,45 @@ HALT = const(1)  # stopped: nothing moves before arm()
 MADE = const(2)  # how many segments were made, since power-up
 FED = const(3)  # how many of them were handed to the hardware
 BEGUN = const(4)  # number of the segment that is played; the first one made is 0
-AHEAD = const(5)  # ticks of motion made after the begin of segment BEGUN
+TICKS_AHEAD = const(5)  # ticks of motion made after the begin of segment BEGUN
 POWER = const(6)  # the last spindle power reported
 LOCKED = const(7)  # mask of lanes that are locked: stopped, while others may go on
 END_US = const(8)  # when the words handed over end: in us of the timer,
 END_REST = const(9)  # and a rest in half ticks
-CUT = const(10)  # tick in a long segment where the next piece begins; 0: no long segment
-BEATS = const(11)  # words handed to the clock, since power-up
-EARLY = const(12)  # > 0: the clock interrupts again before the segment ends
+NEXT_PIECE = const(10)  # tick in a long segment where the next piece begins; 0: no long segment
+CLOCK_WORDS = const(11)  # words handed to the clock, since power-up
+WORDS_TO_END = const(12)  # clock words left of BEGUN: > 0: it interrupts again before its end
 AXES = const(13)  # number of lanes
 # ... then registers, which depend on the chip ...
 PIO0 = const(14)
 PIO1 = const(15)
 TIMER = const(16)
 NVIC = const(17)
-RIVALS = const(18)  # masks for NVIC: the interrupts that may stop the engine, and its own
+MASKED_IRQS = const(18)  # mask for NVIC: interrupts that may stop the engine, and its own
 BUSY = const(19)  # mask of STATUS: a channel has words to move
 MOTORS = const(20)  # number of lanes that are motors'
-CLOCK_AT = const(21)  # program address at which the clock waits for a word
-OURS = const(22)  # masks: our machines of PIO 0, of PIO 1 (of PIO 2: THIRD)
+CLOCK_PULL_AT = const(21)  # program address at which the clock waits for a word
+OURS_0 = const(22)  # masks of our state machines: of PIO 0,
+OURS_1 = const(23)  # and of PIO 1; OURS_2: of PIO 2
 LANES = const(24)  # addresses of arrays in pulses.py: lanes, the lanes' rings of words, timing
 WORDS = const(25)
 TIMING = const(26)
 # Addresses of: words for the clock; a copy of a long segment's row, which is made in pieces; and,
 # from ROW on, a row per segment, ROWS of them: segment n has the row at ROW + n % ROWS.
-CLOCKED = const(27)
-WHOLE = const(28)
+CLOCK_BUFFER = const(27)
+LONG_ROW = const(28)
 ROW = const(29)
 FAULT = const(ROW + ROWS)  # fault code (below), until arm()
-ASKED = const(ROW + ROWS + 1)  # start() has requested the interrupt, which has not come yet
+REQUESTED = const(ROW + ROWS + 1)  # 1: start() has requested the interrupt, not yet come
 DMA = const(ROW + ROWS + 2)  # address of a DMA channel, per lane
 # An RP2040's engine state ends here. An RP2350's goes on: the mask of our machines of PIO 2, which
 # is the clock's or 0; and the address of the clock's PIO.
-THIRD = const(DMA + 8)
-CLOCK_PIO = const(THIRD + 1 if RP2350 else PIO1)
-LENGTH = const(THIRD + 2)
+OURS_2 = const(DMA + 8)
+CLOCK_PIO = const(OURS_2 + 1 if RP2350 else PIO1)
+LENGTH = const(OURS_2 + 2)
 
-# After a segment's row: when it begins, in us and half ticks; the value of BEATS when it ends; and
-# its start position per axis.
+# After a segment's row: when it begins, in us and half ticks; the value of CLOCK_WORDS when it
+# ends; and its start position per axis.
 ROW_EXTRA = const(3)
 
 # Fault codes: fault_code().

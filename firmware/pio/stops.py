@@ -7,12 +7,15 @@ that must not be interrupted mask all these interrupts, for a few microseconds.
 `state` is the engine state, indexed by the constants of state_layout.py. Segments are numbered
 from power-up: MADE of them have been made, FED handed to the hardware, and BEGUN is the number of
 the one being played. HALT is 1 from a stop until arm(). RUNNING is 1 while the machines are
-enabled. LOCKED is a mask of lanes that were stopped while the others go on. OURS, OURS + 1 and
-THIRD are masks of this engine's machines in PIO 0, 1 and 2. RIVALS is a mask of interrupts.
+enabled. LOCKED is a mask of lanes that were stopped while the others go on. OURS_0, OURS_1 and
+OURS_2 are masks of this engine's machines in PIO 0, 1 and 2. MASKED_IRQS is a mask of interrupts.
+END_US is the time (us of the timer) at which all words handed over end. A register at + CLEAR is
+an alias in which ones clear bits. FAULT is a fault code, until arm().
 
 A lane, one per motor, has LANE integers in `lanes` (pulses.py). Three are positions, in steps:
-PLACE at the end of all segments made, END at the end of all words handed to its machine, FROZEN
-where it was stopped. SENT is the index after the last word handed over, in the lane's ring.
+MADE_PLACE at the end of all segments made, SENT_PLACE at the end of all words handed to its
+machine, STOPPED_PLACE where it was stopped. SENT is the index after the last word handed over, in
+the lane's ring.
 """
 
 import micropython
@@ -22,18 +25,17 @@ from motion.layout import ROW_AXES, ROW_STRIDE
 
 from pio import registers as reg
 from pio import state_layout as s
-from pio.pulses import END, FROZEN, LANE, MACHINE, PLACE, SENT, places, undone
+from pio.pulses import LANE, MACHINE, MADE_PLACE, SENT, SENT_PLACE, STOPPED_PLACE, places, undone
 
-# PIO instructions that are forced into a machine: mov isr, x; push noblock.
-_SAVE_X = const(0xA0C1)
-_PUSH = const(0x8000)
-_FIFO = const(4)  # words that a FIFO holds
-_LEVEL = const(15)  # FLEVEL has 8 bits per machine: the lower four are its TX FIFO's words
+# PIO instructions that are forced into a machine.
+_SAVE_X = const(0xA0C1)  # mov isr, x
+_PUSH = const(0x8000)  # push noblock
+_FIFO_WORDS = const(4)  # words that a FIFO holds
+_TX_LEVEL = const(15)  # FLEVEL has 8 bits per machine: the lower four are its TX FIFO's words
 _ADDRESS = const(31)  # a program's address has five bits
 _LONGEST_US = const(1 << 20)  # no row is that long
 
-# The interrupt may be late by so much: writing a flash page takes less.
-_PATIENCE_US = const(50_000)
+_PATIENCE_US = const(50_000)  # the interrupt may be so late: writing a flash page takes less
 
 
 @micropython.viper
@@ -51,7 +53,7 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     dma = ptr32(state[s.DMA + axis])
     lanes = ptr32(state[s.LANES])
     player = ptr32(lanes[LANE * axis + MACHINE])  # registers of the lane's machine
-    end = lanes[LANE * axis + END]
+    end = lanes[LANE * axis + SENT_PLACE]
     if state[s.RUNNING] == 0:
         return end
     player[reg.INSTR] = _SAVE_X
@@ -60,9 +62,9 @@ def _stopped_position(state: ptr32, axis: int) -> int:
     busy = 1
     waiting = 0
     patience = 100  # readings: the loop ends also if DMA is stuck
-    while busy and waiting < _FIFO and patience:
+    while busy and waiting < _FIFO_WORDS and patience:
         busy = dma[reg.STATUS] & state[s.BUSY]
-        waiting = (pio[reg.FLEVEL] >> 8 * number) & _LEVEL
+        waiting = (pio[reg.FLEVEL] >> 8 * number) & _TX_LEVEL
         patience -= 1
     unmoved = dma[reg.COUNT] if busy else 0  # words still in memory
     if patience == 0:
@@ -76,7 +78,7 @@ def _stopped_position(state: ptr32, axis: int) -> int:
 
 @micropython.viper
 def halt(state: ptr32, which: int) -> int:
-    """Stop the machines of the lanes in the mask `which`, and store in FROZEN where they are.
+    """Stop the machines of the lanes in the mask `which`; store where they are in STOPPED_PLACE.
 
     These lanes stay locked until all are stopped. -1 stops all until arm(), and ends the locks.
     Nothing may raise here. Once compiled, it is one function that calls no other. Returns 0.
@@ -86,25 +88,25 @@ def halt(state: ptr32, which: int) -> int:
     nvic = ptr32(state[s.NVIC])
     if which < 0:
         state[s.HALT] = 1  # first: an interrupt that comes in between then starts nothing
-    nvic[reg.DISABLE] = state[s.RIVALS]
-    ptr32(state[s.PIO0])[reg.CTRL + reg.CLEAR] = which & state[s.OURS]
-    ptr32(state[s.PIO1])[reg.CTRL + reg.CLEAR] = (which >> 4) & state[s.OURS + 1]
-    if s.RP2350 and which < 0 and state[s.THIRD]:
-        ptr32(state[s.CLOCK_PIO])[reg.CTRL + reg.CLEAR] = state[s.THIRD]
-    which &= -1 - state[s.LOCKED]  # the positions of locked lanes are in FROZEN already
+    nvic[reg.DISABLE] = state[s.MASKED_IRQS]
+    ptr32(state[s.PIO0])[reg.CTRL + reg.CLEAR] = which & state[s.OURS_0]
+    ptr32(state[s.PIO1])[reg.CTRL + reg.CLEAR] = (which >> 4) & state[s.OURS_1]
+    if s.RP2350 and which < 0 and state[s.OURS_2]:  # only the clock is there
+        ptr32(state[s.CLOCK_PIO])[reg.CTRL + reg.CLEAR] = state[s.OURS_2]
+    which &= -1 - state[s.LOCKED]  # the positions of locked lanes are in STOPPED_PLACE already
     for i in range(axes):
         if (which >> i) & 1:
-            lanes[LANE * i + FROZEN] = int(_stopped_position(state, i))
+            lanes[LANE * i + STOPPED_PLACE] = int(_stopped_position(state, i))
     if which >= 0:
         state[s.LOCKED] = state[s.LOCKED] | which
-    else:
+    else:  # what was sent and not played will not be played
         for i in range(axes):
-            lanes[LANE * i + END] = lanes[LANE * i + FROZEN]
+            lanes[LANE * i + SENT_PLACE] = lanes[LANE * i + STOPPED_PLACE]
         if state[s.RUNNING]:
             state[s.END_US] = ptr32(state[s.TIMER])[0] & MASK
         state[s.RUNNING] = 0
         state[s.LOCKED] = 0
-    nvic[0] = state[s.RIVALS]  # enables these interrupts again
+    nvic[0] = state[s.MASKED_IRQS]  # enables these interrupts again
     return 0
 
 
@@ -112,11 +114,11 @@ def halt(state: ptr32, which: int) -> int:
 def request_refill(state: ptr32) -> int:
     """Trigger the engine's interrupt, unless the engine is stopped. Returns 0.
 
-    ASKED stays 1 until the interrupt has come; fault_code() reports one that does not.
+    REQUESTED stays 1 until the interrupt has come; fault_code() reports one that does not.
     """
     if state[s.HALT] == 0:
-        state[s.ASKED] = 1
-        ptr32(state[s.CLOCK_PIO])[reg.IRQ_FORCE] = 1 << s.CLOCK
+        state[s.REQUESTED] = 1
+        ptr32(state[s.CLOCK_PIO])[reg.IRQ_FORCE] = 1 << s.CLOCK  # the flag that the clock sets
     return 0
 
 
@@ -133,25 +135,26 @@ def arm(state: ptr32) -> int:
         return 0
     state[s.MADE] = state[s.FED]  # counts of segments: none waits to be handed over,
     state[s.BEGUN] = state[s.FED] - 1  # and the last one handed over has begun
-    state[s.AHEAD] = 0  # ticks of motion made after that one
-    state[s.CUT] = 0  # no long segment is half made
+    state[s.TICKS_AHEAD] = 0  # ticks of motion made after that one
+    state[s.NEXT_PIECE] = 0  # no long segment is half made
     for i in range(axes):
         # Positions in steps: the next segment starts where halt() has stopped the motor.
-        lanes[LANE * i + PLACE] = lanes[LANE * i + END]
+        lanes[LANE * i + MADE_PLACE] = lanes[LANE * i + SENT_PLACE]
     # FDEBUG's flags of words that were lost: writing ones clears them.
-    ptr32(state[s.PIO0])[reg.FDEBUG] = state[s.OURS] << reg.TXOVER
-    ptr32(state[s.PIO1])[reg.FDEBUG] = state[s.OURS + 1] << reg.TXOVER
-    if s.RP2350 and state[s.THIRD]:
-        ptr32(state[s.CLOCK_PIO])[reg.FDEBUG] = state[s.THIRD] << reg.TXOVER
+    ptr32(state[s.PIO0])[reg.FDEBUG] = state[s.OURS_0] << reg.TXOVER
+    ptr32(state[s.PIO1])[reg.FDEBUG] = state[s.OURS_1] << reg.TXOVER
+    if s.RP2350 and state[s.OURS_2]:
+        ptr32(state[s.CLOCK_PIO])[reg.FDEBUG] = state[s.OURS_2] << reg.TXOVER
     state[s.FAULT] = 0
-    state[s.ASKED] = 0
+    state[s.REQUESTED] = 0
     state[s.HALT] = 0
     return 0
 
 
 @micropython.viper
 def fault_code(state: ptr32) -> int:
-    """Return the fault code of state_layout.py, 0 if there is no fault. Main loop only.
+    """Return the fault code of state_layout.py, 0 if there is no fault. Main loop only: a
+    requested interrupt comes before the main loop continues.
 
     FAULT holds a fault that the interrupt has found. Further ones are looked for here: a word
     written to a full FIFO, an interrupt that was requested and has not come, and machines that
@@ -159,12 +162,13 @@ def fault_code(state: ptr32) -> int:
     """
     if state[s.FAULT]:
         return state[s.FAULT]
-    over = (ptr32(state[s.PIO0])[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS]
-    if s.RP2350 and state[s.THIRD]:
-        over |= (ptr32(state[s.CLOCK_PIO])[reg.FDEBUG] >> reg.TXOVER) & state[s.THIRD]
-    if over | (ptr32(state[s.PIO1])[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS + 1]:
+    # Masks of machines that have lost a word.
+    lost = (ptr32(state[s.PIO0])[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS_0]
+    if s.RP2350 and state[s.OURS_2]:
+        lost |= (ptr32(state[s.CLOCK_PIO])[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS_2]
+    if lost | (ptr32(state[s.PIO1])[reg.FDEBUG] >> reg.TXOVER) & state[s.OURS_1]:
         return s.LOST
-    if state[s.ASKED]:
+    if state[s.REQUESTED]:
         return s.UNHEARD
     if state[s.RUNNING]:
         # END_US is read first: an interrupt in between can then only make `late` smaller.
@@ -189,23 +193,25 @@ def position(state: ptr32, steps: ptr32) -> int:
     locked = state[s.LOCKED]  # read now, because stop() may come in between
     if state[s.RUNNING] == 0:
         for i in range(motors):
-            steps[i] = lanes[LANE * i + END]
+            steps[i] = lanes[LANE * i + SENT_PLACE]
     else:
         now = ptr32(state[s.TIMER])[0] & MASK
         fed = state[s.FED]
+        # Find the newest row that has begun, from the last one handed over on.
         passed = NEGATIVE  # us since the row began; from NEGATIVE on it has not begun
-        k = 0  # rows back from the last one handed over
-        while passed >= NEGATIVE and k < s.LAST_ROW:
-            k += 1
-            row = ptr32(state[s.ROW + ((fed - k) & s.LAST_ROW)])
+        rows_back = 0
+        while passed >= NEGATIVE and rows_back < s.LAST_ROW:
+            rows_back += 1
+            row = ptr32(state[s.ROW + ((fed - rows_back) & s.LAST_ROW)])
             passed = (now - row[begins]) & MASK
         tick = -1  # ticks since the row began; -1: it has not begun yet
         if passed < NEGATIVE:
             if passed > _LONGEST_US:
                 passed = _LONGEST_US  # or the product wraps
             tick = (passed * s.HALF_TICKS_PER_US - row[begins + 1]) >> 1
-        places(row, tick, int(row) + 4 * (begins + s.ROW_EXTRA), steps, motors)  # type: ignore[call-overload]
+        start = int(row) + 4 * (begins + s.ROW_EXTRA)  # type: ignore[call-overload]
+        places(row, tick, start, steps, motors)  # start: address of the row's start positions
     for i in range(motors):
         if (locked >> i) & 1:
-            steps[i] = lanes[LANE * i + FROZEN]
+            steps[i] = lanes[LANE * i + STOPPED_PLACE]
     return 0

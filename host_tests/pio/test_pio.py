@@ -1140,7 +1140,7 @@ def test_rp2350_registers_match_its_data_sheet() -> None:
     addresses."""
     with a_bed(), pytest.MonkeyPatch.context() as patch:
         there = memory.Memory(AXES, True).state
-        timer, rivals, busy = state_layout.TIMER, state_layout.RIVALS, state_layout.BUSY
+        timer, rivals, busy = state_layout.TIMER, state_layout.MASKED_IRQS, state_layout.BUSY
         assert there[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
         # IO_IRQ_BANK0, PIO1_IRQ_0, TIMER0_IRQ_0 to 3
         assert there[rivals] == 1 << 21 | 1 << 17 | 0b1111

@@ -162,7 +162,7 @@ def test_a_stop_at_any_bytecode_is_final(name: str) -> None:
         "append",
         "feed",
         "_prepare",
-        "_load",
+        "_load_isr",
         "convert",
         "_start_transfer",
         "_launch",
