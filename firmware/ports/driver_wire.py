@@ -23,7 +23,7 @@ def of_board(board: "ModuleType") -> "DriverWire":
     the pins of one UART."""
     pins: "tuple[int, ...]" = board.__dict__.get("TMC_UART", ())
     if len(pins) != 2:
-        raise ValueError("TMC_UART wants two pins: TX and RX")
+        raise ValueError("TMC_UART needs two pins: TX and RX")
     for number in _UARTS:
         try:
             return DriverWire(_make_uart(number, pins[0], pins[1]))

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 _CTRL_A = const(1)
 CTRL_C = const(3)
 _CR = const(13)
-_PATIENCE = const(3)  # Ctrl-C, so many times
+_ENOUGH = const(3)  # so many Ctrl-C in a row request the prompt
 
 
 @micropython.viper
-def _follow(buf: ptr8, count: int, interrupts: int) -> int:
+def _count_interrupts(buf: ptr8, count: int, interrupts: int) -> int:
     """Return how many times in a row Ctrl-C was received; -1 - i if byte i requests the prompt.
 
     buf: `count` bytes; interrupts: the result for the bytes before. A CR does not end a row:
@@ -33,10 +33,10 @@ def _follow(buf: ptr8, count: int, interrupts: int) -> int:
         if byte == CTRL_C:
             interrupts += 1
         elif byte == _CTRL_A and interrupts:
-            interrupts = _PATIENCE
+            interrupts = _ENOUGH
         elif byte != _CR:
             interrupts = 0
-        if interrupts >= _PATIENCE:
+        if interrupts >= _ENOUGH:
             return -1 - i
     return interrupts
 
@@ -53,7 +53,7 @@ class Escape:
     def listen(self, buf: bytearray, count: int) -> None:
         """Check the first `count` bytes of buf. Raises KeyboardInterrupt if they request the
         prompt and that is allowed now; the prompt then reads the bytes after the request."""
-        result = _follow(buf, count, self._interrupts)  # -1 - i: byte i requests it
+        result = _count_interrupts(buf, count, self._interrupts)  # -1 - i: byte i requests it
         self._interrupts = max(result, 0)
         if result < 0 and self.at_rest():
             next_byte = -1 - result
@@ -66,19 +66,19 @@ class Escape:
 
 
 class _Pusher(io.IOBase):
-    """A stream from which MicroPython reads bytes (data) as if they had been received. _at: index
-    of the next one."""
+    """A stream from which MicroPython reads bytes (data) as if they had been received. _index: of
+    the next one."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
-        self._at = 0
+        self._index = 0
 
     def readinto(self, buf: bytearray) -> "int | None":
         """Put the next byte into buf, and return 1; None after the last one."""
-        if self._at == len(self._data):
+        if self._index == len(self._data):
             return None
-        buf[0] = self._data[self._at]
-        self._at += 1
+        buf[0] = self._data[self._index]
+        self._index += 1
         return 1
 
     def write(self, data: bytes) -> int:

@@ -39,9 +39,9 @@ def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ..
             try:
                 Pin(pin)
             except (TypeError, ValueError):
-                raise ValueError("%s: there is no pin %s" % (name, pin))
+                raise ValueError("%s: this chip has no pin %s" % (name, pin))
     controls = board.__dict__.get("CONTROL", ())
     for bit in range(_CONTROLS):
         is_wired = bit < len(controls) and controls[bit] is not None
         if board.__dict__.get("CONTROL_INVERT", 0) >> bit & 1 and not is_wired:
-            raise ValueError("CONTROL_INVERT: there is no input of value %d" % (1 << bit))
+            raise ValueError("CONTROL_INVERT: the input of value %d is not wired" % (1 << bit))

@@ -17,7 +17,7 @@ from base.times import NEGATIVE
 from machine import Timer
 from micropython import const
 
-from ports.link_memory import AWAY, STOPPED, TURNED
+from ports.link_memory import AWAY_MS, LOOP_HAS_READ, STOP_CAUSE
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _HARD_MS = const(5)
 _SOFT_MS = const(50)
 _SOFT_TIMER = const(3)  # 0 is the engine's, 1 and 2 the port's
 
-_FAILED = const(-1)  # in shared[STOPPED]: the interrupt has raised
+_FAILED = const(-1)  # in shared[STOP_CAUSE]: the interrupt has raised
 _CTRL_X = const(24)
 
 
@@ -39,9 +39,9 @@ class Supervisor:
     """Watch a link, an engine and a port. limit_ms: how long the main loop may be away. _feed
     feeds the watchdog; _poll_reset looks for Ctrl-X in the link; None if that is impossible.
 
-    _shared: the link's state. shared[TURNED] is 1 if the link was read since the last beat;
-    shared[AWAY] the ms that the main loop has been away, from below 0 if more is allowed;
-    shared[STOPPED] why the machine was stopped: ms away, _FAILED, or 0.
+    _shared: the link's state. shared[LOOP_HAS_READ] is 1 if the link was read since the last beat;
+    shared[AWAY_MS] the ms that the main loop has been away, from below 0 if more is allowed;
+    shared[STOP_CAUSE] why the machine was stopped: ms away, _FAILED, or 0.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Supervisor:
 
     def allow(self, ms: int) -> None:
         """Let the main loop's next turn take so many ms longer."""
-        self._shared[AWAY] = -ms
+        self._shared[AWAY_MS] = -ms
 
     def _soft_beat(self, timer: object) -> None:
         """Beat, called by a timer that is not hard: beats that were queued while flash was written
@@ -97,39 +97,39 @@ class Supervisor:
         stops = 0
         resets = 0
         try:
-            if shared[TURNED]:
-                shared[TURNED] = 0
-                shared[AWAY] = 0
+            if shared[LOOP_HAS_READ]:
+                shared[LOOP_HAS_READ] = 0
+                shared[AWAY_MS] = 0
             else:  # the main loop has not read the link since the last beat
-                shared[AWAY] += int(self._beat_ms)
-                if shared[AWAY] == 0:
-                    shared[AWAY] = 1  # the allowance is used up; 0 means not away
+                shared[AWAY_MS] += int(self._beat_ms)
+                if shared[AWAY_MS] == 0:
+                    shared[AWAY_MS] = 1  # the allowance is used up; 0 means not away
             # viper's numbers are unsigned here: below 0 is an absence that is allowed.
-            if shared[AWAY] & NEGATIVE == 0 and shared[AWAY] >= int(self._limit_ms):
+            if shared[AWAY_MS] & NEGATIVE == 0 and shared[AWAY_MS] >= int(self._limit_ms):
                 stops = 1
-                shared[STOPPED] = shared[AWAY]
+                shared[STOP_CAUSE] = shared[AWAY_MS]
             else:
-                if shared[AWAY] == 0 and self._feed:
+                if shared[AWAY_MS] == 0 and self._feed:
                     self._feed()
                 if self._poll_reset:
                     resets = int(self._poll_reset())
         except:  # noqa: E722
             stops = 1
-            shared[STOPPED] = _FAILED
+            shared[STOP_CAUSE] = _FAILED
         if stops or resets:
             try:
                 self._kill()
             except:  # noqa: E722
-                shared[STOPPED] = _FAILED
+                shared[STOP_CAUSE] = _FAILED
             try:
                 self._stop()
             except:  # noqa: E722
-                shared[STOPPED] = _FAILED
+                shared[STOP_CAUSE] = _FAILED
         if resets:
             try:
                 self._on_reset(0)
             except:  # noqa: E722
-                shared[STOPPED] = _FAILED
+                shared[STOP_CAUSE] = _FAILED
         if stops:
             micropython.kbd_intr(_CTRL_X)  # Ctrl-X received interrupts code that does not return
         return 0
@@ -137,10 +137,10 @@ class Supervisor:
     def end_absence(self) -> int:
         """Note that the main loop is back. Returns how long it was away, in ms, if the machine was
         stopped for that, else 0."""
-        self._shared[TURNED] = 1
+        self._shared[LOOP_HAS_READ] = 1
         micropython.kbd_intr(-1)
-        away = self._shared[STOPPED]
-        self._shared[STOPPED] = 0
+        away = self._shared[STOP_CAUSE]
+        self._shared[STOP_CAUSE] = 0
         return away
 
     def raise_if_stopped(self) -> None:
@@ -149,4 +149,4 @@ class Supervisor:
         away = self.end_absence()
         if away == _FAILED:
             raise RuntimeError("the timer's interrupt has failed")
-        raise RuntimeError("the main loop was away for %d ms" % away)
+        raise RuntimeError("the main loop was blocked for %d ms" % away)

@@ -13,15 +13,15 @@ import micropython
 from micropython import const
 
 from ports.escape import CTRL_C, Escape
-from ports.link_memory import AWAY, PIECES, STOPPED, TURNED, WRITE_MS
+from ports.link_memory import AWAY_MS, DISCARD_PIECES, LOOP_HAS_READ, STOP_CAUSE, WRITE_MS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-# What a UART's buffer takes without waiting; soft interrupts run between pieces.
-_PIECE = const(64)
+# Soft interrupts run between pieces.
+_PIECE = const(64)  # bytes that a UART's buffer takes without waiting
 
 
 class UartLink:
@@ -40,8 +40,8 @@ class UartLink:
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
         self._byte = bytearray(1)
-        self._arrived: "Any" = select.poll()
-        self._arrived.register(sys.stdin, select.POLLIN)
+        self._input_poll: "Any" = select.poll()
+        self._input_poll.register(sys.stdin, select.POLLIN)
         self._escape = Escape(self.close)
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
@@ -51,12 +51,12 @@ class UartLink:
 
     def read_into(self, buf: bytearray) -> int:
         """Move the bytes received into buf; return how many."""
-        self.shared[TURNED] = 1  # for the supervisor: the loop is alive
-        if self.shared[STOPPED]:
+        self.shared[LOOP_HAS_READ] = 1  # for the supervisor: the loop is alive
+        if self.shared[STOP_CAUSE]:
             self.check_supervisor()
         self.on_poll()
         count = 0
-        while count < len(buf) and self._waiting():
+        while count < len(buf) and self._can_read():
             if not self._in.readinto(self._byte):
                 break
             buf[count] = self._byte[0]
@@ -68,12 +68,12 @@ class UartLink:
     def discard(self) -> None:
         """Drop the bytes received. MicroPython keeps less than 1 kB; more may follow."""
         piece = bytearray(_PIECE)
-        for _ in range(PIECES):
+        for _ in range(DISCARD_PIECES):
             self.read_into(piece)
 
-    def _waiting(self) -> bool:
+    def _can_read(self) -> bool:
         """Return whether a byte can be read without waiting."""
-        for _ in self._arrived.ipoll(0):
+        for _ in self._input_poll.ipoll(0):
             return True
         return False
 
@@ -88,9 +88,9 @@ class UartLink:
 
     def _send(self, piece: "bytes | bytearray | memoryview") -> None:
         """Write a piece; the supervisor allows the wait that this may take."""
-        self.shared[AWAY] = -WRITE_MS
+        self.shared[AWAY_MS] = -WRITE_MS
         self._out.write(piece)
-        self.shared[AWAY] = 0
+        self.shared[AWAY_MS] = 0
 
     def close(self) -> None:
         """Let Ctrl-C interrupt again."""

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import some
-from ports.link_memory import REMEMBERED
+from ports.link_memory import STATE_LENGTH
 from ports.storage import sd_blocks
 from ports.storage.sd_blocks import SdBlocks
 from sd_model import BLOCK, SdCard
@@ -74,7 +74,7 @@ class Bench:
         return self.card.exchange(byte)
 
     def driver(self) -> SdBlocks:
-        made = SdBlocks(_PINS, array("i", [0] * REMEMBERED))
+        made = SdBlocks(_PINS, array("i", [0] * STATE_LENGTH))
         made.begin()
         return made
 

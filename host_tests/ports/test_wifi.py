@@ -250,5 +250,5 @@ def test_the_cable_works_without_a_network_or_with_a_failing_radio(
     assert link._calls is None and link.status() == "no network is set up"
     lines += ["SSID=4142", "PASS=", "PORT=x"]
     link = air.beside(cable)
-    assert link._calls is None and link.status().startswith("the radio fails: ")
+    assert link._calls is None and link.status().startswith("the Wi-Fi radio failed: ")
     assert link.read_into(bytearray(16)) == 0

@@ -232,7 +232,7 @@ def test_the_supervisor_stops_a_main_loop_hanging_in_a_storm(
         before = machine.Pin(16).pad()
         pico.cpu.storm([pin], 22, 3, 260_000)
         watch.close()
-        return link.shared[supervisor.STOPPED], before, machine.Pin(16).pad()
+        return link.shared[supervisor.STOP_CAUSE], before, machine.Pin(16).pad()
 
     def act() -> None:
         for pin in {pin.handler: pin for pin in pico.pins()}.values():

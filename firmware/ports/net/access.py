@@ -15,7 +15,7 @@ _KEY = b"$NETKEY="  # $NET/KEY= in the form that plain() returns
 OK = b"ok\r\n"
 REFUSED = b"error:%d\r\n"
 _LOCKED = REFUSED % errors.SYSTEM_GC_LOCK
-_MSG_KEY = b"[MSG:Read only: the network's key comes first, $NET/KEY=...]\r\n" + _LOCKED
+_MSG_KEY = b"[MSG:Read only: send the network's key first, $NET/KEY=...]\r\n" + _LOCKED
 _MSG_WRONG = b"[MSG:Wrong network key]\r\n" + _LOCKED
 MSG_TAKEN = b"[MSG:Somebody else drives]\r\n"
 TAKEN = MSG_TAKEN + _LOCKED

@@ -20,7 +20,7 @@ import micropython
 from base import errors
 from micropython import const
 
-from ports.link_memory import PIECES
+from ports.link_memory import DISCARD_PIECES
 from ports.net.access import OK, READING, REFUSED, TAKEN, Access, is_browser, plain
 from ports.net.client import Client, Memory, asks, slot_for
 from ports.net.in_control import Control
@@ -138,7 +138,7 @@ class NetLink:
         driver = self.control.driver
         if driver:
             driver.forget()
-            for _ in range(PIECES if driver.conn else 0):
+            for _ in range(DISCARD_PIECES if driver.conn else 0):
                 driver.read(self._piece)
         self._urgent_count = 0
 

@@ -69,14 +69,14 @@ _NAMES = (b"localhost", b".local")
 _SIGNS = b".0123456789"
 # Statuses and texts of refusals.
 _REFUSALS = (
-    (b"400 Bad Request", b"this is no request of HTTP/1.1"),
-    (b"405 Method Not Allowed", b"the page can be read, and no more"),
-    (b"403 Forbidden", b"the machine has another name: take its number"),
-    (b"403 Forbidden", b"a page from elsewhere may not talk to the machine"),
+    (b"400 Bad Request", b"this is not an HTTP/1.1 request"),
+    (b"405 Method Not Allowed", b"only GET requests are answered"),
+    (b"403 Forbidden", b"unknown host name: use the IP address"),
+    (b"403 Forbidden", b"pages of other sites may not use the machine"),
     (b"404 Not Found", b"the page is at /"),
     (b"404 Not Found", b"the page is not on the board: ugrbl deploy puts it there"),
-    (b"400 Bad Request", b"here a websocket is wanted: open / in a browser"),
-    (b"426 Upgrade Required", b"version 13 is wanted"),
+    (b"400 Bad Request", b"this address is a websocket: open / in a browser"),
+    (b"426 Upgrade Required", b"websocket version 13 is needed"),
 )
 _NO_REQUEST = const(0)  # indices into _REFUSALS
 _NO_READING = const(1)

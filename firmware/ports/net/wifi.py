@@ -42,7 +42,7 @@ def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
             link = NetLink(cable, calls)
     except (OSError, ValueError) as fault:
         link = NetLink(cable, None)
-        why = "the radio fails: %s" % fault
+        why = "the Wi-Fi radio failed: %s" % fault
         link.status = lambda: why
         return link
     link.radio = radio.poll_radio

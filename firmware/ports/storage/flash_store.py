@@ -115,7 +115,7 @@ class FlashStore:
             file.write(data)
             file.write(_checksum(data))
         if self._read(path + _NEW)[0] != data:
-            raise OSError("flash does not keep what is written")
+            raise OSError("flash does not store what is written")
         if is_whole:
             os.rename(path + _NOW, path + _OLD)
         os.rename(path + _NEW, path + _NOW)

@@ -24,25 +24,25 @@ from micropython import const
 
 from ports.escape import CTRL_C, Escape
 from ports.link_memory import (
-    ASKED,
-    AWAY,
-    DEAF,
-    DTR,
-    ESCAPES,
-    FULL,
-    JUST,
-    LENGTH,
-    LINE,
-    OPENED,
-    PIECES,
-    REMEMBERED,
-    RING,
+    ANSWER_BYTES,
+    AWAY_MS,
+    DISCARD_PIECES,
+    DOLLAR_WAITS,
+    HAS_CONTROL_BYTES,
+    HOST_IS_DEAF,
+    IS_OPEN,
+    JUST_NOW,
+    LINE_STATE_ADDRESS,
+    LOOP_HAS_READ,
+    LOOP_READS_RING,
+    QUIET_TURNS,
+    REOPENED,
+    RING_ADDRESS,
     RING_BYTES,
-    STOPPED,
-    TAKING,
-    TURNED,
-    TURNS,
-    USED,
+    RING_WAS_FULL,
+    STATE_LENGTH,
+    STOP_CAUSE,
+    WAS_USED,
     WRITE_MS,
 )
 
@@ -52,116 +52,113 @@ if TYPE_CHECKING:
     from typing import Any
 
 _CTRL_X = const(24)
+_DOLLAR = const(0x24)  # the character $
 _PACKET = const(64)  # bytes of a USB packet, which must fit into the ring
+_RING_MASK = const(511)  # RING_BYTES - 1: indices wrap
+_GET = const(3)  # index of iget, where the next byte is read, in ringbuf_t as words of 16 bits
+_PUT = const(4)  # and of iput, where the next byte is stored
 
-# A host that does not read for so long counts as absent, and writes no longer wait for it.
-_DEAF_MS = const(250)
+_DEAF_MS = const(250)  # a host that does not read for so long is absent: writes do not wait for it
 
 # An Arduino is silent for longer after it has been opened, and senders rely on it: the Universal
 # G-Code Sender starts twice if it is greeted before it has noted that it has started.
-_GREET_MS = const(300)
+_GREET_MS = const(300)  # from the opening of the port to the greeting, if nothing is received
 
 # Answers to lines are collected, up to so many bytes, and until nothing was received for so many
 # turns: a write to USB takes as long as reading a line. Longer output is sent at once, together
 # with those that wait. So is the answer to a $ command, because its sender waits for it.
-_ANSWERS_BYTES = const(64)
-_OUT_BYTES = const(192)
-_QUIET_TURNS = const(2)
-_ANSWER = const(16)  # up to so many bytes are the answer to a line, more are other output
-_LATER = const(1)  # result of _keep(): the answer waits. More is a count of bytes to send
-_DOLLAR = const(0x24)
+_ANSWERS_BYTES = const(64)  # of answers that may wait,
+_OUT_BYTES = const(192)  # and with longer output, with which they are sent at once
+_MOST_QUIET_TURNS = const(2)  # turns without input that answers wait
+_LONGEST_ANSWER = const(16)  # bytes of the answer to a line; longer data is other output
+_LATER = const(1)  # result of _collect(): the answer waits. More is a count of bytes to send
 
-# Flags of _take()'s result: _NOTE, added to a count of bytes, asks to call UsbLink._note();
-# _FLUSH, without bytes, asks to send the answers that wait.
-_NOTE = const(0x100)
-_FLUSH = const(0x200)
+_NOTE = const(0x100)  # flag in _read_ring()'s result: call UsbLink._note(); above any count
+_FLUSH = const(0x200)  # its result if no byte was read and waiting answers must be sent
 
-# The host's last request, in the memory of RP2040's and RP2350's USB. Three requests matter: the
-# one that says whether the port is open (DTR), those that come only when it is opened, and the one
-# that says that the cable has been plugged in.
-_SETUP = const(0x50100000)
-_SET_LINE_STATE = const(0x2221)
-_LINE_CODING = const(0x2021)  # SET is 0x2021, GET is 0x21A1
-_SET_CONFIGURATION = const(0x0900)
-# Masks: the request; the same with bit 16, DTR; and without the bits by which SET and GET differ.
-_REQUEST = const(0xFFFF)
-_REQUEST_WITH_DTR = const(0x1FFFF)
-_SET_OR_GET = const(0xFE7F)
+_SETUP = const(0x50100000)  # address of the host's last request, of RP2040's and RP2350's USB
+_SET_LINE_STATE = const(0x2221)  # a request: bit 16 says whether the port is open (DTR)
+_LINE_CODING = const(0x2021)  # sent only when the port is opened: SET is 0x2021, GET is 0x21A1
+_SET_CONFIGURATION = const(0x0900)  # sent when the cable has been plugged in
+_REQUEST = const(0xFFFF)  # mask of the request
+_REQUEST_WITH_DTR = const(0x1FFFF)  # and with bit 16
+_SET_OR_GET = const(0xFE7F)  # mask of the bits in which SET and GET do not differ
 
 
 @micropython.viper
-def _take(state: ptr32, buf: ptr8, room: int) -> int:
+def _read_ring(state: ptr32, buf: ptr8, room: int) -> int:
     """Move up to `room` bytes, but fewer than _NOTE, from MicroPython's ring into buf.
 
-    state: the link's, by the indices of link_memory.py; state[RING] is the ring's address. Returns
-    how many bytes were moved, plus _NOTE if UsbLink._note() has work to do: the port was opened
-    again, the supervisor has stopped the machine, control bytes were read that may request the
-    prompt, or no byte was moved and the ring was so full that more may wait outside it. Without
-    bytes and work, _FLUSH if answers have waited for _QUIET_TURNS calls.
+    state: the link's, by the indices of link_memory.py; state[RING_ADDRESS] is the ring's address.
+    Returns how many bytes were moved, plus _NOTE if UsbLink._note() has work to do: the port was
+    opened again, the supervisor has stopped the machine, control bytes were read that may request
+    the prompt, or no byte was moved and the ring was so full that more may wait outside it.
+    Without bytes and work, _FLUSH if answers have waited for _MOST_QUIET_TURNS calls.
     """
     if room >= _NOTE:
         room = _NOTE - 1
-    state[TAKING] = 1  # _poll_reset(), an interrupt, must not move iget now
-    state[TURNED] = 1  # for the supervisor: the loop is alive
-    shorts = ptr16(state[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
-    data = ptr8(ptr32(state[RING])[0])
-    get = shorts[3]
-    put = shorts[4]
-    if (put - get) & (RING_BYTES - 1) >= RING_BYTES - _PACKET:
-        state[FULL] = 1
+    state[LOOP_READS_RING] = 1  # _poll_reset(), an interrupt, must not move iget now
+    state[LOOP_HAS_READ] = 1  # for the supervisor: the loop is alive
+    indices = ptr16(state[RING_ADDRESS])  # MicroPython's ringbuf_t, in words of 16 bits
+    data = ptr8(ptr32(state[RING_ADDRESS])[0])  # it begins with the address of its bytes
+    get = indices[_GET]
+    put = indices[_PUT]
+    if (put - get) & _RING_MASK >= RING_BYTES - _PACKET:  # a packet may not fit
+        state[RING_WAS_FULL] = 1
     count = 0
     while get != put and count < room:
         c = data[get]
         buf[count] = c
-        if c <= CTRL_C:
-            state[ESCAPES] = 1
+        if c <= CTRL_C:  # Ctrl-A or Ctrl-C
+            state[HAS_CONTROL_BYTES] = 1
         elif c == _DOLLAR:
-            state[ASKED] = 1
-        get = (get + 1) & (RING_BYTES - 1)
+            state[DOLLAR_WAITS] = 1
+        get = (get + 1) & _RING_MASK
         count += 1
-    shorts[3] = get
-    state[TAKING] = 0
-    if state[OPENED] | state[STOPPED] | state[FULL if count == 0 else ESCAPES]:
+    indices[_GET] = get
+    state[LOOP_READS_RING] = 0
+    flag = HAS_CONTROL_BYTES if count else RING_WAS_FULL
+    if state[REOPENED] | state[STOP_CAUSE] | state[flag]:
         return count | _NOTE
-    if count == 0 and state[LENGTH]:
-        state[TURNS] += 1
-        if state[TURNS] >= _QUIET_TURNS:
+    if count == 0 and state[ANSWER_BYTES]:
+        state[QUIET_TURNS] += 1
+        if state[QUIET_TURNS] >= _MOST_QUIET_TURNS:
             return _FLUSH
     return count
 
 
 @micropython.viper
-def _keep(memory: object, data: ptr8, count: int) -> int:
+def _add_answer(memory: object, data: ptr8, count: int) -> int:
     """Append the first `count` bytes of data to the answers that wait. Returns 0 if they do not
     fit, _LATER if they wait, or how many bytes of waiting answers to send now. memory: the link's
     state and the buffer of these."""
     state, out = memory
-    return int(_put(ptr32(state), ptr8(out), data, count))
+    return int(_collect(ptr32(state), ptr8(out), data, count))
 
 
 @micropython.viper
-def _put(state: ptr32, out: ptr8, data: ptr8, count: int) -> int:
+def _collect(state: ptr32, out: ptr8, data: ptr8, count: int) -> int:
     """Append the first `count` bytes of data to the answers that wait, in out. Returns 0 if they
     do not fit, _LATER if they wait, or how many bytes of out to send now.
 
-    state: the link's. state[LENGTH] bytes wait, for state[TURNS] turns without input;
-    state[ASKED]: a $ was received that has not been answered. Up to _ANSWER bytes are the answer
-    to a line: it waits for more unless it answers a $. Longer data is other output: it is sent
-    now, with all that waits.
+    state: the link's. state[ANSWER_BYTES] bytes wait, for state[QUIET_TURNS] turns without input;
+    state[DOLLAR_WAITS]: a $ was received that has not been answered. Up to _LONGEST_ANSWER bytes
+    are the answer to a line: it waits for more unless it answers a $. Longer data is other output:
+    it is sent now, with all that waits.
     """
-    length = state[LENGTH]
-    if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
+    length = state[ANSWER_BYTES]
+    if length + count > (_ANSWERS_BYTES if count <= _LONGEST_ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
     length += count
-    state[LENGTH] = length
-    if count <= _ANSWER:
-        if state[ASKED] == 0:
+    state[ANSWER_BYTES] = length
+    if count <= _LONGEST_ANSWER:
+        if state[DOLLAR_WAITS] == 0:
             return _LATER
-        state[ASKED] = 0
-    state[LENGTH] = 0
-    state[TURNS] = 0
+        state[DOLLAR_WAITS] = 0
+    state[ANSWER_BYTES] = 0  # the caller sends them
+    state[QUIET_TURNS] = 0
     return length
 
 
@@ -171,8 +168,9 @@ class UsbLink:
     read_into(buf) moves the bytes received into buf and returns how many; write(data) sends, soon.
     shared: memory shared with the supervisor. poll_reset: called by the supervisor's timer, None
     if the ring was not found. check_supervisor: the supervisor's, called in the main loop, which
-    raises. is_slow: Ctrl-X is found only when the main loop reads. _at: the link's state, the same
-    array as `shared`, by the indices of link_memory.py.
+    raises. is_slow: Ctrl-X is found only when the main loop reads. _state: the link's, the same
+    array as `shared`, by the indices of link_memory.py. _answers: answers that wait to be sent.
+    _since_ms: ticks_ms() when the port was opened.
     """
 
     read_into: "Callable[[bytearray], int]"
@@ -183,22 +181,22 @@ class UsbLink:
         self.check_supervisor: "Callable[[], None]" = lambda: None
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
-        self._arrived: "Any" = select.poll()
-        self._arrived.register(sys.stdin, select.POLLIN)
-        self._sendable: "Any" = select.poll()
-        self._sendable.register(sys.stdout, select.POLLOUT)
+        self._input_poll: "Any" = select.poll()
+        self._input_poll.register(sys.stdin, select.POLLIN)
+        self._output_poll: "Any" = select.poll()
+        self._output_poll.register(sys.stdout, select.POLLOUT)
         self._byte = bytearray(1)  # where _drain() reads each byte
-        self._waiting_out = bytearray(_OUT_BYTES)  # answers that wait
-        self._since = 0  # ticks_ms() when the port was opened: see _greet()
+        self._answers = bytearray(_OUT_BYTES)
+        self._since_ms = 0
         self._escape = Escape(self.close)
         # One array with two names, the supervisor's and ours.
-        self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
-        self._memory = for_kernels(self._at), for_kernels(self._waiting_out)  # for _keep()
+        self.shared = self._state = array.array("i", (0 for _ in range(STATE_LENGTH)))
+        self._memory = for_kernels(self._state), for_kernels(self._answers)  # for _add_answer()
         if sys.platform == "rp2":
             from ports.usb import usb_ring
 
-            usb_ring.find(self._at, self._drain, _take)
-        self.is_slow = self._at[RING] == 0
+            usb_ring.find(self._state, self._drain, _read_ring)
+        self.is_slow = self._state[RING_ADDRESS] == 0
         self.poll_reset: "Callable[[], int] | None" = None if self.is_slow else self._poll_reset
         # Made now, because only now it is known whether the ring was found.
         self.read_into = self._make_read_into()
@@ -217,17 +215,17 @@ class UsbLink:
         Interrupt.
 
         It also notes whether the port is open (DTR): from TinyUSB's variable if that was found,
-        else from the host's last request. state[OPENED] becomes 1 if it is opened again: the first
-        time needs no greeting.
+        else from the host's last request. state[REOPENED] becomes JUST_NOW, 1, if it is opened
+        again: the first time needs no greeting.
         """
-        state = ptr32(self._at)
-        shorts = ptr16(state[RING])  # MicroPython's ringbuf_t: [3] is iget, [4] is iput
-        data = ptr8(ptr32(state[RING])[0])
-        get = shorts[3]
-        put = shorts[4]
-        is_open = state[DTR]
-        if state[LINE]:
-            is_open = ptr8(state[LINE])[0] & 1
+        state = ptr32(self._state)
+        indices = ptr16(state[RING_ADDRESS])  # MicroPython's ringbuf_t, in words of 16 bits
+        data = ptr8(ptr32(state[RING_ADDRESS])[0])  # it begins with the address of its bytes
+        get = indices[_GET]
+        put = indices[_PUT]
+        is_open = state[IS_OPEN]
+        if state[LINE_STATE_ADDRESS]:
+            is_open = ptr8(state[LINE_STATE_ADDRESS])[0] & 1
         else:
             request = ptr32(_SETUP)[0] & _REQUEST_WITH_DTR
             if request & _REQUEST == _SET_LINE_STATE:
@@ -236,25 +234,26 @@ class UsbLink:
                 is_open = 1
             if request & _REQUEST == _SET_CONFIGURATION:
                 is_open = 0
-        if is_open != state[DTR]:
-            state[DTR] = is_open
+        if is_open != state[IS_OPEN]:
+            state[IS_OPEN] = is_open
             # Only a port that was open before, or has sent bytes, is greeted.
-            state[OPENED] = is_open & state[USED]
+            state[REOPENED] = is_open & state[WAS_USED]
         if is_open or get != put:
-            state[USED] = 1
+            state[WAS_USED] = 1
         found = 0
-        if state[TAKING] == 0:  # otherwise _take() moves iget
+        if state[LOOP_READS_RING] == 0:  # otherwise _read_ring() moves iget
             while get != put:
-                get = (get + 1) & (RING_BYTES - 1)
-                if data[(get - 1) & (RING_BYTES - 1)] == _CTRL_X:
-                    shorts[3] = get  # drops all bytes up to here
+                c = data[get]
+                get = (get + 1) & _RING_MASK
+                if c == _CTRL_X:
+                    indices[_GET] = get  # drops all bytes up to here
                     found = 1
         return found
 
     def _drain(self) -> bytearray:
         """Read all bytes received, one at a time by MicroPython's stream, and return them."""
         received = bytearray()
-        while self._waiting() and self._in.readinto(self._byte):
+        while self._can_read() and self._in.readinto(self._byte):
             received.append(self._byte[0])
         return received
 
@@ -264,14 +263,14 @@ class UsbLink:
     def _make_read_into(self) -> "Callable[[bytearray], int]":
         """Return read_into(): the one that reads the ring, or MicroPython's stream if the ring was
         not found."""
-        if self._at[RING] == 0:
+        if self._state[RING_ADDRESS] == 0:
             return self._read_plainly
-        state, take, note, flush = for_kernels(self._at), _take, self._note, self._flush
+        state, take, note, flush = for_kernels(self._state), _read_ring, self._note, self._flush
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
             """Store received bytes in buf; returns their number."""
-            count: int = take(state, buf, len(buf))  # with the flags of _take()
+            count: int = take(state, buf, len(buf))  # with the flags of _read_ring()
             if count < _NOTE:
                 return count
             return flush() if count == _FLUSH else note(buf, count - _NOTE)
@@ -281,31 +280,31 @@ class UsbLink:
     def _make_send(self) -> "Callable[..., None]":
         """Return send(length, data): it sends that many bytes of data, of the waiting answers if
         there is no second argument; the others look up no attribute. It waits once for a host that
-        does not read (DEAF); after that output to it is dropped until it reads."""
+        does not read (HOST_IS_DEAF); after that output to it is dropped until it reads."""
 
         def send(
             length: int,
-            data: "bytes | bytearray | memoryview" = self._waiting_out,
-            state: "array.array[int]" = self._at,
+            data: "bytes | bytearray | memoryview" = self._answers,
+            state: "array.array[int]" = self._state,
             out: "Callable[[bytes | bytearray | memoryview, int], object]" = self._out.write,
-            sendable: "Callable[[int], object]" = self._sendable.poll,
+            sendable: "Callable[[int], object]" = self._output_poll.poll,
             now_ms: "Callable[[], int]" = time.ticks_ms,
             passed_ms: "Callable[[int, int], int]" = time.ticks_diff,
         ) -> None:
             """Send the first `length` bytes of data."""
-            if state[DEAF] and not sendable(0):
+            if state[HOST_IS_DEAF] and not sendable(0):
                 return
             since = now_ms()
-            state[AWAY] = -WRITE_MS  # the supervisor allows the loop to be away for so long
+            state[AWAY_MS] = -WRITE_MS  # the supervisor allows the loop to be away for so long
             out(data, length)
-            state[AWAY] = 0
-            state[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
+            state[AWAY_MS] = 0
+            state[HOST_IS_DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
 
         return send
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
-        """Return write(), which collects answers and sends them (see _put())."""
-        memory, keep, send, make_room = self._memory, _keep, self._send, self._make_room
+        """Return write(), which collects answers and sends them (see _collect())."""
+        memory, keep, send, make_room = self._memory, _add_answer, self._send, self._make_room
 
         # Eleven values including those it passes on: MicroPython allocates at each call for more.
         def write(data: "bytes | bytearray | memoryview") -> None:
@@ -327,49 +326,52 @@ class UsbLink:
             self.write(data)
 
     def _note(self, buf: bytearray, count: int) -> int:
-        """Handle what _take() has flagged: a stop by the supervisor (raises), an opened port, a
-        request for the prompt among the first `count` bytes of buf, a ring that was full. Returns
-        count."""
-        state = self._at
-        if state[STOPPED]:
+        """Handle what _read_ring() has flagged: a stop by the supervisor (raises), an opened port,
+        a request for the prompt among the first `count` bytes of buf, a ring that was full.
+        Returns count."""
+        state = self._state
+        if state[STOP_CAUSE]:
             self.check_supervisor()
-        if state[OPENED]:
+        if state[REOPENED]:
             self._greet(count)
         if count:
-            state[ESCAPES] = 0
+            state[HAS_CONTROL_BYTES] = 0
             self._escape.listen(buf, count)
             return count
-        if state[FULL]:
-            state[FULL] = 0
-            self._waiting()  # polling refills the ring
+        if state[RING_WAS_FULL]:
+            state[RING_WAS_FULL] = 0
+            self._can_read()  # its poll moves the bytes outside into the ring
         return 0
 
     def _greet(self, count: int) -> None:
         """Greet a program that has opened the port, once it sends something or after _GREET_MS.
-        count: bytes just read. state[OPENED]: JUST at the first call, then more, 0 after that."""
-        state = self._at
-        if state[OPENED] == JUST:
-            state[OPENED] = JUST + 1
-            self._since = time.ticks_ms()
-        if state[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
-            state[OPENED] = 0
+        count: bytes just read. state[REOPENED] is JUST_NOW at the first call, then JUST_NOW + 1
+        until the greeting, then 0."""
+        state = self._state
+        if state[REOPENED] == JUST_NOW:
+            state[REOPENED] = JUST_NOW + 1
+            self._since_ms = time.ticks_ms()
+        if state[REOPENED] and (
+            count or time.ticks_diff(time.ticks_ms(), self._since_ms) >= _GREET_MS
+        ):
+            state[REOPENED] = 0
             self._on_open()
 
-    def _waiting(self) -> bool:
+    def _can_read(self) -> bool:
         """Return whether a byte can be read without waiting."""
-        for _ in self._arrived.ipoll(0):
+        for _ in self._input_poll.ipoll(0):
             return True
         return False
 
     def _read_plainly(self, buf: bytearray) -> int:
         """Move the bytes received into buf, one at a time, and return how many. Answers that wait
         are sent first."""
-        self._at[TURNED] = 1
-        if self._at[STOPPED]:
+        self._state[LOOP_HAS_READ] = 1
+        if self._state[STOP_CAUSE]:
             self.check_supervisor()
         self._flush()
         count = 0
-        while count < len(buf) and self._waiting():
+        while count < len(buf) and self._can_read():
             self._in.readinto(self._byte)
             buf[count] = self._byte[0]
             count += 1
@@ -381,13 +383,13 @@ class UsbLink:
         """Drop the bytes received. MicroPython and its USB keep less than 1 kB; more may
         follow."""
         piece = bytearray(_PACKET)
-        for _ in range(PIECES):
+        for _ in range(DISCARD_PIECES):
             self.read_into(piece)
 
     def _flush(self) -> int:
         """Send the answers that wait. Returns 0, for read_into(): no bytes were read."""
-        state = self._at
-        length, state[LENGTH], state[TURNS] = state[LENGTH], 0, 0
+        state = self._state
+        length, state[ANSWER_BYTES], state[QUIET_TURNS] = state[ANSWER_BYTES], 0, 0
         if length:
             self._send(length)
         return 0

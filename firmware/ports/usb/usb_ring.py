@@ -11,13 +11,13 @@ import micropython
 from micropython import const
 
 from ports.escape import push
-from ports.link_memory import LINE, RING, RING_BYTES
+from ports.link_memory import LINE_STATE_ADDRESS, RING_ADDRESS, RING_BYTES
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_MEMORY = const(0x20000000)  # where the chip's RAM begins,
+_MEMORY = const(0x20000000)  # address where the chip's RAM begins,
 _MEMORY_WORDS = const(0x10000)  # and how much of it is searched, in words of 4 bytes
 _LOW_16 = const(0xFFFF)
 _RING_MASK = const(511)  # RING_BYTES - 1: indices wrap
@@ -26,9 +26,10 @@ _TRIALS = (b"Where is the ring?", b"Here?")  # what is received as a trial
 # TinyUSB's struct cdcd_interface_t, in words: 7 bytes, the last of which are line_state and
 # wanted_char, -1; line_coding; from _FIFOS on two FIFOs of a few words, each with address and size
 # first; then the memory that the first address points to, then that of the second.
-_FIFOS = const(4)
+_FIFOS = const(4)  # offset in the struct, in words
+_FIFO_WORDS_LEAST = const(3)
 _FIFO_WORDS_MOST = const(8)
-_LINE_STATE = const(5)  # byte offset
+_LINE_STATE = const(5)  # offset in the struct, in bytes
 
 
 @micropython.viper
@@ -62,12 +63,16 @@ def find_line(memory: ptr32) -> int:
     """Return the address of line_state, or 0 if no words look like TinyUSB's struct. memory: the
     chip's RAM as words."""
     for i in range(_MEMORY_WORDS - 3 * _FIFO_WORDS_MOST):
+        # If the struct begins at word i, the first FIFO is here, and its first word points behind
+        # the second one.
         here = _MEMORY + 4 * (i + _FIFOS)
-        fifo = (memory[i + _FIFOS] - here) >> 3  # words of a FIFO; two of them lie in between
-        if fifo >= 3 and fifo <= _FIFO_WORDS_MOST and memory[i + _FIFOS] == here + 8 * fifo:
-            second = memory[i + _FIFOS] + (memory[i + _FIFOS + 1] & _LOW_16)
+        first_data = memory[i + _FIFOS]
+        words = (first_data - here) >> 3  # of one FIFO: two of them lie in between
+        is_near = words >= _FIFO_WORDS_LEAST and words <= _FIFO_WORDS_MOST
+        if is_near and first_data == here + 8 * words:
+            second_data = first_data + (memory[i + _FIFOS + 1] & _LOW_16)  # after the first's size
             # The last condition is wanted_char == -1.
-            if memory[i + _FIFOS + fifo] == second and (memory[i + 1] >> 16) & 0xFF == 0xFF:
+            if memory[i + _FIFOS + words] == second_data and (memory[i + 1] >> 16) & 0xFF == 0xFF:
                 return _MEMORY + 4 * i + _LINE_STATE
     return 0
 
@@ -77,8 +82,9 @@ def find(
     drain: "Callable[[], bytearray]",
     take: "Callable[[array.array[int], bytearray, int], int]",
 ) -> None:
-    """Store both addresses in a link's state (RING, LINE), 0 if not found. drain: reads all bytes
-    received; take: usb_link._take, which reads from the ring at RING.
+    """Store both addresses in a link's state (RING_ADDRESS, LINE_STATE_ADDRESS), 0 if not found.
+    drain: reads all bytes received; take: usb_link._read_ring, which reads from the ring at
+    RING_ADDRESS.
 
     Some bytes are received as a trial, and memory is searched for them. A place that has them is
     the ring if it also gets a second trial. Bytes received meanwhile are put back.
@@ -94,15 +100,15 @@ def find(
         index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
         if index < 0:
             break
-        state[RING] = _MEMORY + 4 * index  # where take() reads
+        state[RING_ADDRESS] = _MEMORY + 4 * index  # where take() reads
         trial = bytearray(len(_TRIALS[0]))
         take(state, trial, len(trial))
         push(_TRIALS[1])
         if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-            ring = state[RING]
+            ring = state[RING_ADDRESS]
     early += drain()
     text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
     if text:
         push(text)
-    state[RING] = ring
-    state[LINE] = find_line(_MEMORY)
+    state[RING_ADDRESS] = ring
+    state[LINE_STATE_ADDRESS] = find_line(_MEMORY)
