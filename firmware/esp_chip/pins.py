@@ -39,42 +39,42 @@ class EspPort(PortPins):
         super().__init__(board, timers, pins, False)
         self._set_enable = enable
         # Levels that poll_inputs() has found last.
-        self._limits_looked = self._estop_looked = 0
-        self._sensors_looked = -1  # nothing watches them
+        self._limits_polled = self._estop_polled = 0
+        self._sensors_polled = -1  # sensors, inputs of extras, are not watched: see watch_pins()
 
     def attach(self, listener: "InputListener") -> None:
         """Call the listener for changed inputs, as PortPins; only changes from now on count."""
-        self._limits_looked = self.limits()
+        self._limits_polled = self.limits()
         self._controls_seen = self.controls()
         super().attach(listener)
 
     def poll_inputs(self) -> None:
         """Handle inputs that have changed since the last call as if their interrupts had come.
 
-        ..._looked: levels that the last call has found; ..._seen: those reported last. ..._wait,
-        _quiet: a timer of debouncing runs, which will read the inputs itself.
+        ..._polled: levels that the last call has found; ..._seen: those reported last.
+        ..._disarmed, _is_settling: a timer runs, which will read the inputs itself.
         """
         limits = self.limits()
-        if limits != self._limits_looked:
-            self._limits_looked = limits
-            waits = self._limits_wait  # the timer must not start again
+        if limits != self._limits_polled:
+            self._limits_polled = limits
+            waits = self._limits_disarmed  # the timer must not start again
             if self._limits_enabled and limits != self._limits_seen and not waits:
                 self._limit_changed(_first(self._limits))
-        if not self._quiet and self.controls() != self._controls_seen:
+        if not self._is_settling and self.controls() != self._controls_seen:
             self._control_changed(_first(self._controls))
-        if self._estop and self._estop.value() != self._estop_looked:
-            self._estop_looked = self._estop.value()
+        if self._estop and self._estop.value() != self._estop_polled:
+            self._estop_polled = self._estop.value()
             self._control_changed(self._estop)
         self._look_at_probe()
-        if self._sensors_looked >= 0 and self.sense() != self._sensors_looked:
-            self._sensors_looked = self.sense()
-            if not self._sensors_wait:
+        if self._sensors_polled >= 0 and self.sense() != self._sensors_polled:
+            self._sensors_polled = self.sense()
+            if not self._sensors_disarmed:
                 self._sensor_changed(_first(self._sensors))
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
         """Call on_change, in an interrupt, when an input of an extra changes."""
         super().watch_pins(on_change)
-        self._sensors_looked = self.sense()
+        self._sensors_polled = self.sense()
 
     def enable(self, level: int) -> None:
         """Set the level of the motor drivers' enable pins, or output."""

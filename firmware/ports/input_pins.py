@@ -20,12 +20,11 @@ if TYPE_CHECKING:
     from interfaces import InputListener
 
 _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
-NOT_WIRED = const(255)
-# How long an input stays disarmed after an interrupt, unless the board file says otherwise.
-_PEACE_MS = const(2)
-# The probe is disarmed after so many edges that were over before the pin was read: contacts
-# bounce, and the position of the first touch that lasts must be exact to the step.
-_MOST_MISSES = const(4)
+NOT_WIRED = const(255)  # in place of a pin's number
+_DISARMED_MS = const(2)  # after an interrupt, unless the board file says otherwise
+# Contacts bounce, and the position of the first touch that lasts must be exact to the step: so the
+# probe is disarmed only after several edges.
+_MOST_MISSES = const(4)  # edges of the probe that were over before the pin was read
 
 _FAILED = "A pin's callback has failed"
 _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
@@ -36,11 +35,12 @@ class PortInputs:
 
     timers: two that nothing else uses. has_hard: interrupts can be hard. A list of pins has None
     for an input that is not wired. _hard: as has_hard. _limits_seen, _controls_seen: masks
-    reported last. _limits_wait, _sensors_wait: some of these pins are disarmed until the look
-    timer reads them; _looks_soon: it is running. _quiet: a button was pressed and may bounce; the
+    reported last. _limits_disarmed, _sensors_disarmed: some of these pins are disarmed until the
+    look timer reads them; _look_timer_runs. _is_settling: a button was pressed and may bounce; the
     control timer is running. _contact_level: what probe() returns at the contact waited for, at
     which _on_contact is called. _misses: edges of the probe that were over when it was read.
-    _sensors: inputs of an extra.
+    _buttons: control inputs and emergency stop. _sensors: inputs of an extra; _on_sensor: called
+    when one changes.
     """
 
     _sensors: "list[Pin | None]"
@@ -55,16 +55,16 @@ class PortInputs:
         self.limit_invert = 0
         self._limits_enabled = False
         self._limits_seen = 0
-        self._limits_wait = self._sensors_wait = False
-        self._looks_soon = False
-        self._quiet = False
+        self._limits_disarmed = self._sensors_disarmed = False
+        self._look_timer_runs = False
+        self._is_settling = False
         self._controls_seen = 0
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
         self._misses = 0
         # A bound method allocates each time it is taken: take it once.
-        self._look_again = self._look_at_inputs
-        self._settle = self._settled
+        self._on_look_timer = self._look_at_inputs
+        self._on_settle_timer = self._end_settling
 
     def _make_inputs(self, board: "ModuleType") -> None:
         """Make the pins that the board file names, and read its other options of inputs. _inputs
@@ -82,9 +82,9 @@ class PortInputs:
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
         self._probe = self._make_input(option("PROBE", None))
-        without = [None] * (PROBE_AT - len(self._controls))
-        self._inputs = self._controls + without + [self._probe] + self._limits
-        numbers = list(option("CONTROL", ())) + without + [option("PROBE", None)]
+        unused = [None] * (PROBE_AT - len(self._controls))  # bits of levels() below the probe's
+        self._inputs = self._controls + unused + [self._probe] + self._limits
+        numbers = list(option("CONTROL", ())) + unused + [option("PROBE", None)]
         numbers += option("LIMIT", ())
         self._input_numbers = bytes(NOT_WIRED if n is None else n for n in numbers)
 
@@ -125,24 +125,24 @@ class PortInputs:
         try:
             self.kill()
             self._listener.on_fault()
-            self._limits_wait = True  # arm them again
-            self._look_in(0)
-            self._await_quiet()
+            self._limits_disarmed = True  # the look timer arms them again
+            self._start_look_timer(0)
+            self._start_settling()  # its end arms the buttons again
         except BaseException:
             self.fault = _FAILED_TWICE
 
-    def _look_in(self, ms: int) -> None:
-        """Let the look timer read disarmed inputs in `ms` milliseconds; with 0 in _PEACE_MS, or
+    def _start_look_timer(self, ms: int) -> None:
+        """Let the look timer read disarmed inputs in `ms` milliseconds; with 0 in _DISARMED_MS, or
         together with others that wait already. If the timer were restarted at every edge, it would
         fail at last on a Pico whose main loop hangs (emulated)."""
-        if ms or not self._looks_soon:
-            self._looks_soon = True
+        if ms or not self._look_timer_runs:
+            self._look_timer_runs = True
             # Periodic until the callback ends it, because a call may get lost. Not in a function
             # of its own: the stack is short here.
             self._look_timer.init(
                 mode=Timer.PERIODIC,
-                period=ms or _PEACE_MS,
-                callback=self._look_again,
+                period=ms or _DISARMED_MS,
+                callback=self._on_look_timer,
                 hard=self._hard,
             )
 
@@ -151,16 +151,16 @@ class PortInputs:
         Each is armed before it is read, so that no change is missed. Interrupt."""
         try:
             timer.deinit()
-            self._looks_soon = False
-            if self._limits_wait:
-                self._limits_wait = False
+            self._look_timer_runs = False
+            if self._limits_disarmed:
+                self._limits_disarmed = False
                 self._look_at_limits()
             if self._misses:
                 self._misses = 0
                 self._arm_probe()
                 self._look_at_probe()
-            if self._sensors_wait:
-                self._sensors_wait = False
+            if self._sensors_disarmed:
+                self._sensors_disarmed = False
                 _arm(self._sensors, _BOTH_EDGES)
                 self._on_sensor()
         except BaseException:
@@ -187,8 +187,8 @@ class PortInputs:
             if not self._limit_debounce_ms:
                 self._listener.on_limits()
                 self._limits_seen = self.limits()
-            self._limits_wait = True
-            self._look_in(self._limit_debounce_ms)
+            self._limits_disarmed = True
+            self._start_look_timer(self._limit_debounce_ms)
         except BaseException:
             self._fail()
 
@@ -202,7 +202,8 @@ class PortInputs:
             return
         _arm(self._limits, _BOTH_EDGES)
         now = self.limits()
-        if now != (self.limit_invert if self._limit_debounce_ms else self._limits_seen):
+        nothing_new = self.limit_invert if self._limit_debounce_ms else self._limits_seen
+        if now != nothing_new:
             self._limits_seen = now
             self._listener.on_limits()
 
@@ -214,47 +215,48 @@ class PortInputs:
 
     @micropython.native
     def _control_changed(self, pin: "Pin") -> None:
-        """Report a changed control input at once, then ignore bounces until _settled(). The
+        """Report a changed control input at once, then ignore bounces until _end_settling(). The
         emergency stop is reported even then. Interrupt."""
         try:
             pin.irq().trigger(0)  # disarm it
-            if self._quiet and self._debounce_ms and pin is not self._estop:
-                return
-            seen = self._seen_by(pin)
+            if self._is_settling and self._debounce_ms and pin is not self._estop:
+                return  # a bounce
+            seen = self._mask_if_active(pin)
             self._controls_seen |= seen  # also if the listener fails
             self._listener.on_controls(seen)  # before the other inputs are read
             if self.after_controls:
                 self.after_controls(seen)
             self._controls_seen = self.controls()
-            if not self._quiet:
-                self._await_quiet()
+            if not self._is_settling:
+                self._start_settling()
         except BaseException:
             self._fail()
 
     @micropython.native
-    def _seen_by(self, pin: "Pin") -> int:
+    def _mask_if_active(self, pin: "Pin") -> int:
         """Return the mask of this control input or emergency stop alone, 0 if it is not active."""
         if pin is self._estop:
             return EMERGENCY_STOP if pin.value() else 0
         bit = 1 << self._controls.index(pin)
-        return (0 if pin.value() else bit) ^ (self._control_invert & bit)
+        closed = 0 if pin.value() else bit
+        return closed ^ (self._control_invert & bit)
 
-    def _await_quiet(self) -> None:
-        """Let the control timer call _settled() after the debounce time."""
-        self._quiet = True
+    def _start_settling(self) -> None:
+        """Let the control timer call _end_settling() after the debounce time, or _DISARMED_MS."""
+        self._is_settling = True
         self._control_timer.init(
             mode=Timer.PERIODIC,
-            period=self._debounce_ms or _PEACE_MS,
-            callback=self._settle,
+            period=self._debounce_ms or _DISARMED_MS,
+            callback=self._on_settle_timer,
             hard=self._hard,
         )
 
-    def _settled(self, timer: "Timer") -> None:
+    def _end_settling(self, timer: "Timer") -> None:
         """Control timer's callback: arm the control inputs again, and report them if they have
         changed meanwhile; then wait again. The emergency stop is reported while it lasts."""
         try:
             timer.deinit()
-            self._quiet = False
+            self._is_settling = False
             _arm(self._buttons, _BOTH_EDGES)  # before the pins are read: no change is missed
             changed = self._controls_seen != self.controls()
             self._controls_seen = self.controls()
@@ -263,7 +265,7 @@ class PortInputs:
                 if self.after_controls:
                     self.after_controls(self._active())
             if changed:
-                self._await_quiet()
+                self._start_settling()
         except BaseException:
             self._fail()
 
@@ -286,7 +288,7 @@ class PortInputs:
     def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
         """Call on_contact once as soon as probe() returns `closed`: at once if it does now, else
         in an interrupt. None: stop watching."""
-        self._on_contact = None
+        self._on_contact = None  # an interrupt in between calls nothing
         self._contact_level = closed
         self._misses = 0
         self._on_contact = on_contact
@@ -304,13 +306,14 @@ class PortInputs:
         """Report a contact if the pin still has its level. After too many edges that were over by
         then disarm the pin for a while. Interrupt."""
         try:
-            self._misses += 1  # before the pin is read; after a contact it no longer matters
+            # Counted before the pin is read; after a contact the number no longer matters.
+            self._misses += 1
             is_bouncing = self._misses >= _MOST_MISSES
             if is_bouncing:
                 pin.irq().trigger(0)
             self._look_at_probe()
             if is_bouncing:
-                self._look_in(0)
+                self._start_look_timer(0)
         except BaseException:
             self._fail()
 
@@ -337,7 +340,8 @@ class PortInputs:
 
     def sense(self) -> int:
         """Return the levels of an extra's inputs, a bit each: 0 is closed."""
-        return (1 << len(self._sensors)) - 1 ^ _mask(self._sensors)
+        all_bits = (1 << len(self._sensors)) - 1
+        return all_bits ^ _mask(self._sensors)
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
         """Call on_change, in an interrupt, whenever an extra's input changes, and once more when a
@@ -351,9 +355,9 @@ class PortInputs:
         """Report a changed input of an extra. The look timer arms it again. Interrupt."""
         try:
             pin.irq().trigger(0)
-            self._sensors_wait = True
+            self._sensors_disarmed = True
             self._on_sensor()
-            self._look_in(0)
+            self._start_look_timer(0)
         except BaseException:
             self._fail()
 

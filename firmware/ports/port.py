@@ -11,7 +11,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
-_FULL = const(65535)  # duty_u16
+_FULL_DUTY = const(65535)  # of duty_u16(): always high
 _INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 
 
@@ -91,7 +91,7 @@ class PortPins(PortInputs):
         """Set the spindle outputs: on or off, and PWM power from 0 to pwm_max. May be called in an
         interrupt."""
         if self.pwm:
-            self.pwm.duty_u16(power * _FULL // self.pwm_max)
+            self.pwm.duty_u16(power * _FULL_DUTY // self.pwm_max)
         if self._spindle_on:
             self._spindle_on.value(on != self._spindle_off)
         if self._killed:  # kill() may have come before the writes above

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 # Beat of a hard timer, and of one that goes through MicroPython's queue of 8, which must not fill
 # up.
-_HARD_MS = const(5)
-_SOFT_MS = const(50)
-_SOFT_TIMER = const(3)  # 0 is the engine's, 1 and 2 the port's
+_HARD_MS = const(5)  # between two beats of a hard timer
+_SOFT_MS = const(50)  # and of a soft one
+_SOFT_TIMER = const(3)  # its number: 0 is the engine's, 1 and 2 the port's
 
 _FAILED = const(-1)  # in shared[STOP_CAUSE]: the interrupt has raised
 _CTRL_X = const(24)
@@ -104,7 +104,8 @@ class Supervisor:
                 shared[AWAY_MS] += int(self._beat_ms)
                 if shared[AWAY_MS] == 0:
                     shared[AWAY_MS] = 1  # the allowance is used up; 0 means not away
-            # viper's numbers are unsigned here: below 0 is an absence that is allowed.
+            # viper compares as unsigned here, so a value below 0, an absence that is allowed, is
+            # excluded by its sign bit.
             if shared[AWAY_MS] & NEGATIVE == 0 and shared[AWAY_MS] >= int(self._limit_ms):
                 stops = 1
                 shared[STOP_CAUSE] = shared[AWAY_MS]
@@ -136,9 +137,9 @@ class Supervisor:
 
     def end_absence(self) -> int:
         """Note that the main loop is back. Returns how long it was away, in ms, if the machine was
-        stopped for that, else 0."""
+        stopped for that, _FAILED if the interrupt has raised, else 0."""
         self._shared[LOOP_HAS_READ] = 1
-        micropython.kbd_intr(-1)
+        micropython.kbd_intr(-1)  # no byte interrupts any longer
         away = self._shared[STOP_CAUSE]
         self._shared[STOP_CAUSE] = 0
         return away

@@ -17,11 +17,11 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-# In the order in which load() tries them: the first whole file is used.
-_NOW = ".txt"
-_NEW = ".new"
-_OLD = ".old"
-_CHECKSUM = b"#crc32="
+# Suffixes of file names, in the order in which load() tries them: the first whole file is used.
+_NOW = ".txt"  # suffix of the file in force,
+_NEW = ".new"  # of the one being written,
+_OLD = ".old"  # and of the older copy
+_CHECKSUM = b"#crc32="  # with which the last line begins
 
 _NO_SUCH_FILE = const(2)  # ENOENT
 _NO_MEMORY = const(12)  # ENOMEM
@@ -64,12 +64,12 @@ class FlashStore:
         """Return the lines stored under a name: [] if nothing was ever stored, None if no copy is
         whole. If an older copy is used, or none, the name is noted in `damaged`."""
         is_damaged = False
-        for kind in (_NOW, _NEW, _OLD):
-            data, exists = self._read(self._folder + name + kind)
+        for suffix in (_NOW, _NEW, _OLD):
+            data, exists = self._read(self._folder + name + suffix)
             lines = None if data is None else _lines(data)
             # A power cut during a save leaves a part of the new file, or all of it and no file in
-            # its place. A partial new file is no damage.
-            if kind == _OLD or (kind == _NOW and lines is None):
+            # its place. A partial new file is no damage; to need the older copy is.
+            if suffix == _OLD or (suffix == _NOW and lines is None):
                 is_damaged = is_damaged or exists
             if lines is not None:
                 if is_damaged:

@@ -73,7 +73,7 @@ _MOST_QUIET_TURNS = const(2)  # turns without input that answers wait
 _LONGEST_ANSWER = const(16)  # bytes of the answer to a line; longer data is other output
 _LATER = const(1)  # result of _collect(): the answer waits. More is a count of bytes to send
 
-_NOTE = const(0x100)  # flag in _read_ring()'s result: call UsbLink._note(); above any count
+_HAS_FLAGS = const(0x100)  # in _read_ring()'s result, above its count: call _handle_flags()
 _FLUSH = const(0x200)  # its result if no byte was read and waiting answers must be sent
 
 _SETUP = const(0x50100000)  # address of the host's last request, of RP2040's and RP2350's USB
@@ -87,16 +87,16 @@ _SET_OR_GET = const(0xFE7F)  # mask of the bits in which SET and GET do not diff
 
 @micropython.viper
 def _read_ring(state: ptr32, buf: ptr8, room: int) -> int:
-    """Move up to `room` bytes, but fewer than _NOTE, from MicroPython's ring into buf.
+    """Move up to `room` bytes, but fewer than _HAS_FLAGS, from MicroPython's ring into buf.
 
     state: the link's, by the indices of link_memory.py; state[RING_ADDRESS] is the ring's address.
-    Returns how many bytes were moved, plus _NOTE if UsbLink._note() has work to do: the port was
-    opened again, the supervisor has stopped the machine, control bytes were read that may request
-    the prompt, or no byte was moved and the ring was so full that more may wait outside it.
-    Without bytes and work, _FLUSH if answers have waited for _MOST_QUIET_TURNS calls.
+    Returns how many bytes were moved, plus _HAS_FLAGS if UsbLink._handle_flags() has work to do:
+    the port was opened again, the supervisor has stopped the machine, control bytes were read that
+    may request the prompt, or no byte was moved and the ring was so full that more may wait
+    outside it. Without bytes and work, _FLUSH if answers have waited for _MOST_QUIET_TURNS calls.
     """
-    if room >= _NOTE:
-        room = _NOTE - 1
+    if room >= _HAS_FLAGS:
+        room = _HAS_FLAGS - 1
     state[LOOP_READS_RING] = 1  # _poll_reset(), an interrupt, must not move iget now
     state[LOOP_HAS_READ] = 1  # for the supervisor: the loop is alive
     indices = ptr16(state[RING_ADDRESS])  # MicroPython's ringbuf_t, in words of 16 bits
@@ -119,7 +119,7 @@ def _read_ring(state: ptr32, buf: ptr8, room: int) -> int:
     state[LOOP_READS_RING] = 0
     flag = HAS_CONTROL_BYTES if count else RING_WAS_FULL
     if state[REOPENED] | state[STOP_CAUSE] | state[flag]:
-        return count | _NOTE
+        return count | _HAS_FLAGS
     if count == 0 and state[ANSWER_BYTES]:
         state[QUIET_TURNS] += 1
         if state[QUIET_TURNS] >= _MOST_QUIET_TURNS:
@@ -198,7 +198,7 @@ class UsbLink:
             usb_ring.find(self._state, self._drain, _read_ring)
         self.is_slow = self._state[RING_ADDRESS] == 0
         self.poll_reset: "Callable[[], int] | None" = None if self.is_slow else self._poll_reset
-        # Made now, because only now it is known whether the ring was found.
+        # Made only now: they depend on whether the ring was found.
         self.read_into = self._make_read_into()
         self._send = self._make_send()
         self.write = self._make_write()
@@ -211,8 +211,7 @@ class UsbLink:
 
     @micropython.viper
     def _poll_reset(self) -> int:
-        """Drop all bytes received up to the last Ctrl-X. Returns 1 if there was one, else 0.
-        Interrupt.
+        """Drop all bytes up to the last Ctrl-X. Returns 1 if there was one, else 0. Interrupt.
 
         It also notes whether the port is open (DTR): from TinyUSB's variable if that was found,
         else from the host's last request. state[REOPENED] becomes JUST_NOW, 1, if it is opened
@@ -265,15 +264,16 @@ class UsbLink:
         not found."""
         if self._state[RING_ADDRESS] == 0:
             return self._read_plainly
-        state, take, note, flush = for_kernels(self._state), _read_ring, self._note, self._flush
+        state, read_ring = for_kernels(self._state), _read_ring
+        handle_flags, flush = self._handle_flags, self._flush
 
         # It also sends waiting answers; that chain of calls may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
             """Store received bytes in buf; returns their number."""
-            count: int = take(state, buf, len(buf))  # with the flags of _read_ring()
-            if count < _NOTE:
+            count: int = read_ring(state, buf, len(buf))  # with the flags of _read_ring()
+            if count < _HAS_FLAGS:
                 return count
-            return flush() if count == _FLUSH else note(buf, count - _NOTE)
+            return flush() if count == _FLUSH else handle_flags(buf, count - _HAS_FLAGS)
 
         return read_into
 
@@ -325,7 +325,7 @@ class UsbLink:
         else:
             self.write(data)
 
-    def _note(self, buf: bytearray, count: int) -> int:
+    def _handle_flags(self, buf: bytearray, count: int) -> int:
         """Handle what _read_ring() has flagged: a stop by the supervisor (raises), an opened port,
         a request for the prompt among the first `count` bytes of buf, a ring that was full.
         Returns count."""
