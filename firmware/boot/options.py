@@ -4,6 +4,7 @@ tools/boardfile/options.py lists every option with its meaning. This module is n
 machine is built: a board forgets it then.
 """
 
+from base.axes import LETTERS
 from base.settings import Settings
 from base.text import text_of
 from control.canon import Canon
@@ -35,6 +36,7 @@ class Options:
         option = board.__dict__.get  # getattr() would intern the names for good
 
         self.axes: int = len(option("STEP", ()))
+        self.axis_letters = LETTERS  # of more axes than there are
         self.motors = self.axes
         self.engine: str = option("ENGINE", "")
         self.blocks: int = option("PLANNER_BLOCKS", 16)

@@ -27,6 +27,7 @@ _ORDER = (
     ("BACKLASH", "motors.backlash"),
     ("SKEW", "kinematics.skew"),
     ("ROTARY", "kinematics.rotary"),
+    ("XYUV", "kinematics.wire"),
     # Homing, from the inside out: which axes, when, and whether their input is free.
     ("HOMING", "motors.home_order"),
     ("LIMIT", "motors.shared_limits"),

@@ -128,7 +128,7 @@ def _make_states(machine: Controller, options: Options) -> None:
 def _make_language(machine: Controller, options: Options) -> None:
     """Create the G-code parser and interpreter."""
     block = Block(
-        options.axes,
+        options.axis_letters[: options.axes].encode(),
         options.mist,
         options.override_control,
         options.highest_tool,

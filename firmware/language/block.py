@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     ReadOn = Callable[[bytearray, int, int, object], int]
 
-assert b.ONLY < mode.MODAL_ROOM, "the modal state has too few places: enlarge MODAL_ROOM"
+assert b.ONLY < mode.MODAL_ROOM, "the modal state has no free place: enlarge MODAL_ROOM"
 
 _BEYOND = 2147483648.0
 
@@ -270,20 +270,20 @@ def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> 
 class Block:
     """The block of the line being interpreted. Reused for every line.
 
-    ints, singles, xyz: its integers, numbers and axis words (block_layout.py). longest: most
-    characters in a line.
+    letters: those of the machine's axes. ints, singles, xyz: the block's integers, numbers and
+    axis words (block_layout.py). longest: most characters in a line.
     """
 
     def __init__(
         self,
-        axes: int,
+        letters: bytes,
         has_mist: bool,
         has_override_control: bool,
         highest_tool: int = b.HIGHEST_TOOL,
         longest: int = LINE_LENGTH,
     ) -> None:
         self.ints = array("i", (0 for _ in range(mode.MODAL_ROOM)))
-        self.axes = axes
+        self.axes = axes = len(letters)
         self.xyz = vector(axes)
         self.singles = vector(b.SINGLES)
         self.singles[b.TOOL_LIMIT], self.singles[b.INCH_MM] = highest_tool, 25.4
@@ -300,8 +300,10 @@ class Block:
             self._index[M_WORDS + 7] = 0
         if not has_override_control:
             self._index[M_WORDS + 56] = 0
-        for i in range(axes, _BIT_I):
+        for i in range(_BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - _A] = _NO_LETTER
+        for i in range(axes):
+            self._index[_INDEXED + letters[i] - _A] = i
         self._rows = dictionary
 
     @property

@@ -26,7 +26,7 @@ class Paper:
         settings = Settings(store, 3, {})
         settings.load()
         self.modes, self.coords = Modes(3), Coords(store, 3, 2)
-        block, state = Block(3, True, True), State()
+        block, state = Block(b"XYZ", True, True), State()
         state.hooks.probe, state.hooks.write_offsets = self._probe, self.coords.write
         machine: Any = SimpleNamespace(
             modes=self.modes,

@@ -43,6 +43,7 @@ _ASKED: "dict[str, dict[str, Any]]" = {
     "motors.backlash": {"BACKLASH": True, "defaults": {160: _SLACK_MM}},
     "kinematics.skew": {"SKEW": True, "defaults": {780: _SKEW * 1000}},
     "kinematics.rotary": {"ROTARY": "A", "axes": "A"},
+    "kinematics.wire": {"XYUV": True, "axes": "A"},
     "motors.home_order": {"HOMING": ("Z", "XY")},
     "motors.shared_limits": {"shared": True},
     "motors.tmc2209": {"drivers": True},

@@ -62,22 +62,18 @@ def _taken() -> set[str]:
     return {"board", "ugrbl", "kernels", *BUILT_IN, *ours}
 
 
-_PARENTHESES = "and wants parentheses and commas: (2, 3, 4)"
+_PARENTHESES = "but needs parentheses and commas: (2, 3, 4)"
 PIN = Kind("pin", _is_pin, ": pins are numbers")
 PINS = Kind("pins", _are_pins, _PARENTHESES)
 PIN_OR_PINS = Kind("pin, or pins", lambda value: _is_pin(value) or _are_pins(value), PIN.wants)
-COUNT = Kind("whole number", lambda value: type(value) is int, ": it is a whole number")
+COUNT = Kind("whole number", lambda value: type(value) is int, ": it must be a whole number")
 NUMBERS = Kind("numbers", _are_numbers, _PARENTHESES)
-SWITCH = Kind("True or False", lambda value: type(value) is bool, ": it is True or False")
-WORD = Kind("word", lambda value: isinstance(value, str), 'and wants quotation marks: "{}"')
-MODULE = Kind(
-    "name",
-    _is_module,
-    ": it is the name of a file without .py, and none of the firmware's own",
-)
-NAMES = Kind("names", _are_names, 'and wants parentheses and a comma: ("FLOOD",)')
-NAMED_PINS = Kind("{name: pin}", _are_named_pins, 'and not of the form {"vacuum": 20}')
-VALUES = Kind("{number: value}", _are_values, "and not of the form {100: 800.0}")
+SWITCH = Kind("True or False", lambda value: type(value) is bool, ": it must be True or False")
+WORD = Kind("word", lambda value: isinstance(value, str), 'but needs quotation marks: "{}"')
+MODULE = Kind("name", _is_module, ": it must be a file's name without .py, not a firmware module")
+NAMES = Kind("names", _are_names, 'but needs parentheses and a comma: ("FLOOD",)')
+NAMED_PINS = Kind("{name: pin}", _are_named_pins, 'but must have the form {"vacuum": 20}')
+VALUES = Kind("{number: value}", _are_values, "but must have the form {100: 800.0}")
 
 # The default of an option without which there is no machine, or no such engine or tool.
 NEEDED = object()
@@ -126,14 +122,14 @@ INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 OPTIONS = (
     Option(
         *("CHIP", WORD, None),
-        "The chip or module, for tools; without it the chip that MPY_ARCH is for.",
+        "Chip or module, read by the tools. Without it: the chip that MPY_ARCH is for.",
         words=lambda: CHIPS,
     ),
-    Option("MPY_ARCH", WORD, NEEDED, "What is compiled for.", words=lambda: ARCHS),
+    Option("MPY_ARCH", WORD, NEEDED, "Processor to compile for.", words=lambda: ARCHS),
     Option(
         *("ENGINE", WORD, NEEDED),
-        'Who makes the pulses: "pio" on RP2 chips, "rmt" or "i2s" on an ESP32, "sim" in the '
-        "simulator. $I says so.",
+        'Step engine: "pio" on RP2 chips, "rmt" or "i2s" on an ESP32, "sim" in the '
+        "simulator. $I reports it.",
         words=lambda: (*engines.engines(), engines.SIMULATOR),
     ),
     Option(
@@ -146,7 +142,7 @@ OPTIONS = (
     # Motors.
     Option(
         *("STEP", PINS, NEEDED),
-        "Step pins, one per motor: how many there are is how many axes the machine has.",
+        "Step pins, one per motor. Their number is the number of axes.",
     ),
     Option("DIR", PINS, NEEDED, "Direction pins, one per motor."),
     Option(
@@ -160,10 +156,10 @@ OPTIONS = (
     Option("DIR_HOLD_US", COUNT, 2, 'Direction stays so many us behind a step. ENGINE "pio".'),
     Option("DIR_SETUP_US", COUNT, 5, 'Direction is there so many us before a step. ENGINE "pio".'),
     Option("I2S", PINS, NEEDED, 'Pins of the shift register: BCK, WS, DATA. ENGINE "i2s".'),
-    Option("I2S_RATE_HZ", COUNT, NEEDED, 'Its frames a second. ENGINE "i2s".', low=1),
+    Option("I2S_RATE_HZ", COUNT, NEEDED, 'Frames per second of I2S. ENGINE "i2s".', low=1),
     Option(
         *("I2S_BUFFERS", COUNT, NEEDED),
-        'DMA buffers of 2 ms: motion made ahead. ENGINE "i2s".',
+        'Number of DMA buffers of 2 ms: motion prepared ahead. ENGINE "i2s".',
         low=8,  # five are made ahead at rest, two are left free
     ),
     Option(
@@ -179,16 +175,16 @@ OPTIONS = (
     Option("COREXY", SWITCH, False, "Motors A and B move X and Y together (CoreXY)."),
     Option(
         *("MOVES", NAMES, ()),
-        'What each motor moves: ("X+Z", "Y", "X-Z") for a CoreXZ. See docs/motors.md.',
+        'Axes that each motor moves: ("X+Z", "Y", "X-Z") for a CoreXZ. See docs/motors.md.',
     ),
     Option(
         *("TMC2209", NUMBERS, ()),
         "Addresses of TMC2209 drivers, one per motor, 0 to 3: see docs/drivers.md.",
     ),
-    Option("TMC_UART", PINS, (), "Pins of their serial line: TX, RX."),
+    Option("TMC_UART", PINS, (), "Pins of the serial line to TMC2209 drivers: TX, RX."),
     Option(
         *("TMC_SENSE_MOHM", COUNT, 110),
-        "Their sense resistors, thousandths of an ohm.",
+        "Sense resistors of TMC2209 drivers, thousandths of an ohm.",
         low=10,
         high=1000,
     ),
@@ -209,10 +205,10 @@ OPTIONS = (
         *("DUAL_LIMIT_SWITCHES", SWITCH, False),
         "Both ends of an axis share its limit input: no homing from a closed switch.",
     ),
-    Option("PROBE", PIN, None, "Probe to ground."),
+    Option("PROBE", PIN, None, "Probe pin; contact connects it to ground."),
     Option(
         *("CONTROL", PINS, ()),
-        "Inputs to ground: reset, hold, start, door; None where there is none.",
+        "Control inputs, switched to ground: reset, hold, start, door; None where not wired.",
     ),
     Option(
         *("CONTROL_INVERT", COUNT, 0),
@@ -226,14 +222,14 @@ OPTIONS = (
     ),
     Option(
         *("NO_PULL_UP", PINS, ()),
-        "Pins that can only be inputs, without pull-ups: resistors do that on the board.",
+        "Pins without pull-ups, which can only be inputs; the board has resistors for them.",
     ),
     Option(
         *("REPL_PIN", PIN, None),
-        "Held to ground at power-up: MicroPython's prompt, and no machine.",
+        "Pin that, held to ground at power-up, starts MicroPython's prompt and no machine.",
     ),
     # Outputs.
-    Option("SPINDLE_PWM", PIN, None, "Power of spindle or laser, as a pulse width."),
+    Option("SPINDLE_PWM", PIN, None, "Pin for the power of spindle or laser (PWM)."),
     Option("PWM_HZ", COUNT, 5000, "Pulses a second of SPINDLE_PWM.", low=1),
     Option(
         *("PWM_MAX", COUNT, 1000),
@@ -241,18 +237,18 @@ OPTIONS = (
         low=1,
         high=16383,  # times 65535 is still a small integer, which an interrupt needs
     ),
-    Option("SPINDLE_ON", PIN, None, "Spindle on and off."),
+    Option("SPINDLE_ON", PIN, None, "Pin that switches the spindle on and off."),
     Option(
         *("SPINDLE_DIR", PIN, None),
-        "Spindle direction: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.",
+        "Spindle direction pin: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.",
     ),
     Option(
         *("SPINDLE_ENABLE_PIN", SWITCH, False),
         "The spindle direction pin says that the spindle is on.",
     ),
-    Option("FLOOD", PIN, None, "Flood coolant."),
-    Option("MIST_PIN", PIN, None, "Mist coolant, with MIST."),
-    Option("MIST", SWITCH, False, "A mist output: M7 and its override."),
+    Option("FLOOD", PIN, None, "Pin for flood coolant."),
+    Option("MIST_PIN", PIN, None, "Pin for mist coolant; needs MIST."),
+    Option("MIST", SWITCH, False, "Enables mist coolant: M7 and its override."),
     Option(
         *("INVERT", NAMES, ()),
         'Names of outputs that are on when low: ("SPINDLE_PWM", "FLOOD"). ENABLE has $4.',
@@ -286,7 +282,11 @@ OPTIONS = (
     ),
     Option(
         *("ROTARY", WORD, ""),
-        'Axes that turn, "A" or "AC": degrees in place of mm. See docs/motors.md.',
+        'Rotary axes, "A" or "AC": degrees in place of mm. See docs/motors.md.',
+    ),
+    Option(
+        *("XYUV", SWITCH, False),
+        "A wire cutter: the four motors are X, Y, U and V. See docs/motors.md.",
     ),
     Option(
         *("HOMING", NAMES, ()),
@@ -329,14 +329,14 @@ OPTIONS = (
     ),
     Option(
         *("SD_CARD", PINS, ()),
-        "An SD card's pins, SPI: clock, to the card, from it, select. Programs live there then.",
+        "SPI pins of an SD card for programs: clock, to the card, from the card, select.",
     ),
     Option(
         *("POWER_FAIL", PIN, None),
         "A contact to ground that opens when the supply fails: see docs/jobs.md.",
     ),
-    Option("POWER_FAIL_MS", COUNT, 100, "The supply lasts so many ms after that.", low=20),
-    Option("POWER_FAIL_UP_MM", COUNT, 0, "Z then goes up so many mm, if homed and in time."),
+    Option("POWER_FAIL_MS", COUNT, 100, "Milliseconds from POWER_FAIL to loss of power.", low=20),
+    Option("POWER_FAIL_UP_MM", COUNT, 0, "Z moves up so many mm at POWER_FAIL, if homed."),
     Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
@@ -356,11 +356,11 @@ OPTIONS = (
     ),
     Option(
         *("KINEMATICS", MODULE, ""),
-        "Kinematics of your own, a module beside board.py, by name: see docs/kinematics.md.",
+        "Name of a module with your own kinematics, in board.py's folder: see docs/kinematics.md.",
     ),
     Option(
         *("EXTRAS", NAMES, ()),
-        "Modules of your own beside board.py, by name: see docs/extending.md.",
+        "Names of your own modules in the folder of board.py: see docs/extending.md.",
     ),
     Option(
         *("CUSTOM", MODULE, "custom"),
@@ -374,26 +374,26 @@ OPTIONS = (
     Option("PUNCH_UP_SENSOR", PIN, NEEDED, "Sensor of the punch being up."),
     Option(
         *("PUNCH_TIMEOUT_MS", COUNT, 1000),
-        "So many ms a stroke of the punch takes at the most, one way.",
+        "Longest time of a stroke of the punch, one way, in ms.",
         low=1,
     ),
     Option(
         *("SEGMENT_QUEUE", COUNT, 5),
-        "Simulator: segments that its pulses have ready.",
+        "Simulator: segments that the step engine has buffered.",
         low=1,
     ),
-    Option("ANSWER_US", COUNT, 0, "Simulator: so many us it works on a line."),
+    Option("ANSWER_US", COUNT, 0, "Simulator: time to process a line, in us."),
     Option(
         *("LOOP_US", COUNT, 0),
-        "Simulator: so many us a turn of its main loop takes while it moves.",
+        "Simulator: time of one turn of the main loop during motion, in us.",
     ),
     Option(
         *("START_US", COUNT, 0),
-        "Simulator: so many us it works on the first segments of a motion.",
+        "Simulator: time to compute the first segments of a motion, in us.",
     ),
     Option(
         *("PUNCH_STROKE_MS", COUNT, 40),
-        "Simulator: so many ms a stroke of the punch takes, one way.",
+        "Simulator: time of a stroke of the punch, one way, in ms.",
         low=1,
     ),
 )

@@ -28,7 +28,7 @@ def _taken(word: str, modal: "array[int]") -> "Block | None":
     refuses it."""
     from language.block import Block, read
 
-    block = Block(3, has_mist=True, has_override_control=True)
+    block = Block(b"XYZ", has_mist=True, has_override_control=True)
     line = bytearray(word.encode() + b"\0")
     span = len(word) << 8  # the line's end, with its start, 0, in the lower byte
     parts = block.ints, block.singles, block.xyz, block.axes

@@ -42,7 +42,7 @@ _FAR = 1e9  # degrees: beyond every machine, and a whole number for int()
 _EXACT = 16777216.0
 _PER_INCH = minifloat.real(1 / 25.4)
 # Lines without a programmed feed rate, or with one that applies to all axes.
-_ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
+ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
 
 
 class RotaryPlanner(Planner):
@@ -65,7 +65,7 @@ class RotaryPlanner(Planner):
         linear part by the factor of stretch(), and so the rate is higher by it. The rate of a line
         of rotary axes only is in degrees; with G20 it was multiplied by 25.4, which is undone.
         """
-        if not flags & _ITS_OWN_RATE:
+        if not flags & ITS_OWN_RATE:
             factor = stretch(target, self.table, self.ring, self.flow, self.linear)
             if factor == 0:  # no linear axis moves
                 factor = _PER_INCH if self.block.ints[INCHES] else minifloat.ONE
@@ -75,7 +75,7 @@ class RotaryPlanner(Planner):
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """Plan an arc's chords, as Planner.chords(). rate() multiplies its result by on_arc
         meanwhile."""
-        if not move.flags & _ITS_OWN_RATE:
+        if not move.flags & ITS_OWN_RATE:
             self._times = self.on_arc
         result = super().chords(course, move, power, moves)
         self._times = minifloat.ONE

@@ -6,7 +6,6 @@ are 0, the order is Grbl's own. $180 and $190 are rates of each axis.
 """
 
 from base import errors
-from base.axes import LETTERS
 from base.errors import GrblError
 from base.settings import AXIS, INT
 from micropython import const
@@ -57,7 +56,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for i, word in enumerate(words):
         mask = 0
         for letter in word:
-            axis = LETTERS[: options.axes].find(letter)
+            axis = options.axis_letters[: options.axes].find(letter)
             if axis < 0 or seen >> axis & 1:
                 raise ValueError("HOMING: %s is no axis, or there twice" % letter)
             seen |= 1 << axis

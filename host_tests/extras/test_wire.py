@@ -1,0 +1,160 @@
+"""Test a wire cutter (XYUV): letters, feed rates of the two ends, arcs, homing, refusals."""
+
+import math
+from types import ModuleType
+from typing import Any
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from motion.layout import ROW_AXES, ROW_STRIDE
+from rig_bench import Machine
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim.engine import Switch
+
+_PER_MM = 250
+_SWIFT = {
+    **{110 + i: 60000.0 for i in range(4)},
+    **{120 + i: 100000.0 for i in range(4)},
+}
+_MM = st.integers(-400, 400).map(lambda tenths: tenths / 10)
+
+
+def board(**options: Any) -> ModuleType:
+    """Return the board sim_wire with other options."""
+    made = ModuleType("board")
+    made.__dict__.update({**vars(load_board("sim_wire")), **options})
+    return made
+
+
+def played(*lines: str, **options: Any) -> Machine:
+    """Return a wire cutter after these lines."""
+    machine = Machine(_SWIFT, board(**options))
+    machine.play(lines)
+    return machine
+
+
+def places(machine: Machine) -> "list[float]":
+    """Return the motors' positions, mm."""
+    return [steps / _PER_MM for steps in machine.physical()]
+
+
+def seconds(machine: Machine) -> float:
+    """Return the time from the first row to the end of the last."""
+    first, (start, row) = machine.rows[0][0], machine.rows[-1]
+    return float(start + row[0] - first) / machine.rig.engine.tick_hz
+
+
+def test_words_u_and_v_move_the_third_and_fourth_motor() -> None:
+    machine = played("G0X1Y2U3V4", "G91", "G1U-1V1F900", "$J=G91X1U1F900")
+    assert places(machine) == [2, 2, 3, 5]
+    assert machine.reported() == [2, 2, 3, 5]
+
+
+@pytest.mark.parametrize("word", ["Z1", "A1", "B1", "W1"])
+def test_letters_of_other_machines_are_refused_and_nothing_moves(word: str) -> None:
+    machine = played(f"G0X1{word}")
+    assert "error:20" in machine.received
+    assert places(machine) == [0, 0, 0, 0]
+
+
+def test_a_machine_without_the_option_has_no_u() -> None:
+    assert "error:20" in played("G0U1", XYUV=False).received
+
+
+def test_offsets_and_probed_places_are_in_the_order_of_the_motors() -> None:
+    received = played("G10L2P1X1Y2U3V4", "G92V7", "$#").received
+    assert "[G54:1.000,2.000,3.000,4.000]" in received
+    assert "[G92:0.000,0.000,0.000,-11.000]" in received  # machine position 0 is 7: 0 - 4 - 7
+
+
+@pytest.mark.parametrize(
+    ("line", "mm"),
+    [
+        ("X10U10", 10.0),  # straight: not the 14 mm of all four axes
+        ("X3Y4U6V8", 10.0),  # the second end has the longer way
+        ("X6Y8U3V4", 10.0),
+        ("X6Y8", 10.0),  # one end stands
+        ("U6V8", 10.0),
+    ],
+)
+def test_the_end_with_the_longer_way_moves_at_the_feed_rate(line: str, mm: float) -> None:
+    assert seconds(played(f"G1{line}F600")) == pytest.approx(mm / 600 * 60, rel=0.01)
+
+
+@pytest.mark.thorough
+@given(_MM, _MM, _MM, _MM, st.integers(100, 1500))
+def test_any_line_takes_the_time_of_its_longer_end(
+    x: float, y: float, u: float, v: float, feed: int
+) -> None:
+    longer = max(math.hypot(x, y), math.hypot(u, v))
+    assume(longer > 5)
+    took = seconds(played(f"G1X{x}Y{y}U{u}V{v}F{feed}"))
+    assert took == pytest.approx(longer / feed * 60, rel=0.01)
+
+
+@pytest.mark.parametrize("line", ["G93G1X3Y4U6V8F30", "G93G1U1F30"])
+def test_inverse_time_is_the_time_of_the_line(line: str) -> None:
+    assert seconds(played(line)) == pytest.approx(2, rel=0.01)
+
+
+@pytest.mark.parametrize("end", ["", "U5", "U5V5"])
+def test_on_an_arc_x_and_y_move_at_the_feed_rate(end: str) -> None:
+    machine = played(f"G2X20I10{end}F1200")
+    assert seconds(machine) == pytest.approx(math.pi * 10 / 1200 * 60, rel=0.02)
+    assert places(machine)[:2] == [20, 0]
+
+
+def test_rates_of_a_jog_and_in_inches_are_those_of_the_longer_end() -> None:
+    assert seconds(played("$J=X3Y4U6V8F600")) == pytest.approx(1, rel=0.01)
+    assert seconds(played("G20", "G1X1U2F60")) == pytest.approx(2, rel=0.01)
+
+
+def homed(**options: Any) -> Machine:
+    """Return a machine after $H, with a switch per motor, each at another distance."""
+    settings = {22: 1, 24: 300, 25: 3000, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(4)}}
+    machine = Machine({**settings, **{120 + i: 400.0 for i in range(4)}}, board(**options))
+    switches = machine.rig.engine.switches
+    # The simulator names the inputs of motors 2 and 3 as on other machines.
+    switches[:] = [
+        Switch(f"limit_{name}", i, True, 500 + 250 * i) for i, name in enumerate("xyza")
+    ]
+    machine.play(["$H"])
+    return machine
+
+
+def first_motors(machine: Machine) -> "set[int]":
+    """Return the motors that make steps in the first ten rows."""
+    return {
+        motor
+        for _, row in machine.rows[:10]
+        for motor in range(4)
+        if row[ROW_AXES + ROW_STRIDE * motor]
+    }
+
+
+def test_both_ends_are_homed_together() -> None:
+    machine = homed()
+    assert machine.reported() == [-1] * 4
+    assert first_motors(machine) == {0, 1, 2, 3}
+
+
+def test_homing_has_the_order_of_the_board_file() -> None:
+    machine = homed(HOMING=("YV", "XU"))
+    assert machine.reported() == [-1] * 4
+    assert first_motors(machine) == {1, 3}
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"STEP": (0, 1, 2)}, "XYUV needs four motors, those of X, Y, U and V, in STEP and DIR"),
+        ({"ROTARY": "A"}, "XYUV and ROTARY are not for the same machine"),
+        ({"JOBS": "jobs"}, "XYUV and JOBS are not for the same machine"),
+        ({"PARKING": True}, "XYUV and PARKING are not for the same machine"),
+        ({"HOMING": ("Z", "XY")}, "HOMING: Z is no axis, or there twice"),
+    ],
+)
+def test_a_board_file_that_does_not_fit_is_refused(options: "dict[str, Any]", why: str) -> None:
+    assert why in board_check.problems(board(**options))
