@@ -17,18 +17,20 @@ from micropython import const
 
 RESOLUTION_HZ = const(1_000_000)
 
-# A pin's word in the GPIO matrix: the signal that it outputs, and whether it is inverted.
-_SIGNAL = const(0x1FF)
-_REGISTER = const(0x100)  # no signal, but the pin's own level
-_INVERTED = const(0x200)
+# A pin's word in the GPIO matrix.
+_SIGNAL_BITS = const(0x1FF)  # the number of the signal that it outputs
+_OWN_LEVEL = const(0x100)  # no signal, but the pin's own level
+_INVERTED = const(0x200)  # the pin is inverted
 
-# Per chip: symbols in a block of RMT's memory, blocks, RMT's first signal, the word of pin 0.
+# Per chip: symbols in a block of RMT's memory, blocks, RMT's first signal, pin 0's word's address.
 _ESP32 = (64, 8, 87, 0x3FF44530)
 _ESP32_S3 = (48, 4, 81, 0x60004554)
 
 
 def _chip() -> "tuple[int, int, int, int]":
-    """Return this chip's row of the numbers above. ValueError for an ESP32-S2."""
+    """Return this chip's numbers: symbols in a block of RMT's memory, its blocks, the number of
+    its first signal, and the address of pin 0's word in the GPIO matrix. Raises ValueError on an
+    ESP32-S2."""
     name = sys.implementation._machine.split(" with ")[-1].replace("-", "")
     if name.startswith("ESP32S2"):
         raise ValueError("ENGINE = rmt is for ESP32 and ESP32-S3")
@@ -47,19 +49,20 @@ class Channel:
     axes: how many there are; they share RMT's memory."""
 
     def __init__(self, number: int, pin: int, axes: int) -> None:
-        symbols, blocks, first_signal, word_0 = _chip()
+        symbols, blocks, first_signal, pin_0_word = _chip()
         step = machine.Pin(pin, machine.Pin.OUT, value=0)
         self._rmt = esp32.RMT(
             number, pin=step, resolution_hz=RESOLUTION_HZ, num_symbols=symbols * (blocks // axes)
         )
-        self._word = word_0 + 4 * pin  # address of the pin's word in the GPIO matrix
-        self._signal = machine.mem32[self._word] & _SIGNAL
+        self._matrix_word = pin_0_word + 4 * pin  # address of the pin's word in the GPIO matrix
+        self._signal = machine.mem32[self._matrix_word] & _SIGNAL_BITS
+        # The pin must output one of RMT's signals now.
         if not 0 <= self._signal - first_signal < blocks:
             raise ValueError(
-                "pin %d does not follow the pulses of RMT: is it an output, and free?" % pin
+                "pin %d does not output the pulses of RMT: is it an unused output pin?" % pin
             )
-        self._inverted = 0
-        self.cut()
+        self._inverted = 0  # or _INVERTED
+        self.cut()  # until play()
 
     def invert(self, on: int) -> None:
         """Make pulses low (on = 1), or high (0). Only while idle."""
@@ -68,9 +71,9 @@ class Channel:
 
     def cut(self) -> None:
         """Disconnect the pin from the channel, at its idle level."""
-        machine.mem32[self._word] = _REGISTER | self._inverted
+        machine.mem32[self._matrix_word] = _OWN_LEVEL | self._inverted
 
     def play(self, durations: "list[int]") -> None:
         """Start a train: durations in us, a pause first; the last train must have ended."""
-        machine.mem32[self._word] = self._signal | self._inverted
+        machine.mem32[self._matrix_word] = self._signal | self._inverted
         self._rmt.write_pulses(durations, False)

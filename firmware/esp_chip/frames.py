@@ -4,7 +4,7 @@
 A frame is one 32-bit word: the levels of all outputs for some microseconds. Frames come in buffers
 of 256, the length of one DMA buffer of machine.I2S. A lane is the state of one axis, a few
 integers. Times are in ticks, 16 per frame, from the start of the buffer being filled; they may be
-later than its end. Only positions may be negative.
+later than its end. Only positions may be negative. A buffer has 256 frames, 4096 ticks.
 
 A pulse never crosses the end of a buffer: zeros may follow (see i2s.py), and must not replace the
 second half of a step. Called in the engine's turns; nothing here allocates.
@@ -21,35 +21,43 @@ from micropython import const
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from motion.slice_kernel import leading
 
-from esp_chip.i2s_layout import BEFORE, BEGAN, MADE, NOWHERE, NUMBER, PLAYING, SENT
+from esp_chip.i2s_layout import (
+    MADE,
+    NOT_FILLED,
+    NUMBER,
+    PLAYING,
+    PLAYING_SINCE,
+    SENT,
+    ZEROS_BEFORE,
+)
 
 FRAMES = const(256)  # per buffer: DMA_BUF_LEN_IN_I2S_FRAMES of MicroPython's machine_i2s.c
 FRAME_LOG2 = const(4)  # log2 of the ticks per frame
-_TICKS = const(4096)  # per buffer
+_BUFFER_TICKS = const(4096)  # per buffer
 
 # Lanes: integers per axis, and the index of each among them.
 LANE = const(12)
-STEP = const(0)  # the bit of its step output,
-DIR = const(1)  # and of its direction output
-INVERT = const(2)  # 1: the direction output is high forwards
-BACK = const(3)  # 1: it turns backwards
-TURN = const(4)  # 1 + frame of the direction output's next change; 0: no change is due
-FREE = const(5)  # first frame in which it may step
-LEFT = const(6)  # steps of the row that are still to be made,
-NEXT = const(7)  # the next one's tick,
+STEP_BIT = const(0)  # mask with the bit of its step output,
+DIR_BIT = const(1)  # and of its direction output
+DIR_INVERT = const(2)  # 1: the direction output is high forwards, 0: backwards
+BACKWARDS = const(3)  # 1: the axis turns backwards
+CHANGE_DUE = const(4)  # 1 + frame of the direction output's next change; 0: no change is due
+FREE_FRAME = const(5)  # first frame in which the axis may step
+STEPS_LEFT = const(6)  # steps of the row that are still to be made,
+NEXT_TICK = const(7)  # tick of the next one of these,
 GAP = const(8)  # ticks from step to step,
-LONGER = const(9)  # how many of the next gaps are one tick longer,
+FIRST_LONGER = const(9)  # how many of the next gaps are one tick longer,
 PLACE = const(10)  # position after all steps put into buffers
 LAST_LONGER = const(11)  # and how many of the row's last gaps are
 
 # Integers shared by all lanes (timing): indexes.
 AXES = const(0)  # number of lanes
-PULSE = const(1)  # frames of a pulse
-SETUP = const(2)  # frames from a change of direction to a step
-WORD = const(3)  # levels of the direction outputs at the end of the filled frames
+PULSE_FRAMES = const(1)  # frames of a pulse
+SETUP_FRAMES = const(2)  # frames from a change of direction to a step
+DIR_LEVELS = const(3)  # levels of the direction outputs at the end of the filled frames
 ROW_END = const(4)  # tick at which the row ends
 LOCKED = const(5)  # mask of locked axes, which do not step
-ENABLE = const(6)  # the enable outputs, for the next buffer
+ENABLE_BITS = const(6)  # levels of the enable outputs, for the next buffer
 TIMING_LENGTH = const(7)
 
 
@@ -65,42 +73,44 @@ def blank(frames: ptr32, word: int) -> int:
 def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
     """Start the next buffer: no steps yet, but the due changes of direction.
 
-    Returns its first word: the outputs before any change.
+    Returns its first word: the outputs before any change. frames: all words are overwritten.
     """
-    start = timing[WORD] | timing[ENABLE]
+    start = timing[DIR_LEVELS] | timing[ENABLE_BITS]
     for i in range(FRAMES):
         frames[i] = start
     for i in range(timing[AXES]):
-        turn = lanes[LANE * i + TURN]
-        if turn:
-            lanes[LANE * i + TURN] = 0
-            flip = lanes[LANE * i + DIR]
-            timing[WORD] = timing[WORD] ^ flip
-            for k in range(turn - 1, FRAMES):
+        change_due = lanes[LANE * i + CHANGE_DUE]
+        if change_due:
+            lanes[LANE * i + CHANGE_DUE] = 0
+            flip = lanes[LANE * i + DIR_BIT]
+            timing[DIR_LEVELS] = timing[DIR_LEVELS] ^ flip
+            for k in range(change_due - 1, FRAMES):
                 frames[k] = frames[k] ^ flip
     return start
 
 
 @micropython.viper
 def end_buffer(timing: ptr32, lanes: ptr32) -> int:
-    """Make all times in timing and lanes relative to the start of the next buffer."""
-    end = timing[ROW_END] - _TICKS
+    """Make all times in timing and lanes relative to the start of the next buffer; those that are
+    past become 0. A change of direction in CHANGE_DUE is never past."""
+    end = timing[ROW_END] - _BUFFER_TICKS
     timing[ROW_END] = end if end > 0 else 0
     for i in range(timing[AXES]):
         lane = LANE * i
-        free = lanes[lane + FREE] - FRAMES
-        lanes[lane + FREE] = free if free > 0 else 0
-        tick = lanes[lane + NEXT] - _TICKS
-        lanes[lane + NEXT] = tick if tick > 0 else 0
-        if lanes[lane + TURN]:
-            lanes[lane + TURN] = lanes[lane + TURN] - FRAMES
+        free = lanes[lane + FREE_FRAME] - FRAMES
+        lanes[lane + FREE_FRAME] = free if free > 0 else 0
+        tick = lanes[lane + NEXT_TICK] - _BUFFER_TICKS
+        lanes[lane + NEXT_TICK] = tick if tick > 0 else 0
+        if lanes[lane + CHANGE_DUE]:
+            lanes[lane + CHANGE_DUE] = lanes[lane + CHANGE_DUE] - FRAMES
     return 0
 
 
 @micropython.viper
 def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
     """Make a row that takes the owed steps back, `gap` ticks apart. Returns the steps of the axis
-    that makes the most; 0 if none is owed. owed: per axis, positive or negative; becomes 0."""
+    that makes the most; 0 if none is owed. owed: per axis, steps too far: positive or negative;
+    becomes 0."""
     most = 0
     dirs = 0
     for i in range(axes):
@@ -114,7 +124,7 @@ def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
             most = steps
         base = ROW_AXES + ROW_STRIDE * i
         row[base] = steps
-        row[base + 1] = gap
+        row[base + 1] = gap  # tick of the first one, and of the last one
         row[base + 2] = gap * steps
     row[ROW_TICKS] = gap * (most + 1)
     row[ROW_DIRS] = dirs
@@ -123,7 +133,7 @@ def make_return_row(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
 
 @micropython.viper
 def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
-    """Return by how many ticks a row must start later than ROW_END.
+    """Return by how many ticks a row must start later than ROW_END; 0: it can follow at once.
 
     All axes wait for one that would reverse too soon after its last step, or whose pulses would
     overlap.
@@ -134,12 +144,12 @@ def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
         base = ROW_AXES + ROW_STRIDE * i
         if row[base] and (timing[LOCKED] >> i) & 1 == 0:
             lane = LANE * i
-            earliest = lanes[lane + FREE]  # frame of the first step
-            if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
-                turn = start >> FRAME_LOG2  # frame in which the direction changes
-                if turn > earliest:
-                    earliest = turn
-                earliest += timing[SETUP]
+            earliest = lanes[lane + FREE_FRAME]  # frame of the first step
+            if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACKWARDS]:
+                change_frame = start >> FRAME_LOG2  # in which the direction changes
+                if change_frame > earliest:
+                    earliest = change_frame
+                earliest += timing[SETUP_FRAMES]
             needed = (earliest << FRAME_LOG2) - start - row[base + 1]
             if needed > late:
                 late = needed
@@ -152,36 +162,36 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
     for render(), and change directions in the buffer.
 
     Ticks and frames count from the start of the buffer that is being filled. A direction changes
-    in the first frame in which its axis may step (FREE) and the row has begun.
+    in the first frame in which its axis may step (FREE_FRAME) and the row has begun.
     """
-    now = timing[ROW_END] >> FRAME_LOG2  # frame in which the last row ends
+    now = timing[ROW_END] >> FRAME_LOG2  # frame in which the last row ends, before the delay
     start = timing[ROW_END] + late
     timing[ROW_END] = start + row[ROW_TICKS]
     for i in range(timing[AXES]):
         lane = LANE * i
         base = ROW_AXES + ROW_STRIDE * i
         steps = row[base] if (timing[LOCKED] >> i) & 1 == 0 else 0
-        lanes[lane + LEFT] = steps
+        lanes[lane + STEPS_LEFT] = steps
         if steps:
-            lanes[lane + NEXT] = start + row[base + 1]
+            lanes[lane + NEXT_TICK] = start + row[base + 1]
             if steps > 1:
                 span = row[base + 2] - row[base + 1]
                 lanes[lane + GAP] = span // (steps - 1)
                 longer = span % (steps - 1)  # gaps that are one tick longer: some of the first,
                 first_longer = int(leading(steps - 1, lanes[lane + GAP], longer))
-                lanes[lane + LONGER] = first_longer
+                lanes[lane + FIRST_LONGER] = first_longer
                 lanes[lane + LAST_LONGER] = longer - first_longer  # and the others of the last
-            if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
-                lanes[lane + BACK] = 1 - lanes[lane + BACK]
-                turn = lanes[lane + FREE]  # frame in which the direction changes
-                if now > turn:
-                    turn = now
-                if turn >= FRAMES:  # in a later buffer
-                    lanes[lane + TURN] = turn + 1  # 0 would mean that none is due
+            if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACKWARDS]:
+                lanes[lane + BACKWARDS] = 1 - lanes[lane + BACKWARDS]
+                change_frame = lanes[lane + FREE_FRAME]  # in which the direction changes
+                if now > change_frame:
+                    change_frame = now
+                if change_frame >= FRAMES:  # in a later buffer
+                    lanes[lane + CHANGE_DUE] = change_frame + 1  # 0 would mean that none is due
                 else:
-                    flip = lanes[lane + DIR]
-                    timing[WORD] = timing[WORD] ^ flip
-                    for k in range(turn, FRAMES):
+                    flip = lanes[lane + DIR_BIT]
+                    timing[DIR_LEVELS] = timing[DIR_LEVELS] ^ flip
+                    for k in range(change_frame, FRAMES):
                         frames[k] = frames[k] ^ flip
     return 0
 
@@ -190,50 +200,51 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
 def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
     """Put the row's steps into the buffer, up to its end. Returns 1 if the row is over and the
     buffer has space for another one, else 0."""
-    over = 1 if timing[ROW_END] < _TICKS else 0
-    pulse = timing[PULSE]
+    over = 1 if timing[ROW_END] < _BUFFER_TICKS else 0
+    pulse = timing[PULSE_FRAMES]
     for i in range(timing[AXES]):
         lane = LANE * i
-        bit = lanes[lane + STEP]
-        while lanes[lane + LEFT]:
-            frame = lanes[lane + NEXT] >> FRAME_LOG2
-            if frame < lanes[lane + FREE]:
-                frame = lanes[lane + FREE]
+        bit = lanes[lane + STEP_BIT]
+        while lanes[lane + STEPS_LEFT]:
+            frame = lanes[lane + NEXT_TICK] >> FRAME_LOG2
+            if frame < lanes[lane + FREE_FRAME]:
+                frame = lanes[lane + FREE_FRAME]
             if frame < FRAMES and frame + pulse > FRAMES:  # the pulse would cross the end
                 frame = FRAMES
-                lanes[lane + FREE] = FRAMES
+                lanes[lane + FREE_FRAME] = FRAMES
             if frame >= FRAMES:  # in the next buffer
                 over = 0
                 break
             for k in range(frame, frame + pulse):
                 frames[k] = frames[k] | bit
-            lanes[lane + FREE] = frame + pulse + 1  # one frame between two pulses
-            lanes[lane + LEFT] = lanes[lane + LEFT] - 1
+            lanes[lane + FREE_FRAME] = frame + pulse + 1  # one frame between two pulses
+            lanes[lane + STEPS_LEFT] = lanes[lane + STEPS_LEFT] - 1
             gap = lanes[lane + GAP]
-            if lanes[lane + LONGER]:  # the gaps that are one tick longer are the first and last
-                lanes[lane + LONGER] = lanes[lane + LONGER] - 1
+            if lanes[lane + FIRST_LONGER]:  # the longer gaps are the first ones and the last ones
+                lanes[lane + FIRST_LONGER] = lanes[lane + FIRST_LONGER] - 1
                 gap += 1
-            elif lanes[lane + LEFT] <= lanes[lane + LAST_LONGER]:
+            elif lanes[lane + STEPS_LEFT] <= lanes[lane + LAST_LONGER]:
                 gap += 1
-            lanes[lane + NEXT] = lanes[lane + NEXT] + gap
+            lanes[lane + NEXT_TICK] = lanes[lane + NEXT_TICK] + gap
             place = lanes[lane + PLACE]
-            lanes[lane + PLACE] = place - 1 if lanes[lane + BACK] else place + 1
+            lanes[lane + PLACE] = place - 1 if lanes[lane + BACKWARDS] else place + 1
     return over
 
 
 @micropython.viper
 def drop_row(timing: ptr32, lanes: ptr32) -> int:
-    """Drop the row in progress; set WORD, the direction outputs, from the lanes."""
-    word = 0
+    """Drop the row in progress: the lanes may step at once. Set DIR_LEVELS, the direction outputs,
+    from the lanes."""
+    word = 0  # levels of the direction outputs
     timing[ROW_END] = 0
     for i in range(timing[AXES]):
         lane = LANE * i
-        lanes[lane + TURN] = 0
-        lanes[lane + FREE] = 0
-        lanes[lane + LEFT] = 0
-        if lanes[lane + BACK] != lanes[lane + INVERT]:
-            word |= lanes[lane + DIR]
-    timing[WORD] = word
+        lanes[lane + CHANGE_DUE] = 0
+        lanes[lane + FREE_FRAME] = 0
+        lanes[lane + STEPS_LEFT] = 0
+        if lanes[lane + BACKWARDS] != lanes[lane + DIR_INVERT]:
+            word |= lanes[lane + DIR_BIT]
+    timing[DIR_LEVELS] = word
     return 0
 
 
@@ -246,16 +257,16 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
     """
     for i in range(timing[AXES]):
         lane = LANE * i
-        bit = lanes[lane + STEP]
-        direction = lanes[lane + DIR]
-        invert = lanes[lane + INVERT]
+        bit = lanes[lane + STEP_BIT]
+        direction = lanes[lane + DIR_BIT]
+        invert = lanes[lane + DIR_INVERT]
         place = steps[i]
         last = 0
         for k in range(until):
             level = frames[k] & bit
             if level and last == 0:
-                back = 1 if frames[k] & direction else 0
-                place = place - 1 if back != invert else place + 1
+                dir_level = 1 if frames[k] & direction else 0
+                place = place - 1 if dir_level != invert else place + 1
             last = level
         steps[i] = place
     return 0
@@ -263,17 +274,17 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
 
 @micropython.viper
 def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
-    """Update PLAYING, the number of the buffer being played, and BEGAN, its start. Returns for how
-    long it has been played, in us.
+    """Update PLAYING, the number of the buffer being played, and PLAYING_SINCE, its start, in us.
+    Returns for how long it has been played, in us.
 
     state: see i2s_layout.py. now: us, masked by base/times.py. buffer_us: length of a buffer.
     """
-    passed = (now - state[BEGAN]) & MASK
-    if passed > NEGATIVE:
-        return 0  # a turn of the timer since `now` has moved BEGAN past it
+    passed = (now - state[PLAYING_SINCE]) & MASK
+    if passed > NEGATIVE:  # below 0
+        return 0  # a turn of the timer since `now` has moved PLAYING_SINCE past it
     while passed >= buffer_us:
         passed -= buffer_us
-        state[BEGAN] = (state[BEGAN] + buffer_us) & MASK
+        state[PLAYING_SINCE] = (state[PLAYING_SINCE] + buffer_us) & MASK
         state[PLAYING] = state[PLAYING] + 1
     return passed
 
@@ -281,11 +292,12 @@ def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
 @micropython.viper
 def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     """Return the slot of the buffer being played. While zeros are played, it is the next buffer's
-    slot - BEFORE, or NOWHERE if there is none.
+    slot - ZEROS_BEFORE, or NOT_FILLED if there is none: both are negative.
 
-    notes: `size` integers per slot of our ring, of which slots is the number (i2s_layout.py). Our
-    buffer n has slot n % slots, and its NUMBER is that under which the stream plays it. Buffers
-    still in the ring are searched.
+    state: i2s_layout.py; MADE buffers were filled, SENT handed over, and PLAYING is the stream's
+    number of the one being played. notes: `size` integers per slot of our ring, which has `slots`.
+    Our buffer n has slot n % slots, and its NUMBER is that under which the stream plays it.
+    Buffers still in the ring are searched, the oldest first.
     """
     sent = state[SENT]
     first = sent - slots + 1
@@ -295,6 +307,6 @@ def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
         number = notes[(k % slots) * size + NUMBER]
         if number == state[PLAYING]:
             return k % slots
-        if number > state[PLAYING]:
-            return k % slots - BEFORE
-    return sent % slots - BEFORE if sent < state[MADE] else NOWHERE
+        if number > state[PLAYING]:  # not yet
+            return k % slots - ZEROS_BEFORE
+    return sent % slots - ZEROS_BEFORE if sent < state[MADE] else NOT_FILLED

@@ -28,7 +28,7 @@ import machine
 import micropython
 from base.times import MASK, NEGATIVE
 from micropython import const
-from motion.layout import ROW_POWER, row_length
+from motion.layout import KEEP_POWER, ROW_POWER, row_length
 
 from esp_chip import trains
 from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps
@@ -37,65 +37,61 @@ from esp_chip.trains import made
 
 _HIGHEST_HZ = const(20_000)
 _SHORTEST_US = const(6_000)  # a channel's steps last this long at the highest rate
-_PULSE_MAX = const(32_767)
+_LONGEST_DURATION_US = const(32_767)  # that RMT can play
 
-# How long before it is due the next train is prepared, and handed over, in us.
-_PREPARE_US = const(6_000)
-_EARLY_US = const(4_000)
-# For less than this the end of a train is waited for in a loop; the timer period is 1 ms.
-_WAIT_US = const(1_200)
-_FROM_REST_US = const(2_000)
-_GUARD_US = const(20)
-# About how long the hardware has been running when write_pulses() returns.
-_RETURN_US = const(10)
-# First estimate of the time of write_pulses(): us, and per duration in 1/8 us.
-_CALL_US = const(150)
-_CALL_EIGHTHS = const(2)
+_PREPARE_US = const(6_000)  # the next train is prepared so long before it is due,
+_EARLY_US = const(4_000)  # and handed over at most so long before
+_WAIT_US = const(1_200)  # so long a turn waits in a loop for a train's end; the timer has 1 ms
+_START_DELAY_US = const(2_000)  # from start() to the first train
+_GUARD_US = const(20)  # margin for times that are estimates
+_RETURN_US = const(10)  # how long the hardware has been running when write_pulses() returns
+_FIRST_CALL_US = const(150)  # first estimate of the time of write_pulses(),
+_CALL_EIGHTHS = const(2)  # and what each duration adds, in 1/8 us
 _LEAST_CALL_US = const(20)  # the estimate is between these
 _MOST_CALL_US = const(1000)
-# A later start than that was delayed by flash or a radio.
-_HELD_UP_US = const(60)
+_HELD_UP_US = const(60)  # a later start than that was delayed by flash or a radio
+_NEVER = const(MASK)  # a time, us, that is not reached
 
 # State.
-_HALT = const(0)  # stopped, until arm()
+_STOPPED = const(0)  # 1: until arm()
 _PULLING = const(1)  # there may be more segments
-_RUNNING = const(2)  # a train is being played, or waited for
-_READY = const(3)  # the next train is prepared
-_DUE = const(4)  # when the next train is due, in us
-_FREE = const(5)  # when the channels will have ended, in us
-_BEGAN = const(6)  # when the train being played was due, in us
-_REPORTED = const(7)  # last spindle power reported
-_GAP = const(8)  # longest standstill between trains, in us,
-_SKEW = const(9)  # largest error of a channel's start, us,
+_RUNNING = const(2)  # not idle: a train is being played, or waited for
+_NEXT_READY = const(3)  # the next train is prepared
+_NEXT_DUE_US = const(4)  # when the next train is due, in us
+_FREE_US = const(5)  # when all channels will have ended their trains, in us
+_BEGAN_US = const(6)  # when the train being played was due, in us
+_REPORTED_POWER = const(7)  # last spindle power reported; -1: none
+_LONGEST_GAP_US = const(8)  # longest standstill between trains, in us,
+_WORST_SKEW_US = const(9)  # largest error of a channel's start, us,
 _TRAINS = const(10)  # and number of trains
-_CUT = const(11)  # a train was cut off: its channels may still be playing
+_WAS_CUT_OFF = const(11)  # 1: a train was cut off; its channels may play on without pins
 _STATE_LENGTH = const(12)
 
-# Lanes: integers per axis.
+# Lanes: integers per axis, about the train being played.
 _LANE = const(6)
-_PLACE = const(0)  # position at the start of the train being played
-_BACK = const(1)  # 1: its steps go backwards
-_COUNT = const(2)  # its durations,
-_START = const(3)  # and the start of the channel
-_LEVEL = const(4)  # of the direction pin, before $3; -1: unknown
-_CALL = const(5)  # time of write_pulses(), without that per duration, us
+_PLACE = const(0)  # position at its start
+_BACKWARDS = const(1)  # 1: its steps go backwards
+_DURATIONS = const(2)  # number of its durations, two per step; 0: no train
+_STARTED_US = const(3)  # when the channel was started with it, in us
+_DIR_LEVEL = const(4)  # of the direction pin, before $3 inverts it; -1: unknown
+_CALL_TIME_US = const(5)  # estimate for write_pulses(), without what each duration adds
 
 
 @micropython.viper
 def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
     """Return the position of a motor at the time now: us, masked by base/times.py.
 
-    playing: the durations of the axis' train, which began at _START.
+    playing: the durations of the axis' train, which began at _STARTED_US.
     """
     lane = _LANE * axis
     place = lanes[lane + _PLACE]
-    if lanes[lane + _COUNT] == 0:
+    if lanes[lane + _DURATIONS] == 0:
         return place
-    passed = (now - lanes[lane + _START]) & MASK
-    if passed >= NEGATIVE:
+    passed = (now - lanes[lane + _STARTED_US]) & MASK
+    if passed >= NEGATIVE:  # below 0
         return place
-    steps = int(made(playing, lanes[lane + _COUNT], passed))
-    return place - steps if lanes[lane + _BACK] else place + steps
+    steps = int(made(playing, lanes[lane + _DURATIONS], passed))
+    return place - steps if lanes[lane + _BACKWARDS] else place + steps
 
 
 class RmtEngine(TimerEngine):
@@ -111,65 +107,63 @@ class RmtEngine(TimerEngine):
         self._channels = [Channel(i, step[i], axes) for i in range(axes)]
         self._dir_invert = 0
         self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
-        self._state[_HALT] = 1
+        self._state[_STOPPED] = 1
         self._timing = array("i", (0 for _ in range(trains.TIMING_LENGTH)))
         self._timing[trains.AXES] = axes
-        self._timing[trains.MOST] = most = most_steps(axes)
+        self._timing[trains.MOST_STEPS] = most = most_steps(axes)
         self._lanes = array("i", (0 for _ in range(_LANE * axes)))
         for i in range(axes):
-            self._lanes[_LANE * i + _LEVEL] = -1
-            self._lanes[_LANE * i + _CALL] = _CALL_US
-        self._size = row_length(axes)
-        self._row = array("i", (0 for _ in range(self._size)))
-        self._rows = array("i", (0 for _ in range(self._size * trains.ROWS)))
+            self._lanes[_LANE * i + _DIR_LEVEL] = -1
+            self._lanes[_LANE * i + _CALL_TIME_US] = _FIRST_CALL_US
+        self._row_size = row_length(axes)
+        self._row = array("i", (0 for _ in range(self._row_size)))
+        self._rows = array("i", (0 for _ in range(self._row_size * trains.ROWS)))
         # Per axis: the train being played, the next one, and the list for RMT.
         self._playing = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
         self._next = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
         self._counts = array("i", (0 for _ in range(axes)))
         self._lists: "list[list[int]]" = [[] for _ in range(axes)]
-        # Spindle powers of a train: start in us, power.
+        # Spindle powers of a train, a pair per row: start, us from the train's begin; power.
         self._powers = array("i", (0 for _ in range(2 * trains.ROWS)))
         self._next_powers = array("i", (0 for _ in range(2 * trains.ROWS)))
         self._timer = machine.Timer(0)
         self.configure(10, 0, 0)
 
-    # The StepEngine interface
-
     def max_step_hz(self, pulse_us: int) -> int:
         """Return the highest rate of one axis, steps/s: as many as can be prepared per train."""
-        most = self._timing[trains.MOST] * RESOLUTION_HZ // _SHORTEST_US
+        most = self._timing[trains.MOST_STEPS] * RESOLUTION_HZ // _SHORTEST_US
         return min(_HIGHEST_HZ, most, RESOLUTION_HZ // (2 * pulse_us))
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         """Apply $0, and $2 and $3: masks of motors with inverted STEP or DIR. Only while idle."""
-        self._timing[trains.PULSE] = pulse_us
+        self._timing[trains.PULSE_US] = pulse_us
         self._dir_invert = dir_invert
         for i in range(self._axes):
             self._channels[i].invert(step_invert >> i & 1)
-            level = max(self._lanes[_LANE * i + _LEVEL], 0)
+            level = max(self._lanes[_LANE * i + _DIR_LEVEL], 0)
             self._direction[i].value(level ^ (dir_invert >> i & 1))
 
     def arm(self) -> None:
         """Enable motion after power-up or stop(). Clears the fault and all locks."""
         self._failure = None
         self._timing[trains.LOCKED] = 0
-        self._state[_HALT] = 0
+        self._state[_STOPPED] = 0
 
     def start(self) -> None:
         """Begin to pull, if the engine had run out of segments. A stopped engine stays stopped."""
         state = self._state
-        if state[_HALT]:
+        if state[_STOPPED]:
             return
         state[_PULLING] = 1
         if not state[_RUNNING]:
-            state[_REPORTED] = -1
+            state[_REPORTED_POWER] = -1
             now = time.ticks_us()
-            rest_us = time.ticks_diff(state[_FREE], now)
-            if not (state[_CUT] and 0 < rest_us < LOST_US):  # no rest of a train is being played
-                state[_FREE] = now & MASK
-            state[_CUT] = 0
-            state[_DUE] = (state[_FREE] + _FROM_REST_US) & MASK
-            self._powers[0] = MASK  # no power is due, because that time never comes
+            rest_us = time.ticks_diff(state[_FREE_US], now)  # of a train that was cut off
+            if not (state[_WAS_CUT_OFF] and 0 < rest_us < LOST_US):  # channels are free
+                state[_FREE_US] = now & MASK
+            state[_WAS_CUT_OFF] = 0
+            state[_NEXT_DUE_US] = (state[_FREE_US] + _START_DELAY_US) & MASK
+            self._powers[0] = _NEVER  # no power is due before the first train
             state[_RUNNING] = 1
             self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._refill)
 
@@ -179,14 +173,14 @@ class RmtEngine(TimerEngine):
         self._state[_RUNNING] = 0
 
     def _halt(self) -> None:
-        """Cut off all trains and drop what is queued. _RUNNING: channels may play on to _FREE."""
+        """Stop: cut off all trains, drop what is queued. _RUNNING is set; stop() clears it."""
         state, timing = self._state, self._timing
-        state[_HALT] = 1
+        state[_STOPPED] = 1
         self._cut_off((1 << self._axes) - 1)
-        state[_CUT] = 1
+        state[_WAS_CUT_OFF] = 1  # channels may play on until _FREE_US
         state[_RUNNING] = 1
-        state[_PULLING] = state[_READY] = 0
-        timing[trains.HELD] = timing[trains.DONE] = timing[trains.LOCKED] = 0
+        state[_PULLING] = state[_NEXT_READY] = 0
+        timing[trains.ROWS_HELD] = timing[trains.DONE_US] = timing[trains.LOCKED] = 0
 
     def _cut_off(self, axes: int) -> None:
         """End the trains of the axes in a mask now; their positions are the clock's."""
@@ -196,16 +190,16 @@ class RmtEngine(TimerEngine):
         now = time.ticks_us()
         for i in range(self._axes):
             lane = _LANE * i
-            if axes >> i & 1 and self._lanes[lane + _COUNT]:
+            if axes >> i & 1 and self._lanes[lane + _DURATIONS]:
                 self._lanes[lane + _PLACE] = _place(self._lanes, i, self._playing[i], now)
-                self._lanes[lane + _COUNT] = 0
+                self._lanes[lane + _DURATIONS] = 0
 
     def lock(self, motors: int) -> None:
         """Stop the pulses of these motors (a mask) until stop(); the others continue."""
         self._timing[trains.LOCKED] = self._timing[trains.LOCKED] | motors
         for i in range(self._axes):
             if motors >> i & 1:
-                self._counts[i] = 0
+                self._counts[i] = 0  # durations of the next train
         self._cut_off(motors)
 
     def idle(self) -> bool:
@@ -214,7 +208,7 @@ class RmtEngine(TimerEngine):
 
     def _is_late(self) -> bool:
         """Return whether the next train is so late that it will never begin."""
-        late_us = time.ticks_diff(time.ticks_us(), self._state[_DUE])
+        late_us = time.ticks_diff(time.ticks_us(), self._state[_NEXT_DUE_US])
         return bool(self._state[_RUNNING]) and late_us > LOST_US
 
     def position(self, steps: "array[int]") -> None:
@@ -226,146 +220,150 @@ class RmtEngine(TimerEngine):
         """Set the present position, also of locked motors. Only while idle."""
         for i in range(self._axes):
             self._lanes[_LANE * i + _PLACE] = steps[i]
-            self._lanes[_LANE * i + _COUNT] = 0
+            self._lanes[_LANE * i + _DURATIONS] = 0
 
     def longest_gap_us(self) -> int:
         """Return the longest standstill of motion between trains, in us."""
-        return self._state[_GAP]
+        return self._state[_LONGEST_GAP_US]
 
     def worst_skew_us(self) -> int:
         """Return the largest error of a channel's start, early or late, in us."""
-        return self._state[_SKEW]
+        return self._state[_WORST_SKEW_US]
 
     # The timer's turns: no other soft interrupt runs within them
 
     def _advance(self) -> None:
         """Do one turn: prepare the next train, and start it when the last one has ended."""
         state = self._state
-        if state[_HALT] or not state[_RUNNING]:  # turns queued before deinit() still run
+        if state[_STOPPED] or not state[_RUNNING]:  # turns queued before deinit() still run
             state[_RUNNING] = 0
             self._timer.deinit()
             return
         now = time.ticks_us()
         self._report_power(now)
-        due_in = time.ticks_diff(state[_DUE], now)
+        due_in = time.ticks_diff(state[_NEXT_DUE_US], now)
         if due_in > _PREPARE_US:
             return
-        if not state[_READY] and not self._prepare():
-            if time.ticks_diff(state[_FREE], now) <= 0 and due_in <= 0:
+        if not state[_NEXT_READY] and not self._prepare():  # no more motion
+            if time.ticks_diff(state[_FREE_US], now) <= 0 and due_in <= 0:
                 self._end_train()
                 state[_RUNNING] = 0
                 self._timer.deinit()
                 self._on_rest()
             return
-        wait = time.ticks_diff(state[_FREE], time.ticks_us())
-        if due_in > _EARLY_US or wait > _WAIT_US:
+        free_in = time.ticks_diff(state[_FREE_US], time.ticks_us())
+        if due_in > _EARLY_US or free_in > _WAIT_US:
             return
-        while time.ticks_diff(state[_FREE], time.ticks_us()) > 0:
+        while time.ticks_diff(state[_FREE_US], time.ticks_us()) > 0:
             pass
-        self._send()
-        self._collect(self._timing[trains.LENGTH] - _PREPARE_US)
+        self._start_train()
+        self._collect(self._timing[trains.LENGTH_US] - _PREPARE_US)  # garbage, if there is time
 
     def _prepare(self) -> bool:
-        """Prepare the next train: _next, _counts. Returns False if there is nothing to move."""
+        """Fill the ring of rows (ROWS_HELD wait there), and prepare the next train: durations per
+        axis (_next), and their numbers (_counts). Returns False if there is nothing to move."""
         state, timing, rows = self._state, self._timing, self._rows
-        size = self._size
+        size = self._row_size
         while (
             state[_PULLING]
-            and timing[trains.HELD] < trains.ROWS
-            and trains.held_us(rows, timing, size) < trains.LONGEST
+            and timing[trains.ROWS_HELD] < trains.ROWS
+            and trains.held_us(rows, timing, size) < trains.LONGEST_US
         ):
             if not self._next_segment(self._row):
                 state[_PULLING] = 0
                 break
-            index = (timing[trains.FIRST] + timing[trains.HELD]) % trains.ROWS * size
+            index = (timing[trains.FIRST_ROW] + timing[trains.ROWS_HELD]) % trains.ROWS * size
             for k in range(size):
                 rows[index + k] = self._row[k]
-            timing[trains.HELD] += 1
-        if not timing[trains.HELD]:
+            timing[trains.ROWS_HELD] += 1
+        if not timing[trains.ROWS_HELD]:
             return False
         trains.cut(rows, timing, size)
         for i in range(self._axes):
             count = trains.durations(rows, timing, size, i, self._next[i])
             if count < 0:
-                raise RuntimeError("a train is longer than its channel")
+                raise RuntimeError("RMT: a pulse train is longer than its channel")
             self._counts[i] = count
         self._note_powers()
         trains.advance(timing)
-        state[_READY] = 1
+        state[_NEXT_READY] = 1
         return True
 
     def _note_powers(self) -> None:
-        """Store the next train's spindle powers and start times (us); MASK: row not in it."""
+        """Store the next train's spindle powers in _next_powers, a pair per row: its start, us
+        from the train's begin, or _NEVER if it is not in the train; its power."""
         timing, rows = self._timing, self._rows
-        start_us = -timing[trains.DONE]  # part of the first row was in the last train
+        start_us = -timing[trains.DONE_US]  # so much of the first row was in the last train
         for k in range(trains.ROWS):
-            row = (timing[trains.FIRST] + k) % trains.ROWS * self._size
-            is_in_train = k < timing[trains.TAKEN] or (k == 0 and timing[trains.PART])
-            self._next_powers[2 * k] = start_us if is_in_train else MASK
+            row = (timing[trains.FIRST_ROW] + k) % trains.ROWS * self._row_size
+            is_in_train = k < timing[trains.ROWS_TAKEN] or (k == 0 and timing[trains.PART_US])
+            self._next_powers[2 * k] = start_us if is_in_train else _NEVER
             self._next_powers[2 * k + 1] = rows[row + ROW_POWER]
-            start_us += rows[row]  # a row begins with its length
+            start_us += rows[row]  # a row begins with its time
 
     def _report_power(self, now: int) -> None:
         """Report the spindle power that is due at `now`, us, in the train being played."""
         state = self._state
-        passed = time.ticks_diff(now, state[_BEGAN])
-        power = state[_REPORTED]
-        for k in range(trains.ROWS):
+        passed = time.ticks_diff(now, state[_BEGAN_US])
+        power = state[_REPORTED_POWER]
+        for k in range(trains.ROWS):  # pairs of a start and a power
             if self._powers[2 * k] > passed:
                 break
             power = self._powers[2 * k + 1]
-        if power < MASK and power != state[_REPORTED]:
-            state[_REPORTED] = power
+        if power != KEEP_POWER and power != state[_REPORTED_POWER]:
+            state[_REPORTED_POWER] = power
             self._on_power(power)
 
     def _end_train(self) -> None:
         """Add the steps of the train, which has been played, to the positions."""
         for i in range(self._axes):
             lane = _LANE * i
-            steps = self._lanes[lane + _COUNT] // 2  # each has a pause and a pulse
-            self._lanes[lane + _COUNT] = 0
-            back = self._lanes[lane + _BACK]
+            steps = self._lanes[lane + _DURATIONS] // 2  # each has a pause and a pulse
+            self._lanes[lane + _DURATIONS] = 0
+            back = self._lanes[lane + _BACKWARDS]
             self._lanes[lane + _PLACE] += -steps if back else steps
 
     def _call_us(self, axis: int) -> int:
         """Return the expected time of write_pulses() for the next train of an axis, in us."""
-        return self._lanes[_LANE * axis + _CALL] + (self._counts[axis] * _CALL_EIGHTHS >> 3)
+        durations_us = self._counts[axis] * _CALL_EIGHTHS >> 3
+        return self._lanes[_LANE * axis + _CALL_TIME_US] + durations_us
 
-    def _send(self) -> None:
-        """Start the next train on all axes in step. The last one must have ended."""
+    def _start_train(self) -> None:
+        """Start the next train on all axes in step; the last one must have ended. An axis's first
+        duration, _next[i][0], is the time to its first step."""
         state, lanes = self._state, self._lanes
         self._end_train()
-        setup = 0
+        setup_us = 0
         for i in range(self._axes):
             lane = _LANE * i
             back = self._timing[trains.DIRS] >> i & 1
             if self._counts[i]:
-                lanes[lane + _BACK] = back
-                if lanes[lane + _LEVEL] != back:
-                    lanes[lane + _LEVEL] = back
+                lanes[lane + _BACKWARDS] = back
+                if lanes[lane + _DIR_LEVEL] != back:
+                    lanes[lane + _DIR_LEVEL] = back
                     self._direction[i].value(back ^ (self._dir_invert >> i & 1))
-                    setup = SETUP_US
-        # The train begins when it is due, or when the slowest start allows.
+                    setup_us = SETUP_US
+        # It begins when it is due, or so late that all axes can be started, one after the other.
         now = time.ticks_us()
-        due_in = time.ticks_diff(state[_DUE], now)
-        late = 0
-        ready_in = setup + _GUARD_US
+        due_in = time.ticks_diff(state[_NEXT_DUE_US], now)
+        late_us = 0
+        ready_in = setup_us + _GUARD_US
         for i in range(self._axes):
             if self._counts[i]:
                 ready_in += self._call_us(i)
-                late = max(late, ready_in - due_in - self._next[i][0])
-        state[_BEGAN] = (state[_DUE] + late) & MASK
-        state[_FREE] = state[_BEGAN]
+                late_us = max(late_us, ready_in - due_in - self._next[i][0])
+        state[_BEGAN_US] = (state[_NEXT_DUE_US] + late_us) & MASK
+        state[_FREE_US] = state[_BEGAN_US]  # _start_channel() moves it to the channels' ends
         self._playing, self._next = self._next, self._playing
         self._powers, self._next_powers = self._next_powers, self._powers
-        delay = 0
+        delay_us = 0
         for i in range(self._axes):
             if self._counts[i]:
-                delay = max(delay, self._start_channel(i))
+                delay_us = max(delay_us, self._start_channel(i))
         # The next train waits for the slowest: no interval between steps is shorter than planned.
-        state[_GAP] = max(state[_GAP], late + delay)
-        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH] + delay) & MASK
-        state[_READY] = 0
+        state[_LONGEST_GAP_US] = max(state[_LONGEST_GAP_US], late_us + delay_us)
+        state[_NEXT_DUE_US] = (state[_BEGAN_US] + self._timing[trains.LENGTH_US] + delay_us) & MASK
+        state[_NEXT_READY] = 0
         state[_TRAINS] += 1
 
     def _start_channel(self, axis: int) -> int:
@@ -376,25 +374,26 @@ class RmtEngine(TimerEngine):
         count = self._counts[axis]
         playing = self._playing[axis]
         pulses = self._lists[axis]
-        first = playing[0]  # time from the train's begin to its first step
-        call = self._call_us(axis)
-        del pulses[:]
+        first = playing[0]  # us from the train's begin to its first step
+        call = self._call_us(axis)  # expected time of write_pulses(), us
+        del pulses[:]  # the list is used again: nothing is allocated
         pulses.extend(memoryview(playing)[:count])
         before = time.ticks_us()
-        lead = time.ticks_diff(state[_BEGAN], before) + first - call
-        pulses[0] = playing[0] = min(max(lead, 1), _PULSE_MAX)
+        # The first duration is what is left until the first step when the channel will begin.
+        lead = time.ticks_diff(state[_BEGAN_US], before) + first - call
+        pulses[0] = playing[0] = min(max(lead, 1), _LONGEST_DURATION_US)
         self._channels[axis].play(pulses)
         took = time.ticks_diff(time.ticks_us(), before)
         began = (before + took - _RETURN_US) & MASK
-        lanes[lane + _START] = began
-        lanes[lane + _COUNT] = count
-        state[_SKEW] = max(state[_SKEW], abs(took - call))
+        lanes[lane + _STARTED_US] = began
+        lanes[lane + _DURATIONS] = count
+        state[_WORST_SKEW_US] = max(state[_WORST_SKEW_US], abs(took - call))
         learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of the error
-        estimate = max(lanes[lane + _CALL] + learned, _LEAST_CALL_US)
-        lanes[lane + _CALL] = min(estimate, _MOST_CALL_US)
+        estimate = max(lanes[lane + _CALL_TIME_US] + learned, _LEAST_CALL_US)
+        lanes[lane + _CALL_TIME_US] = min(estimate, _MOST_CALL_US)
         end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK
-        if time.ticks_diff(end, state[_FREE]) > 0:
-            state[_FREE] = end
+        if time.ticks_diff(end, state[_FREE_US]) > 0:
+            state[_FREE_US] = end
         first_edge = (began + playing[0]) & MASK
-        delay = time.ticks_diff(first_edge, (state[_BEGAN] + first) & MASK)
+        delay = time.ticks_diff(first_edge, (state[_BEGAN_US] + first) & MASK)
         return delay if delay > _HELD_UP_US else 0

@@ -12,21 +12,22 @@ from micropython import const
 
 _HZ = const(240_000_000)  # at reset it is 160 MHz
 # The firmware's need of memory from here on, without the heap. Measured, see docs/esp32.md.
-_WANTED = const(150_000)
-_COMPILED = const(88_000)  # compiled code's part of it
+_WANTED_BYTES = const(150_000)  # free memory: compiled code and heap
+_COMPILED_BYTES = const(88_000)  # compiled code's part of it
 
 
 def prepare() -> None:
     """Set the clock, and check the free memory. Call it before any compiled code is loaded.
     Raises MemoryError if that and the heap would not fit."""
     machine.freq(_HZ)
+    # Per region of memory: its size, its free bytes, and two numbers that are not needed.
     heaps = esp32.idf_heap_info(esp32.HEAP_DATA)
     free = sum([free_bytes for _, free_bytes, _, _ in heaps])
-    wanted = _WANTED
-    if "base.frozen" in sys.modules:
-        wanted -= _COMPILED
+    wanted = _WANTED_BYTES
+    if "base.frozen" in sys.modules:  # the firmware is frozen: its code stays in flash
+        wanted -= _COMPILED_BYTES
     if free < wanted:
         raise MemoryError(
-            "%d bytes free of the %d that the firmware wants: take a module with PSRAM, and "
+            "%d bytes free of the %d that the firmware needs: take a module with PSRAM, and "
             "MicroPython's image for it" % (free, wanted)
         )

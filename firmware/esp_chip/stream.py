@@ -13,7 +13,7 @@ from micropython import const
 
 from esp_chip.frames import FRAMES
 
-_PORT = const(0)
+_PORT = const(0)  # number of the I2S peripheral
 BYTES = const(1024)  # per buffer
 
 
@@ -23,7 +23,7 @@ class Stream:
 
     def __init__(self, pins: "tuple[int, int, int]", rate_hz: int, buffers: int) -> None:
         if FRAMES * 1_000_000 % rate_hz:
-            raise ValueError("256 frames do not last whole microseconds")
+            raise ValueError("I2S_RATE_HZ: 256 frames must last whole microseconds")
         self.buffers = buffers
         self.buffer_us = FRAMES * 1_000_000 // rate_hz
         self._pins = pins
@@ -47,7 +47,7 @@ class Stream:
             ibuf=BYTES * self.buffers,
         )
         began = time.ticks_us()
-        # After a poll, write() accepts what fits and does not wait.
+        # After a poll, whatever its result, write() accepts what fits and does not wait.
         poller = select.poll()
         poller.register(self._i2s, select.POLLOUT)
         poller.poll(0)

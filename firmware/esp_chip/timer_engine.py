@@ -20,12 +20,9 @@ if TYPE_CHECKING:
     from interfaces import NextSegment
 
 
-# Time from a change of direction to a step.
-SETUP_US = const(10)
-# A train, or a buffer that DMA accepts, that is so late will never come.
-LOST_US = const(500_000)
-# Garbage is collected after so many trains: more often than automatically.
-_COLLECT_TRAINS = const(100)
+SETUP_US = const(10)  # from a change of direction to a step
+LOST_US = const(500_000)  # a train, or a buffer that DMA accepts, that is so late will never come
+_COLLECT_TRAINS = const(100)  # garbage is collected after so many: more often than automatically
 
 
 def _nothing() -> None:
@@ -58,13 +55,13 @@ class TimerEngine:
     def fault(self) -> str:
         """Return the engine's fault, in words; "" without a fault."""
         if self._failure:
-            words = "the engine's turn has failed: %s %s" % (
+            words = "the pulse engine's refill failed: %s %s" % (
                 type(self._failure).__name__,
                 self._failure,
             )
             # A sender must not read it as an answer to a line.
             return words.replace("rror", "rr").replace("ok", "o-k")
-        return "motion is behind its own schedule" if self._is_late() else ""
+        return "step pulses are late on their schedule" if self._is_late() else ""
 
     def _refill(self, _timer: object) -> None:
         """Do one turn, in the timer's interrupt. After a fault only the inputs are checked."""
@@ -96,7 +93,7 @@ class TimerEngine:
         """
         self._trains_since += 1
         if self._trains_since > 2 * _COLLECT_TRAINS:
-            self._collect_us >>= 1  # there was never enough time; it may take less by now
+            self._collect_us >>= 1  # room_us was never enough; it may take less time by now
             self._trains_since = _COLLECT_TRAINS
         if self._trains_since >= _COLLECT_TRAINS and self._collect_us < room_us:
             before = time.ticks_us()

@@ -20,60 +20,59 @@ from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from motion.slice_kernel import leading
 
 ROWS = const(16)  # in the ring
-_ROWS_MASK = const(15)
+_ROWS_MASK = const(15)  # of a row's number in the ring
 
-# Longest train, in us: a hold waits for its end. Up to _WORTH a train may end after any row; later
-# only where steps are at most a quarter faster than at the last possible end.
-LONGEST = const(18000)
-_WORTH = const(9000)
-_LEAST_PAUSE = const(2)  # us between two pulses
+LONGEST_US = const(18000)  # the longest train: a hold waits for its end
+_ANY_END_US = const(9000)  # until then each row's end is better than the one before
+_LEAST_PAUSE_US = const(2)  # us between two pulses
 
 # Integers shared by all axes (timing): indexes.
 AXES = const(0)  # number of axes
-PULSE = const(1)  # length of a pulse, us
-FIRST = const(2)  # number in the ring of the first row of the next train,
-DONE = const(3)  # and how much of that row was in the last train, us
-HELD = const(4)  # how many rows are in the ring
-TAKEN = const(5)  # how many whole rows are in the next train,
-PART = const(6)  # and where it ends in the row after them, us from that row's start; 0: not in it
-LENGTH = const(7)  # of the next train, in us
+PULSE_US = const(1)  # length of a pulse, us
+FIRST_ROW = const(2)  # number in the ring of the first row of the next train,
+DONE_US = const(3)  # and how much of that row was in the last train; mostly 0
+ROWS_HELD = const(4)  # how many rows are in the ring
+ROWS_TAKEN = const(5)  # how many rows the next train takes to their end,
+PART_US = const(6)  # and where it ends in the first row, if within it: from its start; 0: not
+LENGTH_US = const(7)  # of the next train, in us
 DIRS = const(8)  # directions in the next train, for axes that step
 LOCKED = const(9)  # mask of locked axes, which do not step
-MOST = const(10)  # most steps of an axis in a train
+MOST_STEPS = const(10)  # most steps of an axis in a train
 TIMING_LENGTH = const(11)
 
 
 @micropython.viper
 def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
-    """Return how long the rows in the ring last, in us; a value above LONGEST may be too low."""
-    total = 0 - timing[DONE]
-    for k in range(timing[HELD]):
-        total += rows[((timing[FIRST] + k) & _ROWS_MASK) * size]
-        if total > LONGEST:
+    """Return how long the rows in the ring last, us; a result above LONGEST_US may be too low."""
+    total = 0 - timing[DONE_US]
+    for k in range(timing[ROWS_HELD]):
+        total += rows[((timing[FIRST_ROW] + k) & _ROWS_MASK) * size]
+        if total > LONGEST_US:
             break
     return total
 
 
 @micropython.viper
 def cut(rows: ptr32, timing: ptr32, size: int) -> int:
-    """Choose the end of the next train: TAKEN, PART, LENGTH, DIRS. Returns its length, us.
+    """Choose the end of the next train: ROWS_TAKEN, PART_US, LENGTH_US, DIRS. Returns LENGTH_US.
 
     It ends at the end of a row, where steps are slow; within a row only if the first one alone is
-    too long, or has more steps than a channel can hold (MOST).
+    too long, or has more steps than a channel can hold (MOST_STEPS). Up to _ANY_END_US it takes
+    every row; later only rows whose steps are at most a quarter faster than at the best end.
     """
     known = 0  # mask of axes that step in the train so far,
     dirs = 0  # and their directions
-    total = 0 - timing[DONE]  # its length
-    room = timing[MOST]  # steps that still fit into a channel
-    best = 0  # interval between steps in the row that ends the train best so far
-    timing[TAKEN] = 0
-    timing[PART] = 0
-    timing[LENGTH] = 0
-    for k in range(timing[HELD]):
-        at = ((timing[FIRST] + k) & _ROWS_MASK) * size
+    total = 0 - timing[DONE_US]  # its length
+    room = timing[MOST_STEPS]  # steps that still fit into a channel
+    best = 0  # us per step in the row that ends the train best so far
+    timing[ROWS_TAKEN] = 0
+    timing[PART_US] = 0
+    timing[LENGTH_US] = 0
+    for k in range(timing[ROWS_HELD]):
+        at = ((timing[FIRST_ROW] + k) & _ROWS_MASK) * size  # index of the row; its time is first
         busy = 0  # mask of axes that step in this row
-        most = 0  # steps of one of them
-        least = rows[at]  # gap from step to step
+        most = 0  # steps of the one that makes the most
+        least = rows[at]  # shortest gap from step to step, us
         for i in range(timing[AXES]):
             base = at + ROW_AXES + ROW_STRIDE * i
             steps = rows[base]
@@ -88,30 +87,29 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
         if known & busy & (dirs ^ rows[at + ROW_DIRS]):
             break  # an axis reverses here
         rest = rows[at] if k else total + rows[at]  # the first row was begun in the last train
-        count = most  # steps that a channel needs for the row
+        count = most  # steps of the row that a channel has to hold: at most those in `rest`
         if least > 0 and rest // least + 1 < most:
             count = rest // least + 1
         total += rows[at]
-        if k and (total > LONGEST or count > room):
+        if k and (total > LONGEST_US or count > room):
             break
         known |= busy
         dirs |= rows[at + ROW_DIRS] & busy
         timing[DIRS] = dirs
-        if total > LONGEST or count > room:
-            end = LONGEST
+        if total > LONGEST_US or count > room:  # the first row: cut it
+            end = LONGEST_US
             if count > room and least * room < end:
                 end = least * room
-            timing[PART] = int(part(rows, timing, at, timing[DONE] + end))
-            timing[LENGTH] = timing[PART] - timing[DONE]
+            timing[PART_US] = int(part(rows, timing, at, timing[DONE_US] + end))
+            timing[LENGTH_US] = timing[PART_US] - timing[DONE_US]
             break
         room -= count
-        interval = rows[at] // most if most else LONGEST
-        # At most a quarter faster than the best end so far.
-        if total < _WORTH or interval + (interval >> 2) >= best:
-            timing[TAKEN] = k + 1
-            timing[LENGTH] = total
+        interval = rows[at] // most if most else LONGEST_US
+        if total < _ANY_END_US or interval + (interval >> 2) >= best:
+            timing[ROWS_TAKEN] = k + 1
+            timing[LENGTH_US] = total
             best = interval
-    return timing[LENGTH]
+    return timing[LENGTH_US]
 
 
 @micropython.viper
@@ -119,7 +117,7 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
     """Return where to cut a long row, in us from its start: after the last step before `end`, or
     at `end` if that step is in the first half of what is left. at: the row's index in rows; end:
     the latest possible cut, us from the row's start."""
-    latest = timing[DONE]
+    latest = timing[DONE_US]  # just after the last step before `end`
     for i in range(timing[AXES]):
         base = at + ROW_AXES + ROW_STRIDE * i
         steps = rows[base]
@@ -134,7 +132,7 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
                 tick += gaps * gap + 1
                 if tick > latest:
                     latest = tick
-    return latest if latest > (timing[DONE] + end) >> 1 else end
+    return latest if latest > (timing[DONE_US] + end) >> 1 else end
 
 
 @micropython.viper
@@ -142,22 +140,23 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
     """Make one axis' train in `out`: durations in us, a pause, a pulse, and so on. Returns their
     number; 0 if the axis does not step.
 
-    -1: it is longer than a channel, which would lose steps. size: integers in a row.
+    -1: it is longer than a channel, which would lose steps. size: integers in a row. The first
+    duration is the time to the first step.
     """
     if (timing[LOCKED] >> axis) & 1:
         return 0
-    pulse = timing[PULSE]
+    pulse = timing[PULSE_US]
     count = 0
-    origin = 0 - timing[DONE]  # start of the row, from the start of the train
-    last = 0 - pulse - _LEAST_PAUSE  # end of the last pulse
-    done = timing[DONE]  # steps before this time of the row were in the last train
-    for k in range(timing[TAKEN] + (1 if timing[PART] else 0)):
-        at = ((timing[FIRST] + k) & _ROWS_MASK) * size
+    origin = 0 - timing[DONE_US]  # start of the row, from the start of the train
+    last = 0 - pulse - _LEAST_PAUSE_US  # end of the last pulse
+    done = timing[DONE_US]  # steps before this time of the first row were in the last train
+    for k in range(timing[ROWS_TAKEN] + (1 if timing[PART_US] else 0)):
+        at = ((timing[FIRST_ROW] + k) & _ROWS_MASK) * size
         base = at + ROW_AXES + ROW_STRIDE * axis
         steps = rows[base]
-        end = rows[at] + 1
-        if timing[PART]:
-            end = timing[PART]
+        end = rows[at] + 1  # steps before this time are in the train
+        if timing[PART_US]:
+            end = timing[PART_US]
         tick = rows[base + 1]
         gap = 0
         longer = 0  # gaps that are one tick longer,
@@ -170,11 +169,11 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
             if tick >= end:
                 break
             if tick >= done:
-                if count >> 1 >= timing[MOST]:
+                if count >> 1 >= timing[MOST_STEPS]:
                     return -1
                 edge = origin + tick  # start of the pulse
-                if count and edge < last + _LEAST_PAUSE:
-                    edge = last + _LEAST_PAUSE
+                if count and edge < last + _LEAST_PAUSE_US:
+                    edge = last + _LEAST_PAUSE_US
                 out[count] = edge - last if count else edge
                 out[count + 1] = pulse
                 count += 2
@@ -189,13 +188,14 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
 
 @micropython.viper
 def advance(timing: ptr32) -> int:
-    """Remove the next train's rows from the ring: the train after it begins at its end."""
-    timing[FIRST] = (timing[FIRST] + timing[TAKEN]) & _ROWS_MASK
-    timing[HELD] = timing[HELD] - timing[TAKEN]
-    if timing[TAKEN]:
-        timing[DONE] = 0
-    if timing[PART]:
-        timing[DONE] = timing[PART]
+    """Remove the rows that the next train takes to their end from the ring: the train after it
+    begins at its end, which may be within a row (PART_US)."""
+    timing[FIRST_ROW] = (timing[FIRST_ROW] + timing[ROWS_TAKEN]) & _ROWS_MASK
+    timing[ROWS_HELD] = timing[ROWS_HELD] - timing[ROWS_TAKEN]
+    if timing[ROWS_TAKEN]:
+        timing[DONE_US] = 0
+    if timing[PART_US]:
+        timing[DONE_US] = timing[PART_US]
     return 0
 
 

@@ -108,7 +108,7 @@ def test_hanging_main_loop_is_stopped_and_reported(board: str, tmp_path: Path) -
         ("\x18", "unlock"),
     ]
     said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *hang])
-    away = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was away for (\d+) ms", said)
+    away = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was blocked for (\d+) ms", said)
     assert away and 350 <= int(away[1]) <= 400  # counted in beats of 50 ms
 
 
@@ -169,7 +169,7 @@ def test_failing_engine_is_reported_with_the_tool_off_and_recovers_by_a_reset(
     talk += [("$X\n", "ok"), ("G91 G0 X1\n", "ok"), ("G4 P0.1\n", "ok"), ("?", ">")]
     said = boot(board, tmp_path, talk)
     assert "duty 65535\n" in said and said.index("duty 0\n") > said.index("failed")
-    words = "[MSG:RuntimeErr: the engine's turn has failed: ValueErr an err that is o-k"
+    words = "[MSG:RuntimeErr: the pulse engine's refill failed: ValueErr an err that is o-k"
     assert words in said and said.index("ALARM:") < said.index(words)
     assert said.rsplit("<", 1)[1].startswith("Idle|")
 
@@ -312,7 +312,7 @@ engine.arm()
 engine.start()
 def fill():
     for _ in range(10):
-        engine._make()
+        engine._fill_next()
 fill()
 gc.collect()
 micropython.heap_lock()
@@ -345,7 +345,7 @@ def test_module_without_psram_is_reported_with_the_remedy(monkeypatch: pytest.Mo
     assert prepared() == (240_000_000, "")
     monkeypatch.setattr(esp32, "psram", 0)
     assert prepared()[1].startswith(
-        "63000 bytes free of the 150000 that the firmware wants: take a module with PSRAM"
+        "63000 bytes free of the 150000 that the firmware needs: take a module with PSRAM"
     )
 
 

@@ -294,7 +294,7 @@ def test_rmt_states_the_rate_at_which_trains_are_long_enough() -> None:
 def test_i2s_begins_a_new_stream_after_a_flash_write(told: bool) -> None:
     made = make("i2s", "diagonal")
     made.engine.real._stream.close()
-    made.engine.real._renew()
+    made.engine.real._reopen()
     made.engine.advance(made.engine.now + 200_000 * made.engine._per_us)
     esp_machine.I2S.open_streams[0].flash_write(45_000)
     if told:
