@@ -432,14 +432,14 @@ def test_only_the_cable_is_greeted_when_its_port_is_opened(bench) -> None:
         pipe = yield from joined(bench)
         machine, link = bench.rig.controller, bench.rig.link
         NetLink.attach(link, machine.at_rest, machine.welcome)
-        usual = link._read
+        usual = link._read_cable
 
         def read(buf: bytearray) -> int:
-            link._read = usual
+            link._read_cable = usual
             link.cable.attached[1]()
             return usual(buf)
 
-        link._read = read
+        link._read_cable = read
         yield from bench.wait(50)
         assert WELCOME.strip() in bench.sender.take() and pipe.take() == ""
         assert (yield from bench.ask(pipe, "$G\n")).endswith("ok\r\n")

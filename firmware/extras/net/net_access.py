@@ -30,7 +30,7 @@ _KEY_LENGTH = const(8)
 _KEY_SIGNS = "23456789ABCDFGHJKLMNPQRSTVWXYZ"
 
 
-def has_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> bool:
+def has_partial_line(ring: bytearray, state: "array[int]", kinds: bytearray) -> bool:
     """Return whether the reader has an unfinished line.
 
     ring, state, kinds: as LineReader.memory() returns them. If the ring holds bytes, its last one
@@ -43,7 +43,7 @@ def has_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> bool:
     return bool(state[LENGTH] or state[SKIPPING]) and not state[SKIPPING] & COMPLETE
 
 
-def drop_half(ring: bytearray, state: "array[int]", kinds: bytearray) -> None:
+def drop_partial_line(ring: bytearray, state: "array[int]", kinds: bytearray) -> None:
     """Drop the reader's unfinished line, and nothing before it. ring, state, kinds: as
     LineReader.memory() returns them. The bytes after the last line end are taken out of the ring;
     if that leaves it empty, the part of a line that was read before is dropped, too."""
@@ -74,8 +74,8 @@ class Network:
             self._keep()
         self._load()
         if link:
-            link.control.drop_half = self._drop_half
-            link.control.has_half = self._has_half
+            link.control.drop_partial_line = self._drop_partial_line
+            link.control.has_partial_line = self._has_partial_line
 
     def _new_key(self) -> str:
         """Return a random key of _KEY_LENGTH signs: 39 bits from the chip's noise source."""
@@ -111,12 +111,12 @@ class Network:
         job = self._cnc.job
         return job if job and job.is_on() else None
 
-    def _has_half(self) -> bool:
+    def _has_partial_line(self) -> bool:
         """Return whether the client in control has begun a line."""
         job = self._job()
-        return job.has_half() if job else has_half(*self._received())
+        return job.has_half() if job else has_partial_line(*self._received())
 
-    def _drop_half(self) -> None:
+    def _drop_partial_line(self) -> None:
         """Drop the unfinished line of the client in control. A jog ends with its client: those
         that wait do, too."""
         job = self._job()
@@ -125,10 +125,10 @@ class Network:
         elif self._cnc.machine.state.run & st.JOG:
             self._reader.clear()
         else:
-            drop_half(*self._received())
+            drop_partial_line(*self._received())
 
     def _received(self) -> "tuple[bytearray, array[int], bytearray]":
-        """Return the arguments of has_half() and drop_half()."""
+        """Return the arguments of has_partial_line() and drop_partial_line()."""
         ring, state, _, kinds = self._reader.memory()
         return ring, state, kinds
 
@@ -175,7 +175,7 @@ class Network:
         if why:
             self._refuse(why)
         self._keep()
-        self._cnc.message("Network: holds from the next start on")
+        self._cnc.message("Network: the change takes effect at the next start")
 
     def _refuse(self, why: str) -> None:
         """Send a message, and raise GrblError."""

@@ -22,20 +22,25 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from interfaces import Connection
 
-_QUESTION = const(0x3F)
-_SAID = const(256)  # twice the bytes that a sender that counts has under way
-_PIECE = const(64)  # bytes of one read
-_OUT = const(512)  # bytes of output that may be queued
-_SEGMENT = const(100)  # bytes that a write counts for, at least: lwIP's own data about it
+_QUESTION = const(0x3F)  # the character ?
+_RECEIVED_BYTES = const(256)  # twice the bytes that a sender that counts has under way
+_READ_BYTES = const(64)  # bytes of one read
+_OUT_BYTES = const(512)  # bytes of output that may be queued
+_LEAST_WRITE_BYTES = const(100)  # that a write counts for, at least: lwIP's own data about it
 MEMORY = const(7200)  # bytes; a client may use a third
 _CLOSED_MS = const(10_000)  # for so long lwIP keeps the output of a closed connection
 # Senders request a report a few times a second: a client silent for so long has gone.
 _GONE_MS = const(3000)
-# How long a client may keep its place if another client needs one: without the key, since it
-# connected; with the key, since its last bytes, because senders wait for the end of a long move.
-_STRANGER_MS = const(250)
-_LOST_MS = const(600_000)
+# How long a client may keep its place if another client needs one. With the key it is long,
+# because senders wait for the end of a long move.
+_STRANGERS_PLACE_MS = const(250)  # without the key, since it connected
+_SILENT_PLACE_MS = const(600_000)  # with the key, since its last bytes
 _TRIES = const(3)  # wrong keys that are allowed
+
+_FIRST_OF_ALARM = const(0x41)  # A of ALARM:
+_FIRST_OF_BANNER = const(0x0D)  # it begins with an empty line, CR LF
+_FIRST_OF_BRACKET = const(0x5B)  # [ of [MSG: and of answers to $ commands
+_SECOND_OF_MESSAGE = const(0x4D)  # M of [MSG:
 
 
 @micropython.viper
@@ -45,6 +50,15 @@ def asks(data: ptr8, count: int) -> int:
         if data[i] == _QUESTION:
             return 1
     return 0
+
+
+def is_for_all(data: "bytes | bytearray | memoryview") -> bool:
+    """Return whether output (not empty) is sent to all clients: an alarm, a message or the banner.
+    An answer or a report is not."""
+    first = data[0]
+    if first == _FIRST_OF_BRACKET:
+        return data[1] == _SECOND_OF_MESSAGE
+    return first <= _FIRST_OF_BANNER or first == _FIRST_OF_ALARM
 
 
 class Memory:
@@ -81,10 +95,11 @@ class Client:
     cable. trusted: the client has sent the key.
 
     asked: it requested a status report that it has not been sent. tries: wrong keys still allowed.
-    heard_ms: time of its last bytes; spoke_ms: of its last line or, without the key, of its
-    connection. said: bytes received and not yet passed to the machine, `length` of them, of which
-    the first `ready` may be passed. _out: queued output, _waiting bytes. _held: bytes of lwIP's
-    memory. _proves: the connection counts by itself the bytes sent that have not been read.
+    last_bytes_ms: time of its last bytes; last_line_ms: of its last line or, without the key, of
+    its connection. received: bytes received and not yet passed to the machine, `length` of them,
+    of which the first `ready` may be passed. _out: queued output, _out_length bytes. _held: bytes
+    of lwIP's memory that count as this client's. _counts_unread: the connection (a websocket)
+    counts by itself the bytes sent that have not been read.
     """
 
     def __init__(self, memory: Memory) -> None:
@@ -94,16 +109,16 @@ class Client:
         self.trusted = False
         self.asked = False
         self.tries = _TRIES
-        self.heard_ms = 0
-        self.spoke_ms = 0
-        self.said = bytearray(_SAID)
+        self.last_bytes_ms = 0
+        self.last_line_ms = 0
+        self.received = bytearray(_RECEIVED_BYTES)
         self.length = 0
         self.ready = 0
         self.is_too_long = False
-        self._out = bytearray(_OUT)
-        self._waiting = 0
+        self._out = bytearray(_OUT_BYTES)
+        self._out_length = 0
         self._held = 0
-        self._proves = False
+        self._counts_unread = False
 
     def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
         """Assign the place to a new connection."""
@@ -112,9 +127,9 @@ class Client:
         self.trusted = False
         self.asked = False
         self.tries = _TRIES
-        self.spoke_ms = self.heard_ms = now_ms
-        self._waiting = 0
-        self._proves = hasattr(conn, "unproved")  # a websocket
+        self.last_line_ms = self.last_bytes_ms = now_ms
+        self._out_length = 0
+        self._counts_unread = hasattr(conn, "unproved")  # a websocket
         self.forget()
 
     def end(self) -> None:
@@ -133,46 +148,46 @@ class Client:
 
     def note_received(self, now_ms: int) -> None:
         """Note that bytes arrived: the client is alive and, with the key, is assumed to have read
-        all output before, so that none counts as held."""
-        self.heard_ms = now_ms
-        if self.trusted and not self._proves:
-            self._hold(0)
+        all output before, so that none counts as held. A websocket counts what was read."""
+        self.last_bytes_ms = now_ms
+        if self.trusted and not self._counts_unread:
+            self._set_held(0)
 
-    def _hold(self, count: int) -> None:
+    def _set_held(self, count: int) -> None:
         """Set the bytes of lwIP's memory that count as this client's."""
         self._memory.held += count - self._held
         self._held = count
 
     def is_gone(self, now_ms: int) -> bool:
         """Return whether a network client has been silent for _GONE_MS."""
-        return bool(self.conn) and time.ticks_diff(now_ms, self.heard_ms) >= _GONE_MS
+        return bool(self.conn) and time.ticks_diff(now_ms, self.last_bytes_ms) >= _GONE_MS
 
     def overdue_ms(self, now_ms: int) -> int:
         """Return how many ms the client has kept its place beyond its time; below 0 before."""
         if self.trusted:
-            return time.ticks_diff(now_ms, self.heard_ms) - _LOST_MS
-        return time.ticks_diff(now_ms, self.spoke_ms) - _STRANGER_MS
+            return time.ticks_diff(now_ms, self.last_bytes_ms) - _SILENT_PLACE_MS
+        return time.ticks_diff(now_ms, self.last_line_ms) - _STRANGERS_PLACE_MS
 
     def read(self, buf: bytearray) -> int:
         """Read the bytes received into buf and return how many; -1 if the client has gone."""
         try:
             count = self.conn.readinto(buf) if self.conn else 0
         except OSError:
-            self._hold(0)  # lwIP has dropped all of it
+            self._set_held(0)  # lwIP has dropped all of it
             return -1
         if count is None:  # none have arrived
             return 0
-        return count or -1  # 0: the other end has closed
+        return count or -1  # 0 bytes: the other end has closed
 
-    def has_room(self) -> bool:
-        """Return whether more bytes may be read. Without the key each line waits for the one
-        before it."""
-        return self.length <= _SAID - _PIECE if self.trusted else not self.ready
+    def may_read(self) -> bool:
+        """Return whether more bytes may be read: with the key, if there is space for them; without
+        it, if no line waits."""
+        return self.length <= _RECEIVED_BYTES - _READ_BYTES if self.trusted else not self.ready
 
     def keep(self, byte: int) -> None:
         """Store a received byte; one that does not fit is lost, and the line is then too long."""
-        if self.length < _SAID:
-            self.said[self.length] = byte
+        if self.length < _RECEIVED_BYTES:
+            self.received[self.length] = byte
             self.length += 1
         else:
             self.is_too_long = True
@@ -182,57 +197,57 @@ class Client:
         self.keep(byte)
         self.ready = self.length
         if self.trusted:
-            self.spoke_ms = now_ms
+            self.last_line_ms = now_ms
 
     def move_lines(self, buf: bytearray) -> int:
         """Move bytes that may be passed to the machine into buf. Returns how many."""
         count = min(self.ready, len(buf))
-        buf[:count] = self.said[:count]
+        buf[:count] = self.received[:count]
         remaining = self.length - count
-        self.said[:remaining] = self.said[count : self.length]
+        self.received[:remaining] = self.received[count : self.length]
         self.length = remaining
         self.ready -= count
         return count
 
-    def may_hear(self) -> bool:
+    def can_be_answered(self) -> bool:
         """Return whether an answer would be sent: there is memory for it."""
-        return self.space() >= _SEGMENT
+        return self.space() >= _LEAST_WRITE_BYTES
 
     def space(self) -> int:
-        """Return how many bytes may be sent now."""
-        if self._proves:
-            self._hold(self.conn.unproved)  # type: ignore[union-attr]  # WebSocket's
+        """Return how many bytes may be sent now, of the client's share and of all memory."""
+        if self._counts_unread:
+            self._set_held(self.conn.unproved)  # type: ignore[union-attr]  # WebSocket's
         return min(self._memory.share - self._held, self._memory.space(self.trusted))
 
     def put(self, data: "bytes | bytearray | memoryview") -> bool:
         """Queue output. False if the client reads too slowly; it must be dropped then."""
         count = len(data)
-        if self._waiting + count > _OUT and not self.send():
+        if self._out_length + count > _OUT_BYTES and not self.send():
             return False
-        if self._waiting + count > _OUT:
+        if self._out_length + count > _OUT_BYTES:
             return False
-        self._out[self._waiting : self._waiting + count] = data
-        self._waiting += count
+        self._out[self._out_length : self._out_length + count] = data
+        self._out_length += count
         return True
 
     def send(self) -> bool:
         """Send as much queued output as lwIP has memory for. False if the connection has failed.
         A client that cannot prove that it reads (TCP without the key) loses the rest."""
-        if not self._waiting or not self.conn:
+        if not self._out_length or not self.conn:
             return True
         space = self.space()
-        if space < _SEGMENT:
-            if not (self.trusted or self._proves):
-                self._waiting = 0  # no more answers
+        if space < _LEAST_WRITE_BYTES:
+            if not (self.trusted or self._counts_unread):
+                self._out_length = 0  # no more answers
             return True
         try:
-            sent = self.conn.write(memoryview(self._out)[: min(self._waiting, space)]) or 0
+            sent = self.conn.write(memoryview(self._out)[: min(self._out_length, space)]) or 0
         except OSError:
-            self._hold(0)
+            self._set_held(0)
             return False
-        self._waiting -= sent
-        self._out[: self._waiting] = self._out[sent : sent + self._waiting]
-        self._hold(self._held + max(sent, _SEGMENT))
+        self._out_length -= sent
+        self._out[: self._out_length] = self._out[sent : sent + self._out_length]
+        self._set_held(self._held + max(sent, _LEAST_WRITE_BYTES))
         return True
 
 

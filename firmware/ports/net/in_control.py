@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
     from ports.net.client import Client
 
-_SILENT_MS = const(5000)
+_SILENT_MS = const(5000)  # without a line that does more than read
 
 
 class Control:
     """Who controls the machine. owner: the client in control; driver: the client whose lines the
     machine is passed; they differ while a client borrows the machine; None: no client. receiver:
     the client that gets the answers. ending: lines of the previous driver are not all executed
-    yet, and this one's wait. _reads: lines of the borrower that have no answer yet. user: the
-    client at the cable, which is in control at first."""
+    yet, and this one's wait. _unanswered_reads: lines of the borrower that have no answer yet.
+    user: the client at the cable, which is in control at first."""
 
     def __init__(self, user: "Client") -> None:
         self.owner: "Client | None" = user
@@ -32,9 +32,9 @@ class Control:
         self.receiver: "Client | None" = user
         self.ending = False
         # Drop the driver's unfinished line in the reader; and whether there is one.
-        self.drop_half: "Callable[[], None]" = lambda: None
-        self.has_half: "Callable[[], bool]" = lambda: False
-        self._reads = 0
+        self.drop_partial_line: "Callable[[], None]" = lambda: None
+        self.has_partial_line: "Callable[[], bool]" = lambda: False
+        self._unanswered_reads = 0
 
     def is_borrowed(self) -> bool:
         """Return whether the owner's lines wait for a borrower's."""
@@ -49,18 +49,18 @@ class Control:
         """Give the machine to a client that is not in control, if that is allowed. Returns
         whether. at_rest: the machine is idle. reads: its line only reads, so the machine is only
         lent: not while another borrows it, nor in the middle of a line."""
-        if reads and client is self.driver:
-            self._reads += 1
+        if reads and client is self.driver:  # a borrower's next line
+            self._unanswered_reads += 1
             return True
         if not self._is_free(client, at_rest, now_ms):
             return False
         if not reads:
             self._transfer_control(client)
-        elif self.is_borrowed() or self.has_half():
+        elif self.is_borrowed() or self.has_partial_line():
             return False
         else:
-            self.driver, self._reads = client, 1
-            self.ending = True
+            self.driver, self._unanswered_reads = client, 1
+            self.ending = True  # the owner's lines are executed first: see done()
         return True
 
     def _is_free(self, client: "Client", at_rest: bool, now_ms: int) -> bool:
@@ -71,7 +71,8 @@ class Control:
         """
         owner = self.owner
         if not client.trusted:
-            return owner is self.driver is None and at_rest and client.may_hear()
+            nobody_drives = owner is None and self.driver is None
+            return nobody_drives and at_rest and client.can_be_answered()
         if owner is None or owner.is_gone(now_ms):
             return True
         return at_rest and self.is_silent(owner, now_ms)
@@ -79,25 +80,25 @@ class Control:
     @staticmethod
     def is_silent(client: "Client", now_ms: int) -> bool:
         """Return whether the client has sent no line but read-only ones for _SILENT_MS."""
-        return time.ticks_diff(now_ms, client.spoke_ms) >= _SILENT_MS
+        return time.ticks_diff(now_ms, client.last_line_ms) >= _SILENT_MS
 
     def _transfer_control(self, owner: "Client | None") -> None:
         """Give control to another client, or to none, and notify the one that loses it. While the
         machine is borrowed, the borrower's lines are finished first."""
-        before = self.owner
+        old_owner = self.owner
         if not self.is_borrowed():
             self._hand_over(owner)
         self.owner = owner
-        if before and before.conn:
-            before.forget()
-            before.put(MSG_TAKEN)
+        if old_owner and old_owner.conn:
+            old_owner.forget()  # its lines that wait
+            old_owner.put(MSG_TAKEN)
 
     def _hand_over(self, driver: "Client | None") -> None:
         """Switch to another client's lines. Those before are still executed (ending, until
         done()); their answers have no receiver."""
         self.driver, self.receiver = driver, None
         self.ending = True
-        self.drop_half()
+        self.drop_partial_line()
 
     def on_client_gone(self, client: "Client") -> bool:
         """Handle that a client has gone. Returns whether it was in control."""
@@ -119,8 +120,8 @@ class Control:
         """Note that a line was answered by ok or error. After the answer to a borrower's last line
         the machine returns to the owner."""
         if self.is_borrowed() and not self.ending:
-            self._reads -= 1
-            if self._reads == 0:
+            self._unanswered_reads -= 1
+            if self._unanswered_reads == 0:
                 self.give_back()
 
     def give_back(self) -> None:

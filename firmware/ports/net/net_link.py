@@ -22,7 +22,7 @@ from micropython import const
 
 from ports.link_memory import DISCARD_PIECES
 from ports.net.access import OK, READING, REFUSED, TAKEN, Access, is_browser, plain
-from ports.net.client import Client, Memory, asks, slot_for
+from ports.net.client import Client, Memory, asks, is_for_all, slot_for
 from ports.net.in_control import Control
 
 TYPE_CHECKING = const(False)
@@ -33,32 +33,28 @@ if TYPE_CHECKING:
 
 _MOST_CLIENTS = const(3)  # clients on the network at once
 _PIECE = const(64)
-_LONGEST_READING = const(8)  # longest read-only line, in bytes
+_LONGEST_READ_ONLY = const(8)  # longest read-only line, in bytes
 _URGENT = const(16)  # real-time bytes that may wait
-_ROUND_MS = const(10)  # between two rounds of the clients
+_SERVE_MS = const(10)  # between two rounds of the clients
 _RADIO_MS = const(1000)  # between two checks of the radio
 _UPPER = const(0x80)  # bytes from here on are real-time commands
 
 _JOG_CANCEL = const(0x85)
-_STOPS = b"\x18!\x84\x85"
-_REALTIME = b"\x18!~"
-_ANSWERS = b"oe"  # the first letters of ok and error:
-# First bytes of output that goes to all clients.
-_ALARM = const(0x41)  # A of ALARM:
-_RETURN = const(0x0D)  # an empty line, with which the banner begins, has this or a lower one
-_BRACKET = const(0x5B)  # [ and
-_MESSAGE = const(0x4D)  # M of [MSG:
-_REPORT = const(0x3C)  # < of a status report
+_STOPS = b"\x18!\x84\x85"  # Ctrl-X, feed hold, door, jog cancel
+_REALTIME = b"\x18!~"  # Ctrl-X, feed hold, cycle start; ? is apart, see questions
+_FIRST_OF_ANSWER = b"oe"  # the first letters of ok and error:
+_FIRST_OF_REPORT = const(0x3C)  # < of a status report
 
 
 class NetLink:
     """A Link. cable: the cable's link. calls: new connections, None without a network. memory: of
-    lwIP, for all clients. on_poll: as UartLink's. _user: the cable's client; _clients: the places
-    of network clients, free if conn is None; _all: both. control.owner is the client in control,
-    control.driver the one whose lines are executed. _is_plain: only the cable is used, its bytes
-    pass unchecked; _user.asked then says that some did since the last _round(). _is_nobodys: they
-    never did, so a network client need not wait for control. _piece: bytes just read, unchecked.
-    _urgent: real-time bytes that pass before all lines."""
+    lwIP, for all clients. on_poll: as UartLink's. _cable_client: the client at the cable;
+    _clients: the places of network clients, free if conn is None; _all: both. control.owner is the
+    client in control, control.driver the one whose lines are executed. _is_plain: only the cable
+    is used, its bytes pass unchecked; _cable_client.asked then says that some did since the last
+    _serve_clients(). _cable_never_used: they never did, so a network client need not wait for
+    control. _piece: bytes just read, unchecked. _urgent: real-time bytes that pass before all
+    lines, _urgent_count of them. _serve_ms, _radio_ms: when clients and radio were served last."""
 
     def __init__(
         self, cable: "BoardLink", calls: "Incoming | None", memory: "Memory | None" = None
@@ -78,20 +74,20 @@ class NetLink:
         self.radio: "Callable[[bool], None] | None" = None
         self.status: "Callable[[], str]" = lambda: "no network is set up"
         self._at_rest: "Callable[[], bool]" = lambda: True
-        self._read = cable.read_into
-        self._write = cable.write
+        self._read_cable = cable.read_into
+        self._write_to_cable = cable.write
         self._memory = memory or Memory()
-        self._user = Client(self._memory)
-        self._user.trusted = True
+        self._cable_client = Client(self._memory)
+        self._cable_client.trusted = True
         self._clients = [Client(self._memory) for _ in range(_MOST_CLIENTS)]
-        self._all = [self._user] + self._clients
-        self.control = Control(self._user)
+        self._all = [self._cable_client] + self._clients
+        self.control = Control(self._cable_client)
         self._is_plain = True
-        self._is_nobodys = True
+        self._cable_never_used = True
         self._piece = bytearray(_PIECE)
         self._urgent = bytearray(_URGENT)
         self._urgent_count = 0
-        self._round_ms = self._radio_ms = time.ticks_ms()
+        self._serve_ms = self._radio_ms = time.ticks_ms()
 
     # The Link interface
 
@@ -114,20 +110,20 @@ class NetLink:
     def read_into(self, buf: bytearray) -> int:
         """Move the bytes received into buf; return how many."""
         if self._is_plain:
-            count = self._read(buf)
+            count = self._read_cable(buf)
             if count:
-                self._user.asked = True
+                self._cable_client.asked = True
                 return count
         now_ms = time.ticks_ms()
-        if time.ticks_diff(now_ms, self._round_ms) >= _ROUND_MS:
-            self._round_ms = now_ms
-            self._round(now_ms)
-        return 0 if self._is_plain else self._sort(buf, now_ms)
+        if time.ticks_diff(now_ms, self._serve_ms) >= _SERVE_MS:
+            self._serve_ms = now_ms
+            self._serve_clients(now_ms)
+        return 0 if self._is_plain else self._fill_for_machine(buf, now_ms)
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         """Send output to the clients it is for: see _distribute()."""
         if self._is_plain:
-            self._write(data)
+            self._write_to_cable(data)
         elif len(data):
             self._distribute(data)
 
@@ -149,7 +145,7 @@ class NetLink:
         if self._calls:
             self._calls.close()
             self._calls = None
-        self.control.set(self._user)
+        self.control.set(self._cable_client)
         self._is_plain = True
         self._cable.close()
 
@@ -163,11 +159,11 @@ class NetLink:
 
     def by_cable(self) -> bool:
         """Return whether the client whose lines are executed is at the cable."""
-        return self.control.driver is self._user and not self.control.ending
+        return self.control.driver is self._cable_client and not self.control.ending
 
     def write_cable(self, data: bytes) -> None:
         """Send output that only the cable's client may read."""
-        self._write(data)
+        self._write_to_cable(data)
 
     def client_count(self) -> int:
         """Return how many network clients are connected."""
@@ -175,35 +171,35 @@ class NetLink:
 
     def _restore_plain(self) -> None:
         """Let the cable's bytes pass unchecked again, if no network client is left."""
-        control, user = self.control, self._user
+        control, cable_client = self.control, self._cable_client
         if not control.ending and not self.client_count():
             if control.driver is None:
-                control.set(user)
-                self._is_nobodys = True
-            if self._is_open(user) and not self._urgent_count:
+                control.set(cable_client)
+                self._cable_never_used = True
+            if self._passes_unchecked(cable_client) and not self._urgent_count:
                 self._is_plain = True
-                user.asked = False
+                cable_client.asked = False
 
-    def _is_open(self, client: Client) -> bool:
+    def _passes_unchecked(self, client: Client) -> bool:
         """Return whether a client's bytes pass to the machine unchecked."""
         control = self.control
         is_owner = client is control.driver is control.owner
         return is_owner and client.trusted and not (control.ending or client.length)
 
-    def _sort(self, buf: bytearray, now_ms: int) -> int:
+    def _fill_for_machine(self, buf: bytearray, now_ms: int) -> int:
         """Fill buf for the machine, and return how many bytes: queued real-time commands; else
         what the client in control sends unchecked; else stored lines of control.driver."""
         count, self._urgent_count = self._urgent_count, 0
         if count:
             buf[:count] = self._urgent[:count]
             return count
-        control, user = self.control, self._user
-        count = self._read(buf)
+        control, cable_client = self.control, self._cable_client
+        count = self._read_cable(buf)
         driver = control.driver
         if count:
-            if self._is_open(user):
-                return self._note(user, buf, count, now_ms)
-            self._filter_bytes(user, buf, count, now_ms)
+            if self._passes_unchecked(cable_client):
+                return self._note_unchecked(cable_client, buf, count, now_ms)
+            self._filter_bytes(cable_client, buf, count, now_ms)
         elif driver and driver.conn:
             count = self._read_driver(driver, buf, now_ms)
             if count:
@@ -216,8 +212,8 @@ class NetLink:
     def _read_driver(self, driver: Client, buf: bytearray, now_ms: int) -> int:
         """Read the network client whose lines are executed. Returns how many bytes were put into
         buf; 0 if there are none, or if each is checked and stored first."""
-        is_open = self._is_open(driver)  # its bytes pass unchecked
-        if not is_open and not driver.has_room():
+        is_open = self._passes_unchecked(driver)  # its bytes pass unchecked
+        if not is_open and not driver.may_read():
             return 0
         piece = buf if is_open else self._piece
         count = driver.read(piece)
@@ -226,28 +222,28 @@ class NetLink:
         elif count:
             driver.note_received(now_ms)
             if is_open:
-                return self._note(driver, buf, count, now_ms)
+                return self._note_unchecked(driver, buf, count, now_ms)
             self._filter_bytes(driver, piece, count, now_ms)
         elif not driver.send():
             self._drop(driver)
         return 0
 
-    def _note(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
+    def _note_unchecked(self, driver: Client, buf: bytearray, count: int, now_ms: int) -> int:
         """Note what the client in control sends unchecked: a ?, to which it is sent a report, and
         the time of a line that is not read-only. Returns count, for the caller to return."""
         if asks(buf, count):
             driver.asked = True
         # READING has the read-only lines; plain() removes a ?, and b"" is one of them.
-        if count > _LONGEST_READING or plain(buf[:count]) not in READING:
-            driver.spoke_ms = now_ms
+        if count > _LONGEST_READ_ONLY or plain(buf[:count]) not in READING:
+            driver.last_line_ms = now_ms
         return count
 
-    def _round(self, now_ms: int) -> None:
+    def _serve_clients(self, now_ms: int) -> None:
         """Serve the network clients (control.driver is read elsewhere); accept a connection."""
         self._memory.forget(now_ms)
-        if self._is_plain and self._user.asked:
-            self._user.asked = self._is_nobodys = False
-            self._user.spoke_ms = now_ms
+        if self._is_plain and self._cable_client.asked:  # the cable has sent something
+            self._cable_client.asked = self._cable_never_used = False
+            self._cable_client.last_line_ms = now_ms
         for client in self._clients:
             if not client.conn:
                 continue
@@ -281,9 +277,11 @@ class NetLink:
             self._drop(place)
         if self._is_plain:  # the first network client
             self._is_plain = False
-            is_free = self.control.is_silent(self._user, now_ms) and not self.control.has_half()
-            if self._is_nobodys or (is_free and self._at_rest()):
-                self.control.set(None)
+            control = self.control
+            is_free = control.is_silent(self._cable_client, now_ms)
+            is_free = is_free and not control.has_partial_line() and self._at_rest()
+            if self._cable_never_used or is_free:
+                control.set(None)
         place.begin(conn, address, now_ms)
         place.put(self.welcome)
         if not place.send():
@@ -301,7 +299,7 @@ class NetLink:
         for i in range(count):
             byte = data[i]
             if byte in self.questions:
-                if client.trusted or client.may_hear():
+                if client.trusted or client.can_be_answered():
                     client.asked = True
                     self._queue_realtime(byte)
             elif byte >= _UPPER or byte in _REALTIME:
@@ -313,9 +311,9 @@ class NetLink:
                 client.keep(byte)
                 if client is self.control.owner:
                     client.ready = client.length
-                elif is_browser(client.said, client.length):
+                elif is_browser(client.received, client.length):
                     self._drop(client)
-            if not client.conn and client is not self._user:
+            if not client.conn and client is not self._cable_client:
                 return
 
     def _may_act(self, client: Client, byte: int, now_ms: int) -> bool:
@@ -342,18 +340,18 @@ class NetLink:
             self._urgent_count = count + 1
 
     def _end_line(self, client: Client, byte: int, now_ms: int) -> None:
-        """End a client's line by CR or LF (byte); _user is the client at the cable. A line not for
-        the machine is answered here: by ok if empty, by the key's check, or by a refusal."""
+        """End a client's line by CR or LF (byte). A line not for the machine is answered here: by
+        ok if empty, by the key's check, or by a refusal."""
         if client is self.control.owner:
             client.end_line(byte, now_ms)
             return
         start = client.ready  # lines before this index wait already
-        line = plain(client.said[start : client.length])
+        line = plain(client.received[start : client.length])
         reads = line in READING
         answer = b""
         if client.is_too_long:
             answer = REFUSED % errors.OVERFLOW
-        elif client is not self._user:
+        elif client is not self._cable_client:
             answer = self.access.answer(client, line)
         if not answer and not line:
             answer = OK
@@ -371,16 +369,16 @@ class NetLink:
     def _distribute(self, data: "bytes | bytearray | memoryview") -> None:
         """Send a report to those that asked; alarms, messages, banner to all; an answer to one."""
         control, first = self.control, data[0]
-        if first == _REPORT:
+        if first == _FIRST_OF_REPORT:
             self._report(data)
-        elif first <= _RETURN or first == _ALARM or (first == _BRACKET and data[1] == _MESSAGE):
-            self._write(data)
+        elif is_for_all(data):
+            self._write_to_cable(data)
             for client in self._clients:
                 if client.conn:
                     self._send(client, data)
         elif control.receiver:
             self._send(control.receiver, data)
-            if first in _ANSWERS:
+            if first in _FIRST_OF_ANSWER:
                 control.answered()
 
     def _report(self, data: "bytes | bytearray | memoryview") -> None:
@@ -394,7 +392,7 @@ class NetLink:
 
     def _send(self, client: Client, data: "bytes | bytearray | memoryview") -> None:
         """Send to one client; one on the network that reads too slowly is dropped."""
-        if client is self._user:
-            self._write(data)
+        if client is self._cable_client:
+            self._write_to_cable(data)
         elif client.conn and not client.put(data):
             self._drop(client)

@@ -28,24 +28,24 @@ if TYPE_CHECKING:
 FIRST = "page.html"  # file names
 NAME = "page.gz"
 PIECE = const(672)  # bytes; with its head it fits one segment of lwIP
-_HEAD = const(512)  # bytes that a head may have
-_READ = const(256)  # bytes of one read
-_LONGEST = const(4096)  # longest request, in bytes
+_HEAD_BYTES = const(512)  # bytes that a head may have
+_READ_BYTES = const(256)  # bytes of one read
+_LONGEST_REQUEST = const(4096)  # longest request, in bytes
 _VISITORS = const(2)
 _SILENT_MS = const(2000)  # a request that is not complete by then is dropped
-_MEMORY = const(2400)  # bytes of lwIP's memory: three pieces
-_SEGMENT = const(800)  # bytes of it that a piece with its head counts for
-_SHORT = const(300)  # an answer without a piece; a websocket's, with its last frame
-_SMALLEST = const(150)  # what any answer counts for, at least
-_CHANCE = const(2)  # random bytes in a path
+_MEMORY_BYTES = const(2400)  # bytes of lwIP's memory: three pieces
+_PIECE_COUNTS = const(800)  # bytes of it that a piece with its head counts for
+_REFUSAL_COUNTS = const(300)  # an answer without a piece; a websocket's, with its last frame
+_LEAST_COUNTS = const(150)  # what any answer counts for, at least
+_RANDOM_BYTES = const(2)  # random bytes in a path
 
-_KEY_LENGTH = const(24)
+_KEY_BYTES = const(24)
 _LONGEST_HOST = const(21)  # longest numeric host, with its port
 _DIGITS = const(5)  # a piece's number has fewer
 # The constants are in few tuples, because a garbage collection can keep track of 60 objects of a
 # module at once.
 # Fields of a request that are read, the first line being "", and their indices.
-_FIELDS = (
+_FIELD_NAMES = (
     b"",
     b"host",
     b"origin",
@@ -55,18 +55,17 @@ _FIELDS = (
     b"content-length",
     b"transfer-encoding",
 )
-_LINE = const(0)
+_LINE = const(0)  # the request's first line: method, path, version
 _HOST = const(1)
-_ORIGIN = const(2)
+_ORIGIN = const(2)  # the site of the page that sends the request
 _UPGRADE = const(3)
-_KEY = const(4)
-_VERSION = const(5)
-_LENGTH = const(6)
-_ENCODING = const(7)
-# Values that some fields must have, used by their indices.
-_WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")
-_NAMES = (b"localhost", b".local")
-_SIGNS = b".0123456789"
+_KEY = const(4)  # Sec-WebSocket-Key
+_VERSION = const(5)  # Sec-WebSocket-Version
+_LENGTH = const(6)  # Content-Length
+_ENCODING = const(7)  # Transfer-Encoding
+_WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")  # values that some fields must have
+_NAMES = (b"localhost", b".local")  # a host; the end of the board's name
+_NUMBER_CHARS = b".0123456789"  # of an IP address; without the first one, of a number
 # Statuses and texts of refusals.
 _REFUSALS = (
     (b"400 Bad Request", b"this is not an HTTP/1.1 request"),
@@ -78,15 +77,15 @@ _REFUSALS = (
     (b"400 Bad Request", b"this address is a websocket: open / in a browser"),
     (b"426 Upgrade Required", b"websocket version 13 is needed"),
 )
-_NO_REQUEST = const(0)  # indices into _REFUSALS
-_NO_READING = const(1)
-_OTHER_NAME = const(2)
-_OTHER_PAGE = const(3)
-_NOT_HERE = const(4)
-_NO_PAGE = const(5)
-_NO_SOCKET = const(6)
+_NOT_HTTP = const(0)  # index into _REFUSALS, from here on
+_NOT_A_GET = const(1)
+_UNKNOWN_HOST = const(2)
+_OTHER_SITE = const(3)
+_NO_SUCH_PATH = const(4)
+_PAGE_NOT_STORED = const(5)
+_NOT_A_WEBSOCKET = const(6)
 _OTHER_VERSION = const(7)
-_GOOD = const(-1)  # the request is not refused
+_NOT_REFUSED = const(-1)  # the request is not refused
 # An answer's head; its end; the policy, by which no site may hold our page in a frame and have its
 # buttons clicked unseen; the answer to a handshake; the header of the next piece; paths of pieces.
 _FORMS = (
@@ -100,27 +99,28 @@ _FORMS = (
     b"/0?0000",
     b"/%d?%s",
 )
-_ANSWER = const(0)  # indices into _FORMS
-_AND_CLOSE = const(1)
-_POLICY = const(2)
-_ACCEPTED = const(3)
-_NEXT = const(4)
-_FIRST_PATH = const(5)  # the path in FIRST
-_PATH = const(6)
+_ANSWER_HEAD = const(0)  # index into _FORMS: status, content type, length
+_CLOSE_HEADER = const(1)  # the connection ends after this answer
+_POLICY_HEADER = const(2)  # with the Host of the request
+_HANDSHAKE = const(3)  # with the accepted key
+_NEXT_HEADER = const(4)  # with a path by _PIECE_PATH
+_PATH_IN_FIRST = const(5)  # the text in FIRST that a path replaces, of the same length
+_PIECE_PATH = const(6)  # number and random hex digits
 # Content types, and their indices.
 _KINDS = (b"text/plain", b"text/html", b"application/octet-stream")
-_SENTENCE = const(0)
-_HTML = const(1)
-_PIECE = const(2)
+_TEXT_KIND = const(0)  # index into _KINDS: of a refusal's text
+_HTML_KIND = const(1)  # index into _KINDS: of FIRST
+_BINARY_KIND = const(2)  # index into _KINDS: of a piece of NAME
 
 
 class Visitor:
     """A place for an HTTP connection. conn: None if the place is free.
 
     owes: bytes sent that may not have been read; proof: the path whose request proves that they
-    have. begun_ms: start of the present request, or of the wait for one. asks: fields of the
-    request that waits for its answer, None if none does. Of the request being received _rest is
-    the unfinished line, _size the number of bytes so far, _fields the fields by index.
+    have. begun_ms: start of the present request, or of the wait for one. waiting_request: fields
+    of the request that waits for its answer, None if none does. Of the request being received
+    _unfinished_line is the unfinished line, _request_bytes the number of bytes so far, _fields the
+    fields by index.
     """
 
     def __init__(self) -> None:
@@ -129,9 +129,9 @@ class Visitor:
         self.owes = 0
         self.proof = b""
         self.begun_ms = 0
-        self.asks: "dict[int, bytes] | None" = None
-        self._rest = b""
-        self._size = 0
+        self.waiting_request: "dict[int, bytes] | None" = None
+        self._unfinished_line = b""
+        self._request_bytes = 0
         self._fields: "dict[int, bytes]" = {}
 
     def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
@@ -140,39 +140,39 @@ class Visitor:
         self.address = address
         self.owes = 0
         self.proof = b""
-        self.asks = None
+        self.waiting_request = None
         self.begun_ms = now_ms
-        self._forget()
+        self._begin_request()
 
-    def _forget(self) -> None:
+    def _begin_request(self) -> None:
         """Forget the request; the next one may begin."""
-        self._rest = b""
-        self._size = 0
+        self._unfinished_line = b""
+        self._request_bytes = 0
         self._fields = {}
 
-    def hear(self, data: bytes) -> "dict[int, bytes] | None":
+    def add_bytes(self, data: bytes) -> "dict[int, bytes] | None":
         """Add bytes of the request. Returns its fields by index (_LINE, _HOST, …) once it is
         complete, None before; {} if it is malformed or too long."""
-        self._size += len(data)
-        lines = (self._rest + data).split(b"\n")
-        self._rest = lines.pop()
+        self._request_bytes += len(data)
+        lines = (self._unfinished_line + data).split(b"\n")
+        self._unfinished_line = lines.pop()
         fields = self._fields
         while lines:
             line = lines.pop(0).strip()
             if not line and fields:  # bytes after it were sent before our answer
-                is_last = not (lines or self._rest)
-                self._forget()
+                is_last = not (lines or self._unfinished_line)
+                self._begin_request()
                 return fields if is_last else {}
             # The first line has no name: it is stored under "".
             name, _, value = line.partition(b":") if fields else (b"", b"", line)
             name = name.lower()
-            if name not in _FIELDS:
+            if name not in _FIELD_NAMES:
                 continue
-            index = _FIELDS.index(name)
+            index = _FIELD_NAMES.index(name)
             if index in fields:
                 return {}  # given twice
             fields[index] = value.strip()
-        return {} if self._size > _LONGEST else None
+        return {} if self._request_bytes > _LONGEST_REQUEST else None
 
 
 class Page:
@@ -186,9 +186,9 @@ class Page:
         self._host = host.encode()
         self._folder = folder
         self._visitors = [Visitor() for _ in range(_VISITORS)]
-        self._memory = Memory(_MEMORY)
-        self._out = bytearray(_HEAD + PIECE)
-        self._read = bytearray(_READ)
+        self._memory = Memory(_MEMORY_BYTES)
+        self._out = bytearray(_HEAD_BYTES + PIECE)
+        self._read = bytearray(_READ_BYTES)
 
     def next(self) -> "tuple[Connection, str] | None":
         """Serve all visitors. Returns a visitor that has opened a websocket, or else a new TCP
@@ -205,8 +205,8 @@ class Page:
             try:
                 websocket = self._serve(visitor, now_ms)
             except Exception:  # OSError; and nothing that a visitor sends may stop the machine
-                self._owe(visitor, 0)  # lwIP has freed all of it
-                self._end(visitor)
+                self._set_owed(visitor, 0)  # lwIP has freed all of it
+                self._end_visit(visitor)
                 continue
             if websocket:
                 return websocket, visitor.address
@@ -215,7 +215,7 @@ class Page:
     def close(self) -> None:
         """Stop listening; close all connections."""
         for visitor in self._visitors:
-            self._end(visitor)
+            self._end_visit(visitor)
         self._visits.close()
         self._calls.close()
 
@@ -226,18 +226,18 @@ class Page:
         else None. OSError if the connection has failed."""
         count = visitor.conn.readinto(self._read) if visitor.conn else 0
         if count is None:  # nothing has arrived
-            if visitor.asks:
-                return self._answer(visitor, visitor.asks, now_ms)
+            if visitor.waiting_request:
+                return self._answer(visitor, visitor.waiting_request, now_ms)
             if time.ticks_diff(now_ms, visitor.begun_ms) >= _SILENT_MS:
-                self._end(visitor)
+                self._end_visit(visitor)
             return None
-        if not count or visitor.asks:  # it has closed, or does not wait for the answer
-            self._end(visitor)
+        if not count or visitor.waiting_request:  # it has closed, or does not wait for the answer
+            self._end_visit(visitor)
             return None
-        fields = visitor.hear(bytes(memoryview(self._read)[:count]))
+        fields = visitor.add_bytes(bytes(memoryview(self._read)[:count]))
         return None if fields is None else self._answer(visitor, fields, now_ms)
 
-    def _owe(self, visitor: Visitor, count: int) -> None:
+    def _set_owed(self, visitor: Visitor, count: int) -> None:
         """Set the bytes of lwIP's memory that this visitor's answers take."""
         self._memory.held += count - visitor.owes
         visitor.owes = count
@@ -247,70 +247,70 @@ class Page:
     ) -> "WebSocket | None":
         """Answer a request: refuse it, send a piece, or return a websocket that it has opened.
 
-        fields: by index, {} if it was malformed. It waits in visitor.asks if there is no memory
-        for a piece now.
+        fields: by index, {} if it was malformed. They wait in visitor.waiting_request if there is
+        no memory for a piece now.
         """
         words = fields.get(_LINE, b"").split(b" ")  # method, path, version
-        if visitor.proof and visitor.proof in words:  # all before has been read
-            self._owe(visitor, 0)
+        if visitor.proof and visitor.proof in words:  # the path: all before has been read
+            self._set_owed(visitor, 0)
         why = self._refusal(fields, words)
         if why >= 0:
             self._refuse(visitor, why)
             return None
-        visitor.asks = fields
-        if self._memory.space(True) < _SEGMENT:
+        visitor.waiting_request = fields
+        if self._memory.space(True) < _PIECE_COUNTS:  # next() tries again
             return None
-        visitor.asks = None
+        visitor.waiting_request = None
         visitor.begun_ms = now_ms
         if words[1] == b"/ws":
-            return self._open(visitor, fields)
+            return self._open_websocket(visitor, fields)
         elif words[1] == b"/":
-            self._piece(visitor, _HTML, 0, _FORMS[_POLICY] % fields[_HOST])
+            self._send_piece(visitor, _HTML_KIND, 0, _FORMS[_POLICY_HEADER] % fields[_HOST])
         else:
-            self._piece(visitor, _PIECE, _number(words[1]), b"")
+            self._send_piece(visitor, _BINARY_KIND, _number(words[1]), b"")
         return None
 
     def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
-        """Return why a request is refused, an index into _REFUSALS; _GOOD if it is not. fields: by
-        index; words: of its first line, which should be method, path and version."""
+        """Return why a request is refused, an index into _REFUSALS; _NOT_REFUSED if it is not.
+        fields: by index; words: of its first line, which should be method, path and version."""
         if len(words) != 3 or words[2] != _WORDS[1]:  # HTTP/1.1
-            return _NO_REQUEST
+            return _NOT_HTTP
         if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:  # GET, no body
-            return _NO_READING
+            return _NOT_A_GET
         host = fields.get(_HOST, b"").lower()
-        if not self._is_ours(host):
-            return _OTHER_NAME
+        if not self._is_own_host(host):
+            return _UNKNOWN_HOST
         own_origin = b"http://" + host  # of our page; a browser sends that of the page that asks
         if fields.get(_ORIGIN, own_origin).lower() != own_origin:
-            return _OTHER_PAGE
+            return _OTHER_SITE
         path = words[1]
-        return _GOOD if path in (b"/", b"/ws") or _number(path) >= 0 else _NOT_HERE
+        return _NOT_REFUSED if path in (b"/", b"/ws") or _number(path) >= 0 else _NO_SUCH_PATH
 
-    def _is_ours(self, host: bytes) -> bool:
+    def _is_own_host(self, host: bytes) -> bool:
         """Return whether a request's Host (lower case) is a name of the board or a number. Numbers
         are safe: they cannot resolve to another address later, as a name from elsewhere can."""
         name, _, port = host.partition(b":")
         if len(port) <= _DIGITS and name in (self._host, self._host + _NAMES[1], _NAMES[0]):
             return True
-        return _is_of(name, _SIGNS) and len(host) <= _LONGEST_HOST
+        return _has_only(name, _NUMBER_CHARS) and len(host) <= _LONGEST_HOST
 
-    def _open(self, visitor: Visitor, fields: "dict[int, bytes]") -> "WebSocket | None":
+    def _open_websocket(self, visitor: Visitor, fields: "dict[int, bytes]") -> "WebSocket | None":
         """Answer the handshake and return the websocket, which takes over the connection; None if
         it is refused or the connection has failed."""
         key = fields.get(_KEY, b"")
-        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:  # websocket
-            self._refuse(visitor, _NO_SOCKET)
+        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_BYTES:  # websocket
+            self._refuse(visitor, _NOT_A_WEBSOCKET)
             return None
         if fields.get(_VERSION) != _WORDS[3]:  # 13
             self._refuse(visitor, _OTHER_VERSION)
             return None
-        conn, answer = visitor.conn, _FORMS[_ACCEPTED] % web_socket.accepted(key)
+        conn, answer = visitor.conn, _FORMS[_HANDSHAKE] % web_socket.accepted(key)
         if conn is None or conn.write(answer) != len(answer):
-            self._end(visitor)
+            self._end_visit(visitor)
             return None
-        visitor.conn = None  # so that _end() frees the place and closes nothing
-        self._owe(visitor, visitor.owes + _SHORT)
-        self._end(visitor)
+        visitor.conn = None  # so that _end_visit() frees the place and closes nothing
+        self._set_owed(visitor, visitor.owes + _REFUSAL_COUNTS)
+        self._end_visit(visitor)
         return WebSocket(conn)
 
     # Answers
@@ -319,50 +319,52 @@ class Page:
         """Answer with a text of _REFUSALS (why: its index) and end the connection. Without an
         answer if no memory for a piece would remain: pieces for other visitors have priority."""
         status, text = _REFUSALS[why]
-        head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_CLOSE]
-        if self._memory.space(True) >= _SEGMENT + _SHORT:  # True: all of it, not a client's share
-            self._put(visitor, memoryview(head + b"\r\n" + text + b"\n"))
-        self._end(visitor)
+        head = _FORMS[_ANSWER_HEAD] % (status, _KINDS[_TEXT_KIND], len(text) + 1)
+        head += _FORMS[_CLOSE_HEADER]
+        space = self._memory.space(True)  # True: all of it, not a client's share
+        if space >= _PIECE_COUNTS + _REFUSAL_COUNTS:
+            self._send_all(visitor, memoryview(head + b"\r\n" + text + b"\n"))
+        self._end_visit(visitor)
 
-    def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes) -> None:
-        """Send piece `number` of a file: FIRST if kind is _HTML, else NAME.
+    def _send_piece(self, visitor: Visitor, kind: int, number: int, more: bytes) -> None:
+        """Send piece `number` of a file: FIRST if kind is _HTML_KIND, else NAME.
 
         After the last piece comes an empty one, and the connection ends. more: further header
-        lines. out has the head, which ends at _HEAD, and the piece after it. The path of the
+        lines. In out the head ends at _HEAD_BYTES, where the piece begins. The path of the
         request that is to follow is random: it becomes visitor.proof.
         """
         out = memoryview(self._out)
-        name = self._folder + (FIRST if kind == _HTML else NAME)
+        name = self._folder + (FIRST if kind == _HTML_KIND else NAME)
         try:
             with open(name, "rb") as file:
                 file.seek(number * PIECE)
-                count = file.readinto(out[_HEAD:])
+                count = file.readinto(out[_HEAD_BYTES:])
         except OSError:
-            self._refuse(visitor, _NO_PAGE)
+            self._refuse(visitor, _PAGE_NOT_STORED)
             return
-        head = _FORMS[_ANSWER] % (b"200 OK", _KINDS[kind], count) + more
-        chance = binascii.hexlify(os.urandom(_CHANCE))
-        if kind == _HTML:  # the file's text has a path to replace
-            visitor.proof = _FORMS[_PATH] % (0, chance)
-            path_at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
+        head = _FORMS[_ANSWER_HEAD] % (b"200 OK", _KINDS[kind], count) + more
+        random_hex = binascii.hexlify(os.urandom(_RANDOM_BYTES))
+        if kind == _HTML_KIND:  # the file's text has a path to replace
+            visitor.proof = _FORMS[_PIECE_PATH] % (0, random_hex)
+            path_at = bytes(out[_HEAD_BYTES:]).find(_FORMS[_PATH_IN_FIRST]) + _HEAD_BYTES
             out[path_at : path_at + len(visitor.proof)] = visitor.proof
         elif count:
-            visitor.proof = _FORMS[_PATH] % (number + 1, chance)
-            head += _FORMS[_NEXT] % visitor.proof
-        head += (b"" if count else _FORMS[_AND_CLOSE]) + b"\r\n"
-        start = _HEAD - len(head)
-        out[start:_HEAD] = head
-        self._put(visitor, out[start : _HEAD + count])
+            visitor.proof = _FORMS[_PIECE_PATH] % (number + 1, random_hex)
+            head += _FORMS[_NEXT_HEADER] % visitor.proof
+        head += (b"" if count else _FORMS[_CLOSE_HEADER]) + b"\r\n"
+        start = _HEAD_BYTES - len(head)
+        out[start:_HEAD_BYTES] = head
+        self._send_all(visitor, out[start : _HEAD_BYTES + count])
         if not count:
-            self._end(visitor)
+            self._end_visit(visitor)
 
-    def _put(self, visitor: Visitor, data: memoryview) -> None:
+    def _send_all(self, visitor: Visitor, data: memoryview) -> None:
         """Send all of data at once, or end the connection: lwIP should have memory for it."""
-        self._owe(visitor, visitor.owes + max(len(data), _SMALLEST))
+        self._set_owed(visitor, visitor.owes + max(len(data), _LEAST_COUNTS))
         if visitor.conn and visitor.conn.write(data) != len(data):
-            self._end(visitor)
+            self._end_visit(visitor)
 
-    def _end(self, visitor: Visitor) -> None:
+    def _end_visit(self, visitor: Visitor) -> None:
         """End the connection. Bytes that it may not have read stay in lwIP's memory for a
         while."""
         conn, visitor.conn = visitor.conn, None
@@ -375,9 +377,9 @@ class Page:
 def _number(path: bytes) -> int:
     """Return the number of a path: 12 of `/12` or `/12?ab34`; -1 of anything else."""
     text = path[1:].split(b"?")[0]
-    return int(text) if _is_of(text, _SIGNS[1:]) and len(text) < _DIGITS else -1
+    return int(text) if _has_only(text, _NUMBER_CHARS[1:]) and len(text) < _DIGITS else -1
 
 
-def _is_of(text: bytes, allowed: bytes) -> bool:
+def _has_only(text: bytes, allowed: bytes) -> bool:
     """Return whether the text is not empty and has only these characters."""
     return bool(text) and not [character for character in text if character not in allowed]

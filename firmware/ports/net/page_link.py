@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _HTTP = const(80)
 _MEMORY = const(4800)  # bytes
 _JSON = (b"false", b"true")  # by truth
-_NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
+_STATE_JSON = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
 
 
 class PageLink(NetLink):
@@ -28,16 +28,16 @@ class PageLink(NetLink):
         NetLink.__init__(self, cable, calls, Memory(_MEMORY))
         self._host = host
 
-    def _round(self, now_ms: int) -> None:
-        """Serve the clients, as NetLink._round(), and send a changed state of control to pages."""
-        NetLink._round(self, now_ms)
+    def _serve_clients(self, now_ms: int) -> None:
+        """Serve the clients, as NetLink does, and send a changed state of control to pages."""
+        NetLink._serve_clients(self, now_ms)
         if not self._is_plain:
-            self._tell()
+            self._send_control_state()
 
-    def _tell(self) -> None:
+    def _send_control_state(self) -> None:
         """Send each page the state of control if it has changed, as `ugrbl web` does
         (docs/web.md); with "key": whether the client must send the key."""
-        driver = self.control.owner
+        driver = self.control.owner  # docs/web.md calls the client in control so
         watchers = len([1 for client in self._clients if client.conn and client is not driver])
         for client in self._clients:
             socket = client.conn
@@ -47,7 +47,7 @@ class PageLink(NetLink):
             state = watchers * 8 + client.trusted * 4 + (client is driver) * 2 + (driver is None)
             if state != socket.told:
                 socket.told = state
-                socket.news = _NEWS % (
+                socket.news = _STATE_JSON % (
                     self._host.encode(),
                     _JSON[client is driver],
                     driver is not None,
