@@ -408,10 +408,10 @@ class Job(Protocol):
     def is_on(self) -> bool:
         """Return whether a job runs."""
 
-    def has_half(self) -> bool:
+    def has_partial_line(self) -> bool:
         """Return whether the sender has begun a line."""
 
-    def drop_half(self) -> None:
+    def drop_partial_line(self) -> None:
         """Drop the sender's unfinished line."""
 
     def line_at_stop(self, is_certain: bool) -> tuple[int, int]:
@@ -591,8 +591,8 @@ class Control(Protocol):
     """The controlling client of a machine on the network, for extras/net/net_access.py."""
 
     ending: bool  # lines of the previous client are not finished yet
-    drop_half: Callable[[], None]  # drops a line received in part
-    has_half: Callable[[], bool]  # whether a line was received in part
+    drop_partial_line: Callable[[], None]  # drops a line received in part
+    has_partial_line: Callable[[], bool]  # whether a line was received in part
 
     def done(self) -> None:
         """Note that these lines are finished."""
