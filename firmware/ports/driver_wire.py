@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 # An ESP32's UART 0 is the sender's; an RP2040's UARTs have pins of their own.
-_UARTS = (1, 0)
+_UARTS = (1, 0)  # numbers of UARTs, in the order in which they are tried
 _BAUD = const(115200)
 _PATIENCE_MS = const(3)  # twelve bytes take 1.1 ms, and a driver waits 0.2 ms at most
 _BUFFER = const(32)  # bytes, more than a request and its answer

@@ -15,7 +15,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_CTRL_A = const(1)
+_CTRL_A = const(1)  # characters
 CTRL_C = const(3)
 _CR = const(13)
 _ENOUGH = const(3)  # so many Ctrl-C in a row request the prompt

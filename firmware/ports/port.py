@@ -93,7 +93,7 @@ class PortPins(PortInputs):
         if self.pwm:
             self.pwm.duty_u16(power * _FULL_DUTY // self.pwm_max)
         if self._spindle_on:
-            self._spindle_on.value(on != self._spindle_off)
+            self._spindle_on.value(on != self._spindle_off)  # an off level of 1 inverts
         if self._killed:  # kill() may have come before the writes above
             self.safe()
 

@@ -83,8 +83,8 @@ class UartLink:
             self._send(data)
             return
         whole = memoryview(data)
-        for at in range(0, len(whole), _PIECE):
-            self._send(whole[at : at + _PIECE])
+        for start in range(0, len(whole), _PIECE):
+            self._send(whole[start : start + _PIECE])
 
     def _send(self, piece: "bytes | bytearray | memoryview") -> None:
         """Write a piece; the supervisor allows the wait that this may take."""

@@ -10,18 +10,18 @@ if TYPE_CHECKING:
     from ports.net.client import Client
 
 # Lines that change nothing, in the form that plain() returns.
-READING = (b"", b"$", b"$$", b"$#", b"$G", b"$I", b"$I+", b"$N", b"$NET")
-_KEY = b"$NETKEY="  # $NET/KEY= in the form that plain() returns
+READ_ONLY_LINES = (b"", b"$", b"$$", b"$#", b"$G", b"$I", b"$I+", b"$N", b"$NET")
+_KEY_LINE = b"$NETKEY="  # $NET/KEY= in the form that plain() returns
 OK = b"ok\r\n"
 REFUSED = b"error:%d\r\n"
 _LOCKED = REFUSED % errors.SYSTEM_GC_LOCK
-_MSG_KEY = b"[MSG:Read only: send the network's key first, $NET/KEY=...]\r\n" + _LOCKED
-_MSG_WRONG = b"[MSG:Wrong network key]\r\n" + _LOCKED
+_MSG_KEY_NEEDED = b"[MSG:Read only: send the network's key first, $NET/KEY=...]\r\n" + _LOCKED
+_MSG_WRONG_KEY = b"[MSG:Wrong network key]\r\n" + _LOCKED
 MSG_TAKEN = b"[MSG:Somebody else drives]\r\n"
 TAKEN = MSG_TAKEN + _LOCKED
 # The first bytes of HTTP requests and of TLS. No line for Grbl begins with two such letters.
-_LETTERS = const(2)
-_OF_BROWSERS = (b"GE", b"PO", b"PU", b"HE", b"OP", b"PA", b"DE", b"CO", b"TR", b"PR", b"\x16\x03")
+_LETTERS = const(2)  # bytes to compare
+_BROWSERS = (b"GE", b"PO", b"PU", b"HE", b"OP", b"PA", b"DE", b"CO", b"TR", b"PR", b"\x16\x03")
 
 
 def plain(received: bytearray) -> bytes:
@@ -37,7 +37,7 @@ def is_browser(received: bytearray, count: int) -> bool:
 
     count: bytes received of the line so far. False unless they are two.
     """
-    return count == _LETTERS and bytes(received[:count]) in _OF_BROWSERS
+    return count == _LETTERS and bytes(received[:count]) in _BROWSERS
 
 
 class Access:
@@ -58,10 +58,10 @@ class Access:
         The right key makes the client trusted; a wrong one costs one of its tries. There is no
         delay after a wrong key, for which other clients would wait: there are 30 ** 8 keys.
         """
-        if not line.startswith(_KEY):
-            return b"" if client.trusted or line in READING else _MSG_KEY
-        if self.secret and line[len(_KEY) :] == self.secret.encode():
+        if not line.startswith(_KEY_LINE):
+            return b"" if client.trusted or line in READ_ONLY_LINES else _MSG_KEY_NEEDED
+        if self.secret and line[len(_KEY_LINE) :] == self.secret.encode():
             client.trusted = True
             return OK
         client.tries -= 1
-        return _MSG_WRONG
+        return _MSG_WRONG_KEY

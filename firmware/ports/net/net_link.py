@@ -21,7 +21,7 @@ from base import errors
 from micropython import const
 
 from ports.link_memory import DISCARD_PIECES
-from ports.net.access import OK, READING, REFUSED, TAKEN, Access, is_browser, plain
+from ports.net.access import OK, READ_ONLY_LINES, REFUSED, TAKEN, Access, is_browser, plain
 from ports.net.client import Client, Memory, asks, is_for_all, slot_for
 from ports.net.in_control import Control
 
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from interfaces import BoardLink, Connection, Incoming
 
 _MOST_CLIENTS = const(3)  # clients on the network at once
-_PIECE = const(64)
+_PIECE = const(64)  # bytes of one read whose bytes are checked
 _LONGEST_READ_ONLY = const(8)  # longest read-only line, in bytes
 _URGENT = const(16)  # real-time bytes that may wait
 _SERVE_MS = const(10)  # between two rounds of the clients
 _RADIO_MS = const(1000)  # between two checks of the radio
 _UPPER = const(0x80)  # bytes from here on are real-time commands
 
-_JOG_CANCEL = const(0x85)
+_JOG_CANCEL = const(0x85)  # a real-time byte
 _STOPS = b"\x18!\x84\x85"  # Ctrl-X, feed hold, door, jog cancel
 _REALTIME = b"\x18!~"  # Ctrl-X, feed hold, cycle start; ? is apart, see questions
 _FIRST_OF_ANSWER = b"oe"  # the first letters of ok and error:
@@ -233,8 +233,8 @@ class NetLink:
         the time of a line that is not read-only. Returns count, for the caller to return."""
         if asks(buf, count):
             driver.asked = True
-        # READING has the read-only lines; plain() removes a ?, and b"" is one of them.
-        if count > _LONGEST_READ_ONLY or plain(buf[:count]) not in READING:
+        # READ_ONLY_LINES has the read-only lines; plain() removes a ?, and b"" is one of them.
+        if count > _LONGEST_READ_ONLY or plain(buf[:count]) not in READ_ONLY_LINES:
             driver.last_line_ms = now_ms
         return count
 
@@ -347,7 +347,7 @@ class NetLink:
             return
         start = client.ready  # lines before this index wait already
         line = plain(client.received[start : client.length])
-        reads = line in READING
+        reads = line in READ_ONLY_LINES
         answer = b""
         if client.is_too_long:
             answer = REFUSED % errors.OVERFLOW

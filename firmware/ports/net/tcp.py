@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 
     from interfaces import Connection
 
-# So many connections may wait to be accepted; lwIP has memory for five in all.
-_WAITING = const(2)
+_WAITING = const(2)  # connections that may wait to be accepted; lwIP has memory for five in all
 _IPPROTO_TCP = const(6)
 
 
@@ -25,13 +24,13 @@ class Calls:
         self._listener.bind(socket.getaddrinfo("0.0.0.0", port)[0][-1])
         self._listener.listen(_WAITING)
         self._listener.setblocking(False)
-        self._arrived: "Any" = select.poll()
-        self._arrived.register(self._listener, select.POLLIN)
+        self._input_poll: "Any" = select.poll()
+        self._input_poll.register(self._listener, select.POLLIN)
         self._no_delay: int = getattr(socket, "TCP_NODELAY", 0)  # desktops' MicroPython has none
 
     def next(self) -> "tuple[Connection, str] | None":
         """Return a new connection and the address of its other end; None if there is none."""
-        for _ in self._arrived.ipoll(0):
+        for _ in self._input_poll.ipoll(0):
             try:
                 client, address = self._listener.accept()
                 client.setblocking(False)

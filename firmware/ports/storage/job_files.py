@@ -21,22 +21,19 @@ if TYPE_CHECKING:
 
     from interfaces import Card, Link, Store
 
-# Suffixes of a file name: the file is being received; it is complete and must be copied. No job
-# has such a name.
-_NEW = "~NEW"
-_WHOLE = "~WHOLE"
-_SIGNS = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-"
+# Suffixes of file names that no job has.
+_RECEIVED = "~NEW"  # suffix of a file being received
+_TO_COPY = "~WHOLE"  # suffix of an empty file: the received file is complete and must be copied
+_NAME_CHARS = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-"
 _LONGEST = const(32)  # bytes of a name
-# Indices in the result of os.stat(); the mode of a folder; indices in the result of os.statvfs().
-_MODE_AT = const(0)
-_SIZE_AT = const(6)
-_FOLDER = const(0x4000)
-_BLOCK_BYTES_AT = const(0)
-_FREE_BLOCKS_AT = const(3)
+_STAT_MODE = const(0)  # index in the result of os.stat()
+_STAT_SIZE = const(6)  # index there: bytes
+_FOLDER_BIT = const(0x4000)  # in the mode: a folder
+_STATVFS_BLOCK_BYTES = const(0)  # index in the result of os.statvfs()
+_STATVFS_FREE_BLOCKS = const(3)  # index there
 _KB = const(1024)
-# The file system needs some space itself, and settings must still find space.
-_SPARE_KB = const(32)
-_PIECE = const(512)
+_RESERVED_KB = const(32)  # for the file system itself, and for settings
+_PIECE_BYTES = const(512)  # of one read
 
 
 def of_board(board: "ModuleType") -> "JobFiles":
@@ -55,19 +52,20 @@ def _nothing() -> None:
     """Do nothing: the default of on_progress, and of before() and after() on a desktop."""
 
 
-def _called(name: bytes) -> str:
+def _job_name(name: bytes) -> str:
     """Return the job name of a file name, "" if it cannot be a job's. Computers may write names
     with any characters."""
     upper = name.upper()
-    is_job = 0 < len(upper) <= _LONGEST and upper[:1] != b"." and all(c in _SIGNS for c in upper)
+    may_be_job = 0 < len(upper) <= _LONGEST and upper[:1] != b"."
+    is_job = may_be_job and all(c in _NAME_CHARS for c in upper)
     return text_of(upper) if is_job else ""
 
 
-def _coming(name: bytes, suffix: str) -> str:
-    """Return the job that a file name with this suffix (_NEW or _WHOLE) belongs to, "" for other
-    file names."""
+def _job_of(name: bytes, suffix: str) -> str:
+    """Return the job that a file name with this suffix (_RECEIVED or _TO_COPY) belongs to, "" for
+    other file names."""
     job = name[: -len(suffix)] if name.endswith(suffix.encode()) else b""
-    return text_of(job) if _called(job) else ""
+    return text_of(job) if _job_name(job) else ""
 
 
 class JobFiles:
@@ -96,9 +94,9 @@ class JobFiles:
         replacement that a power cut has interrupted there. OSError if the card cannot be read.
         Call it only while no file is open."""
         if self._card:
-            self._around(self._card.mount)
+            self._with_store(self._card.mount)
             for name in self._names():
-                job = _coming(name, _WHOLE)
+                job = _job_of(name, _TO_COPY)
                 if job:
                     self._copy(job)
 
@@ -109,9 +107,9 @@ class JobFiles:
             self._card.unmount()
         return self._card is not None
 
-    def _around(self, work: "Callable[[], Any]") -> "Any":
-        """Return the result of work(), which may write to flash: the store's before() and after()
-        are called around it."""
+    def _with_store(self, work: "Callable[[], Any]") -> "Any":
+        """Return the result of work(), which may write to flash: the store's before() and after(),
+        which a desktop's store has not, are called around it."""
         getattr(self._store, "before", _nothing)()
         try:
             return work()
@@ -126,7 +124,7 @@ class JobFiles:
         """Return the names of all files in the folder, sorted; OSError if a card cannot be
         read."""
         try:
-            names = self._around(lambda: os.listdir(self._folder.encode()))
+            names = self._with_store(lambda: os.listdir(self._folder.encode()))
         except OSError:
             if self._card:
                 raise
@@ -135,11 +133,11 @@ class JobFiles:
             self._card.check()  # a fault ends the list without an exception
         return sorted(names)
 
-    def _found(self, name: str) -> "tuple[str, int]":
+    def _find_job(self, name: str) -> "tuple[str, int]":
         """Return a job's file name as it is written, in whatever case, and its bytes; "" and -1 if
         there is none."""
         for file in self._names():
-            if _called(file) == name:
+            if _job_name(file) == name:
                 file_name = text_of(file)
                 size = self._size(file_name)
                 if size >= 0:  # not a folder
@@ -149,16 +147,16 @@ class JobFiles:
     def _size(self, name: str) -> int:
         """Return a file's bytes; -1 for a folder."""
         about: "Any" = os.stat(self._path(name))
-        return -1 if about[_MODE_AT] & _FOLDER else int(about[_SIZE_AT])
+        return -1 if about[_STAT_MODE] & _FOLDER_BIT else int(about[_STAT_SIZE])
 
     def is_name(self, name: str) -> bool:
         """Return whether a job may have this name."""
-        return _called(name.encode()) == name
+        return _job_name(name.encode()) == name
 
     def files(self) -> "list[tuple[str, int]]":
         """Return the jobs' names, as their files are written, and sizes in bytes, sorted."""
         jobs = []
-        for name in [text_of(file) for file in self._names() if _called(file)]:
+        for name in [text_of(file) for file in self._names() if _job_name(file)]:
             self.on_progress()
             size = self._size(name)
             if size >= 0:  # not a folder
@@ -167,52 +165,52 @@ class JobFiles:
 
     def size(self, name: str) -> int:
         """Return a job's bytes; -1 if there is none of that name."""
-        return self._found(name)[1]
+        return self._find_job(name)[1]
 
     def open(self, name: str) -> "IO[bytes]":
         """Open a job to read it. OSError if there is none, or it cannot be read."""
-        return open(self._path(self._found(name)[0] or name), "rb")
+        return open(self._path(self._find_job(name)[0] or name), "rb")
 
     def free_kb(self) -> int:
         """Return the kB that fit. On a card it is half the free space, because a file is received
         and then copied."""
         try:
-            about = self._around(lambda: os.statvfs(self._folder))
+            about = self._with_store(lambda: os.statvfs(self._folder))
         except OSError:
             if self._card:
                 raise
             about = os.statvfs(".")  # nothing has ever been put there
-        block_bytes, free_blocks = about[_BLOCK_BYTES_AT], about[_FREE_BLOCKS_AT]
-        free_kb: int = max(block_bytes * free_blocks // _KB - _SPARE_KB, 0)
+        block_bytes, free_blocks = about[_STATVFS_BLOCK_BYTES], about[_STATVFS_FREE_BLOCKS]
+        free_kb: int = max(block_bytes * free_blocks // _KB - _RESERVED_KB, 0)
         return free_kb // 2 if self._card else free_kb
 
     def delete(self, name: str) -> None:
         """Delete a job. OSError if that fails."""
-        self._remove(self._found(name)[0] or name)
+        self._remove(self._find_job(name)[0] or name)
 
     def _remove(self, name: str) -> None:
         """Delete a file. OSError if that fails."""
-        self._around(lambda: os.remove(self._path(name)))
+        self._with_store(lambda: os.remove(self._path(name)))
 
     # Files received in pieces
 
     def begin(self, name: str) -> "IO[bytes]":
         """Create the file into which a job is received, and return it; files left by earlier
         transfers are deleted. OSError if that fails."""
-        if not self._is_there():
-            self._around(lambda: os.mkdir(self._folder))
+        if not self._folder_exists():
+            self._with_store(lambda: os.mkdir(self._folder))
         for file in self._names():
-            job = _coming(file, _NEW)
+            job = _job_of(file, _RECEIVED)
             if job:  # left by a transfer that a power cut has ended
-                self._remove(job + _NEW)
-        return self._create(name + _NEW)
+                self._remove(job + _RECEIVED)
+        return self._create(name + _RECEIVED)
 
     def _create(self, name: str) -> "IO[bytes]":
         """Open an empty file to write it."""
-        file: "IO[bytes]" = self._around(lambda: open(self._path(name), "wb"))
+        file: "IO[bytes]" = self._with_store(lambda: open(self._path(name), "wb"))
         return file
 
-    def _is_there(self) -> bool:
+    def _folder_exists(self) -> bool:
         """Return whether the folder exists."""
         try:
             os.stat(self._folder)
@@ -222,40 +220,41 @@ class JobFiles:
 
     def append(self, file: "IO[bytes]", piece: "bytes | bytearray") -> None:
         """Write the next piece to a file from begin(). OSError if no space is free."""
-        self._around(lambda: file.write(piece))
+        self._with_store(lambda: file.write(piece))
 
     def finish(self, name: str, file: "IO[bytes]", checksum: int) -> bool:
         """Close the received file and replace the job by it. Returns False if its CRC-32 is
         another than the sender's (checksum); the old job is then kept."""
-        self._around(file.close)
-        if self._checksum(self._path(name + _NEW)) != checksum:
-            self._remove(name + _NEW)
+        self._with_store(file.close)
+        if self._checksum(self._path(name + _RECEIVED)) != checksum:
+            self._remove(name + _RECEIVED)
             return False
         if self._card:
-            self._around(self._create(name + _WHOLE).close)
+            self._with_store(self._create(name + _TO_COPY).close)  # see _copy()
             self._copy(name)
             return True
-        old, _ = self._found(name)
-        self._around(lambda: os.rename(self._path(name + _NEW), self._path(name)))
+        old, _ = self._find_job(name)
+        self._with_store(lambda: os.rename(self._path(name + _RECEIVED), self._path(name)))
         if old and old != name:  # in another case
             self._remove(old)
         return True
 
     def _copy(self, name: str) -> None:
         """Copy a complete received file to its job, now or after a power cut; only on a card. The
-        file with the suffix _WHOLE says until the end that the copy is to be made."""
+        file with the suffix _TO_COPY says until the end that the copy is to be made."""
         file = self._create(name)
         try:
-            self._pieces(self._path(name + _NEW), lambda piece: self.append(file, piece))
+            received = self._path(name + _RECEIVED)
+            self._read_in_pieces(received, lambda piece: self.append(file, piece))
         finally:
-            self._around(file.close)
-        self._remove(name + _WHOLE)
-        self._remove(name + _NEW)
+            self._with_store(file.close)
+        self._remove(name + _TO_COPY)
+        self._remove(name + _RECEIVED)
 
     def drop(self, name: str, file: "IO[bytes]") -> None:
         """Close and delete a received file, whose transfer has failed."""
-        self._around(file.close)
-        self._remove(name + _NEW)
+        self._with_store(file.close)
+        self._remove(name + _RECEIVED)
 
     def _checksum(self, path: str) -> int:
         """Return the CRC-32 of a file."""
@@ -266,14 +265,14 @@ class JobFiles:
             nonlocal checksum
             checksum = binascii.crc32(piece, checksum)
 
-        self._pieces(path, add)
+        self._read_in_pieces(path, add)
         return checksum
 
-    def _pieces(self, path: str, use: "Callable[[bytes], None]") -> None:
+    def _read_in_pieces(self, path: str, use: "Callable[[bytes], None]") -> None:
         """Read a file in pieces, and pass each to use()."""
         with open(path, "rb") as file:
             while True:
-                piece = file.read(_PIECE)
+                piece = file.read(_PIECE_BYTES)
                 if not piece:
                     return
                 use(piece)

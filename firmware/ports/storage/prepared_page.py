@@ -24,17 +24,16 @@ if TYPE_CHECKING:
 
 _FILE = "/pages"
 _NEW = "/pages.new"
-_BLOCK = const(4096)  # bytes
-_PAGE = const(256)  # bytes
-_PAGES = const(16)  # of a block; page 0 has the mark, the others records
-_MARK = const(16)  # bytes at the beginning of the block: the name, then random ones
-_NAME = b"page"
+_BLOCK_BYTES = const(4096)
+_PAGE_BYTES = const(256)
+_PAGES_OF_BLOCK = const(16)  # page 0 has the mark, the others records
+_MARK_BYTES = const(16)  # bytes at the beginning of the block: the name, then random ones
+_MARK_NAME = b"page"
 _BLANK = const(0xFF)  # a byte of erased flash
-_NONE = const(-1)  # as _block: it was not found
-_COUNT_BLOCKS = const(4)  # ioctl() of a block device
-# A page has the record's length, its CRC-32, and the record.
-_HEAD = "<HI"  # for struct
-_HEAD_BYTES = const(6)
+_NOT_FOUND = const(-1)  # as _block: it was not found
+_ASK_COUNT = const(4)  # request to ioctl() of a block device: its number of blocks
+_HEAD_FORMAT = "<HI"  # a page begins with the record's length and its CRC-32
+_HEAD_BYTES = const(6)  # then comes the record
 
 
 def flash_of_chip() -> "Any":
@@ -58,18 +57,18 @@ def _nothing() -> None:
 class PreparedPages:
     """The pages. All calls only while idle; find() and erase() take time.
 
-    _flash: the chip's block device. _block: number of the block there, _NONE if it was not found;
-    _page: the next page to write. _is_foreign: the file system does not keep the file as one
-    block. _data: a page's bytes.
+    _flash: the chip's block device. _block: number of the block there, _NOT_FOUND if it was not
+    found; _next_page: number of the next page to write. _is_foreign: the file system does not keep
+    the file as one block. _data: a page's bytes.
     """
 
     def __init__(self) -> None:
         self._flash: "Any" = None
         self._store: "Any" = None
-        self._block = _NONE
-        self._page = _PAGES
+        self._block = _NOT_FOUND
+        self._next_page = _PAGES_OF_BLOCK
         self._is_foreign = False
-        self._data = bytearray(_PAGE)
+        self._data = bytearray(_PAGE_BYTES)
 
     def connect(self, store: "Store") -> None:
         """Set the store, whose before() and after() are called around flash writes."""
@@ -77,45 +76,45 @@ class PreparedPages:
 
     def is_fresh(self) -> bool:
         """Return whether all pages are free."""
-        return self._block != _NONE and self._page == 1
+        return self._block != _NOT_FOUND and self._next_page == 1
 
     def find(self) -> None:
         """Find the file's block on the chip by its mark, and the first free page in it. Without
         success write() returns False."""
-        self._block, self._page = _NONE, 1
+        self._block, self._next_page = _NOT_FOUND, 1
         if self._flash is None:
             self._flash = flash_of_chip()
         if self._flash is None:
             return
         try:
             with open(_FILE, "rb") as file:
-                mark = file.read(_MARK)
-                is_whole = file.seek(0, 2) == _BLOCK
+                mark = file.read(_MARK_BYTES)
+                is_whole = file.seek(0, 2) == _BLOCK_BYTES  # its end: the file's size
         except OSError:
             return
-        if not is_whole or mark[: len(_NAME)] != _NAME:
+        if not is_whole or mark[: len(_MARK_NAME)] != _MARK_NAME:
             return
-        blocks = self._blocks(mark)
-        self._is_foreign = not blocks
+        blocks = self._find_blocks(mark)
+        self._is_foreign = not blocks  # the file system has not stored it as one block
         if len(blocks) == 1:  # two of them: the file system has moved it
             self._block = blocks[0]
-            blank = bytes([_BLANK]) * _PAGE
-            while self._page < _PAGES and self._content(self._page) != blank:
-                self._page += 1
+            blank = bytes([_BLANK]) * _PAGE_BYTES
+            while self._next_page < _PAGES_OF_BLOCK and self._read_page(self._next_page) != blank:
+                self._next_page += 1
 
-    def _blocks(self, mark: bytes) -> "list[int]":
+    def _find_blocks(self, mark: bytes) -> "list[int]":
         """Return the numbers of the chip's blocks that begin with the mark."""
-        begin = bytearray(_MARK)
+        begin = bytearray(_MARK_BYTES)
         numbers = []
-        for block in range(self._flash.ioctl(_COUNT_BLOCKS, 0)):
+        for block in range(self._flash.ioctl(_ASK_COUNT, 0)):
             self._flash.readblocks(block, begin, 0)
             if begin == mark:
                 numbers.append(block)
         return numbers
 
-    def _content(self, page: int) -> bytearray:
+    def _read_page(self, page: int) -> bytearray:
         """Return a page (number) of the block, in an array that the next call changes."""
-        self._flash.readblocks(self._block, self._data, _PAGE * page)
+        self._flash.readblocks(self._block, self._data, _PAGE_BYTES * page)
         return self._data
 
     def erase(self) -> bool:
@@ -126,7 +125,7 @@ class PreparedPages:
         if self._flash is None or self._is_foreign:
             return False
         try:
-            self._around(self._make)
+            self._with_store(self._make)
         except OSError:
             return False
         self.find()
@@ -135,14 +134,15 @@ class PreparedPages:
     def _make(self) -> None:
         """Write a new file of one block, with another mark, and put it in the place of the old
         one. OSError if that fails."""
-        blank = bytes([_BLANK]) * _PAGE
+        blank = bytes([_BLANK]) * _PAGE_BYTES
         with open(_NEW, "wb") as file:
-            file.write(_NAME + os.urandom(_MARK - len(_NAME)) + blank[_MARK:])
-            for _ in range(_PAGES - 1):
+            mark = _MARK_NAME + os.urandom(_MARK_BYTES - len(_MARK_NAME))
+            file.write(mark + blank[_MARK_BYTES:])
+            for _ in range(_PAGES_OF_BLOCK - 1):
                 file.write(blank)
         os.rename(_NEW, _FILE)
 
-    def _around(self, work: "Any") -> None:
+    def _with_store(self, work: "Any") -> None:
         """Call work(), which writes to flash, between the store's before() and after()."""
         getattr(self._store, "before", _nothing)()
         try:
@@ -158,29 +158,29 @@ class PreparedPages:
         What follows the record in its page has no meaning.
         """
         data = self._data
-        while self._block != _NONE and self._page < _PAGES:
-            struct.pack_into(_HEAD, data, 0, len(record), binascii.crc32(record))
+        while self._block != _NOT_FOUND and self._next_page < _PAGES_OF_BLOCK:
+            struct.pack_into(_HEAD_FORMAT, data, 0, len(record), binascii.crc32(record))
             data[_HEAD_BYTES : _HEAD_BYTES + len(record)] = record
-            self._around(self._program)
-            self._page += 1
-            if self._read(self._page - 1) == record:
+            self._with_store(self._program)
+            self._next_page += 1
+            if self._read_record(self._next_page - 1) == record:
                 return True
         return False
 
     def _program(self) -> None:
         """Program _data into the next page."""
-        self._flash.writeblocks(self._block, self._data, _PAGE * self._page)
+        self._flash.writeblocks(self._block, self._data, _PAGE_BYTES * self._next_page)
 
     def records(self) -> "Iterator[bytes]":
         """Yield the records that are whole, the newest first."""
-        for page in range(self._page - 1, 0, -1):
-            record = self._read(page)
+        for page in range(self._next_page - 1, 0, -1):
+            record = self._read_record(page)
             if record is not None:
                 yield record
 
-    def _read(self, page: int) -> "bytes | None":
+    def _read_record(self, page: int) -> "bytes | None":
         """Return the record of a page (number); None if its checksum is wrong."""
-        data = self._content(page)
-        length, checksum = struct.unpack_from(_HEAD, data, 0)
+        data = self._read_page(page)
+        length, checksum = struct.unpack_from(_HEAD_FORMAT, data, 0)
         record = bytes(data[_HEAD_BYTES : _HEAD_BYTES + length])
         return record if binascii.crc32(record) == checksum else None
