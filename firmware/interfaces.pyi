@@ -408,10 +408,10 @@ class Job(Protocol):
     def is_on(self) -> bool:
         """Return whether a job runs."""
 
-    def has_half(self) -> bool:
+    def has_partial_line(self) -> bool:
         """Return whether the sender has begun a line."""
 
-    def drop_half(self) -> None:
+    def drop_partial_line(self) -> None:
         """Drop the sender's unfinished line."""
 
     def line_at_stop(self, is_certain: bool) -> tuple[int, int]:

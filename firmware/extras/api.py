@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from extras.cycles import Step
 
-_CYCLES_END = const(100)  # canned cycles are G81 to G99
-_FIRST_UPPER = const(0x80)  # real-time bytes above ASCII begin here
+_END_OF_CYCLES = const(100)  # canned cycles are G81 to G99, after NO_MOTION (G80)
+_FIRST_UPPER_BYTE = const(0x80)  # real-time bytes above ASCII begin here
 
 # In the names of methods that extras call in install() only: parts.py frees them afterwards.
 MAKERS = ("add_", "before_", "after_", "check_", "remove_")
@@ -104,8 +104,8 @@ class Cnc:
         for number, attribute, _, default, _ in settings.rows:
             if number in without:
                 setattr(settings, attribute, default)
-        kept = [row for row in settings.rows if row[0] not in without]  # row[0]: its number
-        settings.rows = tuple(sorted(kept + list(rows)))
+        remaining = [row for row in settings.rows if row[0] not in without]  # row[0]: its number
+        settings.rows = tuple(sorted(remaining + list(rows)))
         settings.file = file or settings.file
         descriptions = getattr(self._machine.report, "words", None)  # only in 0.9's reports
         if descriptions is not None and words:
@@ -165,14 +165,18 @@ class Cnc:
         Z and the numbers hold for the following lines. Each must have been given once, except
         lower-case letters, which may be None. number: 81 to 99. ValueError if it is taken.
         """
-        if not b.NO_MOTION < number < _CYCLES_END or self.is_taken("G", number):
-            raise ValueError("G%d is taken" % number)
+        if not b.NO_MOTION < number < _END_OF_CYCLES or self.is_taken("G", number):
+            raise ValueError("G%d is already in use" % number)
         from extras.cycles import Cycle
 
         machine = self._machine
         machine.interpreter.add_motion(number, Cycle(machine, plan, letters))
         self.entries.append(
-            lambda: "it goes on with a cycle" if machine.modes.modal[MOTION] == number else ""
+            lambda: (
+                "that line is within a canned cycle"
+                if machine.modes.modal[MOTION] == number
+                else ""
+            )
         )
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
@@ -249,11 +253,11 @@ class Cnc:
         ValueError if Grbl uses that byte.
         """
         is_override = st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE
-        if byte < _FIRST_UPPER or byte in st.EVENTS or is_override:
-            raise ValueError("byte 0x%X is taken" % byte)
+        if byte < _FIRST_UPPER_BYTE or byte in st.EVENTS or is_override:
+            raise ValueError("byte 0x%X is already in use" % byte)
         reader = self._machine.reader
         previous_post = reader.post
-        is_received = bytearray(1)  # a flag that post() can set without allocating memory
+        is_received = bytearray(1)  # a flag: post() may run in an interrupt and must not allocate
 
         def post(received: int) -> None:
             """Note this real-time byte, or pass another one on to Grbl."""

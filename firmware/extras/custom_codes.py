@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     Key = tuple[str, int, int]
 
 _G10 = const(100)  # in tenths
-_GRBLS_L = (2, 20)  # numbers of L that Grbl has with G10
+_L_OF_GRBL = (2, 20)  # numbers of L that Grbl has with G10
 
 
-def word_of(letter: str, number: "float | str") -> "Key":
-    """Return the key of a word, for 81, 81.0 and "81" the same; "10 L1" is G10 with L1. ValueError
-    if number is none."""
-    plain, _, l_number = str(number).partition(" L")
-    return letter, _tenths(float(plain)), _tenths(float(l_number or 0))
+def key_of(letter: str, number: "float | str") -> "Key":
+    """Return the key of a word: the same for 81, 81.0 and "81". "10 L1" is G10 with L1. ValueError
+    if `number` is not a number."""
+    code, _, l_number = str(number).partition(" L")
+    return letter, _tenths(float(code)), _tenths(float(l_number or 0))
 
 
 def _tenths(number: float) -> int:
@@ -50,35 +50,38 @@ def is_grbls(letter: str, tenths: int) -> bool:
     if letter == "G" and number >= block.M_WORDS:
         return False
     # A mask of the decimals that Grbl has for this number, or -1 if it does not have the number.
+    # Bit d - 1 stands for decimal d. NEEDED: the number without a decimal is no word. OTHERS: any
+    # other decimal is only "unsupported" in Grbl, so an extra may use it.
     decimals = block.decimals_of(number + block.M_WORDS if letter == "M" else number)
     if decimals < 0:
         return False
     if decimal == 0:
         return decimals & block.NEEDED == 0
-    # Without OTHERS Grbl has an error for any other decimal.
-    return decimals & block.OTHERS == 0 or decimals & block.TENTHS & 1 << decimal - 1 > 0
+    has_decimal = decimals & block.TENTHS & 1 << decimal - 1 > 0
+    return has_decimal or decimals & block.OTHERS == 0
 
 
 class CustomCodes:
-    """The added words, by key. The first one that is added wraps the execution of lines. _read:
-    the words of the line that find() has read last."""
+    """The added words, by key. The first one that is added wraps the execution of lines.
+    _line_words: the words of the line that find() has read last."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._words: "dict[Key, Word]" = {}
-        self._read = Words(len(machine.reader.line))
+        self._line_words = Words(len(machine.reader.line))
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
         """Return whether Grbl or an extra already has that word: letter G or M, number as in
         add()."""
-        key = word_of(letter, number)
+        key = key_of(letter, number)
         if key in self._words:
             return True
         _, tenths, l_tenths = key
-        is_free_l = tenths == _G10 and l_tenths and l_tenths // 10 not in _GRBLS_L
-        if letter == "G" and tenths // 10 in self._machine.interpreter.motions:  # a canned cycle
-            return True
-        return is_grbls(letter, tenths) and not is_free_l
+        if letter == "G" and tenths // 10 in self._machine.interpreter.motions:
+            return True  # a canned cycle of an extra
+        # G10 is Grbl's, but not with every L.
+        is_free_g10 = tenths == _G10 and l_tenths and l_tenths // 10 not in _L_OF_GRBL
+        return is_grbls(letter, tenths) and not is_free_g10
 
     def add(
         self,
@@ -92,12 +95,13 @@ class CustomCodes:
         numbers of `letters`, of which lower-case ones are optional; sync: it waits for the end of
         motion. ValueError if the word is taken."""
         if self.is_taken(letter, number):
-            raise ValueError("%s%s is taken" % (letter, number))
+            raise ValueError("%s%s is already in use" % (letter, number))
         if not self._words:
             self._wrap_lines()
-        key = word_of(letter, number)
+        key = key_of(letter, number)
         has_l = key[2] > 0  # tenths of its L
-        self._words[key] = call, letters, sync, letters.upper() + ("NL" if has_l else "N")
+        allowed = letters.upper() + ("NL" if has_l else "N")  # N: any line may have a number
+        self._words[key] = call, letters, sync, allowed
 
     def _wrap_lines(self) -> None:
         """Execute lines with an added word here, all others as before."""
@@ -113,24 +117,23 @@ class CustomCodes:
             else:
                 numbers = self._numbers(word)
                 if self._machine.state.run != st.CHECK:
-                    word[0](*numbers)  # its function
+                    call = word[0]
+                    call(*numbers)
 
         hooks.execute = execute
 
     def find(self, line: bytearray, length: int) -> "Word | None":
         """Return the added word on this line, or None. A word may be added for one value of L, as
-        G10 L1: with that L on the line it takes precedence. The words read stay in _read."""
-        words = self._read
+        G10 L1: with that L on the line it takes precedence. The words read stay in _line_words."""
+        words = self._line_words
         words.read(line, 0, length)
         count = words.count
         index_of_l = words.letters.find(b"L", 0, count)
         l_tenths = _tenths(words.values[index_of_l]) if index_of_l >= 0 else 0
         for i in range(count):
             letter, tenths = "%c" % words.letters[i], _tenths(words.values[i])
-            # Its key with the line's L; then its key without one.
-            word = self._words.get((letter, tenths, l_tenths)) or self._words.get(
-                (letter, tenths, 0)
-            )
+            word = self._words.get((letter, tenths, l_tenths))
+            word = word or self._words.get((letter, tenths, 0))  # the one without an L
             if word:
                 return word
         return None
@@ -143,7 +146,7 @@ class CustomCodes:
         if the line is wrong.
         """
         _, letters, sync, allowed = word
-        numbers = self._arguments(allowed)
+        numbers = self._arguments(allowed)  # by capital letter
         missing = [letter for letter in letters if letter.isupper() and letter not in numbers]
         if missing:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
@@ -156,7 +159,7 @@ class CustomCodes:
 
         GrblError for another letter, a repeated one, or a second G or M word.
         """
-        words = self._read
+        words = self._line_words
         numbers: "dict[str, float]" = {}
         codes = 0  # G and M words on the line
         for i in range(words.count):

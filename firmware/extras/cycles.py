@@ -34,7 +34,8 @@ class Cycle:
     """A cycle in the XY plane, with absolute coordinates (G90). plan, letters: see
     Cnc.add_cycle(). kept: the numbers that hold for the next line, that of Z first, then those of
     letters, None for one that has not been given; [] before the first line. check() computes
-    _numbers, the same of its line, and _steps, its moves."""
+    _numbers, the same for its line, and _steps, its moves. _uses: mask of the words that the cycle
+    has, bits as in the block's words (b.WORDS)."""
 
     def __init__(
         self, machine: "Controller", plan: "Callable[..., Iterable[Step]]", letters: str
@@ -42,7 +43,7 @@ class Cycle:
         self._modes, self._coords, self._canon = machine.modes, machine.coords, machine.canon
         self._plan = plan
         self._letters = letters
-        self._uses = 0  # mask of the words that the cycle has, as b.WORDS
+        self._uses = 0
         for letter in letters.upper():
             self._uses |= _LETTERS[letter][0]
         self.kept: "list[float | None]" = []
@@ -53,7 +54,7 @@ class Cycle:
         """Refuse a wrong line by GrblError, or compute its moves. The machine does not change.
         block: the line's modes (ints), axis targets in mm (xyz) and numbers (singles)."""
         ints, modes = block.ints, self._modes
-        if ints[PLANE] or ints[RELATIVE] or ints[INVERSE_TIME]:
+        if ints[PLANE] or ints[RELATIVE] or ints[INVERSE_TIME]:  # not G17 with G90 and G94
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
         if ints[b.WORDS] & b.MOTION_WORDS & ~self._uses:
             raise GrblError(errors.GCODE_UNUSED_WORDS)
@@ -64,7 +65,8 @@ class Cycle:
         numbers = [depth]
         for i, letter in enumerate(self._letters):
             number = self._number_of(block, letter.upper())
-            numbers.append(kept[1 + i] if number is None else number)  # kept[0] is Z
+            previous = kept[1 + i]  # kept[0] is Z
+            numbers.append(previous if number is None else number)
         for letter, number in zip("Z" + self._letters, numbers):
             if number is None and letter < "a":  # capital letters are required
                 raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
@@ -87,15 +89,18 @@ class Cycle:
         return number
 
     def make(self, block: "Block", move: "Move") -> None:
-        """Plan the moves that check() has computed: rapids, or with the line's feed."""
+        """Plan the moves that check() has computed: rapids, or with the line's feed.
+
+        move: the line's, of which only the rapid flag changes from move to move.
+        """
         self.kept = self._numbers
-        xyz = block.xyz
-        for target, rapid in self._steps:
+        xyz = block.xyz  # becomes each target in turn
+        for target, is_rapid in self._steps:
             for axis in range(block.axes):
                 xyz[axis] = target[axis]
             move.flags &= ~layout.RAPID_MOTION
-            if rapid:
+            if is_rapid:
                 move.flags |= layout.RAPID_MOTION
             self._canon.line(xyz, move)
-            self._canon.finish()
+            self._canon.finish()  # plan it now: line() only requests it
             self._modes.position[:] = xyz

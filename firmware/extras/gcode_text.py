@@ -25,15 +25,15 @@ def code_of(line: str) -> str:
 def words_of(text: str) -> "list[tuple[str, float]]":
     """Return each letter and its number. text: code_of()'s result. ValueError if a letter has no
     number."""
-    return [(letter, float(number)) for letter, number in as_written(text)]
+    return [(letter, float(number)) for letter, number in letters_and_texts(text)]
 
 
-def as_written(text: str) -> "list[tuple[str, str]]":
+def letters_and_texts(text: str) -> "list[tuple[str, str]]":
     """Return each letter and the text after it, up to the next letter. G1X2: (G, 1), (X, 2)."""
     words = []
-    start = 0
+    start = 0  # index of a word's letter
     for end in range(1, len(text) + 1):
         if end == len(text) or "A" <= text[end] <= "Z":
             words.append((text[start], text[start + 1 : end]))
-            start = end
+            start = end  # the next word's letter
     return words

@@ -38,28 +38,28 @@ PINS = ("POWER_FAIL",)
 ALARM_POWER_FAIL = const(36)
 
 # Phases.
-_GOOD = const(0)
-_STOPPING = const(1)
-_RISING = const(2)  # Z goes up
+_POWER_GOOD = const(0)  # the input is watched
+_STOPPING = const(1)  # the tool is off, and motion slows down
+_RAISING_Z = const(2)  # a first record is written, and Z goes up
 _OVER = const(3)  # the record is written, and the supply may last
 
-# Whether a record may be unread: since power-up, since it was written.
-_AT_START = const(1)
-_WRITTEN = const(2)
+# Since when a record may be unread.
+_ALL_READ = const(0)  # none is
+_SINCE_POWER_UP = const(1)
+_SINCE_WRITING = const(2)  # this failure has written one
 
 # A record: flags, number of axes, CRC-32 of the job and its line, or zeros without a job. The
 # position follows: single-precision numbers, mm.
 _HEAD = "<BBII"
 _CERTAIN = const(1)  # motion had stopped by itself: no step is lost
-_LIFT = const(2)  # Z was about to go up
+_Z_WAS_TO_RISE = const(2)  # Z was about to go up
 
-# ms: motion that the engine has already, see docs/faults.md; writing a page, by the data sheet.
-_QUEUE_MS = const(14)
-_PAGE_MS = const(3)
+_QUEUED_MS = const(14)  # ms of motion that the engine has already, see docs/faults.md
+_WRITE_MS = const(3)  # ms for writing a page, by the data sheet
 # ms before the end at which motion is stopped at once: a turn of the main loop, two pages.
-_LAST_MS = const(10)
+_RESERVE_MS = const(10)
 _MS_PER_MINUTE = const(60000)
-_LONGEST_MIN = const(1000)  # time of a stop that is reported, at most
+_LONGEST_STOP_MIN = const(1000)  # minutes; a longer stop is reported as this
 
 _FAILED = "Power failed"
 
@@ -86,11 +86,12 @@ def install(cnc: "Cnc") -> None:
 
 
 class PowerFail:
-    """The supply's failure. lasts_ms: how long the supply lasts after the edge; up_mm: how far Z
-    goes up, 0 if it stays. _since: ticks_ms() at the edge. _phase: _GOOD to _OVER. _unread: why a
-    record may be unread, 0 for none. _here: position in mm, scratch."""
+    """The supply's failure. supply_ms: how long the supply lasts after the edge; up_mm: how far Z
+    goes up, 0 if it stays. _since: ticks_ms() at the edge. _phase: _POWER_GOOD to _OVER.
+    _unread_since: _ALL_READ to _SINCE_WRITING. _position_mm: where motion stopped, mm of machine
+    coordinates; _write() sets it. _steps: scratch for motor positions."""
 
-    def __init__(self, cnc: "Cnc", power: "PowerInput", lasts_ms: int, up_mm: int) -> None:
+    def __init__(self, cnc: "Cnc", power: "PowerInput", supply_ms: int, up_mm: int) -> None:
         machine = cnc.machine
         self._cnc = cnc
         self._machine = machine
@@ -101,14 +102,14 @@ class PowerFail:
         self._motor_control = machine.motor_control
         self._port = machine.port
         self._flow = machine.planner.flow
-        self._lasts_ms = lasts_ms
+        self._supply_ms = supply_ms
         self._up_mm = up_mm
         self._move = plan.Move()
-        self._phase = _GOOD
+        self._phase = _POWER_GOOD
         self._since = 0
-        self._here = vector(machine.planner.axes)
+        self._position_mm = vector(machine.planner.axes)
         self._steps = array("i", (0 for _ in range(machine.planner.motors)))
-        self._unread = _AT_START
+        self._unread_since = _SINCE_POWER_UP
         power.attach(self.on_fail, self._on_fault)
 
     # The edge
@@ -119,14 +120,14 @@ class PowerFail:
 
         Homing stops at once: nothing is known that could be recorded.
         """
-        if self._phase == _GOOD:
+        if self._phase == _POWER_GOOD:
             self._port.kill()
             if self._state.run == st.HOMING:
                 self._engine.stop()
                 self._motor_control.note_reset(ALARM_POWER_FAIL)
                 self._phase = _OVER
                 return
-            self._flow[layout.HOLD] = 1
+            self._flow[layout.HOLD] = 1  # the engine slows down
             self._state.holding = True
             self._since = self._port.ticks_ms()
             self._phase = _STOPPING
@@ -141,14 +142,14 @@ class PowerFail:
         """Return whether motion may start: not while the supply fails, except Z upwards. After a
         failure that was only short, the start watches the supply again."""
         if self._phase == _OVER:
-            self._begin()
+            self._watch_again()
             if not self._input.is_good():
                 self.on_fail()
-        return self._phase in (_GOOD, _RISING)
+        return self._phase in (_POWER_GOOD, _RAISING_Z)
 
-    def _begin(self) -> None:
+    def _watch_again(self) -> None:
         """Watch the input again, after a failure that is over."""
-        self._phase = _GOOD
+        self._phase = _POWER_GOOD
         self._input.arm()
 
     # The main loop
@@ -157,89 +158,90 @@ class PowerFail:
     def poll(self) -> None:
         """Run one turn of the main loop. While the supply is good: arm the input again, and read a
         record that an earlier failure has left. Else stop, write the record, end with an alarm."""
-        if self._phase == _GOOD:
+        if self._phase == _POWER_GOOD:
             if self._input.is_good():
                 if not self._input.is_armed:  # interference was over before it was read
                     self._input.arm()
-                if self._unread == _WRITTEN and self._machine.at_rest():
-                    self._read()
+                if self._unread_since == _SINCE_WRITING and self._machine.at_rest():
+                    self._report_records()
                 return
             self.on_fail()
         if self._phase != _OVER:
-            self._go_on()
+            self._advance_stop()
         elif self._input.is_good():
-            self._begin()
+            self._watch_again()
         elif self._motor_control.is_on():
             self._end()  # the tool was started after $X
 
-    def _go_on(self) -> None:
+    def _advance_stop(self) -> None:
         """Do the next step after the edge, once motion has stopped or its time is over: write the
         record, raise Z or end with an alarm."""
-        flags = _CERTAIN
-        if not self._engine.idle():
+        stopped_by_itself = self._engine.idle()
+        if not stopped_by_itself:
             if self._phase == _STOPPING:
                 self._flow[layout.HOLD] = 1  # a start may have come in between
                 self._state.holding = True
-            if self._is_early() or self._phase == _RISING:
+            if self._time_is_left() or self._phase == _RAISING_Z:
                 return
-            self._engine.stop()
-            flags = 0  # steps may be lost
+            self._engine.stop()  # at once: steps may be lost
+        certain = _CERTAIN if stopped_by_itself else 0
         if self._state.run in (st.ALARM, st.CHECK):
             self._end()  # nothing has moved
-        elif self._phase == _STOPPING and flags and self._lifts():
-            self._write(flags | _LIFT)
-            self._phase = _RISING
-            if not self._lift():
-                self._write(flags)
+        elif self._phase == _STOPPING and stopped_by_itself and self._may_raise_z():
+            self._write(certain | _Z_WAS_TO_RISE)  # first, because the supply may end meanwhile
+            self._phase = _RAISING_Z
+            if not self._start_raising_z():
+                self._write(certain)
                 self._end()
         else:
-            self._write(flags)
+            self._write(certain)
             self._end()
 
-    def _is_early(self) -> bool:
+    def _time_is_left(self) -> bool:
         """Return whether the supply lasts long enough for more than the record."""
-        return self._port.elapsed_ms(self._since) < self._lasts_ms - _LAST_MS
+        return self._port.elapsed_ms(self._since) < self._supply_ms - _RESERVE_MS
 
     def _write(self, flags: int) -> None:
-        """Write the record: position, job and line. flags: _CERTAIN, _LIFT."""
+        """Write the record: the present position, job and line. flags: a mask of _CERTAIN and
+        _Z_WAS_TO_RISE."""
         job = self._cnc.job
-        line, crc = job.line_at_stop(bool(flags & _CERTAIN)) if job else (0, 0)
-        self._machine.position(self._here)
-        self._unread = _WRITTEN
+        line, crc = job.line_at_stop(bool(flags & _CERTAIN)) if job else (0, 0)  # zeros: no job
+        self._machine.position(self._position_mm)
+        self._unread_since = _SINCE_WRITING
         self._pages.write(
-            struct.pack(_HEAD, flags, len(self._here), crc, line) + bytes(self._here)
+            struct.pack(_HEAD, flags, len(self._position_mm), crc, line) + bytes(self._position_mm)
         )
 
     def _end(self) -> None:
-        """Stop the machine with an alarm, for a supply that has not failed after all."""
+        """Stop the machine with an alarm, which matters if the supply has not failed after all."""
         self._motor_control.reset()
         self._state.alarm = ALARM_POWER_FAIL
         self._phase = _OVER
 
     # Z up
 
-    def _lifts(self) -> bool:
+    def _may_raise_z(self) -> bool:
         """Return whether Z is to go up: the board file asks for it, Z is homed, a program was
         moving (in a jog, in Idle and while parking Z stays), and the supply lasts."""
         run = self._state.run
         homed = self._machine.homing_probing.homed >> Z & 1
         moves = run in (st.RUN, st.HOLD) and not self._state.system_motion
-        return bool(self._up_mm and homed and moves and self._is_early())
+        return bool(self._up_mm and homed and moves and self._time_is_left())
 
-    def _lift(self) -> bool:
+    def _start_raising_z(self) -> bool:
         """Start Z upwards by up_mm or, if that is outside the travel, by a half or a quarter of
-        it. False if it cannot move."""
-        machine, target = self._machine, vector(len(self._here))
-        target[:] = self._here
-        for part in (1.0, 0.5, 0.25):  # of up_mm
-            target[Z] = self._here[Z] + self._up_mm * part
+        it. Return False if it cannot move."""
+        machine, target = self._machine, vector(len(self._position_mm))
+        target[:] = self._position_mm
+        for part in (1.0, 0.5, 0.25):
+            target[Z] = self._position_mm[Z] + self._up_mm * part
             if not machine.canon.outside(target):
-                return self._start_up(target)
+                return self._start_move_to(target)
         return False
 
-    def _start_up(self, target: "array[float]") -> bool:
-        """Start a move to target (mm) outside the planner's ring, at the maximum rate of Z. False
-        if it has no steps."""
+    def _start_move_to(self, target: "array[float]") -> bool:
+        """Start a move to target (mm) outside the planner's ring, at the maximum rate of Z. Return
+        False if it has no steps."""
         machine, state = self._machine, self._state
         move = self._move
         move.clear()
@@ -258,41 +260,43 @@ class PowerFail:
 
     def on_reset(self) -> None:
         """Read the record, after power-up or a reset."""
-        if self._phase == _GOOD and self._unread:
-            self._read()
+        if self._phase == _POWER_GOOD and self._unread_since != _ALL_READ:
+            self._report_records()
 
-    def _read(self) -> None:
-        """Report the last record and give its line to the journal. Then erase the pages."""
+    def _report_records(self) -> None:
+        """Report the last record and give its line to the journal. Then erase the pages, so that
+        the next record can be written at once."""
         pages = self._pages
         pages.find()
-        self._unread = 0
-        for record in pages.records():
-            self._report(record)
-            break
+        self._unread_since = _ALL_READ
+        for record in pages.records():  # the newest comes first
+            self._send_record(record)
+            break  # older ones have been reported before
         if not (pages.is_fresh() or pages.erase()):
-            self._cnc.message("POWER_FAIL: flash has no page for it: no line will be recorded")
+            self._cnc.message("POWER_FAIL: no free page of flash: job lines will not be recorded")
 
-    def _report(self, record: bytes) -> None:
+    def _send_record(self, record: bytes) -> None:
         """Send a record as a message, and give its line to the journal if the job is the same."""
         flags, axes, crc, line = struct.unpack(_HEAD, record[: struct.calcsize(_HEAD)])
-        here = struct.unpack("<%df" % axes, record[-4 * axes :])
+        position = struct.unpack("<%df" % axes, record[-4 * axes :])  # the record's last bytes
         job = self._cnc.job
         name = job.correct(line, crc) if job and line else ""
         what = _FAILED
         if name:
             what = "Job %s: power failed at line %d" % (name, line)
         sure = "position certain" if flags & _CERTAIN else "stopped at speed, position not certain"
-        if flags & _LIFT:
+        if flags & _Z_WAS_TO_RISE:
             sure += ", Z perhaps higher"
-        positions = ["%s%.3f" % (LETTERS[i], here[i]) for i in range(axes)]
+        positions = ["%s%.3f" % (LETTERS[i], position[i]) for i in range(axes)]
         self._cnc.message("%s, %s: %s" % (what, sure, " ".join(positions)))
 
     def report_time(self) -> None:
         """Report, with $I, how long a stop takes with the present settings, at most."""
         settings = self._machine.settings
-        slow = 0.0  # in minutes
+        longest = 0.0  # minutes from the maximum rate of an axis to a stop
         for axis in range(self._machine.planner.axes):
-            per_min = settings.acceleration[axis]
-            slow = max(slow, settings.max_rate[axis] / per_min if per_min else _LONGEST_MIN)
-        ms = int(min(slow, _LONGEST_MIN) * _MS_PER_MINUTE) + _QUEUE_MS + _PAGE_MS
-        self._cnc.message("Power fail: stops in %d ms, of %d" % (ms, self._lasts_ms))
+            acceleration = settings.acceleration[axis]  # mm/min^2
+            rate = settings.max_rate[axis]  # mm/min
+            longest = max(longest, rate / acceleration if acceleration else _LONGEST_STOP_MIN)
+        ms = int(min(longest, _LONGEST_STOP_MIN) * _MS_PER_MINUTE) + _QUEUED_MS + _WRITE_MS
+        self._cnc.message("Power fail: stops in %d ms; supply lasts %d ms" % (ms, self._supply_ms))

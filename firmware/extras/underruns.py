@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_AGAIN_MS = const(1000)  # a later start follows a pause of the sender
+_LONGEST_UNDERRUN_MS = const(1000)  # a later start is one after a pause of the sender
 
 
 class Underruns:
-    """Count underruns, by hooks at each stop and start of motion. _stopped: motion ended without a
-    hold, at _since_ms; _asked: something waited for the end of motion. _health: the function whose
-    line $I+ printed before this extra."""
+    """Count underruns, by hooks at each stop and start of motion. _ran_out: motion ended without a
+    hold, at _since_ms; _stop_was_asked: something waited for the end of motion, so that this is no
+    underrun. _board_health: the function whose line $I+ printed before this extra, or None."""
 
     def __init__(self, cnc: "Cnc") -> None:
         self.count = 0
@@ -28,55 +28,56 @@ class Underruns:
         self._cnc = cnc
         self._state = machine.state
         self._port = machine.port
-        self._stopped = False
+        self._ran_out = False
         self._since_ms = 0
-        self._asked = False
-        self._health = machine.commands.health
+        self._stop_was_asked = False
+        self._board_health = machine.commands.health
         hooks = machine.state.hooks
-        hooks.stops += (self._stops,)
-        hooks.waited += (self._waited,)
-        self._probe, hooks.probe = hooks.probe, self._probes
+        hooks.stops += (self._on_stop,)
+        hooks.waited += (self._on_wait,)
+        self._previous_probe, hooks.probe = hooks.probe, self._probe_and_note
 
-    def _stops(self) -> None:
+    def _on_stop(self) -> None:
         """Note that the engine has nothing left to do, and whether that is without a hold."""
         state = self._state
-        self._stopped = state.run == st.RUN and not state.holding
+        self._ran_out = state.run == st.RUN and not state.holding
         self._since_ms = self._port.ticks_ms()
 
-    def _waited(self) -> None:
+    def _on_wait(self) -> None:
         """Note that something waited for the end of motion: the stop before, and a start that the
         wait itself has caused, are no underrun."""
-        self._asked = True
+        self._stop_was_asked = True
 
-    def _probes(self, *asked: "Any") -> bool:
+    def _probe_and_note(self, *asked: "Any") -> bool:
         """Probe, as the hook before; note that the move's end was expected. Return its result."""
-        result: bool = self._probe(*asked)
-        self._asked = True
+        result: bool = self._previous_probe(*asked)
+        self._stop_was_asked = True
         return result
 
     def on_start(self) -> None:
-        """Count the start if it ends an underrun."""
-        # Motion of a program goes on after a stop that nothing asked for.
-        again = self._stopped and not self._asked and self._state.run == st.RUN
-        if again and self._port.elapsed_ms(self._since_ms) < _AGAIN_MS:
+        """Count the start of motion as an underrun if the stop before it was not asked for."""
+        is_program = self._state.run == st.RUN  # no jog, homing or probe
+        was_underrun = self._ran_out and not self._stop_was_asked and is_program
+        if was_underrun and self._port.elapsed_ms(self._since_ms) < _LONGEST_UNDERRUN_MS:
             self.count += 1
-        self._stopped = self._asked = False
+        self._ran_out = self._stop_was_asked = False
 
     def on_reset(self) -> None:
         """Forget the last stop, after power-up or a reset."""
-        self._stopped = self._asked = False
+        self._ran_out = self._stop_was_asked = False
         commands = self._cnc.machine.commands
-        if commands.health != self._report:  # at power-up it is set only after this extra
-            self._health = commands.health
-            commands.health = self._report
+        # $I+ prints health()'s line. The board sets it only after this extra was installed.
+        if commands.health != self._health_with_underruns:
+            self._board_health = commands.health
+            commands.health = self._health_with_underruns
 
-    def _report(self) -> str:
+    def _health_with_underruns(self) -> str:
         """Return the last line that $I+ adds; if the board has another line, send ours before."""
         underruns = "Drains: %d" % self.count
-        if self._health is None:
+        if self._board_health is None:
             return underruns
         self._cnc.message(underruns)
-        return self._health()
+        return self._board_health()
 
     def field(self) -> str:
         """Return the field of the status report, "" without underruns."""

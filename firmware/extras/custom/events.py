@@ -35,18 +35,19 @@ if TYPE_CHECKING:
     Handler = tuple[str, Function]  # its name in messages, and itself
 
 _INPUT = "input "  # before an input's name
-_MOST_DUE = const(16)  # events waiting for their handlers; later ones are dropped
+_LONGEST_QUEUE = const(16)  # events waiting for their handlers; later ones are dropped
+_MAY_MOVE = const(True)  # of a handler; the others run during motion
 # Bytes of stack that may be in use when a handler during motion starts. Its own calls and
 # interrupts need the rest.
 _STACK_BYTES = const(3712)
 _M6 = const(6)
-_GREETINGS = ("startup", "after_reset")
+_WELCOME_EVENTS = ("startup", "after_reset")  # the welcome of power-up, and of each reset
 # Alarms that no handler has caused: none, or the sender has reset a moving machine.
-_SENDERS = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
+_NOT_BY_HANDLER = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
 
 
-def _field(result: "Any") -> str:
+def _field_text(result: "Any") -> str:
     """Return the text of a handler of on.report, without characters that end a report.
 
     "" if it is neither text nor number.
@@ -61,10 +62,10 @@ class Events:
 
     An event that waits is its name and the handlers' arguments: in _due for handlers that may
     move, in _due_during_motion for the others. _timers: milliseconds, time of the last call, name,
-    function. _inputs: by name, whether it was closed. _changed[0]: 1: an interrupt has seen an
-    input change. _run: the run state at the last poll. _failed: handlers that failed after a
-    welcome; _has_failed: such a failure causes the next welcome. _pause: executes M0's hold, None
-    if none waits.
+    function. _was_closed: by input name, its level at the last look. _changed[0]: 1: an interrupt
+    has seen an input change. _last_run_state: at the last poll. _failed_at_welcome: handlers that
+    failed after a welcome; _failure_causes_welcome: such a failure causes the next welcome.
+    _run_pause: executes M0's hold, None if none waits. _report_field: the status report's field.
     """
 
     def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
@@ -74,18 +75,18 @@ class Events:
         self._state = cnc.machine.state
         self._runner = runner
         self._handlers: "dict[str, list[Handler]]" = {}
-        self._inputs: "dict[str, bool]" = {}
+        self._was_closed: "dict[str, bool]" = {}
         self._timers: "list[list[Any]]" = []
         self._due: "list[tuple[str, tuple[Any, ...]]]" = []
         self._due_during_motion: "list[tuple[str, tuple[Any, ...]]]" = []
         self._is_polling = False  # poll() is running: a handler's wait calls it again
         self._has_started = False  # the welcome of power-up is over
-        self._run = cnc.machine.state.run
-        self._pause: "Callable[[], None] | None" = None
-        self._field = ""  # the status report's field, as on.report made it last
+        self._last_run_state = cnc.machine.state.run
+        self._run_pause: "Callable[[], None] | None" = None
+        self._report_field = ""  # the status report's field, as on.report made it last
         self._changed = bytearray(1)
-        self._failed: "list[Function]" = []
-        self._has_failed = False
+        self._failed_at_welcome: "list[Function]" = []
+        self._failure_causes_welcome = False
         self._synced_words = SyncedWords(cnc.machine, runner)
 
     def subscribe(self, kind: str, key: "Any", what: str, function: "Function") -> None:
@@ -96,7 +97,7 @@ class Events:
         if kind == handlers.EVERY:
             self._timers.append([key, self._machine.port.ticks_ms(), what, function])
         elif kind == handlers.INPUT:
-            self._inputs[key] = self._runner.machine_api.pin(key)
+            self._was_closed[key] = self._runner.machine_api.pin(key)
             self._handlers.setdefault(_INPUT + key, []).append((what, function))
         else:
             self._handlers.setdefault(kind, []).append((what, function))
@@ -111,7 +112,7 @@ class Events:
         if name not in self._handlers:
             return
         due = self._due if name in handlers.MOVING else self._due_during_motion
-        if len(due) < _MOST_DUE:
+        if len(due) < _LONGEST_QUEUE:
             due.append((name, values))
         self._state.pending[st.ANY] = 1  # so that the loop handles it between two lines
 
@@ -141,12 +142,13 @@ class Events:
             name, values = self._due.pop(0)
             self._machine.canon.synchronise()
             # Only the handler of a word may refuse its line: here of M6, which has no parameters.
+            # None instead of {} marks an event, whose handler may not.
             parameters: "dict[str, Any] | None" = {} if name == "tool_change" else None
             for what, function in self._handlers[name]:
-                if name in _GREETINGS:
+                if name in _WELCOME_EVENTS:
                     self._run_reset_handler(what, function)
                 else:
-                    self._runner.run(what, function, True, values, parameters)
+                    self._runner.run(what, function, _MAY_MOVE, values, parameters)
 
     def _run_reset_handler(self, what: str, function: "Function") -> None:
         """Run a handler after a welcome.
@@ -154,14 +156,14 @@ class Events:
         If it causes an alarm, it is not run after that alarm's welcome. Otherwise the welcomes
         would never end, and the machine could not be unlocked. what: its name in messages.
         """
-        if function in self._failed:
+        if function in self._failed_at_welcome:
             return
         try:
-            self._runner.run(what, function, True)
+            self._runner.run(what, function, _MAY_MOVE)
         finally:
-            if self._state.alarm not in _SENDERS:
-                self._failed.append(function)
-                self._has_failed = True
+            if self._state.alarm not in _NOT_BY_HANDLER:
+                self._failed_at_welcome.append(function)
+                self._failure_causes_welcome = True
 
     @micropython.native
     def poll(self) -> None:
@@ -173,7 +175,7 @@ class Events:
         run = self._state.run
         if run == st.CHECK:
             return
-        if run != self._run or self._changed[0]:
+        if run != self._last_run_state or self._changed[0]:
             self._detect_changes()
         if self._is_polling or micropython.stack_use() > _STACK_BYTES:
             return
@@ -183,12 +185,12 @@ class Events:
                 name, values = self._due_during_motion.pop(0)
                 fields = []
                 for what, function in self._handlers[name]:
-                    result = self._runner.run(what, function, False, values)
-                    text = _field(result) if name == handlers.REPORT else ""
+                    result = self._runner.run(what, function, not _MAY_MOVE, values)
+                    text = _field_text(result) if name == handlers.REPORT else ""
                     if text:
                         fields.append(text)
                 if name == handlers.REPORT:
-                    self._field = "|".join(fields)
+                    self._report_field = "|".join(fields)
             if self._timers:
                 self._run_timers()
             if self._synced_words.waiting:
@@ -200,23 +202,24 @@ class Events:
         """Run the handlers of @every whose time has come."""
         port = self._machine.port
         for timer in self._timers:
-            ms, since, what, function = timer
-            if port.elapsed_ms(since) >= ms:
-                timer[1] = port.ticks_ms()  # `since`
-                self._runner.run(what, function, False)
+            period_ms, last_call, what, function = timer
+            if port.elapsed_ms(last_call) >= period_ms:
+                timer[1] = port.ticks_ms()  # its last call
+                self._runner.run(what, function, not _MAY_MOVE)
 
     def _detect_changes(self) -> None:
-        """Find changes of state and inputs, and emit their events. They have no hooks."""
+        """Find changes of state and inputs, and emit their events: the machine has no hooks for
+        these."""
         run = self._state.run
-        if run != self._run:
-            self._emit("state_change", STATES[self._run], STATES[run])
-            self._run = run
+        if run != self._last_run_state:
+            self._emit("state_change", STATES[self._last_run_state], STATES[run])
+            self._last_run_state = run
         if self._changed[0]:
             self._changed[0] = 0
-            for name, was_closed in self._inputs.items():
+            for name, was_closed in self._was_closed.items():
                 closed = self._runner.machine_api.pin(name)
                 if closed != was_closed:
-                    self._inputs[name] = closed
+                    self._was_closed[name] = closed
                     self._emit(_INPUT + name, closed)
 
     def defer(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
@@ -236,7 +239,7 @@ class Events:
 
         during_motion: some handlers run during motion.
         """
-        has_handlers = self._handlers  # by event
+        has_handlers = self._handlers  # by event: `in` asks whether it has any
         if during_motion:
             self._hooks.poll += (self.poll,)
         self._wrap_lines()
@@ -262,16 +265,17 @@ class Events:
             self._cnc.after_alarm(lambda code: self._emit("alarm", code))
         if handlers.REPORT in has_handlers:
             self._cnc.add_field(self._report)
-        if self._inputs:
+        if self._was_closed:
             self._machine.port.watch_pins(self._on_change)
 
     def _wrap_lines(self) -> None:
         """Handle a line's events before the next line.
 
-        Lines with words of custom.py are not executed here. A T on them is not the spindle's.
+        Lines with words of custom.py do not come here: CustomCodes executes them. A T on these is
+        a parameter, and no tool.
         """
         hooks, modes = self._hooks, self._machine.modes
-        self._machine.interpreter.watch(SET_TOOL)
+        self._machine.interpreter.watch(SET_TOOL)  # so that kernels leave lines with a T to us
         previous = hooks.execute
 
         @micropython.native
@@ -279,16 +283,16 @@ class Events:
             """Execute a line, then what was waiting for its end: events and a pause."""
             previous(line, length)
             if line.find(b"T", 0, length) >= 0:
-                self._select(modes.tool)  # Grbl's parser clears it with the next line
+                self._select_tool(modes.tool)  # Grbl's parser clears it with the next line
             if self._due:
                 self.run_due()
-            if self._pause:
-                pause, self._pause = self._pause, None
-                pause()
+            if self._run_pause:
+                run_pause, self._run_pause = self._run_pause, None
+                run_pause()
 
         hooks.execute = execute
 
-    def _select(self, tool: int) -> None:
+    def _select_tool(self, tool: int) -> None:
         """Handle a T on the line just executed (its number): a new tool is an event, except in
         check mode."""
         if tool != self._runner.machine_api.tool and self._state.run != st.CHECK:
@@ -297,15 +301,15 @@ class Events:
 
     def _after_reset(self) -> None:
         """Drop what waits, except alarms to report, and emit the event of this welcome."""
-        self._pause = None
+        self._run_pause = None
         self._due.clear()
         self._synced_words.waiting.clear()
         alarms = [event for event in self._due_during_motion if event[0] == "alarm"]
         self._due_during_motion = alarms
-        if not self._has_failed:
-            self._failed.clear()
-        self._has_failed = False
-        # Also when check mode ends: that reset has cleared the tool length offset.
+        if not self._failure_causes_welcome:
+            self._failed_at_welcome.clear()
+        self._failure_causes_welcome = False
+        # Not _emit(): also when check mode ends, whose reset has cleared the tool length offset.
         self._queue("after_reset" if self._has_started else "startup")
         self._has_started = True
 
@@ -322,15 +326,15 @@ class Events:
             self.run_due()
 
     def _change_tool(self, tool: "float | None") -> None:
-        """Execute M6, with T on its line or before it. tool: the number of that T, or None. If a
-        handler refuses the line, the tool is the one before."""
+        """Execute M6, with T on its line or before it. tool: the number of the T on its line, or
+        None. If a handler refuses the line, the tool is the one before."""
         api = self._runner.machine_api
         before = api.tool
         try:
             if tool is not None:
                 if not 0 <= tool <= HIGHEST_TOOL:
                     raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
-                self._select(int(tool))
+                self._select_tool(int(tool))
             self._emit("tool_change", api.tool)
             self.run_due()
         except GrblError:
@@ -361,20 +365,20 @@ class Events:
         self._emit("coolant", bool(mask & coolant.FLOOD), bool(mask & coolant.MIST))
 
     def _defer_pause(self) -> bool:
-        """Delay the hold of M0 until its handlers have run.
+        """Delay the hold of M0 until its handlers have run, after the line. Return True.
 
         Return False if a handler runs already: M0 then holds at once.
         """
         if self._runner.is_running:
             return False
-        self._pause = self._machine.canon.hold_program
+        self._run_pause = self._machine.canon.hold_program
         self._emit("program_paused")
         return True
 
     def _report(self) -> str:
         """Return the field that its handlers made last. They run again after the report."""
         self._emit(handlers.REPORT)
-        return self._field
+        return self._report_field
 
     # Inputs
 

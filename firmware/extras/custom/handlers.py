@@ -64,9 +64,9 @@ def _note(
     """Return a decorator that notes its function, and leaves it as it is.
 
     kind: M, G, EVERY, INPUT or an event's name; key: the number of the word, milliseconds, or a
-    name; letters: of a word's parameters; sync: see mcode().
+    name; letters: of a word's parameters, "" for an event; sync: see mcode().
     """
-    if sync is not True and sync is not False and sync is not None:  # 0 and 1 are neither
+    if sync is not True and sync is not False and sync is not None:  # refuses 0 and 1, too
         raise TypeError("sync is True, False or None, not %r" % (sync,))
 
     def note(function: "Function") -> "Function":
@@ -117,7 +117,7 @@ def every(ms: int) -> "Callable[[Function], Function]":
     """Call a function repeatedly, at most once in so many milliseconds. ValueError below 1."""
     _refuse_bare(ms, "every(50)")
     if ms < 1:
-        raise ValueError("every: %r is no number of milliseconds" % ms)
+        raise ValueError("every: %r is not a number of milliseconds" % ms)
     return _note(EVERY, ms, "", False)
 
 
@@ -128,7 +128,8 @@ class On:
         """Return the decorator of an event. AttributeError if there is none of that name."""
         if name not in MOVING and name not in DURING_MOTION and name != REPORT:
             raise AttributeError("there is no event on.%s" % name)
-        return _note(name, name, "", name in MOVING)
+        waits_for_motion = name in MOVING
+        return _note(name, name, "", waits_for_motion)
 
     def input(self, name: str) -> "Callable[[Function], Function]":
         """Handle a change of the input that the board file calls `name`."""

@@ -52,8 +52,8 @@ def _never() -> bool:
 
 class MachineApi(PinApi):
     """What a handler may call. outputs, inputs: pins' numbers, by the names of the board file.
-    tool: the number of the last T. _open: open m.saved() blocks, the innermost last. _jogs: lines
-    of requested jogs that have not started."""
+    tool: the number of the last T. _open_blocks: m.saved() blocks that have not ended, innermost
+    last. _jogs: lines of requested jogs that have not started."""
 
     def __init__(
         self, machine: "Controller", outputs: "dict[str, int]", inputs: "dict[str, int]"
@@ -61,7 +61,7 @@ class MachineApi(PinApi):
         super().__init__(machine, outputs, inputs)
         self.tool = 0
         self.keep = PersistentValues(machine.saves)
-        self._open: "list[ModalState]" = []
+        self._open_blocks: "list[ModalState]" = []
         self._jogs: "list[str]" = []
 
     # For the firmware, not for handlers
@@ -69,7 +69,7 @@ class MachineApi(PinApi):
     def _check_may_wait(self) -> None:
         """Check that the handler may move or wait. RuntimeError if it runs during motion."""
         if not self.may_move:
-            raise RuntimeError("a handler that runs beside motion may neither move nor wait")
+            raise RuntimeError("a handler that runs during motion may neither move nor wait")
         self.check_stopped()
 
     def _finish_wait(self) -> None:
@@ -80,7 +80,7 @@ class MachineApi(PinApi):
     def clear_requests(self) -> None:
         """Forget all requests, after a reset."""
         super().clear_requests()
-        self._open.clear()
+        self._open_blocks.clear()
         self._jogs.clear()
 
     def has_jogs(self) -> bool:
@@ -91,7 +91,7 @@ class MachineApi(PinApi):
         """Start the requested jogs. Call it only between two lines.
 
         A received line has priority, because it would be refused in state Jog. The jogs are then
-        dropped: they are out of date after it.
+        dropped: they are out of date after it. So are they in a state other than Idle or Jog.
         """
         machine, state = self._machine, self._state
         if self._jogs and machine.reader.has_line():
@@ -139,7 +139,7 @@ class MachineApi(PinApi):
         Modes, feed and offsets are restored when the block ends. Spindle with its S, coolant and
         M56 stay as the block has left them.
         """
-        return ModalState(self._machine, True, self._open)
+        return ModalState(self._machine, True, self._open_blocks)
 
     def probe(
         self,
@@ -153,13 +153,13 @@ class MachineApi(PinApi):
         moves.
         """
         self._check_may_wait()
-        with ModalState(self._machine, False, self._open):
-            self.g("G38.%d%s" % (2 if must else 3, self._in_work(words)))
+        with ModalState(self._machine, False, self._open_blocks):
+            self.g("G38.%d%s" % (2 if must else 3, self._to_work_words(words)))
         if not self._state.probe_succeeded:
             return None
         return Position(self._machine.state.hooks.probed_at())
 
-    def _in_work(self, words: str) -> str:
+    def _to_work_words(self, words: str) -> str:
         """Return the words without G53, with their positions in work coordinates.
 
         Words without G53 are returned as they are. With it, G21 and G90 are set.
@@ -172,12 +172,12 @@ class MachineApi(PinApi):
         for letter, number in words_of(text.replace("G53", "")):
             axis = LETTERS.find(letter)
             if axis < 0 and letter != "F":
-                raise ValueError("m.probe: only axes and F go with G53, not %s" % letter)
-            work = number if axis < 0 else number - self._zero(axis)  # F stays as it is
+                raise ValueError("m.probe with G53 takes only axes and F, not %s" % letter)
+            work = number if axis < 0 else number - self._work_zero(axis)  # F stays as it is
             converted += "%s%.4f" % (letter, work)
         return converted
 
-    def _zero(self, axis: int) -> float:
+    def _work_zero(self, axis: int) -> float:
         """Return work zero of an axis, mm in machine coordinates, tool length included."""
         coords = self._machine.coords
         return coords.work_zero(coords.active, axis)
@@ -200,7 +200,7 @@ class MachineApi(PinApi):
         for letter, number in words_of(code_of(words)):
             axis = LETTERS.index(letter)
             # G92 and the tool length are part of work zero, and not of the offset that G10 sets.
-            other_offsets = self._zero(axis) - coords.systems[coords.active][axis]
+            other_offsets = self._work_zero(axis) - coords.systems[coords.active][axis]
             axes += "%s%.4f" % (letter, at[axis] - number - other_offsets)
         with self.saved():
             self.g("G10L2P0" + axes)
@@ -209,7 +209,7 @@ class MachineApi(PinApi):
         """Set the tool length offset in mm, as G43.1 does. It holds until a reset or G49."""
         with self.saved():
             self.g("G43.1%s%.4f" % (LETTERS[self._machine.coords.length_axis], mm))
-            for saved in self._open:
+            for saved in self._open_blocks:
                 saved.keep_length()
 
     def home(self, axes: str = "") -> None:
@@ -256,8 +256,9 @@ class MachineApi(PinApi):
         """
         self.check_stopped()
         reader = self._machine.reader
-        is_late = reader.waiting() if self.may_move else reader.has_line()
-        if is_late or self._state.run not in (st.IDLE, st.JOG) or len(self._jogs) >= _MOST_JOGS:
+        # has_line() includes the line in progress, of which a handler that may move is a part.
+        has_line = reader.waiting() if self.may_move else reader.has_line()
+        if has_line or self._state.run not in (st.IDLE, st.JOG) or len(self._jogs) >= _MOST_JOGS:
             return False
         self._jogs.append("$J=G21G91%s%.4fF%.1f" % (axis.upper(), mm, rate))
         self._state.pending[st.ANY] = 1
@@ -288,7 +289,8 @@ class MachineApi(PinApi):
     def halt(self) -> None:
         """Stop wherever the main loop waits, with all off and ALARM:34. Raises Abort."""
         machine, state = self._machine, self._state
-        while state.run & (st.HOLD | st.DOOR | st.SLEEP) and state.holding:  # it slows down
+        # A hold that still slows down ends first, so that the position stays certain.
+        while state.run & (st.HOLD | st.DOOR | st.SLEEP) and state.holding:
             machine.motor_control.pump()
             machine.realtime.handle_events()
         machine.canon.stop_with_alarm(errors.ALARM_HANDLER)
@@ -298,7 +300,7 @@ class MachineApi(PinApi):
     @micropython.native  # saves stack for a handler that runs during the wait
     def wait(self, seconds: float) -> None:
         """Wait for so many seconds, while motion goes on."""
-        self._until(_never, seconds)
+        self._wait_until(_never, seconds)
 
     def wait_for(
         self,
@@ -311,10 +313,10 @@ class MachineApi(PinApi):
         It returns False if that takes longer than `seconds`. None waits without limit. ValueError
         for an unknown name.
         """
-        return self._until(lambda: self.pin(name) == closed, seconds)
+        return self._wait_until(lambda: self.pin(name) == closed, seconds)
 
     @micropython.native
-    def _until(self, done: "Callable[[], bool]", seconds: "float | None") -> bool:
+    def _wait_until(self, done: "Callable[[], bool]", seconds: "float | None") -> bool:
         """Wait until done() is true, at most `seconds` (None: no limit). Return its last result.
 
         Planned motion is started, and goes on meanwhile.
@@ -336,7 +338,7 @@ class MachineApi(PinApi):
         an alarm, where nothing holds."""
         self._check_may_wait()
         if self._state.run == st.ALARM:
-            raise RuntimeError("m.ask: not in an alarm")
+            raise RuntimeError("m.ask is not possible in an alarm")
         self._machine.canon.synchronise()
         self.restart_clock()
         self.message(text)
@@ -353,23 +355,23 @@ class MachineApi(PinApi):
 
     def work(self) -> Position:
         """Return the position in work coordinates, in mm."""
-        return self._of_work(self.position())
+        return self._to_work(self.position())
 
     def target(self) -> Position:
         """Return the target of the last line read, in work coordinates, in mm."""
-        return self._of_work(self._machine.modes.position)
+        return self._to_work(self._machine.modes.position)
 
-    def _of_work(self, mm: "Position | array[float]") -> Position:
+    def _to_work(self, mm: "Position | array[float]") -> Position:
         """Convert a position from machine to work coordinates, in mm."""
         work = vector(self._machine.planner.axes)
         for i in range(len(work)):
-            work[i] = mm[i] - self._zero(i)
+            work[i] = mm[i] - self._work_zero(i)
         return Position(work)
 
     def mm(self, length: float) -> float:
         """Convert a length of the program to mm, from inches if the program is in G20."""
         # Within m.saved() the program's own modes are those from before the outermost block.
-        modal = self._open[0].modal if self._open else self._machine.modes.modal
+        modal = self._open_blocks[0].modal if self._open_blocks else self._machine.modes.modal
         return length * _MM_PER_INCH if modal[INCHES] else length
 
     def offset(self, name: str) -> Position:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from control.saves import Saves
 
-_FILE = "keep"
+_STORED_NAME = "keep"  # of the values in flash, one JSON line [name, value] for each
 
 
 class PersistentValues:
@@ -24,7 +24,7 @@ class PersistentValues:
         self._saves = saves
         self._values: "dict[str, Any]" = {}
         self.is_due = False
-        for line in saves.load(_FILE) or ():
+        for line in saves.load(_STORED_NAME) or ():
             try:
                 name, value = json.loads(line)
             except (ValueError, TypeError):
@@ -54,9 +54,9 @@ class PersistentValues:
         if not isinstance(name, str):
             raise TypeError("m.keep: the name %r must be a text" % (name,))
         if isinstance(value, float) and value - value != 0:  # inf, nan: not valid in JSON
-            raise ValueError("keep: %s is not finite" % name)
+            raise ValueError("m.keep: %s is not finite" % name)
         if not isinstance(value, (int, float, str)):
-            raise TypeError("keep: %s is neither a number nor a text" % name)
+            raise TypeError("m.keep: %s is neither a number nor a text" % name)
         if name not in self._values or self._values[name] != value:
             self._values[name] = value
             self.is_due = True
@@ -70,4 +70,4 @@ class PersistentValues:
         """Hand the values to the store. Call it only while idle."""
         self.is_due = False
         lines = [json.dumps([name, value]) for name, value in self._values.items()]
-        self._saves.save(_FILE, lines)
+        self._saves.save(_STORED_NAME, lines)

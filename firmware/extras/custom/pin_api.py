@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from talk.controller import Controller
 
-_ALWAYS = const(65535)  # duty of an output that stays on
+_FULL_DUTY = const(65535)  # the port's duty for an output that stays on
 _LOWEST_HZ = const(20)
 _HIGHEST_HZ = const(40000)
 _SERVO_HZ = const(50)
@@ -81,7 +81,7 @@ class PinApi:
         an unknown name.
         """
         index = _index(self._outputs, name, "output")
-        if self._hz[index]:
+        if self._hz[index]:  # PWM has the pin, and drive() does not affect it
             self.pwm(name, 1 if on else 0, self._hz[index])
         else:
             self._set_level(index, bool(on))
@@ -99,11 +99,11 @@ class PinApi:
         Otherwise it is as m.out(). ValueError outside these ranges.
         """
         if not (0 <= share <= 1 and _LOWEST_HZ <= hz <= _HIGHEST_HZ):
-            raise ValueError("m.pwm: a share from 0 to 1, at 20 to 40000 Hz")
+            raise ValueError("m.pwm: duty must be 0 to 1, frequency 20 to 40000 Hz")
         index = _index(self._outputs, name, "output")
         hz = truncate(hz + 0.5)  # a line's numbers are floats; PWM takes int
         self._set_level(index, share > 0)
-        self._machine.port.pulse(index, hz, truncate(share * _ALWAYS + 0.5))
+        self._machine.port.pulse(index, hz, truncate(share * _FULL_DUTY + 0.5))
         self._hz[index] = hz
         self.check_stopped()
 
@@ -115,8 +115,8 @@ class PinApi:
         self.pwm(name, us * _SERVO_HZ / 1000000, _SERVO_HZ)
 
     def _set_level(self, index: int, on: bool) -> None:
-        """Note an output's level (index), when the handler's motion has ended. The caller switches
-        the pin.
+        """Note an output's level in _levels, when the handler's motion has ended. index: its bit.
+        The caller switches the pin.
 
         After a reset or an alarm it raises Stopped for `on`; off is noted at once.
         """

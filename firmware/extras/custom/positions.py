@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 _A = const(3)  # index of axis A
 # Modes that stay, because the machine does what they say; S does for the same reason.
-_OF_THE_MACHINE = (SPINDLE, COOLANT, OVERRIDE_CONTROL)
+_NOT_RESTORED = (SPINDLE, COOLANT, OVERRIDE_CONTROL)
 # Modes that m.saved() sets to 0: G17, G90, G94 and G21.
-_USUAL = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
+_SET_TO_ZERO = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
 
 
 class Position:
@@ -69,52 +69,52 @@ class Position:
 class ModalState:
     """Context manager that restores modes, feed and offsets when its block ends.
 
-    With `usual`, G17, G21, G90 and G94 hold inside. Spindle with its S, coolant and M56 stay as
-    they are, because they are what the machine does. within: the open blocks, this one last.
+    standard: set G17, G21, G90 and G94 at its beginning. Spindle with its S, coolant and M56 stay
+    as they are, because they are what the machine does. blocks: the open ones, innermost last.
 
-    Copies from the beginning of the block: modal, the modal state; _rates, the feed; _length and
-    _g92, the tool length and the G92 offset; _motions, canned cycles of extras, each with the
-    numbers that hold for its next line.
+    Copies from the beginning of the block: modal, the modal state; _feed; _length and _g92, the
+    tool length and the G92 offset; _cycles, canned cycles of extras, each with the numbers that
+    hold for its next line.
     """
 
-    def __init__(self, machine: "Controller", usual: bool, within: "list[ModalState]") -> None:
+    def __init__(self, machine: "Controller", standard: bool, blocks: "list[ModalState]") -> None:
         self._machine = machine
-        self._usual = usual
-        self._within = within
+        self._is_standard = standard
+        self._open_blocks = blocks
 
     def __enter__(self) -> None:
-        """Copy what the block may change, then set the usual modes if asked for."""
+        """Copy what the block may change, then set the standard modes if asked for."""
         modes, coords = self._machine.modes, self._machine.coords
         self.modal = list(modes.modal)
-        self._rates = modes.rates[FEED]
+        self._feed = modes.rates[FEED]
         self._length, self._g92 = coords.tool_length, array("f", coords.g92)
-        motions = self._machine.interpreter.motions.values()
-        self._motions = [(motion, motion.kept) for motion in motions]
-        self._within.append(self)
-        if self._usual:
-            for i in _USUAL:
+        cycles = self._machine.interpreter.motions.values()
+        self._cycles = [(cycle, cycle.kept) for cycle in cycles]
+        self._open_blocks.append(self)
+        if self._is_standard:
+            for i in _SET_TO_ZERO:
                 modes.modal[i] = 0
 
     def keep_length(self) -> None:
-        """Let the present tool length stay when the block ends, instead of the one before it."""
+        """Let the present tool length stay when the block ends: do not restore the old one."""
         self._length = self._machine.coords.tool_length
 
     def __exit__(self, *fault: object) -> None:
-        """Restore everything copied, unless a reset is pending. An exception goes on."""
+        """Restore everything copied, unless a reset is pending. An exception is passed on."""
         machine = self._machine
         modes, coords = machine.modes, machine.coords
-        if self in self._within:
-            self._within.remove(self)
+        if self in self._open_blocks:
+            self._open_blocks.remove(self)
         if machine.state.pending[st.RESET]:
             return  # the reset has set the modes
-        did_cut = CUTTING >> modes.modal[MOTION] & 1
+        did_cut = CUTTING >> modes.modal[MOTION] & 1  # CUTTING, bit i: motion mode i cuts
         for i in range(MODAL_LENGTH):
-            if i not in _OF_THE_MACHINE:
+            if i not in _NOT_RESTORED:
                 modes.modal[i] = self.modal[i]
         coords.active = modes.modal[SYSTEM]
-        for motion, kept in self._motions:
-            motion.kept = kept
-        modes.rates[FEED] = self._rates
+        for cycle, kept in self._cycles:
+            cycle.kept = kept
+        modes.rates[FEED] = self._feed
         coords.tool_length = self._length
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0  # the next status report has the offsets

@@ -30,17 +30,18 @@ TRACE = "custom"  # the name under which the last traceback's end is stored
 _TRACE_LINES = const(12)  # a recursion that fills the stack has many equal lines
 # A handler that takes so long without a call of m is reported, also if it is garbage collection.
 _SLOW_MS = const(20)
-# Garbage is collected after _CALLS handlers, when _BLOCKS blocks are planned or the machine is
+# Garbage is collected after so many handlers, when _ENOUGH_BLOCKS are planned or the machine is
 # idle: then motion does not run out of blocks meanwhile.
-_CALLS = const(64)
-_BLOCKS = const(8)
+_RUNS_TO_COLLECT = const(64)
+_ENOUGH_BLOCKS = const(8)  # planned ones, which last longer than a collection
 
 
 class Runner:
-    """Calls handlers. api: their argument m; modules: the names of the user's modules. is_running:
-    a handler is running. has_run: run_housekeeping() may have work. _calls: handlers run since the
-    last garbage collection. _slow: names of handlers reported as slow. _disabled: handlers that
-    failed during motion: they would fail again at every turn of the loop."""
+    """Calls handlers. machine_api: their argument m; modules: the names of the user's modules.
+    is_running: a handler is running. has_run: run_housekeeping() may have work. _uncollected_runs:
+    handlers run since the last garbage collection. _reported_slow: names of handlers reported as
+    slow. _disabled: handlers that failed during motion: they would fail again at every turn of the
+    loop."""
 
     def __init__(self, cnc: "Cnc", api: "MachineApi", modules: "tuple[str, ...]") -> None:
         self._cnc = cnc
@@ -48,9 +49,9 @@ class Runner:
         self.machine_api = api
         self._modules = [module.replace(".", "/") for module in modules]
         self.is_running = False
-        self._slow: "list[str]" = []
+        self._reported_slow: "list[str]" = []
         self._disabled: "list[Function]" = []
-        self._calls = 0
+        self._uncollected_runs = 0
         self.has_run = False
 
     @micropython.native  # takes half the stack of bytecode
@@ -97,7 +98,7 @@ class Runner:
             api.may_move = outer_may_move
             self.is_running = was_running
             api.restart_clock()
-            self._calls += 1
+            self._uncollected_runs += 1
             self.has_run = True
             self._report_slow(what)
         return None
@@ -105,13 +106,13 @@ class Runner:
     def _report_slow(self, what: str) -> None:
         """Report a handler, once, that took _SLOW_MS or longer without a call of m."""
         slow_ms, self.machine_api.slow_ms = self.machine_api.slow_ms, 0
-        if slow_ms >= _SLOW_MS and what not in self._slow:
-            self._slow.append(what)
-            self._cnc.message("%s: %d ms without a call of m" % (what, slow_ms))
+        if slow_ms >= _SLOW_MS and what not in self._reported_slow:
+            self._reported_slow.append(what)
+            self._cnc.message("%s ran for %d ms without calling m" % (what, slow_ms))
 
     # Failing
 
-    def text(self, lines: "list[str]") -> str:
+    def short_trace(self, lines: "list[str]") -> str:
         """Return from a traceback the last place in the user's own files, and the exception, such
         as `custom.py, line 7, in probe: ValueError: ...`.
 
@@ -120,12 +121,13 @@ class Runner:
         place = ""
         for line in [line.strip() for line in lines]:
             if line.startswith('File "'):
-                parts = line.split('"')
-                if self._is_own(parts[1]):
-                    place = parts[1].replace("\\", "/").split("/")[-1] + parts[2] + ": "
+                parts = line.split('"')  # parts[1]: the file's path
+                if self._is_of_user(parts[1]):
+                    name = parts[1].replace("\\", "/").split("/")[-1]
+                    place = name + parts[2] + ": "  # parts[2]: line and function
         return place + lines[-1]
 
-    def _is_own(self, file: str) -> bool:
+    def _is_of_user(self, file: str) -> bool:
         """Return whether a file, from a traceback, is one of the user's modules."""
         name = file.replace("\\", "/").rsplit(".", 1)[0]
         return any((name == module or name.endswith("/" + module)) for module in self._modules)
@@ -137,9 +139,9 @@ class Runner:
         # MicroPython removes an interrupt handler that found the stack full. Attach it again.
         machine.port.attach(machine.motor_control)
         machine.port.enable_limits(bool(machine.settings.hard_limits))
-        lines = trace(fault)
-        text = sanitize("%s: %s" % (what, self.text(lines)))
-        machine.commands.fault = text
+        lines = trace(fault)  # of the traceback
+        text = sanitize("%s: %s" % (what, self.short_trace(lines)))
+        machine.commands.fault = text  # $I+ shows it
         machine.saves.save(TRACE, lines[-_TRACE_LINES:])
         machine.report.message(text)
         if may_move:
@@ -169,11 +171,11 @@ class Runner:
         if keep.is_due and machine.at_rest() and not machine.reader.has_line():
             keep.write()
             machine.save_due()
-        if self._calls >= _CALLS:
+        if self._uncollected_runs >= _RUNS_TO_COLLECT:
             flow = machine.planner.flow  # the planner's ring: indices of its ends, and its size
             planned_blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
-            if machine.at_rest() or planned_blocks >= _BLOCKS:
-                self._calls = 0
+            if machine.at_rest() or planned_blocks >= _ENOUGH_BLOCKS:
+                self._uncollected_runs = 0
                 gc.collect()
         api.start_jogs()
-        self.has_run = keep.is_due or self._calls >= _CALLS or api.has_jogs()
+        self.has_run = keep.is_due or self._uncollected_runs >= _RUNS_TO_COLLECT or api.has_jogs()

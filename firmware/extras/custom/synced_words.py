@@ -18,25 +18,28 @@ if TYPE_CHECKING:
     from extras.custom.handlers import Function
     from extras.custom.runner import Runner
 
-_FAR = const(1_000_000)  # mm: outside of every machine
+_FAR_MM = const(1_000_000)  # mm: outside of every machine
+
+_MAY_MOVE = const(True)  # of a handler; these run during motion
 
 # Indices of a waiting word's fields.
-_BLOCKS = const(0)  # number of blocks still before it
-_END = const(1)  # their end position, mm
-_DISTANCE = const(2)  # mm to that position at the last look
-_CALL = const(3)  # from here on: name, function and parameters
+_BLOCKS_BEFORE = const(0)  # number of blocks before it that the engine has not read
+_END_MM = const(1)  # the end position of the blocks before it, mm per axis
+_LAST_DISTANCE_MM = const(2)  # distance to that position at the last look
+_FIRST_OF_CALL = const(3)  # from here on: its name in messages, function and parameters
 
 
 class SyncedWords:
-    """The words that wait for motion: waiting has a list of fields for each. _mm: the present
-    position. _tail: index of the planner's next block to read, at the last count."""
+    """The words that wait for motion: waiting has a list of fields for each. _here_mm: the present
+    position, scratch. _counted_tail: the planner's TAIL, the next block that the engine reads, at
+    the last count."""
 
     def __init__(self, machine: "Controller", runner: "Runner") -> None:
         self._machine = machine
         self._runner = runner
         self.waiting: "list[list[Any]]" = []
-        self._mm = vector(len(machine.modes.position))
-        self._tail = 0
+        self._here_mm = vector(len(machine.modes.position))
+        self._counted_tail = 0
 
     def add(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
         """Add a word after all planned blocks, and start motion if it has not started.
@@ -44,36 +47,37 @@ class SyncedWords:
         what: the handler's name in messages. given: the word's parameters, by letter.
         """
         machine, flow = self._machine, self._machine.planner.flow
-        machine.canon.finish()
+        machine.canon.finish()  # plan the move that is only requested yet
         machine.canon.auto_start()
-        self._count_passed()
+        self._subtract_read_blocks()
         blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
         end = tuple(machine.modes.position)
-        self.waiting.append([blocks, end, _FAR, what, function, given])
+        self.waiting.append([blocks, end, _FAR_MM, what, function, given])
 
     def run_reached(self) -> None:
         """Run the words whose position has been reached, in their order. Called at each turn of
         the main loop while words wait."""
-        self._count_passed()
+        self._subtract_read_blocks()
         self._machine.state.pending[st.ANY] = 1  # check again after the next line
         waiting = self.waiting
-        while waiting and waiting[0][_BLOCKS] == 0 and self._is_reached(waiting[0]):
-            what, function, given = waiting.pop(0)[_CALL:]
-            self._runner.run(what, function, False, (), given)
+        while waiting and waiting[0][_BLOCKS_BEFORE] == 0 and self._is_reached(waiting[0]):
+            what, function, given = waiting.pop(0)[_FIRST_OF_CALL:]
+            self._runner.run(what, function, not _MAY_MOVE, (), given)
 
-    def _count_passed(self) -> None:
+    def _subtract_read_blocks(self) -> None:
         """Subtract from each word's blocks those that the engine has read since the last call."""
         flow = self._machine.planner.flow
-        passed = (flow[TAIL] - self._tail) % flow[ROWS]
-        self._tail = flow[TAIL]
+        read = (flow[TAIL] - self._counted_tail) % flow[ROWS]  # of a ring of ROWS blocks
+        self._counted_tail = flow[TAIL]
         for word in self.waiting:
-            word[_BLOCKS] = max(0, word[_BLOCKS] - passed)
+            word[_BLOCKS_BEFORE] = max(0, word[_BLOCKS_BEFORE] - read)
 
     def _is_reached(self, word: "list[Any]") -> bool:
         """Return whether a word's position has been reached: the machine stands, or is farther
         from it than at the last look. All blocks before it must have been read."""
-        machine, mm = self._machine, self._mm
+        machine, mm = self._machine, self._here_mm
         machine.position(mm)
-        distance = max([abs(end - now) for end, now in zip(word[_END], mm)])  # of the worst axis
-        last, word[_DISTANCE] = word[_DISTANCE], distance
-        return distance > last or machine.engine.idle()
+        offsets = [abs(end - now) for end, now in zip(word[_END_MM], mm)]
+        distance = max(offsets)  # of the farthest axis
+        last_distance, word[_LAST_DISTANCE_MM] = word[_LAST_DISTANCE_MM], distance
+        return distance > last_distance or machine.engine.idle()

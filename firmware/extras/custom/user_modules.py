@@ -17,7 +17,7 @@ from extras.custom import handlers
 from extras.custom.events import Events
 from extras.custom.machine_api import MachineApi
 from extras.custom.runner import TRACE, Runner
-from extras.custom_codes import word_of
+from extras.custom_codes import key_of
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -32,14 +32,16 @@ if TYPE_CHECKING:
 
 _API = "ugrbl"  # custom.py imports handlers.py under this name
 
+_MAY_MOVE = const(True)  # of a handler
+
 _found: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Note the modules to read and the pins of the board file."""
-    option = board.__dict__.get
+    board_option = board.__dict__.get
     _found["modules"] = options.custom
-    _found["outputs"], _found["inputs"] = option("OUTPUTS", {}), option("INPUTS", {})
+    _found["outputs"], _found["inputs"] = board_option("OUTPUTS", {}), board_option("INPUTS", {})
 
 
 def install(cnc: "Cnc") -> None:
@@ -51,14 +53,14 @@ def install(cnc: "Cnc") -> None:
     outputs, inputs = _found["outputs"], _found["inputs"]
     if outputs or inputs:
         port.add_pins(tuple(outputs.values()), tuple(inputs.values()))
-        port.rest(0)
+        port.rest(0)  # a reset switches all outputs off
     api = MachineApi(cnc.machine, outputs, inputs)
     runner = Runner(cnc, api, _found["modules"])
     custom = Custom(cnc, runner, Events(cnc, runner))
     try:
         custom.register(_read(_found["modules"]))
     except KeyboardInterrupt:
-        custom.leave_out(RuntimeError("Ctrl-C while it was read"))
+        custom.leave_out(RuntimeError("Ctrl-C while its file was being read"))
     except BaseException as fault:  # sys.exit(), too
         custom.leave_out(fault)
 
@@ -111,25 +113,26 @@ class Custom:
         word_kinds = (handlers.M, handlers.G)
         words = [note for note in notes if note[0] in word_kinds]  # note[0]: its kind
         events = [note for note in notes if note[0] not in word_kinds]
-        # A handler of tool changes defines M6, too.
+        # A handler of tool changes defines M6, too: see Events.attach().
         m6 = [("M", 6, "t")] if "tool_change" in [kind for kind, _, _, _, _ in events] else []
         seen: "list[Key]" = []
-        for kind, key, letters in m6 + [note[:3] for note in words]:
-            if word_of(kind, key) in seen or self._cnc.is_taken(kind, key):
-                raise ValueError("%s%s is taken" % (kind, key))
+        for kind, key, letters in m6 + [note[:3] for note in words]:  # kind, key and letters
+            if key_of(kind, key) in seen or self._cnc.is_taken(kind, key):
+                raise ValueError("%s%s is already in use" % (kind, key))
             if not isinstance(letters, str):
-                raise TypeError("%s%s: its letters are no text" % (kind, key))
-            seen.append(word_of(kind, key))
+                raise TypeError("%s%s: its letters must be a text" % (kind, key))
+            seen.append(key_of(kind, key))
         for kind, key, _, _, _ in events:
             if kind == handlers.INPUT:
                 self._runner.machine_api.pin(key)  # raises ValueError if there is none
         for kind, key, _, _, function in events:
             self._events.subscribe(kind, key, title(kind, key), function)
-        self._events.attach(any(sync is False for _, _, _, sync, _ in notes))
+        during_motion = any(sync is False for _, _, _, sync, _ in notes)
+        self._events.attach(during_motion)
         for kind, key, letters, sync, function in words:
-            call = self._word(title(kind, key), letters, sync, function)
+            call = self._call_for_word(title(kind, key), letters, sync, function)
             add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
-            add(key, call, letters, bool(sync))
+            add(key, call, letters, bool(sync))  # only with True its line waits for motion to end
         names = [title(kind, key) for kind, key, _, _, _ in notes]
         self._cnc.after_reset(self._runner.machine_api.clear_requests)
         self._cnc.before_lines(self._events.between_lines)
@@ -138,7 +141,7 @@ class Custom:
     def leave_out(self, fault: BaseException) -> None:
         """Leave all handlers out, and report why (fault) after each welcome and in $I."""
         handlers.take_notes()  # forgets the handlers that were noted before the fault
-        text = sanitize("Custom left out: " + self._runner.text(trace(fault)))
+        text = sanitize("Custom left out: " + self._runner.short_trace(trace(fault)))
         self._cnc.after_reset(lambda: self._cnc.message(text))
         self._add_build_info(text)
 
@@ -152,12 +155,14 @@ class Custom:
         for text in self._machine.saves.load(TRACE) or ():
             self._machine.report.message("Trace: " + sanitize(text))
 
-    def _word(
+    def _call_for_word(
         self, what: str, letters: str, sync: "bool | None", function: "Function"
     ) -> "Function":
-        """Return what the interpreter calls for a word: it runs the handler, now or later.
+        """Return what the interpreter calls for a word: it runs the handler, now or, with sync
+        False, when the blocks planned before it have been executed.
 
-        It gets the numbers of `letters`. The handler gets those that the line has, by name.
+        It gets the numbers of `letters`, None for one that is not on the line. The handler gets
+        the others by name. what: its name in messages.
         """
         names = [letter.upper() for letter in letters]
 
@@ -167,6 +172,6 @@ class Custom:
             if sync is False:
                 self._events.defer(what, function, given)
             else:
-                self._runner.run(what, function, True, (), given)
+                self._runner.run(what, function, _MAY_MOVE, (), given)
 
         return call

@@ -20,9 +20,9 @@ from language.block_layout import SET_TOOL
 from micropython import const
 from talk.report import VERSION
 
-from extras.custom_codes import word_of
+from extras.custom_codes import key_of
 from extras.dialects.drilling import CYCLES, MOTIONS, Drilling, has, joined
-from extras.gcode_text import as_written
+from extras.gcode_text import letters_and_texts
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
 
 # The message for each word.
 _WORDS = {
-    "%": "the mark of a tape is passed over",
-    "O": "the number of a program is passed over",
-    "G43": "lengths of tools are not kept here: zero Z with each tool",
-    "G49": "passed over, for there is no tool length",
-    "G4 S": "a dwell of so many seconds",
-    "G61.1": "passed over",
-    "G64": "passed over: $11 says how fast corners are taken",
-    "G80": "passed over beside another motion",
-    "G98": "cycles end where the first of them began",
-    "G99": "cycles end at R",
-    "M6": "a pause with the spindle off, and ~ goes on",
-    "M204": "passed over: $120 and on are the accelerations",
+    "%": "the tape mark is ignored",
+    "O": "the program number is ignored",
+    "G43": "tool lengths are not stored: set Z zero for each tool",
+    "G49": "ignored, because no tool length is set",
+    "G4 S": "taken as a dwell in seconds",
+    "G61.1": "ignored",
+    "G64": "ignored: $11 sets the speed in corners",
+    "G80": "ignored with a motion on the line",
+    "G98": "cycles return to the Z before the first one",
+    "G99": "cycles return to R",
+    "M6": "pauses with the spindle off; ~ resumes",
+    "M204": "ignored: $120, $121, $122 set the acceleration",
 }
-_CYCLE = "a drilling cycle"
+_CYCLE = "executed as a drilling cycle"
 # Words in tenths.
 _G4 = const(40)
 _G43 = const(430)
@@ -100,7 +100,7 @@ class Lenient:
 
     def _why_no_entry(self) -> str:
         """Return why a program cannot be entered here, "" if it can. See Cnc.entries."""
-        return "it goes on with a drilling cycle" if self._drilling.cycle else ""
+        return "that line is within a drilling cycle" if self._drilling.cycle else ""
 
     def execute(self, line: bytearray, length: int) -> None:
         """Execute a line, as Interpreter.execute().
@@ -285,7 +285,7 @@ class Lenient:
             self._run("M5")
         if self._machine.state.run != st.CHECK:
             self._machine.canon.synchronise()
-            self._cnc.message("Tool %s, then ~" % self._tool)
+            self._cnc.message("Insert tool %s, then send ~" % self._tool)
         self._run("M0")
 
 
@@ -300,14 +300,14 @@ def _words(line: bytearray, length: int) -> "list[Word] | None":
     Each has its letter, the text of its number, and its number in tenths (_NONE unless G or M).
     """
     words = []
-    for letter, text in as_written(text_of(line[:length]).strip("%")):
+    for letter, text in letters_and_texts(text_of(line[:length]).strip("%")):
         if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in text):
             return None
         try:
             value = float(text)
         except ValueError:
             return None
-        words.append((letter, text, word_of(letter, value)[1] if letter in "GM" else _NONE))
+        words.append((letter, text, key_of(letter, value)[1] if letter in "GM" else _NONE))
     return words
 
 
@@ -319,5 +319,5 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """Install after all other extras, because their words have priority."""
     if cnc.machine.interpreter.motions:
-        raise ValueError("LENIENT has cycles of its own: no extra can have one beside it")
+        raise ValueError("LENIENT has its own canned cycles: no other extra can add one")
     Lenient(cnc)

@@ -35,7 +35,7 @@ _STATES = (st.IDLE, st.ALARM, st.CHECK)
 _SHOWN_BYTES = const(128)
 # A reader for text that is neither the sender's line nor the job's.
 _READ_AHEAD = const(512)
-_LONGEST = const(344)  # 256 bytes in base64
+_LONGEST_LINE = const(344)  # 256 bytes in base64
 
 _found: "dict[str, JobFiles | None]" = {}
 
@@ -50,7 +50,7 @@ def install(cnc: "Cnc") -> None:
     files = _found["files"]
     assert files
     files.on_progress = cnc.service
-    reader = LineReader(_READ_AHEAD, _LONGEST, cnc.machine.reader.post)
+    reader = LineReader(_READ_AHEAD, _LONGEST_LINE, cnc.machine.reader.post)
     cnc.job = run = JobRun(cnc, files, reader)
     jobs = Jobs(cnc, files, run, Upload(cnc, files, reader))
     cnc.add_command(b"F", jobs.command, _STATES)
@@ -77,7 +77,7 @@ class Jobs:
     def fluidnc(self, words: bytes) -> None:
         """Execute the text after $SD/ or $LocalFS/. The reader drops the slash."""
         word, equals, name = words.partition(b"=")
-        if word not in _FLUIDNC or bool(equals) != bool(_FLUIDNC[word]):
+        if word not in _FLUIDNC or bool(equals) != bool(_FLUIDNC[word]):  # LIST has no = and name
             raise GrblError(errors.INVALID_STATEMENT)
         self.command(_FLUIDNC[word] + name)
 
@@ -90,14 +90,14 @@ class Jobs:
         try:
             if words not in _WITHOUT_FILES:
                 self._files.mount()
-            self._do(words)
+            self._execute(words)
         except OSError:
-            if not self._files.lose():
+            if not self._files.lose():  # it is no card
                 raise
-            self._cnc.message("SD card: none is there, or it cannot be read or written")
+            self._cnc.message("SD card is missing, or it cannot be read or written")
             raise GrblError(errors.INVALID_STATEMENT)
 
-    def _do(self, words: bytes) -> None:
+    def _execute(self, words: bytes) -> None:
         """Execute the text after $F: nothing, +, M, B, or a verb (perhaps none), = and a name.
         GrblError refuses it."""
         verb, equals, rest = words.partition(b"=")
@@ -107,23 +107,23 @@ class Jobs:
         elif words == b"M":
             return  # command() has mounted the files
         elif words == b"B":
-            self._tell_button()
+            self._report_button()
         elif not equals:
             raise GrblError(errors.INVALID_STATEMENT)
         elif verb == b"":
-            self._start(name)
+            self._request_job(name)
         elif verb == b"<":
-            self._show(self._known(name))
+            self._show(self._existing_name(name))
         elif verb == b"D":
-            self._files.delete(self._known(name))
+            self._files.delete(self._existing_name(name))
         elif verb == b"U":
             self._upload.receive_file(name)
         elif verb == b"B":
-            self._give_button(name)
+            self._assign_button(name)
         else:
             raise GrblError(errors.INVALID_STATEMENT)
 
-    def _known(self, name: str) -> str:
+    def _existing_name(self, name: str) -> str:
         """Return the name. GrblError if there is no such job."""
         if self._files.size(name) < 0:
             self._cnc.message("There is no job %s: $F lists them" % sanitize(name))
@@ -134,7 +134,7 @@ class Jobs:
         """Send the names and sizes of all jobs, and the free space."""
         for name, size in self._files.files():
             self._cnc.write_line(b"[FILE:/%s|SIZE:%d]" % (name.encode(), size))
-        self._cnc.message("Room for %d kB" % self._files.free_kb())
+        self._cnc.message("Free space: %d kB" % self._files.free_kb())
 
     def _show(self, name: str) -> None:
         """Send the text of a job."""
@@ -147,40 +147,40 @@ class Jobs:
                 self._cnc.service()
         self._machine.report.send(b"\r\n")
 
-    def _tell_button(self) -> None:
+    def _report_button(self) -> None:
         """Report the start button's job."""
-        name = self._run.kept(BUTTON)
+        name = self._run.stored(BUTTON)
         self._cnc.message("Start button: " + (sanitize(name[0]) if name else "no job"))
 
-    def _give_button(self, name: str) -> None:
+    def _assign_button(self, name: str) -> None:
         """Assign a job to the start button; "" for none."""
-        self._machine.saves.save(BUTTON, [self._known(name)] if name else [])
+        self._machine.saves.save(BUTTON, [self._existing_name(name)] if name else [])
 
-    def _start(self, name: str) -> None:
+    def _request_job(self, name: str) -> None:
         """Request a job: NAME, NAME@LINE, or NAME@ and @ for the noted line of the unfinished job.
         GrblError if it cannot start."""
         if self._machine.state.run == st.ALARM:
             raise GrblError(errors.SYSTEM_GC_LOCK)
-        name, sign, number = name.partition("@")
-        if sign and not number:
-            name, number = self._noted(name)
+        name, in_middle, number = name.partition("@")  # in_middle: "@" or ""
+        if in_middle and not number:
+            name, number = self._unfinished_job(name)
         try:
-            line = int(number) if sign else 0  # 0: from the beginning
+            line = int(number) if in_middle else 0  # 0: from the beginning
         except ValueError:
             line = -1
-        if line < 0 or (sign and line == 0):
+        if line < 0 or (in_middle and line == 0):
             raise GrblError(errors.BAD_NUMBER_FORMAT)
-        name = self._known(name)
-        if sign and not self._machine.homing_probing.homed:
-            self._run.report(name, "to go on in its middle, home first ($H)")
+        name = self._existing_name(name)
+        if in_middle and not self._machine.homing_probing.homed:
+            self._run.report(name, "to start at a line in it, home first ($H)")
             raise GrblError(errors.INVALID_STATEMENT)
         self._run.request(name, line)
 
-    def _noted(self, name: str) -> "tuple[str, str]":
+    def _unfinished_job(self, name: str) -> "tuple[str, str]":
         """Return the unfinished job and its last noted line, as text. name: of that job, or "".
         GrblError if none is noted, or another one."""
-        journal = self._run.journal()
+        journal = self._run.journal()  # its name, line and state; empty without one
         if not journal or name not in ("", journal[0]):
-            self._cnc.message("No job is noted" + (" of that name" if name else ""))
+            self._cnc.message("No unfinished job" + (" of that name" if name else ""))
             raise GrblError(errors.INVALID_STATEMENT)
         return journal[0], journal[1]

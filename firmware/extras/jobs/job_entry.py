@@ -40,22 +40,22 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_PIECE = const(255)
-_LINES = const(16)  # between two checks for real-time commands
+_PIECE_BYTES = const(255)  # of a line, read at once
+_LINES_PER_POLL = const(16)  # between two polls for real-time commands
 _DOLLAR = const(36)
 _ZERO = const(48)
 _NINE = const(57)
-_HOLD_IN_CLOSED = const(HOLD << 8)  # a bit of Inputs.closed()
-_SLOW_MM_MIN = 100.0
-_SAME = 0.0005  # tolerance of settings and offsets, which are shown with three decimals
-_SPIN_UP_S = const(4)
+_HOLD_IN_ACTIVE = const(HOLD << 8)  # a bit of Inputs.active()
+_SLOW_MM_MIN = 100.0  # descent to a line that has no feed rate in mm/min
+_TOLERANCE = 0.0005  # of settings and offsets, which are shown with three decimals
+_SPIN_UP_S = const(4)  # seconds for the spindle to reach its speed
 _Z = const(2)
 _COOLANTS = ("", "M8", "M7", "M7M8")  # by their mask
 
 
 def differs(one: float, other: float) -> bool:
     """Return whether two values of a setting or an offset are shown as different ones."""
-    return abs(one - other) > _SAME
+    return abs(one - other) > _TOLERANCE
 
 
 class CannotEnter(Exception):
@@ -71,11 +71,11 @@ def in_force(machine: "Controller") -> "list[Any]":
     return [position, modal, rates, modes.tool, g92, coords.tool_length]
 
 
-def apply(machine: "Controller", found: "list[Any]") -> None:
-    """Apply a result of in_force() (found) to the interpreter's modes and the offsets. Outputs of
-    spindle and coolant stay as they are."""
+def apply(machine: "Controller", stored: "list[Any]") -> None:
+    """Apply what in_force() has returned (stored) to the interpreter's modes and the offsets. The
+    outputs of spindle and coolant stay as they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
-    position, modal, rates, tool, g92, coords.tool_length = found
+    position, modal, rates, tool, g92, coords.tool_length = stored
     modes.position[:] = array("f", position)
     modes.rates[:] = array("f", rates + [tool])
     for i in range(MODAL_LENGTH):
@@ -83,15 +83,16 @@ def apply(machine: "Controller", found: "list[Any]") -> None:
     coords.active = modal[SYSTEM]
     coords.set_g92(array("f", g92))
     state.override_control = bool(modal[OVERRIDE_CONTROL])
-    state.wco_countdown = 0
+    state.wco_countdown = 0  # the next status report has the offsets
 
 
 class Entry:
     """The approach to a line, and the modes that hold there.
 
-    reader: for the lines of the file. _longest: bytes of a line at most. After find(), _there is
-    in_force() at that line, with the position at index 0, _systems the stored offsets there, and
-    _highest the greatest Z before it, mm. has_ended: the program has ended before the line.
+    reader: for the lines of the file. _longest_line: in bytes. After find(), _state_at_line is
+    in_force() at that line, with the position at index 0, _offsets_at_line the stored offsets of
+    each system there, and _highest_z the greatest Z before it, mm in machine coordinates.
+    has_ended: the program has ended before the line.
     """
 
     def __init__(self, cnc: "Cnc", reader: "LineReader") -> None:
@@ -99,10 +100,10 @@ class Entry:
         self._cnc = cnc
         self._machine = machine
         self._reader = reader
-        self._longest = len(machine.reader.line) - 1
-        self._there: "list[Any]" = []
-        self._systems: "list[array[float]]" = []
-        self._highest = 0.0
+        self._longest_line = len(machine.reader.line) - 1
+        self._state_at_line: "list[Any]" = []
+        self._offsets_at_line: "list[array[float]]" = []
+        self._highest_z = 0.0
         self.has_ended = False
 
     def find(
@@ -118,71 +119,73 @@ class Entry:
         coords, state = machine.coords, machine.state
         motions = machine.interpreter.motions
         if start[1][MOTION] in motions:
-            raise CannotEnter("it begins within a cycle")
+            raise CannotEnter("the job begins within a canned cycle")
         cycles = [(motion, motion.kept) for motion in motions.values()]
         before = in_force(machine)
-        offsets_before, self._systems = array("f", coords.offsets), systems
+        offsets_before, self._offsets_at_line = array("f", coords.offsets), systems
         for i in range(len(systems)):
             coords.change(i, systems[i])
         hooks = state.hooks
         # The lines change offsets in memory, and store none.
-        write, hooks.write_offsets = hooks.write_offsets, coords.change
+        write_before, hooks.write_offsets = hooks.write_offsets, coords.change
         self.has_ended = False
-        self._highest = machine.modes.position[_Z]
+        self._highest_z = machine.modes.position[_Z]
         state.enter(st.CHECK)
         try:
             apply(machine, start)
-            self._rehearse(file, line)
-            for why_not in self._cnc.entries:  # each returns a text if an extra objects
+            self._check_lines_before(file, line)
+            for why_not in self._cnc.entries:  # each returns a text if an extra objects, else ""
                 if why_not():
                     raise CannotEnter(why_not())
-            self._there = in_force(machine)
-            self._systems = [array("f", values) for values in coords.systems]
-            self._check_homed(before[0])
+            self._state_at_line = in_force(machine)
+            self._offsets_at_line = [array("f", values) for values in coords.systems]
+            position_before = before[0]
+            self._check_homed(position_before)
         finally:
-            hooks.write_offsets = write
+            hooks.write_offsets = write_before
             coords.offsets[:] = offsets_before
-            if state.run == st.CHECK:
+            if state.run == st.CHECK:  # no reset has come
                 state.enter(st.IDLE)
             apply(machine, before)
             for motion, numbers in cycles:
                 motion.kept = numbers
             machine.resync()
         if machine.reader.has_line():
-            raise CannotEnter("there were other lines meanwhile")
-        if machine.inputs.door_open() or machine.inputs.closed() & _HOLD_IN_CLOSED:
-            raise CannotEnter("hold or door is closed")
+            raise CannotEnter("the sender sent other lines meanwhile")
+        if machine.inputs.door_open() or machine.inputs.active() & _HOLD_IN_ACTIVE:
+            raise CannotEnter("the hold button or door input is active")
 
-    def _rehearse(self, file: "IO[bytes]", line: int) -> None:
+    def _check_lines_before(self, file: "IO[bytes]", line: int) -> None:
         """Execute the lines before `line`, in check mode. CannotEnter if one is missing or what it
         does is not certain."""
         self._reader.clear()
         for number in range(1, line):
             result = self._next_line(file)  # length << 2, and LINE if it is not too long
             if result == 0:
-                raise CannotEnter("there are only %d lines" % (number - 1))
-            if result & LINE == 0 or result >> 2 > self._longest:
+                raise CannotEnter("it has only %d lines" % (number - 1))
+            if result & LINE == 0 or result >> 2 > self._longest_line:
                 raise CannotEnter("line %d is too long" % number)
-            self._do(self._reader.line, result >> 2, number)
-            if number % _LINES == 0:
+            self._check_line(self._reader.line, result >> 2, number)
+            if number % _LINES_PER_POLL == 0:
                 self.poll_realtime()
-        if not file.read(1):
-            raise CannotEnter("there are only %d lines" % (line - 1))
-        file.seek(-1, 1)
+        if not file.read(1):  # nothing comes at `line` itself
+            raise CannotEnter("it has only %d lines" % (line - 1))
+        file.seek(-1, 1)  # back before that byte
 
     def _next_line(self, file: "IO[bytes]") -> int:
-        """Return clean()'s result for the next line; 0 at the end of the file. Read in pieces,
-        because a comment may be longer than one."""
+        """Read the next line into the reader. Return clean()'s result: its length << 2, with LINE
+        or TOO_LONG; 0 at the end of the file. Read in pieces, because a comment may be longer than
+        one."""
         memory = self._reader.memory()
         ring, reader_state, _, kinds = memory
-        result, is_begun = 0, False
+        result, is_begun = 0, False  # clean() returns 0 until the line is complete
         while result == 0:
-            text = file.readline(_PIECE)
+            text = file.readline(_PIECE_BYTES)
             if not text and not is_begun:
                 return 0
             is_begun = True
-            piece = bytearray(text.replace(b"\r", b" ") or b"\n")
-            feed(piece, len(piece), ring, reader_state, kinds, _pass_over)
+            piece = bytearray(text.replace(b"\r", b" ") or b"\n")  # the last line may lack its LF
+            feed(piece, len(piece), ring, reader_state, kinds, _ignore_byte)
             result = clean(*memory)
         return result
 
@@ -192,10 +195,10 @@ class Entry:
         machine.protocol.pump()
         pending = machine.state.pending
         if pending[st.FEED_HOLD] or pending[st.SAFETY_DOOR] or pending[st.SLEEP_REQUEST]:
-            raise CannotEnter("it was held meanwhile")
+            raise CannotEnter("a hold, the door or sleep interrupted it")
         machine.realtime.handle_events()
 
-    def _do(self, line: bytearray, length: int, number: int) -> None:
+    def _check_line(self, line: bytearray, length: int, number: int) -> None:
         """Execute line `number` of the file, in check mode. CannotEnter if what it does is not
         certain: a $ command, an added word, a probe, an error, the program's end."""
         machine = self._machine
@@ -205,11 +208,9 @@ class Entry:
             if _ZERO <= line[1] <= _NINE:
                 self._check_setting(line, number)
                 return
-            raise CannotEnter("line %d is no G-code: what it does is not known" % number)
+            raise CannotEnter("line %d is a $ command: its effect is not known" % number)
         if self._cnc.has_word(line, length):
-            raise CannotEnter(
-                "line %d has a word of another kind: what it does is not known" % number
-            )
+            raise CannotEnter("line %d has a custom word: its effect is not known" % number)
         try:
             machine.state.hooks.execute(line, length)
         except GrblError as reason:
@@ -218,13 +219,13 @@ class Entry:
             raise CannotEnter("line %d ends the program" % number)
         modes = machine.modes
         if modes.modal[MOTION] >= PROBE_TOWARD:
-            raise CannotEnter("line %d probes: where that ended is not known" % number)
-        if modes.position[_Z] > self._highest:
-            self._highest = modes.position[_Z]
+            raise CannotEnter("line %d probes: its end position is not known" % number)
+        if modes.position[_Z] > self._highest_z:
+            self._highest_z = modes.position[_Z]
 
     def _check_setting(self, line: bytearray, number: int) -> None:
         """Check that a setting already has the line's value. It is not written again."""
-        end, setting = bare(line, 1)
+        end, setting = bare(line, 1)  # after $: index of the =, and the setting's number
         _, value = bare(line, end + 1)
         for known, amount, _ in self._machine.settings.each():
             if known == setting and differs(amount, value):
@@ -237,14 +238,14 @@ class Entry:
         here: the position before the approach, in mm. Positions are compared in steps, because
         singles that differ by less than a step need no move.
         """
-        position = self._there[0]  # position at the line, mm
+        position = self._state_at_line[0]  # position at the line, mm
         for axis in range(len(here)):
-            stops = [here[axis], position[axis]]  # positions on the approach
+            stations = [here[axis], position[axis]]  # positions on the approach
             if axis == _Z:  # it also moves to the safe height
-                stops.append(self._highest)
-            moves = self._steps(axis, min(stops)) != self._steps(axis, max(stops))
+                stations.append(self._highest_z)
+            moves = self._in_steps(axis, min(stations)) != self._in_steps(axis, max(stations))
             if moves and not self._machine.homing_probing.homed >> axis & 1:
-                text = "%s is not homed, and would have to move: where it is is not known"
+                text = "%s would have to move, but is not homed: home it first"
                 raise CannotEnter(text % LETTERS[axis])
 
     # The approach
@@ -252,15 +253,16 @@ class Entry:
     def approach_lines(self) -> "list[str]":
         """Return the lines of G-code that move the tool to the start, some of them empty: all off,
         up, across, tool on, down. A laser is switched on last."""
-        position, modal, rates, _, _, _ = self._there
+        position, modal, rates, _, _, _ = self._state_at_line
         spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
-        turn = ""
+        turn = ""  # M3 or M4 with its S
         if spindle:
             turn = "M%dS%.3f" % (3 if spindle == SPINDLE_CW else 4, rates[RPM])
-        up, down, across = self._word(_Z, self._highest), self._word(_Z, position[_Z]), ""
+        up, down = self._axis_word(_Z, self._highest_z), self._axis_word(_Z, position[_Z])
+        across = ""  # words of all other axes
         for axis in range(len(position)):
             if axis != _Z:
-                across += self._word(axis, position[axis])
+                across += self._axis_word(axis, position[axis])
         begin = ["G21G90G94M5M9", "G53G0" + up, "G53G0" + across]
         if self._machine.spindle.laser:  # dark during G0
             return begin + ["G53G0" + down, coolant, turn]
@@ -268,33 +270,33 @@ class Entry:
         dwell = "G4P%d" % _SPIN_UP_S if turn else ""
         return begin + [turn, coolant, dwell, "G53G1%sF%.3f" % (down, feed)]
 
-    def _word(self, axis: int, mm: float) -> str:
+    def _axis_word(self, axis: int, mm: float) -> str:
         """Return an axis word for a position (mm), rounded to a whole step, so that the machine
         goes to that very step."""
-        return "%s%.5f" % (LETTERS[axis], self._steps(axis, mm) / self._resolution(axis))
+        return "%s%.5f" % (LETTERS[axis], self._in_steps(axis, mm) / self._steps_per_mm(axis))
 
-    def _resolution(self, axis: int) -> float:
+    def _steps_per_mm(self, axis: int) -> float:
         """Return an axis's steps per mm."""
         return self._machine.planner.steps_per_mm[axis]
 
-    def _steps(self, axis: int, mm: float) -> int:
+    def _in_steps(self, axis: int, mm: float) -> int:
         """Return a position (mm) in steps, rounded as the planner does: halves away from 0."""
-        product = f32(mm * self._resolution(axis))
+        product = f32(mm * self._steps_per_mm(axis))
         return truncate(product + 0.5) if product >= 0 else -truncate(0.5 - product)
 
     def apply_modes(self) -> None:
         """Apply the modes at the line, and store the offsets that the lines before it have
         changed. CannotEnter if the tool is not at its position."""
-        position, here = self._there[0], self._machine.modes.position
+        position, here = self._state_at_line[0], self._machine.modes.position
         for axis in range(len(position)):
-            if self._steps(axis, here[axis]) != self._steps(axis, position[axis]):
-                raise CannotEnter("the way has not led there")
+            if self._in_steps(axis, here[axis]) != self._in_steps(axis, position[axis]):
+                raise CannotEnter("the tool is not at the line's position")
         coords = self._machine.coords
-        for i in range(len(self._systems)):
-            if list(coords.systems[i]) != list(self._systems[i]):
-                self._machine.state.hooks.write_offsets(i, self._systems[i])
-        apply(self._machine, self._there)
+        for i in range(len(self._offsets_at_line)):
+            if list(coords.systems[i]) != list(self._offsets_at_line[i]):
+                self._machine.state.hooks.write_offsets(i, self._offsets_at_line[i])
+        apply(self._machine, self._state_at_line)
 
 
-def _pass_over(_byte: int) -> None:
+def _ignore_byte(_byte: int) -> None:
     """Ignore a byte: in a file none is a real-time command."""

@@ -27,93 +27,96 @@ if TYPE_CHECKING:
 
     from talk.controller import Controller
 
-_BLOCK = const(512)  # bytes of the file that are read at once
-_HEARD = const(32)  # bytes of the sender that are read at once
-_FEW = const(12)  # blocks: a piece of the file may make as many
-_OWED = const(32)  # answers to the sender that may wait
+_FILE_BYTES = const(512)  # of the file, read at once
+_SENDER_BYTES = const(32)  # of the sender, read at once
+_FEW_BLOCKS = const(12)  # free ones of the planner: one call of _deliver() may fill as many
+_MOST_ANSWERS = const(32)  # to the sender, that may wait
 # Bytes of stack that may be in use, beyond the depth at the start of the job, when a hold is noted
 # and when the file is read. A file system needs much stack.
-_TO_NOTE = const(1216)
-_TO_READ = const(1664)
-# ms: motion that the planner counts as executed may be in the engine for so long.
-_MADE_MS = const(40)
+_STACK_TO_NOTE = const(1216)
+_STACK_TO_READ = const(1664)
+_IN_ENGINE_MS = const(40)  # motion that the planner has handed over may last so long
 
 # Indices of the kernels' state, an array of integers.
-_ANSWERED = const(0)  # number of lines answered
-_NOTED = const(1)  # row of the planner's ring up to which lines are noted
-_FROM = const(2)  # index in the file's block of the next byte to deliver,
-_LEFT = const(3)  # and number of bytes left
-_LAST = const(4)  # the last byte delivered
-_ROOM = const(5)  # free bytes of the reader's ring when it is empty
+_LINES_ANSWERED = const(0)  # number of lines answered, those before the first one included
+_NOTED_HEAD = const(1)  # row of the planner's ring up to which lines are noted
+_NEXT_BYTE = const(2)  # index in _file_bytes of the next byte to deliver
+_BYTES_LEFT = const(3)  # bytes to deliver from there on
+_LAST_BYTE = const(4)  # the last byte delivered
+_EMPTY_RING_BYTES = const(5)  # free bytes of the reader's ring when it is empty
 
 _NEWLINE = const(10)
 _RETURN = const(13)
 _DOLLAR = const(36)
-_READ = const(0x80)  # added to the letter of a read-only command
-_O = const(111)  # first letter of the positive answer
-_STARTUP = const(62)  # ">", before the result of a startup line
+_READ_ONLY_FLAG = const(0x80)  # in a queued answer, with the letter of a read-only command
+_LETTER_O = const(111)  # "o", with which "ok" begins
+_STARTUP_SIGN = const(62)  # ">", before the result of a startup line
 
 
 @micropython.viper
 def _deliver(
-    block: ptr8, state: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
+    file: ptr8, state: ptr32, buf: ptr8, size: int, ring_free: int, kinds: ptr8, flow: ptr32
 ) -> int:
-    """Move bytes of the file into buf. Return their number, at most `size` and `room`.
+    """Move bytes of the file into buf. Return their number, at most `size` and `ring_free`.
 
-    block: the file's bytes; state: of the kernels; size: of buf; room: the free bytes of the
-    reader's ring; kinds: the kind of each byte value; flow: the planner's state. Real-time
-    commands and CR become spaces; a line ends with LF.
+    file: the bytes read last; state: of the kernels; size: of buf; ring_free: the free bytes of
+    the reader's ring, which gets buf; kinds: the kind of each byte value; flow: the planner's
+    state. Real-time commands and CR become spaces; a line ends with LF.
 
-    With fewer than _FEW free blocks it delivers at most as many lines, and only when the ring is
-    empty. So no line waits inside the interpreter, and a hold finds the stack nearly empty.
+    With fewer than _FEW_BLOCKS free blocks it delivers at most as many lines as blocks are free,
+    and only when the ring is empty. So no line waits inside the interpreter, and a hold finds the
+    stack nearly empty.
     """
-    free = flow[layout.TAIL] - flow[layout.HEAD] - 1
-    if free < 0:
-        free += flow[layout.ROWS]
-    if free < _FEW and (free == 0 or room < state[_ROOM]):
+    free_blocks = flow[layout.TAIL] - flow[layout.HEAD] - 1
+    if free_blocks < 0:
+        free_blocks += flow[layout.ROWS]
+    ring_has_bytes = ring_free < state[_EMPTY_RING_BYTES]
+    if free_blocks < _FEW_BLOCKS and (free_blocks == 0 or ring_has_bytes):
         return 0
-    start = state[_FROM]
-    left = state[_LEFT]
-    if room > size:
-        room = size
-    if room > left:
-        room = left
+    start = state[_NEXT_BYTE]
+    left = state[_BYTES_LEFT]
+    most = ring_free
+    if most > size:
+        most = size
+    if most > left:
+        most = left
     count = 0
-    while count < room:
-        c = block[start + count]
+    while count < most:
+        c = file[start + count]
         buf[count] = 32 if kinds[c] == REALTIME or c == _RETURN else c
-        state[_LAST] = c
+        state[_LAST_BYTE] = c
         count += 1
         if c == _NEWLINE:
-            free -= 1
-            if free == 0:
-                room = count
-    state[_FROM] = start + count
-    state[_LEFT] = left - count
+            free_blocks -= 1
+            if free_blocks == 0:
+                most = count  # ends the loop
+    state[_NEXT_BYTE] = start + count
+    state[_BYTES_LEFT] = left - count
     return count
 
 
 @micropython.viper
-def _note(state: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
+def _note_blocks(state: ptr32, line_of_row: ptr32, flow: ptr32, answers: int) -> int:
     """Note the line of each block planned since the last call. The result is not used.
 
-    state: of the kernels; lines: the line's number of each row of the planner's ring; flow: the
-    planner's state. answers: number of lines answered now, 1 or 2; 0 within a line, an arc for
-    example. If two lines have made one block, it is noted as the first one's.
+    state: of the kernels; line_of_row: the number of the line that made each row (block) of the
+    planner's ring; flow: the planner's state. answers: number of lines answered now, 1 or 2; 0
+    within a line, an arc for example. If two lines have made one block, it is noted as the first
+    one's.
     """
-    row = state[_NOTED]
+    row = state[_NOTED_HEAD]
     head = flow[layout.HEAD]
     rows = flow[layout.ROWS]
-    line = state[_ANSWERED] + 1  # of the first block; the others are of the last line answered
-    later = state[_ANSWERED] + answers if answers else line
-    state[_ANSWERED] += answers
+    line = state[_LINES_ANSWERED] + 1  # of the first block
+    last_line = state[_LINES_ANSWERED] + answers if answers else line  # of all blocks after it
+    state[_LINES_ANSWERED] += answers
     while row != head:
-        lines[row] = line
-        line = later
+        line_of_row[row] = line
+        line = last_line
         row += 1
         if row == rows:
             row = 0
-    state[_NOTED] = row
+    state[_NOTED_HEAD] = row
     return line
 
 
@@ -123,13 +126,16 @@ class Feed:
     on_refusal: called with Grbl's error number when a line of the file is refused. on_hold: called
     in a hold, when its line is known. is_on: a job runs. fault: the error that has ended reading.
 
-    _file: None once all is read; _size, _read_bytes: its bytes, and how many were read. _block,
-    _at: its bytes being delivered, and the kernels' state. _lines: a line's number per row of the
-    planner's ring. _made, _before: the line that the engine was given last, at the last look and
-    at the one before, _MADE_MS earlier; _held: the line that on_hold() was called for. _depth:
-    bytes of stack in use at the start. Of the sender: _heard, bytes just read; _said, the first
-    _said_length bytes of its unfinished line; _owed, answers to its lines, _owed_count of them.
+    _file: None once all is read; _size, _read_bytes: its bytes, and how many were read.
+    _file_bytes, _state: the bytes being delivered, and the kernels' state. _line_of_row: the line
+    that made each row of the planner's ring. _line_now, _line_before: the line that the engine was
+    given last, at the last look (at _looked_ms) and at the one before, _IN_ENGINE_MS earlier;
+    _held_line: the line that on_hold() was called for. _stack_at_start: bytes of stack in use.
     _is_startup: the next answer is a startup line's.
+
+    Of the sender: _sender_bytes, just read; _sender_line, its unfinished line, and
+    _sender_line_length, which may be more than that holds; _answers, to its lines, _answer_count
+    of them.
     """
 
     def __init__(
@@ -140,27 +146,28 @@ class Feed:
     ) -> None:
         self._machine = machine
         self._link = machine.protocol.link
-        self._read = self._link.read_into
-        self._write = self._link.write
-        self._error = machine.state.hooks.refuse
+        self._read_link = self._link.read_into
+        self._write_link = self._link.write
+        self._send_error = machine.state.hooks.refuse
         self._on_refusal = on_refusal
         self._on_hold = on_hold
         self._reader = machine.reader
-        _, _, _, self._kinds = machine.reader.memory()
+        _, _, _, self._kinds = machine.reader.memory()  # the kind of each byte value
         self._flow = machine.planner.flow
-        self._lines = array("i", bytes(4 * self._flow[layout.ROWS]))
-        self._at = array("i", bytes(24))
-        self._at[_ROOM] = self._reader.free()
-        self._block = bytearray(_BLOCK)
-        self._heard = bytearray(_HEARD)
-        self._said = bytearray(len(machine.reader.line))
-        self._said_length = 0
-        self._owed = bytearray(_OWED)
-        self._owed_count = 0
+        self._line_of_row = array("i", bytes(4 * self._flow[layout.ROWS]))
+        self._state = array("i", bytes(24))
+        self._state[_EMPTY_RING_BYTES] = self._reader.free()
+        self._file_bytes = bytearray(_FILE_BYTES)
+        self._sender_bytes = bytearray(_SENDER_BYTES)
+        self._sender_line = bytearray(len(machine.reader.line))
+        self._sender_line_length = 0
+        self._answers = bytearray(_MOST_ANSWERS)
+        self._answer_count = 0
         self._file: "IO[bytes] | None" = None
         self._size = self._read_bytes = 0
         self._is_startup = False
-        self._since = self._made = self._before = self._held = self._depth = 0
+        self._looked_ms = self._stack_at_start = 0
+        self._line_now = self._line_before = self._held_line = 0
         self.fault: "OSError | None" = None
         self.is_on = False
         machine.protocol.link = self
@@ -172,25 +179,27 @@ class Feed:
     @micropython.native
     def read_into(self, buf: bytearray) -> int:
         """Read received bytes into buf, or the file's while a job runs; return how many. During a
-        job, handle the sender's bytes, and note in _made which line is in motion."""
+        job, handle the sender's bytes, and note in _line_now which line is in motion."""
         if not self.is_on:
-            return self._read(buf)
-        count = self._read(self._heard)
+            return self._read_link(buf)
+        count = self._read_link(self._sender_bytes)
         if count:
-            self._receive(count)
-        if self._at[_NOTED] != self._flow[layout.HEAD]:
-            _note(self._at, self._lines, self._flow, 0)
+            self._handle_sender(count)
+        if self._state[_NOTED_HEAD] != self._flow[layout.HEAD]:
+            _note_blocks(self._state, self._line_of_row, self._flow, 0)
         port = self._machine.port
-        if port.elapsed_ms(self._since) >= _MADE_MS:
-            self._since = port.ticks_ms()
-            self._before, self._made = self._made, self.line_in_motion()
+        if port.elapsed_ms(self._looked_ms) >= _IN_ENGINE_MS:
+            self._looked_ms = port.ticks_ms()
+            self._line_before, self._line_now = self._line_now, self.line_in_motion()
             state = self._machine.state
             if state.suspend & st.HOLD_COMPLETE and not state.system_motion:  # and not parking
-                self._hold()
-        if self._at[_LEFT] == 0 and not (self._file and self._fetch()):
+                self._call_on_hold()
+        if self._state[_BYTES_LEFT] == 0 and not (self._file and self._read_file()):
             return 0
-        room = self._reader.free()
-        return _deliver(self._block, self._at, buf, len(buf), room, self._kinds, self._flow)
+        free = self._reader.free()
+        return _deliver(
+            self._file_bytes, self._state, buf, len(buf), free, self._kinds, self._flow
+        )
 
     @micropython.native
     def write(self, data: "bytes | bytearray | memoryview") -> None:
@@ -198,11 +207,12 @@ class Feed:
 
         The results of startup lines, after $H, are sent.
         """
-        if not self.is_on or data[0] != _O or self._is_startup:
-            self._is_startup = data[0] == _STARTUP
-            self._write(data)
+        if not self.is_on or data[0] != _LETTER_O or self._is_startup:
+            self._is_startup = data[0] == _STARTUP_SIGN
+            self._write_link(data)
         else:
-            _note(self._at, self._lines, self._flow, len(data) >> 2)  # 1 or 2 times "ok\r\n"
+            oks = len(data) >> 2  # it is 1 or 2 times "ok\r\n"
+            _note_blocks(self._state, self._line_of_row, self._flow, oks)
 
     def _refuse(self, code: int) -> None:
         """Handle a refused line: of the file by on_refusal, of the sender by an error."""
@@ -210,7 +220,7 @@ class Feed:
             self._on_refusal(code)
         else:
             self._is_startup = False
-            self._error(code)
+            self._send_error(code)
 
     def discard(self) -> None:
         """Drop received bytes that are not read yet."""
@@ -223,16 +233,16 @@ class Feed:
 
         `line` lines are before that position. Call it only while the ring is empty.
         """
-        state = self._at
-        state[_ANSWERED] = line
-        state[_NOTED] = self._flow[layout.HEAD]
-        state[_LEFT] = 0
-        state[_LAST] = _NEWLINE
+        state = self._state
+        state[_LINES_ANSWERED] = line
+        state[_NOTED_HEAD] = self._flow[layout.HEAD]
+        state[_BYTES_LEFT] = 0
+        state[_LAST_BYTE] = _NEWLINE
         self._file, self._size, self._read_bytes = file, size, file.tell()
-        self._made = self._before = line + 1
-        self._held = 0
-        self._since = self._machine.port.ticks_ms()
-        self._depth = micropython.stack_use()
+        self._line_now = self._line_before = line + 1
+        self._held_line = 0
+        self._looked_ms = self._machine.port.ticks_ms()
+        self._stack_at_start = micropython.stack_use()
         self.fault = None
         self.is_on = True
 
@@ -241,7 +251,7 @@ class Feed:
         if self._file:
             self._file.close()
             self._file = None
-        self._at[_LEFT] = 0
+        self._state[_BYTES_LEFT] = 0
         self._reader.clear()
 
     def stop(self) -> None:
@@ -253,129 +263,134 @@ class Feed:
         self.stop_reading()
         self.answer()
         self.is_on = False
-        if self._said_length:
-            self._reader.feed(self._said, min(self._said_length, len(self._said)))
-            self._said_length = 0
+        if self._sender_line_length:
+            stored = min(self._sender_line_length, len(self._sender_line))
+            self._reader.feed(self._sender_line, stored)
+            self._sender_line_length = 0
 
     def drop(self) -> None:
-        """Stop after a reset: what the sender has sent before is dropped."""
-        self._said_length = self._owed_count = 0
+        """Stop after a reset: drop the sender's unfinished line and unanswered ones."""
+        self._sender_line_length = self._answer_count = 0
         self.stop()
 
     def has_ended(self) -> bool:
         """Return whether all lines have been accepted."""
-        return not (self._file or self._at[_LEFT] or self._reader.has_line())
+        return not (self._file or self._state[_BYTES_LEFT] or self._reader.has_line())
 
     def line(self) -> int:
         """Return the last line that has been answered."""
-        return self._at[_ANSWERED]
+        return self._state[_LINES_ANSWERED]
 
     def executed_line(self) -> int:
         """Return the line whose motion was executed some 40 to 80 ms ago."""
-        return self._before
+        return self._line_before
 
-    def _hold(self) -> None:
+    def _call_on_hold(self) -> None:
         """Call on_hold() in a complete hold, once per line, if the line is the same at two looks
         and the stack has space."""
-        at_rest = self._before == self._made != self._held
-        if at_rest and self._has_stack(_TO_NOTE):
-            self._held = self._made
+        is_new_hold = self._line_before == self._line_now != self._held_line
+        if is_new_hold and self._has_stack_for(_STACK_TO_NOTE):
+            self._held_line = self._line_now
             self._on_hold()
 
-    def _has_stack(self, more: int) -> bool:
-        """Return whether less stack is in use than `more` bytes beyond the job's start."""
-        return micropython.stack_use() - self._depth < more
+    def _has_stack_for(self, use: int) -> bool:
+        """Return whether stack is free for a use: _STACK_TO_NOTE or _STACK_TO_READ, the bytes that
+        may be in use already, beyond those in use at the job's start."""
+        return micropython.stack_use() - self._stack_at_start < use
 
     def line_in_motion(self) -> int:
         """Return the line of the block that the engine was given last; without blocks the line
         that will be answered next."""
         flow = self._flow
         tail = flow[layout.TAIL]
-        return self._at[_ANSWERED] + 1 if tail == flow[layout.HEAD] else self._lines[tail]
+        if tail == flow[layout.HEAD]:
+            return self._state[_LINES_ANSWERED] + 1
+        return self._line_of_row[tail]
 
     def percent(self) -> float:
         """Return how much of the file has been read, in percent."""
         return min(100 * self._read_bytes / (self._size or 1), 100.0)
 
-    def _fetch(self) -> int:
-        """Read the next block of the file, if the stack has space. Return its number of bytes.
+    def _read_file(self) -> int:
+        """Read the next bytes of the file into _file_bytes, if the stack has space. Return how
+        many.
 
         At the file's end it is one LF if the last line has none.
         """
-        state, file = self._at, self._file
+        state, file = self._state, self._file
         assert file
-        if not self._has_stack(_TO_READ):
+        if not self._has_stack_for(_STACK_TO_READ):
             return 0
-        state[_FROM] = 0
+        state[_NEXT_BYTE] = 0
         try:
-            state[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
+            state[_BYTES_LEFT] = file.readinto(self._file_bytes)  # type: ignore[attr-defined]
         except OSError as fault:
             self.fault = fault
             self.stop_reading()  # an incomplete line is dropped
             return 0
-        self._read_bytes += state[_LEFT]
-        if state[_LEFT] == 0:
+        self._read_bytes += state[_BYTES_LEFT]
+        if state[_BYTES_LEFT] == 0:
             file.close()
             self._file = None
-            if state[_LAST] != _NEWLINE:
-                self._block[0] = _NEWLINE
-                state[_LEFT] = 1
-        return state[_LEFT]
+            if state[_LAST_BYTE] != _NEWLINE:
+                self._file_bytes[0] = _NEWLINE
+                state[_BYTES_LEFT] = 1
+        return state[_BYTES_LEFT]
 
     # The sender, meanwhile
 
-    def _receive(self, count: int) -> None:
-        """Handle the sender's first `count` bytes of _heard: post real-time bytes, store a line,
+    def _handle_sender(self, count: int) -> None:
+        """Handle the first `count` bytes of _sender_bytes: post real-time bytes, store a line,
         queue its answer."""
         for i in range(count):
-            c = self._heard[i]
+            c = self._sender_bytes[i]
             if self._kinds[c] == REALTIME:
                 self._reader.post(c)
             elif c in b"\r\n":
                 self._queue_answer()  # after CR, LF has one of its own, as with Grbl
-                self._said_length = 0
+                self._sender_line_length = 0
             else:
-                if self._said_length < len(self._said):
-                    self._said[self._said_length] = c
-                self._said_length += 1  # more than _said holds: the line is too long
+                if self._sender_line_length < len(self._sender_line):
+                    self._sender_line[self._sender_line_length] = c
+                self._sender_line_length += 1  # more than _sender_line holds: the line is too long
 
-    def has_half(self) -> bool:
+    def has_partial_line(self) -> bool:
         """Return whether the sender has begun a line, while the job runs."""
-        return self._said_length > 0
+        return self._sender_line_length > 0
 
-    def drop_half(self) -> None:
+    def drop_partial_line(self) -> None:
         """Drop the sender's unfinished line, because it has gone."""
-        self._said_length = 0
+        self._sender_line_length = 0
 
     def _queue_answer(self) -> None:
         """Queue the answer to the sender's complete line, for the loop's next turn: an error
-        number, 0 for ok to an empty line, or _READ with the letter of a read-only command."""
-        line = bytes(self._said[: self._said_length]).upper().strip()
+        number, 0 for ok to an empty line, or _READ_ONLY_FLAG with a read-only command's letter."""
+        line = bytes(self._sender_line[: self._sender_line_length]).upper().strip()
         answer = 0
         if len(line) == 2 and line[0] == _DOLLAR and line[1] in READ_ONLY:
-            answer = _READ | line[1]
+            answer = _READ_ONLY_FLAG | line[1]
         elif line:
             answer = errors.IDLE_ERROR if line[0] == _DOLLAR else errors.SYSTEM_GC_LOCK
-        if self._owed_count == _OWED:
-            self._error(errors.OVERFLOW)  # such a sender does not count answers
+        if self._answer_count == _MOST_ANSWERS:
+            self._send_error(errors.OVERFLOW)  # such a sender does not count answers
             return
-        self._owed[self._owed_count] = answer
-        self._owed_count += 1
+        self._answers[self._answer_count] = answer
+        self._answer_count += 1
         self._machine.state.pending[st.ANY] = 1  # so that the loop answers between two lines
 
     def answer(self) -> None:
         """Answer the sender's lines, and execute its read-only commands. Called between two
         lines."""
         machine = self._machine
-        for i in range(self._owed_count):
-            answer = self._owed[i]
+        for i in range(self._answer_count):
+            answer = self._answers[i]
             try:
-                if answer & _READ:
-                    line = bytearray((_DOLLAR, answer & ~_READ, 0))
+                if answer & _READ_ONLY_FLAG:
+                    line = bytearray((_DOLLAR, answer & ~_READ_ONLY_FLAG, 0))
                     machine.state.hooks.find_command(line, 2)(line, 2)
                 elif answer:
                     raise GrblError(answer)
-                self._write(OK)
+                self._write_link(OK)
             except GrblError as reason:
-                self._error(reason.code)
-        self._owed_count = 0
+                self._send_error(reason.code)
+        self._answer_count = 0

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_PIECE = const(2048)  # bytes of the file
+_PIECE_BYTES = const(2048)  # of the file
 _LINE_BYTES = const(256)  # bytes packed in one line
 _WINDOW_LOG2 = const(10)  # of deflate
-_READ = const(128)  # bytes of one read
+_READ_BYTES = const(128)  # of one read from the link
 _SILENCE_MS = const(5000)  # a sender that is silent for so long has gone
-_QUIET_MS = const(300)
+_QUIET_MS = const(300)  # after a refusal, the sender has then stopped sending
 _LOWER_CASE = b"abcdefghijklmnopqrstuvwxyz"
 _SLASH = const(47)
-_AS_IT_IS = const(0)
+_ORDINARY_KIND = const(0)  # of bytes that the reader keeps as they are
 
 
 class Upload:
@@ -42,7 +42,7 @@ class Upload:
         self._machine = machine
         self._files = files
         self._link = machine.protocol.link
-        self._buffer = bytearray(_READ)
+        self._buffer = bytearray(_READ_BYTES)
         self._reader = reader
 
     def receive_file(self, order: str) -> None:
@@ -60,22 +60,22 @@ class Upload:
         self._check(name, size)
         self._reader.clear()
         kinds = self._reader.memory()[3]  # the kind of each byte value
-        before = bytes(kinds)
+        kinds_before = bytes(kinds)
         for c in _LOWER_CASE:  # base64 has them, and the slash
-            kinds[c] = _AS_IT_IS
-        kinds[_SLASH] = _AS_IT_IS
+            kinds[c] = _ORDINARY_KIND
+        kinds[_SLASH] = _ORDINARY_KIND
         try:
             self._write_file(name, size, checksum)
         finally:
-            kinds[:] = before
+            kinds[:] = kinds_before
 
     def _check(self, name: str, size: int) -> None:
         """Refuse a file by a message and GrblError if its name or size (bytes) is impossible."""
         if not self._files.is_name(name):
-            self._refuse("A job is called so: letters, digits, . _ -, at most 32")
+            self._refuse("A job name has letters, digits, . _ -, at most 32")
         room_kb = self._files.free_kb()
         if size <= 0 or size > room_kb * 1024:
-            text = "%s: %d bytes, and there is room for %d kB"
+            text = "%s has %d bytes, but only %d kB are free"
             self._refuse(text % (sanitize(name), size, room_kb))
 
     def _refuse(self, why: str) -> None:
@@ -89,32 +89,32 @@ class Upload:
         files = self._files
         file = files.begin(name)
         try:
-            done = 0
+            done = 0  # bytes written
             while done < size:
                 self._cnc.write_line(b"[FU:%d]" % done)
-                piece = self._piece(min(_PIECE, size - done))
+                piece = self._receive_piece(min(_PIECE_BYTES, size - done))
                 files.append(file, piece)
                 done += len(piece)
         except BaseException:
             files.drop(name, file)
             raise
         if not files.finish(name, file, checksum):
-            self._drain("its checksum is another")
+            self._drain("the checksum does not match")
 
-    def _piece(self, size: int) -> bytearray:
+    def _receive_piece(self, size: int) -> bytearray:
         """Receive the next piece of so many bytes, and return it. GrblError if it is damaged."""
         piece = bytearray(size)
-        if self._unpack(piece) != size:
-            self._drain("it came damaged")
+        if self._receive_data(piece) != size:
+            self._drain("the data arrived damaged")
         return piece
 
-    def _unpack(self, piece: bytearray) -> int:
-        """Fill the piece with the data of the lines up to an empty one: base64, then deflate.
-        Return the number of bytes; 0 if the data is damaged."""
+    def _receive_data(self, piece: bytearray) -> int:
+        """Receive lines up to an empty one, and fill the piece with their data: base64 decoded,
+        then inflated. Return the number of bytes; 0 if the data is damaged."""
         packed = b""
         length = self._next_line()
         try:
-            while length and len(packed) <= _PIECE + _LINE_BYTES:
+            while length and len(packed) <= _PIECE_BYTES + _LINE_BYTES:  # no more can be right
                 packed += binascii.a2b_base64(bytes(self._reader.line[:length]))
                 length = self._next_line()
             return deflate.DeflateIO(io.BytesIO(packed), deflate.RAW, _WINDOW_LOG2).readinto(piece)
@@ -125,34 +125,37 @@ class Upload:
         """Receive a line, which is then in the reader, and return its length. GrblError if it is
         too long or does not come in time, Abort after a reset."""
         port = self._machine.port
-        since = port.ticks_ms()
+        last_byte_ms = port.ticks_ms()
         while True:
-            if self._receive():
-                since = port.ticks_ms()
+            if self._poll_link():
+                last_byte_ms = port.ticks_ms()
             result = clean(*self._reader.memory())  # length << 2, and LINE or TOO_LONG
             if result & LINE:
                 return result >> 2
             if result & TOO_LONG:
-                self._drain("it came damaged")
-            if port.elapsed_ms(since) > _SILENCE_MS:
-                self._drain("it broke off")
+                self._drain("the data arrived damaged")
+            if port.elapsed_ms(last_byte_ms) > _SILENCE_MS:
+                self._drain("the sender stopped sending")
 
-    def _receive(self) -> bool:
-        """Read received bytes and handle real-time commands. Return whether there were bytes."""
-        reader, free = self._reader, self._reader.free()
+    def _poll_link(self) -> bool:
+        """Read received bytes and handle real-time commands. Return whether the reader got bytes
+        of a line."""
+        reader, free_before = self._reader, self._reader.free()
         count = self._link.read_into(self._buffer)
         if count:
             reader.feed(self._buffer, count)
         self._machine.realtime.handle_events()
-        return reader.free() != free
+        return reader.free() != free_before
 
     def _drain(self, why: str) -> None:
         """Drop the rest, which must not be read as commands, until the sender is quiet for
         _QUIET_MS, or for _SILENCE_MS at the most; then report why, and raise GrblError."""
         port = self._machine.port
-        begun = since = port.ticks_ms()
-        while port.elapsed_ms(since) < _QUIET_MS and port.elapsed_ms(begun) < _SILENCE_MS:
-            if self._receive():
-                since = port.ticks_ms()
+        begun_ms = last_byte_ms = port.ticks_ms()
+        while (
+            port.elapsed_ms(last_byte_ms) < _QUIET_MS and port.elapsed_ms(begun_ms) < _SILENCE_MS
+        ):
+            if self._poll_link():
+                last_byte_ms = port.ticks_ms()
             self._reader.clear()
-        self._refuse("Not taken: " + why)
+        self._refuse("Upload refused: " + why)

@@ -114,14 +114,14 @@ class Network:
     def _has_partial_line(self) -> bool:
         """Return whether the client in control has begun a line."""
         job = self._job()
-        return job.has_half() if job else has_partial_line(*self._received())
+        return job.has_partial_line() if job else has_partial_line(*self._received())
 
     def _drop_partial_line(self) -> None:
         """Drop the unfinished line of the client in control. A jog ends with its client: those
         that wait do, too."""
         job = self._job()
         if job:
-            job.drop_half()
+            job.drop_partial_line()
         elif self._cnc.machine.state.run & st.JOG:
             self._reader.clear()
         else:

@@ -34,7 +34,7 @@ def change(kept: "dict[str, str]", text: str) -> str:
         why = (
             ""
             if value != "AP" or has_password
-            else ("An access point has a password of 8 letters or more, first")
+            else ("Before MODE=AP, set a PASS of 8 letters or more")
         )
         value = value.lower()
     elif name == "HOST" and sign == "=":
@@ -55,7 +55,7 @@ def _hex(text: str, fewest: int, most: int) -> str:
         count = -1
     if fewest <= count <= most:
         return ""
-    return "That is %d to %d bytes, as hexadecimal digits" % (fewest, most)
+    return "The value must be %d to %d bytes in hexadecimal" % (fewest, most)
 
 
 def _host(text: str) -> str:
