@@ -127,7 +127,7 @@ MSG_RESTORE_DEFAULTS = "Restoring defaults"
 MSG_SPINDLE_RESTORE = "Restoring spindle"
 MSG_SLEEP = "Sleeping"
 MSG_FIRST_START = "First start: factory settings"
-MSG_NOT_KEPT = "Flash is full or worn: not kept"
+MSG_NOT_KEPT = "Flash is full or worn: not saved"
 MSG_DAMAGED = "Damaged in flash: %s (%s)"
 
 # Identifies the build: `ugrbl build` writes it here.

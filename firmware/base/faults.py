@@ -7,7 +7,7 @@ from micropython import const
 
 from base.text import text_of
 
-_LONGEST = const(120)
+_LONGEST = const(120)  # characters
 # Words that senders look for, and their replacements.
 _REPLACEMENTS = (
     ("ok", "o-k"),

@@ -16,9 +16,9 @@ _FRACTION = const(0x7FFFFF)  # the stored bits of a mantissa
 _LEADING = const(0x800000)  # its leading 1
 _HALF = const(0x800000)  # half a unit, in 24 bits of fraction
 # 30 bits: the widest mask that is not an object on a board.
-_MAGNITUDE = const(0x3FFFFFFF)
+_MAGNITUDE = const(0x3FFFFFFF)  # all but sign and bit 30
 # The exponent of number / divisor, less the divisor's: 150, of a whole number of 24 bits, + bias.
-_WHOLE_EXPONENT = const(277)
+_WHOLE_EXPONENT = const(277)  # 150 + 127
 
 
 @micropython.viper
@@ -28,18 +28,19 @@ def mantissas(number: int, divisor: int) -> int:
     number / divisor must be from 1 to 2. Long division of what is above 1: four digits of 7 bits,
     so that a remainder << 7 has 31 bits.
     """
-    rest = number - divisor
-    number = 1
+    remainder = number - divisor
+    result = 1  # the digit above the point
     for _ in range(4):
-        rest <<= 7
-        digit = rest // divisor
-        number = (number << 7) + digit
-        rest -= digit * divisor
-    # The quotient has five extra bits, which are rounded off. Any remainder counts only as "more
-    # than half"; a half exactly (16) is rounded up only if the bit above it is set.
-    if rest:
-        number |= 1
-    return (number + 15 + ((number >> 5) & 1)) >> 5
+        remainder <<= 7
+        digit = remainder // divisor
+        result = (result << 7) + digit
+        remainder -= digit * divisor
+    # The result has 29 bits, five more than a mantissa, which are rounded off. A remainder sets
+    # the lowest one, so that a half is not exact; an exact half (16) is rounded up only if the bit
+    # above it is set.
+    if remainder:
+        result |= 1
+    return (result + 15 + ((result >> 5) & 1)) >> 5
 
 
 @micropython.viper
@@ -48,7 +49,7 @@ def mantissa_product(number: int, factor: int) -> int:
     and SMALL if the product of the two, as numbers from 1 to 2, is less than 2.
 
     Halves of 12 bits, so that all products fit 32 bits: number becomes the upper 24 of the 48
-    bits, low the lower ones.
+    bits, low the lower ones, which are a fraction and rounded off.
     """
     middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
     low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
@@ -76,10 +77,10 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
         sign = ptr8(numbers)[4 * i + 3] & MINUS
         if sign:
             number = 0 - number
-        number &= _MAGNITUDE
+        number &= _MAGNITUDE  # 30 bits: so the loops below end for any number
         quotients[i] = 0
         if number:
-            # Round to a mantissa of 24 bits, times 2**exponent.
+            # Round to 24 bits, halves to even: the number is then number * 2**exponent.
             exponent = 0
             while number >> exponent >= 1 << 24:
                 exponent += 1
@@ -87,9 +88,9 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
                 number += (1 << (exponent - 1)) - 1 + ((number >> exponent) & 1)
                 number >>= exponent
             divisor = divisors[at + i]
-            exponent += _WHOLE_EXPONENT - (divisor >> 23)
+            exponent += _WHOLE_EXPONENT - (divisor >> 23)  # a divisor has no sign bit
             divisor = (divisor & _FRACTION) | _LEADING
-            while number < divisor:
+            while number < divisor:  # mantissas() needs a quotient of 1 or more
                 number <<= 1
                 exponent -= 1
             store(quotients, i, int(mantissas(number, divisor)), exponent, sign)
@@ -105,7 +106,8 @@ def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
     other_exponent = (factors[of] >> 23) & 255
     if other_exponent == 0:
         exponent = 0  # a factor of 0: with that, store() makes the product 0, too
-    # The bias of one of them goes, and mantissa_product() returns half a product from 2 to 4.
+    # The sum of exponents has the bias, 127, twice. 1 more, because without SMALL the product is
+    # from 2 to 4, and mantissa_product() returns half of it.
     exponent += other_exponent - 126
     sign = (ptr8(values)[4 * at + 3] ^ ptr8(factors)[4 * of + 3]) & MINUS
     factor = (factors[of] & _FRACTION) | _LEADING
@@ -162,28 +164,29 @@ def root(values: ptr32, at: int) -> int:
     exponent = values[at] >> 23
     if exponent == 0:
         return 0
-    # With an even exponent, the radicand has two bits above the mantissa's 24, and 24 zero bits
-    # below it. The root has 25 bits; each step uses two bits of the radicand.
-    number = ((values[at] & _FRACTION) | _LEADING) << (2 - (exponent & 1))
+    # The radicand is from 1 to 4, with 24 bits after the point: the mantissa, or twice it if the
+    # exponent without bias is odd. Each step uses its next two bits; after its end they are 0.
+    radicand = ((values[at] & _FRACTION) | _LEADING) << (2 - (exponent & 1))
     result = 0
-    rest = 0
-    for _ in range(25):
-        rest = (rest << 2) | (number >> 24)
-        number = (number & 0xFFFFFF) << 2
-        if rest > result << 1:
-            rest -= (result << 1) + 1
+    remainder = 0
+    for _ in range(25):  # bits of the root: one more than a mantissa, to round it
+        remainder = (remainder << 2) | (radicand >> 24)
+        radicand = (radicand & 0xFFFFFF) << 2
+        if remainder > result << 1:
+            remainder -= (result << 1) + 1
             result += 1
-        result <<= 1
-    return int(store(values, at, ((result >> 1) + 1) >> 1, ((exponent - 127) >> 1) + 127, 0))
+        result <<= 1  # once too often: undone below
+    mantissa = ((result >> 1) + 1) >> 1
+    return int(store(values, at, mantissa, ((exponent - 127) >> 1) + 127, 0))
 
 
 @micropython.viper
 def whole_part(values: ptr32, at: int, power: int) -> int:
     """Return values[at], a float, times 2**power, truncated; 0 if that has more than 30 bits."""
-    # A mantissa, as a whole number of 24 bits, has the exponent 150.
+    # A mantissa, as a whole number of 24 bits, has the exponent 150: no shift.
     shift = ((values[at] >> 23) & 255) - 150 + power
     number = (values[at] & _FRACTION) | _LEADING
-    if shift > 6 or shift < -24:
+    if shift > 6 or shift < -24:  # more than 30 bits, or less than 1
         return 0
     number = number << shift if shift >= 0 else number >> (0 - shift)
     return 0 - number if ptr8(values)[4 * at + 3] & MINUS else number
@@ -206,21 +209,21 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
     # The bits without the sign: 30, and bit 30 from the last byte. They compare as the floats do.
     x = (a[i] & _MAGNITUDE) | ((ptr8(a)[4 * i + 3] & 64) << 24)
     y = (b[j] & _MAGNITUDE) | ((ptr8(b)[4 * j + 3] & 64) << 24)
-    if x < y:  # exchange them, so that x is the larger
-        shift = x
+    if x < y:  # exchange them, so that x is the larger, and sign_a the sum's sign
+        other = x
         x = y
-        y = shift
-        shift = sign_a
+        y = other
+        other = sign_a
         sign_a = sign_b
-        sign_b = shift
+        sign_b = other
     exponent = x >> 23
     shift = exponent - (y >> 23)
     if y >> 23 and shift < 27:  # else y is 0, or too small to change the sum
         # Three extra bits are enough for correct rounding; the last one is set where anything
         # below it is lost.
         y = ((y & _FRACTION) | _LEADING) << 3
-        rest = y & ((1 << shift) - 1)
-        y = (y >> shift) | (1 if rest else 0)
+        lost = y & ((1 << shift) - 1)
+        y = (y >> shift) | (1 if lost else 0)
         x = ((x & _FRACTION) | _LEADING) << 3
         x = x + y if sign_a == sign_b else x - y
         if x == 0:
@@ -233,12 +236,12 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
         if x >= 1 << 27:
             x = (x >> 1) | (x & 1)
             exponent += 1
-        rest = x & 7
+        eighths = x & 7  # the three extra bits
         x >>= 3
-        if rest > 4 or (rest == 4 and x & 1):  # of 8
+        if eighths > 4 or (eighths == 4 and x & 1):
             x += 1
         return int(store(b, j, x, exponent, sign_a << 7))
-    b[j] = x
+    b[j] = x  # the larger is the sum
     if sign_a:
         ptr8(b)[4 * j + 3] = ptr8(b)[4 * j + 3] | MINUS
     return 0

@@ -16,11 +16,10 @@ if TYPE_CHECKING:
 # Describes the frozen build. The tools also search MicroPython's image for this text.
 ABOUT = "ugrbl frozen: nothing"
 
-# Bytes from a function object to the address of its code, and from a closure to its function's.
-_CODE_AT = const(12)
-_FUNCTION_AT = const(4)
-_ADDRESS = const(4)  # bytes
-_HEAD = const(4)  # bytes before the code: a jump over its length
+_CODE_AT = const(12)  # place in a function object, in bytes, of the address of its code
+_FUNCTION_AT = const(4)  # place in a closure of the address of its function object
+_ADDRESS = const(4)  # bytes of an address
+_HEAD = const(4)  # bytes before the code: a jump over two bytes, and these, the code's length
 
 
 def in_memory(function: "Callable[..., object]") -> "Callable[..., object]":
@@ -33,10 +32,11 @@ def in_memory(function: "Callable[..., object]") -> "Callable[..., object]":
     object_at = id(function)
     if type(function).__name__ == "closure":
         object_at = array("I", uctypes.bytearray_at(object_at + _FUNCTION_AT, _ADDRESS))[0]
+    # bytearray_at() gives the memory itself: what is assigned to its bytes is written there.
     pointer = uctypes.bytearray_at(object_at + _CODE_AT, _ADDRESS)
     code_at = array("I", pointer)[0]
     head = uctypes.bytearray_at(code_at, _HEAD)
-    code = bytearray(head[2] | head[3] << 8)  # the jump's length
+    code = bytearray(head[2] | head[3] << 8)  # the length that the head has
     code[:] = uctypes.bytearray_at(code_at + _HEAD, len(code))
     pointer[:] = bytes(array("I", (uctypes.addressof(code),)))
     return function

@@ -32,7 +32,7 @@ AXIS = const(4)  # a float per axis: number + axis
 # In place of a number: all settings.
 ALL = const(-1)
 
-_FILE = "settings"
+_FILE = "settings"  # name in the store
 
 _TABLE: "Rows" = (
     # number, attribute, kind, default, unit. The comment above a row is its documentation.
@@ -95,8 +95,8 @@ _SHORTEST_PULSE_US = const(3)  # $0, unless the board's drivers accept less
 _BEYOND = float("3.5e38")  # above single precision; a literal could not be frozen
 
 # Stored internally in mm/min2, as Grbl does in single precision, and shown in the row's unit.
-_ACCELERATION = const(120)
-_PER_SECOND_SQR = 3600.0
+_ACCELERATION = const(120)  # the first number of that row
+_PER_SECOND_SQR = 3600.0  # mm/min2 in 1 mm/s2
 
 
 class Settings:
@@ -149,9 +149,9 @@ class Settings:
         self._store = store
         self._axes = axes
         self._board_defaults = defaults
-        self._unknown: "list[str]" = []
+        self._unknown: "list[str]" = []  # stored lines of another firmware or board
         self._callbacks: "list[Callable[[], None]]" = []
-        self.changed = ALL
+        self.changed = ALL  # what has changed, for subscribers: a number, or ALL
         self.is_new = False  # the store has never held settings, which is still to be reported
 
     # Subscribers
@@ -169,7 +169,8 @@ class Settings:
     # Storage
 
     def load(self) -> bool:
-        """Read the stored settings; False if they are lost and defaults were restored."""
+        """Read the stored settings. Returns False if they are lost and defaults were restored;
+        with defaults because none were ever stored, True."""
         lines = self._store.load(self.file)
         if not lines:  # None: they are damaged; an empty list: none were ever stored
             self.restore()
@@ -187,7 +188,8 @@ class Settings:
         return True
 
     def _read(self, line: str) -> None:
-        """Apply a line ($100=250). Raises ValueError if save() cannot have written it."""
+        """Apply a line ($100=250). Raises ValueError if save() cannot have written it. A line for
+        a number that this firmware does not have is stored again by save()."""
         number, _, amount = line.partition("=")
         key, value = int(number[1:]), float(amount)
         if not abs(value) < _BEYOND:
@@ -204,7 +206,8 @@ class Settings:
             self._store_value(row, axis, value)
 
     def save(self) -> None:
-        """Store all settings as lines ($100=250), with those that this firmware does not know."""
+        """Store all settings as lines ($100=250), and the lines that this firmware does not
+        know."""
         lines = [
             "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
         ]
@@ -249,7 +252,7 @@ class Settings:
         """Return the value of the setting `number` in the unit of its row."""
         first, attribute, kind, _, _ = row
         amount: float = getattr(self, attribute)
-        if kind == AXIS:
+        if kind == AXIS:  # then the attribute is an array
             amount = getattr(self, attribute)[number - first]
             if first == _ACCELERATION:
                 amount = f32(amount / _PER_SECOND_SQR)
@@ -294,7 +297,8 @@ class Settings:
         return 0 if abs(amount) <= self.signed[number] else errors.INVALID_STATEMENT
 
     def _assign(self, number: int, amount: float) -> None:
-        """Check a setting's new value and set the attribute; raises GrblError before that."""
+        """Check a setting's new value and set the attribute. Raises GrblError if the number does
+        not exist or the value is refused; nothing has changed then."""
         fault = self._fault(number, amount)
         if fault:
             raise GrblError(fault)

@@ -27,7 +27,7 @@ UNDER_WAY = const(RUN | HOLD | JOG | DOOR | SLEEP)
 # Per state, the states that it may follow (mask). Idle is 0, so it has a bit of its own here.
 # Alarm ends with $X, with homing, or in the state that a reset determines. Sleep ends with a reset
 # only, and in Alarm.
-_IDLE_BIT = const(0x100)
+_IDLE_BIT = const(0x100)  # Idle, in these masks
 _FOLLOWS = {
     IDLE: _IDLE_BIT | ALARM | CHECK | HOMING | RUN | HOLD | JOG | DOOR,
     ALARM: _IDLE_BIT | ALARM | CHECK | HOMING | RUN | HOLD | JOG | DOOR | SLEEP,
@@ -94,21 +94,22 @@ class State:
     """The record. A soft reset calls clear(); the run state survives it."""
 
     def __init__(self) -> None:
-        self.pending = bytearray(ANY + 1)
+        self.pending = bytearray(ANY + 1)  # by event: posted, or how often; ANY is the last
         self.alarm = 0  # an alarm not yet reported
         self.run = IDLE  # only enter() writes it
         self.running = array("i", (IDLE,))  # the same, for kernels
         # Incremented at every change that affects the chords of an arc.
         self.changes = array("i", (0,))
-        self.spindle = array("f", (0.0 for _ in range(SPINDLE_LENGTH)))
+        self.spindle = array("f", (0.0 for _ in range(SPINDLE_LENGTH)))  # see RPM
         self.hooks = Hooks()
         self.clear()
 
     def enter(self, run: int) -> None:
         """Change the run state to `run`. Raises RuntimeError, an internal fault, if that may not
         follow the present one."""
+        # _FOLLOWS has per state a mask of the states that it may follow.
         if not _FOLLOWS[run] & (self.run or _IDLE_BIT):
-            raise RuntimeError("state %d cannot follow %d" % (run, self.run))
+            raise RuntimeError("state %d cannot follow state %d" % (run, self.run))
         if (self.run | run) & CHECK:  # check mode begins or ends: it changes what lines do
             self.invalidate_lines()
         self.run = self.running[0] = run
@@ -144,12 +145,12 @@ class State:
     def clear(self) -> None:
         """Reset everything except the run state and the pending events and alarm."""
         self.invalidate_lines()
-        self.suspend = 0
-        self.soft_limit = False
+        self.suspend = 0  # mask, from HOLD_COMPLETE on
+        self.soft_limit = False  # the alarm of a soft limit follows, once motion has stopped
         self.holding = False  # motion is slowing down, or has stopped, for a hold
         self.system_motion = False  # a parking move is being executed
         self.update_spindle = False  # power must be set again while nothing moves
-        self.stop_override = 0
+        self.stop_override = 0  # mask of STOP_…
         self.feed_override = 100
         self.rapid_override = 100
         self.override_spindle(100)

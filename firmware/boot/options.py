@@ -36,7 +36,7 @@ class Options:
         option = board.__dict__.get  # getattr() would intern the names for good
 
         self.axes: int = len(option("STEP", ()))
-        self.axis_letters = LETTERS  # of more axes than there are
+        self.axis_letters = LETTERS  # of all possible axes: the machine uses the first `axes`
         self.motors = self.axes
         self.engine: str = option("ENGINE", "")
         self.blocks: int = option("PLANNER_BLOCKS", 16)
@@ -60,7 +60,7 @@ class Options:
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
         self.step_pulse_min_us: int = option("STEP_PULSE_MIN_US", 3)
         self.echo: bool = option("ECHO", False)
-        # Extras may replace the rest in prepare(), before the machine is built.
+        # An extra's prepare() may replace what follows, before the machine is built.
         self.custom = select_extras.custom_modules(board)
         self.job_files: "JobFiles | None" = None
         self.driver_wire: "DriverWire | None" = None
@@ -109,7 +109,8 @@ class Options:
     def letters(self) -> str:
         """Return the text of [OPT:…]: Grbl's letters of enabled options, planner blocks, receive
         bytes."""
-        text = bytearray(b"V")  # a text of one letter would be interned for good
+        # Bytes, because texts of one letter would be interned for good. V is always reported.
+        text = bytearray(b"V")
         for is_on, letter in zip(
             (
                 self.line_numbers,

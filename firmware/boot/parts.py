@@ -33,14 +33,14 @@ if TYPE_CHECKING:
     ]
 
 # Longest time without a feed before the chip resets. Writing flash, the longest work, takes less.
-_WATCHDOG_MS = const(5000)  # WATCHDOG_MS of the board file, unless it says otherwise
+_WATCHDOG_MS = const(5000)  # for a board file without WATCHDOG_MS
 
 # Longest turn of the main loop; after that the machine is stopped. A garbage collection takes
 # 30 ms at most. Code with more to do, in main.py for example, must read the link in between.
-_LOOP_MS = const(250)  # LOOP_MS
+_LOOP_MS = const(250)  # longest turn of the main loop, for a board file without LOOP_MS
 
 # Added to $I where Ctrl-X takes effect only when the main loop reads; `ugrbl doctor` knows it.
-_SLOW_RESET = " slow-reset"
+_SLOW_RESET = " slow-reset"  # added to $I
 
 # Modules that are needed only while the machine is built, some 7 kB together.
 _BUILDING = (
@@ -62,7 +62,8 @@ MAKER = "_make_"
 
 
 def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Create an engine on the state machines of a PIO."""
+    """Create an engine on the state machines of a PIO. Returns it, the port, and the function that
+    starts to watch the stack, for $I+."""
     from pio import stack
     from pio.engine import PioEngine
     from pio.pins import GpioPort
@@ -85,7 +86,8 @@ def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
 
 def rmt(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Create an engine on pins of its own, with esp32.RMT."""
+    """Create an engine on pins of its own, with esp32.RMT. Returns it, the port, and None: nothing
+    watches the chip's health."""
     from boot import parts_esp
 
     engine, port = parts_esp.rmt(board, link)
@@ -94,7 +96,8 @@ def rmt(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
 
 def i2s(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Create an engine on shift registers, with machine.I2S."""
+    """Create an engine on shift registers, with machine.I2S. Returns it, the port, and None:
+    nothing watches the chip's health."""
     from boot import parts_esp
 
     engine, port = parts_esp.i2s(board, link)
@@ -154,8 +157,8 @@ _ENGINES: "dict[str, Engine]" = {
         ("STEP", "DIR", "ENABLE"),
         250_000,  # with pulses of 3 us
         (
-            ("RP2040", (1, 26), "timers that interrupt at once"),
-            ("RP2350", (1, 27), "DMA channels that can be given back"),
+            ("RP2040", (1, 26), "hard timer interrupts"),
+            ("RP2350", (1, 27), "DMA channels that can be released"),
         ),
     ),
     "rmt": (
@@ -163,14 +166,14 @@ _ENGINES: "dict[str, Engine]" = {
         ("STEP", "DIR"),
         ("STEP", "DIR", "ENABLE"),
         5_000,
-        (("ESP32", (1, 27), "pulses of a resolution that is asked for"),),
+        (("ESP32", (1, 27), "RMT pulses of a chosen resolution"),),
     ),
     "i2s": (
         i2s,
         ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS"),
         ("I2S",),  # shift registers drive the motors; their outputs have numbers of their own
         41_666,
-        (("ESP32", (1, 27), "a firmware that was tried with none before"),),
+        (("ESP32", (1, 27), "I2S output as tested"),),
     ),
 }
 # LINK of a board file: its constructor.
@@ -206,7 +209,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         from ports.supervisor import Supervisor
 
         engine, port, watch_health = _hardware(board, link)
-        if port.held(getattr(board, "REPL_PIN", None)):
+        if port.held(getattr(board, "REPL_PIN", None)):  # a button requests the REPL
             link.close()
             return None
         watch = Supervisor(link, engine, port, getattr(board, "LOOP_MS", _LOOP_MS))
@@ -216,12 +219,12 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
             port.safe()
         stay(link, fault)
         return None
-    feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
+    feed_watchdog = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
     # All long-lived objects: these, and those that they refer to.
-    made: "list[object]" = [machine, link, port, engine, watch]
+    long_lived: "list[object]" = [machine, link, port, engine, watch]
     for owner in (machine, machine.interpreter, machine.planner, engine, link):
-        made.extend(owner.__dict__.values())
-    del sys.modules["board"]
+        long_lived.extend(owner.__dict__.values())
+    del sys.modules["board"]  # its options were used: free them
 
     def start() -> None:
         """Start to watch the chip's health for $I+. That fills the unused stack with a pattern:
@@ -231,18 +234,20 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
 
     def make_room() -> None:
         """Free the functions that built the machine, once it has started."""
-        _forget_makers(made)
+        _forget_makers(long_lived)
 
-    watch.start(feed, machine.motor_control.note_reset)
+    # From here on a timer's interrupt feeds the watchdog, and stops a machine whose loop hangs.
+    watch.start(feed_watchdog, machine.motor_control.note_reset)
 
-    # power_up.py calls these from the last to the first: start() before the machine runs, the
-    # others after its first welcome.
+    # power_up.py removes and calls these from the end: start() before the machine runs; after its
+    # first welcome make_room(), and then the one that frees this module.
     later: "Later" = [lambda: forget("boot.parts"), make_room, start]
     return machine, link, port, engine, watch, later
 
 
 def _link(kind: str) -> "BoardLink":
-    """Create the link that LINK of the board file names. Raises ValueError for another name."""
+    """Create the link of a name in _LINKS (kind), the board file's LINK. Raises ValueError for
+    another name."""
     from boot import select_extras
 
     link: "BoardLink" = select_extras.known("LINK", kind, _LINKS)()
@@ -288,7 +293,7 @@ def too_old(engine: str, chip: str, version: "tuple[int, ...]") -> str:
     for name, oldest, why in rows:
         if name in chip and version < oldest:
             old = "MicroPython %d.%d is too old: " % version[:2]
-            return old + "ENGINE %s on %s wants 1.%d or newer, for %s" % (
+            return old + "ENGINE %s on %s needs 1.%d or newer, for %s" % (
                 engine,
                 name,
                 oldest[1],
@@ -323,8 +328,9 @@ def _build(
         forget(name)
     if link.is_slow:  # Ctrl-X waits for the main loop
         machine.report.identity += _SLOW_RESET
-    written = getattr(engine, "flash_written", None)
-    store.before, store.after = machine.around_saves(watch.allow, written)
+    # Some engines must be notified after a write to flash, which stops all interrupts.
+    notify_engine = getattr(engine, "flash_written", None)
+    store.before, store.after = machine.around_saves(watch.allow, notify_engine)
     link.attach(machine.at_rest, machine.welcome)
     return machine
 
@@ -335,8 +341,8 @@ def _build(
 def forget(module: str) -> None:
     """Remove a module that nothing uses any more from sys.modules and its package, and empty it.
 
-    To the garbage collector a word of machine code may look like the address of the module, which
-    then stays in memory with all that it refers to.
+    It is emptied because to the garbage collector a word of machine code may look like the address
+    of the module, which then stays in memory with all that it refers to.
     """
     removed = sys.modules.pop(module, None)
     folder, _, name = module.rpartition(".")
@@ -347,11 +353,11 @@ def forget(module: str) -> None:
 
 
 def _forget_makers(parts: "Iterable[object]") -> None:
-    """Free the functions that built these objects, because none is built twice: those with the
-    names MAKERS, in the objects' classes, the base classes, the modules of all these, and the
-    extras; of the API of extras also the methods that are called at installation only."""
+    """Free the functions that built these objects, because none is built twice: _forget_in() is
+    called for the objects' classes, the base classes, the modules of all these, and the extras; in
+    the API of extras it also frees the methods that are called at installation only."""
     classes = [type(part) for part in parts]
-    done: "set[object]" = set()
+    done: "set[object]" = set()  # classes and modules
     for name, module in sys.modules.items():
         if name.startswith("extras."):
             done.add(module)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def rmt(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine, EspPort]":
     """Create the RMT engine and its port. Raises MemoryError if memory is short."""
-    prepare()
+    prepare()  # sets the clock and checks memory, before compiled code is loaded
     from esp_chip.rmt import RmtEngine
 
     engine = RmtEngine(board.STEP, board.DIR)
@@ -26,13 +26,13 @@ def rmt(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine, EspPort]":
 
 def i2s(board: "ModuleType", link: "BoardLink") -> "tuple[I2sEngine, EspPort]":
     """Create the I2S engine and its port. Raises MemoryError if memory is short."""
-    prepare()
+    prepare()  # sets the clock and checks memory, before compiled code is loaded
     from esp_chip.i2s import I2sEngine
 
     engine = I2sEngine(
         board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
     )
-    port = EspPort(board, engine.enable)
+    port = EspPort(board, engine.enable)  # a shift register's output enables the motors
     _join(engine, port, link)
     return engine, port
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from boot.parts import Parts
 
-_RESET = const(0x18)
+_RESET = const(0x18)  # bytes: Ctrl-X, ?, $
 _QUESTION = const(0x3F)
 _DOLLAR = const(0x24)
 _MESSAGE = "[MSG:%s]"
@@ -37,26 +37,26 @@ _BUILT_IN = ("array", "io", "machine", "os", "time")
 
 def build() -> "Parts | None":
     """Build the machine of board.py; None if that is impossible, or the REPL is requested."""
-    gc.threshold(_COLLECT_BYTES)
-    for name in _BUILT_IN:
+    gc.threshold(_COLLECT_BYTES)  # collect after so many bytes, while modules are imported
+    for name in _BUILT_IN:  # else each import of these searches the files first
         sys.modules[name] = __import__(name)
     try:
         from boot import parts  # imports everything else
     except Exception as fault:
         _stay_without_parts(fault)
         return None
-    made = parts.build(_stay)
-    gc.threshold(-1)
-    return made
+    machine_parts = parts.build(_stay)
+    gc.threshold(-1)  # collect only when memory is used up
+    return machine_parts
 
 
 def run_machine(parts: "Parts | None") -> "Controller | None":
-    """Run the machine, for ever or until the REPL is requested; return it. main.py calls this, not
-    build(), because an interrupt needs the rest of the stack."""
+    """Run the machine, for ever or until the REPL is requested; return it, or None without parts.
+    main.py calls this, not build(), because an interrupt needs the rest of the stack."""
     if parts is None:
         return None
     machine, link, port, engine, watch, later = parts
-    if later:  # not a second time, after the REPL
+    if later:  # empty if this is called again, after the REPL
         later.pop()()  # parts.build()'s start(), at this depth of the stack
 
     # A kernel's memory keeps a reference to its last caller until it is called again. So begin()
@@ -67,7 +67,7 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
         machine.restart()
         while later:
             later.pop()()
-        for name in _BUILT_IN:
+        for name in _BUILT_IN:  # they were entered for the imports only
             del sys.modules[name]
         gc.collect()
         machine.protocol.restart = machine.restart
@@ -82,14 +82,14 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
             machine.protocol.run()
         except KeyboardInterrupt as stop:
             # The watchdog's Ctrl-X ended code that did not return; else the REPL is requested.
-            fault = stop if watch.end_absence() else None
+            fault = stop if watch.end_absence() else None  # None ends the loop
         except (Exception, SystemExit) as unforeseen:  # sys.exit() would leave motors running
             fault = unforeseen
         port.safe()
         engine.stop()
         if fault is None:
             break
-    port.watch(0)
+    port.watch(0)  # stop the watchdog
     link.write(b"[MSG:Here is the REPL]\r\n")
     link.close()
     watch.close()
@@ -99,7 +99,7 @@ def run_machine(parts: "Parts | None") -> "Controller | None":
 def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> None:
     """Enter Alarm and report the fault, again at each `$`; answer `?`; return at a soft reset.
     Nothing else is executed meanwhile."""
-    machine.state.alarm = 0
+    machine.state.alarm = 0  # none that the loop would report later
     machine.state.enter(st.ALARM)
     link.write(b"ALARM:%d\r\n" % errors.ALARM_INTERNAL)
     machine.commands.fault = text = _text(fault)

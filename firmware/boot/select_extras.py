@@ -51,11 +51,11 @@ WORDS = {
     },
     "TOOL": {"spindle": "", "laser": "tools.laser", "punch": "tools.punch"},
 }
-_NETWORKS = ("wifi", "uart_wifi")  # links
+_NETWORKS = ("wifi", "uart_wifi")  # values of LINK with a network
 # With extras, garbage is collected each time so many bytes were allocated, until the machine is
 # built. With a custom.py the largest free block is 18 kB then, and 2.7 kB by the rule for a plain
 # board (power_up.py).
-_COLLECT_BYTES = const(8192)
+_COLLECT_BYTES = const(8192)  # garbage is collected after so many
 
 
 def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
@@ -63,6 +63,7 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
     installation. with_custom: the user has custom modules. Raises ValueError if an option has an
     unknown value."""
     option = board.__dict__.get  # getattr() would intern the names for good
+    # _ORDER: pairs of an option and the module that it selects, "" for one of WORDS.
     selected = [_module(word, option(word), module) for word, module in _ORDER]
     own: "tuple[str, ...]" = option("EXTRAS", ())
     # Last, because they handle only words that nothing else accepts.
@@ -76,7 +77,7 @@ def extra_names(board: "ModuleType", with_custom: bool) -> "list[str]":
 def _module(option: str, value: "Any", module: str) -> str:
     """Return the module that the option selects by its value, None if it is not set; "" for none.
     module: that of _ORDER."""
-    if option in WORDS:
+    if option in WORDS:  # the value is a word, which selects one of several modules
         return "" if value is None else known(option, value, WORDS[option])
     if option == "LINK":
         return module if value in _NETWORKS else ""
@@ -97,7 +98,7 @@ def known(option: str, word: str, rows: "dict[str, Any]") -> "Any":
     """Return rows[word]. Raises ValueError, which names the option and the possible words, for
     another one."""
     if word not in rows:
-        words = sorted(rows)  # MicroPython keeps a table in no order
+        words = sorted(rows)  # MicroPython's dict has no order
         last = words.pop()
         raise ValueError("%s is %s or %s, not %s" % (option, ", ".join(words), last, word))
     return rows[word]
@@ -112,10 +113,11 @@ def custom_modules(board: "ModuleType") -> "tuple[str, ...]":
 
 
 def import_extras(asked: "list[str]") -> "list[Extra]":
-    """Import the modules with these names, and return them."""
+    """Import the modules with these names (asked), and return them."""
     if [name for name in asked if name not in sys.modules]:
+        # Else the objects that they leave for good are spread over all of memory.
         gc.threshold(_COLLECT_BYTES)
-        gc.collect()  # else what they leave for good is spread over all of memory
+        gc.collect()
     return [__import__(name, None, None, ("install",)) for name in asked]
 
 

@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Port, StepEngine, Store
 
-# Bytes that may be received beyond those advertised: cncjs 1.11 counts each resume as an answer,
-# and sends up to 198 bytes for 128.
-_MISCOUNTED = const(128)
+# cncjs 1.11 counts each resume as an answer, and sends up to 198 bytes for 128.
+_MISCOUNTED = const(128)  # bytes that may be received beyond those advertised
 
 
 def build(
@@ -158,25 +157,27 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
 def _connect(machine: Controller) -> None:
     """Connect lower modules to the higher ones that they wait for or report to."""
     machine.report.connect(machine)
+    # The machine's own functions, which an extra may replace later.
     hooks = machine.state.hooks
     hooks.execute, hooks.find_command = machine.interpreter.execute, machine.commands.find_command
     hooks.refuse, hooks.alarm = machine.report.error, machine.report.alarm
     hooks.write_offsets = machine.coords.write
-    seek = machine.homing_probing
+    cycles = machine.homing_probing
     hooks.probe, hooks.probed_at, hooks.forget_probe = (
-        seek.probe,
-        seek.probe_position,
-        seek.forget_probe,
+        cycles.probe,
+        cycles.probe_position,
+        cycles.forget_probe,
     )
     hooks.home, hooks.find_switches, hooks.home_phase = (
-        seek.home,
-        seek.find_switches,
-        seek.home_phase,
+        cycles.home,
+        cycles.find_switches,
+        cycles.home_phase,
     )
     hooks.next_segment = machine.segments.next
     machine.motor_control.connect(machine.protocol.pump)
     machine.canon.connect(machine.protocol.service)
     machine.commands.connect(machine.protocol.execute)
+    # Called in this order after a change of settings.
     for callback in (
         machine.configure,
         machine.inputs.configure,

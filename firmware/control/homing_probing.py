@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from motion.planner import Move
 
 
-# Search distance: per travel on the first approach, per pull-off distance on the second.
-_SEARCH = 1.5
-_LOCATE = 5.0
+# Search distance.
+_SEARCH = 1.5  # first approach: times the axis's travel ($130)
+_LOCATE = 5.0  # second approach: times the pull-off distance ($27)
 # Approach fast, pull off, approach slowly, pull off.
-_PHASES = const(4)
+_PHASES = const(4)  # moves of a homing cycle
 
 
 class HomingProbing:
@@ -71,12 +71,13 @@ class HomingProbing:
             return True
         self._canon.synchronise()
         state.probe_succeeded = False
-        if self._inputs.probe() != away:  # the probe must not touch yet; with away it must
+        # probe(): it touches. It must not touch yet; with away it must.
+        if self._inputs.probe() != away:
             self._motor_control.fail(errors.ALARM_PROBE_FAIL_INITIAL)
             return False
         self._contact = False
         self._contact_level = self._inputs.contact_level(away)
-        self._motor_control.touches = self._touches
+        self._motor_control.touches = self._touches  # called whenever motion starts or resumes
         self._canon.line(target, move)
         self._canon.finish()
         state.post(st.CYCLE_START)
@@ -88,9 +89,9 @@ class HomingProbing:
         self._planner.clear()
         if self._contact:
             state.probe_succeeded = True
-            self._resync()
+            self._resync()  # planner and parser: the machine has stopped before the target
         else:
-            # Without the parser, whose position is the target, as in Grbl.
+            # As _resync(), but without the parser, whose position is the target, as in Grbl.
             self._engine.position(self._steps)
             self._planner.sync_motors(self._steps)
             if not alarms:  # [PRB:...] reports where the move has ended
@@ -187,20 +188,21 @@ class HomingProbing:
         diagonal = math.sqrt(count)
         rate = settings.homing_seek  # mm/min of each axis
         for phase in range(_PHASES):
-            approach = phase % 2 == 0
+            approach = phase % 2 == 0  # else a pull-off
             self._state.hooks.home_phase(axes, approach, travel, rate * diagonal)
             self._motor_control.wait_unanswered(settings.homing_debounce_ms)
-            if approach:  # next, a pull-off
+            if approach:  # the next move is a pull-off
                 travel = settings.homing_pull_off_mm
                 rate = settings.homing_seek
-            else:
+            else:  # the second approach; set again, but not used, after the last move
                 travel = settings.homing_pull_off_mm * _LOCATE
                 rate = settings.homing_feed
         self._set_origin(axes)
         self.homed |= axes
 
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
-        """Execute one move, until all switches are found, or the pull-off is complete.
+        """Execute one of the moves of homing, until all switches are found, or, away from them,
+        until its end.
 
         axes: mask; approach: towards the switches, else away from them; travel: mm per axis; rate:
         mm/min along the diagonal. If it fails, a reset is posted, and the call of service() raises
@@ -235,10 +237,10 @@ class HomingProbing:
                     engine.lock(self._kinematics.stopped_by(hit) if self._kinematics else hit)
             if self._failed(approach, axes):
                 self._motor_control.reset()
-                self._canon.service()
+                self._canon.service()  # raises Abort
             # First, because a failed engine is idle, too.
             self._motor_control.check_engine()
-            if engine.idle():
+            if engine.idle():  # the pull-off is complete
                 break
             if searching:
                 self._motor_control.pump()
@@ -251,7 +253,7 @@ class HomingProbing:
         door was requested; or motion has ended without the switches, or, on the pull-off, with one
         still hit. axes: mask."""
         state = self._state
-        done = self._engine.idle()
+        done = self._engine.idle()  # the move has ended
         if state.pending[st.RESET]:
             state.alarm = errors.ALARM_HOMING_FAIL_RESET
         elif state.pending[st.SAFETY_DOOR]:

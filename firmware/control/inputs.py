@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 class Inputs:
     """The inputs as active or not. axes: the number of limit inputs; has_door: the hold input is a
-    safety door's. _limit_invert, _inverted, _watched: masks, the latter two of Port.levels()."""
+    safety door's. _limit_invert, _all: masks, bit 0 is X. _inverted, _watched: masks of the bits
+    of Port.levels()."""
 
     def __init__(self, port: "Port", settings: "Settings", axes: int, has_door: bool) -> None:
         self._port = port
@@ -40,14 +41,14 @@ class Inputs:
         """Return a mask of the axes whose limit switch is hit."""
         return self._port.limits() ^ self._limit_invert  # a low pin is a 1, unless $5
 
-    def closed(self) -> int:
+    def active(self) -> int:
         """Return a mask of all active inputs, from bit 0 on in the order of Pn: in a status
         report: probe, limits of six axes, door, reset, hold, start."""
         levels = (self._levels() ^ self._inverted) & self._watched
         if not levels:
             return 0  # the common case
-        # In `levels` the controls are below the probe and the limits; here they come after them:
-        # door is bit 7, reset 8, hold 9, start 10.
+        # In `levels` the controls are the lowest bits, below the probe and the limits; in the
+        # result they come after these: door is bit 7, reset 8, hold 9, start 10.
         return levels >> PROBE_AT | (levels & DOOR) << 4 | (levels & (RESET | HOLD | START)) << 8
 
     def estop(self) -> bool:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _FOR_EVER = const(255)  # $1: the motors stay powered
 # States in which the engine may be running.
 _MOTION = const(st.RUN | st.HOLD | st.JOG)
-_PATIENCE = const(3)  # restarts without progress, before that is a fault
+_PATIENCE = const(3)  # restarts without progress; one more is a fault
 
 
 class MotorControl:
@@ -51,10 +51,10 @@ class MotorControl:
         self.in_idle_delay = False
         # While probing: returns whether the probe touches; called before motion starts or resumes.
         self.touches: "Callable[[], bool] | None" = None
-        self._since = 0
+        self._since = 0  # Port.ticks_ms(), when the idle delay began
         self._level = -1  # of the motors' enable output; -1: not set yet
         self._is_new = True
-        self._progress = -1
+        self._progress = -1  # -1: motion was never restarted
         self._stalls = 0
         self._after_alarm: "Callable[[], None] | None" = None
 
@@ -109,6 +109,7 @@ class MotorControl:
         """Handle a change of a control input or the emergency stop. active: mask of those in
         effect now. Interrupt."""
         state = self._state
+        # In an alarm motion is stopped: it is an emergency only if spindle or coolant is on.
         emergency = active & EMERGENCY_STOP and (state.run != st.ALARM or self.is_on())
         if active & RESET or emergency:
             self._port.kill()
@@ -125,15 +126,15 @@ class MotorControl:
             state.post(st.SAFETY_DOOR)
 
     def emergency(self) -> None:
-        """Handle a pressed emergency stop: in each turn of the main loop."""
+        """Handle a pressed emergency stop: in each turn of the main loop. See on_controls()."""
         state = self._state
-        if state.alarm == errors.ALARM_EMERGENCY_STOP:
+        if state.alarm == errors.ALARM_EMERGENCY_STOP:  # handled, but not yet reported
             return
         if state.run != st.ALARM or self.is_on():
             self.reset()
             state.alarm = errors.ALARM_EMERGENCY_STOP
         else:
-            self._port.safe()
+            self._port.safe()  # as in on_controls()
 
     @micropython.native
     def is_on(self) -> bool:
@@ -169,7 +170,7 @@ class MotorControl:
             if state.run == st.HOMING:
                 self.in_idle_delay = False  # motors stay powered until the reset
         state.enter(st.ALARM)
-        after, self._after_alarm = self._after_alarm, None
+        after, self._after_alarm = self._after_alarm, None  # it is called once only
         return self._report_fault if state.alarm == errors.ALARM_INTERNAL else after
 
     def _report_fault(self) -> None:
@@ -203,8 +204,8 @@ class MotorControl:
             raise RuntimeError(fault)
 
     def start(self, run: int) -> None:
-        """Enter a run state (run), power the motors and start planned motion, unless a hook of an
-        extra objects. A hold ends by that."""
+        """Enter a run state (run), power the motors and start planned motion; that ends a hold.
+        Nothing changes if a hook of an extra objects."""
         if self._state.hooks.may_start and not all_agree(self._state.hooks.may_start):
             return
         self._state.enter(run)
@@ -259,12 +260,12 @@ class MotorControl:
             state.post(st.CYCLE_STOP)
 
     def _restart(self) -> None:
-        """Resume planned motion, for which the engine has run out of segments. Raises RuntimeError
-        if it still made no progress after _PATIENCE restarts."""
+        """Resume planned motion, which ended because the engine had run out of segments. Raises
+        RuntimeError if it still made no progress after _PATIENCE restarts."""
         progress = self._segments.progress()
         self._stalls = self._stalls + 1 if progress == self._progress else 0
         if self._stalls > _PATIENCE:
-            raise RuntimeError("motion is planned and none is made")
+            raise RuntimeError("motion is planned, but no steps are made")
         self._progress = progress
         self.start(self._state.run)
 

@@ -35,7 +35,7 @@ _OVERRIDES = {
     0x9C: (_SPINDLE, 1),
     0x9D: (_SPINDLE, -1),
 }
-_SPINDLE_STOP = const(0x9E)
+_SPINDLE_STOP = const(0x9E)  # real-time bytes
 _FLOOD_TOGGLE = const(0xA0)
 _MIST_TOGGLE = const(0xA1)
 _LOWEST = const(10)  # percent, of feed and spindle
@@ -73,6 +73,7 @@ class Overrides:
         for byte in range(st.FIRST_OVERRIDE_BYTE, _SPINDLE_STOP):  # in Grbl's order
             times = self._asked(byte)
             if times and byte in _OVERRIDES:
+                # Change in percent, 0 restores 100 %; of rapids the new value.
                 which, change = _OVERRIDES[byte]
                 if which == _RAPID or change == 0:
                     new[which] = change or 100
@@ -93,8 +94,8 @@ class Overrides:
         return self._state.take_event(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
     def override_spindle(self) -> None:
-        """Apply a changed spindle override: at rest at once, to a tool that is on; else to all
-        blocks, and once more when motion is held, resumes or ends."""
+        """Apply a changed spindle override. In Idle and Alarm: at once, to a tool that is on. Else
+        to all planned blocks, and once more when motion is held, resumes or ends."""
         state, spindle = self._state, self._spindle
         state.invalidate_lines()
         if state.run in (st.IDLE, st.ALARM):
@@ -103,14 +104,14 @@ class Overrides:
                 spindle.restore(self._modes.modal[SPINDLE], self._modes.rates[RPM])
             return
         state.update_spindle = True
-        reported = state.spindle[st.RPM]
+        reported = state.spindle[st.RPM]  # each_power() changes it
         self._planner.each_power(spindle.block_power)
         if not state.run & _MOTION:  # until motion resumes, the tool is off or being restored
             state.spindle[st.RPM] = reported
 
     def _accessory_overrides(self) -> None:
-        """Apply the toggles of spindle stop, flood and mist. An even number of toggles changes a
-        coolant not at all; the spindle stop counts once. Coolant only in Idle and motion."""
+        """Apply the toggles of spindle stop, flood and mist. Two toggles of a coolant cancel each
+        other out; several of the spindle stop count as one. Coolant only in Idle and motion."""
         state = self._state
         if self._asked(_SPINDLE_STOP):
             self.stop_spindle()

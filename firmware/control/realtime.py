@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 _SOFT_RESET = const(0x18)
 _JOG_CANCEL = const(0x85)
-_END = const(-3)  # where the end of a report begins: >\r\n
-_HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)
+_END = const(-3)  # index of the end of a report: >\r\n
+_HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)  # states in which motion is held
 
 
 class Realtime:
     """The state machine. resync copies the machine's position to planner and parser. _voice makes
-    and sends reports.
+    and sends reports. _estop() returns whether the emergency stop is pressed; None without one.
 
     state.pending has a byte per event, and ANY, which is set with each of them. state.suspend: a
     mask, why motion is suspended and how far that has progressed; 0: it is not.
@@ -103,9 +103,9 @@ class Realtime:
                 if pending[st.RESET]:
                     raise Abort  # posted meanwhile
                 if any(pending):
-                    held = self._holds()
+                    hold_was_posted = self._holds()
                     if state.take_event(st.CYCLE_START):
-                        if held:
+                        if hold_was_posted:  # the start is ignored
                             self._overrides.hold()
                         else:
                             self._cycle_start()
@@ -117,8 +117,9 @@ class Realtime:
             call_all(state.hooks.poll)
 
     def _holds(self) -> bool:
-        """Handle feed hold, door, sleep and motion cancel. Returns whether a cycle start posted
-        with them is to be ignored. In Alarm and check mode only sleep has an effect."""
+        """Handle feed hold, door, sleep and motion cancel. Returns whether one of them, except
+        sleep, was posted: a cycle start posted with it is ignored. In Alarm and check mode only
+        sleep has an effect."""
         state = self._state
         cancel = state.take_event(st.CANCEL_MOTION)
         hold = state.take_event(st.FEED_HOLD)
@@ -151,7 +152,7 @@ class Realtime:
             return
         state.holding = True
         self._segments.hold(True)
-        if state.run == st.JOG and not sleep:
+        if state.run == st.JOG and not sleep:  # _cycle_stop() drops the rest of the jog
             state.suspend |= st.JOG_CANCEL
 
     def _open_door(self) -> None:
@@ -166,6 +167,7 @@ class Realtime:
                     self._segments.hold(True)
                     state.holding = True
                     state.suspend &= ~st.HOLD_COMPLETE
+                # Suspension ends its routine, and begins again with the retract.
                 state.suspend &= ~(st.RETRACT_COMPLETE | st.INITIATE_RESTORE | st.RESTORE_COMPLETE)
                 state.suspend |= st.RESTART_RETRACT
             if state.run != st.SLEEP:

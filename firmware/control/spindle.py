@@ -23,24 +23,23 @@ if TYPE_CHECKING:
 OFF = const(0)
 CW = const(0x10)
 CCW = const(0x20)
-_TURNING = const(0x30)
+_TURNING_FLAGS = const(0x30)  # CW | CCW
 
-# Lowest power of a turning spindle.
-_MIN_POWER = const(1)
+_MIN_POWER = const(1)  # of a turning spindle
 
 # Indices into State.spindle, floats. Those of base/state.py: RPM, the speed after override and
 # limits, and OVERRIDE_PART, the override as a fraction. More of them:
 ASKED = const(0)  # the programmed rpm, from which power is computed
 HIGHEST = const(3)  # $30, rpm
 _LOWEST = const(4)  # $31, rpm
-_LESS = const(5)  # -$31
-_FULL = const(6)  # full power; this one is stored as an integer
+_MINUS_LOWEST = const(5)  # -$31
+_FULL_POWER = const(6)  # in PWM steps; this one is stored as an integer
 _GRADIENT = const(7)  # power per rpm above $31
-_FINE = const(8)  # the same in 1/64 of a power step
+_FINE_GRADIENT = const(8)  # the same in 1/64 of a PWM step
 LASER = const(9)  # 0: not a laser
 _ONE = const(0x3F800000)  # the bits of the float 1.0
-_FINE_PER_POWER = const(64)
-_STEEPEST = 8388608.0  # 2**23, above power at $30 from 0 rpm: 64 times it must have 30 bits
+_FINE_PER_POWER = const(64)  # so many in a PWM step
+_STEEPEST = 8388608.0  # 2**23; power at $30 is less, because 64 times it must have 30 bits
 
 
 @micropython.viper
@@ -49,42 +48,42 @@ def power_from_rpm(scale: ptr32, flags: int) -> int:
     laser in M4, in 1/64 of one, to be scaled by the speed (slice_kernel.scaled_power()).
 
     scale: State.spindle, floats as bits; those that are not negative compare as integers do.
-    scale[ASKED] holds the programmed rpm and is overwritten. scale[RPM] becomes the speed to
-    report: 0 with DYNAMIC. Power is 1 + (rpm - $31) * gradient, from 1 to full power, and 0 for 0
-    rpm; with DYNAMIC it is rpm * gradient in 1/64, rpm at most $30. The variable `rpm` is rpm
-    first, and power after the multiplications.
+    scale[ASKED] holds the programmed rpm; here it becomes rpm with the override, then power.
+    scale[RPM] becomes the speed to report: 0 with DYNAMIC. Power is 1 + (rpm - $31) * gradient,
+    from 1 to full power, and 0 for 0 rpm; with DYNAMIC it is rpm * gradient in 1/64, rpm at most
+    $30.
     """
-    if not flags & _TURNING:
+    if not flags & _TURNING_FLAGS:
         return 0
     if scale[OVERRIDE_PART] != _ONE:
         multiply(scale, ASKED, scale, OVERRIDE_PART)
     rpm = scale[ASKED]
     highest = scale[HIGHEST]
-    least = 0
+    least = 0  # power at $31
     if flags & layout.DYNAMIC:
         scale[RPM] = 0
         if rpm > highest:
             scale[ASKED] = highest
-        multiply(scale, ASKED, scale, _FINE)
+        multiply(scale, ASKED, scale, _FINE_GRADIENT)
     else:
         lowest = scale[_LOWEST]
         if rpm >= highest or lowest >= highest:
             scale[RPM] = highest
-            return scale[_FULL]  # a whole number
+            return scale[_FULL_POWER]  # a whole number
         if rpm <= lowest:
             scale[RPM] = lowest if rpm > 0 else 0
             return _MIN_POWER if rpm > 0 else 0
         scale[RPM] = rpm
-        add_single(scale, _LESS, scale, ASKED)
+        add_single(scale, _MINUS_LOWEST, scale, ASKED)
         multiply(scale, ASKED, scale, _GRADIENT)
         least = _MIN_POWER
-    rpm = scale[ASKED]  # power, from here on
+    power = scale[ASKED]
     # The float's whole part: a mantissa of 24 bits has the exponent 150.
-    shift = 150 - (rpm >> 23)
-    rpm = (rpm & 0x7FFFFF) | 0x800000
-    if shift < 0:
-        return rpm << (0 - shift)
-    return least + (rpm >> shift if shift < 25 else 0)
+    shift = 150 - (power >> 23)
+    mantissa = (power & 0x7FFFFF) | 0x800000
+    if shift < 0:  # 2**24 or more: only with DYNAMIC, without `least`
+        return mantissa << (0 - shift)
+    return least + (mantissa >> shift if shift < 25 else 0)
 
 
 def in_range(scale: "array[float]", rpm: float) -> float:
@@ -119,7 +118,7 @@ class Spindle:
         """Apply $30, $31 and $32. table: the planner's, for the kernels.
 
         Speeds are in rpm. Power is in steps of the PWM, 1 to pwm_max; where it follows the speed,
-        in 1/64 of one (_FINE, POWER_FLOOR).
+        in 1/64 of one (_FINE_GRADIENT, POWER_FLOOR).
         """
         self.laser = bool(settings.laser_mode)
         scale, full = self._state.spindle, self._port.pwm_max
@@ -130,15 +129,16 @@ class Spindle:
             gradient = 0.0  # $30 and $31 are practically equal, or beyond single precision
         scale[HIGHEST] = settings.max_rpm
         scale[_LOWEST] = settings.min_rpm
-        scale[_LESS] = -settings.min_rpm
+        scale[_MINUS_LOWEST] = -settings.min_rpm
         scale[_GRADIENT] = gradient
-        scale[_FINE] = gradient * _FINE_PER_POWER
+        scale[_FINE_GRADIENT] = gradient * _FINE_PER_POWER
+        # Up to this power at the full rate, a DYNAMIC block has _MIN_POWER at any speed.
         table[layout.POWER_FLOOR] = (
             int(settings.min_rpm * gradient * _FINE_PER_POWER) if gradient else 0
         )
         table[layout.POWER_MAX] = full
         # The integer's bits, in an array of floats: power_from_rpm() reads them as an integer.
-        copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL:], 1)
+        copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL_POWER:], 1)
 
     def power(self, rpm: float) -> int:
         """Return the power in PWM steps for a programmed rpm, with override and limits; sets the

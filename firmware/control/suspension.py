@@ -29,7 +29,7 @@ _SPINDLE_DELAY_MS = const(4000)
 _COOLANT_DELAY_MS = const(1000)
 
 _PARK_AXIS = Z
-_PARK_TARGET_MM = -5.0  # machine coordinates
+_PARK_TARGET_MM = -5.0  # machine coordinates, where a parked tool is
 _PARK_RATE = 500.0  # mm/min
 _PULL_OUT_RATE = 100.0  # mm/min, out of the material with the spindle on
 _PULL_OUT_MM = 5.0  # upwards
@@ -81,7 +81,8 @@ class Suspension:
                 self._routine = None
 
     def _choose(self) -> None:
-        """Do what the run state asks for once motion has stopped: at once, or set a routine."""
+        """Do what the run state asks for once motion has stopped: at once, or set the routine that
+        does it."""
         state = self._state
         if not state.suspend & st.HOLD_COMPLETE:
             return
@@ -114,7 +115,7 @@ class Suspension:
             self._rpm = self._modes.rates[RPM]
         else:
             self._flags = row[layout.FLAGS]
-            self._rpm = self._planner.speeds[self._planner.flow[layout.TAIL]]
+            self._rpm = self._planner.speeds[self._planner.flow[layout.TAIL]]  # the same block's
         if self._spindle.laser:
             self._overrides.stop_spindle()
 
@@ -212,7 +213,7 @@ class Suspension:
         # Down to the end of the slow part, only if parking has moved the tool up.
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
-            yield from self._park_move(self._target, _PARK_RATE, False)
+            yield from self._park_move(self._target, _PARK_RATE, False)  # without accessories
         if self._modes.modal[SPINDLE] and not self._interrupted():
             self._restore_spindle()
             if not self._spindle.laser:
@@ -221,7 +222,7 @@ class Suspension:
             self._coolant.set(self._modes.modal[COOLANT])
             yield from self._pause(_COOLANT_DELAY_MS)
         if self._parks and self._may_park() and not self._interrupted():
-            yield from self._park_move(self._resume_at, _PULL_OUT_RATE, True)
+            yield from self._park_move(self._resume_at, _PULL_OUT_RATE, True)  # with them
         if not self._interrupted():
             state.suspend |= st.RESTORE_COMPLETE
             state.post(st.CYCLE_START)
@@ -243,7 +244,8 @@ class Suspension:
         is not possible or the tool is high enough, only spindle and coolant are switched off."""
         target = self._target
         self._position(target)
-        if not self._interrupted():  # a second retract keeps the values of the first
+        # If a restore was interrupted, this retract keeps the values of the first one.
+        if not self._interrupted():
             self._resume_at[:] = target
             self._waypoint = min(target[_PARK_AXIS] + _PULL_OUT_MM, _PARK_TARGET_MM)
         if not self._may_park() or target[_PARK_AXIS] >= _PARK_TARGET_MM:
@@ -251,11 +253,11 @@ class Suspension:
             return
         if target[_PARK_AXIS] < self._waypoint:
             target[_PARK_AXIS] = self._waypoint
-            yield from self._park_move(target, _PULL_OUT_RATE, True)
+            yield from self._park_move(target, _PULL_OUT_RATE, True)  # with accessories
         self._stop_accessories()
         if target[_PARK_AXIS] < _PARK_TARGET_MM:
             target[_PARK_AXIS] = _PARK_TARGET_MM
-            yield from self._park_move(target, _PARK_RATE, False)
+            yield from self._park_move(target, _PARK_RATE, False)  # without
 
     def _park_move(
         self, target: "array[float]", rate: float, with_accessories: bool
@@ -277,14 +279,14 @@ class Suspension:
         self._segments.begin_system()
         self._engine.position(self._steps)
         planned = self._planner.system_line(target, move, power, self._steps)
-        if planned:  # not a move without steps
+        if planned:  # else it has no steps
             state.system_motion = True
             state.holding = False
             self._segments.hold(False)
             self._motor_control.start(state.run)
-            while state.system_motion:
+            while state.system_motion:  # until Realtime's cycle stop
                 yield
         self._segments.end_system()
         self._segments.hold(True)
-        if not planned:
+        if not planned:  # one turn of the loop, as after a move
             yield

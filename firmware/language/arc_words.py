@@ -21,12 +21,12 @@ from motion.arc_geometry import length, subtract
 
 from language import block_layout as b
 
-# Tolerance of a target's distance from the arc's circle, as bits of floats: 0.005 mm, or 0.001 of
-# the radius but at most 0.5 mm.
-_CLOSE = const(0x3BA3D70A)
-_PART = const(0x3A83126F)
-_WORST = const(0x3F000000)
-_HALF = const(0x3F000000)
+# Floats as bits. How far a target may be off the arc's circle: _CLOSE_MM, or _RADIUS_PART of the
+# radius, if that is more, but at most _FAR_MM.
+_CLOSE_MM = const(0x3BA3D70A)  # 0.005 mm: always allowed
+_RADIUS_PART = const(0x3A83126F)  # 0.001 of the radius
+_FAR_MM = const(0x3F000000)  # 0.5 mm: more is never allowed
+_HALF = const(0x3F000000)  # 0.5
 
 
 @micropython.viper
@@ -34,44 +34,49 @@ def find_arc(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, r: ptr32
 ) -> int:
     """Find plane, centre and radius of a block's arc from position to xyz, mm, into plane and r.
-    Returns Grbl's error number, or 0."""
+    Returns Grbl's error number, or 0. With R the centre is computed; with I, J, K it is given, and
+    the target must be on the circle through the start."""
     words = ints[b.WORDS]
     if words & b.AXIS_WORDS == 0:
         return errors.GCODE_NO_AXIS_WORDS
     # The axes of G17, G18, G19 are 0 and 1, 2 and 0, 1 and 2.
-    one = (3 - ints[mode.PLANE]) % 3
-    other = (one + 1) % 3
-    plane[arc.ONE_AXIS] = one
-    plane[arc.OTHER_AXIS] = other
+    first = (3 - ints[mode.PLANE]) % 3
+    second = (first + 1) % 3
+    plane[arc.ONE_AXIS] = first
+    plane[arc.OTHER_AXIS] = second
     plane[arc.CLOCKWISE] = 1 if ints[mode.MOTION] == b.CW_ARC else 0
-    if words & (1 << one | 1 << other) == 0:
+    if words & (1 << first | 1 << second) == 0:
         return errors.GCODE_NO_AXIS_WORDS_IN_PLANE
     if words & b.WORD_R:
         return int(_by_radius(ints, singles, xyz, position, axes, plane, r))
-    if words & (b.WORD_I << one | b.WORD_I << other) == 0:
+    if words & (b.WORD_I << first | b.WORD_I << second) == 0:
         return errors.GCODE_NO_OFFSETS_IN_PLANE
     if ints[mode.INCHES]:
-        multiply(singles, b.I + one, singles, b.INCH_MM)
-        multiply(singles, b.I + other, singles, b.INCH_MM)
-    r[arc.CENTRE_0] = singles[b.I + one]
-    r[arc.CENTRE_1] = singles[b.I + other]
+        multiply(singles, b.I + first, singles, b.INCH_MM)
+        multiply(singles, b.I + second, singles, b.INCH_MM)
+    r[arc.CENTRE_0] = singles[b.I + first]
+    r[arc.CENTRE_1] = singles[b.I + second]
+    # The radius is the length of the offsets.
     r[arc.RADIUS] = r[arc.CENTRE_0]
     r[arc.A] = r[arc.CENTRE_1]
     length(r, arc.RADIUS, arc.A)
     # A and B: the target, as seen from the centre.
-    r[arc.A] = xyz[one]
-    subtract(r, arc.A, position, one)
+    r[arc.A] = xyz[first]
+    subtract(r, arc.A, position, first)
     subtract(r, arc.A, r, arc.CENTRE_0)
-    r[arc.B] = xyz[other]
-    subtract(r, arc.B, position, other)
+    r[arc.B] = xyz[second]
+    subtract(r, arc.B, position, second)
     subtract(r, arc.B, r, arc.CENTRE_1)
     # How far the target is off the circle: its distance from the centre, less the radius.
     length(r, arc.A, arc.B)
     subtract(r, arc.A, r, arc.RADIUS)
-    off = r[arc.A] & int(0x7FFFFFFF)
-    r[arc.B] = _PART
+    off_mm = r[arc.A] & int(0x7FFFFFFF)
+    r[arc.B] = _RADIUS_PART
     multiply(r, arc.B, r, arc.RADIUS)
-    return errors.GCODE_INVALID_TARGET if off > _CLOSE and (off > _WORST or off > r[arc.B]) else 0
+    # Floats that are not negative compare as their bits do.
+    if off_mm > _CLOSE_MM and (off_mm > _FAR_MM or off_mm > r[arc.B]):
+        return errors.GCODE_INVALID_TARGET
+    return 0
 
 
 @micropython.viper
@@ -117,13 +122,14 @@ def _by_radius(
     subtract(r, arc.A, r, arc.C)
     if ptr8(r)[4 * arc.A + 3] & MINUS:
         return errors.GCODE_ARC_RADIUS_ERROR
-    # The centre's distance from the middle of the chord, as a fraction of half the chord.
+    # The centre's distance from the middle of the chord, as a fraction of half the chord: the root
+    # of A, over that of the chord squared.
     add_single(r, arc.C, r, arc.B)
     root(r, arc.A)
     root(r, arc.B)
     if r[arc.B]:
         quotient(r, arc.A, r, arc.B)
-    else:
+    else:  # ends so close that the square of their distance is 0
         r[arc.A] = 0
     # To the right, if either R is negative or the arc is clockwise.
     if (ptr8(singles)[4 * b.R + 3] >> 7) != plane[arc.CLOCKWISE]:

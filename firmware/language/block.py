@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 assert b.ONLY < mode.MODAL_ROOM, "the modal state has no free place: enlarge MODAL_ROOM"
 
-_BEYOND = 2147483648.0
+_BEYOND = 2147483648.0  # 2**31: what a 32-bit integer cannot hold
 
 # Value words, in the order of their bits.
 VALUE_LETTERS = b"XYZABCIJKFLNPRST"
@@ -33,30 +33,29 @@ _NOT_NEGATIVE = const(0xDA00)  # F, N, P, S, T
 _A = const(65)  # letters
 _G = const(71)
 _M = const(77)
-_BIT_C = const(5)
+_BIT_C = const(5)  # bits of WORDS: the last axis word; then I, the first of Block.singles, to T
 _BIT_I = const(6)
 _BIT_T = const(15)
 
 # The dictionary of words, in bytes, for store_words(). The index has the number of a word's row by
 # its code, M words after G words, and then the bit of each letter from A on. Each block has its
 # own index, because boards differ.
-M_WORDS = const(100)
-_INDEXED = const(160)
-_NO_LETTER = const(255)
-ROW = const(6)
+M_WORDS = const(100)  # place in the index of M0; before it those of G0 to G99
+_INDEXED = const(160)  # place in the index of letter A; before it those of M0 to M59
+_NO_LETTER = const(255)  # in place of the bit: the machine has no such word
+ROW = const(6)  # bytes of a row
 # Places in a row. The first is the place in Modes.modal, or NOWHERE.
 SETTING = const(1)  # value to store there, or in NON_MODAL
 _CLAIM = const(2)  # use of the axis words: AXES_…
 _DECIMALS = const(3)  # allowed decimals: bit n for .n
 GROUP = const(4)  # two bytes
-NOWHERE = const(255)
-# In _DECIMALS, too. OTHERS: other decimals are "unsupported", not "no whole number". NEEDED: a
-# decimal is required.
-OTHERS = const(0x80)
-NEEDED = const(0x40)
-TENTHS = const(0x3F)
+NOWHERE = const(255)  # in place of a place: the word sets none
+# Bits of _DECIMALS.
+OTHERS = const(0x80)  # the error of other decimals is "unsupported", not "no whole number"
+NEEDED = const(0x40)  # a decimal is required
+TENTHS = const(0x3F)  # bit n: .n is allowed
 
-index = bytearray(_INDEXED) + b"\xff" * 26
+index = bytearray(_INDEXED) + b"\xff" * 26  # rows of G0 to G99, M0 to M59; bits of A to Z
 dictionary = bytearray(ROW)  # row 0 means no word
 
 
@@ -123,7 +122,7 @@ for _bit in range(len(VALUE_LETTERS)):
 
 def decimals_of(at: int) -> int:
     """Return the allowed decimals of a word, -1 if there is no such word; at: as in add_word()."""
-    row = index[at] if at < _INDEXED else 0
+    row = index[at] if at < _INDEXED else 0  # a row's number, 0 if there is none
     return dictionary[row * ROW + _DECIMALS] if row else -1
 
 
@@ -193,7 +192,7 @@ def store_words(
             code = int(byte(value, top))
             if letter == _M:
                 code += M_WORDS
-            row = 0
+            row = 0  # first byte of the word's row; 0: unknown, or `byte` cannot read it
             if code < (_INDEXED if letter == _M else M_WORDS):
                 row = ROW * index[code]
             if row == 0 or words[row + _DECIMALS] & NEEDED:
@@ -203,13 +202,14 @@ def store_words(
                 group = words[row + GROUP] | (words[row + GROUP + 1] << 8)
                 error = int(enter(words[row], setting, words[row + _CLAIM], group, ints))
         else:
-            bit = index[_INDEXED + letter - _A]
+            bit = index[_INDEXED + letter - _A]  # of WORDS
             if bit == _NO_LETTER:
                 return errors.GCODE_UNSUPPORTED_COMMAND
-            if bit <= _BIT_C:
+            if bit <= _BIT_C:  # an axis
                 xyz[bit] = value
             else:
                 singles[bit - _BIT_I] = value
+            # Floats that are not negative compare as their bits do.
             if bit == _BIT_T and top < 128 and value > singles[b.TOOL_LIMIT]:
                 error = errors.GCODE_MAX_VALUE_EXCEEDED
             elif (ints[b.WORDS] >> bit) & 1:
@@ -238,13 +238,14 @@ def read(
     span: end << 8 | start. ints, singles, xyz: those of a block; words: Block.words. Returns
     Grbl's error number of the first wrong word, or 0.
     """
+    # read_on: an extra's kernel that reads other text, or None; own: what it is passed.
     _letters, _values, index, rows, read_on, own, store_rare = words
     letters = ptr8(_letters)
     values = ptr32(_values)
     _begin(ints, xyz, axes, singles, modal)
-    # The result: the count of words, an error number << 8.
+    # Its result: the count of words, an error number << 8, the index of other text << 16.
     scanned = int(scan(ptr8(line), span, letters, values))
-    if scanned >> 8 and read_on:  # an extra may know what follows
+    if scanned >> 8 and read_on:  # an error, unless the extra can read what follows
         scanned = int(read_on(line, span, scanned, own))
     count = scanned & 255
     error = int(
@@ -252,7 +253,7 @@ def read(
             letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, store_rare
         )
     )
-    return error if error else scanned >> 8 & 255
+    return error if error else scanned >> 8 & 255  # the words before it go first
 
 
 @micropython.viper
@@ -262,7 +263,7 @@ def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> 
         xyz[i] = 0
     for i in range(b.TOOL_LIMIT):  # constants follow
         singles[i] = 0
-    for i in range(mode.MODAL_ROOM):
+    for i in range(mode.MODAL_ROOM):  # after MODAL_LENGTH, modal is 0: that clears the rest
         ints[i] = modal[i]
     return 0
 
@@ -297,9 +298,10 @@ class Block:
         self.read_on: "tuple[ReadOn | None, object]" = None, None
         self._index = bytearray(index)
         if not has_mist:
-            self._index[M_WORDS + 7] = 0
+            self._index[M_WORDS + 7] = 0  # no M7
         if not has_override_control:
-            self._index[M_WORDS + 56] = 0
+            self._index[M_WORDS + 56] = 0  # no M56
+        # Axis words: only the machine's letters, whose bits are the axis numbers.
         for i in range(_BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - _A] = _NO_LETTER
         for i in range(axes):
@@ -316,14 +318,14 @@ class Block:
     def add_motion(self, number: int) -> None:
         """Add a G number as a motion mode of this block only."""
         self._index[number] = len(self._rows) // ROW
-        # As add_word(), in a dictionary of its own.
+        # As add_word(), but in a copy of the dictionary, because other blocks share that.
         row = bytes((mode.MOTION, number, b.AXES_MOTION, 0, b.GROUP_1, 0))
         self._rows = self._rows + row
 
     def _store_rare(self, i: int) -> int:
         """Store the line's word i, a G or M word of any number, also with decimals. Returns Grbl's
         error number, or 0."""
-        # The number's whole part, modulo 256; the rest, however large, is in hundredths.
+        # As in Grbl, whose number is a byte: the rest is large for numbers above 255, and refused.
         value = self._words.values[i]
         number = truncate(value) & 255
         hundredths = _round(100 * f32(value - number))
@@ -342,9 +344,9 @@ class Block:
         Returns Grbl's error number, or 0."""
         place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]
         group = row[GROUP] | row[GROUP + 1] << 8
-        if hundredths and claim == b.AXES_NON_MODAL:  # G28.1, G30.1, G92.1
+        if hundredths and claim == b.AXES_NON_MODAL:  # G28.1, G30.1, G92.1 use no axis words
             claim = b.AXES_UNCLAIMED
-            setting += hundredths
+            setting += hundredths  # .1: + 10, as SET_G28 is GO_G28 + 10
         if claim and self.ints[b.CLAIM]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
         if (hundredths and decimals & OTHERS) or decimals & NEEDED:
@@ -354,14 +356,14 @@ class Block:
             if number == 91:
                 group, place = b.GROUP_4, NOWHERE  # G91.1: arc distance is always relative
             elif number == 38:
-                setting += hundredths + 100  # G38.n is 138 + 10 n: see block_layout.py
+                setting += hundredths + 100  # 138 + 10 n for G38.n, as PROBE_TOWARD is 158
         elif hundredths and number != 49:  # those of G49 are ignored, as in Grbl
             return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
         return enter(place, setting, claim, group, self.ints)
 
 
 def _round(x: float) -> int:
-    """Return x rounded, halves away from zero, modulo 2**16."""
+    """Return x rounded, halves away from zero, modulo 2**16; 0xFFFF if 32 bits cannot hold it."""
     x = f32(x)
     if abs(x) >= _BEYOND:
         return 0xFFFF  # no word has such a number

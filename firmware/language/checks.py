@@ -53,11 +53,11 @@ def check(
         ints[b.CLAIM] = b.AXES_MOTION
     if singles[b.N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
         return 0 - errors.GCODE_INVALID_LINE_NUMBER
-    # 3.5.19: feed rate and feed rate mode.
+    # 3.5.19, section of the standard: feed rate and feed rate mode.
     error = int(_rate(ints, singles, modal, rates, jog))
     if error:
         return 0 - error
-    if words & b.WORD_S == 0:
+    if words & b.WORD_S == 0:  # the last S stays in force
         singles[b.S] = rates[mode.RPM]
     used_words = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
     if ints[b.COMMANDS] & b.GROUP_M9:
@@ -83,7 +83,7 @@ def check(
     if result < 0:
         return result
     used_words |= result | (b.AXIS_WORDS if ints[b.CLAIM] else 0)
-    if words & ~used_words:
+    if words & ~used_words:  # a value word that no command of the line uses
         return 0 - errors.GCODE_UNUSED_WORDS
     if jog:
         # G53, distance mode and units are allowed.
@@ -155,9 +155,10 @@ def _targets(
     if command == b.SET_G92:
         if axis_words == 0:
             return 0 - errors.GCODE_NO_AXIS_WORDS
-        # The new G92 offset, with the active system's in force, replaces xyz.
-        system = ints[mode.SYSTEM] * axes
-        _offset(ints, singles, xyz, position, offsets, machine, system, G92 * axes, xyz)
+        # The new G92 offset replaces xyz. The active system's offset stays in force.
+        in_force = ints[mode.SYSTEM] * axes
+        replaced = G92 * axes
+        _offset(ints, singles, xyz, position, offsets, machine, in_force, replaced, xyz)
     elif command == b.GO_G28:
         _where_stored(ints, stored, position, offsets, G28, axes)
     elif command == b.GO_G30:
@@ -196,13 +197,13 @@ def _set_coords(
         return 0 - errors.GCODE_UNSUPPORTED_COMMAND
     ints[b.INDEX] = system - 1 if system else ints[mode.SYSTEM]
     axes = machine[b.AXES]
-    at = ints[b.INDEX] * axes  # index in offsets of the system's first one
+    replaced = ints[b.INDEX] * axes  # index in offsets of the system's first one
     if kind == 20:
-        # G92 stays in force, so it is the other part; the system's old offset is at `at`.
-        _offset(ints, singles, xyz, position, offsets, machine, G92 * axes, at, stored)
+        in_force = G92 * axes  # stays as it is
+        _offset(ints, singles, xyz, position, offsets, machine, in_force, replaced, stored)
     else:
         for i in range(axes):
-            stored[i] = xyz[i] if (words >> i) & 1 else offsets[at + i]
+            stored[i] = xyz[i] if (words >> i) & 1 else offsets[replaced + i]
     return b.WORD_P | b.WORD_L
 
 
@@ -214,23 +215,23 @@ def _offset(
     position: ptr32,
     offsets: ptr32,
     machine: ptr32,
-    other: int,
-    old: int,
+    in_force: int,
+    replaced: int,
     new: ptr32,
 ) -> int:
-    """3.5.18, G92 and G10 L20: compute the offset that, together with another one that is in
+    """3.5.18, G92 and G10 L20: compute the offset that, together with another one that stays in
     force, makes the current position read as programmed (xyz). Returns 0.
 
-    new: the result, a float per axis; it may be xyz. other: index in offsets of the one in force;
-    old: of the one to be replaced, which an axis without a word keeps. So for each axis with a
+    new: the result, a float per axis; it may be xyz. in_force: index in offsets of the other one;
+    replaced: of the one to be replaced, which an axis without a word keeps. For each axis with a
     word: new = position - other - programmed, and for the tool's axis, - tool length.
     """
     axes = machine[b.AXES]
     for i in range(axes):
-        singles[b.SCRATCH] = offsets[old + i]
+        singles[b.SCRATCH] = offsets[replaced + i]
         if (ints[b.WORDS] >> i) & 1:
             singles[b.SCRATCH] = position[i]
-            subtract(singles, b.SCRATCH, offsets, other + i)
+            subtract(singles, b.SCRATCH, offsets, in_force + i)
             subtract(singles, b.SCRATCH, xyz, i)
             if i == machine[b.LENGTH_AXIS]:
                 subtract(singles, b.SCRATCH, offsets, (G92 + 1) * axes)  # tool length
@@ -273,7 +274,7 @@ def _where_stored(
     """
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if axis_words == 0:
-        # The move to the target of the axis words, which would come first, is left out.
+        # No axis words: no move to their target, which would come first.
         ints[b.CLAIM] = b.AXES_UNCLAIMED
     for i in range(axes):
         stored[i] = offsets[system * axes + i]
@@ -317,7 +318,7 @@ def _motion(
 def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) -> int:
     """Return the requests of a valid block: bits of block_layout.py. What differs from the modes
     in force (modal, rates) is requested. laser: not 0 in laser mode."""
-    asked = b.CHECKED
+    asked = b.CHECKED  # always set, so that the result is not 0
     # Another speed, unless both are 0.
     if rates[mode.RPM] != singles[b.S] and (rates[mode.RPM] | singles[b.S]) & int(0x7FFFFFFF):
         asked |= b.SPEED
@@ -343,9 +344,9 @@ def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) 
         last = modal[mode.MOTION]
         did_cut = 1 if last <= b.CCW_ARC and (b.CUTTING >> last) & 1 else 0
         if cuts == 0:
-            asked |= b.DARK
+            asked |= b.DARK  # the beam is off in this line
         if ints[b.WORDS] & b.AXIS_WORDS and ints[b.CLAIM] == b.AXES_MOTION:
-            asked |= b.IN_MOTION
+            asked |= b.IN_MOTION  # S is set as the motion begins
         elif modal[mode.SPINDLE] == SPINDLE_CW and did_cut != cuts:
-            asked |= b.SYNC
+            asked |= b.SYNC  # the beam of M3 goes on or off without a motion
     return asked

@@ -36,7 +36,8 @@ _SWITCHES = const(b.SPEED | b.SYNC | b.ACCESSORIES | b.OFFSETS | b.COMMAND)
 
 
 class Interpreter:
-    """The interpreter. line_numbers: N is stored with the motion, and reported."""
+    """The interpreter. line_numbers: N is stored with the motion, and reported. _voice: sends
+    messages. The requests of a block, `asked`, are a mask of bits of block_layout.py."""
 
     def __init__(self, machine: "Machine", block: "Block", line_numbers: bool) -> None:
         self._modes = machine.modes
@@ -60,8 +61,8 @@ class Interpreter:
         self.machine[b.LENGTHS] = (1 << block.axes) - 1
         self.machine[b.LENGTH_AXIS] = machine.coords.length_axis
         self.machine[b.IS_OPEN] = 1
-        # The part of memory() that stays the same. The arrays have other owners; Planner.move_hook
-        # needs xyz as an array.
+        # The part of memory() that stays the same, in the order in which line.py unpacks it. The
+        # arrays have other owners; Planner.move_hook needs xyz as an array.
         self._kept = (
             for_kernels(block.ints),
             for_kernels(block.singles),
@@ -77,7 +78,7 @@ class Interpreter:
                 for_kernels(block.arc.numbers),
             ),
         )
-        self.memory()
+        self.memory()  # sets _memory
 
     def memory(self) -> "tuple[array[int], array[int], tuple[Any, ...]]":
         """Return what kernels work on: the modal state, `machine`, and a tuple of everything else.
@@ -133,16 +134,18 @@ class Interpreter:
             asked = self.check_line(line, length << 8, modal, 0)
         elif asked < 0:
             raise GrblError(-asked)
-        # A move-only line: wait for a free block, then a kernel executes it.
+        # A move-only line: wait for a free block, then a kernel executes it. WATCHED: requests
+        # that an extra wants to be executed in Python.
         if not asked & (~ln.PLAIN | machine[b.WATCHED] & (b.MOVE | b.SPECIAL)):
             if asked & b.MOVE and self._state.run != st.CHECK:
                 machine[b.ASKED] = asked
                 self._canon.make_room()
-                if machine[b.ASKED] != asked:  # other lines were executed during the wait
+                # Lines that were executed during the wait have replaced the block, and this value.
+                if machine[b.ASKED] != asked:
                     asked = self.check_line(line, length << 8, modal, 0)
                 machine[b.ASKED] = 0
             if ln.run_move(asked, modal, self._memory):
-                return
+                return  # executed
         self._execute(asked)
         if asked & (b.COMMAND | b.MOVE):
             self._canon.finish()
@@ -204,7 +207,7 @@ class Interpreter:
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
         """Return the move of a block, with its feed rate and the active spindle and coolant.
         flags: further ones of motion/layout.py."""
-        # (More than three at once would allocate a tuple.)
+        # No more than three at once: these would allocate a tuple.
         move, numbers, modes = self._move, self._numbers, self._modes
         if store_if_changed(numbers, mode.FEED, block.singles, b.F):
             move.feed = block.singles[b.F]

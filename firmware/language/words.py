@@ -14,7 +14,7 @@ from base.float32_math import SMALL, mantissa_product
 from micropython import const
 
 LINE_LENGTH = const(79)  # characters, as in Grbl
-_DIGITS = const(8)  # so many count
+_DIGITS = const(8)  # so many count; further ones are read as 0
 _PLUS = const(43)  # characters
 _MINUS = const(45)
 _POINT = const(46)
@@ -22,10 +22,10 @@ _ZERO = const(48)
 _A = const(65)
 _Z = const(90)
 _FRACTION = const(0x7FFFFF)  # the stored bits of a float's mantissa
-# Mantissas, of 24 bits: 0.01 * 2**30, 0.1 * 2**27, 10 * 2**20.
-_HUNDREDTH = const(0xA3D70A)
-_TENTH = const(0xCCCCCD)
-_TEN = const(0xA00000)
+# Mantissas, of 24 bits.
+_HUNDREDTH = const(0xA3D70A)  # 0.01 * 2**30
+_TENTH = const(0xCCCCCD)  # 0.1 * 2**27
+_TEN = const(0xA00000)  # 10 * 2**20
 
 
 @micropython.viper
@@ -37,7 +37,7 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
     """
     # The exponent of a float whose mantissa is a whole number of 24 bits, with the bias.
     exponent = 150
-    # Round to 24 bits. rest: the bits dropped; unit: one more than they can be.
+    # Round to 24 bits, halves to even. rest: the bits dropped; unit: one more than they can be.
     rest = 0
     unit = 1
     while number >= 1 << 24:
@@ -58,15 +58,15 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
     while number and power:
         if power < -1:
             factor = _HUNDREDTH
-            exponent -= 6  # the factor is 0.01 * 2**30, and the product loses 24 bits
+            exponent -= 6  # 24 - 30: the factor is 0.01 * 2**30, and the product loses 24 bits
             power += 2
         elif power < 0:
             factor = _TENTH
-            exponent -= 3  # 0.1 * 2**27
+            exponent -= 3  # 24 - 27: 0.1 * 2**27
             power = 0
         else:
             factor = _TEN
-            exponent += 4  # 10 * 2**20
+            exponent += 4  # 24 - 20: 10 * 2**20
             power -= 1
         number = int(mantissa_product(number, factor))
         if number & SMALL:  # the product has 47 bits, and not 48
@@ -99,15 +99,15 @@ def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
     power = 0
     point = 0
     while True:
-        c = text[pos] - _ZERO
-        if c >= 0 and c <= 9:
+        digit = text[pos] - _ZERO
+        if digit >= 0 and digit <= 9:
             digits += 1
             if digits <= _DIGITS:
-                mantissa = mantissa * 10 + c
+                mantissa = mantissa * 10 + digit
                 power -= point
-            else:
+            else:  # dropped
                 power += 1 - point
-        elif c == _POINT - _ZERO and point == 0:
+        elif digit == _POINT - _ZERO and point == 0:
             point = 1
         else:
             break
@@ -147,8 +147,8 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
 
 
 class Words:
-    """The words of one line. letters[i] is a character code, values[i] its number. longest: most
-    characters in a line."""
+    """The words of one line. letters[i] is a character code, values[i] its number. count: how many
+    were read; fault: Grbl's error number, or 0. longest: most characters in a line."""
 
     def __init__(self, longest: int = LINE_LENGTH) -> None:
         most = longest // 2 + 1  # a word has at least two characters

@@ -254,7 +254,7 @@ class Report:
         if self._kinematics:
             self._kinematics.to_axes(self._steps)
         state_form = _STATES.get(state.run) or self._suspended()
-        active = self._inputs.closed()  # mask of active inputs
+        active = self._inputs.active()  # mask of active inputs
         if active or not (self._is_common and state.wco_countdown and state.override_countdown):
             length = self._write_long(state_form, active)
         else:
