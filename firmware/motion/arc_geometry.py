@@ -5,8 +5,10 @@ In single precision, as Grbl's, but on the bits of floats (base/float32_math.py)
 is left on the heap. An arc's numbers are an array of floats, r: the arc's own, scratch places,
 constants, at the indexes below. A function names the indexes of its results; A, B and C may be
 lost. On a float's bits, + _TWICE doubles it and - _TWICE halves it, & 0x7FFFFFFF removes its
-sign, ^ MINUS (last byte) negates it. multiply(r, i, s, j) is r[i] *= s[j]; likewise quotient() and
-subtract(); but add_single(s, j, r, i) is r[i] += s[j]. start, target: mm, a float per axis.
+sign, ^ MINUS (last byte) negates it; of two positive ones the larger has the larger bits.
+multiply(r, i, s, j) is r[i] *= s[j]; likewise quotient() and subtract(); but
+add_single(s, j, r, i) is r[i] += s[j]; root(r, i): r[i] = sqrt(r[i]); whole_part(r, i, n):
+int(r[i] * 2**n). start, target: mm, a float per axis.
 """
 
 from array import array
@@ -26,26 +28,24 @@ ANGLE = const(4)  # the angle travelled, radians
 A = const(5)  # scratch
 B = const(6)
 C = const(7)
-_SINE = const(8)  # of a chord's angle: see _turn(). In sweep() scratch, too
+_SINE = const(8)  # of a chord's angle: see _chord_rotation(). In sweep() scratch, too
 _TANGENT = const(9)  # of half that angle. In sweep() scratch, too
-_SCALE = const(10)  # units of positions per mm: see _scale()
-_RATIO = const(11)  # units per mm of one axis over those of the other: see _place()
-# Constants: 1, pi / 4, pi / 2, pi, 2 * pi, and the factors of two series of odd powers, fitted
-# for the least relative error: the arc tangent up to _FLAT, and the sine up to 0.8.
-_ONE = const(12)
-_EIGHTH = const(13)
-_QUARTER = const(14)
-_HALF = const(15)
-_CIRCLE = const(16)
-_ATAN = const(17)
+_UNITS_PER_MM = const(10)  # of the course's positions, on all axes about: see _scale()
+_UNIT_RATIO = const(11)  # units per mm of one axis over those of the other: see _place_axes()
+_ONE = const(12)  # from here on, constants
+_QUARTER_PI = const(13)
+_HALF_PI = const(14)
+_PI = const(15)
+_TWO_PI = const(16)
+_ATAN_FACTORS = const(17)  # of a series, fitted to the arc tangent up to _FLAT
 _ATAN_TERMS = const(5)
-_SIN = const(22)
-_SIN_TERMS = const(3)
+_SINE_FACTORS = const(22)  # of another, fitted to the sine up to 0.8
+_SINE_TERMS = const(3)
 
-# An arc's plane, an array: its axes, in the order of the offsets; whether it turns clockwise.
-ONE_AXIS = const(0)
+# An arc's plane, an array.
+ONE_AXIS = const(0)  # its axes, in the order of the offsets
 OTHER_AXIS = const(1)
-CLOCKWISE = const(2)
+CLOCKWISE = const(2)  # 1: it turns clockwise
 
 _FACTORS = (
     (1.0, 0.7853981634, 1.5707963268, 3.1415926536, 6.2831853072),
@@ -55,12 +55,12 @@ _FACTORS = (
 
 # Bits of floats.
 _NO_SWEEP = const(0x350637BD)  # 5e-7 radians: counts as none, so as a full circle of equal ends
-_SAME = const(0x3851B717)  # 0.00005 mm: equal ends are no farther apart
-_FLAT = const(0x3ED413CD)  # tan(pi / 8)
+_SAME_MM = const(0x3851B717)  # 0.00005 mm: equal ends are no farther apart
+_FLAT = const(0x3ED413CD)  # tan(pi / 8), the bits of a float
 _TWICE = const(0x800000)  # added to the bits of a float, doubles it
 _WIDEST = const(98304)  # 1.5 radians, in 2**-16: if chords are wider, there are twice as many
-_FEW = const(5)  # so many cannot be as wide
-_FINEST = const(27)  # so many units, as a power of two, are a step at the most
+_FEW_CHORDS = const(5)  # so many, in a full circle, are not as wide
+_MOST_STEP_BITS = const(27)  # a step is at most 2**27 units
 
 
 @micropython.viper
@@ -87,12 +87,12 @@ def _series(r: ptr32, at: int, first: int, terms: int) -> int:
     """Set x = r[at] to x + x * (f0 x**2 + f1 x**4 + …) by Horner's rule; r[first] is f0."""
     r[A] = r[at]
     multiply(r, A, r, A)  # x**2
-    terms += first - 1  # from here on, the place of a factor: the last one first
-    r[B] = r[terms]
-    while terms > first:
-        terms -= 1
+    factor = first + terms - 1  # its index: the last one first
+    r[B] = r[factor]
+    while factor > first:
+        factor -= 1
         multiply(r, B, r, A)
-        add_single(r, terms, r, B)
+        add_single(r, factor, r, B)
     multiply(r, B, r, A)
     multiply(r, B, r, at)
     return int(add_single(r, B, r, at))
@@ -119,21 +119,21 @@ def _direction(r: ptr32, y: int, x: int) -> int:
     else:
         r[ANGLE] = r[y]
         quotient(r, ANGLE, r, x)
-    wide = 1 if r[ANGLE] > _FLAT else 0
+    wide = 1 if r[ANGLE] > _FLAT else 0  # bits of floats compare as they do
     if wide:
         r[A] = r[ANGLE]
         add_single(r, _ONE, r, A)
         subtract(r, ANGLE, r, _ONE)
         quotient(r, ANGLE, r, A)
-    _series(r, ANGLE, _ATAN, _ATAN_TERMS)
+    _series(r, ANGLE, _ATAN_FACTORS, _ATAN_TERMS)
     if wide:
-        add_single(r, _EIGHTH, r, ANGLE)
+        add_single(r, _QUARTER_PI, r, ANGLE)
     if steep:
         ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
-        add_single(r, _QUARTER, r, ANGLE)
+        add_single(r, _HALF_PI, r, ANGLE)
     if x_negative:
         ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
-        add_single(r, _HALF, r, ANGLE)
+        add_single(r, _PI, r, ANGLE)
     ptr8(r)[4 * ANGLE + 3] ^= y_negative
     return 0
 
@@ -144,10 +144,10 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     and than rounding. ANGLE is distance / radius then. Else 0: it is a full circle."""
     if r[RADIUS] == 0:
         return 0
-    r[C] = _SAME  # becomes the largest difference that may be rounding, mm
+    r[C] = _SAME_MM  # becomes the largest difference that may be rounding, mm
     for i in range(2):
         axis = plane[i]  # ONE_AXIS, OTHER_AXIS
-        r[A + i] = target[axis]
+        r[A + i] = target[axis]  # A, B: the differences of the ends
         subtract(r, A + i, start, axis)
         rounding = target[axis] & int(0x7FFFFFFF)
         if rounding < start[axis] & int(0x7FFFFFFF):
@@ -158,7 +158,7 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     if r[A] & int(0x7FFFFFFF) <= r[C] and r[B] & int(0x7FFFFFFF) <= r[C]:
         return 0  # the ends are the same
     r[C] = r[C] + _TWICE
-    quotient(r, C, r, RADIUS)  # as an angle: a larger ANGLE is not rounding, but nearly a circle
+    quotient(r, C, r, RADIUS)  # as an angle: a larger ANGLE is no rounding, but nearly a circle
     if r[ANGLE] & int(0x7FFFFFFF) > _NO_SWEEP and r[ANGLE] & int(0x7FFFFFFF) > r[C]:
         return 0
     length(r, A, B)
@@ -177,8 +177,7 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     """
     one = plane[ONE_AXIS]
     other = plane[OTHER_AXIS]
-    # x and y of the difference.
-    r[_SINE] = target[one]  # used as scratch here
+    r[_SINE] = target[one]  # x and y of the difference, in scratch places
     subtract(r, _SINE, start, one)
     r[_TANGENT] = target[other]
     subtract(r, _TANGENT, start, other)
@@ -188,7 +187,7 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     r[A] = r[_TANGENT]
     multiply(r, A, r, CENTRE_0)
     subtract(r, C, r, A)
-    # _SINE, the scalar product: the radius squared, less CENTRE_0 * x and CENTRE_1 * y.
+    # _SINE, the scalar product: CENTRE_0 * (CENTRE_0 - x) + CENTRE_1 * (CENTRE_1 - y).
     subtract(r, _SINE, r, CENTRE_0)
     subtract(r, _TANGENT, r, CENTRE_1)
     multiply(r, _SINE, r, CENTRE_0)
@@ -200,12 +199,12 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
         ptr8(r)[4 * ANGLE + 3] ^= MINUS  # negate
     if ptr8(r)[4 * ANGLE + 3] & MINUS or r[ANGLE] <= _NO_SWEEP:
         if int(_is_short(r, plane, start, target)) == 0:
-            add_single(r, _CIRCLE, r, ANGLE)
+            add_single(r, _TWO_PI, r, ANGLE)
     return 0
 
 
 @micropython.viper
-def _count(r: ptr32) -> int:
+def _chord_count(r: ptr32) -> int:
     """Return the number of chords, Grbl's: angle / 2 * radius / sqrt(tolerance * (2 radius -
     tolerance)), rounded down, at most 65535; 0: a straight line will do. The root is half the
     length of a chord that is `tolerance` off the arc in its middle."""
@@ -217,14 +216,14 @@ def _count(r: ptr32) -> int:
     if r[A] == 0 or ptr8(r)[4 * A + 3] & MINUS:
         return 0
     root(r, A)
-    r[B] = r[ANGLE] - _TWICE
+    r[B] = r[ANGLE] - _TWICE  # half of it
     multiply(r, B, r, RADIUS)
     quotient(r, B, r, A)
-    return int(whole_part(r, B, 0)) & 0xFFFF
+    return int(whole_part(r, B, 0)) & 0xFFFF  # as in Grbl, whose count has 16 bits
 
 
 @micropython.viper
-def _turn(r: ptr32, chords: int) -> int:
+def _chord_rotation(r: ptr32, chords: int) -> int:
     """Set r[_SINE] to sin(phi), r[_TANGENT] to tan(phi / 2); phi: the angle of a chord. Returns
     SHIFT for arcs.rotate(): by how many bits the sine is below 1, at most as many as chords has.
 
@@ -237,9 +236,8 @@ def _turn(r: ptr32, chords: int) -> int:
     r[_TANGENT] = r[ANGLE]
     quotient(r, _TANGENT, r, C)
     r[_TANGENT] = r[_TANGENT] - _TWICE
-    _series(r, _TANGENT, _SIN, _SIN_TERMS)
-    # _TANGENT is h here, and C becomes c.
-    r[C] = r[_TANGENT]
+    _series(r, _TANGENT, _SINE_FACTORS, _SINE_TERMS)
+    r[C] = r[_TANGENT]  # h; C becomes c
     multiply(r, C, r, C)
     ptr8(r)[4 * C + 3] ^= MINUS  # negate
     add_single(r, _ONE, r, C)
@@ -253,14 +251,14 @@ def _turn(r: ptr32, chords: int) -> int:
 
 @micropython.viper
 def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int) -> int:
-    """Set r[_SCALE] to the units per mm of the course's positions: so many that the farthest one
+    """Set r[_UNITS_PER_MM] for the course's positions: so many units that the farthest position
     fits (FARTHEST), but at most 2**27 per step of the coarsest axis. Returns 0 if positions are
     too far for whole steps, or are no numbers, else 1."""
     farthest = int(0x4D800000)  # the float FARTHEST
     if r[RADIUS] >= farthest:
         return 0
     # On its way a position is up to three radii from the start, because shears overshoot.
-    r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0  # four; then five, 1 mm, and the ends
+    r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0  # four radii; then five, 1 mm, all ends
     add_single(r, RADIUS, r, A)
     add_single(r, _ONE, r, A)
     finest = 0
@@ -274,19 +272,19 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
             finest = i
         if steps_per_mm[i] < steps_per_mm[coarsest]:
             coarsest = i
-    r[_SCALE] = farthest
-    quotient(r, _SCALE, r, A)
+    r[_UNITS_PER_MM] = farthest
+    quotient(r, _UNITS_PER_MM, r, A)
     multiply(r, A, steps_per_mm, finest)
     if r[A] >= farthest:
         return 0
-    greatest = steps_per_mm[coarsest] + _FINEST * _TWICE
-    if r[_SCALE] > greatest:
-        r[_SCALE] = greatest
+    greatest = steps_per_mm[coarsest] + _MOST_STEP_BITS * _TWICE  # times 2**27
+    if r[_UNITS_PER_MM] > greatest:
+        r[_UNITS_PER_MM] = greatest
     return 1
 
 
 @micropython.viper
-def _share(distance: int, shift: int, chords: int) -> int:
+def _divide(distance: int, shift: int, chords: int) -> int:
     """Return distance / chords in 2**-shift, rounded towards 0: a long division, bit by bit."""
     result = (0 - distance if distance < 0 else distance) // chords
     rest = (0 - distance if distance < 0 else distance) - result * chords
@@ -300,7 +298,7 @@ def _share(distance: int, shift: int, chords: int) -> int:
 
 
 @micropython.viper
-def _place(
+def _place_axes(
     r: ptr32,
     plane: ptr32,
     start: ptr32,
@@ -311,38 +309,40 @@ def _place(
 ) -> int:
     """Fill the course's axes: position, bits of a step, centre in the plane, advance per chord.
 
-    An axis's unit is its step / 2**bits. Sets r[_RATIO] to units per mm of the first axis of the
-    rotation over those of the second, for shears between axes of different resolution.
+    An axis's unit is its step / 2**bits. Sets r[_UNIT_RATIO] to units per mm of the rotation's
+    first axis over those of its second, for shears between axes of different resolution.
     """
-    chords = course[arcs.LEFT] + 1
-    at = arcs.FIRST
+    chords = course[arcs.CHORDS_LEFT] + 1
+    at = arcs.FIRST_AXIS  # index in the course
     for i in range(axes):
-        r[B] = r[_SCALE]
+        r[B] = r[_UNITS_PER_MM]
         quotient(r, B, steps_per_mm, i)
-        bits = (r[B] >> 23) - 126  # 2**bits is more than _SCALE / steps_per_mm, at most twice
+        bits = (
+            r[B] >> 23
+        ) - 126  # 2**bits is more than _UNITS_PER_MM / steps_per_mm, at most twice
         r[A] = steps_per_mm[i] + bits * _TWICE  # units per mm
         r[B] = start[i]
         multiply(r, B, r, A)
         position = int(whole_part(r, B, 0))
-        course[at] = arcs.FAR + position + (1 << bits >> 1)  # half a step, so that >> bits rounds
-        course[at + arcs.REST] = 0
-        course[at + arcs.BITS] = bits
-        course[at + arcs.WAY] = int(0x40000000)  # 1 << WAY_BIAS
+        course[at] = arcs.PLACE_BIAS + position + (1 << bits >> 1)  # + half a step, to round
+        course[at + arcs.POSITION_REST] = 0
+        course[at + arcs.STEP_BITS] = bits
+        course[at + arcs.CHORD_ADVANCE] = int(0x40000000)  # 1 << WAY_BIAS
         is_one = 1 if i == plane[ONE_AXIS] else 0
         if is_one or i == plane[OTHER_AXIS]:
             r[B] = r[CENTRE_0] if is_one else r[CENTRE_1]
             multiply(r, B, r, A)
             course[at + arcs.CENTRE] = course[at] + int(whole_part(r, B, 0))
-            second = 1 if is_one == plane[CLOCKWISE] else 0  # the axes' order is the direction
-            course[arcs.TURNING + second] = at
-            r[C if second else _RATIO] = r[A]
+            second = 1 if is_one == plane[CLOCKWISE] else 0  # their order is the direction
+            course[arcs.PLANE_AXES + second] = at
+            r[C if second else _UNIT_RATIO] = r[A]
         else:
             r[B] = target[i]
             multiply(r, B, r, A)
             distance = int(whole_part(r, B, 0)) - position
-            course[at + arcs.WAY] += int(_share(distance, course[arcs.SHIFT], chords))
-        at += arcs.STRIDE
-    return int(quotient(r, _RATIO, r, C))
+            course[at + arcs.CHORD_ADVANCE] += int(_divide(distance, course[arcs.SHIFT], chords))
+        at += arcs.AXIS_STRIDE
+    return int(quotient(r, _UNIT_RATIO, r, C))
 
 
 @micropython.viper
@@ -357,24 +357,24 @@ def lay(
 ) -> int:
     """Fill a course from start to target, mm as bits of floats; r: an arc's numbers. Returns the
     number of chords; 0 and 1 mean a straight line, and the course is not filled."""
-    course[arcs.LEFT] = 0
-    course[arcs.KNOWN] = 0
-    r[TOLERANCE] = course[arcs.STRAY]
+    course[arcs.CHORDS_LEFT] = 0
+    course[arcs.END_KNOWN] = 0
+    r[TOLERANCE] = course[arcs.CHORD_TOLERANCE]
     if int(_scale(r, start, target, steps_per_mm, axes)) == 0:
         return 0
     sweep(r, plane, start, target)
-    chords = int(_count(r))
+    chords = int(_chord_count(r))
     if chords > 1:
-        if chords < _FEW and int(whole_part(r, ANGLE, 16)) > _WIDEST * chords:
+        if chords < _FEW_CHORDS and int(whole_part(r, ANGLE, 16)) > _WIDEST * chords:
             chords *= 2  # each was too wide
-        course[arcs.LEFT] = chords - 1
-        shift = int(_turn(r, chords))
+        course[arcs.CHORDS_LEFT] = chords - 1
+        shift = int(_chord_rotation(r, chords))
         course[arcs.SHIFT] = shift
-        _place(r, plane, start, target, steps_per_mm, course, axes)
-        multiply(r, _TANGENT, r, _RATIO)
-        quotient(r, _SINE, r, _RATIO)
-        course[arcs.SHEARS] = arcs.FAR - int(whole_part(r, _TANGENT, 28 + shift))
-        course[arcs.SHEARS + 1] = arcs.FAR + int(whole_part(r, _SINE, 28 + shift))
+        _place_axes(r, plane, start, target, steps_per_mm, course, axes)
+        multiply(r, _TANGENT, r, _UNIT_RATIO)
+        quotient(r, _SINE, r, _UNIT_RATIO)
+        course[arcs.SHEARS] = arcs.PLACE_BIAS - int(whole_part(r, _TANGENT, 28 + shift))
+        course[arcs.SHEARS + 1] = arcs.PLACE_BIAS + int(whole_part(r, _SINE, 28 + shift))
     return chords
 
 

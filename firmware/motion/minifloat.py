@@ -16,7 +16,7 @@ import math
 import micropython
 from micropython import const
 
-_INFINITE = 1e18  # no limit of a machine is as high
+_INFINITE = 1e18  # replaces higher numbers; no limit of a machine is as high
 SMALLEST = const(16384)  # a mantissa has 15 bits
 LIMIT = const(32768)  # a mantissa is below this
 MANTISSA = const(32767)  # the mask of a mantissa; its exponent is >> 15
@@ -45,11 +45,11 @@ def per_minute(r: int) -> int:
     It converts mm/s to mm/min, for reports.
     """
     # Twice the result is computed first: adding 1 to that, then halving, rounds a half up.
-    twice = r % LIMIT * 120
-    shift = BIAS - r // LIMIT
+    twice = r % LIMIT * 120  # 22 bits
+    shift = BIAS - r // LIMIT  # to the right
     if shift <= 0:
         return twice << (0 - shift if shift > -9 else 9) >> 1  # more would not fit
-    return ((twice >> (shift if shift < 31 else 31)) + 1) >> 1
+    return ((twice >> (shift if shift < 31 else 31)) + 1) >> 1  # from 31 on it is 0
 
 
 @micropython.viper
@@ -59,7 +59,8 @@ def per_second(rate: ptr32, at: int) -> int:
     bits = rate[at]
     if bits == 0:
         return 0
-    # A float is (2**23 + fraction) * 2**(e - 150); a sixtieth of its 24 bits has 18 or 19.
+    # A float is (2**23 + fraction) * 2**(e - 150), e its bits 23 to 30; a sixtieth of the 24 bits
+    # of its mantissa has 18 or 19.
     mantissa = (((bits & 0x7FFFFF) | 0x800000) // 60) >> 3  # from 17476 to 34952
     exponent = (bits >> 23) - 147 + BIAS  # 150, less the three bits that were dropped
     if mantissa >= LIMIT:

@@ -302,7 +302,15 @@ class Planner:
         """Drop all blocks. Only while the engine is stopped."""
         flow = self.flow
         flow[TAIL] = flow[HEAD]
-        for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, layout.SLICES, UNPLANNED):
+        for i in (
+            layout.HOLD,
+            SYSTEM,
+            LOADED,
+            layout.END_SPEED,
+            layout.JOIN_SPEED,
+            layout.SLICES,
+            UNPLANNED,
+        ):
             flow[i] = 0
         if self._state.hooks.cleared:
             call_all(self._state.hooks.cleared)

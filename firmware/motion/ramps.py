@@ -1,7 +1,7 @@
 # mypy: disable-error-code=arg-type
 """Ramps: how far and how fast at constant acceleration, in integers, for segment_kernel.py.
 
-The equations of motion at constant acceleration, v2 - u2 = 2 a s and s = (v + u) / 2 * t, for
+The equations of motion at constant acceleration, v**2 - u**2 = 2 a s and s = (v + u) / 2 * t, for
 speeds in 2**-18 step per full segment and times in 2**-17 of a full segment (segment_kernel.py).
 A speed has up to 30 bits, so products are made in parts that fit 32. Viper; runs in the engine's
 interrupt.
@@ -13,7 +13,7 @@ from micropython import const
 from motion.minifloat import BIAS, HIGHEST, LIMIT, MANTISSA, SMALLEST, mul, pack, square_root
 
 # 2**17: the time of a full segment, and 1 of a part in 2**-17.
-FULL_TIME = const(131072)
+FULL_TIME = const(131072)  # 2**17: 1, of a fraction or of a full segment
 
 
 @micropython.viper
@@ -48,15 +48,16 @@ def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
     """Return the distance, in 2**-unit step, in which the acceleration ramp changes one speed into
     the other; slow <= fast.
 
-    s = (fast2 - slow2) / (2 * ramp) = (fast + slow) * (fast - slow) / (2 * ramp), of the leading
-    15 bits of each factor: right to 2**-13 of itself. Speeds and ramp: 0 to 2**30 - 1, in 2**-18
-    step per full segment; unit: 18, or 0 for whole steps. HIGHEST where it does not fit.
+    s = (fast**2 - slow**2) / (2 * ramp) = (fast + slow) * (fast - slow) / (2 * ramp), of the
+    leading 15 bits of each factor: right to 2**-13 of itself. Speeds and ramp: 0 to 2**30 - 1, in
+    2**-18 step per full segment; unit: 18, or 0 for whole steps. HIGHEST where it does not fit.
     """
     if fast == slow:
         return 0
     total = fast + slow
     change = fast - slow
     exponent = unit - 19  # 18 bits of the speeds are a fraction, and the 2 of the formula
+    # Each is reduced to 15 bits.
     while total >= LIMIT:
         total >>= 1
         exponent += 1
@@ -69,6 +70,7 @@ def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
     while ramp >= LIMIT:
         ramp >>= 1
         exponent -= 1
+    # From here on `change` is the distance, to be multiplied by 2**exponent.
     change = total * change // ramp
     if exponent < 0:
         return change >> (0 - exponent) if exponent > -31 else 0
@@ -80,14 +82,15 @@ def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
 @micropython.viper
 def after(speed: int, ramp: int, distance: int, down: int) -> int:
     """Return the speed after a distance of speeding up (down = 0) or of braking (down = 1):
-    sqrt(speed2 +- 2 ramp distance), or 0 if braking ends before.
+    sqrt(speed**2 +- 2 * ramp * distance), or 0 if braking ends before.
 
     speed: 2**-18 step per full segment, which ramp changes so much in a full segment; distance:
     2**-18 step. The sum is made of two reals at the larger exponent, with 14 more bits of each.
     """
     square = int(pack(speed, BIAS))
-    square = int(mul(square, square))
-    change = int(mul(int(pack(ramp, BIAS + 1)), int(pack(distance, BIAS))))  # + 1: twice ramp
+    square = int(mul(square, square))  # a real: speed**2
+    # A real: 2 * ramp * distance. BIAS + 1: twice ramp.
+    change = int(mul(int(pack(ramp, BIAS + 1)), int(pack(distance, BIAS))))
     exponent = square >> 15
     if change >> 15 > exponent:
         exponent = change >> 15

@@ -1,8 +1,7 @@
 # mypy: disable-error-code=arg-type
 """The segments' kernel: integers only, from blocks to a few milliseconds of steps.
 
-Viper, as plan_kernel.py is; all of it runs in the engine's interrupt. layout.py has the places in
-flow, ring and table; docs/motion.md derives the formulas.
+Viper, in the engine's interrupt. layout.py has all places; docs/motion.md derives the formulas.
 
 A full segment lasts 2**SEGMENT_LOG2 ticks, about 10 ms. Units within a block, of its longest axis:
 
@@ -15,80 +14,91 @@ A full segment lasts 2**SEGMENT_LOG2 ticks, about 10 ms. Units within a block, o
 
 A segment is planned as up to four pieces, each with a constant acceleration. The flow holds:
 
-    AT                index in the ring of the loaded block's row; LOADED is 1 if there is one
-    NOW               speed at the end of what is planned; LEAVE: at which to leave the block
-    WHOLE, FRACTION   distance left of the block: whole steps, and 2**-18 of one
-    LEFT              time that the segment lacks to a full one
-    PIECE             index in the flow of the next piece: its time, then its final speed
-    WAY, ADVANCE      distance of the piece just planned; of all that are not in a row yet
-    SLICES, REACHED   rows of the segment still to be made; speed at the end of the last row
-    CARRY             a real: speed in mm/s from one block to the next
-    TAIL, HEAD        numbers of the row of the block executed, and of that after the newest block
-    HOLD, SYSTEM      stop; execute the system's own block (1), which is done (2)
+    LOADED, BLOCK_AT   1: a block is loaded; index of its row in the ring
+    END_SPEED          speed at the end of what is planned
+    LEAVE_SPEED        at which to leave the block; LEAVE_SQR: as the planner has it, squared
+    STEPS_LEFT         distance of the block not planned yet: steps; FRACTION_LEFT: 2**-18 of one
+    TIME_TO_FILL       time that the segment lacks to a full one
+    PIECE_AT           index in the flow of the next piece: its time, then its final speed;
+                       the first one is at PIECES, the last one before MOTORS
+    PIECE_DISTANCE     of the piece just planned
+    PLANNED_DISTANCE   of all pieces that are not in a row yet; PLANNED_TIME: their time
+    SLICES, ROW_SPEED  rows of the segment still to be made; speed at the end of the last row
+    PARTIAL_STEP       distance since the last step of the longest axis; SPARE_TICKS: its time
+    BRAKE_DISTANCE     from speed BRAKE_FROM to BRAKE_TO, in 2**-BRAKE_UNIT step: computed last
+    JOIN_SPEED         a real: speed in mm/s from one block to the next
+    MOTORS + 2 * i     of motor i: steps still to go in the block; then its phase, 2**-18 step
+    TAIL, HEAD         numbers of the row of the block executed, and of that after the newest block
+    HOLD, SYSTEM       1: stop; 1: execute the system's own block, 2: it has been executed
 
 In a block RAMP, CRUISE and FACTOR are its acceleration, its nominal speed, and its units of speed
-per mm/s, a real.
+per mm/s, a real (minifloat.py); EVENTS is the steps of its longest axis.
+
+    speed        ________            A piece is one of: speed up, cruise, brake,
+                /        `.          slow down to a lowered nominal speed or to a hold.
+               /           `. leave  It brakes as soon as the distance left is no longer
+      entry __/              `.__    than the braking distance.
 """
 
 import micropython
 from micropython import const
 
 from motion.layout import (
-    ADVANCE,
-    AT,
+    BLOCK_AT,
+    BRAKE_DISTANCE,
     BRAKE_FROM,
     BRAKE_TO,
     BRAKE_UNIT,
-    BRAKE_WAY,
-    CARRY,
     CRUISE,
     DIRS,
     DYNAMIC,
+    END_SPEED,
     ENTRY_SQR,
     EVENTS,
     FACTOR,
     FLAGS,
-    FRACTION,
+    FRACTION_LEFT,
     HEAD,
     HOLD,
-    LEAVE,
+    JOIN_SPEED,
+    LEAVE_SPEED,
     LEAVE_SQR,
-    LEFT,
     LOADED,
     MOTOR_COUNT,
     MOTORS,
-    NOW,
-    PARTIAL,
-    PIECE,
+    PARTIAL_STEP,
+    PIECE_AT,
+    PIECE_DISTANCE,
     PIECES,
+    PLANNED_DISTANCE,
+    PLANNED_TIME,
     POWER,
     RAMP,
-    REACHED,
     ROOT_SCALE,
     ROW_DIRS,
     ROW_POWER,
     ROW_SIZE,
+    ROW_SPEED,
     ROWS,
     SEGMENT_LOG2,
     SLICES,
-    SPARE,
+    SPARE_TICKS,
     STEPS,
+    STEPS_LEFT,
     SYSTEM,
     TAIL,
-    TIME,
-    WAY,
-    WHOLE,
+    TIME_TO_FILL,
 )
 from motion.minifloat import BIAS, HIGHEST, ONE, product, ratio, square_root
 from motion.ramps import FULL_TIME, after, braking, share, times
 from motion.slice_kernel import STEP_BIAS, next_row, place_steps, scaled_power, slices, speed_share
 
-_COUNTED = const(4095)  # from so many steps on, distances are counted in whole steps
-_LEAST = const(0x50000)  # a segment covers at least 1.25 steps, if the block has them,
+_MOST_FINE_STEPS = const(4095)  # from so many on, distances are counted in whole steps: unit 0
+_LEAST_DISTANCE = const(0x50000)  # a segment has at least 1.25 steps, if the block has them,
 _LONGEST = const(0x8000000)  # or lasts 1024 full ones: at low speed it is prolonged
 _HALF_STEP = const(0x20000)
 _STEP_FRACTION = const(0x3FFFF)  # a step is 1 << 18
-_SPLINTER = const(64)  # time: less is not worth a piece, the segment ends there
+_LEAST_TIME = const(64)  # less is not worth a piece: the segment ends there
 
 
 @micropython.viper
@@ -96,25 +106,25 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     """Begin the block at TAIL, or the system's own: copy its numbers to the flow. Returns 0 if
     there is none, else 1. motors: their number."""
     at = flow[ROWS] if flow[SYSTEM] else flow[TAIL]  # the system's block follows the others
-    if flow[SYSTEM] == 2 or at == flow[HEAD]:  # 2: it has been executed
+    if flow[SYSTEM] == 2 or at == flow[HEAD]:  # it has been executed; or there is no other
         return 0
     at *= flow[ROW_SIZE]
-    flow[AT] = at
-    speed = int(product(flow[CARRY], ring[at + FACTOR], ONE))  # from mm/s
+    flow[BLOCK_AT] = at
+    speed = int(product(flow[JOIN_SPEED], ring[at + FACTOR], ONE))  # from mm/s
     cruise = ring[at + CRUISE]
     if speed < cruise and speed + (cruise >> 9) >= cruise:
         speed = cruise  # within 1/512: only rounding between the units of two blocks
-    flow[NOW] = speed
-    flow[LEAVE] = 0
+    flow[END_SPEED] = speed
+    flow[LEAVE_SPEED] = 0  # of LEAVE_SQR 0: see look_ahead()
     flow[LEAVE_SQR] = 0
-    flow[WHOLE] = ring[at + EVENTS]
-    flow[FRACTION] = 0
-    flow[PARTIAL] = STEP_BIAS  # so that rounding never loses the last step of a hold
-    flow[BRAKE_FROM] = 0
-    flow[SPARE] = 0
+    flow[STEPS_LEFT] = ring[at + EVENTS]
+    flow[FRACTION_LEFT] = 0
+    flow[PARTIAL_STEP] = STEP_BIAS  # so that rounding never loses the last step of a hold
+    flow[BRAKE_FROM] = 0  # no BRAKE_DISTANCE is known
+    flow[SPARE_TICKS] = 0
     for i in range(motors):
         flow[MOTORS + 2 * i] = ring[at + STEPS + i]
-        flow[MOTORS + 2 * i + 1] = _HALF_STEP  # a motor steps nearest to the line
+        flow[MOTORS + 2 * i + 1] = _HALF_STEP  # so that a motor steps nearest to the line
     flow[LOADED] = 1
     return 1
 
@@ -141,8 +151,8 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
             exponent -= 1
         root = int(square_root(sqr))
         root = (exponent << 15) + root if root else 0
-        flow[LEAVE] = int(product(root, scale, ring[flow[AT] + FACTOR]))
-    return flow[LEAVE]
+        flow[LEAVE_SPEED] = int(product(root, scale, ring[flow[BLOCK_AT] + FACTOR]))
+    return flow[LEAVE_SPEED]
 
 
 @micropython.viper
@@ -150,18 +160,18 @@ def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
     """Plan a piece that changes the speed by ramp towards goal, over a distance of at most room.
 
     ramp: acceleration; goal: a speed; room: a distance. The piece ends with the goal, the segment
-    (LEFT) or the room, whichever comes first:
+    (TIME_TO_FILL) or the room, whichever comes first:
 
         time to the goal = |goal - speed| / ramp        distance = (speed + end) / 2 * time
 
-    Leaves the speed at its end in NOW, its distance in WAY. Returns its time.
+    Leaves the speed at its end in END_SPEED, its distance in PIECE_DISTANCE. Returns its time.
     """
-    speed = flow[NOW]
+    speed = flow[END_SPEED]
     down = 1 if goal < speed else 0  # 1: it slows down
     time = int(share(speed - goal if down else goal - speed, ramp))
     end = goal
-    if time >= flow[LEFT]:
-        time = flow[LEFT]
+    if time >= flow[TIME_TO_FILL]:
+        time = flow[TIME_TO_FILL]
         end = speed - int(times(ramp, time)) if down else speed + int(times(ramp, time))
     distance = int(times((speed + end) >> 1, time))
     if distance >= room:
@@ -172,8 +182,8 @@ def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
         end = goal  # rounding has passed it
     if time < 0:
         time = int(share(room, (speed + end) >> 1))
-    flow[NOW] = end
-    flow[WAY] = distance
+    flow[END_SPEED] = end
+    flow[PIECE_DISTANCE] = distance
     return time
 
 
@@ -189,22 +199,22 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
         ramp * time * braking distance / s        both in whole steps, where s is HIGHEST
 
     rest: s, the distance left of the block, or HIGHEST. ramp: the block's acceleration. Leaves the
-    speed at its end in NOW, its distance in WAY. Returns its time.
+    speed at its end in END_SPEED, its distance in PIECE_DISTANCE. Returns its time.
     """
-    speed = flow[NOW]
-    time = flow[LEFT]
+    speed = flow[END_SPEED]
+    time = flow[TIME_TO_FILL]
     end = leave
     mean = (speed + leave) >> 1
-    if rest > int(times(mean, time)):
+    if rest > int(times(mean, time)):  # the segment ends before the block
         most_change = int(times(ramp, time))
         if rest < HIGHEST:
             change = int(times(speed - leave, int(share(int(times(mean, time)), rest))))
         else:
             # share() is at most 1: where more is needed, the excess is added.
-            change = int(times(most_change, int(share(flow[BRAKE_WAY], flow[WHOLE]))))
-            if flow[BRAKE_WAY] > flow[WHOLE]:
-                late = flow[BRAKE_WAY] - flow[WHOLE]
-                change += int(times(most_change, int(share(late, flow[WHOLE]))))
+            change = int(times(most_change, int(share(flow[BRAKE_DISTANCE], flow[STEPS_LEFT]))))
+            if flow[BRAKE_DISTANCE] > flow[STEPS_LEFT]:
+                excess = flow[BRAKE_DISTANCE] - flow[STEPS_LEFT]
+                change += int(times(most_change, int(share(excess, flow[STEPS_LEFT]))))
         most_change += most_change >> 4  # a sixteenth more
         if change > most_change:
             change = most_change
@@ -217,74 +227,69 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     else:
         distance = rest
         time = int(share(rest, mean)) if mean else 1
-        # More than a sixteenth above ramp, rounding apart: brake as ramp allows, and leave faster.
+        # More than a sixteenth above ramp, and 4 for rounding: brake as ramp allows, leave faster.
         if speed - leave > int(times(ramp + (ramp >> 4), time)) + 4:
             end = int(after(speed, ramp, rest, 1))
             if end < leave:
                 end = leave
             time = int(share(rest, (speed + end) >> 1))
-    flow[NOW] = end
-    flow[WAY] = distance
+    flow[END_SPEED] = end
+    flow[PIECE_DISTANCE] = distance
     return time
 
 
 @micropython.viper
 def add_piece(flow: ptr32, part: int) -> int:
-    """Add a piece to the segment: part is its time, flow[NOW] the speed at its end, flow[WAY] its
-    distance.
+    """Add a piece to the segment: part is its time, flow[END_SPEED] the speed at its end, and
+    flow[PIECE_DISTANCE] its distance.
 
     The distance is subtracted from that left of the block. Returns 0 if nothing is left, else
     another number.
     """
-    if part > flow[LEFT]:
-        part = flow[LEFT]
-    flow[LEFT] = flow[LEFT] - part
-    at = flow[PIECE]  # index in the flow: a piece's time, and then its final speed
+    if part > flow[TIME_TO_FILL]:
+        part = flow[TIME_TO_FILL]
+    flow[TIME_TO_FILL] = flow[TIME_TO_FILL] - part
+    at = flow[PIECE_AT]  # index in the flow: a piece's time, and then its final speed
     if at == MOTORS:
-        at -= 2  # the pieces' places end there: it is merged with the last piece
+        at -= 2  # there is no place for another one: it is merged with the last piece
     else:
         flow[at] = 0
-        flow[PIECE] = at + 2
+        flow[PIECE_AT] = at + 2
     flow[at] = flow[at] + part
-    flow[at + 1] = flow[NOW]
-    flow[ADVANCE] = flow[ADVANCE] + flow[WAY]
-    distance = flow[FRACTION] - flow[WAY]
+    flow[at + 1] = flow[END_SPEED]
+    flow[PLANNED_DISTANCE] = flow[PLANNED_DISTANCE] + flow[PIECE_DISTANCE]
+    distance = flow[FRACTION_LEFT] - flow[PIECE_DISTANCE]
     if distance < 0:
         steps = (0 - distance + _STEP_FRACTION) >> 18  # whole steps, rounded up
         distance += steps << 18
-        flow[WHOLE] = flow[WHOLE] - steps
-    flow[FRACTION] = distance
-    return flow[WHOLE] or distance
+        flow[STEPS_LEFT] = flow[STEPS_LEFT] - steps
+    flow[FRACTION_LEFT] = distance
+    return flow[STEPS_LEFT] or distance  # 0: the block has no distance left
 
 
 @micropython.viper
 def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
     """Choose and plan the segment's next piece. Returns 0 at the block's end. scale: ROOT_SCALE.
 
-    speed        ________            A piece is one of: speed up, cruise, brake,
-                /        `.          slow down to a lowered nominal speed or to a hold.
-               /           `. leave  It brakes as soon as the distance left is no longer
-      entry __/              `.__    than the braking distance.
-
     slack = distance left - braking distance. Cruising uses up as much of it as the piece is long,
     speeding up twice that, because the braking distance grows as fast. So room, how long the piece
     may be, is the slack or half of it. With unit 0 braking is 2**-12 early, for braking()'s error.
     """
-    at = flow[AT]
+    at = flow[BLOCK_AT]
     ramp = ring[at + RAMP]
     top = ring[at + CRUISE]
-    speed = flow[NOW]
-    unit = 18 if flow[WHOLE] < _COUNTED else 0  # slack is in 2**-unit step
-    rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else HIGHEST  # distance left of the block
+    speed = flow[END_SPEED]
+    unit = 18 if flow[STEPS_LEFT] < _MOST_FINE_STEPS else 0  # slack and way are in 2**-unit step
+    rest = (flow[STEPS_LEFT] << 18) + flow[FRACTION_LEFT] if unit else HIGHEST  # of the block
     room = rest
-    due = 0  # 1: braking has to begin
+    must_brake = 0
     leave = int(look_ahead(flow, ring, scale))
     if leave > top:
         leave = top
     if flow[HOLD]:
         top = 0
     if top or leave == 0:  # a hold, too, ends at the block's end, if the block stops there
-        slack = rest if unit else flow[WHOLE]
+        slack = rest if unit else flow[STEPS_LEFT]
         if speed != leave:
             fast = speed if speed > leave else leave
             slow = leave if speed > leave else speed
@@ -292,30 +297,30 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 flow[BRAKE_FROM] = fast
                 flow[BRAKE_TO] = slow
                 flow[BRAKE_UNIT] = unit
-                flow[BRAKE_WAY] = int(braking(fast, slow, ramp, unit))
-            way = flow[BRAKE_WAY]
+                flow[BRAKE_DISTANCE] = int(braking(fast, slow, ramp, unit))
+            way = flow[BRAKE_DISTANCE]  # between both speeds; computed only if they are new
             if speed < leave:  # it need not brake: way is the distance to speed up to leave
                 slack += way if way < slack else slack
             else:
                 slack -= way
                 if slack <= (speed >> 8 if unit else (way >> 12) + 1):  # 1/256 segment
-                    due = 1
-        if due == 0 and speed <= top:
-            if unit == 0:
+                    must_brake = 1
+        if must_brake == 0 and speed <= top:
+            if unit == 0:  # whole steps to a distance
                 slack = slack << 18 if slack < 4096 else HIGHEST
             if speed < top:
                 slack = (slack + 1) >> 1
             if slack < rest:
                 room = slack
-    time = flow[LEFT]
-    if due:
+    time = flow[TIME_TO_FILL]
+    if must_brake:
         time = int(brake(flow, ramp, leave, rest))
     elif speed != top:
         time = int(change_speed(flow, ramp, top, room))
-    else:
-        flow[WAY] = speed if time == FULL_TIME else int(times(speed, time))
-        if room <= flow[WAY]:
-            flow[WAY] = room
+    else:  # cruise
+        flow[PIECE_DISTANCE] = speed if time == FULL_TIME else int(times(speed, time))
+        if room <= flow[PIECE_DISTANCE]:
+            flow[PIECE_DISTANCE] = room
             time = int(share(room, speed))
     return int(add_piece(flow, time))
 
@@ -325,8 +330,8 @@ def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
     """Return 1 if a segment can be planned, else 0. It needs a block, which is loaded here if none
     is, and that no hold has stopped motion. motors: their number."""
     if flow[LOADED]:
-        return 0 if flow[HOLD] and flow[NOW] == 0 else 1
-    if flow[HOLD] and flow[CARRY] == 0:
+        return 0 if flow[HOLD] and flow[END_SPEED] == 0 else 1
+    if flow[HOLD] and flow[JOIN_SPEED] == 0:
         return 0
     return int(load(flow, ring, motors))
 
@@ -336,28 +341,28 @@ def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
     """Plan the next segment as pieces, and its number of rows (SLICES). Returns 1, or 0 if nothing
     is to move.
 
-    Pieces are added until the segment is full. If it is shorter than _LEAST then, its time is
-    prolonged by further full segments, because a row needs a step. A hold ends it when the speed
-    is 0.
+    Pieces are added until the segment is full. If it is shorter than _LEAST_DISTANCE then, its
+    time is prolonged by further full segments, because a row needs a step. A hold ends it when the
+    speed is 0.
     """
     if int(is_due(flow, ring, table[MOTOR_COUNT])) == 0:
         return 0
-    flow[REACHED] = flow[NOW]  # the segment's first speed
-    flow[PIECE] = PIECES
-    flow[LEFT] = FULL_TIME
-    flow[ADVANCE] = 0
+    flow[ROW_SPEED] = flow[END_SPEED]  # the segment's first speed
+    flow[PIECE_AT] = PIECES
+    flow[TIME_TO_FILL] = FULL_TIME
+    flow[PLANNED_DISTANCE] = 0
     span = FULL_TIME  # longest time of the segment
     more = 1  # the block has distance left
-    while more and not (flow[HOLD] and flow[NOW] == 0):
-        if flow[LEFT] <= _SPLINTER:
-            if flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span == _LONGEST:
+    while more and not (flow[HOLD] and flow[END_SPEED] == 0):
+        if flow[TIME_TO_FILL] <= _LEAST_TIME:
+            if flow[PLANNED_DISTANCE] + flow[PARTIAL_STEP] >= _LEAST_DISTANCE or span == _LONGEST:
                 break
-            flow[LEFT] = flow[LEFT] + FULL_TIME
+            flow[TIME_TO_FILL] = flow[TIME_TO_FILL] + FULL_TIME
             span += FULL_TIME
         more = int(next_piece(flow, ring, table[ROOT_SCALE]))
-    flow[TIME] = span - flow[LEFT]
-    flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
-    flow[PIECE] = PIECES  # from now on the first piece that is not in a row yet
+    flow[PLANNED_TIME] = span - flow[TIME_TO_FILL]
+    flow[SLICES] = int(slices(flow, table, ring[flow[BLOCK_AT] + FLAGS] & DYNAMIC))
+    flow[PIECE_AT] = PIECES  # from now on the first piece that is not in a row yet
     return 1
 
 
@@ -369,20 +374,22 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
         if int(plan(flow, ring, table)) == 0:
             return 0
     steps = int(next_row(flow, row, table[SEGMENT_LOG2]))
-    more = flow[SLICES] or flow[WHOLE] or flow[FRACTION]  # 0: the block ends with this row
-    if steps == 0 and more and flow[HOLD] and flow[NOW] == 0:
+    more = (
+        flow[SLICES] or flow[STEPS_LEFT] or flow[FRACTION_LEFT]
+    )  # 0: the block ends with this row
+    if steps == 0 and more and flow[HOLD] and flow[END_SPEED] == 0:
         return 0  # held: stopped between two steps
-    at = flow[AT]
+    at = flow[BLOCK_AT]
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = ring[at + POWER]
-    if ring[at + FLAGS] & DYNAMIC:
+    if ring[at + FLAGS] & DYNAMIC:  # power follows speed
         row[ROW_POWER] = int(scaled_power(table, row[ROW_POWER], int(speed_share(flow, ring))))
     place_steps(flow, ring, row, table[MOTOR_COUNT], steps)
     if more == 0:
-        flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))  # a real, mm/s
+        flow[JOIN_SPEED] = int(ratio(flow[END_SPEED], ring[at + FACTOR]))  # a real, mm/s
         flow[LOADED] = 0
         if flow[SYSTEM]:
-            flow[SYSTEM] = 2
+            flow[SYSTEM] = 2  # executed
         else:
             tail = flow[TAIL] + 1
             flow[TAIL] = tail if tail < flow[ROWS] else 0

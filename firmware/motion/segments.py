@@ -9,7 +9,7 @@ from base.float32 import f32, for_kernels
 from micropython import const
 
 from motion import layout
-from motion.layout import AT, CARRY, FACTOR, HOLD, LOADED, NOW, REACHED
+from motion.layout import BLOCK_AT, END_SPEED, FACTOR, HOLD, JOIN_SPEED, LOADED, ROW_SPEED
 from motion.minifloat import ratio, value
 from motion.planner import SPINDLE_MASK
 from motion.segment_kernel import fill
@@ -58,7 +58,7 @@ class Segments:
         """Return a number that changes as motion is executed; it has no other meaning."""
         flow = self._flow
         # Any mixture of the three: two such numbers are only compared.
-        return flow[layout.TAIL] ^ flow[layout.WHOLE] << 6 ^ flow[LOADED] << 5
+        return flow[layout.TAIL] ^ flow[layout.STEPS_LEFT] << 6 ^ flow[LOADED] << 5
 
     def begin_system(self) -> None:
         """Save the stopped block in progress, so that the system's own moves can be executed. The
@@ -66,8 +66,8 @@ class Segments:
         if self._saved is None:
             self._saved = type(self._flow)("i", self._flow)
         self._flow[LOADED] = 0
-        self._flow[NOW] = 0
-        self._flow[CARRY] = 0
+        self._flow[END_SPEED] = 0
+        self._flow[JOIN_SPEED] = 0
 
     def end_system(self) -> None:
         """Restore the saved block in progress."""
@@ -89,15 +89,15 @@ class Segments:
         if flow[LOADED]:
             ring = ptr32(self._ring)
             # In a block: from its own speed units, of which FACTOR is the number per mm/s.
-            return int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))
-        return flow[CARRY]  # between blocks
+            return int(ratio(flow[ROW_SPEED], ring[flow[BLOCK_AT] + FACTOR]))
+        return flow[JOIN_SPEED]  # between blocks
 
     def beam_rpm(self) -> "float | None":
         """Return S, in rpm, of the block being cut into rows; with DYNAMIC, scaled to its present
         speed. None if there is no block."""
         flow, ring = self._flow, self._ring
         # Index in the ring of the loaded block, or of the next one.
-        at = flow[AT] if flow[LOADED] else flow[layout.TAIL] * flow[layout.ROW_SIZE]
+        at = flow[BLOCK_AT] if flow[LOADED] else flow[layout.TAIL] * flow[layout.ROW_SIZE]
         if not flow[LOADED] and flow[layout.TAIL] == flow[layout.HEAD]:
             return None
         flags, programmed = ring[at + layout.FLAGS], ring[at + layout.PROGRAMMED]

@@ -7,48 +7,55 @@ has, per motor, steps that are evenly spaced between a first and a last tick; ha
 Speeds and distances are in 2**-18 step of the block's longest axis, speeds per full segment. Times
 are in 2**-17 of a full segment, or in ticks, of which it has 2**SEGMENT_LOG2. The flow holds:
 
-    SLICES, TIME      of the segment: rows still to be made, at most, and how long they last
-    ADVANCE           distance of the segment that is not in a row yet
-    PARTIAL, SPARE    distance and ticks between the last step and the end of the last row
-    PIECE             index in the flow of a piece of the segment: its time, then its final speed
-    REACHED, NOW      speed at the end of the last row, and at the end of the segment
-    WHOLE, FRACTION   distance of the block that is not planned yet: steps, and 2**-18 of one
+    SLICES            rows of the segment still to be made, at most; PLANNED_TIME: their time
+    PLANNED_DISTANCE  distance of the segment that is not in a row yet
+    PARTIAL_STEP      distance between the last step and the end of the last row;
+    SPARE_TICKS       and ticks, which are added to the next row
+    PIECE_AT          index in the flow of a piece of the segment: its time, then its final speed;
+                      the first one is at PIECES
+    ROW_SPEED         speed at the end of the last row; END_SPEED: at the end of the segment
+    STEPS_LEFT        distance of the block that is not planned yet: steps;
+    FRACTION_LEFT     and 2**-18 of one
+    BLOCK_AT          index in the ring of the block's row
     MOTORS + 2 * i    of motor i: steps still to go in the block; then its phase, 2**-18 step
+
+The table of the machine: SEGMENT_LOG2; SLICE, the shortest time of a row; POWER_FLOOR and
+POWER_MAX, spindle power. In a segment's row: ROW_TICKS, its time; and from ROW_AXES on, per motor,
+ROW_STRIDE integers: steps, tick of the first one, tick of the last one.
 """
 
 import micropython
 from micropython import const
 
 from motion.layout import (
-    ADVANCE,
-    AT,
-    FRACTION,
+    BLOCK_AT,
+    END_SPEED,
+    FRACTION_LEFT,
     MOTOR_COUNT,
     MOTORS,
-    NOW,
-    PARTIAL,
-    PIECE,
+    PARTIAL_STEP,
+    PIECE_AT,
     PIECES,
+    PLANNED_DISTANCE,
+    PLANNED_TIME,
     POWER_FLOOR,
     POWER_MAX,
     PROGRAMMED,
-    REACHED,
     ROW_AXES,
+    ROW_SPEED,
     ROW_STRIDE,
     ROW_TICKS,
     SEGMENT_LOG2,
     SLICE,
     SLICES,
-    SPARE,
+    SPARE_TICKS,
     STEPS,
-    TIME,
-    WHOLE,
+    STEPS_LEFT,
 )
 from motion.ramps import FULL_TIME, share, times
 
-# In 2**-18 step: distances begin with so much too many, so that rounding never loses the last step
-# of a hold.
-STEP_BIAS = const(0x800)
+# Distances begin with so much too many, so that rounding never loses the last step of a hold.
+STEP_BIAS = const(0x800)  # in 2**-18 step
 _STEP_FRACTION = const(0x3FFFF)  # a step is 1 << 18
 
 
@@ -81,7 +88,8 @@ def step_tick(row: ptr32, base: int, k: int) -> int:
     longer = span - gap * gaps
     first_longer = int(leading(gaps, gap, longer))
     tick += gap * k + (k if k < first_longer else first_longer)
-    k -= gaps - longer + first_longer  # of the longer gaps at the end, so many are before the step
+    # Now k becomes how many of the longer gaps at the end are before the step.
+    k -= gaps - longer + first_longer
     if k > 0:
         tick += k if k < longer - first_longer else longer - first_longer
     return tick
@@ -90,35 +98,35 @@ def step_tick(row: ptr32, base: int, k: int) -> int:
 @micropython.viper
 def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
     """Return into how many rows the planned segment is cut. The steps of a row are evenly spaced,
-    so each row has one speed.
+    so each row has one speed. dynamic: not 0 if power follows speed.
 
-    The rows are so many that none changes the speed by more than 1/32, or 1/256 if power follows
-    speed (dynamic is not 0), because power is constant in a row; but none is shorter than SLICE.
-    And they are so many that motors, if several move, are off the line by at most a quarter of a
-    step, in addition to the half of rounding: a row of n steps in t ticks is off by n**2 / 8t
-    steps (leading()), so a full segment of 2**log2 ticks and n steps, up to 4095, takes
-    n**2 / 2**(log2 + 1) rows.
+    The rows are so many that none changes the speed by more than 1/32, or 1/256 if dynamic,
+    because power is constant in a row; but none is shorter than SLICE. And they are so many that
+    motors, if several move, are off the line by at most a quarter of a step, in addition to the
+    half of rounding: a row of n steps in t ticks is off by n**2 / 8t steps (leading()), so a full
+    segment of 2**log2 ticks and n steps, up to 4095, takes n**2 / 2**(log2 + 1) rows.
     """
     # The segment's lowest and highest speed: its first, and that at the end of each piece.
-    slow = flow[REACHED]
+    slow = flow[ROW_SPEED]
     fast = slow
     at = PIECES
-    while at < flow[PIECE]:
+    while at < flow[PIECE_AT]:
         at += 2
         speed = flow[at - 1]
         if speed < slow:
             slow = speed
         if speed > fast:
             fast = speed
-    if flow[TIME] > FULL_TIME:
+    if flow[PLANNED_TIME] > FULL_TIME:
         return 1  # it is so long for the sake of one step
     shortest = table[SLICE]  # time of a row
     if dynamic:
         shortest -= shortest >> 2  # a quarter shorter
-    count = (flow[TIME] + (shortest >> 1)) // shortest or 1
+    count = (flow[PLANNED_TIME] + (shortest >> 1)) // shortest or 1  # as many as the time allows
     slight_change = fast >> (8 if dynamic else 5)
     steps = fast >> 18  # of a full segment at the highest speed
     log2 = table[SEGMENT_LOG2]
+    # The fewest rows, so that motors stay on the line.
     least = (steps * steps + (1 << log2)) >> (log2 + 1)
     if least > 1 and int(is_alone(flow, table[MOTOR_COUNT])):
         least = 1
@@ -143,27 +151,27 @@ def is_alone(flow: ptr32, motors: int) -> int:
 @micropython.viper
 def travel(flow: ptr32, part: int) -> int:
     """Remove the time part from the segment's pieces, from the first on. Returns the distance in
-    that time, and leaves the speed at its end in REACHED.
+    that time, and leaves the speed at its end in ROW_SPEED.
 
     A piece that lasts longer is split: its speed there is speed + (end - speed) * part / time,
     with both times in units of 64, so that the product fits.
     """
-    speed = flow[REACHED]
+    speed = flow[ROW_SPEED]
     distance = 0
     while part:
-        at = flow[PIECE]
+        at = flow[PIECE_AT]
         time = flow[at]
-        end = flow[at + 1]
-        if time > part:
+        end = flow[at + 1]  # speed
+        if time > part:  # split it
             end = speed + (end - speed) // (time >> 6 | 1) * (part >> 6)
             flow[at] = time - part
             time = part
         else:
-            flow[PIECE] = at + 2
+            flow[PIECE_AT] = at + 2
         distance += int(times((speed + end) >> 1, time))
         speed = end
         part -= time
-    flow[REACHED] = speed
+    flow[ROW_SPEED] = speed
     return distance
 
 
@@ -175,25 +183,26 @@ def next_row(flow: ptr32, row: ptr32, log2: int) -> int:
     A row has at least one step, so slices are merged at low speed. It gets all that is left of the
     segment if the rest would make no step.
     """
-    # A step is due when PARTIAL, the distance since the last one, and distance are a whole step.
+    # A step is due when PARTIAL_STEP, the distance since the last one, and `distance` make a whole
+    # one.
     distance = 0
     time = 0
     steps = 0
     while flow[SLICES] > 1 and steps == 0:
         # A multiple of 64: times() and travel() are exact for these.
-        slice_time = flow[TIME] // flow[SLICES] >> 6 << 6
+        slice_time = flow[PLANNED_TIME] // flow[SLICES] >> 6 << 6  # an even part of what is left
         flow[SLICES] = flow[SLICES] - 1
-        flow[TIME] = flow[TIME] - slice_time
+        flow[PLANNED_TIME] = flow[PLANNED_TIME] - slice_time
         time += slice_time
         distance += int(travel(flow, slice_time))
-        steps = (flow[PARTIAL] + distance) >> 18
+        steps = (flow[PARTIAL_STEP] + distance) >> 18
     # The last slice, or all steps that the segment still has: this is its last row.
-    if steps == 0 or steps >= (flow[PARTIAL] + flow[ADVANCE]) >> 18:
-        distance = flow[ADVANCE]
-        time += flow[TIME]
+    if steps == 0 or steps >= (flow[PARTIAL_STEP] + flow[PLANNED_DISTANCE]) >> 18:
+        distance = flow[PLANNED_DISTANCE]
+        time += flow[PLANNED_TIME]
         flow[SLICES] = 0
-        flow[REACHED] = flow[NOW]
-    flow[ADVANCE] = flow[ADVANCE] - distance
+        flow[ROW_SPEED] = flow[END_SPEED]
+    flow[PLANNED_DISTANCE] = flow[PLANNED_DISTANCE] - distance
     # From 2**-17 of a full segment to ticks.
     return int(end_on_step(flow, row, distance, time >> (17 - log2)))
 
@@ -203,21 +212,22 @@ def end_on_step(flow: ptr32, row: ptr32, distance: int, ticks: int) -> int:
     """End a row that was to have this distance and these ticks at its last whole step of the
     longest axis. Returns its steps; its time goes to ROW_TICKS.
 
-    ticks' = ticks * whole steps / distance. The rest of distance (PARTIAL) and time (SPARE) goes
-    into the next row. So all intervals of a row are equal, and at a constant speed all intervals
-    of a block; otherwise each row would end with an interval of another length.
+    ticks' = ticks * whole steps / distance. The rest of distance (PARTIAL_STEP) and time
+    (SPARE_TICKS) goes into the next row. So all intervals of a row are equal, and at a constant
+    speed all intervals of a block; otherwise each row would end with an interval of another
+    length.
     """
-    distance += flow[PARTIAL]
-    ticks += flow[SPARE]
-    steps = distance >> 18
+    distance += flow[PARTIAL_STEP]
+    ticks += flow[SPARE_TICKS]
+    steps = distance >> 18  # whole ones
     rest = distance & _STEP_FRACTION
-    flow[PARTIAL] = rest
-    flow[SPARE] = 0
-    if rest > STEP_BIAS and steps:
-        part = int(share(steps << 18, distance))
+    flow[PARTIAL_STEP] = rest
+    flow[SPARE_TICKS] = 0
+    if rest > STEP_BIAS and steps:  # else it ends on a step already, or has none
+        part = int(share(steps << 18, distance))  # in 2**-17
         # ticks * part >> 17, in halves so that the products fit.
         whole_ticks = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
-        flow[SPARE] = ticks - whole_ticks
+        flow[SPARE_TICKS] = ticks - whole_ticks
         ticks = whole_ticks
     row[ROW_TICKS] = ticks if ticks else 1
     return steps
@@ -228,8 +238,8 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
     """Place each motor's steps in the row: how many, the tick of the first and of the last.
 
     motors: their number; events: the row's steps of the longest axis. A motor with the share q of
-    those advances its phase by gain = events * q, in 2**-18 step, and steps where the phase passes
-    a whole number:
+    those (ratio, after STEPS in the block) advances its phase by gain = events * q, in 2**-18
+    step, and steps where the phase passes a whole number:
 
         tick of step k = ticks * (k - phase) / gain        k = 1, and k = steps
 
@@ -240,8 +250,9 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
     # its lower 15.
     events <<= 3
     ticks = row[ROW_TICKS]
-    ratios = flow[AT] + STEPS + motors
-    last = flow[WHOLE] == 0 and flow[FRACTION] == 0 and flow[SLICES] == 0  # row of the block
+    ratios = flow[BLOCK_AT] + STEPS + motors  # index in the ring: steps / EVENTS, in 2**-29
+    # Whether this is the block's last row: nothing is left to plan, and no other row is to come.
+    last = flow[STEPS_LEFT] == 0 and flow[FRACTION_LEFT] == 0 and flow[SLICES] == 0
     # ticks may have 27 bits: 18 are kept, for the products below.
     dropped = 0
     while ticks >> dropped >= 1 << 18:
@@ -263,7 +274,7 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
             gain >>= 1
             scale += 1
         for k in range(2 if steps else 0):  # its first step, then its last
-            # The phase still to go to that step.
+            # The phase still to go to that step, then its tick.
             part = (((steps if k else 1) << 18) - phase) >> scale
             if part < gain:
                 # ticks * part / gain, ticks as two digits of 9 bits; gain has 21 bits at most.
@@ -272,7 +283,7 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
                 rest = ((coarse - quotient * gain) << 9) + ((ticks >> dropped) & 511) * part
                 part = ((quotient << 9) + (rest + (gain >> 1)) // gain) << dropped
             else:
-                part = ticks
+                part = ticks  # the row's end
             row[at + 1 + k] = part
     return 0
 
@@ -280,7 +291,7 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
 @micropython.viper
 def speed_share(flow: ptr32, ring: ptr32) -> int:
     """Return the speed at the end of the row as a part of the programmed rate, in 2**-17."""
-    return int(share(flow[REACHED], ring[flow[AT] + PROGRAMMED]))
+    return int(share(flow[ROW_SPEED], ring[flow[BLOCK_AT] + PROGRAMMED]))
 
 
 @micropython.viper
@@ -288,8 +299,9 @@ def scaled_power(table: ptr32, full: int, part: int) -> int:
     """Return the spindle power at a part of the programmed rate (2**-17), where power follows
     speed.
 
-    full: the power at the whole rate, in 1/64; POWER_FLOOR and below give the least power, 1. As
-    in Grbl's laser mode the power is linear in the speed, and never 0 while S is not.
+    full: the power at the whole rate, in 1/64; up to POWER_FLOOR, in 1/64, too, it gives the least
+    power, 1. Returns at most POWER_MAX, in whole units. As in Grbl's laser mode the power is
+    linear in the speed, and never 0 while S is not.
     """
     if part < FULL_TIME:
         full = int(times(full, part))

@@ -3,7 +3,10 @@
 
 Viper, for plan_kernel.py. In the machine's table (layout.py), TARGET and POSITION are the end and
 the start of a block, in steps + 2**29 per axis, and RESOLUTION is steps/mm. Reals are the numbers
-of minifloat.py: a mantissa of 15 bits, and above it an exponent.
+of minifloat.py: a mantissa of 15 bits (MANTISSA is its mask, LIMIT is above it), and above it an
+exponent. From LIMITS on the table has three reals per axis, the first of them mm per step. After
+those, at these multiples of the number of axes: 5: distances; RESOLUTION; TARGET; POSITION; MOVES,
+per motor which axes it moves: 1 << i if it moves only axis i.
 """
 
 import micropython
@@ -41,7 +44,7 @@ def to_steps(target: ptr32, table: ptr32) -> int:
     """
     inside = 1
     axes = table[AXES]
-    resolution = LIMITS + RESOLUTION * axes
+    resolution = LIMITS + RESOLUTION * axes  # index in the table
     signs = ptr8(target)
     for i in range(axes):
         # mm * steps/mm = product * 2**(exponent - 23). 253: two biases, less 1, because a
@@ -51,7 +54,7 @@ def to_steps(target: ptr32, table: ptr32) -> int:
         b = table[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 253
         product = int(mantissa_product((a & _FRACTION) | _LEADING, (b & _FRACTION) | _LEADING))
-        if product & SMALL:  # the product is from 1 to 2
+        if product & SMALL:  # a flag: the product is from 1 to 2
             product ^= SMALL
             exponent -= 1
         if exponent > 28:
@@ -101,7 +104,7 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
     dirs = 0
     events = 0
     for i in range(table[MOTOR_COUNT]):
-        moved = table[moves + i]
+        moved = table[moves + i]  # the axes that it moves
         if moved == 1 << i:  # the common case: it turns the axis of its number
             steps = table[target + i] - table[target + axes + i]
         else:

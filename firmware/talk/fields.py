@@ -8,7 +8,7 @@ import micropython
 from base.float32_math import divide
 from base.state import DOOR, HOLD, HOMING, JOG, RPM, RUN
 from micropython import const
-from motion.layout import AT, CARRY, FACTOR, HEAD, LOADED, REACHED, ROWS, TAIL
+from motion.layout import BLOCK_AT, FACTOR, HEAD, JOIN_SPEED, LOADED, ROW_SPEED, ROWS, TAIL
 from motion.minifloat import per_minute, ratio
 
 from talk.digits import END, VALUES, write
@@ -96,9 +96,9 @@ def _write_rest(
         value_at += 2
     rate = 0  # in mm/s a minifloat, from per_minute() on whole mm/min
     if state & MOVING:
-        rate = flow[CARRY]  # between two blocks: the speed carried over, in mm/s
+        rate = flow[JOIN_SPEED]  # between two blocks: the speed carried over, in mm/s
         if flow[LOADED]:  # in a block: the speed reached, in units of which FACTOR are 1 mm/s
-            rate = int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))
+            rate = int(ratio(flow[ROW_SPEED], ring[flow[BLOCK_AT] + FACTOR]))
         rate = int(per_minute(rate))
     ints[value_at] = rate
     mm[axes] = spindle[RPM]  # the float's bits

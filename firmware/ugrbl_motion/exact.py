@@ -11,7 +11,7 @@ a tick goes into the next row. Ramps, holds and other speeds are far enough off 
 import micropython
 from micropython import const
 from motion.layout import (
-    AT,
+    BLOCK_AT,
     CRUISE,
     LINE,
     ROW_AXES,
@@ -41,7 +41,7 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     fraction of a tick that is due, in 2**-17. A slow block's speed is a small number (CRUISE), so
     its error may be larger. Steps keep their places within the row, in proportion.
     """
-    at = flow[AT]  # index of the loaded block in the ring
+    at = flow[BLOCK_AT]  # index of the loaded block in the ring
     bits = ring[at + LINE]  # ticks per step, a float
     steps = 0  # of the motor that makes the most
     for i in range(motors):

@@ -492,7 +492,7 @@ def test_unused_rest_of_a_slot_does_not_lengthen_the_next(left: int) -> None:
     bench.pull(9)
     bench.segments.hold(True)
     bench.finish()
-    bench.smoother._line[layout.LEFT] = left
+    bench.smoother._line[layout.TIME_TO_FILL] = left
     bench.segments.hold(False)
     bench.check()
 

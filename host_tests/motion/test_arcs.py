@@ -64,7 +64,7 @@ class Course:
             arcs.limit(self._course, i, -arcs.FARTHEST, arcs.FARTHEST)
         arcs.stray(self._course, tolerance)
         self.chords = arc.lay(self._start, self._target, self._steps_per_mm, self._course)
-        self.left = self._course[arcs.LEFT]
+        self.left = self._course[arcs.CHORDS_LEFT]
 
     def _lay_ends(self, way: Way) -> "tuple[float, float]":
         """Set start and target; return the centre relative to the start."""
@@ -91,7 +91,8 @@ class Course:
         for _ in range(self.left):
             assert arcs.advance(self._course, table) == 0
             steps = table[layout.LIMITS + layout.TARGET * self.axes :][: self.axes]
-            yield [(n - arcs.FAR) / r for n, r in zip(steps, self._steps_per_mm, strict=True)]
+            per_mm = self._steps_per_mm
+            yield [(n - arcs.PLACE_BIAS) / r for n, r in zip(steps, per_mm, strict=True)]
 
     def exact(self) -> "Iterator[list[float]]":
         """Yield the same in doubles, each computed from the beginning of the arc."""
@@ -172,7 +173,7 @@ def test_an_arc_beyond_the_range_of_units_is_one_line(far: float) -> None:
     course = array("i", [0] * arcs.course_length(3))
     steps_per_mm = array("f", (250, 250, 250))
     assert arc.lay(vector(3), array("f", (10, 0, far)), steps_per_mm, course) == 0
-    assert course[arcs.LEFT] == 0
+    assert course[arcs.CHORDS_LEFT] == 0
 
 
 # In the machine

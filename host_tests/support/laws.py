@@ -251,8 +251,10 @@ class Watch:
         self._override()
         flow = self.planner.flow
         if flow[layout.LOADED]:
-            self._slowed.add(self._block_of_row[flow[layout.AT] // self._row_size])
-        elif flow[layout.CARRY] and flow[layout.TAIL] != flow[layout.HEAD]:  # between two blocks
+            self._slowed.add(self._block_of_row[flow[layout.BLOCK_AT] // self._row_size])
+        elif (
+            flow[layout.JOIN_SPEED] and flow[layout.TAIL] != flow[layout.HEAD]
+        ):  # between two blocks
             self._slowed.add(self._block_of_row[flow[layout.TAIL]])
 
     @property
@@ -301,13 +303,13 @@ class Watch:
         """Replace Segments.next."""
         flow = self.planner.flow
         loaded = flow[layout.LOADED]
-        speed = layout.REACHED if flow[layout.SLICES] else layout.NOW
-        at_rest = flow[speed if loaded else layout.CARRY] == 0
+        speed = layout.ROW_SPEED if flow[layout.SLICES] else layout.END_SPEED
+        at_rest = flow[speed if loaded else layout.JOIN_SPEED] == 0
         left = self._left() if loaded else 0
-        spare = flow[layout.SPARE] if loaded else 0
+        spare = flow[layout.SPARE_TICKS] if loaded else 0
         row[ROW_TICKS] = 0
         found = self._next(row)
-        at = flow[layout.AT] // flow[layout.ROW_SIZE]
+        at = flow[layout.BLOCK_AT] // flow[layout.ROW_SIZE]
         block = self._block_of_row.get(at)
         if block is None:
             return found
@@ -317,11 +319,11 @@ class Watch:
             start = self.made[-1].start + self.made[-1].ticks if self.made else 0
             segment = Segment(block, start, row[:], ended)
             self.made.append(segment)
-        time = row[ROW_TICKS] + flow[layout.SPARE] - spare
+        time = row[ROW_TICKS] + flow[layout.SPARE_TICKS] - spare
         if row[ROW_TICKS] and time:
             distance = ((left or block.events << 18) - self._left()) / 2**18
             distance *= block.length / block.events
-            speed = flow[layout.REACHED] / real(self.row(at)[layout.FACTOR])
+            speed = flow[layout.ROW_SPEED] / real(self.row(at)[layout.FACTOR])
             unit = 2**-16 if self.planner.table[layout.JUNCTION_DERATE] else 0.0
             seconds = time / self.tick_hz
             promise = self._promised(block, speed) if ended else inf
@@ -349,7 +351,11 @@ class Watch:
     def _left(self) -> int:
         """Return the remaining distance of the profile, in 2**-18 steps of the longest axis."""
         flow = self.planner.flow
-        return (flow[layout.WHOLE] << 18) + flow[layout.FRACTION] + flow[layout.ADVANCE]
+        return (
+            (flow[layout.STEPS_LEFT] << 18)
+            + flow[layout.FRACTION_LEFT]
+            + flow[layout.PLANNED_DISTANCE]
+        )
 
 
 class Bench:

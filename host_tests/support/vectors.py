@@ -129,7 +129,7 @@ def print_arcs(dice):
         arc.numbers[RADIUS] = (x * x + y * y) ** 0.5
         arcs.stray(course, dice.any((0.002, 0.1)))
         print(arc.lay(start, target, steps_per_mm, course))
-        for _ in range(min(course[arcs.LEFT], 20)):
+        for _ in range(min(course[arcs.CHORDS_LEFT], 20)):
             outside = arcs.advance(course, table)
             print(outside, list(table[layout.LIMITS + 4 * layout.TARGET :][:4]))
 

@@ -133,12 +133,12 @@ def test_a_rate_is_rounded_like_printed_floats(carry: int, now: int) -> None:
     carry = carry % (100 << 15) | 0x4000 if carry else 0
     planner = Planner(3, 4, None, State())
     segments = Segments(planner)
-    planner.flow[layout.CARRY] = carry
+    planner.flow[layout.JOIN_SPEED] = carry
     rate = 60 * minifloat.value(segments.rate())
     if rate < 2**31:
         assert str(minifloat.per_minute(segments.rate())) == printed(rate, 0)
     planner.flow[layout.LOADED] = 1
-    planner.flow[layout.REACHED] = now
+    planner.flow[layout.ROW_SPEED] = now
     planner.ring[layout.FACTOR] = minifloat.real(1 / 7)
     assert str(minifloat.per_minute(segments.rate())) == printed(
         60 * minifloat.value(segments.rate()), 0

@@ -146,11 +146,11 @@ def test_moves_at_one_speed_follow_one_another_exactly() -> None:
 
 def kernel(row: "list[int]", bits: int, cruise: int = 1 << 20) -> "tuple[int, Any, Any]":
     """Call set_time() with one motor; return its result, the row and the rest."""
-    from motion.layout import AT, CRUISE, FLOW_LENGTH, LINE
+    from motion.layout import BLOCK_AT, CRUISE, FLOW_LENGTH, LINE
     from ugrbl_motion.exact import set_time
 
     flow, ring = array("i", [0] * FLOW_LENGTH), array("i", [0] * 30)
-    flow[AT] = 0
+    flow[BLOCK_AT] = 0
     ring[LINE], ring[CRUISE] = bits, cruise
     made, rest = array("i", [row[0], 0, 0, *row[1:]]), array("i", [0])
     return set_time(flow, ring, made, 1, rest), made, rest

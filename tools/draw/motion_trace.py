@@ -177,7 +177,7 @@ class MotionTrace(Paced):
         0 if there is no segment."""
         has_segment = int(self._next(row))
         if has_segment:
-            block = self._planner.flow[self._layout.AT]
+            block = self._planner.flow[self._layout.BLOCK_AT]
             self._plans[id(row)] = (self._value(self._segments.rate()), self._blocks.get(block, 0))
         return has_segment
 

@@ -92,7 +92,7 @@ class Paced(Recorder):
         has_segment = int(self._make_segment(row))
         if has_segment:
             flow, layout = self._planner.flow, self._layout
-            block = flow[layout.AT] // flow[layout.ROW_SIZE]
+            block = flow[layout.BLOCK_AT] // flow[layout.ROW_SIZE]
             self._line_of_row[id(row)] = self._line_of_block.get(block, 0)
         return has_segment
 

@@ -7,16 +7,16 @@ and Grbl reacts to a hold no more often. Runs under CPython and MicroPython.
 from array import array
 
 from motion.layout import (
-    AT,
+    BLOCK_AT,
     LOADED,
     MOTORS,
-    PARTIAL,
+    PARTIAL_STEP,
     ROW_AXES,
     ROW_POWER,
     ROW_STRIDE,
     ROW_TICKS,
     SLICES,
-    SPARE,
+    SPARE_TICKS,
 )
 from motion.slice_kernel import STEP_BIAS
 
@@ -24,7 +24,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from talk.controller import Controller
 
-# A step in the units of the planner's PARTIAL, and half of one.
+# A step in the units of the planner's PARTIAL_STEP, and half of one.
 _STEP = 1 << 18
 _HALF_STEP = 1 << 17
 
@@ -37,7 +37,8 @@ class FullSegments:
         self._hooks = controller.state.hooks
         self._next = self._hooks.next_segment
         self._motors = controller.planner.motors
-        self._spares: "dict[int, int]" = {}  # SPARE, as a single row would leave it, by block
+        # SPARE_TICKS, as a single row would leave it, by block.
+        self._spares: "dict[int, int]" = {}
 
     def attach(self) -> None:
         """Install itself between them. Call it before power_up()."""
@@ -48,15 +49,15 @@ class FullSegments:
         flow = self._flow
         is_new_block = not flow[LOADED]
         phases = [_HALF_STEP] * self._motors if is_new_block else self._phases()
-        spare_before = 0 if is_new_block else flow[SPARE]
+        spare_before = 0 if is_new_block else flow[SPARE_TICKS]
         has_segment = self._next(row)
         if has_segment:
             while flow[SLICES]:
                 self._add(row)
-            row[ROW_TICKS] += flow[SPARE] - spare_before
+            row[ROW_TICKS] += flow[SPARE_TICKS] - spare_before
             self._close(row, is_new_block)
             self._space(row, phases)
-        elif not flow[SPARE]:
+        elif not flow[SPARE_TICKS]:
             self._spares.clear()
         return has_segment
 
@@ -78,12 +79,12 @@ class FullSegments:
         """End the segment with a step. The rest of the time follows from its mean speed, and is
         added to the block's next segment."""
         flow = self._flow
-        ticks = row[ROW_TICKS] + (0 if is_new_block else self._spares.get(flow[AT], 0))
+        ticks = row[ROW_TICKS] + (0 if is_new_block else self._spares.get(flow[BLOCK_AT], 0))
         steps = max(row[base] for base in range(ROW_AXES, len(row), ROW_STRIDE))
         spare = 0
-        if steps and flow[PARTIAL] > STEP_BIAS:
-            spare = ticks - ticks * steps * _STEP // (steps * _STEP + flow[PARTIAL])
-        self._spares[flow[AT]] = spare
+        if steps and flow[PARTIAL_STEP] > STEP_BIAS:
+            spare = ticks - ticks * steps * _STEP // (steps * _STEP + flow[PARTIAL_STEP])
+        self._spares[flow[BLOCK_AT]] = spare
         row[ROW_TICKS] = max(ticks - spare, 1)
 
     def _space(self, row: "array[int]", before: "list[int]") -> None:

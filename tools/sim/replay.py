@@ -8,7 +8,7 @@ tools/replay/conformance.py. Runs under CPython and MicroPython.
 import sys
 from array import array
 
-from motion.layout import PARTIAL, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.layout import PARTIAL_STEP, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 
 from .engine import Switch, step_tick, steps_until
 from .rig import MemoryStore, Rig
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _OUTPUTS = ("enable_pin", "spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
 _AXES = "XYZABC"
 _PEAK_INTERVALS = 16  # consecutive intervals between steps whose mean is a peak rate
-_PARTIAL_STEP = 1 << 18  # a step in the units of PARTIAL
+_PARTIAL_STEP = 1 << 18  # a step in the units of PARTIAL_STEP
 # Time limits: for the banner or a setting, and in addition to the time of a step.
 _START_MS = 20_000
 _SPARE_MS = 20_000
@@ -140,7 +140,7 @@ class _Case:
         self.rig.engine.physical(self.place)
         observed["moved"] = [self.place[i] - before[i] for i in range(len(before))]
         # The exact position's distance from a whole step of the longest axis.
-        beyond = self.rig.controller.planner.flow[PARTIAL] / _PARTIAL_STEP
+        beyond = self.rig.controller.planner.flow[PARTIAL_STEP] / _PARTIAL_STEP
         observed["off_step"] = min(beyond, 1 - beyond)
         observed["unpowered"] = self.unpowered
         observed["moving"] = self.rig.moving()
