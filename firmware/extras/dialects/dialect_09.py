@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 
-_BEFORE_SPINDLE = const(6)  # index in $G's words: six groups of G words come first
+_SPINDLE_INDEX = const(6)  # of the spindle's word in $G: six groups of G words come first
 
-# $10 in this dialect (mask).
-_MACHINE_POSITION = const(1)
-_WORK_POSITION = const(2)
-_PLANNER_BLOCKS = const(4)
-_RX_BYTES = const(8)
-_LIMITS = const(16)
+# Bits of $10 in this dialect: what a status report shows.
+_SHOW_MPOS = const(1)
+_SHOW_WPOS = const(2)
+_SHOW_BLOCKS = const(4)
+_SHOW_RX_BYTES = const(8)
+_SHOW_LIMITS = const(16)
 
 _HELP = b"""\
 $$ (view Grbl settings)\r
@@ -106,7 +106,7 @@ _WORDS = {
     27: "homing pull-off, mm",
 }
 # The same for a group with one setting per axis; the axis's letter comes before it.
-_AXIS_SETTINGS = {
+_AXIS_WORDS = {
     10: ", step/mm",
     11: " max rate, mm/min",
     12: " accel, mm/sec^2",
@@ -116,7 +116,8 @@ _AXIS_SETTINGS = {
 
 class Report09(Report):
     """Reports as 0.9j formats them. words: descriptions of settings by number; alarms: texts of
-    alarms by number. _blocks, _rx_bytes: free planner blocks and bytes while nothing is used."""
+    alarms by number. _all_blocks, _all_rx_bytes: free blocks of the planner and bytes of the
+    reader while nothing is used."""
 
     VERSION = "0.9j"
 
@@ -129,8 +130,8 @@ class Report09(Report):
         super().connect(machine)
         self.words = _WORDS.copy()  # other extras may add to these
         self.alarms = _ALARMS.copy()
-        self._blocks = machine.planner.free()
-        self._rx_bytes = free_space(self._reader)
+        self._all_blocks = machine.planner.free()
+        self._all_rx_bytes = free_space(self._reader)
 
     def configure(self) -> None:
         """Apply $10 and $13."""
@@ -160,13 +161,14 @@ class Report09(Report):
         self._link.write(_HELP)
 
     def setting(self, key: int, value: float, decimals: int) -> None:
-        """Send one line of $$: key is the setting's number; a mask is shown as bits."""
+        """Send one line of $$: key is the setting's number; after a mask its bits are
+        shown, too."""
         _, _, _, _, unit = self._settings.row(key)[0]
         words = self.words.get(key) or unit
-        if words[-1] == ":":  # a mask
+        if words[-1] == ":":  # only descriptions of masks end so
             words += "{:08b}".format(int(value))
-        elif key // 10 in _AXIS_SETTINGS:  # the last digit is the axis
-            words = "xyzabc"[key % 10] + _AXIS_SETTINGS[key // 10]
+        elif key // 10 in _AXIS_WORDS:  # the last digit is the axis
+            words = "xyzabc"[key % 10] + _AXIS_WORDS[key // 10]
         self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
 
     def startup_run(self, text: str) -> bytes:
@@ -186,7 +188,7 @@ class Report09(Report):
         """Answer $G. text: 1.1's words. M0 is always listed, before the spindle's M word, and the
         tool is always T0, as in 0.9."""
         words = ["T0" if word[0] == "T" else word for word in text.split(" ")]
-        words.insert(_BEFORE_SPINDLE, "M0")
+        words.insert(_SPINDLE_INDEX, "M0")
         self._line("[" + " ".join(words) + "]")
 
     # Parts
@@ -203,38 +205,39 @@ class Report09(Report):
     # The status report
 
     def _write_fields(
-        self, text: bytearray, ints: "array[int]", mm: "array[float]", _closed: int
+        self, text: bytearray, ints: "array[int]", mm: "array[float]", _active_inputs: int
     ) -> None:
         """Write all fields after the state. mm: machine position, which becomes work position.
 
-        text: the report, to which write() appends; ints: the integers that it fills in.
+        text: the report, to which write() appends a form, a text that a 0 follows; ints: the
+        numbers for a form's %.
         """
         mask = self._settings.report_mask
-        if mask & _MACHINE_POSITION:
+        if mask & _SHOW_MPOS:
             self._write_lengths(b",MPos:\0", mm)
-        if mask & _WORK_POSITION:
-            add(self._work_offset(), MINUS, mm, self._axes)
+        if mask & _SHOW_WPOS:
+            add(self._work_offset(), MINUS, mm, self._axes)  # mm -= work offset
             self._write_lengths(b",WPos:\0", mm)
-        if mask & _PLANNER_BLOCKS:
-            self._number(b",Buf:%\0", self._blocks - self._planner.free())
-        if mask & _RX_BYTES:
-            self._number(b",RX:%\0", self._rx_bytes - free_space(self._reader))
+        if mask & _SHOW_BLOCKS:
+            self._write_number(b",Buf:%\0", self._all_blocks - self._planner.free())
+        if mask & _SHOW_RX_BYTES:
+            self._write_number(b",RX:%\0", self._all_rx_bytes - free_space(self._reader))
         if self._line_numbers:
-            self._number(b",Ln:%\0", self._planner.line_number())
-        if mask & _LIMITS:
+            self._write_number(b",Ln:%\0", self._planner.line_number())
+        if mask & _SHOW_LIMITS:
             limits = self._inputs.limits()
             write(b",Lim:\0", text, ints, mm)
-            for i in range(self._axes):
-                self._number(b"%\0", limits >> (self._axes - 1 - i) & 1)
+            for i in range(self._axes):  # a digit per axis, X last
+                self._write_number(b"%\0", limits >> (self._axes - 1 - i) & 1)
 
-    def _number(self, form: bytes, value: int) -> None:
+    def _write_number(self, form: bytes, value: int) -> None:
         """Write a field. form: its text, which a 0 follows; value replaces its %."""
         self._ints[VALUES] = value
         write(form, self._text, self._ints, self._mm)
 
     def _suspended(self) -> bytes:
-        """Return the form of a state that Report._STATES does not have: Door while it is open or
-        the tool is retracted, else Hold."""
+        """Return the first text of a report in a hold or with the door: Door while it is open or
+        the tool is being retracted, else Hold."""
         state = self._state
         suspend = state.suspend
         if state.run == st.DOOR and (suspend & st.DOOR_AJAR or not suspend & st.RETRACT_COMPLETE):
@@ -251,7 +254,7 @@ class Report09i(Report09):
 _SETTINGS: "Rows" = (
     # Status report options. 1: machine position; 2: work position; 4: planner blocks in use; 8:
     # received bytes not yet read; 16: limit switches.
-    (10, "report_mask", INT, _MACHINE_POSITION | _WORK_POSITION, "mask"),
+    (10, "report_mask", INT, _SHOW_MPOS | _SHOW_WPOS, "mask"),
 )
 _WITHOUT = (10, 30, 31, 32)
 # As LineReader's `reads`: no upper real-time bytes; @ is one (the safety door); the rest of a line
@@ -263,7 +266,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     """Before the machine is created, select the report class and the real-time bytes."""
     options.report = Report09i if board.__dict__["DIALECT"] == "0.9i" else Report09
     options.reads = _READS
-    options.highest_tool = 1 << 31
+    options.highest_tool = 1 << 31  # 0.9 accepts any number
 
 
 def install(cnc: "Cnc") -> None:

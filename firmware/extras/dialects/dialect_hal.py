@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 # Each row has a command, the number of its setting, alarm or error, and the line to send.
 FILE = "hal.txt"
-_SETTINGS = b"ES"  # start of the commands about settings
+_SETTING_COMMANDS = b"ES"  # start of the commands about settings
 
 _WELCOME = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
-_GRBL = const(4)  # length of "Grbl", which "GrblHAL" replaces
-_ALARM = const(6)  # length of "<Alarm"
+_GRBL_LENGTH = const(4)  # length of "Grbl", which "GrblHAL" replaces
+_ALARM_LENGTH = const(6)  # length of "<Alarm"
 # As grblHAL, because gSender keeps 724 bytes in flight whatever [OPT:] reports.
 _RX_BYTES = const(1024)
 
@@ -42,36 +42,41 @@ _COMPLETE_REPORT = const(0x87)
 _STATUS = const(0x3F)  # ?
 _RESUME = const(0x7E)  # ~
 # grblHAL's upper bytes, and those of Grbl that do the same.
-_LIKE = {0x80: _STATUS, 0x81: _RESUME, 0x82: _HOLD, _COMPLETE_REPORT: _STATUS}
+_GRBLS_BYTE = {0x80: _STATUS, 0x81: _RESUME, 0x82: _HOLD, _COMPLETE_REPORT: _STATUS}
 
 # States in which commands that only read are answered.
-_STATES = (st.IDLE, st.ALARM, st.CHECK, st.RUN, st.JOG)
+_READING_STATES = (st.IDLE, st.ALARM, st.CHECK, st.RUN, st.JOG)
 
 
 class ReportHal(Report):
-    """Reports as grblHAL formats them. modal: has the tool; has_jobs: the board runs jobs."""
+    """Reports as grblHAL formats them. modal: has the tool; has_jobs: the board runs jobs;
+    is_complete: the next status report has all fields; _alarm_number: of the last alarm, 0 after a
+    reset."""
 
     VERSION = "1.1f"
 
     modal: "Modes"
     has_jobs = False
-    is_complete = False  # the next status report has all fields
-    _alarm = 0
+    is_complete = False
+    _alarm_number = 0
 
     def banner(self) -> None:
         """Send the welcome."""
-        self._alarm = 0
+        self._alarm_number = 0
         self._link.write(_WELCOME)
 
     def alarm(self, code: int) -> None:
         """Report an alarm, and keep its number for the complete status report."""
-        self._alarm = code
+        self._alarm_number = code
         super().alarm(code)
 
     def build_info(self, info: str, options: str) -> None:
         """Answer $I, with axes and features. info: the user's text, "" for none; options: letters
         and numbers."""
-        name, axes = "GrblHAL" + self.identity[_GRBL:], self._axes  # identity: Grbl and more
+        name, axes = (
+            "GrblHAL" + self.identity[_GRBL_LENGTH:],
+            self._axes,
+        )  # identity: Grbl and more
         self._line("[VER:%s.%s:%s]" % (self.VERSION, BUILD, name + " " + info if info else name))
         self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no tool table
         self._line("[AXS:%d:%s]" % (axes, LETTERS[:axes]))
@@ -85,7 +90,8 @@ class ReportHal(Report):
         super().modes(text.replace(" M", length, 1))
 
     def spindle(self) -> None:
-        """Answer $SPINDLESH: one spindle with variable speed, and its range."""
+        """Answer $SPINDLESH: one spindle with direction (D), perhaps a laser (L), with variable
+        speed (V), and its range in rpm."""
         settings = self._settings
         laser = "L" if settings.laser_mode else ""
         speeds = self.speed(settings.min_rpm), self.speed(settings.max_rpm)
@@ -97,30 +103,31 @@ class ReportHal(Report):
             return super().status()
         self.is_complete = False
         state = self._state
-        # Grbl's report has either Ov: or WCO:. So it is made with Ov:, and WCO: is added here.
+        # Grbl's report has either Ov: or WCO:, the one whose countdown is 0. So it is made with
+        # Ov:, and WCO: is added here.
         state.wco_countdown, state.override_countdown = 1, 0
         text = bytes(super().status())[: -len(">\r\n")]
-        state.override_countdown = 0  # gSender needs Ov:, and reads it only in normal reports
-        if self._alarm and state.run == st.ALARM:
-            text = b"<Alarm:%d" % self._alarm + text[_ALARM:]
+        state.override_countdown = 0  # next time again: gSender reads Ov: only in normal reports
+        if self._alarm_number and state.run == st.ALARM:
+            text = b"<Alarm:%d" % self._alarm_number + text[_ALARM_LENGTH:]
         more = "|WCO:" + self.vector(self._work_offset()) + "|T:%d" % self.modal.tool
         more += "|SD:1|FW:grblHAL>\r\n" if self.has_jobs else "|FW:grblHAL>\r\n"
         return memoryview(text + more.encode())
 
 
 class Bytes:
-    """Real-time bytes of grblHAL. Unknown ones are ignored. _stopping: a hold slows motion down,
-    and a reset follows it. _usual_post: what handles Grbl's bytes."""
+    """Real-time bytes of grblHAL. Unknown ones are ignored. _reset_after_hold: after a stop byte,
+    a hold slows motion down, and a reset follows it. _previous_post: handles Grbl's bytes."""
 
     def __init__(self, machine: "Controller", report: ReportHal) -> None:
         self._state = machine.state
         self._motor_control = machine.motor_control
         self._report = report
-        self._stopping = False
-        self._usual_post = machine.reader.post
+        self._reset_after_hold = False
+        self._previous_post = machine.reader.post
         machine.reader.post = self.post
-        machine.state.hooks.poll += (self._turn,)
-        machine.state.hooks.reset += (self._begin,)
+        machine.state.hooks.poll += (self._poll,)
+        machine.state.hooks.reset += (self._on_reset,)
 
     def post(self, byte: int) -> None:
         """Handle a received real-time byte. It may run in an interrupt."""
@@ -129,32 +136,32 @@ class Bytes:
         else:
             if byte == _COMPLETE_REPORT:
                 self._report.is_complete = True
-            self._usual_post(_LIKE.get(byte, byte))
+            self._previous_post(_GRBLS_BYTE.get(byte, byte))
 
     def _stop(self) -> None:
-        """Stop motion with a hold, then reset: the rest is dropped and the position kept.
+        """Stop motion with a hold; _poll() resets then: the rest is dropped and the position kept.
 
         An alarm stays. Homing and parking ignore a hold, so they are reset at once, into an alarm.
         """
         state = self._state
-        if self._is_under_way() and state.run != st.HOMING and not state.system_motion:
-            self._usual_post(_HOLD)
-            self._stopping = True
+        if self._is_moving() and state.run != st.HOMING and not state.system_motion:
+            self._previous_post(_HOLD)
+            self._reset_after_hold = True
         elif state.run != st.ALARM:
             self._motor_control.reset()
 
-    def _begin(self) -> None:
+    def _on_reset(self) -> None:
         """Forget a stop that was in progress, because the reset has come; but not one that was
         received since, whose hold is pending."""
         if not self._state.pending[st.FEED_HOLD]:
-            self._stopping = False
+            self._reset_after_hold = False
 
-    def _turn(self) -> None:
+    def _poll(self) -> None:
         """Reset when the hold of a stop has ended. Runs at each turn of the main loop."""
-        if self._stopping and not self._is_under_way():
+        if self._reset_after_hold and not self._is_moving():
             self._motor_control.reset()
 
-    def _is_under_way(self) -> bool:
+    def _is_moving(self) -> bool:
         """Return whether motion has not ended, so that a reset would cause an alarm."""
         return self._motor_control.moving or self._motor_control.in_idle_delay
 
@@ -164,9 +171,9 @@ def texts() -> "IO[bytes]":
     return open(FILE, "rb")
 
 
-def _enumerate(cnc: "Cnc", command: bytes) -> None:
-    """Send the rows of a command, such as ES, from FILE. Of settings, send those that this machine
-    has.
+def _send_rows(cnc: "Cnc", command: bytes) -> None:
+    """Send the texts of a command's rows, such as ES, from FILE. Of settings, send those that this
+    machine has.
 
     GrblError if FILE has no row of that command. Without FILE a message says so.
     """
@@ -177,11 +184,11 @@ def _enumerate(cnc: "Cnc", command: bytes) -> None:
         return
     prefix, is_known = command + b" ", False
     with rows:
-        for row in rows:
+        for row in rows:  # command, number, text
             if row.startswith(prefix):
                 is_known = True
                 number, _, text = row[len(prefix) :].partition(b" ")
-                if command[:2] != _SETTINGS or _has_setting(cnc, number):
+                if command[:2] != _SETTING_COMMANDS or _has_setting(cnc, number):
                     cnc.machine.report.send(text)
                     cnc.service()
     if not is_known:
@@ -204,6 +211,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     """Select the report class, and let the stop byte act when it arrives."""
     options.report = ReportHal
     options.rx_bytes = max(options.rx_bytes, _RX_BYTES)
+    # Upper real-time bytes as in Grbl, one more real-time byte, and too long lines as in Grbl.
     options.reads = (READS[0], _STOP, READS[2])
     _found["jobs"] = options.job_files is not None
 
@@ -218,8 +226,9 @@ def install(cnc: "Cnc") -> None:
     link = machine.protocol.link
     if hasattr(link, "welcome"):  # a network link
         link.welcome = _WELCOME
-        link.questions = b"?\x80\x87"  # type: ignore[attr-defined]
-    cnc.add_command(b"E", lambda rest: _enumerate(cnc, b"E" + rest), _STATES)
-    cnc.add_command(b"+", lambda _: commands.show_settings(), _STATES)
-    cnc.add_command(b"SPINDLESH", lambda _: report.spindle(), _STATES)
-    cnc.add_command(b"HELP", lambda _: report.help(), _STATES)
+        link.questions = b"?\x80\x87"  # type: ignore[attr-defined]  # ask for a status report
+    # $ES, $EA and so on: see FILE.
+    cnc.add_command(b"E", lambda rest: _send_rows(cnc, b"E" + rest), _READING_STATES)
+    cnc.add_command(b"+", lambda _: commands.show_settings(), _READING_STATES)
+    cnc.add_command(b"SPINDLESH", lambda _: report.spindle(), _READING_STATES)
+    cnc.add_command(b"HELP", lambda _: report.help(), _READING_STATES)

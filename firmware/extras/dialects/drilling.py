@@ -38,16 +38,18 @@ CYCLES = {
     _G89: ("P", ""),
 }
 MOTIONS = (0, 10, 20, 30, 382, 383, 384, 385)  # G words in tenths: G0 to G3, G38.2 to G38.5
-# G words in tenths whose axis words do not give a hole; G80 is one of them.
-_CLAIMS = MOTIONS + (100, 280, 281, 300, 301, 431, 530, 800, 920, 921)
-_LETTERS = "XYZ"
-_OWN = "XYZRQPL"
+# G words in tenths whose axis words do not ask for a hole; G80 is one of them.
+_USE_AXIS_WORDS = MOTIONS + (100, 280, 281, 300, 301, 431, 530, 800, 920, 921)
+_AXIS_LETTERS = "XYZ"
+_CYCLE_LETTERS = "XYZRQPL"
 # A rapid back into the hole stops this far above the last depth, and G73 retracts by it.
 _GAP_MM = 0.254
 _GAP_INCH = 0.01
 _MM_PER_INCH = 25.4
 _LEAST_Q = 0.001  # mm or inches
-_LEAST = 0.0001  # mm or inches: a last peck thinner than this is drilled with the one above it
+_THINNEST_PECK = (
+    0.0001  # mm or inches: a last peck thinner than this is drilled with the one above it
+)
 
 
 def has(words: "list[Word]", letter: str, *tenths: int) -> bool:
@@ -68,41 +70,41 @@ class Holes:
     """What a line of a cycle asks for, in the program's units. Drilling.plan() sets it.
 
     Numbers stay text, as the program has them. cycle: in tenths. kept: numbers by letter. letter:
-    the drilling axis; now: its position. to_r: G99. r, bottom, above: heights, R, the hole's
-    bottom, and where it ends. places: the axis words of each hole in the plane, "" for none. gap:
-    how far above the last depth a rapid back into the hole stops.
+    of the drilling axis; position: where that is now. ends_at_r: G99. r, bottom, end: the heights
+    of R, of the hole's bottom, and where a hole ends. hole_words: the axis words of each hole in
+    the plane, "" for none. gap: how far above the last depth a rapid back into the hole stops.
     """
 
     cycle: int
     kept: "dict[str, str]"  # letters and numbers that hold for the next lines, too
-    to_r: bool
-    first: str  # the line without the words of the cycle,
-    own: "list[Word]"  # and these words
-    manner: "tuple[int, int, int]"  # axis, inches, relative: the kept numbers depend on them
+    ends_at_r: bool
+    other_words: str  # the line without the words of the cycle
+    cycle_words: "list[Word]"  # of the line
+    kept_for: "tuple[int, int, int]"  # axis, inches, relative: the kept numbers depend on them
     letter: str  # of the drilling axis
-    now: float  # present position of that axis
-    begun_mm: float  # its position when the first cycle began, in machine coordinates
+    position: float  # present position of that axis
+    start_mm: float  # its position when the first cycle began, in machine coordinates
     r: str
     bottom: str
-    above: str  # where a hole ends: at R or the initial height
+    end: str  # where a hole ends: at R or the initial height
     gap: float
-    places: "Iterator[str]"
+    hole_words: "Iterator[str]"
 
     def lines(self) -> "Iterator[str]":
         """Yield the lines for all holes, one hole after the other: up to R if the tool is below,
         across, to R, then the hole."""
         go_to_r = "G0" + self.letter + self.r
-        height = self.now  # of the tool
+        height = self.position  # of the tool, from here on
         if height < float(self.r):
             yield go_to_r
             height = float(self.r)
-        for place in self.places:
+        for place in self.hole_words:
             if place:
                 yield "G0" + place
             if height != float(self.r):
                 yield go_to_r
             yield from self._hole()
-            height = float(self.above)
+            height = float(self.end)
 
     def _hole(self) -> "Iterator[str]":
         """Yield the lines of one hole, from R down to the bottom and up to where it ends."""
@@ -112,7 +114,7 @@ class Holes:
         yield feed + self.bottom
         if "P" in self.kept:
             yield "G4P" + self.kept["P"]
-        yield (feed if self.cycle in (_G85, _G89) else rapid) + self.above
+        yield (feed if self.cycle in (_G85, _G89) else rapid) + self.end
 
     def _pecks(self, feed: str, rapid: str) -> "Iterator[str]":
         """Yield the pecks to all depths except the last, each with its retract to clear chips: to
@@ -122,8 +124,8 @@ class Holes:
         """
         top, bottom, peck = float(self.r), float(self.bottom), float(self.kept["Q"])
         count = 1
-        while top - count * peck - bottom > _LEAST:
-            depth = top - count * peck
+        while top - count * peck - bottom > _THINNEST_PECK:
+            depth = top - count * peck  # its height
             yield feed + _text(depth)
             if self.cycle == _G83:
                 yield rapid + self.r  # and back into the hole:
@@ -132,13 +134,13 @@ class Holes:
 
 
 class Drilling:
-    """State of the drilling cycles. cycle: the active one in tenths, or 0. to_r: G99 is active.
+    """State of the drilling cycles. cycle: the active one in tenths, or 0. ends_at_r: G99 holds.
 
     run executes a line. check refuses a line, or leaves it in the interpreter's block. _holes: the
     result of the last plan(). _kept: numbers by letter that hold for the next line of the cycle.
-    _motion, _was_open: the motion mode and the interpreter's is_open (kernels may execute lines)
-    before the cycle. _begun_mm: position of the drilling axis then, in machine coordinates.
-    _manner: the drilling axis, inches and relative of the last line, on which _kept depends.
+    _motion_before, _open_before: the motion mode and the interpreter's is_open (kernels may
+    execute lines) before the cycle. _start_mm: the drilling axis then, in machine coordinates.
+    _kept_for: the drilling axis, inches and relative of the last line, on which _kept depends.
     """
 
     def __init__(
@@ -149,49 +151,49 @@ class Drilling:
         self._check = check
         self._holes = Holes()
         self.cycle = 0
-        self._motion = 0
-        self._begun_mm = 0.0
-        self._manner = (0, 0, 0)
-        self._was_open = True
+        self._motion_before = 0
+        self._start_mm = 0.0
+        self._kept_for = (0, 0, 0)
+        self._open_before = True
         self.forget()
 
     def forget(self) -> None:
         """Forget the cycle and G99, as after a reset."""
-        self.to_r = False
+        self.ends_at_r = False
         self.stop(False)
 
     def repeats(self, words: "list[Word]") -> bool:
         """Return whether a line with these words repeats the active cycle at a new position: it
         has axis words, and no G word that uses them otherwise."""
-        if not self.cycle or has(words, "G", *_CLAIMS) or has(words, "G", *CYCLES):
+        if not self.cycle or has(words, "G", *_USE_AXIS_WORDS) or has(words, "G", *CYCLES):
             return False
-        return any(has(words, letter) for letter in _LETTERS)
+        return any(has(words, letter) for letter in _AXIS_LETTERS)
 
     def stop(self, with_motion: bool) -> None:
         """End the cycle. with_motion: restore the motion mode from before it."""
         interpreter = self._machine.interpreter
         if self.cycle:
-            interpreter.is_open = self._was_open
+            interpreter.is_open = self._open_before
             if with_motion:
-                self._machine.modes.modal[MOTION] = self._motion
+                self._machine.modes.modal[MOTION] = self._motion_before
         self.cycle = 0
         self._kept: "dict[str, str]" = {}
 
-    def make(self, holes: Holes) -> None:
+    def execute(self, holes: Holes) -> None:
         """Execute what plan() has prepared: first the line's other words, then all holes. holes:
         its result. GrblError if a line is refused, Abort after a reset."""
         interpreter, modes = self._machine.interpreter, self._machine.modes
         modal = modes.modal
         before = list(modes.position)
-        self._run(holes.first)
+        self._run(holes.other_words)
         if list(modes.position) != before:  # a handler of another extra has moved the machine
-            self.plan(holes.own, holes.to_r)
+            self.plan(holes.cycle_words, holes.ends_at_r)
         if not self.cycle:
-            self._motion = modal[MOTION]
-            self._was_open = interpreter.is_open
+            self._motion_before = modal[MOTION]
+            self._open_before = interpreter.is_open
             interpreter.is_open = False  # in a cycle a line of axis words only is no move
-        self.cycle, self._kept, self.to_r = holes.cycle, holes.kept, holes.to_r
-        self._begun_mm, self._manner = holes.begun_mm, holes.manner
+        self.cycle, self._kept, self.ends_at_r = holes.cycle, holes.kept, holes.ends_at_r
+        self._start_mm, self._kept_for = holes.start_mm, holes.kept_for
         relative, modal[RELATIVE] = modal[RELATIVE], 0  # the lines of holes are absolute
         try:
             for line in holes.lines():
@@ -202,39 +204,40 @@ class Drilling:
 
     # Checks
 
-    def plan(self, words: "list[Word]", to_r: bool) -> Holes:
-        """Check a line of a cycle and prepare its holes. words: the line's; to_r: G99 holds for
-        it. GrblError if it is wrong. Nothing changes."""
+    def plan(self, words: "list[Word]", ends_at_r: bool) -> Holes:
+        """Check a line of a cycle and prepare its holes. words: the line's; ends_at_r: G99 holds
+        for it. GrblError if it is wrong. Nothing changes."""
         holes = self._holes
-        holes.to_r = to_r
+        holes.ends_at_r = ends_at_r
         holes.cycle, given, others = self._split(words)
-        holes.first = joined(others)
-        holes.own = [word for word in words if word not in others]
-        self._check(holes.first)
-        self._check_others()
+        holes.other_words = joined(others)
+        holes.cycle_words = [word for word in words if word not in others]
+        self._check(holes.other_words)
+        self._check_other_words()
         ints = self._machine.interpreter.block.ints  # the line just checked
         plane_axes = _PLANES[ints[PLANE]]
-        drill_axis = 0 + 1 + 2 - sum(plane_axes)  # index of the one that is not in the plane
-        holes.letter = _LETTERS[drill_axis]
-        holes.manner = drill_axis, ints[INCHES], ints[RELATIVE]
-        is_repeated = holes.cycle == self.cycle and holes.manner == self._manner
+        drill_axis = 0 + 1 + 2 - sum(plane_axes)  # the one that is not in the plane
+        holes.letter = _AXIS_LETTERS[drill_axis]
+        holes.kept_for = drill_axis, ints[INCHES], ints[RELATIVE]
+        is_repeated = holes.cycle == self.cycle and holes.kept_for == self._kept_for
         holes.kept = dict(self._kept) if is_repeated else {}
         for letter in "RQP" + holes.letter:
             if letter in given:
                 holes.kept[letter] = given[letter]
         _check_numbers(holes, given)
-        self._place(holes, drill_axis)
-        places = [
-            (given[_LETTERS[i]], self._now(i), i) for i in plane_axes if _LETTERS[i] in given
-        ]
+        self._set_heights(holes, drill_axis)
+        in_plane = []
+        for i in plane_axes:
+            if _AXIS_LETTERS[i] in given:
+                in_plane.append((given[_AXIS_LETTERS[i]], self._position(i), i))
         times = int(float(given.get("L", "1")))
-        holes.places = self._places(places, times)
+        holes.hole_words = self._words_of_holes(in_plane, times)
         return holes
 
     def _split(self, words: "list[Word]") -> "tuple[int, dict[str, str], list[Word]]":
         """Return three things: the cycle that the line names, in tenths, or else the active one;
-        its numbers by letter (_OWN); and all other words. GrblError if the line names two cycles,
-        repeats a letter or has no axis word.
+        its numbers by letter (_CYCLE_LETTERS); all other words. GrblError if the line names two
+        cycles, repeats a letter or has no axis word.
         """
         cycle = self.cycle
         is_named = False
@@ -246,17 +249,17 @@ class Drilling:
                 if is_named:
                     raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
                 cycle, is_named = tenths, True
-            elif letter not in _OWN:
+            elif letter not in _CYCLE_LETTERS:
                 others.append(word)
             elif letter in given:
                 raise GrblError(errors.GCODE_WORD_REPEATED)
             else:
                 given[letter] = number
-        if not any(letter in given for letter in _LETTERS):
+        if not any(letter in given for letter in _AXIS_LETTERS):
             raise GrblError(errors.GCODE_NO_AXIS_WORDS)
         return cycle, given, others
 
-    def _check_others(self) -> None:
+    def _check_other_words(self) -> None:
         """Check the interpreter's block, which has the line without the words of the cycle: no
         word moves, uses axis words or ends the program, and there is a feed rate in mm/min."""
         block = self._machine.interpreter.block
@@ -267,7 +270,7 @@ class Drilling:
         if block.ints[INVERSE_TIME] or not block.singles[b.F]:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
 
-    def _place(self, holes: Holes, axis: int) -> None:
+    def _set_heights(self, holes: Holes, axis: int) -> None:
         """Compute the bottom of the holes, R and the height at which each ends. GrblError if the
         bottom is above R.
 
@@ -276,40 +279,43 @@ class Drilling:
         """
         ints = self._machine.interpreter.block.ints
         holes.gap = _GAP_INCH if ints[INCHES] else _GAP_MM
-        has_begun = self.cycle and axis == self._manner[0]
-        holes.begun_mm = self._begun_mm if has_begun else self._machine.modes.position[axis]
-        holes.now = self._now(axis)
-        begun = self._at(axis, holes.begun_mm)  # as now, in the program's units
+        has_begun = self.cycle and axis == self._kept_for[0]
+        holes.start_mm = self._start_mm if has_begun else self._machine.modes.position[axis]
+        holes.position = self._position(axis)
+        start = self._in_program_units(axis, holes.start_mm)
         holes.r, holes.bottom = holes.kept["R"], holes.kept[holes.letter]
         if ints[RELATIVE]:
-            holes.r = _text(begun + float(holes.r))
+            holes.r = _text(start + float(holes.r))
             holes.bottom = _text(float(holes.r) + float(holes.bottom))
         if float(holes.bottom) > float(holes.r):
             raise GrblError(errors.GCODE_INVALID_TARGET)
-        holes.above = holes.r if holes.to_r or begun <= float(holes.r) else _text(begun)
+        holes.end = holes.r if holes.ends_at_r or start <= float(holes.r) else _text(start)
 
-    def _places(self, given: "list[tuple[str, float, int]]", times: int) -> "Iterator[str]":
+    def _words_of_holes(
+        self, in_plane: "list[tuple[str, float, int]]", times: int
+    ) -> "Iterator[str]":
         """Yield the axis words of each of so many holes.
 
-        given: per axis in the plane, its number as written, its position now, and its index. In
+        in_plane: of each axis with a word, its number as written, its position, and its index. In
         G91 each hole is that far from the one before; in G90 all are at the same place.
         """
         relative = self._machine.interpreter.block.ints[RELATIVE]
         return (
             "".join(
                 [
-                    _LETTERS[i] + (_text(now + count * float(number)) if relative else number)
-                    for number, now, i in given
+                    _AXIS_LETTERS[i]
+                    + (_text(position + count * float(number)) if relative else number)
+                    for number, position, i in in_plane
                 ]
             )
             for count in range(1, times + 1)
         )
 
-    def _now(self, axis: int) -> float:
+    def _position(self, axis: int) -> float:
         """Return an axis's position in the units and work coordinates of the checked line."""
-        return self._at(axis, self._machine.modes.position[axis])
+        return self._in_program_units(axis, self._machine.modes.position[axis])
 
-    def _at(self, axis: int, mm: float) -> float:
+    def _in_program_units(self, axis: int, mm: float) -> float:
         """Convert a position on an axis from machine coordinates to the units and work coordinates
         of the checked line."""
         coords, ints = self._machine.coords, self._machine.interpreter.block.ints
@@ -319,13 +325,13 @@ class Drilling:
 
 def _check_numbers(holes: Holes, given: "dict[str, str]") -> None:
     """Raise GrblError if a number of the cycle is missing or wrong. given: those on the line."""
-    needed, possible = CYCLES[holes.cycle]
+    needed, optional = CYCLES[holes.cycle]
     kept = holes.kept
     for letter in "R" + holes.letter + needed:
         if letter not in kept:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
     for letter in "QP":
-        if letter in given and letter not in needed + possible:
+        if letter in given and letter not in needed + optional:
             raise GrblError(errors.GCODE_UNUSED_WORDS)
     times = float(given.get("L", "1"))
     if times != int(times):

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from extras.api import Cnc
     from extras.dialects.drilling import Word
 
-# The message for each word.
-_WORDS = {
+# The message for each word that is dropped or changed, by its key.
+_MESSAGES = {
     "%": "the tape mark is ignored",
     "O": "the program number is ignored",
     "G43": "tool lengths are not stored: set Z zero for each tool",
@@ -48,7 +48,7 @@ _WORDS = {
     "M6": "pauses with the spindle off; ~ resumes",
     "M204": "ignored: $120, $121, $122 set the acceleration",
 }
-_CYCLE = "executed as a drilling cycle"
+_CYCLE_MESSAGE = "executed as a drilling cycle"
 # Words in tenths.
 _G4 = const(40)
 _G43 = const(430)
@@ -65,26 +65,26 @@ _M114 = const(1140)
 _M115 = const(1150)
 _M204 = const(2040)
 _M400 = const(4000)
-_HAVE_P = (_G4, 100) + tuple(CYCLES)  # with these on the line, P and Q are not those of G64
-_SPINDLE_WORDS = (30, 40)  # M3, M4: with these on the line S is a speed
-_ENDS = (20, 300)  # M2, M30
-_NONE = const(-1)
-_NUMBER = "0123456789.+-"
+_WITH_P_AND_Q = (_G4, 100) + tuple(CYCLES)  # with these on the line, P and Q are not those of G64
+_SPINDLE_ON = (30, 40)  # M3, M4: with these on the line S is a speed
+_PROGRAM_ENDS = (20, 300)  # M2, M30
+_NO_TENTHS = const(-1)  # of a word that is neither G nor M
+_NUMBER_CHARACTERS = "0123456789.+-"
 
 
 class Lenient:
-    """Wraps the execution of lines. _usual: what executes a line otherwise. _tool: the number of
-    the last T, as it is written. _told: words reported since the last reset. _is_within: a line is
-    being executed; others may be within it."""
+    """Wraps the execution of lines. _previous_execute: what executes a line otherwise. _tool: the
+    number of the last T, as it is written. _reported: keys of _MESSAGES and cycles reported since
+    the last reset. _is_within: a line is being executed; others may be within it."""
 
     def __init__(self, cnc: "Cnc") -> None:
         machine = cnc.machine
         self._cnc = cnc
         self._machine = machine
         hooks = machine.state.hooks
-        self._usual = hooks.execute
-        self._drilling = Drilling(machine, self._run, self._check)
-        self._told: "list[str]" = []
+        self._previous_execute = hooks.execute
+        self._drilling = Drilling(machine, self._run_text, self._check_text)
+        self._reported: "list[str]" = []
         self._tool = "0"
         self._is_within = False
         hooks.execute = self.execute
@@ -94,7 +94,7 @@ class Lenient:
 
     def _forget(self) -> None:
         """Forget words reported, tool and cycle, after a reset."""
-        self._told.clear()
+        self._reported.clear()
         self._tool = "0"
         self._drilling.forget()
 
@@ -109,7 +109,7 @@ class Lenient:
         repeats a cycle nor ends it.
         """
         if self._is_within:
-            self._usual(line, length)
+            self._previous_execute(line, length)
             return
         self._is_within = True
         try:
@@ -125,18 +125,18 @@ class Lenient:
         its axis words as a motion.
         """
         drilling = self._drilling
-        is_watched = drilling.cycle or drilling.to_r or line.find(b"T", 0, length) >= 0
-        words = (_words(line, length) if is_watched else None) or []
-        if not (drilling.repeats(words) and self._execute_rest(line, length, words)):
+        is_watched = drilling.cycle or drilling.ends_at_r or line.find(b"T", 0, length) >= 0
+        words = (_words_of_line(line, length) if is_watched else None) or []  # []: not read
+        if not (drilling.repeats(words) and self._execute_changed(line, length, words)):
             if drilling.cycle and has(words, "G", _G53) and not has(words, "G", *MOTIONS):
                 raise GrblError(GCODE_G53_INVALID_MOTION_MODE)
             try:
-                self._usual(line, length)
+                self._previous_execute(line, length)
             except GrblError:
-                if not self._execute_rest(line, length, words or _words(line, length)):
+                if not self._execute_changed(line, length, words or _words_of_line(line, length)):
                     raise
         self._note_tool(words)
-        if has(words, "M", *_ENDS):
+        if has(words, "M", *_PROGRAM_ENDS):
             drilling.forget()
         elif has(words, "G", *MOTIONS):
             drilling.stop(False)
@@ -149,57 +149,57 @@ class Lenient:
             if letter == "T":
                 self._tool = number
 
-    def _check(self, text: str) -> None:
+    def _check_text(self, text: str) -> None:
         """Check a line. GrblError refuses it; otherwise it is in the interpreter's block."""
         machine = self._machine
         line = bytearray(text.encode() + b"\0")
         span = len(line) - 1 << 8  # the line's end, with its start, 0, in the lower byte
         machine.interpreter.check_line(line, span, machine.modes.modal, 0)
 
-    def _run(self, text: str) -> None:
+    def _run_text(self, text: str) -> None:
         """Execute a line as Grbl does. GrblError refuses it."""
         line = bytearray(text.encode() + b"\0")
-        self._usual(line, len(line) - 1)
+        self._previous_execute(line, len(line) - 1)
 
     # A line that has been refused
 
-    def _execute_rest(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
-        """Execute a line that was refused: as a question, as a drilling cycle, or without the
-        words that have no effect here.
+    def _execute_changed(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
+        """Execute a line that Grbl refuses, or that repeats a cycle: as a question, as a drilling
+        cycle, or without the words that have no effect here.
 
         words: those of the line, None if it is not words only. Return False, and do nothing, if
         no word can be dropped, or if the line is another extra's.
         """
         if words is None or self._cnc.has_word(line, length):
             return False
-        if self._answers(words):
+        if self._execute_marlin_m(words):
             return True
         if has(words, "G", _G98) and has(words, "G", _G99):
             raise GrblError(GCODE_MODAL_GROUP_VIOLATION)
-        names = ["%"] if line.find(b"%", 0, length) >= 0 else []
-        rest = self._without(words, names)
+        keys = ["%"] if line.find(b"%", 0, length) >= 0 else []
+        rest = self._keep_words(words, keys)  # appends to keys
         drilling = self._drilling
-        to_r = has(words, "G", _G99) or (drilling.to_r and not has(words, "G", _G98))
+        ends_at_r = has(words, "G", _G99) or (drilling.ends_at_r and not has(words, "G", _G98))
         cycles = [
             "G" + text for letter, text, tenths in rest if letter == "G" and tenths in CYCLES
         ]
         if cycles or drilling.repeats(rest):
-            if "M6" in names:
-                return False
-            holes = drilling.plan(rest, to_r)
-            self._tell(names + cycles)
-            drilling.make(holes)
+            if "M6" in keys:
+                return False  # a tool change is not executed with a cycle
+            holes = drilling.plan(rest, ends_at_r)
+            self._report_words(keys + cycles)
+            drilling.execute(holes)
             return True
-        if names:
-            self._check(joined(rest))  # before the message and the pause
-            self._tell(names)
-            if "M6" in names:
-                self._pause(words)
-            self._run(joined(rest))
-            drilling.to_r = to_r
-        return bool(names)
+        if keys:
+            self._check_text(joined(rest))  # before the message and the pause
+            self._report_words(keys)
+            if "M6" in keys:
+                self._pause_for_tool(words)
+            self._run_text(joined(rest))
+            drilling.ends_at_r = ends_at_r
+        return bool(keys)
 
-    def _answers(self, words: "list[Word]") -> bool:
+    def _execute_marlin_m(self, words: "list[Word]") -> bool:
         """Execute M114 (position), M115 (name) or M400 (wait), which has only N with it on its
         line. Return whether it is one of these."""
         others = [word for word in words if word[0] != "N"]
@@ -224,43 +224,44 @@ class Lenient:
             self._cnc.write_line(" ".join(positions).encode())
         return True
 
-    def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":
-        """Return the words that stay. The names of the others, keys of _WORDS, are added to
-        names. The S of G4 becomes P."""
+    def _keep_words(self, words: "list[Word]", keys: "list[str]") -> "list[Word]":
+        """Return the words that stay, of those of a line. Append the keys in _MESSAGES of the
+        others to `keys`. The S of G4 becomes P."""
         rest = []
         for word in words:
             _, text, tenths = word
-            name = self._name(word, words)
-            if name:
-                names.append(name)
-            if name == "G4 S":
+            key = self._message_key(word, words)
+            if key:
+                keys.append(key)
+            if key == "G4 S":
                 rest.append(("P", text, tenths))  # Grbl's word for the seconds of a dwell
-            elif not name:
+            elif not key:
                 rest.append(word)
         return rest
 
-    def _name(self, word: "Word", words: "list[Word]") -> str:
-        """Return the key in _WORDS of a word that may be dropped, or "". words: its line."""
+    def _message_key(self, word: "Word", words: "list[Word]") -> str:
+        """Return the key in _MESSAGES of a word that may be dropped, or of the S of G4, which is
+        changed; "" for all others. words: its line."""
         letter, _, tenths = word
         if letter == "O":  # with other words it is a subroutine of LinuxCNC
             return "O" if all(other[0] in "NO" for other in words) else ""
         if letter == "H":
-            return self._name_g(_G43, words) if has(words, "G", _G43) else ""
+            return self._message_key_of_g(_G43, words) if has(words, "G", _G43) else ""
         if letter in "SP" and _sets_acceleration(words):
             return "M204"
         if letter in "PQ":
-            return "G64" if has(words, "G", _G64) and not has(words, "G", *_HAVE_P) else ""
+            return "G64" if has(words, "G", _G64) and not has(words, "G", *_WITH_P_AND_Q) else ""
         if letter == "S":
-            is_speed = has(words, "P") or has(words, "M", *_SPINDLE_WORDS)
+            is_speed = has(words, "P") or has(words, "M", *_SPINDLE_ON)
             return "G4 S" if has(words, "G", _G4) and not is_speed else ""
         if letter == "M":
             if tenths == _M204 and _sets_acceleration(words):
                 return "M204"
             return "M6" if tenths == _M6 else ""
-        return self._name_g(tenths, words) if letter == "G" else ""
+        return self._message_key_of_g(tenths, words) if letter == "G" else ""
 
-    def _name_g(self, tenths: int, words: "list[Word]") -> str:
-        """Return the key in _WORDS of a G word that may be dropped, or "". tenths: its number;
+    def _message_key_of_g(self, tenths: int, words: "list[Word]") -> str:
+        """Return the key in _MESSAGES of a G word that may be dropped, or "". tenths: its number;
         words: its line. G43 and G49 only without a tool length."""
         if tenths in (_G43, _G49):
             has_length = self._machine.coords.tool_length or has(words, "G", _G43_1)
@@ -271,43 +272,46 @@ class Lenient:
             return "G61.1" if tenths == _G61_1 else "G%d" % (tenths // 10)
         return ""
 
-    def _tell(self, names: "list[str]") -> None:
-        """Report words that are dropped or changed, each once until a reset."""
-        for name in names:
-            if name not in self._told:
-                self._told.append(name)
-                self._cnc.message("%s: %s" % (name, _WORDS.get(name, _CYCLE)))
+    def _report_words(self, keys: "list[str]") -> None:
+        """Report words that are dropped or changed, each once until a reset. keys: of _MESSAGES,
+        or cycles as written (G81)."""
+        for key in keys:
+            if key not in self._reported:
+                self._reported.append(key)
+                self._cnc.message("%s: %s" % (key, _MESSAGES.get(key, _CYCLE_MESSAGE)))
 
-    def _pause(self, words: "list[Word]") -> None:
-        """Pause for the tool that this line names, or the last one named before."""
+    def _pause_for_tool(self, words: "list[Word]") -> None:
+        """Pause for the tool that this line keys, or the last one named before."""
         self._note_tool(words)
         if self._machine.modes.modal[SPINDLE]:
-            self._run("M5")
+            self._run_text("M5")
         if self._machine.state.run != st.CHECK:
             self._machine.canon.synchronise()
             self._cnc.message("Insert tool %s, then send ~" % self._tool)
-        self._run("M0")
+        self._run_text("M0")
 
 
 def _sets_acceleration(words: "list[Word]") -> bool:
     """Return whether M204 is on the line, and S is no speed of a spindle, T no tool."""
-    return has(words, "M", _M204) and not (has(words, "M", *_SPINDLE_WORDS) or has(words, "T"))
+    return has(words, "M", _M204) and not (has(words, "M", *_SPINDLE_ON) or has(words, "T"))
 
 
-def _words(line: bytearray, length: int) -> "list[Word] | None":
+def _words_of_line(line: bytearray, length: int) -> "list[Word] | None":
     """Return the words of a line without tape marks (%), or None if it is not words only.
 
-    Each has its letter, the text of its number, and its number in tenths (_NONE unless G or M).
+    Each has its letter, the text of its number, and of a G or M word the number in tenths, else
+    _NO_TENTHS.
     """
     words = []
     for letter, text in letters_and_texts(text_of(line[:length]).strip("%")):
-        if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in text):
+        if not "A" <= letter <= "Z" or any(c not in _NUMBER_CHARACTERS for c in text):
             return None
         try:
             value = float(text)
         except ValueError:
             return None
-        words.append((letter, text, key_of(letter, value)[1] if letter in "GM" else _NONE))
+        tenths = key_of(letter, value)[1] if letter in "GM" else _NO_TENTHS
+        words.append((letter, text, tenths))
     return words
 
 

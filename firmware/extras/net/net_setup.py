@@ -4,7 +4,7 @@ from micropython import const
 
 _DIGITS = "0123456789"
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
-_HOST_SIGNS = _LETTERS + _DIGITS + "-"
+_HOST_CHARACTERS = _LETTERS + _DIGITS + "-"
 _LONGEST_HOST = const(31)
 _LONGEST_NAME = const(32)
 _SHORTEST_PASSWORD = const(8)
@@ -12,42 +12,40 @@ _LONGEST_PASSWORD = const(63)
 _HIGHEST_PORT = const(65535)
 
 
-def change(kept: "dict[str, str]", text: str) -> str:
-    """Store a value in kept and return "", or return why not and change nothing.
+def change(values: "dict[str, str]", text: str) -> str:
+    """Change the stored values. Return "", or what is wrong, and then change nothing.
 
-    kept: values by name; SSID and PASS are stored as hexadecimal digits. text: `NAME=VALUE`;
+    values: by name; SSID and PASS are stored as hexadecimal digits. text: `NAME=VALUE`;
     `PASS+VALUE` continues a password; `OFF` removes the network's name and password.
     """
-    name, sign, value = _parted(text)
+    name, sign, value = _split(text)
     if name == "OFF" and not sign:
         for removed in ("SSID", "PASS"):
-            kept.pop(removed, None)
+            values.pop(removed, None)
         return ""
-    why = "$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF"
+    # Shown if the name or the sign is none of these.
+    problem = "$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF"
     if name == "SSID" and sign == "=":
-        why = _hex(value, 1, _LONGEST_NAME)
+        problem = _check_hex(value, 1, _LONGEST_NAME)
     elif name == "PASS" and sign:
-        value = (kept.get("PASS", "") if sign == "+" else "") + value
-        why = _hex(value, 0, _LONGEST_PASSWORD)
+        value = (values.get("PASS", "") if sign == "+" else "") + value
+        problem = _check_hex(value, 0, _LONGEST_PASSWORD)
     elif name == "MODE" and value in ("STATION", "AP"):
-        has_password = len(kept.get("PASS", "")) >= 2 * _SHORTEST_PASSWORD  # 2 digits per letter
-        why = (
-            ""
-            if value != "AP" or has_password
-            else ("Before MODE=AP, set a PASS of 8 letters or more")
-        )
+        has_password = len(values.get("PASS", "")) >= 2 * _SHORTEST_PASSWORD  # 2 digits per letter
+        is_open = value == "AP" and not has_password
+        problem = "Before MODE=AP, set a PASS of 8 letters or more" if is_open else ""
         value = value.lower()
     elif name == "HOST" and sign == "=":
         value = value.lower()
-        why = _host(value)
+        problem = _check_host(value)
     elif name == "PORT" and sign == "=":
-        why = _port(value)
-    if not why:
-        kept[name] = value
-    return why
+        problem = _check_port(value)
+    if not problem:
+        values[name] = value
+    return problem
 
 
-def _hex(text: str, fewest: int, most: int) -> str:
+def _check_hex(text: str, fewest: int, most: int) -> str:
     """Return "" if the text is that many bytes as hexadecimal digits, else what it must be."""
     try:
         count = len(bytes.fromhex(text))
@@ -58,29 +56,29 @@ def _hex(text: str, fewest: int, most: int) -> str:
     return "The value must be %d to %d bytes in hexadecimal" % (fewest, most)
 
 
-def _host(text: str) -> str:
+def _check_host(text: str) -> str:
     """Return "" if the text is a host name, else what it must be."""
-    if _is_of(text, _HOST_SIGNS) and text[0] != "-" and len(text) <= _LONGEST_HOST:
+    if _has_only(text, _HOST_CHARACTERS) and text[0] != "-" and len(text) <= _LONGEST_HOST:
         return ""
     return "A host name has letters, digits and -, at most 31"
 
 
-def _port(text: str) -> str:
+def _check_port(text: str) -> str:
     """Return "" if the text is a port's number, else what it must be."""
-    if _is_of(text, _DIGITS) and 0 < int(text) <= _HIGHEST_PORT:
+    if _has_only(text, _DIGITS) and 0 < int(text) <= _HIGHEST_PORT:
         return ""
     return "A port is a number from 1 to 65535"
 
 
-def _parted(text: str) -> "tuple[str, str, str]":
+def _split(text: str) -> "tuple[str, str, str]":
     """Split `NAME=VALUE`, `NAME+VALUE` or `NAME` into name, sign and value; "" without a sign."""
     for sign in "=+":
         name, found, value = text.partition(sign)
-        if found and _is_of(name.lower(), _LETTERS):
+        if found and _has_only(name.lower(), _LETTERS):
             return name, sign, value
     return text, "", ""
 
 
-def _is_of(text: str, allowed: str) -> bool:
+def _has_only(text: str, allowed: str) -> bool:
     """Return whether the text is not empty and has only these characters."""
     return bool(text) and not [character for character in text if character not in allowed]
