@@ -32,7 +32,8 @@ class Kinematics:
         self.alone = alone
         self._axes = range(axes)
         self._motors = range(len(self.moves))
-        # Steps of the axes, then those of the position all zeros, from which set_axis() counts.
+        # Two positions in steps, one per axis each: the first is set by _find(), the second is all
+        # zeros, because set_axis() counts from there.
         self._places = array("i", bytes(8 * axes))
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
@@ -42,7 +43,7 @@ class Kinematics:
             return motors[axis]
         total = count = 0  # of the motors that this axis turns
         for i in self._motors:
-            moves = self.moves[i] >> axis
+            moves = self.moves[i] >> axis  # bit 0: forwards; bit REVERSE: backwards
             if moves & 1:
                 total += motors[i]
                 count += 1
@@ -52,15 +53,15 @@ class Kinematics:
         return total // count if total >= 0 else -(-total // count)
 
     def to_axes(self, motors: "array[int]") -> None:
-        """Replace the steps of the first motors by the steps of the axes that they mean, one per
-        axis. Takes no memory."""
+        """Replace the steps of the first motors by the steps of the axes, computed from those of
+        all motors. Takes no memory."""
         self._find(motors)
         for i in self._axes:
             motors[i] = self._places[i]
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
-        """Change the steps of an axis' motors so that the axis is at `steps`, and all others stay
-        where they are."""
+        """Change motors, the steps of all motors, so that the axis is at `steps`, and all other
+        axes stay where they are."""
         self._find(motors)
         self._places[axis] = steps
         changed = self.motors_of(1 << axis)

@@ -3,13 +3,15 @@
 
 docs/motion.md derives the formulas. All of it is viper on integers: no allocation, no objects.
 Arguments and results are from 0 to 2**30 - 1 unless a function says otherwise, so they mean the
-same on a 32-bit board, on 64-bit desktop MicroPython and under CPython. layout.py has the places
-in table, ring and flow; `at` is the index in the ring of a block's row. From LIMITS on the table
-has mm/step, mm/s and mm/s2 per axis, then, each per axis, the last block's direction, this one's,
-its distances. Reals: minifloat.py. Main loop only; the interrupt reads the ring, writes only TAIL.
+same on a 32-bit board, on 64-bit desktop MicroPython and under CPython. layout.py has all places.
+The ring has ROWS rows of ROW_SIZE integers, a block each, then the system's own block; `at` is the
+index of a row. In the flow are numbers of rows: HEAD, of the next block to add; TAIL, of the one
+being executed; and UNPLANNED: new blocks without a backward pass. From LIMITS on the table has
+mm/step, mm/s and mm/s2 per axis, then, each per axis, the last block's direction, this one's, its
+distances. Reals: minifloat.py. Main loop only; the interrupt reads the ring, writes only TAIL.
 
 Speeds squared are scaled so that the square of the machine's highest speed is 2**30 (SQR_SCALE):
-a sum of two still fits 31 bits.
+a sum of two fits 31 bits. An entry speed is a promise: the machine can brake for all that follows.
 """
 
 import micropython
@@ -75,16 +77,15 @@ from motion.minifloat import (
 )
 from motion.steps import measure, to_steps
 
-# With more blocks than NEAR waiting, a backward pass over all of them takes longer than the rest
-# of a block's planning. So it is run once for AT_ONCE new blocks. Until then their entry speed is
-# 0, which is always safe.
-NEAR = const(16)
-AT_ONCE = const(4)
+# With many blocks waiting, a backward pass takes longer than the rest of a block's planning. Until
+# it comes their entry speed is 0, which is always safe.
+NEAR = const(16)  # with fewer blocks waiting it is run for each new one,
+AT_ONCE = const(4)  # else for so many
 
 # Reasons not to add a block: bits of a mask.
 OUTSIDE = const(1)  # it leaves the machine's travel
 FULL = const(2)  # the ring has no free row
-_UNIT = const(16384)  # 1, of a component of a direction: in 2**-14
+_UNIT = const(16384)  # 1, of a component of a direction, in 2**-14
 _REVERSAL = const(0x3FFFFC00)  # nearly 2**30, the square of 2 in 2**-28: |D|**2 of a reversal
 _STRAIGHT = const(16)  # |D|**2 in 2**-28: less is rounding
 
@@ -122,8 +123,8 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
                 component = (((mm & MANTISSA) << 14) // (length & MANTISSA)) >> shift
             if component > _UNIT:
                 component = _UNIT
-            # length / mm = scale * 2**(shift - 14), with scale between 2**13 and 2**15; k: the
-            # axis's speed, then its acceleration.
+            # length / mm = scale * 2**(shift - 14), with scale between 2**13 and 2**15; k: 1, the
+            # axis's speed; 2, its acceleration.
             scale = ((length & MANTISSA) << 14) // (mm & MANTISSA)
             for k in range(1, 3):
                 # The real limit * length / mm.
@@ -160,7 +161,7 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         v**2 = deviation * 4 c (1 + c) / |D| * min over axes of accel_i / |D_i|
 
     Components are in 2**-14 and carry a bias of 16384 here, so they run from 0 to 32768. HIGHEST
-    for a straight line, 0 for a reversal. dirs: DIRS of this block. Its direction is kept as the
+    for a straight line, 0 for a reversal. dirs: DIRS of this block. Its direction is stored as the
     previous one of the next corner.
     """
     axes = table[AXES]
@@ -192,15 +193,15 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         return HIGHEST
     if squares >= _REVERSAL:
         return 0
-    # Two roots: |D| in 2**-14, kept as change; then that of 4 - |D|**2, twice the cosine.
+    # Two roots: |D| in 2**-14, the length; then that of 4 - |D|**2, twice the cosine.
     cosine = 0
     for _ in range(2):
-        change = cosine
+        length = cosine
         cosine = int(square_root(squares))
         squares = 0x3FFFFFFF - squares
     cosine >>= 1
     # c (1 + c) / |D| in 2**-15. JUNCTION's 2**16 makes up for the 2**-14 of D_i, and is the 4.
-    shape = (((cosine * (_UNIT + cosine)) >> 14) << 15) // change
+    shape = (((cosine * (_UNIT + cosine)) >> 14) << 15) // length
     return int(product(int(pack(shape, BIAS - 15)), least, table[JUNCTION]))
 
 
@@ -230,8 +231,8 @@ def compute_profile(table: ptr32, ring: ptr32, at: int) -> int:
     per_mm = int(ratio(ring[at + EVENTS], ring[at + LENGTH]))
     factor = int(mul(per_mm, table[SEGMENT_RATE]))
     ring[at + FACTOR] = factor
-    # One loop for the five products, in their order in layout.py: product() is inlined, and code
-    # takes memory.
+    # RAMP, CRUISE, PROGRAMMED, NOMINAL_SQR, DELTA_SQR: a * b * c each. One loop, because product()
+    # is inlined, and code takes memory.
     a = accel
     b = per_mm
     c = table[SEGMENT_ACCEL]
@@ -240,7 +241,7 @@ def compute_profile(table: ptr32, ring: ptr32, at: int) -> int:
         if place <= CRUISE and number == 0:
             number = 1  # so that every block proceeds
         ring[at + place] = number
-        if place < PROGRAMMED:
+        if place < PROGRAMMED:  # the factors of the next one
             a = nominal if place == RAMP else rate
             b = factor
             c = ONE
@@ -261,7 +262,7 @@ def step_ratios(ring: ptr32, at: int, motors: int) -> int:
     Long division. A digit has as many bits as fit 31 together with a remainder below EVENTS.
     """
     events = ring[at + EVENTS]
-    width = 15 if events < LIMIT else (9 if events < 1 << 21 else 1)  # bits per digit
+    width = 15 if events < 1 << 15 else (9 if events < 1 << 21 else 1)  # bits per digit
     for i in range(motors):
         rest = ring[at + STEPS + i]
         ratio = 0
@@ -289,12 +290,12 @@ def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     at = head * size
     junction = int(junction_speed_sqr(table, ring[at + DIRS]))
     if head == flow[TAIL]:
-        junction = 0  # the ring is empty: it starts from rest
+        junction = 0  # the ring is empty: it starts at speed 0
     ring[at + JUNCTION_SQR] = junction
     ring[at + ENTRY_SQR] = 0
     limit_entry(ring, flow, head)
     if table[JUNCTION_DERATE]:
-        ring[at + MAX_ENTRY_SQR] = 0  # until the extra that asked for it has set it
+        ring[at + MAX_ENTRY_SQR] = 0  # until the extra that has set JUNCTION_DERATE sets it
     axes = table[AXES]
     target = LIMITS + TARGET * axes
     for i in range(axes):
@@ -302,7 +303,7 @@ def append_block(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     head += 1
     flow[HEAD] = head if head < flow[ROWS] else 0
     flow[UNPLANNED] += 1
-    blocks = head - flow[TAIL]
+    blocks = head - flow[TAIL]  # waiting, with the one being executed
     if blocks < 0:
         blocks += flow[ROWS]
     if blocks < NEAR or flow[UNPLANNED] >= AT_ONCE:
@@ -340,7 +341,7 @@ def plan(
     """Add a block from POSITION to target (mm, bits of floats). Returns 1, or 0 if it has no
     steps and is not added. flags: see layout.py; with PLACED, TARGET in the table is set already,
     and target is not read. line: the N word. power: of the spindle. rate: real, mm/s, or 1/s with
-    INVERSE_TIME. The ring must have a free row: see full(). With SYSTEM_MOTION it is the system's.
+    INVERSE_TIME. With SYSTEM_MOTION it is the system's own block; else a row must be free: full().
     """
     at = flow[ROWS] if flags & SYSTEM_MOTION else flow[HEAD]
     at *= flow[ROW_SIZE]
@@ -380,7 +381,7 @@ def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     tail = flow[TAIL]
-    exit_sqr = 0
+    exit_sqr = 0  # of the block before: the newest one ends at speed 0
     visited = 0
     while head != tail:
         head = head - 1 if head else flow[ROWS] - 1

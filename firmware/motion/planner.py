@@ -33,22 +33,19 @@ SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)  # 2**29, added to positions in the table
-# Speeds in a block are in 2**-18 step per full segment; slices in 2**-17 of one.
-_SPEED_UNITS = const(262144)
-_FULL_TIME = const(131072)
-_NO_DIRECTION = const(0x4000)  # see plan_kernel.limit()
-# Where the speed changes, a segment is cut into at most so many slices, of 1 ms or more.
-_SLICES = const(8)
+_SPEED_UNITS = const(262144)  # a block's speeds are in 2**-18 step per full segment,
+_FULL_TIME = const(131072)  # and its times in 2**-17 of one
+_NO_DIRECTION = const(0x4000)  # 0, with its bias: see plan_kernel.junction_speed_sqr()
+_MOST_SLICES = const(8)  # of a segment, where the speed changes; each is 1 ms or longer
 # Most steps in a full segment, so that speeds in 2**-18 step per segment have 30 bits. With 10 ms
 # that is 390 to 410 kHz; where an axis is faster, full segments are half as long.
 _MOST_STEPS = const(4095)
-_SLOWEST_MM_S = 1 / 60
+_SLOWEST_MM_S = 1 / 60  # no block is slower
 _JUNCTION_SCALE = 65536.0  # see JUNCTION in layout.py
-_LEAST = 1e-8  # lowest limit, mm/s and mm/s2: kernels would compute negative reals from 0
-# Greatest distance of a motor from 0, in steps. Kernels count from -2**29 to 2**29; the rest is
-# for rounding in single precision.
-_REACH = const(0x1FFFFF00)
-_FINEST = 1e8  # highest steps/mm, so that nothing is divided by 0, whatever $100 is
+_LEAST_LIMIT = 1e-8  # mm/s and mm/s2: kernels would compute negative reals from 0
+# Kernels count steps from -2**29 to 2**29; the rest is for rounding in single precision.
+_REACH_STEPS = const(0x1FFFFF00)  # greatest distance of a motor from 0
+_MOST_STEPS_PER_MM = 1e8  # highest steps/mm, so that nothing is divided by 0, whatever $100 is
 
 
 class Move:
@@ -95,7 +92,7 @@ class Planner:
         self.motors = motors
         self.kinematics = kinematics
         self._state = state
-        if ring is None or len(ring) != size * (blocks + 1):  # kinematics may add motors
+        if ring is None or len(ring) != size * (blocks + 1):  # too short if there are more motors
             ring = layout.ring(motors, blocks)
         self.ring = ring
         self.flow = array("i", (0 for _ in range(layout.FLOW_LENGTH + 2 * motors)))
@@ -106,8 +103,8 @@ class Planner:
         self.table[layout.MOTOR_COUNT] = motors
         for i in range(motors):
             self.table[layout.LIMITS + layout.MOVES * axes + i] = moves[i]
-        # Programmed spindle speed of each block, rpm, then of the system's block and of an arc's
-        # chords. The interrupt does not use it.
+        # Programmed spindle speed of each block, rpm, then of the system's own block and of an
+        # arc's chords. The interrupt does not use it.
         self.speeds = vector(blocks + 2)
         # End of the last block, in steps + _BIAS; part of the table.
         at = layout.LIMITS + layout.POSITION * axes
@@ -116,7 +113,7 @@ class Planner:
         self._feed = vector(1)
         for i in range(axes):
             self.position[i] = _BIAS
-            self.table[layout.LIMITS + 3 * axes + i] = _NO_DIRECTION
+            self.table[layout.LIMITS + 3 * axes + i] = _NO_DIRECTION  # the last block's
 
     def configure(
         self, settings: "AxisLimits", tick_hz: int, segment_log2: int, step_hz: int
@@ -130,15 +127,15 @@ class Planner:
         table = self.table
         fastest_sqr = fastest_hz = 0.0
         for i in range(self.axes):
-            resolution = min(settings.steps_per_mm[i] or 1.0, _FINEST)
+            resolution = min(settings.steps_per_mm[i] or 1.0, _MOST_STEPS_PER_MM)
             rate = min(settings.max_rate[i] / 60, step_hz / resolution)
             acceleration = settings.acceleration[i] / 3600
             fastest_sqr += max(rate, _SLOWEST_MM_S) ** 2
             fastest_hz = max(fastest_hz, rate * resolution)
             at = layout.LIMITS + 3 * i  # an axis's mm per step, mm/s, mm/s2
             table[at] = minifloat.real(1 / resolution)
-            table[at + 1] = minifloat.real(max(rate, _LEAST))
-            table[at + 2] = minifloat.real(max(acceleration, _LEAST))
+            table[at + 1] = minifloat.real(max(rate, _LEAST_LIMIT))
+            table[at + 2] = minifloat.real(max(acceleration, _LEAST_LIMIT))
             self.steps_per_mm[i] = resolution
         at = layout.LIMITS + layout.RESOLUTION * self.axes
         copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
@@ -155,18 +152,18 @@ class Planner:
         table[layout.SEGMENT_RATE] = minifloat.real(seconds * _SPEED_UNITS)
         table[layout.SEGMENT_ACCEL] = minifloat.real(seconds * seconds * _SPEED_UNITS)
         table[layout.SEGMENT_LOG2] = segment_log2
-        table[layout.SLICE] = _FULL_TIME // max(min(int(seconds * 1000), _SLICES), 1)
+        table[layout.SLICE] = _FULL_TIME // max(min(int(seconds * 1000), _MOST_SLICES), 1)
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
 
     def reach_mm(self, axis: int) -> float:
         """Return how far from 0 an axis may be, in mm. A motor that several axes move counts the
         steps of all, so each may go less far."""
         moves = self.kinematics.moves if self.kinematics else (1,)
-        # The most axes that one motor moves: the bits of its number.
+        # The most axes that one motor moves: the bits that are set in its number (layout.MOVES).
         most_axes = max(
             [sum([move >> i & 1 for i in range(2 * layout.REVERSE)]) for move in moves]
         )
-        return _REACH / most_axes / self.steps_per_mm[axis]
+        return _REACH_STEPS / most_axes / self.steps_per_mm[axis]
 
     def free(self) -> int:
         """Return how many blocks can still be added."""
@@ -204,7 +201,8 @@ class Planner:
         power: the power for the move's spindle speed (Spindle.block_power).
         """
         flags, flow = move.flags, self.flow
-        head = flow[HEAD]  # the row that plan() fills
+        head = flow[HEAD]  # the row that plan() fills, unless it is the system's
+        # move_hook: an extra's function in the place of plan().
         plan = self.move_hook or self.plan
         if not plan(target, flags, move.line_number, power, self.rate(move.feed)):
             return False
@@ -255,15 +253,16 @@ class Planner:
         """
         # The target of the next block may already be set: TARGET, with POSITION after it. Both are
         # restored at the end.
-        places = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
-        saved = array("i", places[: 2 * self.axes])
-        self.sync_motors(start)
+        targets = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
+        saved = array("i", targets[: 2 * self.axes])
+        self.sync_motors(start)  # sets POSITION
         planned = self.line(target, move, power)
-        copy(saved, places, 2 * self.axes)
+        copy(saved, targets, 2 * self.axes)
         return planned
 
     def catch_up(self) -> None:
-        """Plan blocks that were added and not yet planned: see plan_kernel.append_block()."""
+        """Run the backward pass for blocks that were added since the last one: see
+        plan_kernel.append_block(). Then call the extras' hooks."""
         if self.flow[UNPLANNED]:
             plan_kernel.reverse_pass(self.ring, self.flow, 0)
         if self._state.hooks.caught_up:
@@ -284,7 +283,7 @@ class Planner:
             if row != flow[TAIL]:  # the block being executed has been entered
                 plan_kernel.limit_entry(self.ring, flow, row)
             row = (row + 1) % flow[ROWS]
-        plan_kernel.reverse_pass(self.ring, flow, 1)
+        plan_kernel.reverse_pass(self.ring, flow, 1)  # 1: over all blocks
 
     def each_power(self, power: "Callable[[int, float], int]") -> None:
         """Set the spindle power of every block again. power(flags, rpm) returns it, from a block's
@@ -299,7 +298,8 @@ class Planner:
             call(power)
 
     def clear(self) -> None:
-        """Drop all blocks. Only while the engine is stopped."""
+        """Drop all blocks, a hold, and what the interrupt has of a block. Only while the engine is
+        stopped."""
         flow = self.flow
         flow[TAIL] = flow[HEAD]
         for i in (

@@ -31,11 +31,11 @@ class Segments:
         self._planner = planner
         self._flow = planner.flow
         self._ring = planner.ring
-        # For next(): the planner keeps the arrays.
+        # The same arrays for next(), as addresses on a board: the planner keeps them allocated.
         self._flow_at = for_kernels(planner.flow)
         self._ring_at = for_kernels(planner.ring)
         self._table_at = for_kernels(planner.table)
-        self._saved: "array[int] | None" = None
+        self._saved: "array[int] | None" = None  # the flow, during the system's own moves
 
     @micropython.viper
     def next(self, row: ptr32) -> int:
@@ -64,7 +64,7 @@ class Segments:
         """Save the stopped block in progress, so that the system's own moves can be executed. The
         machine stands still; the next move begins at speed 0."""
         if self._saved is None:
-            self._saved = type(self._flow)("i", self._flow)
+            self._saved = type(self._flow)("i", self._flow)  # a copy
         self._flow[LOADED] = 0
         self._flow[END_SPEED] = 0
         self._flow[JOIN_SPEED] = 0
@@ -101,9 +101,11 @@ class Segments:
         if not flow[LOADED] and flow[layout.TAIL] == flow[layout.HEAD]:
             return None
         flags, programmed = ring[at + layout.FLAGS], ring[at + layout.PROGRAMMED]
+        # Spindle off, or a block whose power follows a rate of 0.
         if not flags & SPINDLE_MASK or (flags & layout.DYNAMIC and not programmed):
             return 0.0
         rpm = self._planner.speeds[at // flow[layout.ROW_SIZE]]
         if not flags & layout.DYNAMIC:
             return rpm
-        return f32(rpm * value(self.rate()) / value(ratio(programmed, ring[at + FACTOR])))
+        programmed_rate = ratio(programmed, ring[at + FACTOR])  # a real, mm/s, as rate() is
+        return f32(rpm * value(self.rate()) / value(programmed_rate))
