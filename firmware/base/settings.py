@@ -24,13 +24,12 @@ if TYPE_CHECKING:
     Rows = tuple[Row, ...]
 
 INT = const(0)  # whole, 0 to 255: larger numbers wrap
-BOOL = const(1)
+BOOL = const(1)  # 0 or 1
 WHOLE = const(2)  # a float, shown without decimals
 FLOAT = const(3)
 AXIS = const(4)  # a float per axis: number + axis
 
-# In place of a number: all settings.
-ALL = const(-1)
+ALL = const(-1)  # in place of a number: all settings
 
 _FILE = "settings"  # name in the store
 

@@ -73,9 +73,9 @@ ANY = const(27)  # an event was posted that realtime.py has not handled
 
 # Places in State.spindle, from which control/spindle.py computes power: the speed after override
 # and limits; the override as a fraction, 1 for 100 %.
-RPM = const(1)
+RPM = const(1)  # place in State.spindle of the speed after override and limits
 OVERRIDE_PART = const(2)
-SPINDLE_LENGTH = const(10)
+SPINDLE_LENGTH = const(10)  # of that array
 
 FIRST_OVERRIDE_BYTE = const(0x90)
 LAST_OVERRIDE_BYTE = const(0xA1)

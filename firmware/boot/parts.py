@@ -54,8 +54,8 @@ _BUILDING = (
 
 # Names of functions that are needed only while the machine is built: in a class or module those
 # with MAKER in their name, too; the last two are those of extras.
-MAKERS = ("__init__", "connect", "prepare", "install")
-MAKER = "_make_"
+MAKERS = ("__init__", "connect", "prepare", "install")  # whole names
+MAKER = "_make_"  # part of the name of such a function
 
 
 # Engines and links. A build keeps only the imports of those that the board file names.

@@ -29,10 +29,10 @@ _MESSAGE = "[MSG:%s]"
 # While modules are imported, garbage is collected each time so many bytes were allocated. What an
 # import leaves for good would otherwise lie between its temporary objects: the largest free block
 # was 2.7 kB of 95 kB free without this, and is 35 to 50 kB with it.
-_COLLECT_BYTES = const(65536)
+_COLLECT_BYTES = const(65536)  # garbage is collected after so many
 # Modules of MicroPython that many of ours import. MicroPython does not enter them in sys.modules,
 # and looks among the files first, for 1 ms at each import.
-_BUILT_IN = ("array", "io", "machine", "os", "time")
+_BUILT_IN = ("array", "io", "machine", "os", "time")  # modules of MicroPython
 
 
 def build() -> "Parts | None":

@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 
 
 _DWELL_TICK_MS = const(50)
-_DWELL_TICKS_PER_S = const(20)
+_DWELL_TICKS_PER_S = const(20)  # 1000 / 50
 
 # Indices into the array `travel`, for check_travel().
 _AXES = const(0)  # number of axes
 SHUT = const(1)  # mask of axes that may not go above 0; from bit BELOW on, not below 0
 # From here on per axis the bits of a float: the greatest distance from 0, mm. It is within what
 # the axis's steps can count (Planner.reach_mm()); with soft limits within its travel, too.
-TRAVEL = const(2)
-BELOW = const(8)
+TRAVEL = const(2)  # the first axis's
+BELOW = const(8)  # a bit of SHUT
 
 
 @micropython.viper
@@ -68,8 +68,8 @@ class Canon:
     """The functions. positive_origin: homing sets 0, so travel may be in either direction.
 
     _asked: a move is requested and not planned; it is _target and _move. course: the chords of its
-    arc that are still to be planned; course[arcs.LEFT] is their number, 0 for a line. _is_jog: it
-    is a jog.
+    arc that are still to be planned; course[arcs.CHORDS_LEFT] is their number, 0 for a line.
+    _is_jog: it is a jog. travel: see check_travel(). _flow: the planner's state, for kernels.
     """
 
     def __init__(self, machine: "Machine", positive_origin: bool) -> None:
@@ -81,6 +81,7 @@ class Canon:
         self._motor_control = machine.motor_control
         self._port = machine.port
         self._positive_origin = positive_origin
+        # _AXES, SHUT, and TRAVEL of each axis; configure() sets these.
         self.travel = array("i", (machine.planner.axes, 0) + (0,) * machine.planner.axes)
         self._flow = machine.planner.flow
         self._asked = False
@@ -96,11 +97,12 @@ class Canon:
         set the array travel for lines, and the same limits in steps for the chords of arcs."""
         settings = self._settings
         travel = self.travel
-        # Axes (a mask) whose travel is above 0; that of the others is below. SHUT is the reverse.
+        # Axes (a mask) whose travel is above 0; that of the others is below. SHUT is the reverse:
+        # "not above 0" for the others, "not below 0" for these.
         positive = settings.homing_dir_invert if self._positive_origin else 0
-        travel[SHUT] = 255 - positive | positive << BELOW if settings.soft_limits else 0
+        travel[SHUT] = (255 - positive) | (positive << BELOW) if settings.soft_limits else 0
         for i in range(self.planner.axes):
-            far = self.planner.reach_mm(i)
+            far = self.planner.reach_mm(i)  # greatest distance from 0, mm
             least, greatest = -arcs.FARTHEST, arcs.FARTHEST  # steps
             if settings.soft_limits:
                 far = min(far, settings.max_travel[i])
@@ -128,7 +130,7 @@ class Canon:
 
     def finish(self) -> None:
         """Plan the requested move, if there is one, and start it if it is a jog."""
-        if self.course[arcs.LEFT]:
+        if self.course[arcs.CHORDS_LEFT]:
             self._plan_chords()
         if self._asked:
             self._asked = False
@@ -156,7 +158,7 @@ class Canon:
         if reasons & FULL:
             jogs = state.run == st.JOG
             self.wait_for_room()
-            if jogs and state.run != st.JOG:  # cancelled: this one would go all the way
+            if jogs and state.run != st.JOG:  # cancelled while it waited: do not plan it
                 return
         if not self.planner.line(target, move, self.power_of(move)):  # it has no steps
             self._apply_zero_length(move)
@@ -180,10 +182,10 @@ class Canon:
         plans as many as the ring has blocks for."""
         state, move, course = self._state, self._move, self.course
         moves = state.run != st.CHECK
-        power, known_changes = 0, -1  # known: State.changes when power was computed
+        power, known_changes = 0, -1  # State.changes[0] when power was computed; -1: not yet
         # In the first turn only if an event waits: the main loop has just called service().
-        must_service = state.pending[st.ANY] or state.suspend
-        while course[arcs.LEFT]:
+        must_service = state.pending[st.ANY] or state.suspend  # not 0: true
+        while course[arcs.CHORDS_LEFT]:
             if must_service:
                 self.service()
             must_service = 1
@@ -208,7 +210,7 @@ class Canon:
     def clear_request(self) -> None:
         """Drop the requested move."""
         self._asked = False
-        self.course[arcs.LEFT] = 0
+        self.course[arcs.CHORDS_LEFT] = 0
         self._is_jog = False
 
     def jog(self, target: "array[float]", move: "Move") -> None:
@@ -243,11 +245,12 @@ class Canon:
         self.synchronise()
         exact = f32(_DWELL_TICKS_PER_S * seconds)
         ticks = truncate(exact)
-        if exact > ticks:
+        if exact > ticks:  # round up
             ticks += 1
         for _ in range(ticks & 0xFFFF):
             since = self._port.ticks_ms()
             self.service()
+            # What service() has left of the tick; if nothing, it does not wait.
             self._motor_control.wait_unanswered(_DWELL_TICK_MS - self._port.elapsed_ms(since))
 
     def auto_start(self) -> None:

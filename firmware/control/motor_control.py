@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _FOR_EVER = const(255)  # $1: the motors stay powered
 # States in which the engine may be running.
-_MOTION = const(st.RUN | st.HOLD | st.JOG)
+_MOTION = const(st.RUN | st.HOLD | st.JOG)  # run states with motion
 _PATIENCE = const(3)  # restarts without progress; one more is a fault
 
 

@@ -42,7 +42,7 @@ _LOWEST = const(10)  # percent, of feed and spindle
 _HIGHEST = const(200)
 
 # States in which blocks are executed, or wait for it.
-_MOTION = const(st.RUN | st.HOLD | st.JOG)
+_MOTION = const(st.RUN | st.HOLD | st.JOG)  # run states
 
 
 class Overrides:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from interfaces import Machine
 
 
-_SOFT_RESET = const(0x18)
+_SOFT_RESET = const(0x18)  # real-time bytes
 _JOG_CANCEL = const(0x85)
 _END = const(-3)  # index of the end of a report: >\r\n
 _HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)  # states in which motion is held

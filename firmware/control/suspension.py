@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 # Time for spindle and coolant to start after the door is closed, before cutting resumes.
-_SPINDLE_DELAY_MS = const(4000)
-_COOLANT_DELAY_MS = const(1000)
+_SPINDLE_DELAY_MS = const(4000)  # until the spindle turns at its speed
+_COOLANT_DELAY_MS = const(1000)  # until coolant arrives
 
 _PARK_AXIS = Z
 _PARK_TARGET_MM = -5.0  # machine coordinates, where a parked tool is

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from language.block import Block
 
 JOG_START = const(3)  # the length of "$J="
-_SWITCHES = const(b.SPEED | b.SYNC | b.ACCESSORIES | b.OFFSETS | b.COMMAND)
+_SWITCHES = const(b.SPEED | b.SYNC | b.ACCESSORIES | b.OFFSETS | b.COMMAND)  # see _switch()
 
 
 class Interpreter:

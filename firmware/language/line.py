@@ -24,7 +24,7 @@ from control.spindle import LASER, power_from_rpm
 from micropython import const
 from motion import layout
 from motion.arc_geometry import lay
-from motion.arcs import LEFT
+from motion.arcs import CHORDS_LEFT
 from motion.minifloat import per_second
 from motion.plan_kernel import FULL, OUTSIDE
 from motion.plan_kernel import plan as plan_block
@@ -49,9 +49,10 @@ def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: obj
         return 0
     if length == 0:
         return 1
-    asked = int(check_line(text, length << 8, modal, 0, memory))
+    asked = int(check_line(text, length << 8, modal, 0, memory))  # its span begins at 0
     machine[b.ASKED] = asked
-    # WATCHED: the requests that an extra wants the interpreter to execute.
+    # WATCHED: the requests that an extra wants the interpreter to execute. A negative result is an
+    # error, which the interpreter raises.
     return 0 if asked < 0 or asked & machine[b.WATCHED] else int(run_move(asked, modal, memory))
 
 
@@ -61,6 +62,7 @@ def check_line(text: object, span: int, modal: ptr32, jog: int, memory: object) 
     requests, bits of block_layout.py, or minus Grbl's error number. jog: 1 for a $J= line, else 0.
     The block then has the line's numbers and its target."""
     words, block, _ = memory
+    # scale: State.spindle; rare: arrays that few lines need.
     _ints, _singles, _xyz, rates, position, offsets, _machine, scale, rare = block
     stored, plane, arc = rare
     ints = ptr32(_ints)
@@ -117,19 +119,19 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
     scale = ptr32(_scale)
     travel = ptr32(_travel)
     flow = ptr32(_flow)
-    moves = 0  # 1: there is a move to plan
+    moves = 0  # 1: there is a move to plan; in check mode there is none
     if asked & b.MOVE:
-        obstacles = int(check_travel(xyz, travel, flow))  # a mask
+        obstacles = int(check_travel(xyz, travel, flow))  # a mask of OUTSIDE and FULL
         moves = 0 if ptr32(running)[0] & CHECK else 1
         if obstacles & OUTSIDE or (moves and obstacles & FULL):
             return 0
     if asked & b.SPECIAL:
-        if ints[mode.MOTION] > b.CCW_ARC or ints[mode.INVERSE_TIME]:
+        if ints[mode.MOTION] > b.CCW_ARC or ints[mode.INVERSE_TIME]:  # not an arc, or with G93
             return 0
         if moves == 0 and travel[SHUT]:  # a chord may be outside
             return 0
         if moves and (hook or int(_is_bent(xyz, position, axes, rare, plans))):
-            return 0
+            return 0  # more than one chord
     commit_modal(ints, singles, modal, rates)
     rates[mode.RPM] = singles[b.S]
     rates[mode.TOOL] = singles[b.T]
@@ -137,12 +139,12 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
         flags = int(_flags(ints, modal, scale[LASER]))
         power = 0
         scale[ASKED_SPEED] = 0 if asked & b.DARK else rates[mode.RPM]
-        speed = scale[ASKED_SPEED]
+        speed = scale[ASKED_SPEED]  # here, because power_from_rpm() overwrites it
         if flags & SPINDLE_MASK:
             power = int(power_from_rpm(scale, flags))
         line = int(whole_part(singles, b.N, 0))
-        rate = int(per_second(singles, b.F))
-        at = flow[layout.HEAD]
+        rate = int(per_second(singles, b.F))  # a minifloat (motion/minifloat.py)
+        row = flow[layout.HEAD]  # the free row of the ring, which the block will use
         if hook:  # an extra's function, which plans instead of plan_block()
             planned = int(hook(target, flags, line, power, rate))
         else:
@@ -151,7 +153,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
             )
         if planned == 0:  # no step: a laser may still need its power
             return 0
-        ptr32(speeds)[at] = speed
+        ptr32(speeds)[row] = speed  # rpm, from which overrides compute the power again
     if asked & b.MOVE:
         copy(xyz, position, axes)
     return 1
@@ -177,11 +179,11 @@ def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object
     more it takes. rare, plans: parts of `memory`. Uses the planner's course as scratch."""
     _, plane, arc = rare
     _, _, _, _, _, _, _, steps_per_mm, course = plans
-    places = ptr32(course)
-    lay(ptr32(arc), ptr32(plane), position, xyz, ptr32(steps_per_mm), places, axes)
-    more = places[LEFT]
-    places[LEFT] = 0
-    return more
+    chords = ptr32(course)
+    lay(ptr32(arc), ptr32(plane), position, xyz, ptr32(steps_per_mm), chords, axes)
+    more_chords = chords[CHORDS_LEFT]
+    chords[CHORDS_LEFT] = 0  # else Canon would plan them
+    return more_chords
 
 
 @micropython.viper

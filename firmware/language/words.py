@@ -19,7 +19,7 @@ _PLUS = const(43)  # characters
 _MINUS = const(45)
 _POINT = const(46)
 _ZERO = const(48)
-_A = const(65)
+_A = const(65)  # the first and last letter
 _Z = const(90)
 _FRACTION = const(0x7FFFFF)  # the stored bits of a float's mantissa
 # Mantissas, of 24 bits.
