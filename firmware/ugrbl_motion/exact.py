@@ -49,7 +49,7 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
             steps = row[ROW_AXES + ROW_STRIDE * i]
     if bits == 0 or steps == 0:
         return 0
-    # Ticks per step: 24 bits of mantissa * 2**-shift, as whole ticks and a fraction.
+    # Ticks per step: 24 bits of mantissa * 2**-shift, as whole ticks and a fraction in 2**-17.
     shift = 150 - (bits >> 23)
     mantissa = (bits & 0x7FFFFF) | 0x800000
     fraction = 0
@@ -69,7 +69,8 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     if change < 0:
         change = 0 - change
     near = (ticks >> _NEAR_LOG2) + (whole >> _END_LOG2)  # the planner's errors, in ticks
-    if change > near + ticks // ((ring[at + CRUISE] >> 1) + 1) + 2:
+    rounding = ticks // ((ring[at + CRUISE] >> 1) + 1) + 2  # of CRUISE to a whole number
+    if change > near + rounding:
         return 0
     rest[0] = fraction & ((1 << _FRACTION_BITS) - 1)
     row[ROW_TICKS] = exact
@@ -79,6 +80,7 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     for i in range(motors):
         base = ROW_AXES + ROW_STRIDE * i
         for k in range(base + 1, base + 3 if row[base] else base + 1):
+            # Of the first and of the last step's tick.
             moved = (row[k] >> scale) * change // (ticks >> scale)
             row[k] = row[k] + moved if exact > ticks else row[k] - moved
     return 1
@@ -99,7 +101,7 @@ class ExactSegments(Segments):
         flow = ptr32(self._flow_at)
         ring = ptr32(self._ring_at)
         table = ptr32(self._table_at)
-        if int(fill(flow, ring, table, row)) == 0:
+        if int(fill(flow, ring, table, row)) == 0:  # as Segments.next()
             return 0
         set_time(flow, ring, row, int(self._motors), ptr32(self._rest))
         return 1

@@ -103,6 +103,7 @@ class Group:
 
     Calls queue motion and return; they wait only for space in the queue. wait() waits in a plain
     program, `await moved()` in a task. A failure of the engine is a GroupError of the next call.
+    A move's number, which calls return, is for done() and moved().
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class Group:
         **parts: "Axis | Output",
     ) -> None:
         self.axes: "list[Axis]" = []
-        self._outputs: "dict[str, int]" = {}  # the bit of each
+        self._outputs: "dict[str, int]" = {}  # the bit of each in a mask of levels
         pins: "list[int]" = []
         levels = 0
         for name in sorted(parts):
@@ -132,7 +133,7 @@ class Group:
         self.hardware = hardware or chip.own()
         self._lines = LineQueue(self.axes, self.hardware, corner, queue, pulse_us, levels)
         self.hardware.make_outputs(pins, levels)
-        self._rests = [0.0] * len(self.axes)  # what rounding to steps has left, in steps
+        self._rounding = [0.0] * len(self.axes)  # what rounding to steps has left over, in steps
 
     # Moves
 
@@ -160,10 +161,10 @@ class Group:
     def run(self, axis: "Axis", speed: float) -> int:
         """Queue a move of one axis without an end: Axis.run()."""
         if speed == 0:
-            raise ValueError("speed 0 is no motion: stop() ends one")
+            raise ValueError("speed must not be 0: stop() ends a motion")
         lines = self._lines
         self._wait_for_space()
-        for i in range(len(self.axes)):
+        for i in range(len(self.axes)):  # the others stay where the queued moves end
             lines.ends[i] = lines.end(i)
         lines.ends[axis.index] = REACH if speed > 0 else -REACH
         speed = min(abs(speed), axis.speed, lines.fastest_hz / axis.steps_per_unit)
@@ -171,7 +172,7 @@ class Group:
 
     def set(self, **levels: bool) -> None:
         """Set outputs by name, 0 or 1, at the end of the queued moves; at once without any."""
-        wanted = self._levels(levels)
+        wanted = self._levels_after(levels)
         self._check()
         self._lines.set_levels(wanted, True)
 
@@ -184,28 +185,28 @@ class Group:
         speed, seconds: see move(). Raises ValueError, and nothing has changed then.
         """
         if (speed is not None and speed <= 0) or (seconds is not None and seconds <= 0):
-            raise ValueError("speed and seconds have to be above 0")
+            raise ValueError("speed and seconds must be above 0")
         names = [axis.name for axis in self.axes]
-        levels = self._levels({name: wanted[name] for name in wanted if name not in names})
+        levels = self._levels_after({name: wanted[name] for name in wanted if name not in names})
         self._wait_for_space()
-        rests = self._rests[:]
+        rounding = self._rounding[:]
         for i, axis in enumerate(self.axes):
             end = self._lines.end(i)
             if axis.name in wanted:
                 exact = wanted[axis.name] * axis.steps_per_unit
                 if by:
-                    exact += rests[i]
+                    exact += rounding[i]
                 steps = math.floor(exact + 0.5)
-                rests[i] = exact - steps
+                rounding[i] = exact - steps
                 end = end + steps if by else steps
             if not -REACH <= end <= REACH:
                 raise ValueError("%s is out of reach, at %d steps from 0" % (axis.name, end))
             self._lines.ends[i] = end
-        self._rests = rests
-        self._lines.set_levels(levels, False)
-        return self._lines.plan(*self._rate(speed, seconds))
+        self._rounding = rounding
+        self._lines.set_levels(levels, False)  # False: not now, but as the move begins
+        return self._lines.plan(*self._speeds(speed, seconds))
 
-    def _levels(self, wanted: "Mapping[str, float]") -> int:
+    def _levels_after(self, wanted: "Mapping[str, float]") -> int:
         """Return the outputs' levels after all moves, a bit each, with these changes: 0 or 1 by
         name. Raises ValueError for an unknown name."""
         levels = self._lines.levels
@@ -216,22 +217,23 @@ class Group:
             levels = levels | bit if wanted[name] else levels & ~bit
         return levels
 
-    def _rate(self, speed: "float | None", seconds: "float | None") -> "tuple[float, float]":
+    def _speeds(self, speed: "float | None", seconds: "float | None") -> "tuple[float, float]":
         """Return the speed of the line to the ends, within the limits of axes: steps/s of the axis
         with the most steps, and units/s along the line. Zeros: as fast as possible."""
-        most = 0
-        squares = shortest = 0.0
+        most = 0  # steps of one axis
+        squares = shortest_s = 0.0  # of distances; time that the axes' limits allow
         for i, axis in enumerate(self.axes):
             steps = abs(self._lines.ends[i] - self._lines.end(i))
             most = max(most, steps)
             distance = steps / axis.steps_per_unit
             squares += distance * distance
-            shortest = max(shortest, distance / axis.speed, steps / self._lines.fastest_hz)
+            shortest_s = max(shortest_s, distance / axis.speed, steps / self._lines.fastest_hz)
         if (speed is None and seconds is None) or most == 0:
             return 0.0, 0.0
         length = math.sqrt(squares)
-        time = max(length / speed if speed is not None else seconds or 0.0, shortest)
-        return most / time, length / time
+        wanted_s = length / speed if speed is not None else seconds or 0.0
+        line_s = max(wanted_s, shortest_s)
+        return most / line_s, length / line_s
 
     def pace(self, factor: float) -> None:
         """Execute all moves, the present one too, at so many times their speed, 0.01 to 10.
@@ -239,7 +241,7 @@ class Group:
         Limits of axes are kept. It stays in force until the next call.
         """
         if not 0.01 <= factor <= 10:
-            raise ValueError("a pace is from 0.01 to 10; to stand still, pause()")
+            raise ValueError("pace must be 0.01 to 10; to stand still, use pause()")
         self._lines.pace(factor)
 
     # Stops
@@ -267,12 +269,12 @@ class Group:
     def _check(self) -> None:
         """Let the queue do what is due after stops. Raises GroupError if the engine has failed.
 
-        After a stop, positions are those where the motors are: rests of rounding no longer count.
+        After a stop, positions are where the motors are: what rounding has left over is void.
         """
-        stopped = self._lines.stopping
+        was_stopping = self._lines.stopping
         fault = self._lines.check()
-        if fault or (stopped and not self._lines.stopping):
-            self._rests = [0.0] * len(self.axes)
+        if fault or (was_stopping and not self._lines.stopping):  # all moves were dropped
+            self._rounding = [0.0] * len(self.axes)
         if fault:
             raise GroupError("motion was stopped: %s. Find the position again" % fault)
 
@@ -292,7 +294,7 @@ class Group:
         if self._lines.busy():
             raise GroupError("positions cannot be set during motion: wait() or stop() first")
         self._lines.place(axis.index, math.floor(position * axis.steps_per_unit + 0.5))
-        self._rests[axis.index] = 0.0
+        self._rounding[axis.index] = 0.0
 
     # Waiting
 

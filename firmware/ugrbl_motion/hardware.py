@@ -51,9 +51,9 @@ class Hardware:
             raise OSError("no step engine for %s: use the simulator's" % sys.platform)
         if Hardware._has_engine:
             raise OSError("this chip has one step engine: put all axes into one Group")
-        made = engines[sys.platform](step, direction)
-        Hardware._has_engine = True
-        return made
+        engine = engines[sys.platform](step, direction)
+        Hardware._has_engine = True  # of the class: a chip has one
+        return engine
 
     def make_outputs(self, pins: "Sequence[int]", levels: int) -> None:
         """Create the outputs that write() sets, at these pin numbers. levels: a bit each."""
@@ -82,7 +82,9 @@ class Hardware:
 
         @micropython.native
         def changed(_pin: object) -> None:
-            if pin.value() == level:  # else it was a disturbance
+            if (
+                pin.value() == level
+            ):  # else it was a disturbance: shorter than the interrupt's delay
                 on_change()
 
         edge = Pin.IRQ_RISING if level else Pin.IRQ_FALLING

@@ -33,40 +33,40 @@ class Homing:
         self, switch: Switch, speed: float, slow: float, back_off: float, travel: float
     ) -> None:
         if speed == 0 or min(slow, back_off, travel) <= 0:
-            raise ValueError("speed must not be 0; slow, back_off and travel have to be above 0")
+            raise ValueError("speed must not be 0; slow, back_off and travel must be above 0")
         self._switch = switch
         self._speed = speed
         self._slow = slow
         self._back_off = back_off
         self._travel = travel
-        self._watching = False
-        self._is_closed: "Callable[[], bool]"
+        self._stops_at_switch = False  # True during an approach
+        self._is_closed: "Callable[[], bool]"  # set by _search()
 
     def find(self, axis: "Axis") -> None:
         """Find the switch, and set the position. Waits for all earlier moves, and for its own.
 
         Raises GroupError if the switch is not found, or does not open again; nothing moves then.
         """
-        for _ in self._steps(axis):
+        for _ in self._search(axis):
             axis.group.sleep()
 
     async def found(self, axis: "Axis") -> None:
         """Find the switch as find() does, while other tasks run."""
-        for _ in self._steps(axis):
+        for _ in self._search(axis):
             await axis.group.sleep_task()
 
-    def _steps(self, axis: "Axis") -> "Iterator[None]":
+    def _search(self, axis: "Axis") -> "Iterator[None]":
         """Find the switch of an axis, and set the position; yield while motion goes on.
 
         Fast towards it, back, slowly towards it, where the position is set, and back.
         """
         group = axis.group
-        away = -self._back_off if self._speed > 0 else self._back_off
+        away = -self._back_off if self._speed > 0 else self._back_off  # a distance, signed
         yield from group.until_done()
 
         def on_change() -> None:
             """Stop motion in the pin's interrupt, if it goes towards the switch."""
-            if self._watching:
+            if self._stops_at_switch:
                 group.halt()
 
         switch = self._switch
@@ -74,14 +74,14 @@ class Homing:
         far = self._travel if self._speed > 0 else -self._travel
         yield from self._approach(axis, far, abs(self._speed))
         yield from self._leave(axis, away)
-        yield from self._approach(axis, -2 * away, self._slow)
+        yield from self._approach(axis, -2 * away, self._slow)  # twice as far: it must close
         axis.place(switch.position)
         yield from self._leave(axis, away)
 
     def _approach(self, axis: "Axis", distance: float, speed: float) -> "Iterator[None]":
         """Move until the switch closes, by at most `distance`, units; speed: units/s. Yields while
         motion goes on. Raises GroupError if the switch does not close."""
-        self._watching = True
+        self._stops_at_switch = True
         try:
             if not self._is_closed():
                 axis.move_by(distance, speed)
@@ -89,9 +89,11 @@ class Homing:
                     axis.group.halt()
             yield from axis.group.until_done()
         finally:
-            self._watching = False
+            self._stops_at_switch = False
         if not self._is_closed():
-            raise GroupError("no switch at pin %d was found: longer travel?" % self._switch.pin)
+            raise GroupError(
+                "the switch at pin %d was not reached: increase travel" % self._switch.pin
+            )
 
     def _leave(self, axis: "Axis", distance: float) -> "Iterator[None]":
         """Move off the switch by `distance`, units, slowly. Yields while motion goes on. Raises

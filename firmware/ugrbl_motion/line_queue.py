@@ -2,7 +2,11 @@
 
 The wiring of ugrbl's planner, segments and engine without a G-code machine. Group puts names and
 units on it. The planner's spindle power carries the number of a move and the levels of outputs to
-the moment when the move begins; its line number carries the exact rate (exact.py).
+the moment when the move begins; its line number carries the exact rate (exact.py). For the planner
+a unit of the program is _scale mm, and seconds are minutes / 60.
+
+The planner's flow: HEAD is the row of its ring where the next block is put, TAIL that of the block
+being executed; if they are equal, no move is left. ROWS is the number of rows.
 """
 
 import math
@@ -29,11 +33,11 @@ _BIAS = const(0x20000000)  # 2**29, added to positions in the planner's table
 
 # What the interrupt shares with the main loop: indexes in _state.
 _PLAYING = const(0)  # the move being executed: its number << LEVEL_BITS, and the outputs' levels
-_AT_END = const(1)  # levels after all moves
-LEVEL_BITS = const(8)
-_LEVELS = const(0xFF)  # mask of levels
-_NUMBERS = const(0xFFFFF)  # mask of a move's number, which wraps
-_HALF = const(0x80000)  # a difference of two numbers from here on is negative
+_FINAL_LEVELS = const(1)  # levels after all queued moves
+LEVEL_BITS = const(8)  # so many outputs at most; a move's number is above
+_LEVELS_MASK = const(0xFF)  # mask of levels
+_NUMBER_MASK = const(0xFFFFF)  # mask of a move's number, which wraps
+_HALF_RANGE = const(0x80000)  # a difference of two numbers from here on is negative
 
 
 class Motor:
@@ -49,7 +53,7 @@ class Motor:
         invert: bool = False,
     ) -> None:
         if min(steps_per_unit, speed, acceleration) <= 0:
-            raise ValueError("steps_per_unit, speed and acceleration have to be above 0")
+            raise ValueError("steps_per_unit, speed and acceleration must be above 0")
         self.step = step
         self.direction = direction
         self.steps_per_unit = steps_per_unit
@@ -81,7 +85,8 @@ class _Overrides:
 class LineQueue:
     """The queue. `ends` is filled in before plan(). corner: junction deviation, in units.
 
-    length: rows of the planner's ring. levels: of the outputs, a bit each, at the start.
+    length: rows of the planner's ring. levels: of the outputs, a bit each, at the start. stopping:
+    from stop() until check() has dropped all moves; paused: from pause() until resume().
     """
 
     def __init__(
@@ -95,22 +100,24 @@ class LineQueue:
     ) -> None:
         count = len(axes)
         self._hardware = hardware
-        self._state = array("i", (levels, levels))
+        self._state = array("i", (levels, levels))  # _PLAYING, of move 0, and _FINAL_LEVELS
         self._engine = engine = hardware.engine(
             tuple([axis.step for axis in axes]), tuple([axis.direction for axis in axes])
         )
         # The planner's unit is about a step, so that its slowest speed is a step per minute.
         finest = max([axis.steps_per_unit for axis in axes])
+        # A power of 2, so that nothing is rounded.
         self._scale = scale = 2.0 ** math.floor(math.log(finest) / math.log(2))
         self._overrides = _Overrides()
         self._planner = planner = Planner(count, length, None, self._overrides)
         self._segments = ExactSegments(planner, array("i", (0,)))
-        engine.configure(pulse_us, 0, sum([1 << i for i in range(count) if axes[i].invert]))
+        dir_invert = sum([1 << i for i in range(count) if axes[i].invert])
+        engine.configure(pulse_us, 0, dir_invert)  # 0: STEP of no axis is inverted
         self.fastest_hz = engine.max_step_hz(pulse_us)
         planner.configure(
             _Limits(axes, scale, corner), engine.tick_hz, engine.segment_log2, self.fastest_hz
         )
-        planner.override()
+        planner.override()  # sets the table's overrides, 100 %
         engine.attach(self._segments.next, self._on_row, self._on_rest)
         engine.arm()
         self.ends = array("i", (0 for _ in range(count)))  # of the move being prepared, in steps
@@ -119,31 +126,32 @@ class LineQueue:
         self._move = Move()
         self._nowhere = array("f", (0.0 for _ in range(count)))  # targets are in whole steps
         self._steps = array("i", (0 for _ in range(count)))
-        self._periods = array("f", (0.0 for _ in range(length)))  # ticks per step, per block
+        # Ticks per step at pace 1, per row of the ring.
+        self._periods = array("f", (0.0 for _ in range(length)))
         self._cell = array("f", (0.0,))  # a float,
-        self._bits = array("i", (0,))  # and its bits: _period_bits()
-        self._factor = 1.0  # of pace()
+        self._cell_bits = array("i", (0,))  # and its bits: _period_bits()
+        self._factor = 1.0  # the pace
         self._number = 0  # of the last move
 
     # In the engine's interrupt
 
     @micropython.native
     def _on_row(self, playing: int) -> None:
-        """Note the move of a row that begins, and set the outputs if they change. playing: as
-        _PLAYING; the planner has it as the row's spindle power."""
+        """Note the move of a row that begins, and set the outputs if they change. playing: the
+        move's number << LEVEL_BITS, and the outputs' levels: the row's spindle power."""
         state = self._state
         before = state[_PLAYING]
         state[_PLAYING] = playing
-        if (before ^ playing) & _LEVELS:
-            self._hardware.write(playing & _LEVELS)
+        if (before ^ playing) & _LEVELS_MASK:
+            self._hardware.write(playing & _LEVELS_MASK)
 
     @micropython.native
     def _on_rest(self) -> None:
         """Set the outputs that change after the last move: the engine has run out of rows."""
         flow = self._planner.flow
-        if flow[HEAD] == flow[TAIL]:
+        if flow[HEAD] == flow[TAIL]:  # else a hold has stopped it
             state = self._state
-            self._on_row(state[_PLAYING] & ~_LEVELS | state[_AT_END])
+            self._on_row(state[_PLAYING] & ~_LEVELS_MASK | state[_FINAL_LEVELS])
 
     @micropython.native
     def halt(self) -> None:
@@ -164,15 +172,15 @@ class LineQueue:
         move.clear()
         move.flags = layout.PLACED
         if rate:
-            head = planner.flow[HEAD]
+            head = planner.flow[HEAD]  # the row that the move will have
             self._periods[head] = self._engine.tick_hz / rate
             move.line_number = self._period_bits(head)
-            move.feed = 60.0 * self._scale * feed
+            move.feed = 60.0 * self._scale * feed  # the planner's mm/min
         else:
             move.flags |= layout.RAPID_MOTION
-        for i, end in enumerate(self.ends):
+        for i, end in enumerate(self.ends):  # PLACED: the target is in the planner's table
             self._targets[i] = _BIAS + end
-        number = self._number + 1 & _NUMBERS
+        number = (self._number + 1) & _NUMBER_MASK
         if planner.line(self._nowhere, move, number << LEVEL_BITS | self.levels):
             self._number = number
             if not self.paused:
@@ -182,18 +190,18 @@ class LineQueue:
         return self._number
 
     def _period_bits(self, row: int) -> int:
-        """Return the ticks per step of a row of the ring, at the pace in force, as the bits of a
+        """Return the ticks per step of a row of the ring, at the present pace, as the bits of a
         float: for exact.set_time()."""
         self._cell[0] = self._periods[row] / self._factor
-        copy(self._cell, self._bits, 1)
-        return self._bits[0]
+        copy(self._cell, self._cell_bits, 1)
+        return self._cell_bits[0]
 
     def pace(self, factor: float) -> None:
         """Execute all moves, the present one too, at `factor` times their speed."""
         planner, flow = self._planner, self._planner.flow
         self._factor = factor
         self._overrides.feed_override = self._overrides.rapid_override = 100 * factor
-        planner.override()
+        planner.override()  # plans all moves again; below, their exact rates follow
         row = flow[TAIL]
         while row != flow[HEAD]:
             at = row * flow[layout.ROW_SIZE]  # its index in the ring
@@ -204,14 +212,14 @@ class LineQueue:
     @property
     def levels(self) -> int:
         """Return the outputs' levels after all moves."""
-        return self._state[_AT_END]
+        return self._state[_FINAL_LEVELS]
 
     def set_levels(self, levels: int, now: bool) -> None:
         """Set the outputs' levels, a bit each, from the end of the queued moves on. now: also set
         them at once, if nothing moves or waits."""
-        self._state[_AT_END] = levels
+        self._state[_FINAL_LEVELS] = levels
         if now and not self.busy():
-            self._on_rest()
+            self._on_rest()  # sets them
 
     # Stops
 
@@ -238,29 +246,29 @@ class LineQueue:
         fault = self._engine.fault()
         if fault:
             self.set_levels(0, False)
-            self._hardware.write(0)
-            self._settle()
+            self._hardware.write(0)  # outputs off
+            self._restart()
             return fault
         planner = self._planner
         planner.catch_up()
         if self._engine.idle():
             if self.stopping:
-                self._settle()
+                self._restart()
             elif not self.paused and not planner.empty():
-                self._engine.start()
+                self._engine.start()  # it has run out of rows before the next move was planned
         return ""
 
-    def _settle(self) -> None:
+    def _restart(self) -> None:
         """Drop all moves after a stop, plan from where the motors are, and allow motion again. The
         outputs keep their present levels."""
         self._engine.stop()
         self._planner.clear()
         self._segments.clear()
-        self._planner.sync_motors(self.present())
+        self._planner.sync_motors(self.present())  # POSITION in the planner's table
         state = self._state
-        levels = state[_PLAYING] & _LEVELS
+        levels = state[_PLAYING] & _LEVELS_MASK
         state[_PLAYING] = self._number << LEVEL_BITS | levels
-        state[_AT_END] = levels
+        state[_FINAL_LEVELS] = levels
         self.stopping = self.paused = False
         self._engine.arm()
 
@@ -294,4 +302,4 @@ class LineQueue:
     def begun_after(self, number: int) -> bool:
         """Return whether a later move than that one has begun."""
         playing = self._state[_PLAYING] >> LEVEL_BITS
-        return 0 < (playing - number & _NUMBERS) < _HALF
+        return 0 < (playing - number & _NUMBER_MASK) < _HALF_RANGE
