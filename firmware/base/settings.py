@@ -302,7 +302,7 @@ class Settings:
         if fault:
             raise GrblError(fault)
         row, axis = self.row(number)
-        check = _CHECKS.get(row[0])
+        check = _CHECKS.get(row[0])  # by the first number of a row
         if check:
             check(self, axis, amount)
         self._store_value(row, axis, amount)

@@ -118,6 +118,7 @@ def import_extras(asked: "list[str]") -> "list[Extra]":
         # Else the objects that they leave for good are spread over all of memory.
         gc.threshold(_COLLECT_BYTES)
         gc.collect()
+    # With a name to import from it, __import__() returns the module, not its outermost package.
     return [__import__(name, None, None, ("install",)) for name in asked]
 
 
