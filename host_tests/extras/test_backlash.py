@@ -301,7 +301,7 @@ def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
             start: int, row: Any, usual: Any = usual, powers: Any = powers, m: Any = made
         ) -> None:
             usual(start, row)
-            if m.rig.controller.planner.kinematics.held:
+            if m.rig.controller.planner.kinematics.standing:
                 powers.append(m.rig.port.spindle_pwm)
 
         made.rig.engine.trace = trace

@@ -120,9 +120,9 @@ def test_tool_is_on_target_and_reports_match_a_square_machine(
 @given(st.lists(st.integers(-(2**24), 2**24), min_size=9, max_size=9), skews)
 def test_inverse_is_exact_for_any_numbers(numbers: "list[int]", skew: "tuple[float, ...]") -> None:
     kinematics = SkewKinematics(3, [1, 2, 4], 0)
-    kinematics.lean([mm / 1000 for mm in skew])
+    kinematics.set_factors([mm / 1000 for mm in skew])
     for axis in range(3):
-        kinematics.homed(array("i", numbers[6:]), axis)
+        kinematics.note_homed(array("i", numbers[6:]), axis)
     table = array("i", bytes(4 * (LIMITS + TARGET * 3 + 6)))
     table[AXES] = 3
     at = LIMITS + TARGET * 3
@@ -503,7 +503,7 @@ def test_conflicting_options_are_refused_with_the_reason(
 
 
 def test_default_beyond_the_bound_is_refused_with_the_reason() -> None:
-    with pytest.raises(ValueError, match=r"DEFAULTS: \$781 is 100 mm/m at the most"):
+    with pytest.raises(ValueError, match=r"DEFAULTS: \$781 may be at most 100 mm/m"):
         machine(DEFAULTS={781: -101.0}).play([])
 
 

@@ -10,7 +10,7 @@ from array import array
 from base.float32 import copy, vector
 from micropython import const
 from motion import layout, minifloat, plan_kernel
-from motion.arcs import FAR
+from motion.arcs import PLACE_BIAS
 from motion.planner import Planner
 
 from extras.kinematics.segmenter import Segmenter
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 # Positions are whole numbers of 1/1000 mm, as in reports.
 _PER_MM = 1000.0
 _SLOWEST_MM_S = 1e-6  # for places where motors turn and the tool hardly moves
-_STRAIGHT = 0.94  # cosine: a larger change of direction is a corner, and not a bend
-_UNIT = const(16384)  # 1 in the planner's directions
+_BEND_COSINE = 0.94  # of an angle between chords: a larger angle is a corner, and not a bend
+_UNIT_DIRECTION = const(16384)  # 1 in the planner's directions
 _DIRECTION = const(4)  # multiple of the number of axes, after LIMITS in the planner's table
-_LARGE = 1e18  # no limit: larger than every speed squared or acceleration
+_NO_LIMIT = 1e18  # larger than every speed squared or acceleration
 _SPEED_BITS = const(30)  # the planner's scaled speeds squared are below 2**30
 _BEND_SHARE = 0.5  # share of a joint's acceleration available for bends
 
@@ -103,8 +103,11 @@ class NonlinearPlanner(Planner):
     """A planner of chords.
 
     place, joints: the tool's position (mm) and that of the joints at the end of the last chord.
-    homing: positions are those of joints, in their units, until it is False again. pace: joint
-    units per mm of the tool's path, of all joints together.
+    The last block may end earlier, because a chord without steps makes none: it ends at _place,
+    _joints, in motor steps at _block_end_steps. homing: positions are those of joints, in their
+    units, until it is False again. synced: set when the plan has been cleared. Of the last block:
+    _slope, per joint its units per mm of the tool's path; _pace, the root of the sum of their
+    squares, so joint units per mm of all joints together; _length of that path, mm.
     """
 
     kinematics: "NonlinearKinematics"
@@ -112,21 +115,21 @@ class NonlinearPlanner(Planner):
     def __init__(self, axes: int, *others: "Any") -> None:
         super().__init__(axes, *others)
         self.homing = False
-        self.synced = False  # the plan has been cleared
+        self.synced = False
         self.place = vector(axes)
         self.joints = vector(axes)
         self.course = Segmenter(axes, self.kinematics.geometry)
-        self._at = array("i", (0 for _ in range(axes)))  # steps at the end of the last block
-        self._place = vector(axes)  # its exact end, because chords may have no steps
+        self._block_end_steps = array("i", (0 for _ in range(axes)))
+        self._place = vector(axes)
         self._joints = vector(axes)
-        self._next = vector(axes)  # end of a system move; or the bend of each joint, see _limit()
-        self._slope = vector(axes)  # per joint: its units per mm of path in the last block,
-        self._pace = 1.0  # root of the sum of their squares,
-        self._length = 1.0  # and the length of that block's path, mm
+        self._end = vector(axes)  # joints at the end of a system move
+        self._bends = vector(axes)  # of each joint, see _limit()
+        self._slope = vector(axes)
+        self._pace = self._length = 1.0
         self._rates = vector(axes)  # highest of each joint, units/s
         self._accelerations = vector(axes)  # units/s2
         self._fastest = 1.0  # the tool's highest speed, mm/s
-        self._deviation = 0.0  # $11, as the planner's JUNCTION is scaled
+        self._deviation = 0.0  # $11, scaled as JUNCTION in the planner's table
 
     def configure(
         self, settings: "AxisLimits", tick_hz: int, segment_log2: int, step_hz: int
@@ -134,7 +137,7 @@ class NonlinearPlanner(Planner):
         """Apply settings, as Planner.configure(). Steps, rates, accelerations are of joints."""
         super().configure(settings, tick_hz, segment_log2, step_hz)
         table, kinematics = self.table, self.kinematics
-        copy(self.steps_per_mm, kinematics.resolution, self.axes)
+        copy(self.steps_per_mm, kinematics.resolution, self.axes)  # per unit of a joint
         # From the settings' minutes to seconds. From here on steps_per_mm is the tool's: the
         # positions that the planner reports are in 1/1000 mm.
         for i in range(self.axes):
@@ -148,8 +151,9 @@ class NonlinearPlanner(Planner):
         table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)
         table[layout.SQR_SCALE] = minifloat.real(scale)
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
+        # As JUNCTION in the table, whose unit of distance is 2**-16 mm.
         self._deviation = 65536.0 * settings.junction_deviation_mm * scale
-        self._begin_at(self._at)
+        self._start_from(self._block_end_steps)  # the same steps are another position now
 
     # Positions
 
@@ -167,19 +171,19 @@ class NonlinearPlanner(Planner):
 
     def sync_motors(self, motors: "array[int]") -> None:
         """Synchronise with the motors, as Planner.sync_motors()."""
-        self._begin_at(motors)
+        self._start_from(motors)
         self.synced = True
 
-    def _begin_at(self, motors: "array[int]") -> None:
+    def _start_from(self, motors: "array[int]") -> None:
         """Take the motors' position, in steps, as the end of the last chord and block."""
-        copy(motors, self._at, self.axes)
+        copy(motors, self._block_end_steps, self.axes)
         self.kinematics.joints_of(motors, self.joints)
         self.kinematics.geometry.forward(self.joints, self.place)
         copy(self.place, self._place, self.axes)
         copy(self.joints, self._joints, self.axes)
         for i in range(self.axes):
             self._slope[i] = 0.0  # the next block starts from standstill, without a bend
-            self.position[i] = FAR + _parts(self.place[i])
+            self.position[i] = PLACE_BIAS + _parts(self.place[i])  # as in the table
 
     # Blocks
 
@@ -192,12 +196,12 @@ class NonlinearPlanner(Planner):
         copy(self.course.joints, self.joints, self.axes)
         target_at = layout.LIMITS + layout.TARGET * self.axes  # index in the table
         for i in range(self.axes):
-            self.table[target_at + i] = FAR + _parts(target[i])
+            self.table[target_at + i] = PLACE_BIAS + _parts(target[i])
         length = _distance(self._place, target)
-        if not self._block(self._at, self._joints, self.joints, length, move, power):
+        if not self._block(self._block_end_steps, self._joints, self.joints, length, move, power):
             return False
         for i in range(self.axes):
-            self._at[i] = self.kinematics.steps_of(self.joints[i], i)
+            self._block_end_steps[i] = self.kinematics.steps_of(self.joints[i], i)
         copy(target, self._place, self.axes)
         copy(self.joints, self._joints, self.axes)
         return True
@@ -212,7 +216,7 @@ class NonlinearPlanner(Planner):
         path is the distance in their units. start: motor steps. Return False if nothing moves, or
         if target is out of reach.
         """
-        begin, end = vector(self.axes), self._next
+        begin, end = vector(self.axes), self._end
         self.kinematics.joints_of(start, begin)
         copy(begin, end, self.axes)
         if self.homing:
@@ -224,7 +228,7 @@ class NonlinearPlanner(Planner):
             length = _distance(place, target)
         else:
             return False
-        # Kept, because the program's next chord follows its last one, and not this move.
+        # Restored afterwards: the program's next chord follows its last one, and not this move.
         last_chord = array("f", self._slope), self._pace, self._length
         planned = self._block(start, begin, end, length, move, power)
         self._slope, self._pace, self._length = last_chord
@@ -245,6 +249,7 @@ class NonlinearPlanner(Planner):
         length: of the tool's path, mm. power: of the spindle. Return False if there are no steps.
         """
         table, ring, flow, flags = self.table, self.ring, self.flow, move.flags
+        # A system move's row follows those of the ring.
         row = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
         at = row * flow[layout.ROW_SIZE]  # index of the row in the ring
         events = dirs = 0  # steps of the joint that makes the most; mask of those that go back
@@ -268,7 +273,7 @@ class NonlinearPlanner(Planner):
         plan_kernel.compute_profile(table, ring, at)
         plan_kernel.step_ratios(ring, at, self.motors)
         if flags & layout.SYSTEM_MOTION:
-            flow[layout.SYSTEM] = 1
+            flow[layout.SYSTEM] = 1  # execute it
         else:
             plan_kernel.append_block(table, ring, flow)
         self.speeds[row] = move.spindle_rpm
@@ -292,16 +297,17 @@ class NonlinearPlanner(Planner):
         """
         ring, table, slope = self.ring, self.table, self._slope
         direction = layout.LIMITS + _DIRECTION * self.axes  # index in the table
-        # The scalar product of this chord's change and the last slope has their angle's cosine.
+        # slope is still the last chord's. The scalar product of this chord's change, whose length
+        # is pace * length, and of the last slope, whose length is _pace, has their angle's cosine.
         product = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
-        is_bend = product > _STRAIGHT * pace * length * self._pace  # and not a corner
+        is_bend = product > _BEND_COSINE * pace * length * self._pace  # and not a corner
         per_distance = 2 / (length + self._length)  # from one chord's middle to the next one's
-        rapid, bend_sqr = self._fastest, _LARGE
+        rapid, bend_sqr = self._fastest, _NO_LIMIT
         for i in range(self.axes):
             per_mm = (end[i] - begin[i]) / length
-            table[direction + i] = min(int(abs(per_mm) / pace * _UNIT), _UNIT)
+            table[direction + i] = min(int(abs(per_mm) / pace * _UNIT_DIRECTION), _UNIT_DIRECTION)
             bend = abs(per_mm - slope[i]) * per_distance if is_bend else 0.0
-            slope[i], self._next[i] = per_mm, bend
+            slope[i], self._bends[i] = per_mm, bend
             if per_mm:
                 rapid = min(rapid, self._rates[i] / abs(per_mm))
             if bend:
@@ -309,10 +315,10 @@ class NonlinearPlanner(Planner):
         rapid = min(rapid, math.sqrt(bend_sqr))
         rate = self._rate(move, rapid)
         fast_sqr = min(rapid, 2 * rate) ** 2  # overrides go to 200 %
-        accel = _LARGE
+        accel = _NO_LIMIT
         for i in range(self.axes):
             if slope[i]:
-                available = self._accelerations[i] - self._next[i] * fast_sqr  # less the bend
+                available = self._accelerations[i] - self._bends[i] * fast_sqr  # the bend's share
                 accel = min(accel, available / abs(slope[i]))
         ring[at + layout.RAPID], ring[at + layout.ACCEL] = (
             minifloat.real(rapid),

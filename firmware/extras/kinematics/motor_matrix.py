@@ -27,30 +27,33 @@ def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
     positions do not follow from the motors'.
     """
     if len(words) > axes:
-        raise ValueError("MOVES has %d words, and there are %d axes" % (len(words), axes))
+        raise ValueError("MOVES has %d words, but there are %d axes" % (len(words), axes))
     moves = [_motor(word, axes) for word in words] + [1 << i for i in range(len(words), axes)]
     # The columns of the matrix, one per axis, must be orthogonal: then its transpose inverts it.
     for axis in range(axes):
         for other in range(axis + 1):
-            scalar_product = sum([_sign(motor, axis) * _sign(motor, other) for motor in moves])
-            if axis == other and not scalar_product:
+            product_of_columns = sum([_sign(motor, axis) * _sign(motor, other) for motor in moves])
+            if axis == other and not product_of_columns:
                 raise ValueError("MOVES: no motor moves %s" % LETTERS[axis])
-            if axis != other and scalar_product:
+            if axis != other and product_of_columns:
                 pair = LETTERS[other], LETTERS[axis]
                 raise ValueError("MOVES: %s and %s cannot move alone" % pair)
     return moves
 
 
 def _motor(word: str, axes: int) -> int:
-    """Return a motor's number (see parse_words()) for its word, such as X-Z."""
+    """Return a motor's number (see parse_words()) for its word, such as X-Z. ValueError if the
+    word is wrong."""
     moves = 0
-    shift = 0  # REVERSE after a minus sign
+    shift = 0  # of the next axis' bit: REVERSE after a minus sign
     for character in word:
         axis = LETTERS[:axes].find(character)
         if character in "+-":
             shift = REVERSE if character == "-" else 0
         elif axis < 0 or (moves | moves >> REVERSE) >> axis & 1:
-            raise ValueError("MOVES: %s in %s is no axis, or there twice" % (character, word))
+            raise ValueError(
+                "MOVES: %s in %s is not an axis, or is listed twice" % (character, word)
+            )
         else:
             moves |= 1 << axis + shift
             shift = 0
@@ -68,9 +71,9 @@ def _sign(moves: int, axis: int) -> int:
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Create the kinematics. ValueError if the board file is wrong."""
     if options.kinematics:
-        raise ValueError("MOVES says what COREXY does: write one of them")
+        raise ValueError("MOVES and COREXY exclude each other: use one")
     letters: str = board.__dict__.get("MOTORS", "")
-    axes = len(set(letters)) or options.axes
+    axes = len(set(letters)) or options.axes  # MOTORS repeats a letter for a second motor
     options.kinematics = Kinematics(axes, parse_words(board.__dict__["MOVES"], axes))
 
 

@@ -39,7 +39,9 @@ def _geometry(name: str, axes: int) -> "Geometry":
     for word in ("START", "HOME", "TRAVEL"):
         count = len(getattr(geometry, word, ()))
         if count != axes:
-            raise ValueError("KINEMATICS: %s has %d numbers, STEP %d pins" % (word, count, axes))
+            raise ValueError(
+                "KINEMATICS: %s has %d numbers, but STEP has %d pins" % (word, count, axes)
+            )
     return geometry  # type: ignore[no-any-return]
 
 
@@ -63,5 +65,5 @@ def install(cnc: "Cnc") -> None:
     canon.tell = cnc.message
     canon.modes, canon.block = machine.modes, interpreter.block
     machine.state.hooks.checked += (canon.check_block,)
-    interpreter.is_open = False
+    interpreter.is_open = False  # to the stream kernel
     interpreter.watch(MOVE)

@@ -78,7 +78,7 @@ class NonlinearCanon(Canon):
             if ints[b.CLAIM]:  # it has axis words
                 self.check(start, xyz, None, code)
                 start = xyz
-            self.check(start, self.block.stored, None, code)
+            self.check(start, self.block.stored, None, code)  # the position of G28 or G30
         elif ints[b.CLAIM] == b.AXES_MOTION and ints[b.WORDS] & b.AXIS_WORDS:
             is_arc = ints[MOTION] in (b.CW_ARC, b.CCW_ARC)
             self.check(start, xyz, self.block.arc if is_arc else None, code)
@@ -93,7 +93,9 @@ class NonlinearCanon(Canon):
         """
         planner, course = self.planner, self.planner.course
         joints = vector(planner.axes)
-        copy(planner.joints, joints, planner.axes)
+        copy(
+            planner.joints, joints, planner.axes
+        )  # inverse() chooses the solution nearest to them
         is_in_reach = planner.kinematics.geometry.inverse(start, joints)
         course.start_path(start, joints, target, arc, self._settings.arc_tolerance_mm)
         while is_in_reach and course.has_next():
@@ -103,19 +105,19 @@ class NonlinearCanon(Canon):
             self._refuse(code)
 
     def _refuse(self, code: int) -> None:
-        """Report the position that is out of reach, where the course has stopped, and raise
-        GrblError(code)."""
+        """Report the position that is out of reach (course.place, where its check has ended), and
+        raise GrblError(code)."""
         words = zip(LETTERS, self.planner.course.place)
         self.tell("%s is out of reach" % " ".join(["%s%.3f" % word for word in words]))
         raise GrblError(code)
 
     def wait_for_room(self) -> None:
         """Wait for a free row, as Canon.wait_for_room(), or until the path is cut short."""
-        while self.planner.full() and not self._is_cut():
+        while self.planner.full() and not self._is_path_dropped():
             self.auto_start()
             self.service()
 
-    def _is_cut(self) -> bool:
+    def _is_path_dropped(self) -> bool:
         """Return whether the rest of the path is not to be planned: after a reset (synced), or
         after the probe's contact (stop_planning)."""
         return self.planner.synced or self.stop_planning
@@ -128,8 +130,8 @@ class NonlinearCanon(Canon):
         """
         state, planner, course = self._state, self.planner, self.planner.course
         arc, self._arc = self._arc, None
-        limited = state.run != st.JOG and not self._is_jog  # a jog has been checked before
-        if limited and self.outside(target):
+        has_limits = state.run != st.JOG and not self._is_jog  # a jog has been checked before
+        if has_limits and self.outside(target):
             self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
             return
@@ -140,20 +142,20 @@ class NonlinearCanon(Canon):
             move.feed *= course.path.length  # G93: from 1/min to mm/min
             move.flags &= ~layout.INVERSE_TIME
         planner.synced = False
-        moves = False  # whether a chord has had steps
+        has_steps = False  # becomes True with the first chord that has steps
         while course.has_next():
-            if not course.next_chord() or (arc and limited and self.outside(course.place)):
+            if not course.next_chord() or (arc and has_limits and self.outside(course.place)):
                 self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
             self.service()
             self.wait_for_room()
-            if self._is_cut():
+            if self._is_path_dropped():
                 return
             power = self.power_of(move)
-            moves |= planner.line(course.place, move, power)
+            has_steps |= planner.line(course.place, move, power)
             if self._is_jog and state.run == st.IDLE and not planner.empty():
                 # The first chord starts the jog, so that it can be cancelled from now on.
                 self._motor_control.start(st.JOG)
-        if not moves:
+        if not has_steps:
             self._apply_zero_length(move)
 
 

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_FIRST = const(3)  # X, Y and Z are never rotary
+_FIRST_ROTARY = const(3)  # X, Y and Z are never rotary
 _TURN = 360.0
 _FAR = 1e9  # degrees: beyond every machine, and a whole number for int()
 # Single precision is exact to this many steps. Beyond it an endless axis is unwound.
-_EXACT = 16777216.0
+_EXACT_STEPS = 16777216.0
 _PER_INCH = minifloat.real(1 / 25.4)
 # Lines without a programmed feed rate, or with one that applies to all axes.
 ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
@@ -49,16 +49,22 @@ class RotaryPlanner(Planner):
     """A planner whose feed rates are those of the linear axes.
 
     Blocks are those of any Planner: their rates and accelerations are along the path of all axes.
+
+    linear: mask of linear axes. arc_factor: of the arc requested, its length with rotary axes per
+    length without them, a real. _rate_factor: factor of rate(): arc_factor while an arc is
+    planned, else minifloat.ONE. block: the interpreter's.
     """
 
-    linear = 0  # mask of linear axes
-    on_arc = minifloat.ONE  # a helix' length, rotary axes included, per length without them
+    linear = 0
+    arc_factor = minifloat.ONE
     block: "Block"
 
-    _times = minifloat.ONE  # factor of rate(): on_arc while an arc is planned
+    _rate_factor = minifloat.ONE
 
     @micropython.native
-    def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+    def plan_line(
+        self, target: "array[float]", flags: int, line: int, power: int, rate: int
+    ) -> int:
         """Plan a line, as Planner.plan(). rate: along the linear axes, a real, mm/s.
 
         Planner.plan() needs the rate along the path of all axes. That path is longer than its
@@ -73,22 +79,22 @@ class RotaryPlanner(Planner):
         return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """Plan an arc's chords, as Planner.chords(). rate() multiplies its result by on_arc
+        """Plan an arc's chords, as Planner.chords(). rate() multiplies its result by arc_factor
         meanwhile."""
         if not move.flags & ITS_OWN_RATE:
-            self._times = self.on_arc
+            self._rate_factor = self.arc_factor
         result = super().chords(course, move, power, moves)
-        self._times = minifloat.ONE
+        self._rate_factor = minifloat.ONE
         return result
 
     def rate(self, feed: float) -> int:
         """Return a feed rate in mm/min as a real in mm/s, as Planner.rate(). On an arc the result
-        is along the path of all axes; on a line turn() converts it."""
-        return minifloat.mul(super().rate(feed), self._times)
+        is along the path of all axes; on a line plan_line() converts it."""
+        return minifloat.mul(super().rate(feed), self._rate_factor)
 
 
 class RotaryCanon(Canon):
-    """Canon of a machine with rotary axes. axes: their numbers."""
+    """Canon of a machine with rotary axes. axes: their numbers. coords: the offsets."""
 
     axes: "tuple[int, ...]" = ()
     planner: "RotaryPlanner"
@@ -102,7 +108,7 @@ class RotaryCanon(Canon):
         for axis in self.endless():
             # SHUT is a mask of the sides that 0 limits: above it, and below it from bit BELOW on.
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
-            self.limit(axis, _EXACT / self.planner.steps_per_mm[axis])
+            self.limit(axis, _EXACT_STEPS / self.planner.steps_per_mm[axis])
             arcs.limit(self.course, axis, -arcs.FARTHEST, arcs.FARTHEST)
 
     def endless(self) -> "list[int]":
@@ -120,25 +126,25 @@ class RotaryCanon(Canon):
         super()._plan_line(target, move)
 
     def _unwind(self, target: "array[float]") -> None:
-        """Subtract whole turns from endless axes whose target is beyond _EXACT steps. target: mm
+        """Subtract whole turns from endless axes whose target is beyond _EXACT_STEPS. target: mm
         or degrees per axis, changed in place.
 
         Target, parser position and G92 change together, so the program's numbers stay valid. The
         motors' position can only be changed while idle, so this waits for the end of motion. A
-        line that is itself longer than _EXACT steps is allowed, up to the limit of any axis.
+        line that is itself longer than _EXACT_STEPS is allowed, up to the limit of any axis.
         """
         planner, state = self.planner, self._state
         for axis in self.endless():
-            exact = _EXACT / planner.steps_per_mm[axis]
+            exact = _EXACT_STEPS / planner.steps_per_mm[axis]
             if not abs(target[axis]) > exact:
                 continue
             turns = self._whole_turns(axis, target)
-            if turns and state.run != st.CHECK:
+            if turns and state.run != st.CHECK:  # in check mode only the numbers change
                 while not planner.empty() or self._motor_control.moving:
                     self.auto_start()
                     self.service()
                 turns = self._whole_turns(axis, target)  # a hold may have ended the motion
-                self._take_off(axis, turns)
+                self._subtract(axis, turns)
             if turns:
                 target[axis] -= turns
                 self.modes.position[axis] -= turns
@@ -147,6 +153,7 @@ class RotaryCanon(Canon):
                 self.coords.set_g92(g92)
                 state.wco_countdown = 0  # the next status report has the offsets
                 state.invalidate_lines()
+            # Allow this line's target, as far as any axis may go.
             far = min(abs(target[axis]), planner.reach_mm(axis))
             self.limit(axis, max(far, exact))
 
@@ -155,10 +162,10 @@ class RotaryCanon(Canon):
         the end of all planned blocks; in check mode, which plans none, those in the target."""
         if self._state.run == st.CHECK:
             return int(target[axis] / _TURN) * _TURN if abs(target[axis]) < _FAR else 0.0
-        steps = self.planner.position[axis] - arcs.FAR
+        steps = self.planner.position[axis] - arcs.PLACE_BIAS
         return int(steps / self.planner.steps_per_mm[axis] / _TURN) * _TURN
 
-    def _take_off(self, axis: int, degrees: float) -> None:
+    def _subtract(self, axis: int, degrees: float) -> None:
         """Subtract degrees from an axis' position, rounded to steps. Call it while idle."""
         planner, engine = self.planner, self.engine
         motors = array("i", bytes(4 * planner.motors))
@@ -175,7 +182,7 @@ class RotaryCanon(Canon):
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
         """Request an arc, as Canon.arc(). The time of G93 applies to all axes.
 
-        on_arc becomes the length of the path of all axes per length of the linear ones.
+        arc_factor becomes the length of the path of all axes per length of the linear ones.
         """
         self._unwind(target)
         inverse_time = move.flags & layout.INVERSE_TIME
@@ -184,14 +191,14 @@ class RotaryCanon(Canon):
         linear_sqr = rotary_sqr = 0.0
         plane = arc.plane[ONE_AXIS], arc.plane[OTHER_AXIS]
         for i in range(len(start)):
-            if i in self.axes:
+            if i in self.axes:  # a rotary one
                 rotary_sqr += (target[i] - start[i]) ** 2
             elif i not in plane:
                 linear_sqr += (target[i] - start[i]) ** 2
-        linear_sqr += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2
-        self.planner.on_arc = minifloat.ONE
+        linear_sqr += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2  # the circle's length
+        self.planner.arc_factor = minifloat.ONE
         if linear_sqr:
-            self.planner.on_arc = minifloat.real(math.sqrt(1 + rotary_sqr / linear_sqr))
+            self.planner.arc_factor = minifloat.real(math.sqrt(1 + rotary_sqr / linear_sqr))
 
 
 def mask_of(letters: str, axes: int) -> int:
@@ -200,7 +207,7 @@ def mask_of(letters: str, axes: int) -> int:
     mask = 0
     for letter in letters:
         axis = LETTERS[:axes].find(letter)
-        if axis < _FIRST or mask >> axis & 1:
+        if axis < _FIRST_ROTARY or mask >> axis & 1:
             raise ValueError("ROTARY: %s is none of A, B, C here, or there twice" % letter)
         mask |= 1 << axis
     return mask
@@ -218,7 +225,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for axis in range(min(len(limits), options.axes)):
         if limits[axis] is not None:
             rotary &= ~(1 << axis)
-    _found["without_switch"] = rotary
+    _found["without_switch"] = rotary  # those that are left
     options.planner, options.canon = RotaryPlanner, RotaryCanon
 
 
@@ -226,19 +233,19 @@ def install(cnc: "Cnc") -> None:
     """Hook rotary axes into homing, planning, units and reports."""
     machine: "Any" = cnc.machine
     planner, canon, block = machine.planner, machine.canon, machine.interpreter.block
-    everything = (1 << planner.axes) - 1
+    all_axes = (1 << planner.axes) - 1
     rotary = _found["rotary"]
-    planner.linear = everything & ~rotary
+    planner.linear = all_axes & ~rotary
     planner.block = block
     canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
     canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
     machine.interpreter.machine[LENGTHS] &= ~rotary
-    planner.move_hook = planner.turn
-    _home(machine, everything & ~_found["without_switch"])
+    planner.move_hook = planner.plan_line
+    _hook_homing(machine, all_axes & ~_found["without_switch"])
     machine.report.turning = rotary  # degrees stay degrees when reports are in inches
 
 
-def _home(machine: "Any", homed: int) -> None:
+def _hook_homing(machine: "Any", axes_in_cycle: int) -> None:
     """Hook into $H: rotary axes without a switch are left out.
 
     homed: mask of the axes that $H includes. An endless axis, whose travel setting is 0, gets one
@@ -249,8 +256,8 @@ def _home(machine: "Any", homed: int) -> None:
 
     def home(axes: int) -> bool:
         """Home the axes, a mask; 0: all that $H includes. Returns whether that succeeded."""
-        if axes == 0:  # Grbl's own order: Z, then all others together
-            return home(1 << Z) and home(homed & ~(1 << Z))
+        if axes == 0:  # $H in Grbl's own order: Z, then all others together
+            return home(1 << Z) and home(axes_in_cycle & ~(1 << Z))
         endless = [axis for axis in canon.endless() if axes >> axis & 1]
         for axis in endless:
             settings.max_travel[axis] = _TURN

@@ -20,23 +20,24 @@ if TYPE_CHECKING:
     from motion.arc_geometry import Arc
 
 # Share of the tolerance allowed at a quarter of a chord: in its middle a bend is 4/3 of that.
-_SHARE = 0.7
-# Longest chord in mm: two samples do not show every bend of a longer one.
-_LONGEST_MM = 5.0
-# A chord this much shorter than the tolerance is not cut further: there motors turn on the spot.
-_SPLINTER = 0.25
-# Deviation allowed for such a chord, in tolerances. Beyond it the position is out of reach.
-_SPOT = 2.0
-_LONGER = 2.0  # length ratio of a chord to the one before, at most
+_SAMPLE_SHARE = 0.7  # of the tolerance, at a quarter of a chord
+_LONGEST_MM = 5.0  # longest chord: two samples do not show every bend of a longer one
+_SHORTEST_CHORD = 0.25  # in tolerances; not cut further, because there motors turn on the spot
+_MOST_DEVIATION = 2.0  # of such a chord, in tolerances; beyond it the position is out of reach
+_MOST_GROWTH = 2.0  # length ratio of a chord to the one before, at most
 _CAUTION = 9 / 10  # a chord's length is corrected to this share of the one that just fits
-_MOST_LOOKS = const(40)  # positions that is_in_reach() checks
+_MOST_CHECKS = const(40)  # positions that is_in_reach() checks
 _SAMPLES = (0.25, 0.75)  # parts of a chord at which its deviation is computed
 _END_PART = 1 - 1e-6  # a chord that ends after this part of the path ends with it
 _SHORTEST_CUT = 0.25  # a chord is never cut to less than this share of its length at once
 
 
 class Path:
-    """A straight line, or an arc during which the other axes move evenly. length: mm."""
+    """A straight line, or an arc during which the other axes move evenly. length: mm.
+
+    _change: per axis, by how much it moves evenly, mm; for those of an arc's plane, what is added
+    to the circle. _plane: the axes of that plane; (-1, -1) for a line.
+    """
 
     def __init__(self, axes: int) -> None:
         self._start = vector(axes)
@@ -55,12 +56,16 @@ class Path:
             if i not in self._plane:
                 squares += self._change[i] * self._change[i]
         if arc:
-            self._bend(start, target, arc)
+            self._set_circle(start, target, arc)
             squares += (self._radius * self._sweep) ** 2
         self.length = math.sqrt(squares)
 
-    def _bend(self, start: "array[float]", target: "array[float]", arc: "Arc") -> None:
-        """Set the circle of an arc. centre_0, centre_1: its centre, from start; a, b: its axes."""
+    def _set_circle(self, start: "array[float]", target: "array[float]", arc: "Arc") -> None:
+        """Set the circle of an arc from start to target: its centre and radius (mm), the angle at
+        its start (_from) and the angle that it turns by (_sweep), in rad, counterclockwise.
+
+        centre_0, centre_1: its centre, from start; a, b: the axes of its plane.
+        """
         a, b = self._plane
         centre_0, centre_1 = arc.numbers[CENTRE_0], arc.numbers[CENTRE_1]
         self._radius = math.sqrt(centre_0 * centre_0 + centre_1 * centre_1)
@@ -88,7 +93,11 @@ class Path:
 
 class Segmenter:
     """Cuts a path into chords. place, joints: the tool's position (mm) and the joints' at the end
-    of the last chord. Methods copy their arguments."""
+    of the last chord. Methods copy their arguments.
+
+    As parts of the path, 0 to 1: _chord_begin, where the next chord begins; _next_length, its
+    length at the first try. _ahead: the joints at its end.
+    """
 
     def __init__(self, axes: int, geometry: "Geometry") -> None:
         self._geometry = geometry
@@ -96,13 +105,12 @@ class Segmenter:
         self.path = Path(axes)
         self.place = vector(axes)
         self.joints = vector(axes)
-        self._ahead = vector(axes)  # joints at the end of the chord being computed
+        self._ahead = vector(axes)
         # At a sample of a chord: the joints, the tool's position that they give, and the path's.
         self._between = vector(axes)
         self._made = vector(axes)
         self._meant = vector(axes)
-        # As parts of the path, 0 to 1: the end of the last chord, and the next chord's length.
-        self._part = self._step = 1.0
+        self._chord_begin = self._next_length = 1.0
         self.tolerance = 0.002  # mm
 
     def start_path(
@@ -119,61 +127,61 @@ class Segmenter:
         copy(start, self.place, self._axes)
         copy(joints, self.joints, self._axes)
         self.tolerance = tolerance
-        self._part = 0.0
-        self._step = min(1.0, _LONGEST_MM / (self.path.length or 1.0))
+        self._chord_begin = 0.0
+        self._next_length = min(1.0, _LONGEST_MM / (self.path.length or 1.0))
 
     def is_in_reach(self) -> bool:
         """Return whether the path is in reach: by positions on it at equal distances, at most
-        _MOST_LOOKS.
+        _MOST_CHECKS.
 
         If not, place is the first of them that is out of reach.
         """
         copy(self.joints, self._ahead, self._axes)
-        looks = min(int(self.path.length / _LONGEST_MM) + 1, _MOST_LOOKS)
-        for i in range(looks + 1):
-            self.path.point_at(i / looks, self.place)
+        checks = min(int(self.path.length / _LONGEST_MM) + 1, _MOST_CHECKS)
+        for i in range(checks + 1):
+            self.path.point_at(i / checks, self.place)
             if not self._geometry.inverse(self.place, self._ahead):
                 return False
         return True
 
     def has_next(self) -> bool:
         """Return whether there is another chord."""
-        return self._part < 1
+        return self._chord_begin < 1
 
     def next_chord(self) -> bool:
         """Compute the next chord: its end goes to place and joints. Return False if it is out of
         reach; place is its end then, too.
 
-        The first try has the length that fitted the chord before. It is cut until its deviation is
-        within the tolerance. step, longest: lengths as parts of the path.
+        The first try has the length predicted from the chord before. It is cut until its deviation
+        is within the tolerance. step, longest: lengths as parts of the path.
         """
         longest = _LONGEST_MM / (self.path.length or 1.0)
-        step = min(self._step, 1 - self._part)
-        allowed = self.tolerance * _SHARE
+        step = min(self._next_length, 1 - self._chord_begin)
+        allowed = self.tolerance * _SAMPLE_SHARE
         while True:
-            end = self._part + step
+            end = self._chord_begin + step
             if end > _END_PART:
                 end = 1.0
             self.path.point_at(end, self.place)
-            copy(self.joints, self._ahead, self._axes)
+            copy(self.joints, self._ahead, self._axes)  # inverse() chooses the nearest solution
             if not self._geometry.inverse(self.place, self._ahead):
                 return False
-            strayed = self._strays(end)
-            if strayed <= allowed:
+            deviation = self._deviation(end)
+            if deviation <= allowed:
                 break
-            if step * self.path.length < self.tolerance * _SPLINTER:
-                if strayed > _SPOT * self.tolerance:
+            if step * self.path.length < self.tolerance * _SHORTEST_CHORD:
+                if deviation > _MOST_DEVIATION * self.tolerance:
                     return False
                 break
             # A bend's deviation grows as the square of the chord's length.
-            step *= max(_SHORTEST_CUT, _CAUTION * math.sqrt(allowed / strayed))
+            step *= max(_SHORTEST_CUT, _CAUTION * math.sqrt(allowed / deviation))
         copy(self._ahead, self.joints, self._axes)
-        self._part = end
-        longer = _CAUTION * math.sqrt(allowed / strayed) if strayed else _LONGER
-        self._step = min(step * min(_LONGER, longer), longest)
+        self._chord_begin = end
+        growth = _CAUTION * math.sqrt(allowed / deviation) if deviation else _MOST_GROWTH
+        self._next_length = min(step * min(_MOST_GROWTH, growth), longest)
         return True
 
-    def _strays(self, end: float) -> float:
+    def _deviation(self, end: float) -> float:
         """Return the largest deviation of the tool within the next chord, in mm.
 
         end: the part of the path at which the chord ends. Its joints are in _ahead. `made` is
@@ -185,7 +193,7 @@ class Segmenter:
             for i in range(self._axes):
                 between[i] = self.joints[i] + part * (self._ahead[i] - self.joints[i])
             self._geometry.forward(between, made)
-            self.path.point_at(self._part + part * (end - self._part), meant)
+            self.path.point_at(self._chord_begin + part * (end - self._chord_begin), meant)
             squares = 0.0
             for i in range(self._axes):
                 deviation = made[i] - meant[i]

@@ -17,7 +17,7 @@ from base.float32 import f32
 from base.settings import FLOAT
 from micropython import const
 from motion import layout
-from motion.arcs import FAR
+from motion.arcs import PLACE_BIAS
 from motion.kinematics import Kinematics
 from motion.planner import Planner
 from motion.steps import to_steps
@@ -45,7 +45,7 @@ _SETTINGS: "Rows" = (
     (782, "skew_yz", FLOAT, 0.0, "mm/m"),
 )
 _NUMBERS = (780, 781, 782)
-_MOST = const(100)  # mm per m
+_MOST_MM_PER_M = const(100)  # the largest skew
 _PER_M = 1000.0
 _FACTOR_BITS = const(28)
 _EXCLUDED = ("KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
@@ -60,9 +60,9 @@ class SkewKinematics(Kinematics):
 
     def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
         super().__init__(axes, moves, alone)
-        self.skew = array("i", (FAR for _ in range(kernel.LENGTH)))
+        self.skew = array("i", (PLACE_BIAS for _ in range(kernel.LENGTH)))
         self.homing = False
-        self.lean([0.0, 0.0, 0.0])
+        self.set_factors([0.0, 0.0, 0.0])
 
     def motor_of(self, motors: "array[int]", axis: int) -> int:
         """Return the steps of an axis' motor, or of all motors that move it."""
@@ -74,34 +74,35 @@ class SkewKinematics(Kinematics):
         steps = self.motor_of(motors, axis)
         if axis >= Z or self.homing or not self.active:
             return steps
-        z = self.motor_of(motors, Z) - self._home(Z)
+        z = self.motor_of(motors, Z) - self._home_steps(Z)
         if axis == Y:
             return steps + kernel.back_y(z, self.skew)
-        return steps + kernel.back_x(self.motor_of(motors, Y) - self._home(Y), z, self.skew)
+        y = self.motor_of(motors, Y) - self._home_steps(Y)
+        return steps + kernel.back_x(y, z, self.skew)
 
-    def _home(self, axis: int) -> int:
+    def _home_steps(self, axis: int) -> int:
         """Return the steps at which an axis' motor was homed; the skew is counted from there."""
-        return self.skew[kernel.HOMED + axis] - FAR
+        return self.skew[kernel.HOMED + axis] - PLACE_BIAS
 
-    def homed(self, motors: "array[int]", axis: int) -> None:
+    def note_homed(self, motors: "array[int]", axis: int) -> None:
         """Note that this axis' motor has been homed here: its skew is counted from here."""
-        self.skew[kernel.HOMED + axis] = FAR + self.motor_of(motors, axis)
+        self.skew[kernel.HOMED + axis] = PLACE_BIAS + self.motor_of(motors, axis)
 
-    def lean(self, factors: "list[float]") -> bool:
+    def set_factors(self, factors: "list[float]") -> bool:
         """Set the factors XY, XZ, YZ, in steps of the axis that is moved per step of the motor
         that moves it. Return whether they have changed.
 
         Each factor gets as many fraction bits as leave it 28 significant ones, within the limits
-        of the kernel. It is stored as factor + FAR, and its number of fraction bits after it.
+        of the kernel. It is stored as factor + PLACE_BIAS, then its number of fraction bits.
         """
         skew, before = self.skew, bytes(self.skew)
         self.active = False
-        for i in range(len(factors)):
+        for i in range(len(factors)):  # XY, XZ, YZ: two integers each in skew
             _, exponent = math.frexp(factors[i])  # the factor is less than 2**exponent
             bits = min(max(_FACTOR_BITS - exponent, kernel.FEWEST_BITS), kernel.MOST_BITS)
             # // rounds down also for negative numbers; int() alone would truncate.
             factor = int((factors[i] * 2.0**bits + 0.5) // 1)
-            skew[2 * i], skew[2 * i + 1] = FAR + factor, bits
+            skew[2 * i], skew[2 * i + 1] = PLACE_BIAS + factor, bits
             self.active |= factor != 0
         return bytes(skew) != before
 
@@ -119,20 +120,23 @@ class SkewPlanner(Planner):
         super().configure(settings, tick_hz, segment_log2, step_hz)
         values: "Any" = settings
         x, y, z = self.steps_per_mm[:3]
-        # Each setting, with the steps per mm of the axis that is moved, and of the one that moves.
+        # Each setting in mm per m, steps per mm of the axis that is moved, and of the one that
+        # moves it.
         shears = (values.skew_xy, x, y), (values.skew_xz, x, z), (values.skew_yz, y, z)
         # From mm per m to steps per step. f32 rounds as a board's single precision does.
         factors = [f32(f32(f32(mm * moved) / moving) / _PER_M) for mm, moved, moving in shears]
-        self.is_new |= self.kinematics.lean(factors)
+        self.is_new |= self.kinematics.set_factors(factors)
 
     def reach_mm(self, axis: int) -> float:
         """Return half of Planner.reach_mm(): motors make up to a fifth more steps than axes."""
         return super().reach_mm(axis) / 2
 
     @micropython.native
-    def lean(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+    def plan_skewed(
+        self, target: "array[float]", flags: int, line: int, power: int, rate: int
+    ) -> int:
         """Plan a line, as Planner.plan(), to the positions of motors that correspond to target.
-        They are put into TARGET of the table, which PLACED says."""
+        They are put into TARGET of the table; with PLACED plan() reads that instead of target."""
         kinematics = self.kinematics
         if kinematics.active and not kinematics.homing:
             to_steps(target, self.table)
@@ -142,11 +146,10 @@ class SkewPlanner(Planner):
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """Plan an arc's chords, as Planner.chords(), to positions of motors."""
-        if not moves or not self.kinematics.active:
+        if not moves or not self.kinematics.active:  # moves is False in check mode
             return super().chords(course, move, power, moves)
-        self.speeds[self.flow[layout.ROWS] + 1] = (
-            move.spindle_rpm
-        )  # the kernel copies it per chord
+        per_arc = self.flow[layout.ROWS] + 1  # index in speeds; the kernel copies it per chord
+        self.speeds[per_arc] = move.spindle_rpm
         return kernel.follow_arc(
             course,
             self.table,
@@ -164,7 +167,7 @@ class SkewPlanner(Planner):
         """Set the position from which the next block is planned, as Planner.sync_motors(): here it
         is the motors' own."""
         for i in range(self.axes):
-            self.position[i] = FAR + self.kinematics.motor_of(motors, i)
+            self.position[i] = PLACE_BIAS + self.kinematics.motor_of(motors, i)
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -173,8 +176,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
         if board.__dict__.get(word):
             raise ValueError("SKEW and %s are not for the same machine" % word)
     for number in _NUMBERS:
-        if not abs(options.defaults.get(number, 0.0)) <= _MOST:
-            raise ValueError("DEFAULTS: $%d is %d mm/m at the most" % (number, _MOST))
+        if not abs(options.defaults.get(number, 0.0)) <= _MOST_MM_PER_M:
+            raise ValueError("DEFAULTS: $%d may be at most %d mm/m" % (number, _MOST_MM_PER_M))
     given: "Any" = options.kinematics or Kinematics(options.axes, ())
     options.kinematics = SkewKinematics(options.axes, given.moves, given.alone)
     options.planner = SkewPlanner
@@ -184,10 +187,10 @@ def install(cnc: "Cnc") -> None:
     """Add the settings, and hook into lines and homing."""
     machine: "Any" = cnc.machine
     cnc.add_settings(_SETTINGS)
-    machine.settings.signed.update(dict.fromkeys(_NUMBERS, _MOST))
-    _home(machine)
+    machine.settings.signed.update(dict.fromkeys(_NUMBERS, _MOST_MM_PER_M))
+    _hook_homing(machine)
     planner = machine.planner
-    planner.move_hook = planner.lean
+    planner.move_hook = planner.plan_skewed
 
     def resync() -> None:
         """Read positions again, from the motors, if a setting has changed the skew."""
@@ -198,7 +201,7 @@ def install(cnc: "Cnc") -> None:
     machine.settings.on_change(resync)
 
 
-def _home(machine: "Any") -> None:
+def _hook_homing(machine: "Any") -> None:
     """Hook into homing, which moves each motor alone, instead of axes with their skew."""
     hooks, engine, kinematics = machine.state.hooks, machine.engine, machine.planner.kinematics
     previous: "Callable[[int], None]" = hooks.find_switches
@@ -215,6 +218,6 @@ def _home(machine: "Any") -> None:
         engine.position(motors)
         for i in range(Z + 1):
             if axes >> i & 1:
-                kinematics.homed(motors, i)
+                kinematics.note_homed(motors, i)
 
     hooks.find_switches = find

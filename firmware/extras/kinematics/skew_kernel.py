@@ -8,12 +8,12 @@ and rounded once, so the inverse is exact.
 
 import micropython
 from micropython import const
-from motion.arcs import FAR, KNOWN, LEFT, NOWHERE, SOME, advance
+from motion.arcs import CHORDS_LEFT, EIGHT_MASK, END_KNOWN, NOWHERE, PLACE_BIAS, advance
 from motion.layout import AXES, HEAD, LIMITS, ROWS, TARGET
 from motion.plan_kernel import FULL, OUTSIDE, full, plan
 
-# The skew table: three shears, each with its factor + FAR and its number of fraction bits; then
-# the motors' positions where they were homed, in steps + FAR.
+# The skew table: three shears, each with its factor + PLACE_BIAS and its number of fraction bits;
+# then the motors' positions where they were homed, in steps + PLACE_BIAS.
 XY = const(0)
 XZ = const(2)
 YZ = const(4)
@@ -33,30 +33,33 @@ _HALF = const(32)  # half a step in that unit, for rounding
 def shear(distance: int, skew: ptr32, index: int) -> int:
     """Return distance * factor, in 2**-6 step. distance: steps, up to 2**24 in size.
 
-    factor = (skew[index] - FAR) / 2**skew[index + 1]; index: XY, XZ or YZ. Both are split at 15
-    bits, so that each of the four products fits 32 bits:
+    factor = (skew[index] - PLACE_BIAS) / 2**skew[index + 1]; index: XY, XZ, YZ. Both are split at
+    15 bits, so that each of the four products fits 32 bits:
 
         distance = above * 2**15 + below        factor = high * 2**15 + low
     """
-    factor = skew[index] - FAR
+    factor = skew[index] - PLACE_BIAS
     bits = skew[index + 1] - _PART_BITS
     above = distance >> _BITS
     below = distance - (above << _BITS)
     high = factor >> _BITS
     low = factor - (high << _BITS)
+    # The product is above * high * 2**30 + middle * 2**15; it has `bits` more than the result.
     middle = above * low + below * high + ((below * low) >> _BITS)
     return ((above * high) << (2 * _BITS - bits)) + (middle >> (bits - _BITS))
 
 
 @micropython.viper
 def back_x(y: int, z: int, skew: ptr32) -> int:
-    """Return X minus its motor, in steps. y, z: steps of the motors of Y and Z from home."""
+    """Return X minus its motor, in steps: by what Y and Z bring X along. y, z: steps of the motors
+    of Y and Z from home; skew: the skew table."""
     return (int(shear(y, skew, XY)) + int(shear(z, skew, XZ)) + _HALF) >> _PART_BITS
 
 
 @micropython.viper
 def back_y(z: int, skew: ptr32) -> int:
-    """Return Y minus its motor, in steps. z: steps of the motor of Z from home."""
+    """Return Y minus its motor, in steps: by what Z brings Y along. z: steps of the motor of Z
+    from home; skew: the skew table."""
     return (int(shear(z, skew, YZ)) + _HALF) >> _PART_BITS
 
 
@@ -92,8 +95,8 @@ def follow_arc(
     """
     result = 0
     while result == 0:
-        if course[KNOWN] == 0:  # else TARGET is the end of the next chord already
-            course[KNOWN] = 1
+        if course[END_KNOWN] == 0:  # else TARGET is the end of the next chord already
+            course[END_KNOWN] = 1
             if int(advance(course, table)):
                 return OUTSIDE
             to_motors(table, skew)
@@ -104,9 +107,9 @@ def follow_arc(
             speeds[row] = speeds[flow[ROWS] + 1]  # the arc's programmed spindle speed
         else:
             result = NOWHERE
-        course[KNOWN] = 0
-        chords_left = course[LEFT] - 1
-        course[LEFT] = chords_left
-        if chords_left & SOME == 0:  # each eighth one
+        course[END_KNOWN] = 0
+        chords_left = course[CHORDS_LEFT] - 1
+        course[CHORDS_LEFT] = chords_left
+        if chords_left & EIGHT_MASK == 0:  # each eighth one
             break
     return result

@@ -51,7 +51,9 @@ class WirePlanner(RotaryPlanner):
     """A planner whose feed rates are those of the faster end of the wire."""
 
     @micropython.native
-    def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+    def plan_line(
+        self, target: "array[float]", flags: int, line: int, power: int, rate: int
+    ) -> int:
         """Plan a line, as Planner.plan(). rate: of the faster end of the wire, a real, mm/s.
 
         Planner.plan() needs the rate along the path of all four axes, which is longer than that of
@@ -60,8 +62,9 @@ class WirePlanner(RotaryPlanner):
         if not flags & ITS_OWN_RATE:
             first = stretch(target, self.table, self.ring, self.flow, _XY)
             second = stretch(target, self.table, self.ring, self.flow, _UV)
-            longer_way = min(first, second) or max(first, second)
-            rate = minifloat.mul(rate, longer_way)
+            # The end with the longer way has the smaller factor.
+            factor = min(first, second) or max(first, second)
+            rate = minifloat.mul(rate, factor)
         return self.plan(target, flags, line, power, rate)
 
 
@@ -91,7 +94,7 @@ def install(cnc: "Cnc") -> None:
     machine: "Any" = cnc.machine
     planner, canon, hooks = machine.planner, machine.canon, machine.state.hooks
     canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
-    planner.move_hook = planner.turn
+    planner.move_hook = planner.plan_line
     previous: "Callable[[int], bool]" = hooks.home
 
     def home(axes: int) -> bool:

@@ -40,7 +40,7 @@ _SETTINGS: "Rows" = (
     # axis moves; 0: off.
     (160, "backlash_mm", AXIS, 0.0, "millimeters"),
 )
-_FIRST = const(160)
+_FIRST_SETTING = const(160)
 _MOST_MM = const(5)
 _UNKNOWN = const(-1)  # the axis' position within its slack is unknown
 _EXCLUDED = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PARKING")
@@ -49,14 +49,15 @@ _EXCLUDED = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PAR
 class BacklashKinematics(Kinematics):
     """Kinematics in which motors differ from their axis' position by its slack, in steps.
 
-    slack: per axis, the steps that its motor has made to take up slack. held: see below.
+    slack: per axis, the steps that its motor has made to take up slack. standing: mask of axes
+    that stand still while their motors take up slack; standing_at: the steps where they stand.
     """
 
     def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
         super().__init__(axes, moves, alone)
         self.slack = array("i", bytes(4 * axes))
-        self.held = 0  # mask of axes that stand still while their motors take up slack,
-        self.stands = array("i", bytes(4 * axes))  # and where they stand
+        self.standing = 0
+        self.standing_at = array("i", bytes(4 * axes))
 
     def motor_of(self, motors: "array[int]", axis: int) -> int:
         """Return the steps of an axis' motor, slack included."""
@@ -64,8 +65,8 @@ class BacklashKinematics(Kinematics):
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
         """Return the position of the axis, as Kinematics.axis_steps()."""
-        if self.held >> axis & 1:
-            return self.stands[axis]
+        if self.standing >> axis & 1:
+            return self.standing_at[axis]
         return self.motor_of(motors, axis) - self.slack[axis]
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
@@ -75,44 +76,48 @@ class BacklashKinematics(Kinematics):
 
 
 class BacklashPlanner(Planner):
-    """A planner that can move motors while their axes stand, to take up slack."""
+    """A planner that can move motors while their axes stand, to take up slack. synced: the plan
+    has been cleared."""
 
     kinematics: "BacklashKinematics"
-    synced = False  # the plan has been cleared
+    synced = False
 
     def sync_motors(self, motors: "array[int]") -> None:
         """Synchronise with the motors, as Planner.sync_motors()."""
         super().sync_motors(motors)
         self.synced = True
 
-    def take_up(self, ways: "array[int]", move: "Move", power: int) -> bool:
-        """Plan a system move of motors by ways[i] steps for axis i, as a rapid. Return whether it
-        moves.
+    def take_up(self, steps: "array[int]", move: "Move", power: int) -> bool:
+        """Plan a system move, as a rapid, of the motor of each axis i by steps[i], with a sign.
+        Return whether any of them moves.
 
         move: the program's, whose line number, spindle and coolant are used. power: of the
         spindle.
         """
-        table = self.table
-        # The table's TARGET, followed by POSITION, in steps; the program's are put back at the
-        # end. With PLACED plan() reads TARGET instead of its first argument.
-        places = memoryview(table)[layout.LIMITS + layout.TARGET * self.axes :]
-        before = array("i", places[: 2 * self.axes])
-        for i in range(self.axes):
-            places[i] = places[self.axes + i] + ways[i]
+        table, axes = self.table, self.axes
+        # The table's TARGET of each axis, then its POSITION, in steps. Both are restored at the
+        # end, because for the program the axes have not moved.
+        targets = memoryview(table)[layout.LIMITS + layout.TARGET * axes :]
+        saved = array("i", targets[: 2 * axes])
+        for i in range(axes):
+            position = targets[axes + i]
+            targets[i] = position + steps[i]
+        # PLACED: the target is in the table, and plan() does not read its first argument.
         flags = layout.SYSTEM_MOTION | layout.RAPID_MOTION | layout.NO_FEED_OVERRIDE
         flags |= layout.PLACED | move.flags & plan.ACCESSORY_MASK
         line = move.line_number
         planned = plan_kernel.plan(self.speeds, table, self.ring, self.flow, flags, line, power, 0)
-        self.speeds[self.flow[layout.ROWS]] = move.spindle_rpm
-        copy(before, places, 2 * self.axes)
+        self.speeds[self.flow[layout.ROWS]] = move.spindle_rpm  # that of the system's own block
+        copy(saved, targets, 2 * axes)
         return bool(planned)
 
 
 class BacklashCanon(Canon):
     """Canon of a machine with backlash.
 
-    ahead: for each axis, the steps that its motor turns before the axis moves in the positive
-    direction, or _UNKNOWN.
+    whole_slack: for each axis, its slack in motor steps. ahead: the part of it that its motor
+    turns before the axis moves in the positive direction, or _UNKNOWN; before the negative
+    direction it is the rest. _steps_to_turn: steps that each motor has to turn next, with a sign.
     """
 
     planner: "BacklashPlanner"
@@ -122,9 +127,9 @@ class BacklashCanon(Canon):
     def __init__(self, *parts: "Any") -> None:
         super().__init__(*parts)
         axes = self.planner.axes
-        self.steps = array("i", bytes(4 * axes))  # the whole slack of each axis, in motor steps
+        self.whole_slack = array("i", bytes(4 * axes))
         self.ahead = array("i", (_UNKNOWN for _ in range(axes)))
-        self._ways = array("i", bytes(4 * axes))  # steps that each motor has to turn
+        self._steps_to_turn = array("i", bytes(4 * axes))
         self._signs = array("i", bytes(4 * axes))  # directions of the next line: 1, -1 or 0
         # Motor steps before and after slack is taken up.
         self._before = array("i", bytes(4 * self.planner.motors))
@@ -139,17 +144,17 @@ class BacklashCanon(Canon):
             steps = int(settings.backlash_mm[i] * self.planner.steps_per_mm[i] + 0.5)
             if steps:
                 self.active = True
-            if not self.steps[i]:
-                self.ahead[i] = _UNKNOWN  # not counted so far
-            elif self.ahead[i] >= self.steps[i]:
+            if not self.whole_slack[i]:
+                self.ahead[i] = _UNKNOWN  # without slack it was not counted
+            elif self.ahead[i] >= self.whole_slack[i]:
                 self.ahead[i] = steps  # the motor is still at the negative end of the slack
             elif self.ahead[i] > steps:
-                self.ahead[i] = _UNKNOWN  # the slack was at least larger than the new value says
-            self.steps[i] = steps
+                self.ahead[i] = _UNKNOWN  # more is ahead than the new value allows
+            self.whole_slack[i] = steps
 
     def pulled_off(self, axis: int, upwards: bool) -> None:
         """Note that homing has pulled the axis off in that direction, which took up its slack."""
-        self.ahead[axis] = 0 if upwards else self.steps[axis]
+        self.ahead[axis] = 0 if upwards else self.whole_slack[axis]
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
         """Take up slack if an axis reverses, then plan as Canon._plan_line()."""
@@ -158,9 +163,9 @@ class BacklashCanon(Canon):
             # A program's target outside the travel is left to Canon._plan_line(), which raises
             # the alarm; a jog's has been checked.
             if state.run == st.JOG or self._is_jog or not self.outside(target):
-                to_steps(target, self.planner.table)
+                to_steps(target, self.planner.table)  # into TARGET
                 if not self._take_up(move):
-                    return
+                    return  # the jog has been cancelled
         super()._plan_line(target, move)
 
     def _plan_chords(self) -> None:
@@ -171,24 +176,24 @@ class BacklashCanon(Canon):
             super()._plan_chords()
             return
         table, ring, flow, rate = planner.table, planner.ring, planner.flow, planner.rate
-        self.service()
-        while course[arcs.LEFT]:
+        self.service()  # reads the link, and raises Abort after a reset
+        while course[arcs.CHORDS_LEFT]:
             if arcs.advance(course, table):
                 self.stop_with_alarm(errors.ALARM_SOFT_LIMIT)
-            # advance() has put the chord's end into TARGET; it is put back there after the waits.
-            places = memoryview(table)[layout.LIMITS + layout.TARGET * planner.axes :]
-            target = array("i", places[: planner.axes])
+            # advance() has put the chord's end into TARGET; it is restored after the waits.
+            targets = memoryview(table)[layout.LIMITS + layout.TARGET * planner.axes :]
+            chord_end = array("i", targets[: planner.axes])
             self._take_up(move)
             self.wait_for_room()
-            copy(target, places, planner.axes)
+            copy(chord_end, targets, planner.axes)
             power, head = self.power_of(move), flow[layout.HEAD]
             flags, feed = move.flags | layout.PLACED, rate(move.feed)
             if plan_kernel.plan(course, table, ring, flow, flags, move.line_number, power, feed):
                 planner.speeds[head] = move.spindle_rpm
             else:
                 self._apply_zero_length(move)
-            course[arcs.LEFT] -= 1
-            if course[arcs.LEFT] & arcs.SOME == 0:
+            course[arcs.CHORDS_LEFT] -= 1
+            if course[arcs.CHORDS_LEFT] & arcs.EIGHT_MASK == 0:
                 self.service()
 
     def _take_up(self, move: "Move") -> bool:
@@ -198,34 +203,36 @@ class BacklashCanon(Canon):
         has been cancelled meanwhile, else True. move: the line's.
         """
         planner = self.planner
-        if not self._turns():
+        if not self._note_directions():
             return True
-        planner.synced = False
+        planner.synced = False  # True again once a jog is cancelled, or after a reset
         while not planner.empty() or self._motor_control.moving or self._state.run == st.HOLD:
             self.auto_start()
             self.service()
-        while self._slack_ahead() and not (self._is_jog and planner.synced):
+        # More than once if a hold has ended the move early.
+        while self._compute_steps() and not (self._is_jog and planner.synced):
             self._move_motors(move)
         return not (self._is_jog and planner.synced)
 
-    def _turns(self) -> bool:
+    def _note_directions(self) -> bool:
         """Note the direction of each axis on the way from POSITION to TARGET in the planner's
         table. Return whether one of them has slack to take up.
 
         An axis whose slack is unknown is assumed to have it taken up in this direction.
         """
         table, axes = self.planner.table, self.planner.axes
-        target = layout.LIMITS + layout.TARGET * axes
+        target_at = layout.LIMITS + layout.TARGET * axes  # indexes in the table
+        position_at = target_at + axes
         for i in range(axes):
-            way = table[target + i] - table[target + axes + i]
+            way = table[target_at + i] - table[position_at + i]
             self._signs[i] = sign = (way > 0) - (way < 0)
             if sign and self.ahead[i] == _UNKNOWN:
-                self.ahead[i] = 0 if sign > 0 else self.steps[i]
-        return self._slack_ahead()
+                self.ahead[i] = 0 if sign > 0 else self.whole_slack[i]
+        return self._compute_steps()
 
-    def _slack_ahead(self) -> bool:
-        """Compute how many steps each axis' motor has to turn, with a sign, into _ways. Return
-        whether any has to.
+    def _compute_steps(self) -> bool:
+        """Compute how many steps each axis' motor has to turn in the direction _signs, into
+        _steps_to_turn. Return whether any has to.
 
         In the positive direction that is `ahead`, in the negative one the rest of the slack.
         """
@@ -234,13 +241,13 @@ class BacklashCanon(Canon):
             sign = self._signs[i]
             steps = 0
             if sign and self.ahead[i] != _UNKNOWN:
-                steps = self.ahead[i] if sign > 0 else self.ahead[i] - self.steps[i]
-            self._ways[i] = steps
+                steps = self.ahead[i] if sign > 0 else self.ahead[i] - self.whole_slack[i]
+            self._steps_to_turn[i] = steps
             has_slack = has_slack or steps != 0
         return has_slack
 
     def _move_motors(self, move: "Move") -> None:
-        """Turn the motors by _ways, with the axes at standstill, and count the steps made.
+        """Turn the motors by _steps_to_turn while the axes stand, and count the steps made.
 
         Hold and reset work meanwhile, so the steps may be fewer than requested. move: the line's,
         for its line number, spindle and coolant.
@@ -251,12 +258,12 @@ class BacklashCanon(Canon):
             self._motor_control,
         )
         axes = range(planner.axes)
-        power = 0 if self._spindle.laser else self.power_of(move)
+        power = 0 if self._spindle.laser else self.power_of(move)  # the tool stands still
         self.engine.position(self._before)
-        for i in axes:
-            kinematics.stands[i] = kinematics.axis_steps(self._before, i)
-        planner.take_up(self._ways, move, power)
-        kinematics.held = sum([1 << i for i in axes if self._ways[i]])
+        for i in axes:  # what reports say meanwhile
+            kinematics.standing_at[i] = kinematics.axis_steps(self._before, i)
+        planner.take_up(self._steps_to_turn, move, power)
+        kinematics.standing = sum([1 << i for i in axes if self._steps_to_turn[i]])
         try:
             motor_control.start(st.JOG if self._is_jog else st.RUN)
             while motor_control.moving or self._state.run == st.HOLD:  # a hold ends a little later
@@ -266,11 +273,11 @@ class BacklashCanon(Canon):
             for i in axes:
                 made = kinematics.motor_of(self._after, i)
                 made -= kinematics.motor_of(self._before, i)
-                if self._ways[i]:
+                if self._steps_to_turn[i]:
                     self.ahead[i] -= made
                     kinematics.slack[i] += made
-            kinematics.held = 0
-        planner.clear()
+            kinematics.standing = 0
+        planner.clear()  # ends the system move, and drops what a hold has left of it
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -279,8 +286,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
         if board.__dict__.get(word):
             raise ValueError("BACKLASH and %s are not for the same machine" % word)
     for i in range(options.axes):
-        if not 0 <= options.defaults.get(_FIRST + i, 0.0) <= _MOST_MM:
-            raise ValueError("DEFAULTS: $%d is %d mm at the most" % (_FIRST + i, _MOST_MM))
+        if not 0 <= options.defaults.get(_FIRST_SETTING + i, 0.0) <= _MOST_MM:
+            raise ValueError("DEFAULTS: $%d may be at most %d mm" % (_FIRST_SETTING + i, _MOST_MM))
     given: "Any" = options.kinematics or Kinematics(options.axes, ())
     options.kinematics = BacklashKinematics(options.axes, given.moves, given.alone)
     options.planner, options.canon = BacklashPlanner, BacklashCanon
@@ -303,7 +310,7 @@ def install(cnc: "Cnc") -> None:
     canon.engine = machine.engine  # it counts the steps made while slack is taken up
     cnc.add_settings(_SETTINGS)
     for i in range(machine.planner.axes):
-        cnc.check_setting(_FIRST + i, _check)
+        cnc.check_setting(_FIRST_SETTING + i, _check)
 
     def watch() -> None:
         """Have lines that move executed by the interpreter, if an axis has slack."""
@@ -330,6 +337,7 @@ def _hook_homing(machine: "Any") -> None:
         previous(axes)
         for i in range(machine.planner.axes):
             if axes >> i & 1:
+                # With the bit of $23 the switch is at the negative end.
                 canon.pulled_off(i, bool(settings.homing_dir_invert >> i & 1))
 
     hooks.find_switches = find
@@ -339,7 +347,7 @@ def _hook_probing(machine: "Any") -> None:
     """Hook into probing: store the contact position, because slack taken up later changes it."""
     state, axes = machine.state, machine.planner.axes
     hooks = state.hooks
-    place = vector(axes)
+    contact = vector(axes)  # mm
     previous_probe, previous_forget = hooks.probe, hooks.forget_probe
     previous_position: "Callable[[], array[float]]" = hooks.probed_at
 
@@ -347,13 +355,13 @@ def _hook_probing(machine: "Any") -> None:
         """Probe, as HomingProbing.probe(), and store the contact position, if it has moved."""
         reached: bool = previous_probe(target, move, away, alarms)
         if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
-            copy(previous_position(), place, axes)
+            copy(previous_position(), contact, axes)
         return reached
 
     def forget() -> None:
         """Forget the contact position, also the one stored here."""
         previous_forget()
         for i in range(axes):
-            place[i] = 0.0
+            contact[i] = 0.0
 
-    hooks.probe, hooks.forget_probe, hooks.probed_at = probe, forget, lambda: place
+    hooks.probe, hooks.forget_probe, hooks.probed_at = probe, forget, lambda: contact

@@ -59,7 +59,7 @@ _OFFSETS: "Rows" = (
 _MOST_OFFSET_MM = const(10)
 _MOTORS_OF_AN_AXIS = const(2)
 _FEWEST_AXES = const(3)
-_MASKS = (2, 3)  # $2 and $3, step and direction invert
+_INVERT_SETTINGS = (2, 3)  # numbers of $2 and $3, step and direction invert
 
 
 class GangedSettings(Settings):
@@ -69,25 +69,27 @@ class GangedSettings(Settings):
 
     def _announce(self, number: int) -> None:
         """Announce a change, as Settings._announce(), with the inverts of motors for engines."""
-        self.step_invert = self._of_motors(self.step_invert, 0)
-        self.dir_invert = self._of_motors(
+        # Bits of axes become bits of motors, in place. What has been converted stays the same.
+        self.step_invert = self._motor_mask(self.step_invert, 0)
+        self.dir_invert = self._motor_mask(
             self.dir_invert,
             self.ganged_dir_invert,  # type: ignore[attr-defined]
         )
         super()._announce(number)
 
-    def _of_motors(self, axes: int, turned: int) -> int:
-        """Return a bit per motor for a mask of axes. turned: axes with inverted second motor."""
-        axes &= (1 << self._axes) - 1
-        motors = axes  # the first motors have the numbers of their axes
+    def _motor_mask(self, inverted: int, flipped: int) -> int:
+        """Return a mask of motors to invert. inverted: mask whose bits of axes count, its others
+        do not; flipped: mask of axes whose second motor is inverted against the first."""
+        inverted &= (1 << self._axes) - 1
+        motors = inverted  # the first motors have the numbers of their axes
         for axis, motor in self.pairs:
-            motors |= ((axes ^ turned) >> axis & 1) << motor
+            motors |= ((inverted ^ flipped) >> axis & 1) << motor
         return motors
 
     def _shown(self, number: int, row: "Row") -> float:
         """Return a setting's value for $$, as Settings._shown(), of masks only the axes' bits."""
         amount = super()._shown(number, row)
-        return int(amount) & (1 << self._axes) - 1 if number in _MASKS else amount
+        return int(amount) & (1 << self._axes) - 1 if number in _INVERT_SETTINGS else amount
 
 
 class GangedInputs(Inputs):
@@ -95,17 +97,17 @@ class GangedInputs(Inputs):
 
     pairs: "Pairs" = ()
 
-    def closed(self) -> int:
-        """Return Inputs.closed(), a mask: bit 0 is the probe, bit i + 1 axis i, which is set if
+    def active(self) -> int:
+        """Return Inputs.active(), a mask: bit 0 is the probe, bit i + 1 axis i, which is set if
         any of its switches is closed."""
-        closed = super().closed()
+        closed = super().active()
         limits = self.limits()
         for axis, motor in self.pairs:
             if limits >> motor & 1:
                 closed |= 2 << axis  # bit 0 is the probe
         return closed
 
-    def add(self, pairs: "Pairs") -> None:
+    def add_second_switches(self, pairs: "Pairs") -> None:
         """Use the limit switches of these pairs' second motors, too."""
         self.pairs = pairs
         for _, motor in pairs:
@@ -118,15 +120,15 @@ class GangedHoming(HomingProbing):
 
     The steps of a pair's motors differ by how far the axis is racked. Only homing makes them
     differ, also homing that fails; they stay so until homing succeeds or the board restarts.
+    _racked: of each pair, the steps by which the first motor has gone further than the second
+    until the start of the present phase; _difference() is what the phase adds.
     """
 
     pairs: "Pairs" = ()
 
-    def connect(self, pairs: "Pairs") -> None:
+    def connect_pairs(self, pairs: "Pairs") -> None:
         """Set the pairs whose motors have a switch each."""
         self.pairs = pairs
-        # Of each pair, the steps by which the first motor has gone further than the second until
-        # the start of the present phase: engine positions start at 0 in each.
         self._racked = [0 for _ in pairs]
 
     def home(self, axes: int) -> bool:
@@ -180,18 +182,18 @@ class GangedHoming(HomingProbing):
         An approach also fails if one motor has searched too far alone.
         """
         if super()._failed(approach, axes) or not approach:
-            return self._state.alarm != 0
+            return self._state.alarm != 0  # a pull-off has no search
         for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
                 racked = abs(self._racked[i] + self._difference(axis, motor))
-                if racked > self._most_mm(axis) * self._planner.steps_per_mm[axis]:
+                if racked > self._most_racking_mm(axis) * self._planner.steps_per_mm[axis]:
                     self._state.alarm = errors.ALARM_HOMING_FAIL_DUAL_APPROACH
         return self._state.alarm != 0
 
-    def _most_mm(self, axis: int) -> float:
+    def _most_racking_mm(self, axis: int) -> float:
         """Return how far, in mm, one motor may search for its switch alone."""
         settings: "Any" = self._settings
-        width = settings.max_travel[Y if axis == X else X]  # of the gantry
+        width = settings.max_travel[Y if axis == X else X]  # across the gantry, mm
         most: float = max(width * settings.racking_percent / 100, settings.racking_least_mm)
         most = min(most, settings.racking_most_mm)
         return most + abs(self._offset_mm(axis))  # by which the axis is racked
@@ -214,6 +216,7 @@ class GangedHoming(HomingProbing):
                 if offset:
                     self._engine.lock(1 << (axis if offset > 0 else motor))
                     feed = self._settings.homing_feed
+                    # Not self.home_phase(), which requires closed switches.
                     super().home_phase(both_motors, False, abs(offset), feed)
                 self._racked[i] = 0
         super()._set_origin(axes)
@@ -221,7 +224,7 @@ class GangedHoming(HomingProbing):
 
 def count_axes(letters: str, motors: int) -> int:
     """Return the number of axes of so many motors with these letters. ValueError if wrong."""
-    axes = len(set(letters))
+    axes = len(set(letters))  # a second motor repeats its axis' letter
     if len(letters) != motors:
         raise ValueError("MOTORS has %d letters, and STEP %d pins" % (len(letters), motors))
     if axes < _FEWEST_AXES or letters[:axes] != LETTERS[:axes]:
@@ -236,8 +239,8 @@ def count_axes(letters: str, motors: int) -> int:
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Assign motors to axes. ValueError if the board file is wrong.
 
-    moves: per motor the mask of its axes. alone: the mask of motors that stop at a switch of
-    their own, while the axis' other motor goes on.
+    moves: per motor the mask of its axes; those of COREXY or MOVES have more than one. alone: the
+    mask of motors that stop at a switch of their own, while the axis' other motor goes on.
     """
     option = board.__dict__.get
     letters: str = option("MOTORS", "")
@@ -249,7 +252,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     alone = 0
     for motor in range(axes, len(letters)):
         axis = LETTERS.index(letters[motor])
-        if moves[axis] != 1 << axis:
+        if moves[axis] != 1 << axis:  # it moves other axes, too
             raise ValueError("MOTORS: %s shares its motor, and has no second" % letters[motor])
         moves.append(1 << axis)
         if len(limits) > motor and limits[motor] is not None:
@@ -258,7 +261,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
             alone |= 1 << axis | 1 << motor
     for number, _, _, _, _ in _OFFSETS:
         if not abs(options.defaults.get(number, 0.0)) <= _MOST_OFFSET_MM:
-            raise ValueError("DEFAULTS: $%d is %d mm at the most" % (number, _MOST_OFFSET_MM))
+            raise ValueError("DEFAULTS: $%d may be at most %d mm" % (number, _MOST_OFFSET_MM))
     options.kinematics = Kinematics(axes, moves, alone)
     options.settings, options.inputs, options.homing_probing = (
         GangedSettings,
@@ -273,13 +276,13 @@ def install(cnc: "Cnc") -> None:
     settings, planner = machine.settings, machine.planner
     kinematics, axes = planner.kinematics, planner.axes
     pairs: "Pairs" = ()
-    for motor in range(axes, planner.motors):
+    for motor in range(axes, planner.motors):  # the second motors
         first_motor = kinematics.moves.index(kinematics.moves[motor])
         pairs += ((first_motor, motor),)
     squared = tuple([(axis, motor) for axis, motor in pairs if kinematics.alone >> motor & 1])
     settings.pairs = pairs
-    machine.inputs.add(squared)
-    machine.homing_probing.connect(squared)
+    machine.inputs.add_second_switches(squared)
+    machine.homing_probing.connect_pairs(squared)
     cnc.add_settings(_INVERT)
     if squared:
         rows = tuple([_OFFSETS[axis] for axis, _ in squared])

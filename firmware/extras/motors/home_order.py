@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_FIRST = const(44)
+_FIRST_CYCLE = const(44)  # number of its setting; the other cycles follow
 _CYCLES: "Rows" = (
     # Homing cycle 1. The axes that are homed first, together: X = 1, Y = 2, Z = 4; 0: none.
     (44, "home_first", INT, 0, "mask"),
@@ -51,18 +51,18 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     words: "tuple[str, ...]" = board.__dict__["HOMING"]
     if len(words) > len(_CYCLES):
         raise ValueError("HOMING has %d parts: there may be %d" % (len(words), len(_CYCLES)))
-    masks = {}
-    seen = 0  # mask of the axes named so far
+    masks = {}  # per number of a setting its value, a mask of axes
+    named = 0  # mask of the axes named so far
     for i, word in enumerate(words):
         mask = 0
         for letter in word:
             axis = options.axis_letters[: options.axes].find(letter)
-            if axis < 0 or seen >> axis & 1:
+            if axis < 0 or named >> axis & 1:
                 raise ValueError("HOMING: %s is no axis, or there twice" % letter)
-            seen |= 1 << axis
+            named |= 1 << axis
             mask |= 1 << axis
-        masks[_FIRST + i] = float(mask)
-    masks.update(options.defaults)
+        masks[_FIRST_CYCLE + i] = float(mask)
+    masks.update(options.defaults)  # DEFAULTS of the board file take precedence
     options.defaults = masks
 
 
@@ -75,7 +75,7 @@ def install(cnc: "Cnc") -> None:
 
     def home(axes: int) -> bool:
         """Home the axes, a mask; 0: all, in the order of the settings, if there is one."""
-        cycles = [getattr(settings, row[1]) for row in _CYCLES]
+        cycles = [getattr(settings, attribute) for _, attribute, _, _, _ in _CYCLES]  # masks
         if axes or not any(cycles):  # $HX, or $H in Grbl's own order
             return previous(axes)
         return all(previous(mask) for mask in cycles if mask)
@@ -86,13 +86,13 @@ def install(cnc: "Cnc") -> None:
             raise GrblError(errors.INVALID_STATEMENT)
 
     hooks.home = home
-    _have_rates(cnc)
+    _hook_rates(cnc)
     cnc.add_settings(_CYCLES + _RATES)
-    for row in _CYCLES:
-        cnc.check_setting(row[0], check)
+    for number, _, _, _, _ in _CYCLES:
+        cnc.check_setting(number, check)
 
 
-def _have_rates(cnc: "Cnc") -> None:
+def _hook_rates(cnc: "Cnc") -> None:
     """Hook into homing: its rates are those of the axes that are homed ($180, $190), which replace
     $24 and $25 meanwhile."""
     machine: "Any" = cnc.machine

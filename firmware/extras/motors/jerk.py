@@ -61,7 +61,7 @@ class Jerk:
         self._plan = planner.move_hook or planner.plan
         planner.move_hook = self.plan
         hooks = state.hooks
-        hooks.planned += (lambda: self.release_blocks(0),)
+        hooks.planned += (lambda: self.release_blocks(0),)  # if they are many; 1: all
         hooks.caught_up += (lambda: self.release_blocks(1),)
         hooks.cleared += (self._clear,)
         hooks.replan += (self._replan,)
@@ -96,7 +96,7 @@ class Jerk:
         the averaging plan, unless it is the system's own."""
         planned = self._plan(target, flags, line, power, rate)
         if not flags & layout.SYSTEM_MOTION:
-            self.release_blocks(0)
+            self.release_blocks(0)  # if they are many
         return planned
 
     def release_blocks(self, everything: int) -> None:
@@ -125,6 +125,7 @@ class Jerk:
         line[FILTER_TAPS], line[jl.PER_TAP] = taps, per_tap
         line[layout.ROW_SIZE] = flow[layout.ROW_SIZE]
         line[layout.ROWS] = flow[layout.ROWS]
+        # The plan goes on with the next block, and none is released.
         line[layout.TAIL] = line[layout.HEAD] = line[jl.RELEASED] = flow[layout.HEAD]
 
     def limit(self, accelerations: "list[float]", jerks: "list[float]", slot_s: float) -> None:
@@ -139,21 +140,21 @@ class Jerk:
         limits = [(i, jerks[i]) for i in range(len(jerks)) if jerks[i] > 0]
         root_mm_s = minifloat.value(table[layout.ROOT_SCALE])
         slot_distance = root_mm_s * _HIGHEST_ROOT * slot_s * _PER_MM  # at the highest speed
-        most = max(min(_MOST_SLOTS, int(_MOST_SUM / slot_distance)), 1)
+        most_slots = max(min(_MOST_SLOTS, int(_MOST_SUM / slot_distance)), 1)
         slots = 0
         for i, jerk in limits:
             # The acceleration may change from + all of it to - all of it.
-            wanted = 2 * accelerations[i] / jerk / slot_s
-            slots = max(slots, min(int(wanted + 0.999), most))  # rounded up
-            if wanted > most:
-                index = layout.LIMITS + _LIMITS_OF_AN_AXIS * i + _ACCELERATION
-                table[index] = minifloat.real(jerk * most * slot_s / 2)
+            wanted_slots = 2 * accelerations[i] / jerk / slot_s
+            slots = max(slots, min(int(wanted_slots + 0.999), most_slots))  # rounded up
+            if wanted_slots > most_slots:
+                acceleration_at = layout.LIMITS + _LIMITS_OF_AN_AXIS * i + _ACCELERATION
+                table[acceleration_at] = minifloat.real(jerk * most_slots * slot_s / 2)
         line[FILTER_TAPS] = slots
         table[layout.JUNCTION_DERATE] = 0
         if slots:
             line[jl.PER_TAP] = minifloat.real(1 / slots)
-            # Mean time to a corner in the middle of the averaging time: a quarter of that, and
-            # 1 / 12 n because the corner is anywhere in its slot.
+            # Mean time, in slots, to a corner in the middle of the averaging time of n slots:
+            # n / 4, and 1 / 12 n because the corner is anywhere in its slot.
             mean = slots / 4 + 1 / (12 * slots)
             table[layout.JUNCTION_DERATE] = minifloat.real(mean * slot_s / root_mm_s)
         self._planner.clear()

@@ -21,13 +21,18 @@ flow, units are those of segment_kernel.py: 2**-18 step, and 2**-18 step per slo
 Viper, as segment_kernel.py is; all of it runs in the engine's interrupt. jerk_layout.py and
 motion/layout.py have the places. In the line, they hold:
 
-    OPEN, SLOT_DISTANCE    1: the plan has begun the next slot; and its distance in it so far
-    RESTS                  slots for which the plan still stands
-    SUM, BEFORE            speed of the average at the end of the slot being laid out; and at the
-                           end of its part that is laid out already
-    TO_GO, TIME_LEFT       distance and time of that slot that are not laid out yet
-    PLAN_LEFT, MADE_LEFT   distance left of the block: of the plan's, of the executed one
-    LEFT, WAY              of the plan: time left of its slot; distance of its last piece
+    FILTER_TAPS, PER_TAP        slots over which speed is averaged; 1 / FILTER_TAPS, a real
+    RELEASED                    row of the first block that the plan must not read yet
+    SLOT_BEGUN, SLOT_DISTANCE   1: the plan has begun the next slot; its distance in it so far
+    STAND_SLOTS                 slots for which the plan still stands
+    TIME_TO_FILL                of the plan: time left of its slot
+    PIECE_DISTANCE              of the plan: distance of its last piece
+    OLDEST_TAP                  index of the oldest tap, from TAP_DISTANCES on
+    TAP_SUM                     speed of the average at the end of the slot being laid out
+    SUM_LAID_OUT                the same at the end of its part that is laid out already
+    DISTANCE_TO_LAY             distance of that slot that is not laid out yet;
+    TIME_TO_LAY                 its time
+    PLAN_LEFT, EXECUTED_LEFT    distance left of the block: of the plan's, of the executed one
 
 `plan` in the texts below is the motion before averaging.
 """
@@ -36,36 +41,36 @@ import micropython
 from micropython import const
 from motion.layout import (
     ACCEL,
-    ADVANCE,
-    AT,
-    CARRY,
+    BLOCK_AT,
     DYNAMIC,
+    END_SPEED,
     ENTRY_SQR,
     FACTOR,
     FLAGS,
-    FRACTION,
+    FRACTION_LEFT,
     HEAD,
     HOLD,
+    JOIN_SPEED,
     JUNCTION_DERATE,
     JUNCTION_SQR,
-    LEFT,
     LENGTH,
     LOADED,
     MOTOR_COUNT,
     NOMINAL_SQR,
-    NOW,
-    PARTIAL,
-    PIECE,
+    PARTIAL_STEP,
+    PIECE_AT,
+    PIECE_DISTANCE,
     PIECES,
-    REACHED,
+    PLANNED_DISTANCE,
+    PLANNED_TIME,
     ROOT_SCALE,
     ROW_SIZE,
+    ROW_SPEED,
     ROWS,
     SLICES,
+    STEPS_LEFT,
     TAIL,
-    TIME,
-    WAY,
-    WHOLE,
+    TIME_TO_FILL,
 )
 from motion.minifloat import BIAS, HIGHEST, LIMIT, ONE, pack, product, ratio, square_root
 from motion.ramps import share, times
@@ -73,32 +78,32 @@ from motion.segment_kernel import add_piece, is_due, load, next_piece
 from motion.slice_kernel import slices
 
 from extras.motors.jerk_layout import (
-    BEFORE,
+    DISTANCE_TO_LAY,
+    EXECUTED_LEFT,
     FILTER_TAPS,
-    MADE_LEFT,
-    OLDEST,
-    OPEN,
+    OLDEST_TAP,
     PER_TAP,
     PLAN_FRACTION,
     PLAN_LEFT,
     RELEASED,
     REMAINDER,
-    RESTS,
+    SLOT_BEGUN,
     SLOT_DISTANCE,
-    SUM,
+    STAND_SLOTS,
+    SUM_LAID_OUT,
     TAP_DISTANCES,
-    TIME_LEFT,
-    TO_GO,
+    TAP_SUM,
+    TIME_TO_LAY,
 )
 
-_LEAST = const(0x50000)  # a segment covers at least 1.25 steps, if the block has them,
-_LONGEST = const(32)  # or lasts so many slots
-_SLOT = const(131072)  # time of a slot,
-_TIME_BITS = const(17)  # as a number of bits
+_LEAST_DISTANCE = const(0x50000)  # of a segment, 2**-18 step: 1.25 steps, if the block has them,
+_MOST_SLOTS = const(32)  # or it lasts so many slots
+_SLOT_TIME = const(131072)  # time of a slot
+_TIME_BITS = const(17)  # a time of 1 << _TIME_BITS is a slot
 _STEP_BITS = const(18)  # distances of a flow are in 2**-18 step
-_MOST_STEPS = const(4095)  # more do not fit 30 bits in that unit
+_COUNTED_STEPS = const(4095)  # so many and more do not fit 30 bits in that unit
 _FRACTION_BITS = const(4)  # of PLAN_FRACTION
-_SPLINTER = const(64)  # time: less is not worth a piece of the plan, the slot ends there
+_SHORTEST_PIECE = const(64)  # time: less is not worth a piece of the plan, the slot ends there
 _PER_MM = const(0x214000)  # the real 2**16
 _SIXTEEN = const(0x1B4000)  # the real 16
 
@@ -108,35 +113,37 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     """Plan the next segment of the executed motion, and its number of rows (SLICES), as
     segment_kernel.plan() does. Returns 1, or 0 if nothing is to move.
 
-    The rest of a slot and further slots are added until the segment covers _LEAST or lasts
-    _LONGEST slots, so its time is below 2**23. It ends where the block does.
+    The rest of a slot and further slots are added until the segment covers _LEAST_DISTANCE or
+    lasts _MOST_SLOTS slots, so its time is below 2**23. It ends where the block does.
     """
     span = 0  # time of the segment so far
-    begun = 0
+    has_begun = 0
     in_block = 1  # 0: the segment has reached the end of its block
     while in_block:
-        if line[TIME_LEFT] == 0:
-            if begun and (
-                flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span >= _LONGEST << _TIME_BITS
+        if line[TIME_TO_LAY] == 0:  # the slot is laid out: end the segment, or begin another slot
+            # PARTIAL_STEP: distance since the last step, which the segment's first step includes.
+            if has_begun and (
+                flow[PLANNED_DISTANCE] + flow[PARTIAL_STEP] >= _LEAST_DISTANCE
+                or span >= _MOST_SLOTS << _TIME_BITS
             ):
                 break
             if int(shift_filter(flow, line, ring, table)) == 0:
                 break
-        if begun == 0:
+        if has_begun == 0:
             if int(begin_segment(flow, line, ring, table[MOTOR_COUNT])) == 0:
                 return 0
-            begun = 1
+            has_begun = 1
         part = int(place_slot(flow, line))
         span += part
         in_block = int(add_piece(flow, part))
-    if begun == 0:
+    if has_begun == 0:
         return 0
     # slices() makes one row of a time above 2**17, because it is so long for the sake of one step.
     # The rest of a slot and a whole one are not: they are cut as a full segment.
-    flow[TIME] = _SLOT if span > _SLOT and span < 2 * _SLOT else span
-    flow[SLICES] = int(slices(flow, table, ring[flow[AT] + FLAGS] & DYNAMIC))
-    flow[TIME] = span
-    flow[PIECE] = PIECES
+    flow[PLANNED_TIME] = _SLOT_TIME if span > _SLOT_TIME and span < 2 * _SLOT_TIME else span
+    flow[SLICES] = int(slices(flow, table, ring[flow[BLOCK_AT] + FLAGS] & DYNAMIC))
+    flow[PLANNED_TIME] = span
+    flow[PIECE_AT] = PIECES
     return 1
 
 
@@ -144,18 +151,19 @@ def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
 def begin_segment(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
     """Begin a segment; load the next block if none is loaded. Returns 1, or 0 if there is none.
 
-    motors: number of motors. In a new block NOW becomes the average speed in its units.
+    motors: number of motors. In a new block END_SPEED becomes the average speed in its units.
     """
     if flow[LOADED] == 0:
         if int(load(flow, ring, motors)) == 0:
             return 0
-        line[MADE_LEFT] = int(block_distance(ring, flow[AT]))
-        whole = int(pack(line[MADE_LEFT], BIAS))
-        rest = int(distance_left(flow))
-        flow[NOW] = int(part_of(line[BEFORE], whole, rest, line[PER_TAP]))
-    flow[REACHED] = flow[NOW]
-    flow[PIECE] = PIECES
-    flow[ADVANCE] = 0
+        line[EXECUTED_LEFT] = int(block_distance(ring, flow[BLOCK_AT]))
+        # The block's length in two units, as reals: of the line and of the flow.
+        in_line = int(pack(line[EXECUTED_LEFT], BIAS))
+        in_steps = int(distance_left(flow))
+        flow[END_SPEED] = int(part_of(line[SUM_LAID_OUT], in_line, in_steps, line[PER_TAP]))
+    flow[ROW_SPEED] = flow[END_SPEED]
+    flow[PIECE_AT] = PIECES
+    flow[PLANNED_DISTANCE] = 0
     return 1
 
 
@@ -168,9 +176,9 @@ def block_distance(ring: ptr32, at: int) -> int:
 @micropython.viper
 def distance_left(flow: ptr32) -> int:
     """Return the distance left of the loaded block: a real, in 2**-18 step."""
-    if flow[WHOLE] < _MOST_STEPS:
-        return int(pack((flow[WHOLE] << _STEP_BITS) + flow[FRACTION], BIAS))
-    return int(pack(flow[WHOLE], BIAS + _STEP_BITS))
+    if flow[STEPS_LEFT] < _COUNTED_STEPS:
+        return int(pack((flow[STEPS_LEFT] << _STEP_BITS) + flow[FRACTION_LEFT], BIAS))
+    return int(pack(flow[STEPS_LEFT], BIAS + _STEP_BITS))
 
 
 @micropython.viper
@@ -188,41 +196,43 @@ def part_of(part: int, whole: int, other: int, scale: int) -> int:
 def place_slot(flow: ptr32, line: ptr32) -> int:
     """Lay out the distance of the slot that is left, or the part up to the end of the block.
 
-    Leaves the speed at its end in NOW, its distance in WAY. Returns its time, in 2**-17 slot. With
-    the speeds v at the beginning, w at the end of the block and u at the end of the slot, a part f
-    of the distance (MADE_LEFT / TO_GO) takes this part of the time:
+    Leaves the speed at its end in END_SPEED, its distance in PIECE_DISTANCE. Returns its time.
+    With the speeds v at the beginning, w at the end of the block and u at the end of the slot, a
+    part f of the distance (EXECUTED_LEFT / DISTANCE_TO_LAY) takes this part of the time:
 
         f (v + u) / (v + w)     because distance = mean speed * time
     """
-    block_left = line[MADE_LEFT]
-    way = line[TO_GO]  # the distance to lay out: 2**-16 mm; steps: the same in 2**-18 step
-    time = line[TIME_LEFT]
+    block_left = line[EXECUTED_LEFT]
+    way = line[DISTANCE_TO_LAY]  # in 2**-16 mm; steps: the same distance in 2**-18 step
+    time = line[TIME_TO_LAY]
     # What is left of the block in two units, as reals: of the line and of the flow.
     in_line = int(pack(block_left or 1, BIAS))
     in_steps = int(distance_left(flow))
-    whole = (flow[WHOLE] << _STEP_BITS) + flow[FRACTION] if flow[WHOLE] < _MOST_STEPS else HIGHEST
+    whole = HIGHEST
+    if flow[STEPS_LEFT] < _COUNTED_STEPS:
+        whole = (flow[STEPS_LEFT] << _STEP_BITS) + flow[FRACTION_LEFT]
     steps = whole
-    end = line[SUM]
+    end = line[TAP_SUM]
     if way > block_left:  # the block ends within the slot
-        part = int(share(block_left, way))
-        start = line[BEFORE]
-        speeds = start + end
+        part = int(share(block_left, way))  # of the distance, 2**-17
+        start = line[SUM_LAID_OUT]
+        speeds = start + end  # v + u
         end = int(speed_between(start, end, part))
         if start + end:
-            part = int(share(int(times(speeds, part)), start + end))
+            part = int(share(int(times(speeds, part)), start + end))  # of the time, from here on
         time = int(times(time, part))
         way = block_left
     elif way < block_left:
         steps = int(part_of(way, in_line, in_steps, ONE))
         if steps >= whole:  # rounding must not end the block here
             steps = whole - 1
-    flow[NOW] = int(part_of(end, in_line, in_steps, line[PER_TAP]))
-    flow[WAY] = steps
-    flow[LEFT] = time
-    line[BEFORE] = end
-    line[MADE_LEFT] = block_left - way
-    line[TO_GO] = line[TO_GO] - way
-    line[TIME_LEFT] = line[TIME_LEFT] - time
+    flow[END_SPEED] = int(part_of(end, in_line, in_steps, line[PER_TAP]))
+    flow[PIECE_DISTANCE] = steps
+    flow[TIME_TO_FILL] = time
+    line[SUM_LAID_OUT] = end
+    line[EXECUTED_LEFT] = block_left - way
+    line[DISTANCE_TO_LAY] = line[DISTANCE_TO_LAY] - way
+    line[TIME_TO_LAY] = line[TIME_TO_LAY] - time
     return time
 
 
@@ -250,87 +260,94 @@ def speed_between(start: int, end: int, part: int) -> int:
 @micropython.viper
 def shift_filter(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
     """Plan a slot to its end, put its distance into the line as a tap, and compute the next slot
-    of the average: TO_GO, TIME_LEFT, BEFORE. Returns 1, or 0 if nothing is planned and the line is
-    empty.
+    of the average: DISTANCE_TO_LAY, TIME_TO_LAY, SUM_LAID_OUT. Returns 1, or 0 if nothing is
+    planned and the line is empty.
 
-    SUM += the new tap - the oldest one. The distance of the slot is that at the mean speed,
+    TAP_SUM += the new tap - the oldest one. The distance of the slot is that at the mean speed,
 
-        (SUM before + SUM after + REMAINDER) / (2 * FILTER_TAPS)
+        (TAP_SUM before + TAP_SUM after + REMAINDER) / (2 * FILTER_TAPS)
 
-    where both sums are at most 2**29 and REMAINDER is below 128. While RESTS lasts, the plan
+    where both sums are at most 2**29 and REMAINDER is below 128. While STAND_SLOTS lasts, the plan
     stands and the new tap is 0.
     """
-    before = line[SUM]
-    way = 0  # the new tap: distance of the plan in this slot
-    if before == 0 and line[OPEN] == 0:
-        line[RESTS] = 0  # the average has stopped already
-    if line[RESTS] and line[OPEN] == 0:
-        line[RESTS] = line[RESTS] - 1
+    before = line[TAP_SUM]
+    tap = 0  # the new one: distance of the plan in this slot
+    if before == 0 and line[SLOT_BEGUN] == 0:
+        line[STAND_SLOTS] = 0  # the average has stopped already
+    if line[STAND_SLOTS] and line[SLOT_BEGUN] == 0:
+        line[STAND_SLOTS] = line[STAND_SLOTS] - 1
     else:
         advance(flow, line, ring, table, HIGHEST)
-        if line[OPEN]:
-            way = line[SLOT_DISTANCE]
+        if line[SLOT_BEGUN]:
+            tap = line[SLOT_DISTANCE]
         elif before == 0:
-            return 0
-        line[OPEN] = 0
+            return 0  # nothing is planned, and the average stands
+        line[SLOT_BEGUN] = 0
     slots = line[FILTER_TAPS]
-    oldest = line[OLDEST]
-    after = before + way - line[TAP_DISTANCES + oldest]
-    line[TAP_DISTANCES + oldest] = way
+    oldest = line[OLDEST_TAP]
+    after = before + tap - line[TAP_DISTANCES + oldest]
+    line[TAP_DISTANCES + oldest] = tap
     oldest += 1
-    line[OLDEST] = oldest if oldest < slots else 0
+    line[OLDEST_TAP] = oldest if oldest < slots else 0
     dividend = before + after + line[REMAINDER]
-    way = dividend // (2 * slots)
-    line[REMAINDER] = dividend - 2 * slots * way
-    line[BEFORE] = before
-    line[SUM] = after
-    line[TO_GO] = way
-    line[TIME_LEFT] = _SLOT
+    distance = dividend // (2 * slots)
+    line[REMAINDER] = dividend - 2 * slots * distance
+    line[SUM_LAID_OUT] = before
+    line[TAP_SUM] = after
+    line[DISTANCE_TO_LAY] = distance
+    line[TIME_TO_LAY] = _SLOT_TIME
     return 1
 
 
 @micropython.viper
 def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> int:
-    """Continue the plan of the next slot by pieces, at most `most` of them. Returns 0.
+    """Continue the plan of the next slot by pieces, at most `most` of them (HIGHEST: to the slot's
+    end). Returns 0.
 
     So a slot of many short blocks is planned bit by bit, while the one before it is executed.
     SLOT_DISTANCE becomes its distance. The slot ends early if no block is due.
     """
+    # The plan sees released blocks only, and holds as the machine does.
     line[HEAD] = line[RELEASED]
     line[HOLD] = flow[HOLD]
-    while most and line[RESTS] == 0 and (line[OPEN] == 0 or line[LEFT] > _SPLINTER):
+    while (
+        most
+        and line[STAND_SLOTS] == 0
+        and (line[SLOT_BEGUN] == 0 or line[TIME_TO_FILL] > _SHORTEST_PIECE)
+    ):
         is_new = line[LOADED] == 0
-        if int(is_due(line, ring, 0)) == 0:
+        if int(is_due(line, ring, 0)) == 0:  # 0: the plan has no motors
             return 0
-        if line[OPEN] == 0:
-            line[OPEN] = 1
+        if line[SLOT_BEGUN] == 0:
+            line[SLOT_BEGUN] = 1
             line[SLOT_DISTANCE] = 0
-            line[LEFT] = _SLOT  # a rest of the last slot is dropped: times are at most 2**17
+            # The rest of the last slot is dropped, because times are at most 2**17.
+            line[TIME_TO_FILL] = _SLOT_TIME
         if is_new:
-            line[PLAN_LEFT] = int(block_distance(ring, line[AT]))
+            line[PLAN_LEFT] = int(block_distance(ring, line[BLOCK_AT]))
             line[PLAN_FRACTION] = 0
         rest = int(distance_left(line))
-        line[PIECE] = PIECES
-        line[ADVANCE] = 0
-        in_block = int(next_piece(line, ring, table[ROOT_SCALE]))
+        line[PIECE_AT] = PIECES
+        line[PLANNED_DISTANCE] = 0
+        in_block = int(next_piece(line, ring, table[ROOT_SCALE]))  # 0: it ends the block
         if in_block:
-            line[SLOT_DISTANCE] += int(count(line, rest))
+            line[SLOT_DISTANCE] += int(count_piece(line, rest))
         else:
             line[SLOT_DISTANCE] += line[PLAN_LEFT]
-            leave(line, ring, table[JUNCTION_DERATE])
+            end_plan_block(line, ring, table[JUNCTION_DERATE])
         most -= 1
     return 0
 
 
 @micropython.viper
-def count(line: ptr32, rest: int) -> int:
+def count_piece(line: ptr32, rest: int) -> int:
     """Return the distance of the plan's last piece in 2**-16 mm; PLAN_FRACTION is carried on.
 
     rest: distance_left() before it. Computed in 2**-20 mm, so a piece has less than 1024 mm.
     """
     block_left = line[PLAN_LEFT]
-    whole = int(pack(block_left, BIAS))
-    way = int(part_of(line[WAY], rest, whole, _SIXTEEN)) + line[PLAN_FRACTION]
+    in_line = int(pack(block_left, BIAS))  # the distance that `rest` is in 2**-18 step
+    way = int(part_of(line[PIECE_DISTANCE], rest, in_line, _SIXTEEN)) + line[PLAN_FRACTION]
     line[PLAN_FRACTION] = way & ((1 << _FRACTION_BITS) - 1)
     way >>= _FRACTION_BITS
     if way > block_left:
@@ -340,20 +357,20 @@ def count(line: ptr32, rest: int) -> int:
 
 
 @micropython.viper
-def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
+def end_plan_block(line: ptr32, ring: ptr32, gentle: int) -> int:
     """End the plan's block. If the next one is entered from standstill, let the plan stand for
-    RESTS slots. Returns 0.
+    STAND_SLOTS slots. Returns 0.
 
     The average over T also stops if the plan stands for T. With the acceleration a before and
     after, and a stop of the time r, it slows down to a (T - r)**2 / 4T. The corner and both rates
-    allow v (0 after the last block), so RESTS is, in whole slots, rounded up,
+    allow v (0 after the last block), so STAND_SLOTS is, in whole slots, rounded up,
 
         r = T (1 - sqrt(v / (a T / 4)))
 
     gentle: T / 4, as table[JUNCTION_DERATE], so a T / 4 and v are roots of scaled speeds squared.
     """
-    before = line[AT]  # index of the block that ends; at: of the next one
-    line[CARRY] = int(ratio(line[NOW], ring[before + FACTOR]))
+    before = line[BLOCK_AT]  # index of the block that ends; at: of the next one
+    line[JOIN_SPEED] = int(ratio(line[END_SPEED], ring[before + FACTOR]))
     line[LOADED] = 0
     tail = line[TAIL] + 1
     if tail == line[ROWS]:
@@ -363,16 +380,16 @@ def leave(line: ptr32, ring: ptr32, gentle: int) -> int:
     sqr = 0  # v squared, scaled
     if tail != line[HEAD]:
         if ring[at + ENTRY_SQR]:
-            return 0
+            return 0  # entered at a speed: the plan need not stand
         sqr = ring[at + JUNCTION_SQR]
         if sqr > ring[at + NOMINAL_SQR]:
             sqr = ring[at + NOMINAL_SQR]
         if sqr > ring[before + NOMINAL_SQR]:
             sqr = ring[before + NOMINAL_SQR]
-    line[CARRY] = 0
-    line[LEFT] = 0
+    line[JOIN_SPEED] = 0
+    line[TIME_TO_FILL] = 0
     slowdown = int(product(ring[before + ACCEL], gentle, ONE))  # a T / 4
     part = int(square_root(int(share(int(square_root(sqr)), slowdown)) << 12)) if sqr else 0
     # part: sqrt(v / (a T / 4)) in 2**-14.5, up to 23170; 181 is 2**7.5; FILTER_TAPS: up to 64.
-    line[RESTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)
+    line[STAND_SLOTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)
     return 0

@@ -6,12 +6,13 @@ brakes to a corner and accelerates after it, the average is faster there than th
 
     acceleration * T / 4        ACCEL * table[JUNCTION_DERATE], a root of a scaled speed squared
 
-So corners, and places where the rate changes, are planned slower by that: lower(). The average
-also mixes the accelerations of several blocks, so one acceleration holds from stop to stop.
+So corners, and places where the rate changes, are planned slower by that: lower_at_corner(). The
+average also mixes the accelerations of several blocks, so one acceleration holds from stop to
+stop.
 
 Short lines would stop at each corner for that. Two rules avoid it: a short line goes no faster
-than its corners allow, so the average is no faster either (calm); a corner that only the grid of
-steps makes does not count (link).
+than its corners allow, so the average is no faster either (limit_rate); a corner that only the
+grid of steps makes does not count (mark_grid_corner).
 
 Viper, as plan_kernel.py is, with its units and ranges: speeds squared are scaled, 0 to 2**30 - 1,
 so their roots are below 2**15. Main loop only, called after a block is planned; the plan (the
@@ -50,17 +51,17 @@ from motion.minifloat import BIAS, HIGHEST, LIMIT, ONE, mul, pack, product, squa
 from motion.plan_kernel import AT_ONCE, NEAR, compute_profile, reverse_pass
 
 from extras.motors.jerk_layout import (
-    CHAIN,
+    CHAIN_SQR,
     FILTER_TAPS,
     RELEASED,
 )
 
-_PER_MM = const(0x214000)  # the real 2**16,
-_FOUR_OF_16 = const(0x224000)  # and 4 * 2**16
-_LONG = const(0x204000)  # the real 16384, mm: from here on a length does not fit jerk_kernel.py
-_CALM = const(0x1000)  # flags of a block: it is no faster than the corners at its ends;
-_LINKED = const(0x2000)  # it is short, and its first corner is one of the grid, or none
-_FINE = const(100)  # a block of more steps has no corners of the grid
+_UNITS_PER_MM = const(0x214000)  # the real 2**16,
+_FOUR_UNITS_PER_MM = const(0x224000)  # and 4 * 2**16
+_TOO_LONG_MM = const(0x204000)  # the real 16384: such a length does not fit jerk_kernel.py
+_RATE_LIMITED = const(0x1000)  # flags of a block: it is no faster than the corners at its ends;
+_IN_GRID_CHAIN = const(0x2000)  # it is short, and its first corner is one of the grid, or none
+_MOST_GRID_STEPS = const(100)  # a block of more steps has no corners of the grid
 _ROUNDING = const(64)  # of a mantissa, up to 1/256: an acceleration so little higher is the same
 _MANTISSA = const(32767)  # of a real, below its exponent,
 _EXPONENT_AT = const(15)  # which starts at this bit
@@ -72,7 +73,7 @@ _ACCELERATION = const(2)  # and this one of them
 def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everything: int) -> int:
     """Release new blocks to the plan, with their accelerations and entry speeds.
 
-    If many blocks are waiting, new ones are collected until there are AT_ONCE, as in
+    If NEAR or more blocks are waiting, new ones are collected until there are AT_ONCE, as in
     plan_kernel.append_block(), unless everything is not 0. Returns how many were released.
     """
     if line[FILTER_TAPS] == 0:
@@ -89,17 +90,17 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
         return 0
     while row != flow[HEAD]:
         at = row * flow[ROW_SIZE]
-        if int(begin(table, ring, flow, row, line[TAIL])):
+        if int(set_acceleration(table, ring, flow, row, line[TAIL])):
             compute_profile(table, ring, at)
-        # The last argument is the index of the row before.
-        link(table, ring, line, at, (row or flow[ROWS]) * flow[ROW_SIZE] - flow[ROW_SIZE])
-        soften(table, ring, flow, row, line[TAIL] if line[LOADED] else -1)
+        before = (row or flow[ROWS]) * flow[ROW_SIZE] - flow[ROW_SIZE]  # index of the row before
+        mark_grid_corner(table, ring, line, at, before)
+        limit_entries(table, ring, flow, row, line[TAIL] if line[LOADED] else -1)
         row += 1
         if row == flow[ROWS]:
             row = 0
         released += 1
     if released:
-        flow[UNPLANNED] = released + 1  # soften() changes the block before, too
+        flow[UNPLANNED] = released + 1  # limit_entries() changes the block before, too
         reverse_pass(ring, flow, 0)
         line[RELEASED] = row
     return released
@@ -107,7 +108,7 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
 
 @micropython.viper
 def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
-    """Compute all blocks again after an override changed. present: row of the plan's block.
+    """Compute all blocks again after an override changed. present: row of the plan's block, or -1.
 
     Returns how many blocks reverse_pass() has visited.
     """
@@ -115,9 +116,9 @@ def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
     while row != flow[HEAD]:
         at = row * flow[ROW_SIZE]
         compute_profile(table, ring, at)
-        ring[at + FLAGS] = ring[at + FLAGS] & (-1 - _CALM)
+        ring[at + FLAGS] = ring[at + FLAGS] & (-1 - _RATE_LIMITED)
         if row != flow[TAIL]:
-            soften(table, ring, flow, row, present)
+            limit_entries(table, ring, flow, row, present)
         row += 1
         if row == flow[ROWS]:
             row = 0
@@ -125,7 +126,7 @@ def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
 
 
 @micropython.viper
-def soften(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int:
+def limit_entries(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int:
     """Set a block's MAX_ENTRY_SQR, as plan_kernel.limit_entry() does without a limit of jerk; and
     that of the block before, because both its corners are known now.
 
@@ -139,76 +140,77 @@ def soften(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> in
     not_begun = row != flow[TAIL] and row != present
     if not_begun and before != present:
         before_previous = before - 1 if before else rows - 1
-        calm(table, ring, before * size, row * size, before_previous * size)
-        enter(table, ring, before * size, before_previous * size)
-    enter(table, ring, row * size, before * size)
+        limit_rate(table, ring, before * size, row * size, before_previous * size)
+        set_max_entry(table, ring, before * size, before_previous * size)
+    set_max_entry(table, ring, row * size, before * size)
     return 0
 
 
 @micropython.viper
-def enter(table: ptr32, ring: ptr32, at: int, before: int) -> int:
+def set_max_entry(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     """Set a block's MAX_ENTRY_SQR from its corner, its rate and the rate of the block before.
     Returns 0.
 
     Corner and rate are lowered by what the average is faster than the plan. Exceptions: a straight
-    line or equal rates; two calm blocks, whose squared rates are within 1/8; a corner of the grid.
+    line or equal rates; two blocks with _RATE_LIMITED, whose squared rates are within 1/8; a
+    corner of the grid.
     """
     junction = ring[at + JUNCTION_SQR]
-    entry = ring[at + NOMINAL_SQR]
+    entry = ring[at + NOMINAL_SQR]  # the lower one of the two rates, squared; fast: the higher one
     fast = ring[before + NOMINAL_SQR]
     if fast < entry:
         entry = fast
         fast = ring[at + NOMINAL_SQR]
     accel = ring[at + ACCEL]
-    if ring[at + FLAGS] & ring[before + FLAGS] & _CALM and fast - (fast >> 3) <= entry:
-        fast = entry
-    elif junction < HIGHEST and ring[at + FLAGS] & _LINKED == 0:
-        junction = int(lower(table, accel, junction))
+    if ring[at + FLAGS] & ring[before + FLAGS] & _RATE_LIMITED and fast - (fast >> 3) <= entry:
+        fast = entry  # as equal rates: nothing is lowered
+    elif junction < HIGHEST and ring[at + FLAGS] & _IN_GRID_CHAIN == 0:
+        junction = int(lower_at_corner(table, accel, junction))
     if fast != entry:
-        entry = int(lower(table, accel, entry))
+        entry = int(lower_at_corner(table, accel, entry))
     ring[at + MAX_ENTRY_SQR] = entry if entry < junction else junction
     return 0
 
 
 @micropython.viper
-def link(table: ptr32, ring: ptr32, line: ptr32, at: int, before: int) -> int:
-    """Mark a new block as _LINKED if its corner is one that only the grid of steps makes, or if it
-    goes straight on from such a block. Returns 0.
+def mark_grid_corner(table: ptr32, ring: ptr32, line: ptr32, at: int, before: int) -> int:
+    """Mark a new block as _IN_GRID_CHAIN if its corner is one that only the grid of steps makes,
+    or if it goes straight on from such a block. Returns 0.
 
     Within a chain of such blocks, the average is no faster than the plan is somewhere in it. At
     the end it may be, where a long block goes straight on, so that block gets the chain's last
-    corner (CHAIN) as its own.
+    corner (CHAIN_SQR) as its own.
     """
     junction = ring[at + JUNCTION_SQR]
-    chained = ring[before + FLAGS] & _LINKED
+    chained = ring[before + FLAGS] & _IN_GRID_CHAIN
     linked = 0
-    if junction == HIGHEST:
+    if junction == HIGHEST:  # it goes straight on
         if chained:
-            linked = int(is_short(table, ring, at, line[CHAIN]))
+            linked = int(is_short(table, ring, at, line[CHAIN_SQR]))
             if linked == 0:
-                ring[at + JUNCTION_SQR] = line[CHAIN]
+                ring[at + JUNCTION_SQR] = line[CHAIN_SQR]
     elif junction and (chained or ring[before + JUNCTION_SQR] < HIGHEST):
-        linked = int(is_grid(table, ring, at, before))
-        line[CHAIN] = junction
+        linked = int(is_grid_corner(table, ring, at, before))
+        line[CHAIN_SQR] = junction
     if linked:
-        ring[at + FLAGS] = ring[at + FLAGS] | _LINKED
+        ring[at + FLAGS] = ring[at + FLAGS] | _IN_GRID_CHAIN
     return 0
 
 
 @micropython.viper
-def is_grid(table: ptr32, ring: ptr32, at: int, before: int) -> int:
+def is_grid_corner(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     """Return 1 if the corner between two short blocks is within a step of a straight line, else 0.
 
-    A corner by the angle t, n steps from the next one (the shorter block's, at most _FINE), is
-    n t / 2 steps away from it, so it is where t < 2 / n. Junction deviation d allows, with the
-    acceleration a, v**2 = 8 a d / t**2 for a small t, and 2.4 a d for a right angle, which one
-    step may make. So the condition is v**2 >= 2 a d n**2.
+    A corner by the angle t, n steps from the next one (the shorter block's, at most
+    _MOST_GRID_STEPS), is n t / 2 steps away from it, so it is where t < 2 / n. Junction deviation
+    d allows, with the acceleration a, v**2 = 8 a d / t**2 for a small t, and 2.4 a d for a right
+    angle, which one step may make. So the condition is v**2 >= 2 a d n**2.
     """
     steps = ring[at + EVENTS]
     if steps > ring[before + EVENTS]:
         steps = ring[before + EVENTS]
     junction = ring[at + JUNCTION_SQR]
-    if steps > _FINE:
+    if steps > _MOST_GRID_STEPS:
         return 0
     # table[JUNCTION] is d * 2**16, scaled as v**2 is.
     two_n_sqr = int(pack(2 * steps * steps, BIAS - 16))
@@ -227,39 +229,43 @@ def is_short(table: ptr32, ring: ptr32, at: int, sqr: int) -> int:
     root = int(pack(int(square_root(sqr)), BIAS))
     scale = table[ROOT_SCALE]
     # The innermost product is T / 4, in s.
-    way = int(product(int(mul(root, int(mul(table[JUNCTION_DERATE], scale)))), scale, _FOUR_OF_16))
-    return 1 if way > int(product(ring[at + LENGTH], _PER_MM, ONE)) else 0
+    way = int(
+        product(int(mul(root, int(mul(table[JUNCTION_DERATE], scale)))), scale, _FOUR_UNITS_PER_MM)
+    )
+    return 1 if way > int(product(ring[at + LENGTH], _UNITS_PER_MM, ONE)) else 0
 
 
 @micropython.viper
-def calm(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> int:
+def limit_rate(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> int:
     """Limit the rate of a short block whose corners would be stops to what its corners allow.
 
-    Nor is it faster than a calm block before it. Then the average is no faster than the corners
+    Nor is it faster than such a block before it. Then the average is no faster than the corners
     allow, and the plan need not stop. at, after, before: indexes in the ring of the block, the
-    next and the previous one. Returns 0; the block has the flag _CALM if it was limited.
+    next and the previous one. Returns 0; the block has the flag _RATE_LIMITED if it was limited.
     """
     sqr = ring[after + JUNCTION_SQR]  # becomes the speed squared that the corners allow
     entry = ring[at + JUNCTION_SQR]
     if entry and entry < sqr:
         sqr = entry
-    if entry and ring[before + FLAGS] & _CALM and ring[before + NOMINAL_SQR] < sqr:
+    if entry and ring[before + FLAGS] & _RATE_LIMITED and ring[before + NOMINAL_SQR] < sqr:
         sqr = ring[before + NOMINAL_SQR]
-    if sqr == 0 or int(lower(table, ring[at + ACCEL], sqr)) or sqr == HIGHEST:
+    # Not a stop anyway, nor corners that would not be stops, nor a straight line.
+    if sqr == 0 or int(lower_at_corner(table, ring[at + ACCEL], sqr)) or sqr == HIGHEST:
         return 0
-    if ring[after + FLAGS] & _LINKED or int(is_short(table, ring, at, sqr)) == 0:
+    if ring[after + FLAGS] & _IN_GRID_CHAIN or int(is_short(table, ring, at, sqr)) == 0:
         return 0
     if sqr < ring[at + NOMINAL_SQR]:
         ring[at + NOMINAL_SQR] = sqr
         root = int(pack(int(square_root(sqr)), BIAS))
         ring[at + NOMINAL] = int(mul(root, table[ROOT_SCALE]))
+        # As block speed units, at least 1.
         ring[at + CRUISE] = int(product(ring[at + NOMINAL], ring[at + FACTOR], ONE)) or 1
-    ring[at + FLAGS] = ring[at + FLAGS] | _CALM
+    ring[at + FLAGS] = ring[at + FLAGS] | _RATE_LIMITED
     return 0
 
 
 @micropython.viper
-def begin(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int:
+def set_acceleration(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int:
     """Set a new block's acceleration: that of the block before, unless the machine stops between.
 
     It stops, so JUNCTION_SQR becomes 0, if the plan is already at this block (present: row of the
@@ -270,13 +276,15 @@ def begin(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int
     size = flow[ROW_SIZE]
     at = row * size
     before = (row if row else flow[ROWS]) * size - size
-    own = int(level(table, ring[at + ACCEL]))  # the acceleration that this block allows
+    own = int(
+        shared_acceleration(table, ring[at + ACCEL])
+    )  # the acceleration that this block allows
     accel = ring[before + ACCEL]
     junction = ring[at + JUNCTION_SQR]
-    is_long = ring[at + LENGTH] >= _LONG or ring[before + LENGTH] >= _LONG
+    is_long = ring[at + LENGTH] >= _TOO_LONG_MM or ring[before + LENGTH] >= _TOO_LONG_MM
     if row == present or own < accel or is_long:
         junction = 0
-    elif own > accel and junction < HIGHEST and int(lower(table, accel, junction)) == 0:
+    elif own > accel and junction < HIGHEST and int(lower_at_corner(table, accel, junction)) == 0:
         junction = 0
     if junction == 0:
         accel = own
@@ -287,7 +295,7 @@ def begin(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: int) -> int
 
 
 @micropython.viper
-def lower(table: ptr32, accel: int, sqr: int) -> int:
+def lower_at_corner(table: ptr32, accel: int, sqr: int) -> int:
     """Return a speed squared, lowered by what the average is faster than the plan at a corner.
 
     sqr: scaled, 0 to 2**30 - 1. accel: real, mm/s2. The root loses 1 more, because product()
@@ -298,14 +306,14 @@ def lower(table: ptr32, accel: int, sqr: int) -> int:
 
 
 @micropython.viper
-def level(table: ptr32, accel: int) -> int:
+def shared_acceleration(table: ptr32, accel: int) -> int:
     """Return the highest acceleration, at most accel, that is an axis's, or 1/2, 1/4, ... of one.
 
     So similar directions have the same acceleration, and blocks need not stop between them. Reals,
     mm/s2; one less in the exponent (LIMIT) is a half.
     """
     highest = 0
-    if accel <= LIMIT:
+    if accel <= LIMIT:  # a real so small cannot be halved
         return accel
     most = int(pack((accel & _MANTISSA) + _ROUNDING, accel >> _EXPONENT_AT))
     for i in range(table[AXES]):

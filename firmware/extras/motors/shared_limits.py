@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _CYCLES = range(44, 50)  # $44 to $49 of home_order.py
 
-_found: "dict[int, list[int]]" = {}  # key 0: masks of axes that share an input
+_board: "dict[int, list[int]]" = {}  # key 0: masks of axes that share an input
 
 
 def sharing(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[int]":
@@ -35,7 +35,8 @@ def sharing(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[i
         motors_of_pin = [i for i in range(len(limits)) if limits[i] == pin and pin is not None]
         mask = 0
         for i in motors_of_pin:
-            axis = LETTERS.find(motors[i]) if i >= axes else i  # motor i of the first moves axis i
+            # The first motors move the axis of their number, further ones that of their letter.
+            axis = LETTERS.find(motors[i]) if i >= axes else i
             if mask >> axis & 1:
                 letter = LETTERS[axis]
                 text = "LIMIT: both switches of %s are on pin %s: None for the second motor's"
@@ -67,8 +68,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     """Find shared inputs. ValueError if the homing order does not fit them."""
     option = board.__dict__.get
     limits: "tuple[int | None, ...]" = option("LIMIT", ())
-    _found[0] = shared = sharing(limits, options.axes, option("MOTORS", ""))
+    _board[0] = shared = sharing(limits, options.axes, option("MOTORS", ""))
     cycles = [int(options.defaults.get(number, 0)) for number in _CYCLES]
+    # Without an order in the settings $H homes in Grbl's own.
     for cycle in cycles if any(cycles) else grbl_order(options.axes):
         letters = clash(shared, cycle)
         if letters:
@@ -80,7 +82,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """Check the inputs before $H, and refuse $44 to $49 with axes that share an input."""
     machine: "Any" = cnc.machine
-    shared, hooks, inputs = _found[0], machine.state.hooks, machine.inputs
+    shared, hooks, inputs = _board[0], machine.state.hooks, machine.inputs
     shared_axes = 0
     for mask in shared:
         shared_axes |= mask
@@ -103,7 +105,7 @@ def install(cnc: "Cnc") -> None:
         """Search the switches of the axes, a mask, unless two of them share an input."""
         letters = clash(shared, axes)
         if letters:
-            text = "%s share a limit input: have them homed one after the other, $44 to $49"
+            text = "%s share a limit input: home them one after the other, by $44 to $49"
             give_up(text % letters, errors.ALARM_HOMING_FAIL_RESET)
             cnc.service()  # raises Abort
         previous_find(axes)

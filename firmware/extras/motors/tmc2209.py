@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 PINS = ("TMC_UART",)
 
-_CURRENT = const(140)
+_CURRENT = const(140)  # first numbers of settings, one per axis
 _MICROSTEPS = const(150)
 _SEEK = const(200)
 _HOLD = const(210)
 _LOCATE = const(220)
-_LETTERS = const(6)  # numbers per row: six axes
+_NUMBERS_PER_ROW = const(6)  # of settings, because there may be six axes
 _SETTINGS: "Rows" = (
     # Motor current, one value per axis. RMS; it holds for both motors of an axis.
     (140, "driver_ma", AXIS, 500.0, "milliampere"),
@@ -57,15 +57,15 @@ _SETTINGS: "Rows" = (
     # Axes whose drivers use spreadCycle: more torque at high rates, but noise. One bit per axis.
     (810, "driver_spread", INT, 0, "mask"),
 )
-_ROWS = (_CURRENT, _MICROSTEPS, _SEEK, _HOLD, _LOCATE)
+_ROWS = (_CURRENT, _MICROSTEPS, _SEEK, _HOLD, _LOCATE)  # first numbers of rows of settings
 _HIGHEST_ADDRESS = const(3)
 _MOST_THRESHOLD = const(255)
 _PERCENT = const(100)
-_LOOK_MS = const(100)  # between one driver and the next
+_POLL_MS = const(100)  # from the poll of one driver to that of the next
 _SECONDS_PER_MIN = const(60)
-_ROUNDED = const(1.001)  # a rate so little above $24 is that rate, rounded
+_ROUNDING = const(1.001)  # a rate so little above $24 is that rate, rounded
 
-_made: "dict[str, Any]" = {}  # prepare() stores here what install() needs
+_board: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -74,24 +74,26 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     addresses: "tuple[int, ...]" = board.__dict__["TMC2209"]
     motors = len(board.__dict__.get("STEP", ()))
     if len(addresses) != motors:
-        raise ValueError("TMC2209 has %d addresses, and STEP %d pins" % (len(addresses), motors))
+        raise ValueError(
+            "TMC2209 has %d addresses, but STEP has %d pins" % (len(addresses), motors)
+        )
     for address in addresses:
         if not 0 <= address <= _HIGHEST_ADDRESS or addresses.count(address) > 1:
-            raise ValueError("TMC2209: addresses are 0 to 3, each once")
-    _made["addresses"] = addresses
-    _made["wire"] = options.driver_wire
-    _made["ohm"] = ohm = board.__dict__.get("TMC_SENSE_MOHM", 110) / 1000
+            raise ValueError("TMC2209: addresses must be 0 to 3, each only once")
+    _board["addresses"] = addresses
+    _board["wire"] = options.driver_wire
+    _board["ohm"] = ohm = board.__dict__.get("TMC_SENSE_MOHM", 110) / 1000
     for number, amount in options.defaults.items():
         if not _can_be(number, amount, tmc2209_chip.full_scale_ma(ohm)):
-            raise ValueError("DEFAULTS: $%d=%g is nothing a driver can do" % (number, amount))
-    _made["letters"] = board.__dict__.get("MOTORS", "")
+            raise ValueError("DEFAULTS: $%d=%g is beyond what a driver can do" % (number, amount))
+    _board["letters"] = board.__dict__.get("MOTORS", "")
 
 
 def _can_be(number: int, amount: float, most_ma: float) -> bool:
     """Return whether the setting $number may have that value (amount). most_ma: the drivers'
     highest current, mA. Settings that are not a driver's may have any."""
     base = number // 10 * 10  # the last digit is the axis
-    if base not in _ROWS or number - base >= _LETTERS:
+    if base not in _ROWS or number - base >= _NUMBERS_PER_ROW:
         return True  # not a driver's
     if base == _CURRENT:
         return 0 < amount <= most_ma
@@ -104,16 +106,16 @@ def install(cnc: "Cnc") -> None:
     """Create the drivers, and add their settings, the command $TMC, and hooks: drivers are polled
     between lines, checked before motion, and prepared for homing."""
     machine: "Any" = cnc.machine
-    wire, ohm = _made["wire"], _made["ohm"]
-    chips = [Chip(wire, address, ohm) for address in _made["addresses"]]
-    drivers = Drivers(cnc, chips, _names(_made["letters"], len(chips)), ohm)
+    wire, ohm = _board["wire"], _board["ohm"]
+    chips = [Chip(wire, address, ohm) for address in _board["addresses"]]
+    drivers = Drivers(cnc, chips, _names(_board["letters"], len(chips)), ohm)
     cnc.add_settings(_SETTINGS)
     drivers.check_settings()
     machine.settings.on_change(drivers.configure)
     cnc.add_command(b"TMC", drivers.report)
     cnc.before_lines(drivers.poll_drivers)
     cnc.before_motion(drivers.may_start)
-    drivers.feel_homing()
+    drivers.hook_homing()
 
 
 def _names(letters: str, motors: int) -> "list[str]":
@@ -127,7 +129,9 @@ def _names(letters: str, motors: int) -> "list[str]":
 class Drivers:
     """All drivers. Masks are of motors, except those of settings, which are of axes.
 
-    chips, names: per motor. sense_ohm: the drivers' sense resistors.
+    chips, names: per motor. sense_ohm: the drivers' sense resistors. Masks of motors whose drivers
+    are to be configured ($338): _wanted; are configured: _ready; have answered, so silence is a
+    fault: _responsive; have been reported as warm or faulty already: _reported.
     """
 
     def __init__(
@@ -145,13 +149,9 @@ class Drivers:
         self._names = names
         self._axes = [LETTERS.index(name[0]) for name in names]
         self._most_ma = tmc2209_chip.full_scale_ma(sense_ohm)
-        # Masks of motors whose drivers
-        self._wanted = 0  # are to be configured: $338
-        self._ready = 0  # are configured
-        self._known = 0  # have answered, so silence is a fault
-        self._told = 0  # have been reported as warm or faulty already
+        self._wanted = self._ready = self._responsive = self._reported = 0
         self._next = 0  # the motor whose driver is polled next
-        self._since_ms = self._port.ticks_ms()  # of the last poll
+        self._polled_ms = self._port.ticks_ms()  # time of the last poll
 
     # Settings
 
@@ -185,34 +185,34 @@ class Drivers:
     # Polling
 
     def poll_drivers(self) -> None:
-        """Check the next driver, if the machine is idle and _LOOK_MS have passed since the last
+        """Check the next driver, if the machine is idle and _POLL_MS have passed since the last
         one. A fault raises an alarm if the driver has worked before; otherwise it is reported
         once."""
-        if self._port.elapsed_ms(self._since_ms) < _LOOK_MS or not self._machine.at_rest():
+        if self._port.elapsed_ms(self._polled_ms) < _POLL_MS or not self._machine.at_rest():
             return
-        self._since_ms = self._port.ticks_ms()
+        self._polled_ms = self._port.ticks_ms()
         motor = self._next
         self._next = (motor + 1) % len(self._chips)
         if self._wanted >> motor & 1:
             why = self._check_driver(motor)
-            if why and self._known >> motor & 1:  # it has worked before
-                self._known &= ~(1 << motor)
-                self._lose(motor, why)
+            if why and self._responsive >> motor & 1:  # it has worked before
+                self._responsive &= ~(1 << motor)  # only one alarm
+                self._note_fault(motor, why)
                 if self._state.run != st.ALARM:
                     self._machine.canon.stop_with_alarm(errors.ALARM_DRIVER)
-            elif why and not self._told >> motor & 1:
-                self._lose(motor, why)
+            elif why and not self._reported >> motor & 1:
+                self._note_fault(motor, why)
 
     def _check_driver(self, motor: int) -> str:
         """Check a driver, and configure it if needed. Return its fault, or ""."""
         chip, mask = self._chips[motor], 1 << motor
         try:
-            if self._known & mask:
+            if self._responsive & mask:
                 chip.read_status()
-                if chip.has_begun_anew():
+                if chip.has_lost_supply():
                     return "its supply has failed"
             else:
-                chip.read_status(1)  # one try: a driver without supply never answers
+                chip.read_status(1)  # one try, because a driver without supply never answers
             if not self._ready & mask:
                 self._set_up(motor)
                 chip.read_status()
@@ -220,29 +220,29 @@ class Drivers:
             return str(fault)
         why = chip.fault()
         if not why:
-            self._welcome(motor)
+            self._note_healthy(motor)
         return why
 
-    def _welcome(self, motor: int) -> None:
+    def _note_healthy(self, motor: int) -> None:
         """Note that a driver is configured and has no fault. Report once that it is warm."""
         mask, is_warm = 1 << motor, self._chips[motor].is_warm()
         self._ready |= mask
-        self._known |= mask
-        if is_warm and not self._told & mask:
+        self._responsive |= mask
+        if is_warm and not self._reported & mask:
             self._report(motor, "warm")
         if is_warm:
-            self._told |= mask
+            self._reported |= mask
         else:
-            self._told &= ~mask
+            self._reported &= ~mask
 
     def _report(self, motor: int, what: str) -> None:
         """Send a message about a motor's driver."""
         self._cnc.message("Motor driver %s: %s" % (self._names[motor], what))
 
-    def _lose(self, motor: int, why: str) -> None:
+    def _note_fault(self, motor: int, why: str) -> None:
         """Report the fault (why) of a motor's driver, which must then be configured again."""
         self._ready &= ~(1 << motor)
-        self._told |= 1 << motor
+        self._reported |= 1 << motor
         self._report(motor, why)
 
     def may_start(self) -> bool:
@@ -251,7 +251,7 @@ class Drivers:
             if (self._wanted & ~self._ready) >> motor & 1:
                 why = self._check_driver(motor)
                 if why:
-                    self._lose(motor, why)
+                    self._note_fault(motor, why)
                     self._motor_control.reset()
                     self._state.alarm = errors.ALARM_DRIVER
                     return False
@@ -259,7 +259,7 @@ class Drivers:
 
     # Homing without switches
 
-    def feel_homing(self) -> None:
+    def hook_homing(self) -> None:
         """Hook into homing and each of its phases: drivers get StallGuard's thresholds for it."""
         hooks = self._state.hooks
         previous_home, previous_phase = hooks.home, hooks.home_phase
@@ -271,57 +271,58 @@ class Drivers:
             try:
                 return previous_home(axes)
             finally:
-                self._rest()
+                self._end_homing()
 
         def phase(axes: int, approach: bool, travel: float, rate: float) -> None:
             """Set thresholds, then run a phase of homing: see HomingProbing.home_phase()."""
-            self._feel(axes, approach, rate)
+            self._set_thresholds(axes, approach, rate)
             previous_phase(axes, approach, travel, rate)
 
         hooks.home, hooks.home_phase = home, phase
 
-    def _homing(self, axes: int) -> "list[int]":
+    def _sensing_motors(self, axes: int) -> "list[int]":
         """Return the numbers of the motors that detect the end of one of these axes (a mask): axes
         of $339, and drivers that are configured."""
         axes &= self._settings.driver_homing
         kinematics = self._planner.kinematics
         motors = []
         for motor in range(len(self._chips)):
+            # The axes that it moves: bit i, or bit i + REVERSE if backwards.
             moves = kinematics.moves[motor] if kinematics else 1 << motor
             if (moves | moves >> REVERSE) & axes and self._ready >> motor & 1:
                 motors.append(motor)
         return motors
 
-    def _feel(self, axes: int, approach: bool, rate: float) -> None:
+    def _set_thresholds(self, axes: int, approach: bool, rate: float) -> None:
         """Set the StallGuard thresholds of a homing phase. axes: mask of those that move.
 
-        rate: along the path of all of them, mm/min. approach: False in a pull-off, which has no
-        threshold.
+        rate: along the path of all of them, mm/min; above $24 it is the search, else the slow
+        approach. approach: False in a pull-off, which has no threshold.
         """
         settings = self._settings
         count = sum([axes >> i & 1 for i in range(self._planner.axes)])
         axis_rate = rate / math.sqrt(count)  # all move at the same rate
-        is_search = axis_rate > settings.homing_feed * _ROUNDED
+        is_search = axis_rate > settings.homing_feed * _ROUNDING
         thresholds = settings.driver_stall_seek if is_search else settings.driver_stall_locate
-        for motor in self._homing(axes):
+        for motor in self._sensing_motors(axes):
             axis = self._axes[motor]
             threshold = int(thresholds[axis]) if approach else 0
             try:
-                self._chips[motor].feel(
+                self._chips[motor].set_stall_threshold(
                     threshold,
                     axis_rate / _SECONDS_PER_MIN * settings.steps_per_mm[axis],
                     int(settings.driver_microsteps[axis]),
                 )
             except Silence as fault:
-                self._lose(motor, str(fault))
+                self._note_fault(motor, str(fault))
                 self._motor_control.reset()
                 self._state.alarm = errors.ALARM_DRIVER
                 self._cnc.service()  # raises Abort
 
-    def _rest(self) -> None:
+    def _end_homing(self) -> None:
         """Have the drivers that StallGuard has used configured again, after homing has ended or
         was aborted."""
-        for motor in self._homing((1 << self._planner.axes) - 1):
+        for motor in self._sensing_motors((1 << self._planner.axes) - 1):
             self._ready &= ~(1 << motor)
 
     # The report

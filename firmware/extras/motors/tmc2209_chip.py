@@ -32,36 +32,35 @@ _SGTHRS = const(0x40)
 _CHOPCONF = const(0x6C)
 _DRV_STATUS = const(0x6F)
 
-# GCONF: current and microsteps are set over the serial line, not by pins; steps are filtered.
-_SERIAL = const(0x1C0)
-_SPREAD = const(4)
+# GCONF. The first one also has steps filtered.
+_SERIAL = const(0x1C0)  # current and microsteps are set over the serial line, not by pins
+_EN_SPREADCYCLE = const(4)
 # GSTAT: its bits stay set until ones are written to them.
-_RESET = const(1)
+_WAS_RESET = const(1)
 _DRIVER_FAULT = const(2)
 _LOW_VOLTAGE = const(4)
-_ALL_FLAGS = const(7)
-# NODECONF: an answer is delayed by 3 * 8 bit times. Several drivers on a wire need at least 2 * 8.
-_SEND_DELAY = const(0x200)
+_ALL_FLAGS = const(7)  # of GSTAT: writing ones clears them
+# NODECONF: several drivers on a wire need at least 2 * 8.
+_SEND_DELAY = const(0x200)  # an answer is delayed by 3 * 8 bit times
 _HOLD_DELAY = const(8)  # in 2^18 clocks: time of each step from run to hold current
 # CHOPCONF.
-_OFF_TIME = const(0xF)  # 0: the driver is off
-_USUAL_OFF_TIME = const(3)
-_SENSITIVE = const(1 << 17)  # lower full-scale voltage at the sense resistors
-_STEPS_AT = const(24)
-_INTERPOLATED = const(1 << 28)
+_OFF_TIME_MASK = const(0xF)  # of CHOPCONF; 0 there: the driver is off
+_DEFAULT_OFF_TIME = const(3)
+_LOW_VOLTAGE_RANGE = const(1 << 17)  # lower full-scale voltage at the sense resistors
+_MRES_AT = const(24)  # bit of CHOPCONF where MRES begins: 0 for 256 microsteps, 1 for 128, ...
+_INTERPOLATED = const(1 << 28)  # in CHOPCONF: the chip makes 256 microsteps of them
 _SMOOTHEST_LOG2 = const(8)  # 256 microsteps
 # DRV_STATUS.
 _WARM = const(1)
 _FAULTS = ((2, "too hot"), (0xC, "short circuit to ground"), (0x30, "short circuit to supply"))
-_SCALE_AT = const(16)
+_SCALE_AT = const(16)  # bit of DRV_STATUS where the present current in 1/32, less 1, begins
 _SCALES = const(32)  # current goes from 1/32 to 32/32
-# Full-scale voltages at the sense resistors, the resistance of their wiring, and sqrt(2).
-_FULL_V = const(0.325)
-_LOW_V = const(0.18)
-_WIRES_OHM = const(0.02)
-_PEAK = const(1.4142136)
+_FULL_V = const(0.325)  # full-scale voltage at the sense resistors
+_LOW_V = const(0.18)  # the lower one, with _LOW_VOLTAGE_RANGE
+_WIRES_OHM = const(0.02)  # the resistance of their wiring
+_PEAK = const(1.4142136)  # of an RMS value: sqrt(2)
 _CLOCK_HZ = const(12000000)
-_LONGEST_STEP = const(0xFFFFF)
+_MOST_CLOCKS = const(0xFFFFF)  # the highest value of TCOOLTHRS
 
 
 def checksum(data: "bytes | bytearray") -> int:
@@ -69,9 +68,9 @@ def checksum(data: "bytes | bytearray") -> int:
     crc = 0
     for byte in data:
         for i in range(8):
-            high = crc >> 7 ^ byte >> i & 1
+            differs = crc >> 7 ^ byte >> i & 1
             crc = crc << 1 & 0xFF
-            if high:
+            if differs:
                 crc ^= _POLYNOMIAL
     return crc
 
@@ -92,41 +91,41 @@ class Silence(Exception):
 
 
 class Chip:
-    """A driver at an address of the wire. sense_ohm: its sense resistors, in ohm."""
+    """A driver at an address of the wire. sense_ohm: its sense resistors, in ohm. _gstat and
+    _drv_status: these registers as they were read last. _writes: what the driver's counter of
+    accepted writes must be. _spread_bit: the bit of GCONF for spreadCycle, or 0."""
 
     def __init__(self, wire: "DriverWire", address: int, sense_ohm: float) -> None:
         self._wire = wire
         self._address = address
         self._sense_ohm = sense_ohm
-        self._spread = 0  # bit of GCONF: spreadCycle
-        self._writes = 0  # what IFCNT must be
-        self._flags = 0  # GSTAT and DRV_STATUS, as they were read last
-        self._status = 0
+        self._spread_bit = self._writes = self._gstat = self._drv_status = 0
 
     # Datagrams
 
     def _read(self, register: int, tries: int = _TRIES) -> int:
         """Return a register's 32 bits. Raises Silence if no try gets a valid answer."""
         request = bytearray((_SYNC, self._address, register, 0))
-        request[3] = checksum(request[:3])
+        request[3] = checksum(request[:3])  # of the bytes before it
         why = ""
         for _ in range(tries):
             answer = self._wire.exchange(request, _ANSWER_BYTES)
             if answer is None:
-                why = "the wire is broken"
+                why = "no echo: its serial wire is cut"
             elif len(answer) < _ANSWER_BYTES:
                 why = "no answer: is the motors' supply on?"
             # The checksum is wrong, or its first bytes are not those of an answer.
             elif checksum(answer[:_CHECKSUM_AT]) != answer[_CHECKSUM_AT] or answer[
                 :_VALUE_AT
             ] != bytes((_SYNC, _MASTER, register)):
-                why = "a spoilt answer"
+                why = "a corrupted answer"
             else:
                 return int.from_bytes(answer[_VALUE_AT:_CHECKSUM_AT], "big")
         raise Silence(why)
 
     def _write(self, register: int, value: int) -> None:
-        """Write a register's 32 bits. There is no answer: _end() checks that it has arrived."""
+        """Write a register's 32 bits. There is no answer: _check_writes() checks that it has
+        arrived."""
         request = bytearray((_SYNC, self._address, register | _WRITE, 0, 0, 0, 0, 0))
         for i in range(4):  # the value's bytes, the lowest one last
             request[_CHECKSUM_AT - 1 - i] = value >> 8 * i & 0xFF
@@ -134,14 +133,14 @@ class Chip:
         self._wire.exchange(request, 0)
         self._writes += 1
 
-    def _begin(self) -> None:
+    def _begin_writes(self) -> None:
         """Begin a series of writes: read the driver's counter of them."""
         self._writes = self._read(_IFCNT)
 
-    def _end(self) -> None:
+    def _check_writes(self) -> None:
         """Raise Silence if the driver has not accepted all writes."""
         if self._read(_IFCNT) != self._writes & 0xFF:  # the counter has 8 bits
-            raise Silence("a setting did not arrive")
+            raise Silence("it missed a setting sent to it")
 
     # Functions
 
@@ -158,27 +157,26 @@ class Chip:
         log2 = 0
         while 1 << log2 < microsteps:
             log2 += 1
-        # MRES, the number of microsteps, is 0 for 256, 1 for 128 and so on.
-        chopper = self._read(_CHOPCONF) & ~(_SENSITIVE | 0xF << _STEPS_AT)
-        chopper |= (_SMOOTHEST_LOG2 - log2) << _STEPS_AT | _INTERPOLATED
+        chopper = self._read(_CHOPCONF) & ~(_LOW_VOLTAGE_RANGE | 0xF << _MRES_AT)
+        chopper |= (_SMOOTHEST_LOG2 - log2) << _MRES_AT | _INTERPOLATED
         if sensitive:
-            chopper |= _SENSITIVE
-        if not chopper & _OFF_TIME:
-            chopper |= _USUAL_OFF_TIME
-        self._spread = _SPREAD if spread else 0
-        self._begin()
+            chopper |= _LOW_VOLTAGE_RANGE
+        if not chopper & _OFF_TIME_MASK:
+            chopper |= _DEFAULT_OFF_TIME
+        self._spread_bit = _EN_SPREADCYCLE if spread else 0
+        self._begin_writes()
         self._write(_NODECONF, _SEND_DELAY)
-        self._write(_GCONF, _SERIAL | self._spread)
+        self._write(_GCONF, _SERIAL | self._spread_bit)
         self._write(_IHOLD_IRUN, _HOLD_DELAY << 16 | (run - 1) << 8 | hold - 1)
         self._write(_TCOOLTHRS, 0)  # no stall is reported until homing asks for it
         self._write(_SGTHRS, 0)
         self._write(_CHOPCONF, chopper)
         self._write(_GSTAT, _ALL_FLAGS)
-        self._end()
+        self._check_writes()
         if self._read(_CHOPCONF) != chopper:
-            raise Silence("it has other microsteps than it was told")
+            raise Silence("it did not accept its microsteps")
 
-    def feel(self, threshold: int, steps_per_s: float, microsteps: int) -> None:
+    def set_stall_threshold(self, threshold: int, steps_per_s: float, microsteps: int) -> None:
         """Let DIAG report a stalled motor, at more than half of that step rate. Raises Silence.
 
         threshold: 0 to 255; higher is more sensitive, 0 switches it off. microsteps: those of
@@ -188,35 +186,35 @@ class Chip:
         if threshold:
             # TCOOLTHRS counts clocks per 1/256 step; twice as long is half of the rate.
             clocks = 2 * _CLOCK_HZ * microsteps / (256 * max(steps_per_s, 1.0))
-            longest_clocks = min(int(clocks), _LONGEST_STEP)
-        self._begin()
-        if self._spread:  # StallGuard does not work with spreadCycle
+            longest_clocks = min(int(clocks), _MOST_CLOCKS)
+        self._begin_writes()
+        if self._spread_bit:  # StallGuard does not work with spreadCycle
             self._write(_GCONF, _SERIAL)
         self._write(_TCOOLTHRS, longest_clocks)
         self._write(_SGTHRS, threshold)
-        self._end()
+        self._check_writes()
 
     def read_status(self, tries: int = _TRIES) -> None:
         """Read the status registers for the methods below. Raises Silence."""
-        self._flags = self._read(_GSTAT, tries)
-        self._status = self._read(_DRV_STATUS)
+        self._gstat = self._read(_GSTAT, tries)
+        self._drv_status = self._read(_DRV_STATUS)
 
-    def has_begun_anew(self) -> bool:
+    def has_lost_supply(self) -> bool:
         """Return whether its supply has failed since it was configured."""
-        return bool(self._flags & _RESET)
+        return bool(self._gstat & _WAS_RESET)
 
     def is_warm(self) -> bool:
         """Return whether it is near its temperature limit."""
-        return bool(self._status & _WARM)
+        return bool(self._drv_status & _WARM)
 
     def fault(self) -> str:
         """Return the fault that the status read last shows, as text, or ""."""
         for mask, words in _FAULTS:
-            if self._status & mask:
+            if self._drv_status & mask:
                 return words
-        if self._flags & _LOW_VOLTAGE:
-            return "its supply is too low"
-        return "it has switched itself off" if self._flags & _DRIVER_FAULT else ""
+        if self._gstat & _LOW_VOLTAGE:
+            return "its supply voltage is too low"
+        return "it has switched itself off" if self._gstat & _DRIVER_FAULT else ""
 
     def status_text(self) -> str:
         """Return its status as text, for a report. Raises Silence."""
@@ -224,8 +222,8 @@ class Chip:
         self.read_status()
         return "version:%d|microsteps:%d|mode:%s|scale:%d/32|state:%s" % (
             self._read(_IOIN) >> 24,
-            1 << _SMOOTHEST_LOG2 - (chopper >> _STEPS_AT & 0xF),
-            "spreadCycle" if self._read(_GCONF) & _SPREAD else "stealthChop",
-            (self._status >> _SCALE_AT & 31) + 1,
+            1 << _SMOOTHEST_LOG2 - (chopper >> _MRES_AT & 0xF),
+            "spreadCycle" if self._read(_GCONF) & _EN_SPREADCYCLE else "stealthChop",
+            (self._drv_status >> _SCALE_AT & 31) + 1,
             self.fault() or ("warm" if self.is_warm() else "good"),
         )

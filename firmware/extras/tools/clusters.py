@@ -16,7 +16,7 @@ from language.words import number, scan
 from micropython import const
 from motion.beam_layout import LEVEL
 from motion.layout import (
-    AT,
+    BLOCK_AT,
     DYNAMIC,
     EVENTS,
     FLAGS,
@@ -37,7 +37,7 @@ from motion.layout import (
 from motion.planner import SPINDLE_MASK
 from motion.slice_kernel import scaled_power, speed_share, step_tick
 
-from extras.tools.laser import Laser, emit, lay, mark
+from extras.tools.laser import Laser, emit, move_power, place_changes
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -52,22 +52,25 @@ if TYPE_CHECKING:
 
 _LINE_LENGTH = const(160)
 _COLON = const(58)  # ASCII
-_S = const(83)
+_S = const(83)  # ASCII
 _MINUS_BYTE = const(3)  # the sign of a float is in this byte of its four,
 _MINUS = const(128)  # and is this bit
-# The words of a straight cut: a line with a cluster must have no others.
-_CUT = const(CHECKED | MOVE | IN_MOTION)
+_STRAIGHT_CUT = const(
+    CHECKED | MOVE | IN_MOTION
+)  # its words: a line with a cluster must have no others
 
 # The array `clusters` has a row per block: the number of dots, 0 for a normal block, then their
 # powers, as a block's own power: PWM steps, or 1/64 of one if power follows speed.
 MOST = const(16)  # dots of a block
-ROOM = const(17)  # integers in such a row
+CLUSTER_LENGTH = const(
+    17
+)  # integers of a block in the array `clusters`: number of dots, then their powers
 # The S values of a block's dots are in another array, MOST per block.
 
 # Indices into `dots`, the dots of the line just read: their number, then their S values, as bits
 # of floats.
-DOTS = const(0)
-FIRST_DOT = const(1)
+DOTS = const(0)  # index in `dots`: the number of dots,
+FIRST_DOT = const(1)  # from here on their S values
 
 
 @micropython.viper
@@ -87,28 +90,29 @@ def read_dots(line: object, span: int, found: int, memory: object) -> int:
     values = ptr32(_values)
     dots = ptr32(_dots)
     ints = ptr32(_ints)
-    count = found & 255
+    count = found & 255  # words read; the last one's number ends at the colon
     pos = found >> 16
     while count and pos and text[pos] == _COLON:
-        count -= 1
-        if letters[count] != _S:
-            return count | BAD_NUMBER_FORMAT << 8
-        if ptr8(values)[4 * count + _MINUS_BYTE] & _MINUS:
-            return count | NEGATIVE_VALUE << 8
-        dots[FIRST_DOT] = values[count]
+        word = count - 1  # index of the word with the cluster
+        if letters[word] != _S:
+            return word | BAD_NUMBER_FORMAT << 8
+        if ptr8(values)[4 * word + _MINUS_BYTE] & _MINUS:
+            return word | NEGATIVE_VALUE << 8
+        dots[FIRST_DOT] = values[word]
         dots[DOTS] = 1
         while text[pos] == _COLON:
             if dots[DOTS] == MOST:
-                return count | GCODE_MAX_VALUE_EXCEEDED << 8
-            pos = int(number(text, pos + 1, values, count))
-            if pos == 0:
-                return count | BAD_NUMBER_FORMAT << 8
-            if ptr8(values)[4 * count + _MINUS_BYTE] & _MINUS:
-                return count | NEGATIVE_VALUE << 8
-            dots[FIRST_DOT + dots[DOTS]] = values[count]
+                return word | GCODE_MAX_VALUE_EXCEEDED << 8
+            pos = int(number(text, pos + 1, values, word))  # the place after the number
+            if pos == 0:  # there was none
+                return word | BAD_NUMBER_FORMAT << 8
+            if ptr8(values)[4 * word + _MINUS_BYTE] & _MINUS:
+                return word | NEGATIVE_VALUE << 8
+            dots[FIRST_DOT + dots[DOTS]] = values[word]
             dots[DOTS] += 1
-        ints[ONLY] = _CUT
-        found = int(scan(text, count + 1 << 16 | (span & 0xFF00) | pos, letters, values))
+        ints[ONLY] = _STRAIGHT_CUT
+        # Read the words after the cluster, from pos on: word + 1 have been read.
+        found = int(scan(text, word + 1 << 16 | (span & 0xFF00) | pos, letters, values))
         count = found & 255
         pos = found >> 16
     return found
@@ -131,7 +135,7 @@ def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
 
 
 @micropython.viper
-def leader(ring: ptr32, at: int) -> int:
+def leading_motor(ring: ptr32, at: int) -> int:
     """Return the index of the motor with the most steps in the block that begins at ring[at]: its
     steps are the block's events."""
     motor = 0
@@ -141,13 +145,14 @@ def leader(ring: ptr32, at: int) -> int:
 
 
 @micropython.viper
-def begun(done: int, events: int, parts: int) -> int:
-    """Return how many dots have begun after `done` events: ceil(done * parts / events)."""
+def dots_begun(done: int, events: int, parts: int) -> int:
+    """Return how many of a block's equal parts have begun after `done` of its events: ceil(done *
+    parts / events)."""
     return (done * parts + events - 1) // events
 
 
 @micropython.viper
-def dots(
+def write_dots(
     flow: ptr32,
     ring: ptr32,
     table: ptr32,
@@ -155,62 +160,62 @@ def dots(
     beam: ptr32,
     levels: ptr32,
     clusters: ptr32,
-    own: int,
+    cluster: int,
 ) -> int:
     """Write the changes of power in a segment of a cluster's block. Returns 0.
 
     flow, ring, table: the planner's; row: the segment's; beam, levels: see laser.emit().
-    clusters[own]: the number of the block's dots, with their powers after it.
+    clusters[cluster]: the number of the block's dots, with their powers after it.
 
     All dots have equal length, and the first begins with the block. If power follows speed (M4), a
-    segment in which no dot begins has the power of the current dot at the segment's speed.
-
-    Of the block's events (steps of its leading motor), `before` are made when the segment begins,
-    and `done` when it ends. number: dots that begin in it, the first of them is `dot`. A dot
-    begins at events * dot / parts: whole + over / parts steps. first, last: ticks in the segment
-    at which the first and the last of them begin. A block with fewer events than dots has only as
-    many parts as events.
+    segment in which no dot begins has the power of the current dot at the segment's speed. Of the
+    block's events (steps of its leading motor), `before` are made when the segment begins, `done`
+    when it ends. changes: dots that begin in it; dot: the first of them, from 0, which begins at
+    events * dot / parts: whole + over / parts steps. first, last: ticks in the segment at which
+    the first and the last begin. If events are fewer than dots, there are only as many parts.
     """
-    at = flow[AT]  # index of the block in ring
+    at = flow[BLOCK_AT]  # index of the block in ring
     events = ring[at + EVENTS]
-    count = clusters[own]
+    count = clusters[cluster]
     parts = count if count < events else events
-    motor = int(leader(ring, at))
+    motor = int(leading_motor(ring, at))
     base = ROW_AXES + ROW_STRIDE * motor  # index in row of its number of steps
     done = events - flow[MOTORS + 2 * motor]  # less the steps that it has left
     before = done - row[base]
-    dot = int(begun(before, events, parts))
-    number = int(begun(done, events, parts)) - dot
+    dot = int(dots_begun(before, events, parts))
+    changes = int(dots_begun(done, events, parts)) - dot
     first = 0
     last = 0
-    if number:
+    dynamic = ring[at + FLAGS] & DYNAMIC
+    if changes:
         whole = events * dot // parts
         over = events * dot - whole * parts
         if before:
             first = int(reach(row, base, whole - before, over, parts))
-        whole = events * (dot + number - 1) // parts
-        over = events * (dot + number - 1) - whole * parts
-        last = int(reach(row, base, whole - before, over, parts)) if number > 1 else first
-    elif ring[at + FLAGS] & DYNAMIC:
-        number = 1
+        last_dot = dot + changes - 1
+        whole = events * last_dot // parts
+        over = events * last_dot - whole * parts
+        last = int(reach(row, base, whole - before, over, parts)) if changes > 1 else first
+    elif dynamic:
+        changes = 1  # at the segment's start: the current dot's power at the new speed
         dot -= 1
-    begins = dot * events >= before * parts  # else the current dot goes on
-    dynamic = ring[at + FLAGS] & DYNAMIC
+    begins = dot * events >= before * parts  # 1: `dot` begins here; 0: it has begun before
     part = int(speed_share(flow, ring))
-    for i in range(number):
-        power = clusters[own + 1 + (dot + i if parts == count else (dot + i) * count // parts)]
+    for i in range(changes):
+        index = dot + i if parts == count else (dot + i) * count // parts  # of the dot
+        power = clusters[cluster + 1 + index]
         if dynamic:
             power = int(scaled_power(table, power, part))
         if begins or power != beam[LEVEL]:
             emit(beam, levels, power)
         else:
-            number = 0
-    lay(table, row, beam, number, first, last)
+            changes = 0  # the power of the current dot is still right
+    place_changes(table, row, beam, changes, first, last)
     return 0
 
 
 @micropython.viper
-def mark_dots(
+def move_dots(
     flow: ptr32,
     ring: ptr32,
     table: ptr32,
@@ -219,15 +224,16 @@ def mark_dots(
     levels: ptr32,
     clusters: ptr32,
 ) -> int:
-    """Move a segment's power to the beam, as laser.mark(), also if its block is a cluster. Returns
-    0. flow, ring, table: the planner's; row: the segment's; beam, levels: see laser.emit()."""
-    own = flow[AT] // flow[ROW_SIZE] * ROOM  # index of the block's dots
-    if clusters[own] == 0:
-        mark(table, row, beam, levels)
+    """Move a segment's power to the beam, as laser.move_power(), also if its block is a cluster.
+    Returns 0. flow, ring, table: the planner's; row: the segment's; beam, levels: see emit()."""
+    # The block's row number times the length of a row in clusters.
+    cluster = flow[BLOCK_AT] // flow[ROW_SIZE] * CLUSTER_LENGTH  # index of the block's dots
+    if clusters[cluster] == 0:
+        move_power(table, row, beam, levels)
         return 0
-    dots(flow, ring, table, row, beam, levels, clusters, own)
+    write_dots(flow, ring, table, row, beam, levels, clusters, cluster)
     if flow[LOADED] == 0:  # that was the block's last segment
-        clusters[own] = 0
+        clusters[cluster] = 0
     row[ROW_POWER] = KEEP_POWER
     return 0
 
@@ -245,10 +251,10 @@ def store(
     """Store the powers of a block's dots, and the S values that they are computed from.
 
     values: `count` S values, as bits of floats. block: index of its row in the planner's ring.
-    clusters: see ROOM; speeds: the S values of all blocks, MOST each. scale, flags: see
+    clusters: see CLUSTER_LENGTH; speeds: the S values of all blocks, MOST each. scale, flags: see
     spindle.power_from_rpm(). Equal S values in a row are computed once. Returns 0.
     """
-    own = ROOM * block  # index of the block's dots
+    cluster = CLUSTER_LENGTH * block  # index of the block's dots
     last = -1  # no S value
     power = 0
     for i in range(count):
@@ -256,9 +262,9 @@ def store(
             last = values[i]
             scale[ASKED] = last
             power = int(power_from_rpm(scale, flags))
-        clusters[own + 1 + i] = power
+        clusters[cluster + 1 + i] = power
         speeds[MOST * block + i] = last
-    clusters[own] = count
+    clusters[cluster] = count
     return 0
 
 
@@ -266,21 +272,21 @@ class ClusterLaser(Laser):
     """A laser whose power also changes within blocks."""
 
     def connect_dots(self, planner: "Planner", clusters: "array[int]") -> None:
-        """Connect the planner's blocks and the dots of each (clusters: see ROOM)."""
+        """Connect the planner's blocks and the dots of each (clusters: see CLUSTER_LENGTH)."""
         self._flow, self._ring, self._clusters = planner.flow, planner.ring, clusters
 
     @micropython.viper
     def next(self, row: object) -> int:
         """Fill the next segment's row, as segments.Segments.next(), with its changes of power.
         Returns 1, or 0 if nothing is left to move. Called in the engine's interrupt."""
-        if int(self._usual_next(row)) == 0:
+        if int(self._next_segment(row)) == 0:
             return 0
         flow = ptr32(self._flow)
         ring = ptr32(self._ring)
         table = ptr32(self._table)
         beam = ptr32(self._beam)
         levels = ptr32(self._levels)
-        mark_dots(flow, ring, table, ptr32(row), beam, levels, ptr32(self._clusters))
+        move_dots(flow, ring, table, ptr32(row), beam, levels, ptr32(self._clusters))
         return 1
 
     def restore_dot(self) -> bool:
@@ -290,32 +296,33 @@ class ClusterLaser(Laser):
         Power that follows speed (M4) starts at 0 instead. Returns True: motion may start.
         """
         flow, ring = self._flow, self._ring
-        at = flow[AT]  # index of the block in ring
-        own = at // flow[ROW_SIZE] * ROOM  # index of its dots
-        count = self._clusters[own]
+        at = flow[BLOCK_AT]  # index of the block in ring
+        cluster = at // flow[ROW_SIZE] * CLUSTER_LENGTH  # index of its dots
+        count = self._clusters[cluster]
         if count and flow[LOADED] and not self._reversed and self._engine.idle():
             events = ring[at + EVENTS]
             parts = min(count, events)
-            done = events - flow[MOTORS + 2 * leader(ring, at)]
-            dot = begun(done, events, parts) - 1
-            if dot >= 0:
-                self.set_power(self._clusters[own + 1 + dot * count // parts])
+            done = events - flow[MOTORS + 2 * leading_motor(ring, at)]
+            dot = dots_begun(done, events, parts) - 1
+            if dot >= 0:  # else the block has not begun
+                self.set_power(self._clusters[cluster + 1 + dot * count // parts])
         return True
 
 
 class Clusters:
     """Hooks of clusters in the reading of lines and in the planner.
 
-    powers, _speeds: powers and S values of each block's dots, see ROOM and MOST. _dots: the dots
-    of the line just read, _values their S values. _ints: the interpreter's block.
+    powers, _speeds: powers and S values of each block's dots, see CLUSTER_LENGTH and MOST. _dots:
+    the dots of the line just read, see DOTS; _values: their S values, a part of _dots. _ints: the
+    interpreter's block.
     """
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         flow = machine.planner.flow
         blocks = flow[ROWS] + 1
-        self.powers = array("i", (0 for _ in range(ROOM * blocks)))
-        # Kept, because a spindle override computes the powers again.
+        self.powers = array("i", (0 for _ in range(CLUSTER_LENGTH * blocks)))
+        # A spindle override computes the powers from them again.
         self._speeds = array("f", (0.0 for _ in range(MOST * blocks)))
         self._dots = array("i", (0 for _ in range(FIRST_DOT + MOST)))
         self._values = memoryview(self._dots)[FIRST_DOT:]
@@ -324,18 +331,20 @@ class Clusters:
         letters, values = block.words[:2]
         block.read_on = read_dots, (letters, values, self._dots, self._ints)
         planner = machine.planner
-        self._usual_plan, planner.move_hook = planner.move_hook or planner.plan, self.plan
+        self._plan, planner.move_hook = planner.move_hook or planner.plan, self.plan
         hooks = machine.state.hooks
         hooks.cleared += (self._clear,)
-        hooks.powered += (self._each_power,)
+        hooks.powered += (self._compute_all_powers,)
 
     # The planner
 
-    def _weigh(self, power: "Any", flags: int, block: int) -> None:
+    def _compute_powers(self, power: "Any", flags: int, block: int) -> None:
         """Compute the powers of a block's dots from their S values, by power(flags, S). block:
         index of its row in the planner's ring; flags: its own."""
-        for i in range(self.powers[ROOM * block]):
-            self.powers[ROOM * block + 1 + i] = power(flags, self._speeds[MOST * block + i])
+        for i in range(self.powers[CLUSTER_LENGTH * block]):
+            self.powers[CLUSTER_LENGTH * block + 1 + i] = power(
+                flags, self._speeds[MOST * block + i]
+            )
 
     @micropython.native
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
@@ -344,27 +353,27 @@ class Clusters:
         machine = self._machine
         head = machine.planner.flow[HEAD]
         if not flags & SYSTEM_MOTION:
-            # ONLY is set by read_dots(): the line has a cluster.
+            # ints[ONLY] is set by read_dots(): the line has a cluster.
             count = self._dots[DOTS] if self._ints[ONLY] and flags & SPINDLE_MASK else 0
             scale = machine.state.spindle
             store(self._values, count, scale, flags, self.powers, self._speeds, head)
-        planned = self._usual_plan(target, flags, line, power, rate)
+        planned = self._plan(target, flags, line, power, rate)
         if machine.planner.flow[HEAD] == head:  # no block was planned
-            self.powers[ROOM * head] = 0
+            self.powers[CLUSTER_LENGTH * head] = 0
         return planned
 
-    def _each_power(self, power: "Any") -> None:
+    def _compute_all_powers(self, power: "Any") -> None:
         """Compute the powers of the dots of all blocks again."""
         planner = self._machine.planner
         flow = planner.flow
         row = flow[TAIL]
         while row != flow[HEAD]:
-            self._weigh(power, planner.ring[row * flow[ROW_SIZE] + FLAGS], row)
+            self._compute_powers(power, planner.ring[row * flow[ROW_SIZE] + FLAGS], row)
             row = (row + 1) % flow[ROWS]
 
     def _clear(self) -> None:
         """Forget all dots, because the planner is empty."""
-        for i in range(0, len(self.powers), ROOM):
+        for i in range(0, len(self.powers), CLUSTER_LENGTH):
             self.powers[i] = 0
 
 

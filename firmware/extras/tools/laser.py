@@ -6,8 +6,8 @@ the board file is its default. A spindle's controller needs a certain frequency.
 raster better with more pulses per dot.
 
 On engines that support it, hardware changes the power at the step where the change belongs, and no
-interrupt sets it. mark() writes the changes of each segment, as motion/beam_layout.py defines
-them.
+interrupt sets it. move_power() writes the changes of each segment, as motion/beam_layout.py
+defines them.
 """
 
 from array import array
@@ -45,13 +45,13 @@ _SETTINGS: "Rows" = (
     # Spindle PWM frequency. Pulses per second of the output that sets the power: 10 to 100000.
     (33, "pwm_hz", WHOLE, 5000.0, "Hz"),
 )
-_NUMBER = const(33)
+_PWM_HZ = const(33)  # number of that setting
 # Every chip's PWM can do this range, with nearly a thousand steps of power or more.
 _LOWEST_HZ = const(10)
 _HIGHEST_HZ = const(100_000)
-_BESIDE_RADIO = const(4)  # most motors, on an RP2040 with a radio
-_SOONEST = const(8)  # ticks that an engine needs before the first change of a segment
-_LONG = const(0x100000)  # ticks: limit of beam[SINCE], so that it cannot overflow
+_MOST_WITH_RADIO = const(4)  # motors, on an RP2040 that uses its radio
+_EARLIEST_TICK = const(8)  # of a segment: an engine cannot change the power before
+_MOST_SINCE = const(0x100000)  # ticks: limit of beam[SINCE], so that it cannot overflow
 
 
 @micropython.viper
@@ -69,66 +69,70 @@ def emit(beam: ptr32, levels: ptr32, power: int) -> int:
 
 
 @micropython.viper
-def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: int) -> int:
+def place_changes(
+    table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: int
+) -> int:
     """Write into a segment's row when its `number` changes of power come: evenly from tick `first`
-    to tick `last` of the segment. Returns 0. Their levels are written by emit(). In the row the
-    beam follows the motors and, as they do, has a number, a first tick and a last one.
+    to tick `last` of the segment. Returns 0. emit() writes their levels. In the row the beam
+    follows the motors and has three integers, as they do: number, first tick and last tick.
 
-    Both are delayed where the hardware would not be ready: it needs _SOONEST ticks from the start
-    of the segment, and beam[GAP] ticks from one change to the next. beam[SINCE]: ticks from the
-    last change to the end of the segment before, and afterwards of this one. table: the
+    Both are delayed where the hardware would not be ready: it needs _EARLIEST_TICK ticks from the
+    start of the segment, and beam[GAP] ticks from one change to the next. beam[SINCE]: ticks from
+    the last change to the end of the segment before, and afterwards of this one. table: the
     planner's.
     """
-    base = ROW_AXES + ROW_STRIDE * table[MOTOR_COUNT]
+    base = ROW_AXES + ROW_STRIDE * table[MOTOR_COUNT]  # index of the beam's integers in row
     row[base] = number
-    since = beam[SINCE] + row[ROW_TICKS]
+    since = beam[SINCE] + row[ROW_TICKS]  # without a change
     if number:
-        soonest = beam[GAP] - beam[SINCE]
-        if soonest < _SOONEST:
-            soonest = _SOONEST
-        if first < soonest:
-            first = soonest
-        soonest = first + (number - 1) * beam[GAP]
-        if last < soonest:
-            last = soonest
+        earliest_first = beam[GAP] - beam[SINCE]
+        if earliest_first < _EARLIEST_TICK:
+            earliest_first = _EARLIEST_TICK
+        if first < earliest_first:
+            first = earliest_first
+        earliest_last = first + (number - 1) * beam[GAP]
+        if last < earliest_last:
+            last = earliest_last
         row[base + 1] = first
         row[base + 2] = last
         since = row[ROW_TICKS] - last
-    beam[SINCE] = since if since < _LONG else _LONG
+    beam[SINCE] = since if since < _MOST_SINCE else _MOST_SINCE
     return 0
 
 
 @micropython.viper
-def mark(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
+def move_power(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
     """Move the power of a segment just made to the beam: a change at its start, or none if it is
     the last power. Returns 0.
 
     row[ROW_POWER], the power that an interrupt would set, becomes KEEP_POWER: it sets none. beam,
     levels: see emit(); table: the planner's.
     """
-    number = 0
+    changes = 0  # how many: 1, at tick 0 or as soon as the hardware is ready
     if row[ROW_POWER] != beam[LEVEL]:
         emit(beam, levels, row[ROW_POWER])
-        number = 1
-    lay(table, row, beam, number, 0, 0)
+        changes = 1
+    place_changes(table, row, beam, changes, 0, 0)
     row[ROW_POWER] = KEEP_POWER
     return 0
 
 
 class Laser(Spindle):
     """A spindle whose power the engine changes during motion. _engine: None if it cannot. _beam:
-    its state of the beam; _beam[bm.LEVEL] is the power that it was given last, UNKNOWN while idle.
-    _reversed: M4."""
+    its state of the beam; _beam[bm.LEVEL] is the power that it was given last, UNKNOWN (negative)
+    while idle. _reversed: M4; laser: $32 is on."""
 
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
         super().__init__(port, state, enable_by_direction)
         self._beam = array("i", (bm.UNKNOWN for _ in range(bm.LENGTH)))
         self._engine: "Any" = None
 
-    def connect(self, engine: "BeamEngine", planner: "Planner", usual_next: "NextSegment") -> None:
-        """Connect the engine, which sets the power during motion, and the planner. usual_next:
-        fills a segment's row."""
-        self._usual_next = usual_next
+    def connect(
+        self, engine: "BeamEngine", planner: "Planner", next_segment: "NextSegment"
+    ) -> None:
+        """Connect the engine, which sets the power during motion, and the planner. next_segment:
+        Segments.next() or its replacement, which fills a segment's row."""
+        self._next_segment = next_segment
         self._engine = engine
         self._beam = engine.beam
         self._levels = engine.levels
@@ -140,9 +144,9 @@ class Laser(Spindle):
 
         Return 1, or 0 if nothing is left to move. Called in the engine's interrupt.
         """
-        if int(self._usual_next(row)) == 0:
+        if int(self._next_segment(row)) == 0:
             return 0
-        mark(ptr32(self._table), ptr32(row), ptr32(self._beam), ptr32(self._levels))
+        move_power(ptr32(self._table), ptr32(row), ptr32(self._beam), ptr32(self._levels))
         return 1
 
     def set_power(self, power: int) -> None:
@@ -162,7 +166,7 @@ class Laser(Spindle):
         beam[bm.LEVEL] = bm.UNKNOWN  # the next motion sends its first power in any case
 
     def stop(self) -> None:
-        """Switch off at once, whatever is queued for the pin. Safe in an interrupt."""
+        """Switch off at once, also if the engine has queued changes. Safe in an interrupt."""
         if self._engine:
             self._engine.put_out()
         super().stop()
@@ -186,10 +190,10 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     # With five motors the PIO programs of beam and radio do not fit together into PIO 1 of an
     # RP2040.
     if option("ENGINE", "") == "pio" and option("MPY_ARCH", "") == "armv6m":
-        if len(option("STEP", ())) > _BESIDE_RADIO and option("LINK", "usb") == "wifi":
+        if len(option("STEP", ())) > _MOST_WITH_RADIO and option("LINK", "usb") == "wifi":
             raise ValueError('TOOL = laser: with LINK = "wifi" it takes 4 motors at the most')
     options.defaults = dict(options.defaults)
-    options.defaults.setdefault(_NUMBER, hz)
+    options.defaults.setdefault(_PWM_HZ, hz)
     options.spindle = Laser
 
 
@@ -210,13 +214,13 @@ def install(cnc: "Cnc") -> None:
 
     def configure() -> None:
         """Set the output's frequency, and the beam's scale, from the settings."""
-        if settings.changed in (_NUMBER, ALL):
+        if settings.changed in (_PWM_HZ, ALL):  # the number of the changed setting, or ALL
             pwm.freq(min(max(truncate(settings.pwm_hz), _LOWEST_HZ), _HIGHEST_HZ))
             if has_beam:
-                engine.scale(machine.port.pwm_max)
+                engine.scale(machine.port.pwm_max)  # the power that is 100 %
 
     cnc.add_settings(_SETTINGS)
-    cnc.check_setting(_NUMBER, _check)
+    cnc.check_setting(_PWM_HZ, _check)
     settings.on_change(configure)
 
 

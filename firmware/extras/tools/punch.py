@@ -53,8 +53,7 @@ _SETTINGS: "Rows" = (
     # Punch sensor up invert. Off: 5 V means that it is up.
     (33, "punch_up_sensor_invert", BOOL, 0, "boolean"),
 )
-# A spindle's settings, which a punch does not have.
-_WITHOUT = (30, 31, 32)
+_SPINDLE_SETTINGS = (30, 31, 32)  # which a punch does not have
 # Their descriptions in Grbl 0.9's $$.
 _WORDS = {
     30: "punch actuator down invert, bool",
@@ -62,8 +61,7 @@ _WORDS = {
     32: "punch sensor down invert, bool",
     33: "punch sensor up invert, bool",
 }
-# A separate file, because a spindle's $30=1000 would invert an actuator.
-_FILE = "settings_punch"
+_FILE = "settings_punch"  # its own, because a spindle's $30=1000 would invert an actuator
 
 _NOT_DOWN = "Punch not down"
 _NOT_UP = "Punch not up"
@@ -72,13 +70,19 @@ _NOT_UP = "Punch not up"
 _DOWN = const(1)
 _UP = const(2)
 
+# How the way down has ended.
+_IS_DOWN = const(0)
+_DOOR_OPENED = const(1)
+_TIMED_OUT = const(2)
+
 
 class Punch(Spindle):
     """The actuators and their sensors. Armed corresponds to a turning spindle.
 
-    pins: numbers, by PINS. _armed: sp.OFF, CW or CCW. _going_down: the actuator down is on. _lost:
-    the upper sensor has lost the punch during motion. _down_invert, _up_invert: of the actuators,
-    0 or 1; _sensor_invert: mask of _DOWN and _UP.
+    pins: numbers, by PINS. timeout_ms: how long a sensor may take to answer. _armed: sp.OFF, CW or
+    CCW. _going_down: the actuator down is on. _lost: the upper sensor has lost the punch during
+    motion. _down_invert, _up_invert: of the actuators, 0 or 1; _sensor_invert: mask of _DOWN and
+    _UP.
     """
 
     pins: "tuple[int, ...]" = ()
@@ -90,7 +94,7 @@ class Punch(Spindle):
         self._going_down = False
         self._lost = False
         self._sensor_invert = 0
-        port.add_pins(self.pins[:2], self.pins[2:])
+        port.add_pins(self.pins[:2], self.pins[2:])  # two outputs, two inputs
 
     def connect(self, machine: "Controller") -> None:
         """Connect the machine, and watch the sensors from now on."""
@@ -108,26 +112,26 @@ class Punch(Spindle):
         inverts = [getattr(settings, attribute) for _, attribute, _, _, _ in _SETTINGS]
         self._down_invert, self._up_invert = inverts[:2]
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
-        # Levels after a reset: bit 0 of the output down, which is off; bit 1 of up, which is on.
+        # Levels of the outputs after a reset: down (bit 0) is off, and up (bit 1) is on.
         self._port.rest(self._down_invert | (1 ^ self._up_invert) << 1)
-        self._move(False)
+        self._drive_down(False)
 
     def set_speed(self, direction: int, rpm: float) -> None:
         """Arm with CW or CCW; disarm with OFF, and raise the punch: if it is not up in time, the
         machine is in alarm. A reset disarms, too. rpm is ignored."""
         self._armed = direction
-        self._state.override_countdown = 0
+        self._state.override_countdown = 0  # the next report has the accessories, as A:S
         if direction == sp.OFF:
-            self._move(False)
+            self._drive_down(False)
             if not self._reach_up(self._machine.motor_control.pump):
                 self._fail(ALARM_PUNCH_UP, _NOT_UP)
-            elif self._lost:
+            elif self._lost:  # on_change() could not send a message
                 self._machine.report.message(_NOT_UP)
             self._lost = False
 
     def stop(self) -> None:
         """Raise the punch at once. Safe in an interrupt."""
-        self._move(False)
+        self._drive_down(False)
 
     def direction(self) -> int:
         """Return OFF, or the direction with which it was armed."""
@@ -135,37 +139,40 @@ class Punch(Spindle):
 
     # The actuators: one of the two is always on.
 
-    def _move(self, down: bool) -> None:
-        """Switch the actuators, one on and the other off, so that the punch goes down, or up.
-        Safe in an interrupt."""
+    def _drive_down(self, down: bool) -> None:
+        """Switch one actuator on and the other off: the punch goes down if `down`, else up. Safe
+        in an interrupt."""
         self._going_down = down
-        # Bit 0 is the output down, bit 1 the output up.
-        self._port.drive(down ^ self._down_invert | ((not down) ^ self._up_invert) << 1)
+        output_down = down ^ self._down_invert  # levels of the pins, 0 or 1
+        output_up = (not down) ^ self._up_invert
+        self._port.drive(output_down | output_up << 1)
         if down and not self._going_down:
-            self._move(False)  # an interrupt has raised it meanwhile
+            self._drive_down(False)  # an interrupt has raised it meanwhile
 
-    def _sees(self) -> int:
+    def _sensors(self) -> int:
         """Return which sensors detect the punch, a mask of _DOWN and _UP."""
         return self._port.sense() ^ self._sensor_invert
 
     def is_up(self) -> bool:
         """Return whether only the upper sensor detects the punch, and it is not about to go
         down."""
-        return not self._going_down and self._sees() == _UP
+        return not self._going_down and self._sensors() == _UP
 
-    def _reach_up(self, turn: "Callable[[], None]") -> bool:
-        """Wait until the punch is up. Return False after the timeout. turn: called meanwhile."""
+    def _reach_up(self, service: "Callable[[], None]") -> bool:
+        """Wait until the punch is up. Return False after the timeout. service: called while it
+        waits."""
         since = self._port.ticks_ms()
         while not self.is_up():
             if self._port.elapsed_ms(since) >= self.timeout_ms:
                 return False
-            turn()
+            service()
         return True
 
     # Strokes
 
     def stroke(self) -> bool:
-        """Go down and up while the machine is idle. Return False if a door reversed it.
+        """Go down and up. Return False if it has to be repeated: a door has reversed it, or the
+        engine was not idle, so it did not begin.
 
         Raises Abort if a sensor does not answer, or after a reset.
         """
@@ -174,34 +181,35 @@ class Punch(Spindle):
         if not self.may_move():
             self._machine.realtime.handle_events()  # raises Abort
         try:
-            self._move(True)
-            is_down = self._go_down()
+            self._drive_down(True)
+            outcome = self._wait_for_down()
         finally:
-            self._move(False)
-        if is_down is None:  # the lower sensor did not answer in time
+            self._drive_down(False)
+        if outcome == _TIMED_OUT:
             self._fail(ALARM_PUNCH_DOWN, _NOT_DOWN)
             self._machine.motor_control.reset()
-        elif not self._reach_up(self._turn):
+        elif not self._reach_up(self._service):
             self._fail(ALARM_PUNCH_UP, _NOT_UP)
             self._machine.motor_control.reset()
-        self._machine.realtime.handle_events()
-        return bool(is_down)
+        self._machine.realtime.handle_events()  # raises Abort after the resets above
+        return outcome == _IS_DOWN
 
-    def _turn(self) -> None:
+    def _service(self) -> None:
         """Run what must go on while a stroke waits. Raises Abort after a reset."""
         self._machine.motor_control.pump()
         self._machine.realtime.handle_events()
 
-    def _go_down(self) -> "bool | None":
-        """Return True when it is down, False if a door reverses it, None after the timeout."""
+    def _wait_for_down(self) -> int:
+        """Wait until the lower sensor detects the punch. Return _IS_DOWN, _DOOR_OPENED (it must
+        go up again) or _TIMED_OUT."""
         since = self._port.ticks_ms()
-        while self._sees() != _DOWN:
+        while self._sensors() != _DOWN:
             if self._state.run & (st.DOOR | st.SLEEP):
-                return False
+                return _DOOR_OPENED
             if self._port.elapsed_ms(since) >= self.timeout_ms:
-                return None
-            self._turn()
-        return True
+                return _TIMED_OUT
+            self._service()
+        return _IS_DOWN
 
     # Guards
 
@@ -233,11 +241,11 @@ class Punch(Spindle):
     def strike(self) -> None:
         """Make a stroke after a planned line of motion, if the punch is armed."""
         state, machine = self._state, self._machine
-        if not machine.modes.modal[SPINDLE] or state.run == st.CHECK:
+        if not machine.modes.modal[SPINDLE] or state.run == st.CHECK:  # M5, not armed
             return
-        machine.canon.synchronise()
+        machine.canon.synchronise()  # waits for the end of motion
         while state.run != st.ALARM and not self.stroke():
-            machine.canon.service()
+            machine.canon.service()  # a door or a hold may have come in between: try again
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
@@ -250,7 +258,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
         raise ValueError("TOOL = punch: the board file names no pin for " + ", ".join(missing))
     others = [name for name in ("OUTPUTS", "INPUTS") if option(name)]
     if others:
-        raise ValueError(" and ".join(others) + ": not possible with a punch, which has such pins")
+        raise ValueError(" and ".join(others) + ": not possible with TOOL = punch")
     Punch.pins = tuple([pin for pin in pins if pin is not None])
     Punch.timeout_ms = option("PUNCH_TIMEOUT_MS", 1000)
     options.spindle = Punch
@@ -259,7 +267,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """Add the settings, a check before each start, and a stroke after each line of motion."""
     punch: "Any" = cnc.machine.spindle
-    cnc.add_settings(_SETTINGS, _WITHOUT, _FILE, _WORDS)
+    cnc.add_settings(_SETTINGS, _SPINDLE_SETTINGS, _FILE, _WORDS)
     cnc.add_alarms({ALARM_PUNCH_DOWN: _NOT_DOWN, ALARM_PUNCH_UP: _NOT_UP})
     cnc.before_motion(punch.may_move)
     cnc.after_start(punch.on_change)  # it may have left the sensor in between
