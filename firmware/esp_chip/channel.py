@@ -15,7 +15,7 @@ import esp32
 import machine
 from micropython import const
 
-RESOLUTION_HZ = const(1_000_000)
+RESOLUTION_HZ = const(1_000_000)  # a tick of RMT is 1 us
 
 # A pin's word in the GPIO matrix.
 _SIGNAL_BITS = const(0x1FF)  # the number of the signal that it outputs

@@ -36,19 +36,19 @@ FRAME_LOG2 = const(4)  # log2 of the ticks per frame
 _BUFFER_TICKS = const(4096)  # per buffer
 
 # Lanes: integers per axis, and the index of each among them.
-LANE = const(12)
-STEP_BIT = const(0)  # mask with the bit of its step output,
-DIR_BIT = const(1)  # and of its direction output
+LANE = const(12)  # integers per axis
+STEP_BIT = const(0)  # mask with the bit of the axis's step output
+DIR_BIT = const(1)  # mask with the bit of the axis's direction output
 DIR_INVERT = const(2)  # 1: the direction output is high forwards, 0: backwards
 BACKWARDS = const(3)  # 1: the axis turns backwards
 CHANGE_DUE = const(4)  # 1 + frame of the direction output's next change; 0: no change is due
 FREE_FRAME = const(5)  # first frame in which the axis may step
-STEPS_LEFT = const(6)  # steps of the row that are still to be made,
-NEXT_TICK = const(7)  # tick of the next one of these,
-GAP = const(8)  # ticks from step to step,
-FIRST_LONGER = const(9)  # how many of the next gaps are one tick longer,
+STEPS_LEFT = const(6)  # steps of the row that are still to be made
+NEXT_TICK = const(7)  # tick of the next of these steps
+GAP = const(8)  # ticks from step to step
+FIRST_LONGER = const(9)  # how many of the next gaps are one tick longer
 PLACE = const(10)  # position after all steps put into buffers
-LAST_LONGER = const(11)  # and how many of the row's last gaps are
+LAST_LONGER = const(11)  # how many of the row's last gaps are one tick longer
 
 # Integers shared by all lanes (timing): indexes.
 AXES = const(0)  # number of lanes
@@ -177,10 +177,10 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
             if steps > 1:
                 span = row[base + 2] - row[base + 1]
                 lanes[lane + GAP] = span // (steps - 1)
-                longer = span % (steps - 1)  # gaps that are one tick longer: some of the first,
+                longer = span % (steps - 1)  # so many gaps are one tick longer: the first ones
                 first_longer = int(leading(steps - 1, lanes[lane + GAP], longer))
                 lanes[lane + FIRST_LONGER] = first_longer
-                lanes[lane + LAST_LONGER] = longer - first_longer  # and the others of the last
+                lanes[lane + LAST_LONGER] = longer - first_longer  # and the last ones
             if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACKWARDS]:
                 lanes[lane + BACKWARDS] = 1 - lanes[lane + BACKWARDS]
                 change_frame = lanes[lane + FREE_FRAME]  # in which the direction changes

@@ -195,12 +195,13 @@ class I2sEngine(TimerEngine):
             now = time.ticks_us()
             try:
                 self._stream.close()
-                self._find_places(steps, now)
+                self._find_places(steps, now)  # reported positions, without _owed
                 for i in range(self._axes):
                     lanes[LANE * i + PLACE] = steps[i] + self._owed[i]  # the motor's, see lock()
                 self._reopen()
             except BaseException as why:
                 self._failure = why
+        # What locked axes have moved since lock() is taken back before the next motion.
         for i in range(self._axes):
             locked = self._timing[frames.LOCKED] >> i & 1
             self._owed[i] = lanes[LANE * i + PLACE] - self._locked_at[i] if locked else 0
@@ -248,7 +249,7 @@ class I2sEngine(TimerEngine):
         """Compute the positions at the time now (us) into steps, from the buffer being played: its
         notes have those at its start, and its bits the steps since then.
 
-        _owed: steps that a locked axis has made since, and will take back.
+        _owed: steps that an axis has made after it was locked, and will take back.
         """
         state, axes = self._state, self._axes
         passed = frames.find_playing(state, now, self._buffer_us)

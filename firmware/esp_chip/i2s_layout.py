@@ -11,11 +11,11 @@ from micropython import const
 KEEP_TIMER_OUT = const(0)  # flag: the timer's turn must do nothing, because other code is at work
 PULLING = const(1)  # flag: there may be more segments
 ROW_BEGUN = const(2)  # flag: a row is being rendered
-PLAYING = const(3)  # number of the buffer being played,
-PLAYING_SINCE = const(4)  # and its start, in us
+PLAYING = const(3)  # number of the buffer being played
+PLAYING_SINCE = const(4)  # start of that buffer, in us
 NEXT_NUMBER = const(5)  # number of the next buffer to be handed over
 MADE = const(6)  # how many buffers were filled since power-up
-SENT = const(7)  # and how many of them were handed over
+SENT = const(7)  # how many buffers were handed over
 MOTION_END = const(8)  # value of MADE after the last buffer of motion
 LAST_MOTION_NUMBER = const(9)  # number of the last buffer of motion handed over; -1: none
 QUIET_DUE = const(10)  # flag: a quiet buffer, without steps, must be sent first
@@ -30,12 +30,12 @@ STATE_LENGTH = const(18)
 
 # Notes of a buffer; after these, per axis, the position at its start.
 NUMBER = const(0)
-FIRST_WORD = const(1)  # its first word, without steps
+FIRST_WORD = const(1)  # first word of the buffer, without steps
 POWER = const(2)  # spindle power while it is played; -1: unknown
 HAS_MOTION = const(3)  # 1: it is part of a motion
-START_PLACES = const(4)  # from here on, the positions
+START_PLACES = const(4)  # from here on, the positions at its start
 
 # Results of frames.playing_slot() that are no slot: zeros are played before that slot's buffer;
 # and before a buffer that is not filled yet.
-ZEROS_BEFORE = const(1000)  # less than the slot by this
+ZEROS_BEFORE = const(1000)  # the result is less than the slot by this
 NOT_FILLED = const(-2000)

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 _LOOK_TIMER = const(1)
 _CONTROL_TIMER = const(2)
 
-# The watchdog cannot be stopped, but can wait this long: a week. Its hardware counts at most 2**32
-# quarters of a millisecond.
-_NO_MORE_MS = const(604_800_000)
+# The watchdog cannot be stopped. Its hardware counts at most 2**32 quarters of a millisecond.
+_NO_MORE_MS = const(604_800_000)  # a week: so long it waits instead
 
 
 class EspPort(PortPins):

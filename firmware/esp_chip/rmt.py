@@ -35,20 +35,20 @@ from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps
 from esp_chip.timer_engine import LOST_US, SETUP_US, TimerEngine
 from esp_chip.trains import made
 
-_HIGHEST_HZ = const(20_000)
+_HIGHEST_HZ = const(20_000)  # steps/s of one axis, at most
 _SHORTEST_US = const(6_000)  # a channel's steps last this long at the highest rate
 _LONGEST_DURATION_US = const(32_767)  # that RMT can play
 
-_PREPARE_US = const(6_000)  # the next train is prepared so long before it is due,
-_EARLY_US = const(4_000)  # and handed over at most so long before
+_PREPARE_US = const(6_000)  # the next train is prepared so long before it is due
+_EARLY_US = const(4_000)  # the next train is handed over at most so long before it is due
 _WAIT_US = const(1_200)  # so long a turn waits in a loop for a train's end; the timer has 1 ms
 _START_DELAY_US = const(2_000)  # from start() to the first train
 _GUARD_US = const(20)  # margin for times that are estimates
 _RETURN_US = const(10)  # how long the hardware has been running when write_pulses() returns
-_FIRST_CALL_US = const(150)  # first estimate of the time of write_pulses(),
-_CALL_EIGHTHS = const(2)  # and what each duration adds, in 1/8 us
-_LEAST_CALL_US = const(20)  # the estimate is between these
-_MOST_CALL_US = const(1000)
+_FIRST_CALL_US = const(150)  # first estimate of the time of write_pulses()
+_CALL_EIGHTHS = const(2)  # what each duration adds to that time, in 1/8 us
+_LEAST_CALL_US = const(20)  # least estimate of the time of write_pulses()
+_MOST_CALL_US = const(1000)  # highest estimate
 _HELD_UP_US = const(60)  # a later start than that was delayed by flash or a radio
 _NEVER = const(MASK)  # a time, us, that is not reached
 
@@ -61,14 +61,14 @@ _NEXT_DUE_US = const(4)  # when the next train is due, in us
 _FREE_US = const(5)  # when all channels will have ended their trains, in us
 _BEGAN_US = const(6)  # when the train being played was due, in us
 _REPORTED_POWER = const(7)  # last spindle power reported; -1: none
-_LONGEST_GAP_US = const(8)  # longest standstill between trains, in us,
-_WORST_SKEW_US = const(9)  # largest error of a channel's start, us,
-_TRAINS = const(10)  # and number of trains
+_LONGEST_GAP_US = const(8)  # longest standstill between trains, in us
+_WORST_SKEW_US = const(9)  # largest error of a channel's start, us
+_TRAINS = const(10)  # number of trains
 _WAS_CUT_OFF = const(11)  # 1: a train was cut off; its channels may play on without pins
 _STATE_LENGTH = const(12)
 
 # Lanes: integers per axis, about the train being played.
-_LANE = const(6)
+_LANE = const(6)  # integers per axis
 _PLACE = const(0)  # position at its start
 _BACKWARDS = const(1)  # 1: its steps go backwards
 _DURATIONS = const(2)  # number of its durations, two per step; 0: no train

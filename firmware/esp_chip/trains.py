@@ -23,17 +23,17 @@ ROWS = const(16)  # in the ring
 _ROWS_MASK = const(15)  # of a row's number in the ring
 
 LONGEST_US = const(18000)  # the longest train: a hold waits for its end
-_ANY_END_US = const(9000)  # until then each row's end is better than the one before
+_ANY_END_US = const(9000)  # up to this length a train may end with any row
 _LEAST_PAUSE_US = const(2)  # us between two pulses
 
 # Integers shared by all axes (timing): indexes.
 AXES = const(0)  # number of axes
 PULSE_US = const(1)  # length of a pulse, us
-FIRST_ROW = const(2)  # number in the ring of the first row of the next train,
-DONE_US = const(3)  # and how much of that row was in the last train; mostly 0
+FIRST_ROW = const(2)  # number in the ring of the first row of the next train
+DONE_US = const(3)  # how much of that first row was in the last train; mostly 0
 ROWS_HELD = const(4)  # how many rows are in the ring
-ROWS_TAKEN = const(5)  # how many rows the next train takes to their end,
-PART_US = const(6)  # and where it ends in the first row, if within it: from its start; 0: not
+ROWS_TAKEN = const(5)  # how many rows the next train takes to their end
+PART_US = const(6)  # where it ends in its first row, us from that row's start; 0: not within it
 LENGTH_US = const(7)  # of the next train, in us
 DIRS = const(8)  # directions in the next train, for axes that step
 LOCKED = const(9)  # mask of locked axes, which do not step

@@ -21,13 +21,13 @@ from motion import arcs
 
 # Indexes of an arc's numbers.
 RADIUS = const(0)  # mm, as the parser has it
-CENTRE_0 = const(1)  # its centre in the plane, relative to the start, mm
-CENTRE_1 = const(2)
+CENTRE_0 = const(1)  # the arc's centre on the plane's first axis, relative to the start, mm
+CENTRE_1 = const(2)  # the same on its second axis
 TOLERANCE = const(3)  # how far chords may be off the arc, mm
 ANGLE = const(4)  # the angle travelled, radians
-A = const(5)  # scratch
-B = const(6)
-C = const(7)
+A = const(5)  # scratch: lost in any function
+B = const(6)  # scratch
+C = const(7)  # scratch
 _SINE = const(8)  # of a chord's angle: see _chord_rotation(). In sweep() scratch, too
 _TANGENT = const(9)  # of half that angle. In sweep() scratch, too
 _UNITS_PER_MM = const(10)  # of the course's positions, on all axes about: see _scale()
@@ -38,13 +38,13 @@ _HALF_PI = const(14)
 _PI = const(15)
 _TWO_PI = const(16)
 _ATAN_FACTORS = const(17)  # of a series, fitted to the arc tangent up to _FLAT
-_ATAN_TERMS = const(5)
+_ATAN_TERMS = const(5)  # how many factors
 _SINE_FACTORS = const(22)  # of another, fitted to the sine up to 0.8
-_SINE_TERMS = const(3)
+_SINE_TERMS = const(3)  # how many factors
 
 # An arc's plane, an array.
-ONE_AXIS = const(0)  # its axes, in the order of the offsets
-OTHER_AXIS = const(1)
+ONE_AXIS = const(0)  # index of the plane's first axis, in the order of the offsets
+OTHER_AXIS = const(1)  # index of its second axis
 CLOCKWISE = const(2)  # 1: it turns clockwise
 
 _FACTORS = (
@@ -59,7 +59,7 @@ _SAME_MM = const(0x3851B717)  # 0.00005 mm: equal ends are no farther apart
 _FLAT = const(0x3ED413CD)  # tan(pi / 8), the bits of a float
 _TWICE = const(0x800000)  # added to the bits of a float, doubles it
 _WIDEST = const(98304)  # 1.5 radians, in 2**-16: if chords are wider, there are twice as many
-_FEW_CHORDS = const(5)  # so many, in a full circle, are not as wide
+_FEW_CHORDS = const(5)  # 5 chords, even of a full circle, are not as wide
 _MOST_STEP_BITS = const(27)  # a step is at most 2**27 units
 
 

@@ -31,14 +31,14 @@ SHIFT = const(4)  # how many more bits shears, POSITION_REST and CHORD_ADVANCE h
 SHEARS = const(5)  # two: the rotation by one chord, in 2**-(28 + SHIFT): see rotate()
 CHORD_TOLERANCE = const(7)  # how far chords may stray from the arc, a float, mm
 # Then, per axis, from FIRST_AXIS + AXIS_STRIDE * axis on: its position, in units; and further:
-FIRST_AXIS = const(8)
+FIRST_AXIS = const(8)  # index of the first axis's integers
 POSITION_REST = const(1)  # the position's fraction, in 2**-SHIFT unit
 STEP_BITS = const(2)  # a step is 2**STEP_BITS units
 CENTRE = const(3)  # position of the arc's centre, in units; in the plane only
 CHORD_ADVANCE = const(4)  # how far a helix advances per chord, in 2**-SHIFT unit
-_LEAST = const(5)  # the least and the greatest TARGET allowed, in steps + PLACE_BIAS
-_GREATEST = const(6)
-AXIS_STRIDE = const(7)
+_LEAST = const(5)  # the least TARGET allowed, in steps + PLACE_BIAS
+_GREATEST = const(6)  # the greatest TARGET allowed, in steps + PLACE_BIAS
+AXIS_STRIDE = const(7)  # integers per axis
 PLACE_BIAS = const(0x20000000)  # 2**29, added to positions and shears, as to TARGET
 ADVANCE_BIAS_LOG2 = const(30)  # 2**30 is added to CHORD_ADVANCE
 

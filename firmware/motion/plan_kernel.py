@@ -79,8 +79,8 @@ from motion.steps import measure, to_steps
 
 # With many blocks waiting, a backward pass takes longer than the rest of a block's planning. Until
 # it comes their entry speed is 0, which is always safe.
-NEAR = const(16)  # with fewer blocks waiting it is run for each new one,
-AT_ONCE = const(4)  # else for so many
+NEAR = const(16)  # with fewer blocks waiting, a backward pass is run for each new one
+AT_ONCE = const(4)  # with more waiting, one pass is run for so many new ones
 
 # Reasons not to add a block: bits of a mask.
 OUTSIDE = const(1)  # it leaves the machine's travel

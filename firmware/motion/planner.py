@@ -33,13 +33,13 @@ SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)  # 2**29, added to positions in the table
-_SPEED_UNITS = const(262144)  # a block's speeds are in 2**-18 step per full segment,
-_FULL_TIME = const(131072)  # and its times in 2**-17 of one
+_SPEED_UNITS = const(262144)  # a block's speeds are in 2**-18 step per full segment
+_FULL_TIME = const(131072)  # a block's times are in 2**-17 of a full segment
 _NO_DIRECTION = const(0x4000)  # 0, with its bias: see plan_kernel.junction_speed_sqr()
 _MOST_SLICES = const(8)  # of a segment, where the speed changes; each is 1 ms or longer
 # Most steps in a full segment, so that speeds in 2**-18 step per segment have 30 bits. With 10 ms
 # that is 390 to 410 kHz; where an axis is faster, full segments are half as long.
-_MOST_STEPS = const(4095)
+_MOST_STEPS = const(4095)  # in a full segment
 _SLOWEST_MM_S = 1 / 60  # no block is slower
 _JUNCTION_SCALE = 65536.0  # see JUNCTION in layout.py
 _LEAST_LIMIT = 1e-8  # mm/s and mm/s2: kernels would compute negative reals from 0

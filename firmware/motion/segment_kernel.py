@@ -94,11 +94,11 @@ from motion.ramps import FULL_TIME, after, braking, share, times
 from motion.slice_kernel import STEP_BIAS, next_row, place_steps, scaled_power, slices, speed_share
 
 _MOST_FINE_STEPS = const(4095)  # from so many on, distances are counted in whole steps: unit 0
-_LEAST_DISTANCE = const(0x50000)  # a segment has at least 1.25 steps, if the block has them,
-_LONGEST = const(0x8000000)  # or lasts 1024 full ones: at low speed it is prolonged
-_HALF_STEP = const(0x20000)
+_LEAST_DISTANCE = const(0x50000)  # a segment has at least 1.25 steps, if its block has them
+_LONGEST = const(0x8000000)  # 1024 full segments: a slow segment is prolonged up to that
+_HALF_STEP = const(0x20000)  # in 2**-18 step
 _STEP_FRACTION = const(0x3FFFF)  # a step is 1 << 18
-_LEAST_TIME = const(64)  # less is not worth a piece: the segment ends there
+_LEAST_TIME = const(64)  # a piece is not shorter: the segment ends there
 
 
 @micropython.viper

@@ -31,7 +31,7 @@ from motion.minifloat import LIMIT, MANTISSA, pack, square_root
 _BIAS = const(0x20000000)  # 2**29, added to positions in the table
 _FARTHEST = const(0x1FFFFFFF)  # 2**29 - 1 steps
 _FRACTION = const(0x7FFFFF)  # the stored bits of a float's mantissa
-_LEADING = const(0x800000)  # its leading 1
+_LEADING = const(0x800000)  # the leading 1 of a float's mantissa
 
 
 @micropython.viper

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import rp2
 
 _PWM = const(0x40050000)  # address of the first slice's registers
-_PWM_2350 = const(0x400A8000)
+_PWM_2350 = const(0x400A8000)  # the same of an RP2350
 _SLICE = const(0x14)  # bytes from one slice to the next; two pins each
 _COMPARE = const(0x0C)  # in a slice: the compare levels of both its pins
 _TOP = const(0x10)

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 _TICK_HZ = const(12_500_000)  # a tick is 80 ns
 _SEGMENT_LOG2 = const(17)
 # Most motors: one machine of PIO 1 stays free, for a radio or a beam; an RP2350's PIO 2 has three.
-_MOST_MOTORS = const(6)
+_MOST_MOTORS = const(6)  # of an RP2040
 _MOST_2350 = const(8)  # of an RP2350, with the beam's lane
 _LAST_PIN = const(31)  # highest pin of a PIO after reset; an RP2350B has 48 pins
 

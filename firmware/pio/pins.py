@@ -25,25 +25,25 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 # The interrupt controller's table of priorities, a byte each.
-_PRIORITIES = const(0xE000E400)
+_PRIORITIES = const(0xE000E400)  # address of the first interrupt's byte
 _URGENT = const(0x40)  # a lower value comes first; MicroPython sets all to 0x80
 _PINS_IRQ = const(13)  # number of the pins' interrupt, IO_IRQ_BANK0
-_PINS_IRQ_2350 = const(21)
+_PINS_IRQ_2350 = const(21)  # the same of an RP2350
 
 # The watchdog's control register.
-_WATCHDOG = const(0x40058000)
-_WATCHDOG_2350 = const(0x400D8000)
+_WATCHDOG = const(0x40058000)  # address
+_WATCHDOG_2350 = const(0x400D8000)  # the same of an RP2350
 _TO_CLEAR_BYTES = const(0x3000)  # from a register to its alias where ones clear bits
-_WATCHDOG_ENABLE = const(1 << 30)
+_WATCHDOG_ENABLE = const(1 << 30)  # bit
 
 # A pad's control register. Its field OUTOVER says what comes out: 0 the output as it is, 2 low,
 # 3 high.
 _CONTROL = const(0x40016004)  # of pin 0, in the alias where ones set bits
-_CONTROL_2350 = const(0x4002A004)
+_CONTROL_2350 = const(0x4002A004)  # the same of an RP2350
 _CONTROL_STEP = const(8)  # bytes from one pin to the next
 _TO_CLEAR_WORDS = const(0x400)  # words from there to the alias where ones clear bits
 _OUTOVER = const(8)  # first bit of OUTOVER
-_OUTOVER_2350 = const(12)
+_OUTOVER_2350 = const(12)  # the same of an RP2350
 _FORCED = const(2)  # value of OUTOVER for low; + 1 for high
 _OUTOVER_BITS = const(3)  # mask of OUTOVER, before it is shifted
 _GPIO_IN = const(0xD0000004)  # levels of pins 0 to 31

@@ -40,30 +40,30 @@ if TYPE_CHECKING:
 
 
 # Lanes: integers per axis, and the index of each among them.
-LANE = const(8)
+LANE = const(8)  # integers per axis
 CARRY = const(0)  # ticks from the end of the lane's words to the next segment; may be negative
 DIR = const(1)  # level of the direction output
 HEAD = const(2)  # index in the ring of the next word
 SENT = const(3)  # index after the last word handed to the hardware
-MADE_PLACE = const(4)  # position in steps: at the end of all segments made,
-SENT_PLACE = const(5)  # at the end of all words sent,
-STOPPED_PLACE = const(6)  # and where a locked axis has stopped
+MADE_PLACE = const(4)  # position in steps at the end of all segments made
+SENT_PLACE = const(5)  # position in steps at the end of all words sent
+STOPPED_PLACE = const(6)  # position in steps where a locked axis has stopped
 MACHINE = const(7)  # address of its state machine's registers
 
 # Words in a lane's ring. A segment has six at most: wait before a reversal, first step, long
 # gaps, short gaps, long gaps, rest.
 RING_LOG2 = const(5)  # a lane's ring has 32 words
-RING_MASK = const(31)
+RING_MASK = const(31)  # mask of indexes in it
 
-# The longest row that convert() accepts, and the pieces of longer ones, in ticks: 21 and 10.5 ms.
-LONGEST = const(0x40000)
+# 21 ms, and pieces of 10.5 ms.
+LONGEST = const(0x40000)  # ticks: the longest row that convert() accepts
 _PIECE = const(0x20000)  # ticks
 
 # The timing array of convert(): indexes. Times are in ticks.
 AXES = const(0)  # number of lanes
 PULSE = const(1)  # length of a pulse, up to 2**15 - 1
-TURN_WAIT = const(2)  # delay of the word that waits before DIR changes,
-TURN_DELAY = const(3)  # and least delay of the word after it
+TURN_WAIT = const(2)  # delay of the word that waits before DIR changes
+TURN_DELAY = const(3)  # least delay of the word after the change of DIR
 IDLE_CARRY = const(4)  # a lane's words end so long before the segment, if it has no step to make
 TIMING_LENGTH = const(5)
 
@@ -74,8 +74,8 @@ _LAST_TICK = const(2)  # of the last
 _STEPS_SHIFT = const(1)  # a word's bits 12 to 1: steps; bit 0: direction
 _STEPS_MASK = const(0xFFF)
 _DELAY_SHIFT = const(13)  # a word's bits 31 to 13: delay
-_HALF_DELAY = const(0x40000)  # from here on a delay of 19 bits, shifted, has the sign bit:
-_ALL_DELAY = const(0x80000)  # less this it is the same bits, as a negative integer
+_HALF_DELAY = const(0x40000)  # from here on a delay of 19 bits, shifted, has the sign bit
+_ALL_DELAY = const(0x80000)  # a delay less this is the same bits, as a negative integer
 # Ticks that programs.stepper takes, where a word's delay is added unless it says otherwise:
 _FETCH_TICKS = const(6)  # from ready to the first edge, plus delay; without steps, to ready again
 _AFTER_TICKS = const(3)  # from the end of a pulse to ready; no delay is added
@@ -85,10 +85,10 @@ _TURN_SET = const(5)  # from the change of DIR to the next edge
 _SPARE = const(3)  # reserve for gaps that rounding makes shorter than the mean
 
 # Program addresses of programs.stepper, from its start: as there.
-_AT_NEXT = const(0)  # it waits for a word
-_AT_STEP = const(3)  # from here on X is loaded
-_AT_RISEN = const(7)  # STEP has risen, but X still counts this step,
-_AT_MADE = const(11)  # and from here on no longer
+_AT_NEXT = const(0)  # the machine waits for a word
+_AT_STEP = const(3)  # from this address on X is loaded
+_AT_RISEN = const(7)  # from here on STEP has risen, but X still counts this step
+_AT_MADE = const(11)  # from here on X no longer counts it
 
 
 def shortest_gap(pulse: int) -> int:

@@ -17,10 +17,10 @@ TXF = const(4)
 RXF = const(8)
 IRQ_FORCE = const(13)
 PADOUT = const(15)  # levels of all pins
-MACHINES = const(0x32)  # registers of the first machine begin here,
-MACHINE_STRIDE = const(6)  # those of the next so many words further
-SET = const(0x800)  # alias in which ones set bits of the same register,
-CLEAR = const(0xC00)  # and in which ones clear them
+MACHINES = const(0x32)  # registers of the first machine begin here
+MACHINE_STRIDE = const(6)  # words from one machine's registers to those of the next
+SET = const(0x800)  # alias in which ones set bits of the same register
+CLEAR = const(0xC00)  # alias in which ones clear bits of the same register
 
 # A machine's registers.
 EXECCTRL = const(1)  # the start of its program, from bit 7 on

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 SIZE = const(8192)  # bytes of the stack
 _TOP = const(0x20042000)  # address of its end
-_TOP_2350 = const(0x20082000)
-_PATTERN = const(0x2A2A2A2A)
+_TOP_2350 = const(0x20082000)  # the same of an RP2350
+_PATTERN = const(0x2A2A2A2A)  # a word that the stack hardly ever holds
 _CALLS_BYTES = const(256)  # bytes that paint() itself and its calls may use
 
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from motion.planner import Planner
 
 _FRACTION_BITS = const(17)  # of a tick; 4095 steps of less than a tick fit 29 bits
-_NEAR_LOG2 = const(10)  # the planner's own error is below 2**-11 of a row,
-_END_LOG2 = const(6)  # and a row's end may be 2**-7 step off (slice_kernel.STEP_BIAS)
+_NEAR_LOG2 = const(10)  # the planner's own error is below 2**-11 of a row
+_END_LOG2 = const(6)  # a row's end may be 2**-7 step off (slice_kernel.STEP_BIAS)
 
 
 @micropython.viper

@@ -82,9 +82,7 @@ class Hardware:
 
         @micropython.native
         def changed(_pin: object) -> None:
-            if (
-                pin.value() == level
-            ):  # else it was a disturbance: shorter than the interrupt's delay
+            if pin.value() == level:  # else it was a disturbance, which is over already
                 on_change()
 
         edge = Pin.IRQ_RISING if level else Pin.IRQ_FALLING

@@ -34,7 +34,7 @@ _BIAS = const(0x20000000)  # 2**29, added to positions in the planner's table
 # What the interrupt shares with the main loop: indexes in _state.
 _PLAYING = const(0)  # the move being executed: its number << LEVEL_BITS, and the outputs' levels
 _FINAL_LEVELS = const(1)  # levels after all queued moves
-LEVEL_BITS = const(8)  # so many outputs at most; a move's number is above
+LEVEL_BITS = const(8)  # at most 8 outputs; above their levels is the move's number
 _LEVELS_MASK = const(0xFF)  # mask of levels
 _NUMBER_MASK = const(0xFFFFF)  # mask of a move's number, which wraps
 _HALF_RANGE = const(0x80000)  # a difference of two numbers from here on is negative
