@@ -63,12 +63,12 @@ def is_grbls(letter: str, tenths: int) -> bool:
 
 class CustomCodes:
     """The added words, by key. The first one that is added wraps the execution of lines.
-    _line_words: the words of the line that find() has read last."""
+    _line: the words of the line that find() has read last."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._words: "dict[Key, Word]" = {}
-        self._line_words = Words(len(machine.reader.line))
+        self._line = Words(len(machine.reader.line))
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
         """Return whether Grbl or an extra already has that word: letter G or M, number as in
@@ -117,15 +117,15 @@ class CustomCodes:
             else:
                 numbers = self._numbers(word)
                 if self._machine.state.run != st.CHECK:
-                    call = word[0]
+                    call = word[0]  # see Word
                     call(*numbers)
 
         hooks.execute = execute
 
     def find(self, line: bytearray, length: int) -> "Word | None":
         """Return the added word on this line, or None. A word may be added for one value of L, as
-        G10 L1: with that L on the line it takes precedence. The words read stay in _line_words."""
-        words = self._line_words
+        G10 L1: with that L on the line it takes precedence. The words read stay in _line."""
+        words = self._line
         words.read(line, 0, length)
         count = words.count
         index_of_l = words.letters.find(b"L", 0, count)
@@ -159,7 +159,7 @@ class CustomCodes:
 
         GrblError for another letter, a repeated one, or a second G or M word.
         """
-        words = self._line_words
+        words = self._line
         numbers: "dict[str, float]" = {}
         codes = 0  # G and M words on the line
         for i in range(words.count):

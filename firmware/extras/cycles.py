@@ -34,7 +34,7 @@ class Cycle:
     """A cycle in the XY plane, with absolute coordinates (G90). plan, letters: see
     Cnc.add_cycle(). kept: the numbers that hold for the next line, that of Z first, then those of
     letters, None for one that has not been given; [] before the first line. check() computes
-    _numbers, the same for its line, and _steps, its moves. _uses: mask of the words that the cycle
+    _numbers, the same for its line, and moves, its moves. _uses: mask of the words that the cycle
     has, bits as in the block's words (b.WORDS)."""
 
     def __init__(
@@ -45,10 +45,11 @@ class Cycle:
         self._letters = letters
         self._uses = 0
         for letter in letters.upper():
-            self._uses |= _LETTERS[letter][0]
+            bit, _ = _LETTERS[letter]
+            self._uses |= bit
         self.kept: "list[float | None]" = []
         self._numbers: "list[float | None]" = []
-        self._steps: "Iterable[Step]" = ()
+        self.moves: "Iterable[Step]" = ()
 
     def check(self, block: "Block") -> None:
         """Refuse a wrong line by GrblError, or compute its moves. The machine does not change.
@@ -60,7 +61,7 @@ class Cycle:
             raise GrblError(errors.GCODE_UNUSED_WORDS)
         is_repeated = modes.modal[MOTION] == ints[MOTION]
         kept = self.kept if is_repeated and self.kept else [None] * (1 + len(self._letters))
-        has_z = ints[b.WORDS] >> Z & 1
+        has_z = ints[b.WORDS] >> Z & 1  # the lowest bits are those of the axes
         depth = block.xyz[Z] if has_z else kept[0]
         numbers = [depth]
         for i, letter in enumerate(self._letters):
@@ -71,8 +72,8 @@ class Cycle:
             if number is None and letter < "a":  # capital letters are required
                 raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         target = list(block.xyz)
-        target[Z] = depth  # type: ignore[assignment]  # Z is no small letter
-        self._steps = self._plan(list(modes.position), target, *numbers[1:])
+        target[Z] = depth  # type: ignore[assignment]  # not None, which was refused above
+        self.moves = self._plan(list(modes.position), target, *numbers[1:])
         self._numbers = numbers
 
     def _number_of(self, block: "Block", letter: str) -> "float | None":
@@ -95,7 +96,7 @@ class Cycle:
         """
         self.kept = self._numbers
         xyz = block.xyz  # becomes each target in turn
-        for target, is_rapid in self._steps:
+        for target, is_rapid in self.moves:
             for axis in range(block.axes):
                 xyz[axis] = target[axis]
             move.flags &= ~layout.RAPID_MOTION

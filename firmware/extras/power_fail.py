@@ -44,15 +44,15 @@ _RAISING_Z = const(2)  # a first record is written, and Z goes up
 _OVER = const(3)  # the record is written, and the supply may last
 
 # Since when a record may be unread.
-_ALL_READ = const(0)  # none is
+_ALL_READ = const(0)  # no record is unread
 _SINCE_POWER_UP = const(1)
 _SINCE_WRITING = const(2)  # this failure has written one
 
 # A record: flags, number of axes, CRC-32 of the job and its line, or zeros without a job. The
 # position follows: single-precision numbers, mm.
-_HEAD = "<BBII"
+_HEAD = "<BBII"  # flags, number of axes, CRC-32, line
 _CERTAIN = const(1)  # motion had stopped by itself: no step is lost
-_Z_WAS_TO_RISE = const(2)  # Z was about to go up
+_Z_WAS_TO_RISE = const(2)  # written before Z went up: it may be higher than recorded
 
 _QUEUED_MS = const(14)  # ms of motion that the engine has already, see docs/faults.md
 _WRITE_MS = const(3)  # ms for writing a page, by the data sheet
@@ -247,9 +247,10 @@ class PowerFail:
         move.clear()
         move.feed = machine.settings.max_rate[Z]
         move.flags = layout.SYSTEM_MOTION | layout.NO_FEED_OVERRIDE
-        machine.segments.begin_system()
-        self._engine.position(self._steps)
-        if not machine.planner.system_line(target, move, 0, self._steps):
+        machine.segments.begin_system()  # saves the block that was stopped
+        self._engine.position(self._steps)  # where the move starts
+        power = 0  # the tool stays off
+        if not machine.planner.system_line(target, move, power, self._steps):
             return False
         state.system_motion = True
         self._motor_control.start(state.run)

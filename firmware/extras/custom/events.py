@@ -39,16 +39,16 @@ _LONGEST_QUEUE = const(16)  # events waiting for their handlers; later ones are 
 _MAY_MOVE = const(True)  # of a handler; the others run during motion
 # Bytes of stack that may be in use when a handler during motion starts. Its own calls and
 # interrupts need the rest.
-_STACK_BYTES = const(3712)
+_STACK_BYTES = const(3712)  # in use at most
 _M6 = const(6)
 _WELCOME_EVENTS = ("startup", "after_reset")  # the welcome of power-up, and of each reset
 # Alarms that no handler has caused: none, or the sender has reset a moving machine.
-_NOT_BY_HANDLER = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
+_NOT_BY_HANDLER = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)  # alarms
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
 
 
-def _field_text(result: "Any") -> str:
-    """Return the text of a handler of on.report, without characters that end a report.
+def _text(result: "Any") -> str:
+    """Return the result of a handler of on.report as text, without characters that end a report.
 
     "" if it is neither text nor number.
     """
@@ -62,10 +62,10 @@ class Events:
 
     An event that waits is its name and the handlers' arguments: in _due for handlers that may
     move, in _due_during_motion for the others. _timers: milliseconds, time of the last call, name,
-    function. _was_closed: by input name, its level at the last look. _changed[0]: 1: an interrupt
-    has seen an input change. _last_run_state: at the last poll. _failed_at_welcome: handlers that
-    failed after a welcome; _failure_causes_welcome: such a failure causes the next welcome.
-    _run_pause: executes M0's hold, None if none waits. _report_field: the status report's field.
+    function. _inputs: by name, whether it was closed at the last look. _changed[0]: 1 if an
+    interrupt has seen an input change since. _last_run_state: at the last poll. _failed: handlers
+    that failed after a welcome; _failure_causes_welcome: such a failure causes the next welcome.
+    _hold: executes M0's hold, None if none waits. _report_field: the status report's field.
     """
 
     def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
@@ -75,17 +75,17 @@ class Events:
         self._state = cnc.machine.state
         self._runner = runner
         self._handlers: "dict[str, list[Handler]]" = {}
-        self._was_closed: "dict[str, bool]" = {}
+        self._inputs: "dict[str, bool]" = {}
         self._timers: "list[list[Any]]" = []
         self._due: "list[tuple[str, tuple[Any, ...]]]" = []
         self._due_during_motion: "list[tuple[str, tuple[Any, ...]]]" = []
         self._is_polling = False  # poll() is running: a handler's wait calls it again
         self._has_started = False  # the welcome of power-up is over
         self._last_run_state = cnc.machine.state.run
-        self._run_pause: "Callable[[], None] | None" = None
+        self._hold: "Callable[[], None] | None" = None
         self._report_field = ""  # the status report's field, as on.report made it last
         self._changed = bytearray(1)
-        self._failed_at_welcome: "list[Function]" = []
+        self._failed: "list[Function]" = []
         self._failure_causes_welcome = False
         self._synced_words = SyncedWords(cnc.machine, runner)
 
@@ -97,7 +97,7 @@ class Events:
         if kind == handlers.EVERY:
             self._timers.append([key, self._machine.port.ticks_ms(), what, function])
         elif kind == handlers.INPUT:
-            self._was_closed[key] = self._runner.machine_api.pin(key)
+            self._inputs[key] = self._runner.machine_api.pin(key)
             self._handlers.setdefault(_INPUT + key, []).append((what, function))
         else:
             self._handlers.setdefault(kind, []).append((what, function))
@@ -156,13 +156,13 @@ class Events:
         If it causes an alarm, it is not run after that alarm's welcome. Otherwise the welcomes
         would never end, and the machine could not be unlocked. what: its name in messages.
         """
-        if function in self._failed_at_welcome:
+        if function in self._failed:
             return
         try:
             self._runner.run(what, function, _MAY_MOVE)
         finally:
             if self._state.alarm not in _NOT_BY_HANDLER:
-                self._failed_at_welcome.append(function)
+                self._failed.append(function)
                 self._failure_causes_welcome = True
 
     @micropython.native
@@ -186,7 +186,7 @@ class Events:
                 fields = []
                 for what, function in self._handlers[name]:
                     result = self._runner.run(what, function, not _MAY_MOVE, values)
-                    text = _field_text(result) if name == handlers.REPORT else ""
+                    text = _text(result) if name == handlers.REPORT else ""
                     if text:
                         fields.append(text)
                 if name == handlers.REPORT:
@@ -204,7 +204,7 @@ class Events:
         for timer in self._timers:
             period_ms, last_call, what, function = timer
             if port.elapsed_ms(last_call) >= period_ms:
-                timer[1] = port.ticks_ms()  # its last call
+                timer[1] = port.ticks_ms()  # last_call
                 self._runner.run(what, function, not _MAY_MOVE)
 
     def _detect_changes(self) -> None:
@@ -216,10 +216,10 @@ class Events:
             self._last_run_state = run
         if self._changed[0]:
             self._changed[0] = 0
-            for name, was_closed in self._was_closed.items():
+            for name, was_closed in self._inputs.items():
                 closed = self._runner.machine_api.pin(name)
                 if closed != was_closed:
-                    self._was_closed[name] = closed
+                    self._inputs[name] = closed
                     self._emit(_INPUT + name, closed)
 
     def defer(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
@@ -240,6 +240,7 @@ class Events:
         during_motion: some handlers run during motion.
         """
         has_handlers = self._handlers  # by event: `in` asks whether it has any
+        # Hooks may emit events without a handler, too: _queue() drops these.
         if during_motion:
             self._hooks.poll += (self.poll,)
         self._wrap_lines()
@@ -265,7 +266,7 @@ class Events:
             self._cnc.after_alarm(lambda code: self._emit("alarm", code))
         if handlers.REPORT in has_handlers:
             self._cnc.add_field(self._report)
-        if self._was_closed:
+        if self._inputs:
             self._machine.port.watch_pins(self._on_change)
 
     def _wrap_lines(self) -> None:
@@ -286,9 +287,9 @@ class Events:
                 self._select_tool(modes.tool)  # Grbl's parser clears it with the next line
             if self._due:
                 self.run_due()
-            if self._run_pause:
-                run_pause, self._run_pause = self._run_pause, None
-                run_pause()
+            if self._hold:
+                hold, self._hold = self._hold, None
+                hold()
 
         hooks.execute = execute
 
@@ -301,13 +302,13 @@ class Events:
 
     def _after_reset(self) -> None:
         """Drop what waits, except alarms to report, and emit the event of this welcome."""
-        self._run_pause = None
+        self._hold = None
         self._due.clear()
         self._synced_words.waiting.clear()
         alarms = [event for event in self._due_during_motion if event[0] == "alarm"]
         self._due_during_motion = alarms
         if not self._failure_causes_welcome:
-            self._failed_at_welcome.clear()
+            self._failed.clear()
         self._failure_causes_welcome = False
         # Not _emit(): also when check mode ends, whose reset has cleared the tool length offset.
         self._queue("after_reset" if self._has_started else "startup")
@@ -371,7 +372,7 @@ class Events:
         """
         if self._runner.is_running:
             return False
-        self._run_pause = self._machine.canon.hold_program
+        self._hold = self._machine.canon.hold_program
         self._emit("program_paused")
         return True
 

@@ -125,7 +125,8 @@ class On:
     """Events: on.tool_change and all of MOVING and DURING_MOTION, on.report, on.input(name)."""
 
     def __getattr__(self, name: str) -> "Callable[[Function], Function]":
-        """Return the decorator of an event. AttributeError if there is none of that name."""
+        """Return the decorator of an event. AttributeError if there is none of that name. Python
+        calls this for on.NAME if NAME is not `input`."""
         if name not in MOVING and name not in DURING_MOTION and name != REPORT:
             raise AttributeError("there is no event on.%s" % name)
         waits_for_motion = name in MOVING

@@ -114,9 +114,9 @@ class MachineApi(PinApi):
         Raises Refused with Grbl's error number.
         """
         for line in text.split("\n"):
-            self._line(line, line)
+            self._execute(line, line)
 
-    def _line(self, line: str, name: str) -> None:
+    def _execute(self, line: str, name: str) -> None:
         """Execute a line of G-code. name: what the message of Refused calls it."""
         machine = self._machine
         self._check_may_wait()
@@ -139,7 +139,7 @@ class MachineApi(PinApi):
         Modes, feed and offsets are restored when the block ends. Spindle with its S, coolant and
         M56 stay as the block has left them.
         """
-        return ModalState(self._machine, True, self._open_blocks)
+        return ModalState(self._machine, standard=True, blocks=self._open_blocks)
 
     def probe(
         self,
@@ -153,7 +153,7 @@ class MachineApi(PinApi):
         moves.
         """
         self._check_may_wait()
-        with ModalState(self._machine, False, self._open_blocks):
+        with ModalState(self._machine, standard=False, blocks=self._open_blocks):
             self.g("G38.%d%s" % (2 if must else 3, self._to_work_words(words)))
         if not self._state.probe_succeeded:
             return None
@@ -173,11 +173,11 @@ class MachineApi(PinApi):
             axis = LETTERS.find(letter)
             if axis < 0 and letter != "F":
                 raise ValueError("m.probe with G53 takes only axes and F, not %s" % letter)
-            work = number if axis < 0 else number - self._work_zero(axis)  # F stays as it is
+            work = number if axis < 0 else number - self._zero(axis)  # F stays as it is
             converted += "%s%.4f" % (letter, work)
         return converted
 
-    def _work_zero(self, axis: int) -> float:
+    def _zero(self, axis: int) -> float:
         """Return work zero of an axis, mm in machine coordinates, tool length included."""
         coords = self._machine.coords
         return coords.work_zero(coords.active, axis)
@@ -200,7 +200,7 @@ class MachineApi(PinApi):
         for letter, number in words_of(code_of(words)):
             axis = LETTERS.index(letter)
             # G92 and the tool length are part of work zero, and not of the offset that G10 sets.
-            other_offsets = self._work_zero(axis) - coords.systems[coords.active][axis]
+            other_offsets = self._zero(axis) - coords.systems[coords.active][axis]
             axes += "%s%.4f" % (letter, at[axis] - number - other_offsets)
         with self.saved():
             self.g("G10L2P0" + axes)
@@ -209,7 +209,7 @@ class MachineApi(PinApi):
         """Set the tool length offset in mm, as G43.1 does. It holds until a reset or G49."""
         with self.saved():
             self.g("G43.1%s%.4f" % (LETTERS[self._machine.coords.length_axis], mm))
-            for saved in self._open_blocks:
+            for saved in self._open_blocks:  # none restores the old length
                 saved.keep_length()
 
     def home(self, axes: str = "") -> None:
@@ -242,7 +242,7 @@ class MachineApi(PinApi):
         with open(file, "rb") as lines:
             for number, line_bytes in enumerate(lines, 1):
                 line = text_of(line_bytes.rstrip())
-                self._line(line, "%s:%d: %s" % (file, number, line))
+                self._execute(line, "%s:%d: %s" % (file, number, line))
 
     # Motion requests, allowed during other motion too
 
@@ -261,7 +261,7 @@ class MachineApi(PinApi):
         if has_line or self._state.run not in (st.IDLE, st.JOG) or len(self._jogs) >= _MOST_JOGS:
             return False
         self._jogs.append("$J=G21G91%s%.4fF%.1f" % (axis.upper(), mm, rate))
-        self._state.pending[st.ANY] = 1
+        self._state.pending[st.ANY] = 1  # so that the loop starts it between two lines
         return True
 
     def end_jog(self) -> None:
@@ -287,7 +287,7 @@ class MachineApi(PinApi):
         self.halt()
 
     def halt(self) -> None:
-        """Stop wherever the main loop waits, with all off and ALARM:34. Raises Abort."""
+        """Stop the machine from anywhere, with all off and ALARM:34. Raises Abort."""
         machine, state = self._machine, self._state
         # A hold that still slows down ends first, so that the position stays certain.
         while state.run & (st.HOLD | st.DOOR | st.SLEEP) and state.holding:
@@ -302,12 +302,7 @@ class MachineApi(PinApi):
         """Wait for so many seconds, while motion goes on."""
         self._wait_until(_never, seconds)
 
-    def wait_for(
-        self,
-        name: str,
-        closed: bool = True,
-        seconds: "float | None" = None,
-    ) -> bool:
+    def wait_for(self, name: str, closed: bool = True, seconds: "float | None" = None) -> bool:
         """Wait until an input is closed, or with closed=False until it is open.
 
         It returns False if that takes longer than `seconds`. None waits without limit. ValueError
@@ -365,7 +360,7 @@ class MachineApi(PinApi):
         """Convert a position from machine to work coordinates, in mm."""
         work = vector(self._machine.planner.axes)
         for i in range(len(work)):
-            work[i] = mm[i] - self._work_zero(i)
+            work[i] = mm[i] - self._zero(i)
         return Position(work)
 
     def mm(self, length: float) -> float:

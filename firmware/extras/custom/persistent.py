@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from control.saves import Saves
 
-_STORED_NAME = "keep"  # of the values in flash, one JSON line [name, value] for each
+_FILE = "keep"  # of the values in flash, one JSON line [name, value] for each
 
 
 class PersistentValues:
@@ -24,7 +24,7 @@ class PersistentValues:
         self._saves = saves
         self._values: "dict[str, Any]" = {}
         self.is_due = False
-        for line in saves.load(_STORED_NAME) or ():
+        for line in saves.load(_FILE) or ():
             try:
                 name, value = json.loads(line)
             except (ValueError, TypeError):
@@ -70,4 +70,4 @@ class PersistentValues:
         """Hand the values to the store. Call it only while idle."""
         self.is_due = False
         lines = [json.dumps([name, value]) for name, value in self._values.items()]
-        self._saves.save(_STORED_NAME, lines)
+        self._saves.save(_FILE, lines)

@@ -32,7 +32,7 @@ _TRACE_LINES = const(12)  # a recursion that fills the stack has many equal line
 _SLOW_MS = const(20)
 # Garbage is collected after so many handlers, when _ENOUGH_BLOCKS are planned or the machine is
 # idle: then motion does not run out of blocks meanwhile.
-_RUNS_TO_COLLECT = const(64)
+_RUNS_TO_COLLECT = const(64)  # handlers run until garbage is collected
 _ENOUGH_BLOCKS = const(8)  # planned ones, which last longer than a collection
 
 
@@ -112,7 +112,7 @@ class Runner:
 
     # Failing
 
-    def short_trace(self, lines: "list[str]") -> str:
+    def reason(self, lines: "list[str]") -> str:
         """Return from a traceback the last place in the user's own files, and the exception, such
         as `custom.py, line 7, in probe: ValueError: ...`.
 
@@ -140,7 +140,7 @@ class Runner:
         machine.port.attach(machine.motor_control)
         machine.port.enable_limits(bool(machine.settings.hard_limits))
         lines = trace(fault)  # of the traceback
-        text = sanitize("%s: %s" % (what, self.short_trace(lines)))
+        text = sanitize("%s: %s" % (what, self.reason(lines)))
         machine.commands.fault = text  # $I+ shows it
         machine.saves.save(TRACE, lines[-_TRACE_LINES:])
         machine.report.message(text)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from extras.custom.handlers import Function
     from extras.custom.runner import Runner
 
-_FAR_MM = const(1_000_000)  # mm: outside of every machine
+_FAR_MM = const(1_000_000)  # outside of every machine: no distance has been measured yet
 
 _MAY_MOVE = const(True)  # of a handler; these run during motion
 
@@ -30,15 +30,15 @@ _FIRST_OF_CALL = const(3)  # from here on: its name in messages, function and pa
 
 
 class SyncedWords:
-    """The words that wait for motion: waiting has a list of fields for each. _here_mm: the present
-    position, scratch. _counted_tail: the planner's TAIL, the next block that the engine reads, at
-    the last count."""
+    """The words that wait for motion: waiting has a list of fields for each. _position: the
+    present one, mm, scratch. _counted_tail: the planner's TAIL, the next block that the engine
+    reads, at the last count."""
 
     def __init__(self, machine: "Controller", runner: "Runner") -> None:
         self._machine = machine
         self._runner = runner
         self.waiting: "list[list[Any]]" = []
-        self._here_mm = vector(len(machine.modes.position))
+        self._position = vector(len(machine.modes.position))
         self._counted_tail = 0
 
     def add(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
@@ -75,7 +75,7 @@ class SyncedWords:
     def _is_reached(self, word: "list[Any]") -> bool:
         """Return whether a word's position has been reached: the machine stands, or is farther
         from it than at the last look. All blocks before it must have been read."""
-        machine, mm = self._machine, self._here_mm
+        machine, mm = self._machine, self._position
         machine.position(mm)
         offsets = [abs(end - now) for end, now in zip(word[_END_MM], mm)]
         distance = max(offsets)  # of the farthest axis

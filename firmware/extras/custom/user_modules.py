@@ -141,7 +141,7 @@ class Custom:
     def leave_out(self, fault: BaseException) -> None:
         """Leave all handlers out, and report why (fault) after each welcome and in $I."""
         handlers.take_notes()  # forgets the handlers that were noted before the fault
-        text = sanitize("Custom left out: " + self._runner.short_trace(trace(fault)))
+        text = sanitize("Custom left out: " + self._runner.reason(trace(fault)))
         self._cnc.after_reset(lambda: self._cnc.message(text))
         self._add_build_info(text)
 

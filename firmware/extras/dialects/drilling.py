@@ -114,7 +114,8 @@ class Holes:
         yield feed + self.bottom
         if "P" in self.kept:
             yield "G4P" + self.kept["P"]
-        yield (feed if self.cycle in (_G85, _G89) else rapid) + self.end
+        back = feed if self.cycle in (_G85, _G89) else rapid
+        yield back + self.end
 
     def _pecks(self, feed: str, rapid: str) -> "Iterator[str]":
         """Yield the pecks to all depths except the last, each with its retract to clear chips: to
@@ -170,7 +171,7 @@ class Drilling:
         return any(has(words, letter) for letter in _AXIS_LETTERS)
 
     def stop(self, with_motion: bool) -> None:
-        """End the cycle. with_motion: restore the motion mode from before it."""
+        """End the cycle, if there is one. with_motion: restore the motion mode from before it."""
         interpreter = self._machine.interpreter
         if self.cycle:
             interpreter.is_open = self._open_before
@@ -187,7 +188,7 @@ class Drilling:
         before = list(modes.position)
         self._run(holes.other_words)
         if list(modes.position) != before:  # a handler of another extra has moved the machine
-            self.plan(holes.cycle_words, holes.ends_at_r)
+            self.plan(holes.cycle_words, holes.ends_at_r)  # changes `holes`, which it returns
         if not self.cycle:
             self._motion_before = modal[MOTION]
             self._open_before = interpreter.is_open

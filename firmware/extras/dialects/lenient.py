@@ -139,9 +139,9 @@ class Lenient:
         if has(words, "M", *_PROGRAM_ENDS):
             drilling.forget()
         elif has(words, "G", *MOTIONS):
-            drilling.stop(False)
+            drilling.stop(False)  # with the motion mode of this line
         elif has(words, "G", _G80):
-            drilling.stop(True)
+            drilling.stop(True)  # with the motion mode from before the cycle
 
     def _note_tool(self, words: "list[Word]") -> None:
         """Note the number of a T, for the message of M6."""
@@ -208,7 +208,7 @@ class Lenient:
         machine = self._machine
         axes = machine.planner.axes
         if machine.state.run == st.CHECK:
-            return True
+            return True  # without an answer
         if has(others, "M", _M400):
             machine.canon.synchronise()
         elif has(others, "M", _M115):
@@ -281,7 +281,7 @@ class Lenient:
                 self._cnc.message("%s: %s" % (key, _MESSAGES.get(key, _CYCLE_MESSAGE)))
 
     def _pause_for_tool(self, words: "list[Word]") -> None:
-        """Pause for the tool that this line keys, or the last one named before."""
+        """Pause for the tool that this line names, or the last one named before."""
         self._note_tool(words)
         if self._machine.modes.modal[SPINDLE]:
             self._run_text("M5")

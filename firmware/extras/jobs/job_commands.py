@@ -32,9 +32,9 @@ PINS = ("SD_CARD",)
 _FLUIDNC = {b"LIST": b"", b"RUN": b"=", b"SHOW": b"<=", b"DELETE": b"D="}
 _WITHOUT_FILES = (b"B", b"B=")  # report or clear the button's job: in flash, not on a card
 _STATES = (st.IDLE, st.ALARM, st.CHECK)
-_SHOWN_BYTES = const(128)
+_SHOWN_BYTES = const(128)  # of a job, sent at once
 # A reader for text that is neither the sender's line nor the job's.
-_READ_AHEAD = const(512)
+_READ_AHEAD = const(512)  # bytes of its ring
 _LONGEST_LINE = const(344)  # 256 bytes in base64
 
 _found: "dict[str, JobFiles | None]" = {}
@@ -98,8 +98,8 @@ class Jobs:
             raise GrblError(errors.INVALID_STATEMENT)
 
     def _execute(self, words: bytes) -> None:
-        """Execute the text after $F: nothing, +, M, B, or a verb (perhaps none), = and a name.
-        GrblError refuses it."""
+        """Execute the text after $F: nothing or + (list), M (mount), B (report the button), or a
+        verb (none: run), = and a name. GrblError refuses it."""
         verb, equals, rest = words.partition(b"=")
         name = text_of(rest)
         if words in (b"", b"+"):
@@ -167,7 +167,7 @@ class Jobs:
         try:
             line = int(number) if in_middle else 0  # 0: from the beginning
         except ValueError:
-            line = -1
+            line = -1  # refused
         if line < 0 or (in_middle and line == 0):
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._existing_name(name)

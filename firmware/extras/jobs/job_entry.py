@@ -89,7 +89,7 @@ def apply(machine: "Controller", stored: "list[Any]") -> None:
 class Entry:
     """The approach to a line, and the modes that hold there.
 
-    reader: for the lines of the file. _longest_line: in bytes. After find(), _state_at_line is
+    reader: for the lines of the file. _longest_line: in bytes. After rehearse(), _state_at_line is
     in_force() at that line, with the position at index 0, _offsets_at_line the stored offsets of
     each system there, and _highest_z the greatest Z before it, mm in machine coordinates.
     has_ended: the program has ended before the line.
@@ -106,7 +106,7 @@ class Entry:
         self._highest_z = 0.0
         self.has_ended = False
 
-    def find(
+    def rehearse(
         self, file: "IO[bytes]", line: int, start: "list[Any]", systems: "list[array[float]]"
     ) -> None:
         """Run the lines before `line` in check mode, and leave the file at that line.
@@ -121,7 +121,7 @@ class Entry:
         if start[1][MOTION] in motions:
             raise CannotEnter("the job begins within a canned cycle")
         cycles = [(motion, motion.kept) for motion in motions.values()]
-        before = in_force(machine)
+        state_before = in_force(machine)
         offsets_before, self._offsets_at_line = array("f", coords.offsets), systems
         for i in range(len(systems)):
             coords.change(i, systems[i])
@@ -139,14 +139,14 @@ class Entry:
                     raise CannotEnter(why_not())
             self._state_at_line = in_force(machine)
             self._offsets_at_line = [array("f", values) for values in coords.systems]
-            position_before = before[0]
+            position_before = state_before[0]
             self._check_homed(position_before)
         finally:
             hooks.write_offsets = write_before
             coords.offsets[:] = offsets_before
             if state.run == st.CHECK:  # no reset has come
                 state.enter(st.IDLE)
-            apply(machine, before)
+            apply(machine, state_before)
             for motion, numbers in cycles:
                 motion.kept = numbers
             machine.resync()

@@ -155,10 +155,10 @@ class JobRun:
     def _prepare_approach(self, file: "IO[bytes]", line: int) -> None:
         """Prepare the approach to a line.
 
-        Entry.find() runs the lines before it in check mode. They start from the modes and offsets
-        of the journal if it is of this job. Spindle and coolant are switched off; the lines of
-        Entry.approach_lines() start them again. CannotEnter if the state at the line is not
-        certain.
+        Entry.rehearse() runs the lines before it in check mode. They start from the modes and
+        offsets of the journal if it is of this job. Spindle and coolant are switched off; the
+        lines of Entry.approach_lines() start them again. CannotEnter if the state at the line is
+        not certain.
         """
         journal = self.journal()
         if self._machine.state.run != st.IDLE or not self._machine.homing_probing.homed:
@@ -169,7 +169,7 @@ class JobRun:
                 raise CannotEnter("the file has changed since that job stopped")
         systems = self._offsets_at_start()
         self._tool_off()
-        self._entry.find(file, line, self._origin[_IN_FORCE], systems)
+        self._entry.rehearse(file, line, self._origin[_IN_FORCE], systems)
 
     def _start_approach(self, file: "IO[bytes]", line: int) -> None:
         """Start the approach to a line."""
