@@ -186,6 +186,7 @@ class NonlinearHoming(HomingProbing):
         self._engine.position(self._steps)
         for i in range(planner.axes):
             if axes >> i & 1:
+                # _zero_origin: positions are counted from where the pull-off has ended.
                 pull_off = 0.0 if self._zero_origin else settings.homing_pull_off_mm
                 if not settings.homing_dir_invert >> i & 1:  # the switch is at the positive end
                     pull_off = -pull_off

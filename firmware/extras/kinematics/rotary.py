@@ -36,10 +36,9 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _FIRST_ROTARY = const(3)  # X, Y and Z are never rotary
-_TURN = 360.0
+_TURN = 360.0  # degrees
 _FAR = 1e9  # degrees: beyond every machine, and a whole number for int()
-# Single precision is exact to this many steps. Beyond it an endless axis is unwound.
-_EXACT_STEPS = 16777216.0
+_EXACT_STEPS = 16777216.0  # single precision is exact up to it; beyond, an axis is unwound
 _PER_INCH = minifloat.real(1 / 25.4)
 # Lines without a programmed feed rate, or with one that applies to all axes.
 ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
@@ -73,7 +72,7 @@ class RotaryPlanner(Planner):
         """
         if not flags & ITS_OWN_RATE:
             factor = stretch(target, self.table, self.ring, self.flow, self.linear)
-            if factor == 0:  # no linear axis moves
+            if factor == 0:  # no linear axis moves: rate is in degrees/s
                 factor = _PER_INCH if self.block.ints[INCHES] else minifloat.ONE
             rate = minifloat.mul(rate, factor)
         return self.plan(target, flags, line, power, rate)
@@ -141,7 +140,7 @@ class RotaryCanon(Canon):
             turns = self._whole_turns(axis, target)
             if turns and state.run != st.CHECK:  # in check mode only the numbers change
                 while not planner.empty() or self._motor_control.moving:
-                    self.auto_start()
+                    self.auto_start()  # else planned lines would not be executed yet
                     self.service()
                 turns = self._whole_turns(axis, target)  # a hold may have ended the motion
                 self._subtract(axis, turns)
@@ -239,6 +238,7 @@ def install(cnc: "Cnc") -> None:
     planner.block = block
     canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
     canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
+    # A mask of axes whose numbers are lengths: inches with G20.
     machine.interpreter.machine[LENGTHS] &= ~rotary
     planner.move_hook = planner.plan_line
     _hook_homing(machine, all_axes & ~_found["without_switch"])
@@ -248,8 +248,8 @@ def install(cnc: "Cnc") -> None:
 def _hook_homing(machine: "Any", axes_in_cycle: int) -> None:
     """Hook into $H: rotary axes without a switch are left out.
 
-    homed: mask of the axes that $H includes. An endless axis, whose travel setting is 0, gets one
-    turn of travel during homing, so its search ends after one and a half turns.
+    axes_in_cycle: mask of those that $H includes. An endless axis, whose travel setting is 0, gets
+    one turn of travel during homing, so its search ends after one and a half turns.
     """
     hooks, settings, canon = machine.state.hooks, machine.settings, machine.canon
     previous: "Callable[[int], bool]" = hooks.home

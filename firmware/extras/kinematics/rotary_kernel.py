@@ -11,9 +11,8 @@ from motion.minifloat import BIAS, ONE, pack, square_root
 from motion.steps import measure, to_steps
 
 _DISTANCE = const(5)  # multiple of the number of axes, after LIMITS in the planner's table
-# A real: a mantissa of 15 bits, below its exponent.
-_BITS = const(15)
-_MANTISSA = const(32767)
+_MANTISSA_BITS = const(15)  # of a real; its exponent is above them
+_MANTISSA = const(32767)  # mask of a real's mantissa
 
 
 @micropython.viper
@@ -35,20 +34,24 @@ def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) 
     distance = LIMITS + _DISTANCE * axes  # measure() has left each axis' distance here, a real
     highest_exponent = 0
     for i in range(axes):
-        exponent = table[distance + i] >> _BITS
+        exponent = table[distance + i] >> _MANTISSA_BITS
         if (linear >> i) & 1 and exponent > highest_exponent:
             highest_exponent = exponent
     squares = 0
     for i in range(axes):
         mantissa = table[distance + i]
         if (linear >> i) & 1 and mantissa:
-            shift = highest_exponent - (mantissa >> _BITS) + 1
-            mantissa = (mantissa & _MANTISSA) >> shift if shift < _BITS else 0
+            shift = highest_exponent - (mantissa >> _MANTISSA_BITS) + 1
+            mantissa = (mantissa & _MANTISSA) >> shift if shift < _MANTISSA_BITS else 0
             squares += mantissa * mantissa
     if squares == 0:
         return 0
     linear_length = int(pack(int(square_root(squares)), highest_exponent + 1))
     length = ring[at + LENGTH]
     # The quotient of the mantissas has 15 bits more than 1: the exponent has 15 less.
-    exponent = (length >> _BITS) - (linear_length >> _BITS) + BIAS - _BITS
-    return int(pack(((length & _MANTISSA) << _BITS) // (linear_length & _MANTISSA), exponent))
+    exponent = (
+        (length >> _MANTISSA_BITS) - (linear_length >> _MANTISSA_BITS) + BIAS - _MANTISSA_BITS
+    )
+    return int(
+        pack(((length & _MANTISSA) << _MANTISSA_BITS) // (linear_length & _MANTISSA), exponent)
+    )

@@ -22,7 +22,7 @@ LENGTH = const(9)
 
 _Y = const(1)
 _Z = const(2)
-_BITS = const(15)  # factors and distances are multiplied in two halves, the lower one of 15 bits
+_LOW_BITS = const(15)  # of the lower half: factors and distances are multiplied in two halves
 MOST_BITS = const(36)
 FEWEST_BITS = const(21)
 _PART_BITS = const(6)  # shears are in 2**-6 step until they are added
@@ -40,13 +40,13 @@ def shear(distance: int, skew: ptr32, index: int) -> int:
     """
     factor = skew[index] - PLACE_BIAS
     bits = skew[index + 1] - _PART_BITS
-    above = distance >> _BITS
-    below = distance - (above << _BITS)
-    high = factor >> _BITS
-    low = factor - (high << _BITS)
+    above = distance >> _LOW_BITS
+    below = distance - (above << _LOW_BITS)
+    high = factor >> _LOW_BITS
+    low = factor - (high << _LOW_BITS)
     # The product is above * high * 2**30 + middle * 2**15; it has `bits` more than the result.
-    middle = above * low + below * high + ((below * low) >> _BITS)
-    return ((above * high) << (2 * _BITS - bits)) + (middle >> (bits - _BITS))
+    middle = above * low + below * high + ((below * low) >> _LOW_BITS)
+    return ((above * high) << (2 * _LOW_BITS - bits)) + (middle >> (bits - _LOW_BITS))
 
 
 @micropython.viper

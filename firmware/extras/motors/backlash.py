@@ -187,13 +187,14 @@ class BacklashCanon(Canon):
             self.wait_for_room()
             copy(chord_end, targets, planner.axes)
             power, head = self.power_of(move), flow[layout.HEAD]
+            # PLACED: the target is in the table, and plan() does not read its first argument.
             flags, feed = move.flags | layout.PLACED, rate(move.feed)
             if plan_kernel.plan(course, table, ring, flow, flags, move.line_number, power, feed):
                 planner.speeds[head] = move.spindle_rpm
             else:
                 self._apply_zero_length(move)
             course[arcs.CHORDS_LEFT] -= 1
-            if course[arcs.CHORDS_LEFT] & arcs.EIGHT_MASK == 0:
+            if course[arcs.CHORDS_LEFT] & arcs.EIGHT_MASK == 0:  # each eighth one
                 self.service()
 
     def _take_up(self, move: "Move") -> bool:

@@ -94,7 +94,8 @@ def release_blocks(table: ptr32, ring: ptr32, flow: ptr32, line: ptr32, everythi
             compute_profile(table, ring, at)
         before = (row or flow[ROWS]) * flow[ROW_SIZE] - flow[ROW_SIZE]  # index of the row before
         mark_grid_corner(table, ring, line, at, before)
-        limit_entries(table, ring, flow, row, line[TAIL] if line[LOADED] else -1)
+        present = line[TAIL] if line[LOADED] else -1  # -1: the plan has begun no block
+        limit_entries(table, ring, flow, row, present)
         row += 1
         if row == flow[ROWS]:
             row = 0
@@ -116,6 +117,7 @@ def reschedule(table: ptr32, ring: ptr32, flow: ptr32, present: int) -> int:
     while row != flow[HEAD]:
         at = row * flow[ROW_SIZE]
         compute_profile(table, ring, at)
+        # compute_profile() has set the whole rate again.
         ring[at + FLAGS] = ring[at + FLAGS] & (-1 - _RATE_LIMITED)
         if row != flow[TAIL]:
             limit_entries(table, ring, flow, row, present)
@@ -249,7 +251,7 @@ def limit_rate(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> i
         sqr = entry
     if entry and ring[before + FLAGS] & _RATE_LIMITED and ring[before + NOMINAL_SQR] < sqr:
         sqr = ring[before + NOMINAL_SQR]
-    # Not a stop anyway, nor corners that would not be stops, nor a straight line.
+    # Nothing to do: a stop, or corners that are no stops when lowered, or straight lines.
     if sqr == 0 or int(lower_at_corner(table, ring[at + ACCEL], sqr)) or sqr == HIGHEST:
         return 0
     if ring[after + FLAGS] & _IN_GRID_CHAIN or int(is_short(table, ring, at, sqr)) == 0:
@@ -276,9 +278,7 @@ def set_acceleration(table: ptr32, ring: ptr32, flow: ptr32, row: int, present: 
     size = flow[ROW_SIZE]
     at = row * size
     before = (row if row else flow[ROWS]) * size - size
-    own = int(
-        shared_acceleration(table, ring[at + ACCEL])
-    )  # the acceleration that this block allows
+    own = int(shared_acceleration(table, ring[at + ACCEL]))  # what this block allows
     accel = ring[before + ACCEL]
     junction = ring[at + JUNCTION_SQR]
     is_long = ring[at + LENGTH] >= _TOO_LONG_MM or ring[before + LENGTH] >= _TOO_LONG_MM
