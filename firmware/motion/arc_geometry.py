@@ -317,9 +317,7 @@ def _place_axes(
     for i in range(axes):
         r[B] = r[_UNITS_PER_MM]
         quotient(r, B, steps_per_mm, i)
-        bits = (
-            r[B] >> 23
-        ) - 126  # 2**bits is more than _UNITS_PER_MM / steps_per_mm, at most twice
+        bits = (r[B] >> 23) - 126  # 2**bits is more than B, the units per step, at most twice
         r[A] = steps_per_mm[i] + bits * _TWICE  # units per mm
         r[B] = start[i]
         multiply(r, B, r, A)
@@ -327,7 +325,7 @@ def _place_axes(
         course[at] = arcs.PLACE_BIAS + position + (1 << bits >> 1)  # + half a step, to round
         course[at + arcs.POSITION_REST] = 0
         course[at + arcs.STEP_BITS] = bits
-        course[at + arcs.CHORD_ADVANCE] = int(0x40000000)  # 1 << WAY_BIAS
+        course[at + arcs.CHORD_ADVANCE] = int(0x40000000)  # 1 << ADVANCE_BIAS_LOG2
         is_one = 1 if i == plane[ONE_AXIS] else 0
         if is_one or i == plane[OTHER_AXIS]:
             r[B] = r[CENTRE_0] if is_one else r[CENTRE_1]

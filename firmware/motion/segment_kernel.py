@@ -174,7 +174,7 @@ def change_speed(flow: ptr32, ramp: int, goal: int, room: int) -> int:
         time = flow[TIME_TO_FILL]
         end = speed - int(times(ramp, time)) if down else speed + int(times(ramp, time))
     distance = int(times((speed + end) >> 1, time))
-    if distance >= room:
+    if distance >= room:  # the room ends first
         distance = room
         end = int(after(speed, ramp, room, down))
         time = -1  # its time is computed below
@@ -253,7 +253,7 @@ def add_piece(flow: ptr32, part: int) -> int:
     if at == MOTORS:
         at -= 2  # there is no place for another one: it is merged with the last piece
     else:
-        flow[at] = 0
+        flow[at] = 0  # its time
         flow[PIECE_AT] = at + 2
     flow[at] = flow[at] + part
     flow[at + 1] = flow[END_SPEED]
@@ -374,9 +374,8 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
         if int(plan(flow, ring, table)) == 0:
             return 0
     steps = int(next_row(flow, row, table[SEGMENT_LOG2]))
-    more = (
-        flow[SLICES] or flow[STEPS_LEFT] or flow[FRACTION_LEFT]
-    )  # 0: the block ends with this row
+    # 0: the block ends with this row.
+    more = flow[SLICES] or flow[STEPS_LEFT] or flow[FRACTION_LEFT]
     if steps == 0 and more and flow[HOLD] and flow[END_SPEED] == 0:
         return 0  # held: stopped between two steps
     at = flow[BLOCK_AT]

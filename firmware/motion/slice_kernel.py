@@ -109,7 +109,7 @@ def slices(flow: ptr32, table: ptr32, dynamic: int) -> int:
     # The segment's lowest and highest speed: its first, and that at the end of each piece.
     slow = flow[ROW_SPEED]
     fast = slow
-    at = PIECES
+    at = PIECES  # index in the flow
     while at < flow[PIECE_AT]:
         at += 2
         speed = flow[at - 1]

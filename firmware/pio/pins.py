@@ -124,8 +124,8 @@ class GpioPort(PortPins):
     def _begin_pulses(self, index: int, hz: int) -> PWM:
         """Start PWM of `hz` on an output of an extra, by its index, and return it. ValueError on a
         conflict: the two pins of a slice have one frequency, and two pins of the same channel of a
-        slice have the same pulses. Pins share a slice if
-        their numbers differ in no bit of slice_bits except the lowest, which is the channel."""
+        slice have the same pulses. Pins share a slice if their numbers differ in no bit of
+        slice_bits except the lowest, which is the channel."""
         own = self._own_numbers[index]
         others: "list[tuple[int | None, int]]" = list(zip(self._own_numbers, self._own_hz))
         slice_bits = _SLICE_BITS

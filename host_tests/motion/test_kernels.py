@@ -122,7 +122,7 @@ def test_millimetres_become_steps_in_single_precision(mm: float, resolution: flo
     product = single(mm * resolution)
     inside = to_steps(target, table)
     steps = table[layout.LIMITS + layout.TARGET :]
-    far = 2**29  # FAR, added to steps, so that none is negative
+    far = 2**29  # PLACE_BIAS, added to steps, so that none is negative
     assert inside == (abs(product) < far) or abs(product) == far
     if inside:
         rounded = int(abs(product) + 0.5)  # exact: a double holds both
