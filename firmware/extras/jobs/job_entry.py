@@ -77,7 +77,7 @@ def apply(machine: "Controller", stored: "list[Any]") -> None:
     modes, coords, state = machine.modes, machine.coords, machine.state
     position, modal, rates, tool, g92, coords.tool_length = stored
     modes.position[:] = array("f", position)
-    modes.rates[:] = array("f", rates + [tool])
+    modes.rates[:] = array("f", rates + [tool])  # the tool's number is its last
     for i in range(MODAL_LENGTH):
         modes.modal[i] = modal[i]
     coords.active = modal[SYSTEM]
@@ -218,7 +218,7 @@ class Entry:
         if self.has_ended:
             raise CannotEnter("line %d ends the program" % number)
         modes = machine.modes
-        if modes.modal[MOTION] >= PROBE_TOWARD:
+        if modes.modal[MOTION] >= PROBE_TOWARD:  # G38.2 to G38.5, the highest modes
             raise CannotEnter("line %d probes: its end position is not known" % number)
         if modes.position[_Z] > self._highest_z:
             self._highest_z = modes.position[_Z]

@@ -155,7 +155,7 @@ class Feed:
         _, _, _, self._kinds = machine.reader.memory()  # the kind of each byte value
         self._flow = machine.planner.flow
         self._line_of_row = array("i", bytes(4 * self._flow[layout.ROWS]))
-        self._state = array("i", bytes(24))
+        self._state = array("i", bytes(4 * 6))  # _LINES_ANSWERED and so on
         self._state[_EMPTY_RING_BYTES] = self._reader.free()
         self._file_bytes = bytearray(_FILE_BYTES)
         self._sender_bytes = bytearray(_SENDER_BYTES)
@@ -186,7 +186,7 @@ class Feed:
         if count:
             self._handle_sender(count)
         if self._state[_NOTED_HEAD] != self._flow[layout.HEAD]:
-            _note_blocks(self._state, self._line_of_row, self._flow, 0)
+            _note_blocks(self._state, self._line_of_row, self._flow, 0)  # 0: none answered now
         port = self._machine.port
         if port.elapsed_ms(self._looked_ms) >= _IN_ENGINE_MS:
             self._looked_ms = port.ticks_ms()
@@ -208,7 +208,7 @@ class Feed:
         The results of startup lines, after $H, are sent.
         """
         if not self.is_on or data[0] != _LETTER_O or self._is_startup:
-            self._is_startup = data[0] == _STARTUP_SIGN
+            self._is_startup = data[0] == _STARTUP_SIGN  # its ok follows
             self._write_link(data)
         else:
             oks = len(data) >> 2  # it is 1 or 2 times "ok\r\n"
@@ -387,7 +387,8 @@ class Feed:
             try:
                 if answer & _READ_ONLY_FLAG:
                     line = bytearray((_DOLLAR, answer & ~_READ_ONLY_FLAG, 0))
-                    machine.state.hooks.find_command(line, 2)(line, 2)
+                    execute = machine.state.hooks.find_command(line, 2)
+                    execute(line, 2)
                 elif answer:
                     raise GrblError(answer)
                 self._write_link(OK)
