@@ -29,7 +29,7 @@ def package_dir() -> dict[str, str]:
 
 
 class WithCompiledFirmware(build_py):
-    """Whoever has the package needs no compiler: see tools/compiling/prebuilt.py."""
+    """Whoever has the package needs no compiler: see tools/compiling/build.py."""
 
     def run(self) -> None:
         # Else what an older build has left there would be in the package, too.
@@ -37,7 +37,7 @@ class WithCompiledFirmware(build_py):
         super().run()
         if not self.editable_mode:
             where = os.pathsep.join([self.build_lib, os.environ.get("PYTHONPATH", "")])
-            fill = "from ugrbl.compiling.folder import fill_stock; fill_stock()"
+            fill = "from ugrbl.compiling.build import fill_package; fill_package()"
             command = [sys.executable, "-c", fill]
             subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": where})
 

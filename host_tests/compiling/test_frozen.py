@@ -24,7 +24,7 @@ from ugrbl.boardfile.files import board_file, boards, load_board
 from ugrbl.cli import deploy as cli_deploy
 from ugrbl.cli.app import app
 from ugrbl.compiling import build, freeze, mpy
-from ugrbl.compiling.freeze import Frozen, NotFrozen
+from ugrbl.compiling.freeze import NotFrozen
 from ugrbl.device import checkup
 from ugrbl.device.deploy import LIST, DeployError, Result
 from ugrbl.image import uf2
@@ -50,8 +50,8 @@ def made() -> build.Build:
 
 
 @pytest.fixture(scope="module")
-def frozen(made: build.Build) -> Frozen:
-    return Frozen(made.id)
+def frozen(made: build.Build) -> str:
+    return made.id
 
 
 # Frozen files
@@ -123,12 +123,10 @@ def test_no_number_is_beyond_what_micropython_can_freeze() -> None:
         assert all(abs(n) < 3.4e38 for n in numbers if isinstance(n, float)), name
 
 
-def test_build_names_the_frozen_firmware(made: build.Build, frozen: Frozen) -> None:
+def test_build_names_the_frozen_firmware(made: build.Build, frozen: str) -> None:
     content = freeze.for_board(board_file("rpi_pico")).files["base/frozen.mpy"]
     assert freeze.read(content.decode("latin-1")) == frozen
-    assert freeze.read(build.texts()[freeze.HELPER]) is None
-    assert frozen.lacks(made) == ""
-    assert "the build 01234567 is frozen" in Frozen("01234567").lacks(made)
+    assert freeze.read(build.texts()[freeze.HELPER]) == ""
 
 
 # What MicroPython runs at a start
@@ -261,10 +259,10 @@ def test_frozen_needs_a_board(tmp_path: Path) -> None:
 # ugrbl uf2
 
 
-def frozen_program(frozen: Frozen) -> Flash:
+def frozen_program(frozen: str) -> Flash:
     """Return a MicroPython image with frozen firmware, whose end is not on a page boundary."""
     flash = program()
-    about = f"ugrbl frozen: {frozen.id}".encode() + b"\0"
+    about = f"ugrbl frozen: {frozen}".encode() + b"\0"
     data = b"\xe9" * 37 + about
     for at in range(0, len(data), PAGE):
         flash.pages[flash.end] = data[at : at + PAGE].ljust(PAGE, b"\4")
@@ -272,14 +270,14 @@ def frozen_program(frozen: Frozen) -> Flash:
 
 
 @pytest.fixture
-def image(tmp_path: Path, frozen: Frozen) -> Path:
+def image(tmp_path: Path, frozen: str) -> Path:
     file = tmp_path / "firmware.uf2"
     file.write_bytes(uf2.write(frozen_program(frozen)))
     return file
 
 
 def test_uf2_with_keep_leaves_the_file_system_unchanged(
-    image: Path, tmp_path: Path, frozen: Frozen
+    image: Path, tmp_path: Path, frozen: str
 ) -> None:
     out = tmp_path / "all.uf2"
     chip = used_chip(2 << 20, 3)
@@ -309,27 +307,28 @@ def test_files_are_used_before_frozen_firmware_of_another_build(
     tmp_path: Path, made: build.Build
 ) -> None:
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
-    image.write_bytes(uf2.write(frozen_program(Frozen("01234567"))))
+    image.write_bytes(uf2.write(frozen_program("01234567")))
     done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
-    assert "build 01234567; the files go before it" in " ".join(done.output.split())
+    assert "build 01234567; files on the board take priority" in " ".join(done.output.split())
     assert {*made.files} < {*after_a_drag(out.read_bytes())[1]}
 
 
 @pytest.mark.parametrize(
-    ("change", "words", "said"),
+    ("other", "words", "said"),
     [
         (None, [], "the firmware is not frozen into it"),
         (None, [], "`ugrbl deploy` brings it up to date and keeps them"),
-        ({"id": "01234567"}, [], "the build 01234567 is frozen into it, and here is"),
-        ({}, ["--board", "rpi_pico2"], "it is for RP2040; the board file is for RP2350"),
-        ({}, ["--settings", "my.settings"], "no place for my.settings"),
-        ({}, ["--custom", "custom.py"], "no place for custom.py"),
+        ("01234567", [], "the build 01234567 is frozen into it, and here is"),
+        ("", ["--board", "rpi_pico2"], "it is for RP2040; the board file is for RP2350"),
+        ("", ["--settings", "my.settings"], "no place for my.settings"),
+        ("", ["--custom", "custom.py"], "no place for custom.py"),
     ],
 )
 def test_uf2_that_cannot_keep_is_one_message_and_no_file(
-    change: "dict[str, Any] | None", words: "list[str]", said: str, tmp_path: Path, frozen: Frozen
+    other: "str | None", words: "list[str]", said: str, tmp_path: Path, frozen: str
 ) -> None:
-    flash = program() if change is None else frozen_program(frozen._replace(**change))
+    """other: id of the frozen firmware; "": of this build; None: none is frozen."""
+    flash = program() if other is None else frozen_program(other or frozen)
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
     image.write_bytes(uf2.write(flash))
     done = ugrbl_uf2("--micropython", str(image), "--keep", "-o", str(out), *words)
@@ -340,16 +339,16 @@ def test_uf2_that_cannot_keep_is_one_message_and_no_file(
 # ugrbl deploy
 
 
-def test_board_with_frozen_firmware_gets_its_board_file(made: build.Build, frozen: Frozen) -> None:
+def test_board_with_frozen_firmware_gets_its_board_file(made: build.Build, frozen: str) -> None:
     board = FakeBoard(PICO._replace(frozen=frozen))
     result = put(board, made)
     assert board.writes() == ["board.py", LIST]
-    assert (result.frozen, result.runs_frozen) == (frozen.id, True)
+    assert (result.frozen, result.runs_frozen) == (frozen, True)
     assert put(board, made).unchanged == 1 and not board.writes()
 
 
 def test_earlier_firmware_files_are_removed_and_user_files_stay(
-    made: build.Build, frozen: Frozen
+    made: build.Build, frozen: str
 ) -> None:
     board = FakeBoard()
     board.disk["custom.py"] = b"# mine"
@@ -363,20 +362,22 @@ def test_earlier_firmware_files_are_removed_and_user_files_stay(
 
 
 def test_firmware_other_than_the_frozen_one_is_copied_as_files(made: build.Build) -> None:
-    board = FakeBoard(PICO._replace(frozen=Frozen("01234567")))
+    board = FakeBoard(PICO._replace(frozen="01234567"))
     result = put(board, made)
     assert (result.frozen, result.runs_frozen) == ("01234567", False)
     assert {*made.files} < {*board.disk} and board.writes()[-1] == "main.py"
 
 
-@pytest.mark.parametrize(("runs", "said"), [(True, "which runs"), (False, "files go before it")])
+@pytest.mark.parametrize(
+    ("runs", "said"), [(True, "which runs"), (False, "files on the board take priority")]
+)
 def test_deploy_reports_which_firmware_runs(runs: bool, said: str) -> None:
     ((name, text),) = cli_deploy._frozen(Result(frozen="12ab34cd", runs_frozen=runs))
     assert name == "frozen" and "build 12ab34cd" in text and said in text
     assert cli_deploy._frozen(Result()) == []
 
 
-def test_foreign_main_py_is_not_lost_to_frozen_firmware(made: build.Build, frozen: Frozen) -> None:
+def test_foreign_main_py_is_not_lost_to_frozen_firmware(made: build.Build, frozen: str) -> None:
     board = FakeBoard(PICO._replace(frozen=frozen))
     board.disk["main.py"] = b"# mine"
     with pytest.raises(DeployError, match=r"main\.py was not put on the board"):

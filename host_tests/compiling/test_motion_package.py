@@ -10,8 +10,9 @@ import pytest
 from ugrbl import paths
 from ugrbl.boardfile.chips import ARCHS
 from ugrbl.boardfile.files import board_file, load_for_build
-from ugrbl.compiling import build, motion_package, stubs
+from ugrbl.compiling import build, motion_package
 from ugrbl.compiling.build import LIBRARY
+from ugrbl.run import stubs
 
 _MOST_BYTES = 40_000
 _LAYERS = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()}

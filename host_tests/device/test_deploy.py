@@ -19,7 +19,7 @@ from ugrbl.boardfile.files import BoardFileError, boards, load_board
 from ugrbl.cli import deploy as deploy_cli
 from ugrbl.cli import ports
 from ugrbl.cli.app import app
-from ugrbl.compiling import build, freeze
+from ugrbl.compiling import build
 from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline, pruned
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
@@ -457,7 +457,7 @@ def test_changed_page_is_updated_and_removed_when_not_served(
 
 
 def test_page_is_copied_next_to_frozen_firmware(with_page: build.Build) -> None:
-    frozen = freeze.Frozen(with_page.id)
+    frozen = with_page.id
     board = FakeBoard(PICO2_W._replace(frozen=frozen))
     put(board, with_page)
     assert board.writes() == ["board.py", *sorted(page_files.names()), LIST]
@@ -466,7 +466,7 @@ def test_page_is_copied_next_to_frozen_firmware(with_page: build.Build) -> None:
 def test_uf2_file_contains_the_page(with_page: build.Build) -> None:
     found = contents.files(with_page, {})
     assert page_files.made().items() <= found.items()
-    frozen = freeze.Frozen(with_page.id)
+    frozen = with_page.id
     beside = contents.files(with_page, {}, frozen)
     assert {*beside} == {"board.py", LIST, *page_files.names()}
 
@@ -512,7 +512,7 @@ def test_deployed_board_file_is_replaced_by_another(
         (PICO._replace(mpy=0x2B06), "xtensawin \\(ESP32 or ESP32S3\\)", "--board"),
         (PICO._replace(mpy=0x1206), "version 6.2, and mpy-cross makes 6.3", "MicroPython 1.28"),
         (PICO._replace(mpy=0x1305), "version 5.3, and mpy-cross makes 6.3", "MicroPython 1.28"),
-        (PICO._replace(mpy=0), "takes no compiled files", "official MicroPython"),
+        (PICO._replace(mpy=0), "cannot load compiled files", "official MicroPython"),
     ],
 )
 def test_board_that_cannot_run_the_build_is_not_touched(
@@ -533,7 +533,7 @@ def test_old_micropython_is_refused_before_anything_is_copied(
     made: build.Build,
 ) -> None:
     board = FakeBoard(PICO._replace(version="1.25.0"))
-    why = "MicroPython 1.25 is too old: ENGINE pio on RP2040 wants 1.26 or newer, for timers"
+    why = "MicroPython 1.25 is too old: ENGINE pio on RP2040 needs 1.26 or newer, for hard timer"
     with pytest.raises(DeployError, match=why) as refused:
         put(board, made)
     assert "1.28" in refused.value.todo
@@ -611,13 +611,13 @@ def test_ctrl_c_reports_the_state_it_leaves(
 def test_missing_port_is_reported(tmp_path: Path) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", tmp_path / "nothing")
     assert done.exit_code == 1
-    assert "no such port" in done.output and "-> is it written right" in done.output
+    assert "no such port" in done.output and "-> is its name right" in done.output
 
 
 def test_missing_board_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "find", list)
     done = ugrbl("deploy", "--board", "rpi_pico")
-    assert done.exit_code == 1 and "no controller is plugged in" in done.output
+    assert done.exit_code == 1 and "no controller was found" in done.output
 
 
 @pytest.mark.parametrize("command", ["build", "deploy"])
@@ -676,12 +676,12 @@ _IDLE: "dict[bytes, bytes | None]" = {b"?": b"<Idle|MPos:1.000,0.000,0.000|FS:0,
 
 
 def test_simulator_is_reported(talk: Callable[..., str]) -> None:
-    assert "it is the simulator that answers" in talk(_IDLE)
+    assert "the simulator answers on" in talk(_IDLE)
 
 
 def test_other_grbl_is_reported(talk: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.device.deploy_device.is_simulator", lambda port: False)
-    assert "does not give way to MicroPython's prompt -> is it ours?" in talk(_IDLE)
+    assert "does not open MicroPython's prompt -> is it ugrbl?" in talk(_IDLE)
 
 
 def test_silent_port_is_reported(talk: Callable[..., str]) -> None:

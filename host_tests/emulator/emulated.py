@@ -14,7 +14,6 @@ from chips import CHIP, Edge, power_up
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build, freeze
-from ugrbl.compiling.freeze import Frozen
 from ugrbl.image import contents
 from ugrbl.paths import BOARDS
 from ugrbl.run import machine
@@ -42,17 +41,17 @@ _ANSWER_US = 2_000_000
 
 
 @cache
-def firmware(frozen: "Frozen | None" = None) -> "Mapping[str, bytes]":
+def firmware(frozen: str = "") -> "Mapping[str, bytes]":
     """Return the files that `ugrbl deploy` copies to a Pico, by path.
 
-    frozen: the part that its MicroPython contains.
+    frozen: id of the firmware that its MicroPython contains.
     """
-    return freeze.beside(build.for_board(BOARD_FILE), frozen).files
+    return freeze.not_frozen(build.for_board(BOARD_FILE), frozen).files
 
 
 @cache
-def frozen_in(uf2: Path) -> "Frozen | None":
-    """Return our firmware that is frozen in that image."""
+def frozen_in(uf2: Path) -> str:
+    """Return the id of our firmware that is frozen in that image, or ""."""
     return contents.read(uf2).frozen
 
 

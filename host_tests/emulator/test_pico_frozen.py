@@ -48,10 +48,9 @@ def frozen_uf2() -> Path:
     named = os.environ.get("UGRBL_FROZEN_UF2", "")
     if not named:
         pytest.skip("UGRBL_FROZEN_UF2 names no image: docs/boards.md says how to build it")
-    frozen = frozen_in(Path(named))
-    why = frozen.lacks(for_board(BOARD_FILE)) if frozen else "nothing is frozen in"
-    if why:
-        pytest.skip(f"UGRBL_FROZEN_UF2: {why}")
+    frozen, here = frozen_in(Path(named)), for_board(BOARD_FILE).id
+    if frozen != here:
+        pytest.skip(f"UGRBL_FROZEN_UF2 contains the build {frozen or 'none'}, and here is {here}")
     return Path(named)
 
 

@@ -34,7 +34,6 @@ SCREENS = ("cli", "docs.__main__", "run.kernels")
 # Modules that write without paths.write(): into a temporary or new folder, a disk's image, or our
 # docs.
 WRITERS = {
-    "compiling.compilers",
     "run.kernels",
     "compiling.machine_code",
     "boardfile.page_files",

@@ -10,9 +10,10 @@ from rich.markup import escape
 from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
 from ..compiling import build, freeze, motion_package
-from ..compiling.build import Build, BuildError, Progress
-from ..compiling.folder import check, save, save_motion, save_to_freeze
+from ..compiling.build import Build, BuildError
+from ..compiling.folder import check, save
 from ..device.deploy import ARCHS
+from ..run import stubs
 from .outputs import check_outputs, examples, save_json, words
 
 EXAMPLES = examples(
@@ -21,34 +22,39 @@ EXAMPLES = examples(
 )
 _ARCH = "armv6m"
 _FOLDER = Path("build")
-_SAVE = {"": save, "frozen": save_to_freeze, "motion": save_motion}
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="FOLDER",
+        help="Folder to write. [default: build/BOARD or build/ARCH]",
+    ),
+]
 
 
 def command(
     board: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="A file of boards/, or a path."),
+        typer.Option(metavar="NAME", help="Board: a file of boards/, or a path."),
     ] = None,
     arch: Annotated[
         str, typer.Option(metavar="ARCH", help="Processor, if no board is given.")
     ] = _ARCH,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", metavar="FOLDER", help="By default build/BOARD or build/ARCH."
-        ),
-    ] = None,
+    out: Out = None,
     frozen: Annotated[
         bool,
-        typer.Option("--frozen", help="All modules, as manifest.py freezes them: build/frozen/."),
+        typer.Option(
+            "--frozen", help="Build all modules, for manifest.py to freeze: build/frozen/."
+        ),
     ] = False,
     motion: Annotated[
         bool,
-        typer.Option("--motion", help="The package ugrbl_motion: build/motion/."),
+        typer.Option("--motion", help="Build the package ugrbl_motion: build/motion/."),
     ] = False,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
+        typer.Option("--json", metavar="FILE", help="Write the sizes to this file; - is stdout."),
     ] = None,
 ) -> None:
     """Compile the firmware for a board; show each module's bytes.
@@ -62,19 +68,20 @@ def command(
     """
     console = Console(stderr=str(json_file) == "-")
 
-    def progress(name: str, size: int) -> None:
-        console.print(f"{size:7} {name}", highlight=False)
-
     kind = "frozen" if frozen else "motion" if motion else ""
     folder = out or _FOLDER / kind / (Path(board).stem if board else arch)
     try:
         check(folder, is_named=out is not None)
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", given=locals())
-        made = _make(board, getattr(described, "MPY_ARCH", arch), progress, kind)
-        _SAVE[kind](made, folder)
+        made = _make(board, getattr(described, "MPY_ARCH", arch), kind)
+        save(made, folder, for_mip=not frozen)
+        if motion:
+            stubs.save(stubs.motion(), folder)
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
+    for name, content in sorted(made.files.items()):
+        console.print(f"{len(content):7} {name}", highlight=False)
     for text in notes(described) if described else ():
         console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
     text = f"{made.bytes:7} bytes in all, in {folder}; build {made.id}"
@@ -84,18 +91,18 @@ def command(
         save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
 
 
-def _make(board: str | None, arch: str, progress: Progress, kind: str) -> Build:
+def _make(board: str | None, arch: str, kind: str) -> Build:
     """Compile the firmware, for a board or a processor, or another kind of build."""
     if arch not in ARCHS[1:]:
-        raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
+        raise BuildError(f"{arch} is no processor: choose one of {', '.join(ARCHS[1:])}")
     if kind == "frozen" and not board:
-        raise BuildError("frozen for which board? --board NAME")
+        raise BuildError("--frozen needs a board: --board NAME")
     if kind == "motion":
-        return motion_package.compile_for(arch, progress)
+        return motion_package.compile_for(arch)
     if not board:
-        return build.compile_all(arch, None, progress)
+        return build.compile_all(arch)
     compile_for = freeze.for_board if kind else build.for_board
-    return compile_for(board_file(board), progress)
+    return compile_for(board_file(board))
 
 
 def failed(why: Exception) -> typer.Exit:

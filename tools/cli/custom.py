@@ -7,9 +7,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from .. import paths
-from ..compiling import stubs
-from ..run import custom_check, custom_try, machine
+from ..run import custom_check, custom_try, machine, stubs
 from ..run.custom_check import Verdict
 from ..run.machine import Around
 from ..run.own_python import OwnPython
@@ -68,8 +66,7 @@ def types(
     """
     files = {**stubs.custom(), **stubs.motion()}
     try:
-        for path, text in files.items():
-            paths.write(folder / path, text.encode())
+        stubs.save(files, folder)
     except OSError as error:
         raise failed(error) from error
     Console().print(
@@ -80,7 +77,7 @@ def types(
 def judge(console: Console, board: str, surroundings: Around) -> Verdict:
     """Check the user's Python and show the result."""
     own = _own(surroundings)
-    with console.status(f"looking at {own.path} …"):
+    with console.status(f"checking {own.path} …"):
         verdict, notes = custom_check.check(own, board, surroundings)
         custom_try.try_all(notes, board, surroundings, verdict)
     _tell(console, own, verdict, board)
@@ -106,7 +103,7 @@ def _tell(console: Console, own: OwnPython, verdict: Verdict, board: str) -> Non
         else:
             say("[red]BAD [/] ", result)
     for lack in verdict.untried:
-        say("[yellow]note[/] ", f"cannot be tried here: {lack}")
+        say("[yellow]note[/] ", f"cannot be tried in the simulator: {lack}")
     for note in verdict.notes + _assumed(own, board):
         say("[yellow]note[/] ", note)
     count = len(verdict.handlers)
@@ -127,4 +124,6 @@ def _assumed(own: OwnPython, board: str) -> list[str]:
     named = [name for names in pins.values() for name in names]
     if not named:
         return []
-    return [f"pins are taken as there: {', '.join(named)}; --board NAME looks at a board's own"]
+    return [
+        f"pins are assumed to exist: {', '.join(named)}; --board NAME checks the pins of a board"
+    ]

@@ -25,33 +25,39 @@ EXAMPLES = examples(
 )
 _DOWNLOAD = "micropython.org/download has it for each board, as a .uf2 file"
 _STAYS = (
-    " What the board has kept stays; firmware that was deployed there too, and goes before what is"
-    " frozen: `ugrbl deploy` takes it away."
+    " Files on the board stay; so does deployed firmware, which takes priority over what is"
+    " frozen: `ugrbl deploy` removes it."
 )
 _DRIVES = {"RP2040": "RPI-RP2", "RP2350": "RP2350"}
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="FILE", help="File to write. [default: build/BOARD.uf2]"),
+]
 
 
 def command(
     board: Annotated[
-        str, typer.Option(metavar="NAME", help="A file of boards/, or a path: my_router.py.")
+        str,
+        typer.Option(metavar="NAME", help="Board: a file of boards/, or a path: my_router.py."),
     ],
     micropython: Annotated[
         Path,
-        typer.Option(metavar="FILE", readable=False, help=f"MicroPython: {_DOWNLOAD}."),
+        typer.Option(metavar="FILE", readable=False, help=f"MicroPython image: {_DOWNLOAD}."),
     ],
     settings: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", readable=False, help="As `ugrbl settings pull` writes it."),
+        typer.Option(
+            metavar="FILE",
+            readable=False,
+            help="A settings file, as `ugrbl settings pull` writes it.",
+        ),
     ] = None,
     custom: CustomFile = None,
     keep: Annotated[
         bool,
-        typer.Option("--keep", help="No file system: a board's files stay. See below."),
+        typer.Option("--keep", help="Leave out the file system: the board keeps its files."),
     ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="By default build/BOARD.uf2."),
-    ] = None,
+    out: Out = None,
 ) -> None:
     """Make one file to be dragged onto an RP2040 or RP2350 board.
 
@@ -68,7 +74,7 @@ def command(
     try:
         check_output(file, given=locals())
         if file.suffix.lower() != ".uf2":
-            raise Uf2Error(f"{file}: the name of what is dragged onto a board ends in .uf2")
+            raise Uf2Error(f"{file}: the name of an image for a board must end in .uf2")
         micropython_image = contents.read(micropython)
         described = load_for_build(board_file(board))
         contents.check_fit(micropython_image, described.MPY_ARCH, described.ENGINE)
@@ -92,7 +98,7 @@ def command(
 
 def _check_nothing_else(wanted: Path | None) -> None:
     if wanted:
-        raise Uf2Error(f"with --keep there is no place for {wanted}: what the board has stays")
+        raise Uf2Error(f"{wanted} cannot be added with --keep: the board keeps its files")
 
 
 def _own(
@@ -106,7 +112,7 @@ def _own(
         return kept
     surroundings = around(board, custom, None)
     if not judge(console, board, surroundings).is_good:
-        raise failed("nothing has been made")
+        raise failed("no file was written")
     assert surroundings.custom
     return {**surroundings.custom.files, **kept}
 
@@ -125,7 +131,7 @@ def _show(console: Console, file: Path, micropython: MicroPython, files: dict[st
             ]
         )
     )
-    then = " What the board has kept is lost then." if files else _STAYS
+    then = " All files stored on the board are lost." if files else _STAYS
     console.print(
         f"Hold BOOTSEL while you plug the board in, and drag the file onto {_DRIVES[chip]}.{then}",
         highlight=False,
@@ -137,5 +143,5 @@ def _frozen(micropython: MicroPython, files: dict[str, bytes]) -> list[tuple[str
     """Return a row that says which firmware runs, if one is frozen."""
     if not (frozen := micropython.frozen):
         return []
-    before = "; the files go before it" if START in files else ", which runs"
-    return [("frozen", f"build {frozen.id}{before}")]
+    before = "; files on the board take priority" if START in files else ", which runs"
+    return [("frozen", f"build {frozen}{before}")]

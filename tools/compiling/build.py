@@ -19,7 +19,7 @@ from ..boardfile import engines, hal_texts, options, page_files
 from ..boardfile.board_check import own_modules
 from ..boardfile.chips import CHIPS, processors
 from ..boardfile.files import load_for_build
-from . import compilers, kernel_module, prebuilt
+from . import compilers, kernel_module
 from .cache import cached
 from .inline import inline
 from .kernel_module import Apart
@@ -29,9 +29,6 @@ START = "main.py"
 LIBRARY = "ugrbl_motion"
 KERNELS = f"{kernel_module.PACKAGE}/"  # files on a board without a source file
 BOARD = "board.py"
-
-# Called with the path and the size in bytes of each file.
-Progress = Callable[[str, int], None]
 
 # These modules create engines and links. The function that creates one has its name.
 _PARTS = ("boot.parts", "boot.parts_esp")
@@ -138,7 +135,7 @@ def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
 def id_of(arch: str) -> str:
     """Return the id of this firmware. It depends on the sources and the processor, not on what the
     passes make of them."""
-    return _id(_written(arch))
+    return _id(for_chip(texts(), arch))
 
 
 def in_place(arch: str, more: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
@@ -146,7 +143,7 @@ def in_place(arch: str, more: Mapping[str, str] = MappingProxyType({})) -> dict[
 
     more: modules that are not the firmware's, by name.
     """
-    return _in_place(_written(arch) + tuple(more.items()))
+    return _in_place({**for_chip(texts(), arch), **more})
 
 
 def prepared(arch: str) -> Apart:
@@ -155,30 +152,20 @@ def prepared(arch: str) -> Apart:
     texts = in_place(arch)
     if arch not in compilers.PROCESSORS:
         return Apart(texts, c="", pieces={})
-    return _apart(tuple(texts.items()), tuple(_reached(texts, _plain(arch))))
+    return _apart(texts, _reached(texts, _plain(arch)))
 
 
-def _written(arch: str) -> tuple[tuple[str, str], ...]:
-    return tuple(for_chip(texts(), arch).items())
-
-
-def _id(written: tuple[tuple[str, str], ...]) -> str:
+def _id(written: dict[str, str]) -> str:
     return hashlib.sha256(repr(written).encode()).hexdigest()[:_DIGITS]
 
 
-@lru_cache(4)
 @cached
-def _in_place(written: tuple[tuple[str, str], ...]) -> dict[str, str]:
+def _in_place(written: dict[str, str]) -> dict[str, str]:
     stamped = f'"{_id(written)}"'
-    return {
-        name: text.replace(_OF_SOURCES, stamped) for name, text in inline(dict(written)).items()
-    }
+    return {name: text.replace(_OF_SOURCES, stamped) for name, text in inline(written).items()}
 
 
-@lru_cache(4)
-@cached
-def _apart(written: tuple[tuple[str, str], ...], core: tuple[str, ...]) -> Apart:
-    return kernel_module.taken_apart(dict(written), core)
+_apart = cached(kernel_module.taken_apart)
 
 
 # Modules that a board needs
@@ -293,10 +280,22 @@ def firmware(arch: str) -> dict[str, bytes]:
     BuildError."""
     if compilers.are_there(arch):
         return compiled(arch, prepared(arch))
-    try:
-        return prebuilt.find(texts(), arch)
-    except prebuilt.NotThere as why:
-        raise BuildError(compilers.missing(str(why))) from why
+    if found := {file.name: file.read_bytes() for file in _in_package(arch).glob("*")}:
+        return found
+    changed = "the firmware has changed since it was compiled" if paths.COMPILED.is_dir() else ""
+    raise BuildError(compilers.missing(changed))
+
+
+def fill_package() -> None:
+    """Compile the firmware for every processor into the package, for users without compilers."""
+    for arch in {chip.mpy_arch for chip in CHIPS.values()}:
+        for name, content in firmware(arch).items():
+            paths.write(_in_package(arch) / name, content)
+
+
+def _in_package(arch: str) -> Path:
+    """Return the folder for the compiled modules of these sources, a file each, by name."""
+    return paths.COMPILED / arch / id_of(arch)
 
 
 def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[str, bytes]:
@@ -312,9 +311,7 @@ def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[s
     return code
 
 
-def compile_all(
-    arch: str, board: ModuleType | None = None, progress: Progress = lambda name, size: None
-) -> Build:
+def compile_all(arch: str, board: ModuleType | None = None) -> Build:
     """Compile every module, or those a board needs. Without compilers they come from the package.
 
     Raises BuildError if the package does not have them either.
@@ -323,23 +320,19 @@ def compile_all(
     wanted = _reached(prepared(arch).texts, board) if board else whole
     files = {path_of(name): whole[name] for name in wanted}
     files[START] = _text(START).encode()
-    for path, content in sorted(files.items()):
-        progress(path, len(content))
     return Build(arch, files, id=id_of(arch))
 
 
-def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build:
+def for_board(file: Path) -> Build:
     """Return all files for the board of that board file. Raises BoardFileError before it
     compiles."""
     board: Any = load_for_build(file)
-    made = compile_all(board.MPY_ARCH, board, progress)
+    made = compile_all(board.MPY_ARCH, board)
     made.engine = board.ENGINE
     own = {BOARD: file.read_bytes()}
     own |= {f"{name}.py": file.with_name(f"{name}.py").read_bytes() for name in own_modules(board)}
     own |= page_files.made() if getattr(board, "PAGE", False) else {}
     own |= hal_texts.made(board)
-    for path, content in own.items():
-        progress(path, len(content))
     made.files |= own
     made.own = tuple(own)
     return made

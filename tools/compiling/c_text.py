@@ -7,7 +7,7 @@ so that it cannot be a keyword of C.
 """
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from . import viper
 from .viper import Key, Module
@@ -37,16 +37,12 @@ def c_name(module: str, name: str) -> str:
 
 
 class Function:
-    """Translates one function to C. A dialect defines the type of integers, access to memory, and
-    calls of objects."""
+    """Translates one function to C."""
 
-    integer = ""  # the C type
-    object = ""
-    zero_pointer = ""
-
-    def __init__(self, module: Module, function: ast.FunctionDef) -> None:
-        self._module = module
-        self._function = function
+    def __init__(self, modules: "Mapping[str, Module]", key: Key) -> None:
+        self._modules = modules
+        self._module = module = modules[key[0]]
+        self._function = function = module.functions[key[1]]
         self.name = c_name(module.name, function.name)
         self.parameters = {
             argument.arg: viper.annotation(argument.annotation) for argument in function.args.args
@@ -60,54 +56,19 @@ class Function:
     def head(self) -> str:
         """Return its declaration."""
         listed = [f"{self.c_type(type)} {name}_" for name, type in self.parameters.items()]
-        return f"{self.integer} {self.name}({', '.join(listed) or 'void'})"
+        return f"integer {self.name}({', '.join(listed) or 'void'})"
 
     def body(self) -> str:
         """Return its definition."""
         own = [name for name in self._types if name not in self.parameters]
-        zero = {name: self.zero_pointer if self._types[name] in BITS else "0" for name in own}
-        declared = [f"{self.c_type(self._types[name])} {name}_ = {zero[name]};" for name in own]
+        declared = [f"{self.c_type(self._types[name])} {name}_ = {{0}};" for name in own]
         lines = [*declared, *self._block(viper.body(self._function)), "return 0;"]
         inner = "\n    ".join(lines)
         return f"static {self.head()} {{\n    {inner}\n}}\n"
 
     def c_type(self, type: str) -> str:
         """Return the C type of a viper type."""
-        return type if type in BITS else self.object if type == "object" else self.integer
-
-    # Defined by a dialect
-
-    def number(self, value: int) -> str:
-        """Return a constant."""
-        raise NotImplementedError
-
-    def load(self, bits: int, pointer: str, index: str) -> str:
-        """Return the expression that reads from memory."""
-        raise NotImplementedError
-
-    def store(self, bits: int, pointer: str, index: str, value: str) -> str:
-        """Return the statement that writes to memory."""
-        raise NotImplementedError
-
-    def cast(self, type: str, node: ast.expr) -> str:
-        """Return a value cast to a pointer of this type."""
-        raise NotImplementedError
-
-    def call_object(self, node: ast.Call) -> str:
-        """Return the call of an object whose result is used as an integer."""
-        raise NotImplementedError
-
-    def call_statement(self, node: ast.Call) -> str:
-        """Return the call of an object as a statement; its result need not be a number."""
-        raise NotImplementedError
-
-    def after_objects(self) -> str:
-        """Return the statement that follows each use of an object; "" for none."""
-        return ""
-
-    def knows(self, key: Key) -> bool:
-        """Return whether this function is also in C."""
-        raise NotImplementedError
+        return type if type in BITS or type == "object" else "integer"
 
     def refuse(self, node: ast.AST) -> NotForC:
         """Return the exception to raise for a form that is not supported."""
@@ -126,7 +87,7 @@ class Function:
                 yield self._after(statement)
 
     def _after(self, node: ast.AST) -> str:
-        return self.after_objects() if any(map(self.is_object, ast.walk(node))) else ""
+        return "CHECK" if any(map(self.is_object, ast.walk(node))) else ""
 
     def is_object(self, node: ast.AST) -> bool:
         """Return whether it is the name of an object."""
@@ -137,23 +98,27 @@ class Function:
             case ast.Assign([ast.Name(name)], value):
                 yield f"{name}_ = {self.expression(value)};"
             case ast.Assign([ast.Subscript() as place], value):
-                yield f"{{ {self.integer} v = {self.expression(value)};"
+                yield f"{{ integer v = {self.expression(value)};"
                 yield self._after(value)
                 yield f"{self._store(place, 'v')} }}"
             case ast.Assign([ast.Tuple(names)], value) if self.is_object(value):
-                yield self._take_apart(node, names, value)
+                taken = f"TAKE_APART({self.expression(value)}, {len(names)});"
+                parts = [
+                    f"{self.expression(n)} = PART({i});" for i, n in reversed([*enumerate(names)])
+                ]
+                yield f"{{ {taken} {' '.join(parts)} }}"
             case ast.AugAssign(ast.Name(name) as target, op, value):
                 old = ast.Name(target.id, ast.Load())
                 yield f"{name}_ = {self.expression(ast.BinOp(old, op, value))};"
             case ast.AugAssign(ast.Subscript(pointer, index), op, value):
-                yield f"{{ {self.integer} place = {self.expression(index)};"
+                yield f"{{ integer place = {self.expression(index)};"
                 place = ast.Subscript(pointer, ast.Name(_PLACE, ast.Load()), ast.Load())
-                yield f"{self.integer} v = {self.expression(ast.BinOp(place, op, value))};"
+                yield f"integer v = {self.expression(ast.BinOp(place, op, value))};"
                 yield f"{self._store(place, 'v')} }}"
             case ast.Return(value):
                 yield f"return {self.expression(value) if value else 0};"
             case ast.Expr(ast.Call(called) as call) if self.is_object(called):
-                yield f"{self.call_statement(call)};"
+                yield f"DROP({self.called(call)});"
             case ast.Expr(value):
                 yield f"(void){self.expression(value)};"
             case ast.If(test, body, orelse):
@@ -175,14 +140,11 @@ class Function:
             case _:
                 raise self.refuse(node)
 
-    def _take_apart(self, node: ast.stmt, names: "list[ast.expr]", value: ast.expr) -> str:
-        raise self.refuse(node)
-
     def _for(self, name: str, bounds: "list[ast.expr]", body: "list[ast.stmt]") -> Iterator[str]:
         if len(bounds) > 2:
             raise self.refuse(bounds[2])
         first, end = ["0", *(self.expression(bound) for bound in bounds)][-2:]
-        yield f"for ({self.integer} turn = {first}, end = {end}; turn < end; turn++) {{"
+        yield f"for (integer turn = {first}, end = {end}; turn < end; turn++) {{"
         yield f"{name}_ = turn;"
         yield from self._block(body)
         yield "}"
@@ -193,29 +155,27 @@ class Function:
         """Return a value in C."""
         match node:
             case ast.Constant(int() as value):
-                return self.number(int(value))
+                return f"INT({int(value)})"
             case ast.Name(name) if name in self._types:
                 return f"{name}_"
             case ast.Name(name) if name in self._module.numbers:
-                return self.number(self._module.numbers[name])
+                return f"INT({self._module.numbers[name]})"
             case ast.Name(name) if name == _PLACE:
                 return "place"
             case ast.Subscript(pointer, index):
                 bits = BITS[self.pointer_type(pointer)]
-                return self.load(bits, self.expression(pointer), self.expression(index))
+                return f"get{bits}({self.expression(pointer)}, {self.expression(index)})"
             case ast.UnaryOp(ast.USub(), operand):
                 return f"(-{self.expression(operand)})"
             case ast.UnaryOp(ast.Not(), operand):
-                return f"(({self.integer})!{self.truth(operand)})"
+                return f"((integer)!{self.truth(operand)})"
             case ast.UnaryOp(ast.Invert(), operand):
                 return f"(~{self.expression(operand)})"
             case ast.BinOp(one, op, other):
                 return self._binary(self.expression(one), op, self.expression(other))
             case ast.Compare(one, [op], [other]):
                 sign = _COMPARE[type(op)]
-                return (
-                    f"(({self.integer})({self.expression(one)} {sign} {self.expression(other)}))"
-                )
+                return f"((integer)({self.expression(one)} {sign} {self.expression(other)}))"
             case ast.BoolOp(op, values):
                 return self._either(op, [self.truth(value) for value in values])
             case ast.IfExp(test, one, other):
@@ -227,7 +187,8 @@ class Function:
 
     def truth(self, node: ast.expr) -> str:
         """Return a value that is only compared with 0."""
-        return self.expression(node)
+        value = self.expression(node)
+        return f"TRUE({value})" if self.is_object(node) else value
 
     def _binary(self, one: str, op: ast.operator, other: str) -> str:
         if type(op) in _BY_FUNCTION:
@@ -239,12 +200,14 @@ class Function:
         *before, made = values
         for value in reversed(before):
             parts = ("t", made) if isinstance(op, ast.Or) else (made, "t")
-            made = f"({{ {self.integer} t = {value}; t ? {parts[0]} : {parts[1]}; }})"
+            made = f"({{ integer t = {value}; t ? {parts[0]} : {parts[1]}; }})"
         return made
 
     def _store(self, place: ast.Subscript, value: str) -> str:
         bits = BITS[self.pointer_type(place.value)]
-        return self.store(bits, self.expression(place.value), self.expression(place.slice), value)
+        return (
+            f"set{bits}({self.expression(place.value)}, {self.expression(place.slice)}, {value});"
+        )
 
     def pointer_type(self, node: ast.expr) -> str:
         """Return the type of a pointer; NotForC if it is not a pointer."""
@@ -254,20 +217,35 @@ class Function:
 
     def _call(self, node: ast.Call, name: str, arguments: "list[ast.expr]") -> str:
         if self.is_object(node.func):
-            return self.call_object(node)
+            return f"RESULT({self.called(node)})"
         if name == "int":
-            return self.as_int(arguments[0])
+            value = self.expression(arguments[0])
+            if self.is_object(arguments[0]):
+                return f"NUMBER({value})"
+            return f"ADDRESS({value})" if self.type_of(arguments[0]) in BITS else value
         if name in BITS:
             return self.cast(name, arguments[0])
         meant = self._module.means(name)
-        if meant is None or not self.knows(meant):
+        if meant is None or meant[1] not in getattr(self._modules.get(meant[0]), "functions", ()):
             raise self.refuse(node)
-        return f"{c_name(*meant)}({', '.join(self.handed(meant, arguments))})"
+        parameters = self._modules[meant[0]].functions[meant[1]].args.args
+        types = [viper.annotation(parameter.annotation) for parameter in parameters]
+        handed = [
+            self.cast(type, each) if type in BITS else self.expression(each)
+            for type, each in zip(types, arguments, strict=True)
+        ]
+        return f"{c_name(*meant)}({', '.join(handed)})"
 
-    def handed(self, key: Key, arguments: "list[ast.expr]") -> "list[str]":
-        """Return the arguments for a call of one of our functions."""
-        return [self.expression(argument) for argument in arguments]
+    def cast(self, type: str, node: ast.expr) -> str:
+        """Return a value as a pointer: an object's buffer, another pointer, or an address."""
+        if self.type_of(node) == type:
+            return self.expression(node)
+        return f"{'OF' if self.is_object(node) else 'AS'}({type}, {self.expression(node)})"
 
-    def as_int(self, node: ast.expr) -> str:
-        """Return the value of `int(node)`."""
-        return self.expression(node)
+    def called(self, node: ast.Call) -> str:
+        """Return the call of an object with objects and numbers."""
+        kinds = "".join("O" if self.is_object(each) else "L" for each in node.args)
+        values = map(self.expression, node.args)
+        given = [v if kind == "O" else f"BOX({v})" for kind, v in zip(kinds, values, strict=True)]
+        function, quoted = self.expression(node.func), f'"({kinds})"'
+        return f"CALL({', '.join([function, str(len(kinds)), quoted, *given])})"

@@ -1,6 +1,6 @@
-"""Results of the passes, stored on disk under a hash of their inputs.
+"""Results of the passes, kept in memory, and on disk under a hash of their inputs.
 
-The cache exists in a checkout only. The next command, or the next process of a test run, reuses
+The folder exists in a checkout only. The next command, or the next process of a test run, reuses
 results from it. A key covers the arguments, the source text of the passes and the versions of the
 compilers, so an entry is never out of date. `make clean` removes the cache.
 """
@@ -26,15 +26,23 @@ _MOST_DAYS = 7  # an unused result is removed after that
 
 
 def cached(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Store the results of a function on disk. It must depend only on its arguments, whose repr()
+    """Keep the results of a function. It must depend only on its arguments, whose repr()
     must be complete, and on the passes. Exceptions are not stored."""
+
+    in_memory: dict[str, _R] = {}
 
     @wraps(function)
     def found_or_made(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        asked = repr((_passes(), function.__module__, function.__name__, args, kwargs))
+        key = hashlib.sha256(asked.encode()).hexdigest()
+        if key not in in_memory:
+            in_memory[key] = of_disk(key, *args, **kwargs)
+        return in_memory[key]
+
+    def of_disk(key: str, *args: _P.args, **kwargs: _P.kwargs) -> _R:
         if paths.CACHE is None:
             return function(*args, **kwargs)
-        asked = repr((_passes(), function.__module__, function.__name__, args, kwargs))
-        file = paths.CACHE / hashlib.sha256(asked.encode()).hexdigest()
+        file = paths.CACHE / key
         try:
             found = pickle.loads(file.read_bytes())
             file.touch()

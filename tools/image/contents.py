@@ -8,7 +8,6 @@ from typing import NamedTuple
 from ..boardfile import chips
 from ..compiling import freeze
 from ..compiling.build import Build
-from ..compiling.freeze import Frozen
 from ..device.checkup import NEW_MICROPYTHON, release, too_old
 from ..device.deploy import LIST, SAVED, listing
 from ..paths import use_firmware
@@ -31,8 +30,8 @@ class MicroPython(NamedTuple):
         return uf2.CHIPS[self.flash.family]
 
     @property
-    def frozen(self) -> "Frozen | None":
-        """Return our firmware, if it is frozen into it."""
+    def frozen(self) -> str:
+        """Return the id of our firmware, if it is frozen into it, or ""."""
         program = self.flash.read(self.flash.start, self.flash.end - self.flash.start)
         return freeze.read(program.decode("latin-1"))
 
@@ -59,7 +58,7 @@ def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
     if chip not in wanted:
         return f"it is for {chip}; the board file is for {' or '.join(wanted)}"
     if len(release(version)) < 2:
-        return f"it does not say its version: {NEW_MICROPYTHON}"
+        return f"its version is not in it: {NEW_MICROPYTHON}"
     why = too_old(engine, chip, version)
     return f"{why}: {NEW_MICROPYTHON}" if why else ""
 
@@ -72,24 +71,26 @@ def frozen_only(micropython: MicroPython, made: Build) -> bytes:
     return uf2.write(micropython.flash)
 
 
-def _lacking(frozen: "Frozen | None", made: Build) -> str:
-    """Return why the frozen firmware is not that of this build; "" if it is."""
-    if frozen is None:
+def _lacking(frozen: str, made: Build) -> str:
+    """Return why the frozen firmware (its id) is not that of this build; "" if it is."""
+    if not frozen:
         return (
             "the firmware is not frozen into it, and would have to go where settings are kept: "
             "`ugrbl deploy` brings it up to date and keeps them; how to freeze it is told in "
             "docs/boards.md"
         )
-    why = frozen.lacks(made)
-    return f"{why}: build MicroPython anew, with this firmware" if why else ""
+    if frozen == made.id:
+        return ""
+    return (
+        f"the build {frozen} is frozen into it, and here is {made.id}: "
+        "build MicroPython anew, with this firmware"
+    )
 
 
-def files(
-    made: Build, own: Mapping[str, bytes], frozen: "Frozen | None" = None
-) -> dict[str, bytes]:
-    """Return the files by path. own: the user's. frozen: the firmware in its MicroPython."""
-    not_frozen = freeze.beside(made, frozen)
-    return {**not_frozen.files, LIST: listing(not_frozen), **own}
+def files(made: Build, own: Mapping[str, bytes], frozen: str = "") -> dict[str, bytes]:
+    """Return the files by path. own: the user's. frozen: id of the firmware in its MicroPython."""
+    rest = freeze.not_frozen(made, frozen)
+    return {**rest.files, LIST: listing(rest), **own}
 
 
 def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:

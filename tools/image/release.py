@@ -20,6 +20,7 @@ from ..boardfile import page_files
 from ..boardfile.chips import ARCHS
 from ..boardfile.files import board_file, boards
 from ..compiling import build, folder, motion_package
+from ..run import stubs
 
 CHECKSUMS = "SHA256SUMS"
 UNRELEASED = "Unreleased"
@@ -61,7 +62,12 @@ def board_zip(name: str) -> bytes:
 def motion_zip(arch: str) -> bytes:
     """Return the package ugrbl_motion for a processor as a zip, in a folder of that name."""
     made = motion_package.compile_for(arch)
-    return _zip(build.LIBRARY, lambda place: folder.save_motion(made, place))
+
+    def save(place: Path) -> None:
+        folder.save(made, place)
+        stubs.save(stubs.motion(), place)
+
+    return _zip(build.LIBRARY, save)
 
 
 def _zip(name: str, save: Callable[[Path], None]) -> bytes:

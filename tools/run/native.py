@@ -6,12 +6,11 @@ PyErr_SetString() sets it, and ctypes raises it after the function has returned.
 borrowed for the duration of a call. Only modules without hardware are translated.
 """
 
-import ast
 from collections.abc import Mapping
 
 from ..compiling.c_text import BITS, Function
 from ..compiling.inline import inline
-from ..compiling.viper import Key, Module
+from ..compiling.viper import Module
 
 OURS = __package__.partition(".")[0]
 # Layers that do not depend on hardware.
@@ -29,6 +28,21 @@ typedef struct {
     intptr_t *shape, *strides, *suboffsets;
     void *internal;
 } Py_buffer;
+typedef void *object;
+typedef int64_t integer;
+#define INT(value) INT64_C(value)
+#define OF(type, o) of_##type(o)
+#define AS(type, p) ((type){(void *)(p).at, (p).length * sizeof *(p).at / sizeof *((type *)0)->at})
+#define ADDRESS(p) ((int64_t)(p).at)
+#define TRUE(o) PyObject_IsTrue(o)
+#define NUMBER(o) PyLong_AsLongLong(o)
+#define RESULT(o) value(o)
+#define DROP(o) drop(o)
+#define BOX(value) (long long)(value)
+#define CALL(f, n, kinds, ...) PyObject_CallFunction(f, kinds, ##__VA_ARGS__)
+#define TAKE_APART(o, n) void *parts[n]; take_apart(o, n, parts)
+#define PART(i) parts[i]
+#define CHECK if (PyErr_Occurred()) return 0;
 extern void *PyExc_IndexError, *PyExc_OverflowError, *PyExc_ValueError, *PyExc_ZeroDivisionError;
 extern void PyErr_SetString(void *, const char *);
 extern void *PyErr_Occurred(void);
@@ -77,7 +91,7 @@ static inline int64_t right(int64_t a, int64_t n) {
 """
 _POINTER = """\
 typedef struct {{ {type} *at; int64_t length; }} ptr{bits};
-static inline ptr{bits} of{bits}(void *object) {{
+static inline ptr{bits} of_ptr{bits}(void *object) {{
     Py_buffer found = memory(object);
     return (ptr{bits}){{found.at, found.length / sizeof({type})}};
 }}
@@ -98,10 +112,9 @@ def in_c(sources: Mapping[str, str]) -> str:
     The string `kernels` in the C text lists them, a line each: module, name and parameter types.
     """
     texts = inline(sources, keep=True)
-    modules = [Module(name, text) for name, text in texts.items() if _is_plain(name)]
-    functions = [
-        _Function(module, function) for module in modules for function in module.functions.values()
-    ]
+    modules = {name: Module(name, text) for name, text in texts.items() if _is_plain(name)}
+    keys = [(name, function) for name, module in modules.items() for function in module.functions]
+    functions = [_Function(modules, key) for key in keys]
     listed = "".join([f'    "{f.listed()}\\n"\n' for f in functions])
     pointers = [_POINTER.format(bits=bits, type=_C_TYPES[bits]) for bits in BITS.values()]
     declared = [f"static {f.head()};\n" for f in functions]
@@ -117,10 +130,6 @@ def _is_plain(module: str) -> bool:
 class _Function(Function):
     """A function for a desktop."""
 
-    integer = "int64_t"
-    object = "void *"
-    zero_pointer = "{0}"
-
     def listed(self) -> str:
         """Return module, name and parameter types, for the caller."""
         return " ".join([self._module.name, self._function.name, *self.parameters.values()])
@@ -134,55 +143,3 @@ class _Function(Function):
             handed.append(f"{star}{name}_")
         outer = f"int64_t use_{self.name}({', '.join(listed)})"
         return f"{outer} {{ return {self.name}({', '.join(handed)}); }}\n"
-
-    def number(self, value: int) -> str:
-        return f"INT64_C({value})"
-
-    def load(self, bits: int, pointer: str, index: str) -> str:
-        return f"get{bits}({pointer}, {index})"
-
-    def store(self, bits: int, pointer: str, index: str, value: str) -> str:
-        return f"set{bits}({pointer}, {index}, {value});"
-
-    def cast(self, type: str, node: ast.expr) -> str:
-        memory, to = self.expression(node), BITS[type]
-        if self.is_object(node):
-            return f"of{to}({memory})"
-        of = BITS[self.pointer_type(node)]
-        return f"((ptr{to}){{(void *){memory}.at, {memory}.length * {of} / {to}}})"
-
-    def truth(self, node: ast.expr) -> str:
-        value = self.expression(node)
-        return f"PyObject_IsTrue({value})" if self.is_object(node) else value
-
-    def as_int(self, node: ast.expr) -> str:
-        value = self.expression(node)
-        if self.type_of(node) in BITS:
-            return f"(int64_t){value}.at"
-        return f"PyLong_AsLongLong({value})" if self.is_object(node) else value
-
-    def call_object(self, node: ast.Call) -> str:
-        return f"value({self._called(node)})"
-
-    def call_statement(self, node: ast.Call) -> str:
-        return f"drop({self._called(node)})"
-
-    def after_objects(self) -> str:
-        return "if (PyErr_Occurred()) return 0;"
-
-    def knows(self, key: Key) -> bool:
-        return _is_plain(key[0])
-
-    def _take_apart(self, node: ast.stmt, names: "list[ast.expr]", value: ast.expr) -> str:
-        count = len(names)
-        taken = f"void *parts[{count}]; take_apart({self.expression(value)}, {count}, parts);"
-        parts = (f"{self.expression(name)} = parts[{i}];" for i, name in enumerate(names))
-        return f"{{ {taken} {' '.join(parts)} }}"
-
-    def _called(self, node: ast.Call) -> str:
-        """Return the call of an object with objects and numbers."""
-        kinds = "".join("O" if self.is_object(each) else "L" for each in node.args)
-        given = [self.expression(node.func), f'"({kinds})"']
-        for kind, value in zip(kinds, map(self.expression, node.args), strict=True):
-            given.append(value if kind == "O" else f"(long long){value}")
-        return f"PyObject_CallFunction({', '.join(given)})"

@@ -8,7 +8,8 @@ Both are put in the folder `typings`, where Pyright and Pylance look without bei
 
 import ast
 import builtins
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
 from .. import paths
 
@@ -40,6 +41,12 @@ from typing import Any
 
 """
 _TYPES = ("array", "Callable", "Iterator", "Mapping", "Sequence", "Any")
+
+
+def save(stubs: Mapping[str, str], folder: Path) -> None:
+    """Write stubs, by path, into a folder."""
+    for path, text in stubs.items():
+        paths.write(folder / path, text.encode())
 
 
 def motion() -> dict[str, str]:
