@@ -26,14 +26,14 @@ STANDINS = _HERE / "sim" / "standins"  # stand-ins for modules that only a board
 _WHY = {
     errno.ENOENT: "there is no such file; is it written right?",
     errno.EISDIR: "it is a folder; name a file",
-    errno.ENOTDIR: "what should be a folder on the way to it is a file; is it written right?",
+    errno.ENOTDIR: "a folder in its path is a file; is it written right?",
     errno.ENAMETOOLONG: "its name is too long; take a shorter one",
     errno.ELOOP: "its links lead round in a circle; name the file itself",
-    errno.EACCES: "permission denied; change whose it is, or name another place",
-    errno.EPERM: "permission denied; change whose it is, or name another place",
-    errno.EROFS: "the disk takes no changes; name another place",
-    errno.ENOSPC: "the disk is full; make room, or name another place",
-    errno.EDQUOT: "your share of the disk is full; make room, or name another place",
+    errno.EACCES: "permission denied; change its permissions, or name another place",
+    errno.EPERM: "permission denied; change its permissions, or name another place",
+    errno.EROFS: "the disk is read-only; name another place",
+    errno.ENOSPC: "the disk is full; free some space, or name another place",
+    errno.EDQUOT: "your quota of the disk is full; free some space, or name another place",
     errno.EIO: "the disk does not answer as it should; is it still connected?",
 }
 
@@ -77,7 +77,7 @@ def write(file: Path, data: bytes) -> None:
 def _unwritable(file: Path, error: OSError) -> OSError:
     """Return the error with its cause in words."""
     is_missing = error.errno == errno.ENOENT  # ENOENT on writing: in /proc, for example
-    words = "no file can be made there; name another place" if is_missing else why(error)
+    words = "no file can be created there; name another place" if is_missing else why(error)
     return OSError(f"{file} cannot be written: {words}")
 
 

@@ -280,7 +280,7 @@ def test_machine_with_full_flash_starts_with_defaults_and_reports_it() -> None:
     machine = Machine(watched=False)
     machine.rig.store = FullStore()
     machine.play(["G91", "G1X1F300", "$110=600"])
-    assert machine.received.count("[MSG:Flash is full or worn: not kept]") == 4
+    assert machine.received.count("[MSG:Flash is full or worn: not saved]") == 4
     assert "$110=500.000" in machine.received
     assert machine.received[-2:-1] == ["error:7"]
     assert machine.physical() == [250, 0, 0]

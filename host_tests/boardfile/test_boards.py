@@ -122,20 +122,20 @@ def test_board_is_data_only(name: str) -> None:
             {**WIFI, "STEP": (19, 20, 21, 22, 7), "DIR": (26, 27, 28, 6, 8), "LIMIT": None},
             'TOOL = laser: with LINK = "wifi" it takes 4 motors at the most',
         ),
-        ({"CONTROL": (14,)}, "CONTROL wants four entries"),
+        ({"CONTROL": (14,)}, "CONTROL needs four entries"),
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
         ({"PWM_MAX": 65535}, "PWM_MAX is 65535: it is 16383 at the most"),
         ({"ESTOP": 14}, "HOLD: pin 14 is ESTOP already"),
         ({"OUTPUTS": {"vacuum": 2}}, "OUTPUTS: pin 2 is STEP already"),
         ({"OUTPUTS": {"lamp": 27}, "INPUTS": {"door": 27}}, "INPUTS: pin 27 is OUTPUTS already"),
-        ({"INVERT": "FLOOD"}, "INVERT is 'FLOOD' and wants parentheses and a comma"),
+        ({"INVERT": "FLOOD"}, "INVERT is 'FLOOD' but needs parentheses and a comma"),
         ({"INVERT": ("ENABLE",)}, "INVERT: 'ENABLE' is not one of SPINDLE_PWM, SPINDLE_ON"),
         ({"INVERT": ("FLOOD",)}, "INVERT: there is no pin for FLOOD"),
         ({"INVERT": ("FLOOD",), "FLOOD": 18}, ""),
         ({"CONTROL_INVERT": 2}, ""),
-        ({"CONTROL_INVERT": 1}, "CONTROL_INVERT: there is no pin for RESET, and open means"),
+        ({"CONTROL_INVERT": 1}, "CONTROL_INVERT: there is no pin for RESET, so it would"),
         ({"CONTROL_INVERT": 16}, "CONTROL_INVERT is 16: it is 15 at the most"),
-        ({"CONTROL_INVERT": "2"}, "CONTROL_INVERT is '2': it is a whole number"),
+        ({"CONTROL_INVERT": "2"}, "CONTROL_INVERT is '2': it must be a whole number"),
         ({"LIMIT_DEBOUNCE_MS": 6}, "LIMIT_DEBOUNCE_MS is 6: it is 5 at the most"),
         ({"WATCHDOG_MS": 9000}, "WATCHDOG_MS is 9000: it is 8388 at the most"),
         ({"LOOP_MS": 20}, "LOOP_MS is 20: it is 100 at the least"),
@@ -144,26 +144,26 @@ def test_board_is_data_only(name: str) -> None:
         ({"ENGINE": "steam"}, "ENGINE: 'steam' is not one of"),
         ({"CHIP": "potato"}, "CHIP: 'potato' is not one of"),
         ({"LINK": "pigeon"}, "LINK: 'pigeon' is not one of usb, uart"),
-        ({"STEP": 2}, "STEP is 2 and wants parentheses"),
+        ({"STEP": 2}, "STEP is 2 but needs parentheses"),
         ({"ENABLE": "GP8"}, "ENABLE is 'GP8': pins are numbers"),
-        ({"PWM_MAX": "1000"}, "PWM_MAX is '1000': it is a whole number"),
-        ({"DEFAULTS": (100, 800)}, "DEFAULTS is (100, 800) and not of the form"),
-        ({"SPINDEL_PWM": 16}, "SPINDEL_PWM: nothing reads it; is SPINDLE_PWM meant?"),
+        ({"PWM_MAX": "1000"}, "PWM_MAX is '1000': it must be a whole number"),
+        ({"DEFAULTS": (100, 800)}, "DEFAULTS is (100, 800) but must have the form"),
+        ({"SPINDEL_PWM": 16}, "SPINDEL_PWM: no such option; did you mean SPINDLE_PWM?"),
         ({"ENGINE": "i2s", "MPY_ARCH": "xtensawin", "CHIP": "esp32"}, "ENABLE is missing"),
         ({"DIALECT": "0.7"}, "DIALECT: '0.7' is not one of 1.1, 0.9, 0.9i, 0.9j, hal"),
-        ({"DIALECT": 0.9}, 'DIALECT is 0.9 and wants quotation marks: "0.9"'),
+        ({"DIALECT": 0.9}, 'DIALECT is 0.9 but needs quotation marks: "0.9"'),
         ({"TOOL": "hammer"}, "TOOL: 'hammer' is not one of spindle, laser, punch"),
         ({"TOOL": "punch", "PUNCH_UP": 20}, "no pin for PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_"),
-        ({**PUNCH, "OUTPUTS": {"lamp": 28}}, "OUTPUTS: not possible with a punch"),
+        ({**PUNCH, "OUTPUTS": {"lamp": 28}}, "OUTPUTS: not possible with TOOL = punch"),
         ({"DIR": None}, "DIR is missing"),
         ({"DIR": None, "ENGINE": "sim"}, ""),
-        ({"ENGINE": "sim", "LOOP_US": "200"}, "LOOP_US is '200': it is a whole number"),
+        ({"ENGINE": "sim", "LOOP_US": "200"}, "LOOP_US is '200': it must be a whole number"),
         ({"CHIP": "pico2"}, "CHIP 'pico2' has MPY_ARCH 'armv7emsp'"),
-        ({"MIST": 1}, "MIST is 1: it is True or False"),
+        ({"MIST": 1}, "MIST is 1: it must be True or False"),
         ({"SD_CARD": (26, 27, 28, 21), "JOBS": "jobs"}, ""),
         ({"SD_CARD": (26, 27, 28, 14), "JOBS": "jobs"}, "SD_CARD: pin 14 is HOLD already"),
-        ({"SD_CARD": (26, 27, 28, 21)}, 'SD_CARD: it is for jobs, and JOBS = "jobs" is not'),
-        ({"SD_CARD": (26, 27, 28), "JOBS": "jobs"}, "SD_CARD wants four pins: clock, to the"),
+        ({"SD_CARD": (26, 27, 28, 21)}, 'SD_CARD is for jobs: add JOBS = "jobs"'),
+        ({"SD_CARD": (26, 27, 28), "JOBS": "jobs"}, "SD_CARD needs four pins: clock, to the"),
         ({"SD_CARD": (26, 27, 20, 21), "JOBS": "jobs"}, "SD_CARD: 26, 27, 20 are not SCK, TX"),
         ({"SD_CARD": (26, 28, 27, 21), "JOBS": "jobs"}, "SD_CARD: 26, 28, 27 are not SCK, TX"),
         ({"POWER_FAIL": 0}, ""),
@@ -174,7 +174,7 @@ def test_board_is_data_only(name: str) -> None:
         ({**PICO2_W, "LINK": "usb"}, 'PAGE: it wants a network, LINK = "wifi", or'),
         (PICO2_W, ""),
         ({"PAGE": True, "ENGINE": "sim", "MPY_ARCH": None}, "PAGE: it wants a network"),
-        ({"PAGE": 1}, "PAGE is 1: it is True or False"),
+        ({"PAGE": 1}, "PAGE is 1: it must be True or False"),
         ({"EXTRAS": ("nowhere",)}, "EXTRAS: No module named 'nowhere'"),
     ],
 )
@@ -219,8 +219,8 @@ def test_extra_that_imports_the_firmware_is_refused(
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     assert problems(board(EXTRAS=("greedy",))) == [
-        "EXTRAS: greedy imports base.errors, which is not there as it is here: what an extra "
-        "needs, `cnc` has"
+        "EXTRAS: greedy imports base.errors, which boards may not "
+        "have: use only `cnc` and what boards have"
     ]
 
 
@@ -247,7 +247,7 @@ def test_pins_that_affect_the_start_are_reported() -> None:
     assert not any("WROVER" in text for text in notes(load_board("esp32_devkit")))
     assert notes(load_board("rpi_pico")) == notes(load_board("sim")) == []
     assert notes(board(DEFAULTS={100: 0, 110: 500, 130: 0})) == [
-        "DEFAULTS: $100=0 is no steps for a millimetre of X: it will not move as it should"
+        "DEFAULTS: $100=0 means 0 steps/mm for X: it will not move as it should"
     ]
     assert not any("pin 0 " in text or "pin 5 " in text for text in notes(load_board("mks_dlc32")))
 

@@ -143,7 +143,7 @@ def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
     [
         (("--chip", "pico"), "STEP is needed: --pin step=2,3,4"),
         (("--chip", "pico", "--pin", "step"), "step has no pins: write it as step=2,3,4"),
-        (("--pin", "step=1"), "which chip?"),
+        (("--pin", "step=1"), "no chip is given"),
         ((*_PICO, "--pin", "limit=9,10"), "LIMIT wants 3 pins, not 2"),
         ((*_PICO, "--pin", "probe=2"), "PROBE: pin 2 is STEP already"),
         (
@@ -152,7 +152,7 @@ def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
         ),
         ((*_PICO, "--pin", "probe=23"), "has no pin 23"),
         ((*_PICO, "--pin", "probe=D2"), "D2 is no pin"),
-        ((*_PICO, "--pin", "laser=2"), "it is one of step, dir"),
+        ((*_PICO, "--pin", "laser=2"), "it must be one of step, dir"),
         ((*_PICO, "--set", "0=1"), "$0=1 is refused"),
         ((*_PICO, "--set", "999=1"), "$999=1 is refused: There is no setting $999 here"),
         ((*_PICO, "--set", "fast"), "fast is no setting"),
@@ -196,7 +196,7 @@ def test_file_that_does_not_end_in_py_is_refused_and_kept(tmp_path: Path) -> Non
     kept = tmp_path / "keep.txt"
     kept.write_text("G0 X1\n")
     done = ugrbl("router", *_PICO, "-o", kept, "--force")
-    assert done.exit_code == 1 and "ends in .py" in done.output
+    assert done.exit_code == 1 and "must end in .py" in done.output
     assert kept.read_text() == "G0 X1\n"
 
 

@@ -22,7 +22,7 @@ def test_engine_is_refused_only_below_its_oldest_version(
     assert parts.too_old(engine, machine, oldest) == ""
     assert parts.too_old(engine, machine, (2, 0)) == ""
     why = parts.too_old(engine, machine, (oldest[0], oldest[1] - 1))
-    assert f"wants {oldest[0]}.{oldest[1]} or newer" in why
+    assert f"needs {oldest[0]}.{oldest[1]} or newer" in why
     for word in ("ok", "error"):
         assert word not in why.lower()
 

@@ -187,11 +187,11 @@ BROKEN = {
     "x = 1\n  y = 2\n": "mine.py, line 2: unexpected indent: y = 2",
     "import nothing_of_that_name\n": "mine.py, line 1: ModuleNotFoundError",
     "1 / 0\n": "mine.py, line 1: ZeroDivisionError: division by zero",
-    VACUUM.replace("100", "3"): "mine.py: ValueError: M3 is taken",
-    VACUUM.replace("@mcode(100, ", "@gcode(1, ").replace("mcode", "gcode"): "G1 is taken",
+    VACUUM.replace("100", "3"): "mine.py: ValueError: M3 is already in use",
+    VACUUM.replace("@mcode(100, ", "@gcode(1, ").replace("mcode", "gcode"): "G1 is already in use",
     "from ugrbl import on\n@on.lunch\ndef f(m): pass\n": "there is no event on.lunch",
     "from ugrbl import no_such_word\n": "cannot import name 'no_such_word'",
-    "x = '\0'\n": "it is no text in UTF-8; save it as that",
+    "x = '\0'\n": "it is no text in UTF-8; save it as UTF-8",
 }
 
 
@@ -205,7 +205,7 @@ def test_unreadable_file_is_one_message_with_file_and_line(command: str, text: s
     assert done.exit_code == 1
     said = done.output if command == "custom check" else done.stderr
     reason = BROKEN[text].replace(
-        "is taken", "is Grbl's own" if "check" in command else "is taken"
+        "is already in use", "is Grbl's own" if "check" in command else "is already in use"
     )
     if "check" in command:  # check first reads what needs no run
         reason = reason.replace("mine.py: ValueError: ", "").replace(
@@ -221,11 +221,11 @@ WRONG_WORDS = [
     ("--custom job.nc", "job.nc is no Python file: its name ends in .py"),
     ("--custom empty", "empty: there is no .py file in this folder"),
     ("--custom package", "a folder of handlers has none"),
-    ("--input part", "say NAME=WHEN"),
+    ("--input part", "write NAME=WHEN"),
     ("--input part=soon", "WHEN is on, off, a place (Z-30) or a time (2s)"),
     ("--input part=on", "there is no input part; there are probe, limit_x"),
     ("--input probe=A1", "this machine has no axis A"),
-    ("--input probe=Z0", "on which side of it? Z<0 or Z>0"),
+    ("--input probe=Z0", "name the side of it: Z<0 or Z>0"),
     ("--board sim_corexy --input probe=X10", "motors move X and Y together"),
 ]
 
@@ -374,32 +374,32 @@ def test_endless_handler_is_reported(
     )
     assert code == 1
     assert "M100: mine.py, line" in found["tried"][0]["said"]
-    assert "no end of it within 1 s" in found["tried"][0]["said"]
+    assert "it did not end within 1 s" in found["tried"][0]["said"]
 
 
 WRONG = [
     ("@mcode(3)\ndef f(m): pass", "M3 is Grbl's own"),
     ("@mcode(9)\ndef f(m): pass", "M9 is Grbl's own"),
-    ("@mcode(100)\ndef f(m): 1\n@mcode(100)\ndef g(m): 1", "M100 stands twice: mine.py, line 2"),
-    ("@mcode(100.5)\ndef f(m): pass", "M100.5: a whole number stands behind M"),
-    ("@mcode(-1)\ndef f(m): pass", "M-1: a whole number stands behind M"),
-    ("@mcode('x')\ndef f(m): pass", "Mx: a whole number stands behind M"),
+    ("@mcode(100)\ndef f(m): 1\n@mcode(100)\ndef g(m): 1", "M100 is defined twice: mine.py"),
+    ("@mcode(100.5)\ndef f(m): pass", "M100.5: a whole number must follow M"),
+    ("@mcode(-1)\ndef f(m): pass", "M-1: a whole number must follow M"),
+    ("@mcode('x')\ndef f(m): pass", "Mx: a whole number must follow M"),
     ("@gcode('10 L2', 'P')\ndef f(m, P): pass", "G10 L2 is Grbl's own"),
-    ("@gcode('10L1')\ndef f(m): pass", 'or "10 L1", stands behind G'),
-    ("@gcode(81.15)\ndef f(m): pass", "G81.15: words have tenths at the most"),
+    ("@gcode('10L1')\ndef f(m): pass", 'or "10 L1", must follow G'),
+    ("@gcode(81.15)\ndef f(m): pass", "G81.15: the number may have one decimal"),
     ("@mcode(100, 'M')\ndef f(m, M): pass", "'M' cannot be a parameter"),
-    ("@mcode(100, 'PP')\ndef f(m, P): pass", "P stands twice in 'PP'"),
+    ("@mcode(100, 'PP')\ndef f(m, P): pass", "P is listed twice in 'PP'"),
     ("@mcode(100, 'P')\ndef f(m): pass", "f() has no parameter P"),
     ("@mcode(100, 'P')\ndef f(m, p): pass", "f() has no parameter P: it is called P, not p"),
     ("@mcode(100, 'q')\ndef f(m, Q): pass", "Q may be missing on the line, so it needs a default"),
-    ("@mcode(100)\ndef f(m, P): pass", "nobody gives it P"),
-    ("@mcode(100)\ndef f(): pass", "f() takes no m"),
+    ("@mcode(100)\ndef f(m, P): pass", "no letter sets P"),
+    ("@mcode(100)\ndef f(): pass", "f() has no parameter m"),
     ("@on.tool_change\ndef f(m): pass", "f() gets m and 1 value"),
     ("@on.startup\ndef f(m, x): pass", "f() gets m alone"),
-    ("@mcode(100)\ndef f(m):\n    yield 1", "f has a yield: none of it would run"),
-    ("@mcode(100)\nasync def f(m): pass", "f is async: none of it would run"),
+    ("@mcode(100)\ndef f(m):\n    yield 1", "f has a yield, so none of it would run"),
+    ("@mcode(100)\nasync def f(m): pass", "f is async, so none of it would run: remove async"),
     ("import numpy", "line 2: no board has a module numpy"),
-    ("from . import x", "line 2: nothing goes to the board with a single file"),
+    ("from . import x", "line 2: relative imports need a folder; this is one file"),
     ("x = 1", "no handler in it"),
     ("@mcode(100)\ndef f(m):\n    match m:\n        case 1: pass", "line 4: MicroPython says"),
 ]  # fmt: skip
@@ -425,22 +425,21 @@ def test_pins_missing_in_the_board_file_are_reported() -> None:
 
 def test_simulator_board_gets_the_pins_asked_for_and_reports_it() -> None:
     done = ugrbl("custom", "check", written(VACUUM))
-    assert "pins are taken as there: vacuum; --board NAME" in done.stdout
+    assert "pins are assumed to exist: vacuum; --board NAME" in done.stdout
 
 
 def test_endless_import_of_a_file_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
     code, found = checked("from ugrbl import mcode\nwhile True:\n    pass\n")
     assert code == 1 and not found["tried"]
-    assert "mine.py: no end of reading it within 1 s" in found["problems"][0]
+    assert "mine.py: importing it did not end within 1 s" in found["problems"][0]
 
 
 def test_print_to_the_senders_answers_is_reported() -> None:
     code, found = checked(VACUUM + "    print('ok')\n")
     assert code == 1
     assert found["problems"] == [
-        "mine.py, line 7: print() goes among the answers to the sender: m.message(text) tells it "
-        "something"
+        "mine.py, line 7: print() would mix with answers to the sender: use m.message(text)"
     ]
     log = "import io\nlog = io.StringIO()\n"
     assert checked(log + VACUUM + "    print('ok', file=log)\n")[0] == 0
@@ -494,7 +493,10 @@ def test_modules_only_on_boards_are_reported_as_untried(text: str) -> None:
     assert code == 1 and not found["problems"] and not found["tried"]
     assert "boards have it, the simulator does not" in found["untried"][0]
     said = ugrbl("custom", "check", "mine.py").stdout
-    assert "note cannot be tried here: mine.py, line " in said and "mine.py: not tried" in said
+    assert (
+        "note cannot be tried in the simulator: mine.py, line " in said
+        and "mine.py: not tried" in said
+    )
 
 
 def test_handler_with_a_module_only_on_boards_is_left_untried() -> None:
@@ -707,8 +709,8 @@ def test_push_compares_pins_with_the_connected_board(shelf: FakeShelf) -> None:
 @pytest.mark.parametrize(
     ("says", "told"),
     [
-        (["Custom left out: custom.py, line 3: x"], "leaves it out: custom.py, line 3: x"),
-        ([], "its firmware does not know of it"),
+        (["Custom left out: custom.py, line 3: x"], "was not loaded: custom.py, line 3: x"),
+        ([], "the firmware there is too old for it"),
     ],
 )
 def test_answer_of_the_board_is_reported_after_a_push(
@@ -736,7 +738,7 @@ def test_push_uses_the_module_name_of_the_board_file(shelf: FakeShelf) -> None:
 
 
 def test_pull_reads_a_file_or_folder_and_replaces_only_with_force(shelf: FakeShelf) -> None:
-    assert "there is none" in ugrbl("custom", "pull", "got.py", "--port", "x").stderr
+    assert "has no Python of yours" in ugrbl("custom", "pull", "got.py", "--port", "x").stderr
     shelf.disk["custom.py"] = VACUUM.encode()
     assert ugrbl("custom", "pull", "got.py", "--port", "x").exit_code == 0
     assert Path("got.py").read_text() == VACUUM
@@ -802,7 +804,7 @@ def test_edited_file_with_a_mistake_is_kept(
     editor(monkeypatch, "open(file, 'w').write('def f(:')")
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 1 and shelf.disk["custom.py"] == VACUUM.encode()
-    copy = done.stderr.partition("your copy is ")[2].partition(":")[0]
+    copy = done.stderr.partition("your edited copy is ")[2].partition(":")[0]
     assert Path(copy).read_text() == "def f(:"
 
 
@@ -872,7 +874,7 @@ def test_module_name_of_another_file_on_the_board_is_refused(name: str, shelf: F
     text = Path(_board_file()).read_text()
     Path("b.py").write_text(f"{text}\nCUSTOM = {name!r}\n")
     done = ugrbl("build", "--board", "b.py", "-o", "made")
-    assert done.exit_code == 1 and f"CUSTOM is {name!r}: it is the name of a file" in done.stderr
+    assert done.exit_code == 1 and f"CUSTOM is {name!r}: it must be a file's name" in done.stderr
     shelf.board["CUSTOM"] = name  # set by firmware that did not check it
     done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
     assert done.exit_code == 1 and "correct the board file" in done.stderr
@@ -885,7 +887,7 @@ def test_other_names_and_no_name_are_accepted() -> None:
 
 
 def test_pins_without_names_are_reported_with_the_right_form() -> None:
-    assert BY_NAME["OUTPUTS"].problem(20) == 'OUTPUTS is 20 and not of the form {"vacuum": 20}'
+    assert BY_NAME["OUTPUTS"].problem(20) == 'OUTPUTS is 20 but must have the form {"vacuum": 20}'
 
 
 def test_board_written_by_new_board_is_found_by_its_file_name() -> None:
@@ -932,7 +934,7 @@ def test_input_file_is_not_overwritten(command: str, spared: str) -> None:
     Path("link.py").symlink_to("k.py")
     before = Path(spared).read_text()
     done = ugrbl(*command.split(), stdin="")
-    assert done.exit_code == 1 and "is what is read" in done.stderr, done.output
+    assert done.exit_code == 1 and "is the input file" in done.stderr, done.output
     assert Path(spared).read_text() == before
 
 

@@ -117,9 +117,15 @@ def test_impossible_output_file_is_reported_first(bench: Bench, tmp_path: Path, 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
 def test_full_disk_is_reported_in_words(bench: Bench) -> None:
     done = ugrbl("settings", "pull", "/dev/full", "--force", "--port", bench.port)
-    assert done.exit_code == 1 and "cannot be written: the disk is full; make room" in done.output
+    assert (
+        done.exit_code == 1
+        and "cannot be written: the disk is full; free some space" in done.output
+    )
     done = ugrbl("doctor", "--port", bench.port, "--json", "/dev/full", "--no-move", "--pins", "0")
-    assert done.exit_code == 1 and "cannot be written: the disk is full; make room" in done.output
+    assert (
+        done.exit_code == 1
+        and "cannot be written: the disk is full; free some space" in done.output
+    )
 
 
 def test_replaced_file_is_complete_or_unchanged(

@@ -52,11 +52,11 @@ WRONG = [
     ("run good.nc --settings photo", "photo cannot be read: it is no text"),
     ("run good.nc --settings empty", "empty: it holds no settings, lines of $n=v"),
     ("run good.nc --set 0=1", "error:6: The step pulse"),
-    ("run good.nc --set 100=0", "$100=0 is no steps for a millimetre of X"),
-    ("plot good.nc --set $111=0.0", "$111=0.0 is a highest rate of 0 for Y"),
+    ("run good.nc --set 100=0", "$100=0 means 0 steps/mm for X"),
+    ("plot good.nc --set $111=0.0", "$111=0.0 means a highest rate of 0 for Y"),
     (
         "new-board mine --chip pico --no-ask --pin step=2,3,4 --pin dir=5,6,7 --set 122=0",
-        "$122=0 is an acceleration of 0 for Z",
+        "$122=0 means an acceleration of 0 for Z",
     ),
     ("run good.nc --set 999=1", "refused with error:3: There is no setting $999 here"),
     ("run good.nc --set 110=1,5", "error:3: A number is written with a decimal point"),
@@ -79,13 +79,13 @@ WRONG = [
     ("new-board class --chip pico --no-ask", "class is a word of Python's"),
     (
         "conformance RECORDINGS --port missing",
-        "cannot open missing: no such port; is it written right",
+        "cannot open missing: no such port; is its name right",
     ),
     ("conformance RECORDINGS --port socket://", "cannot open socket://: "),
-    ("build --arch nonsense", "nonsense is no processor: one of x86, "),
+    ("build --arch nonsense", "nonsense is no processor: choose one of x86, "),
     ("build --board rpi_pico --out good.nc/x", "good.nc is no folder"),
-    ("send good.nc --port socket://", "socket:// wants a host and a port: socket://HOST:PORT"),
-    ("console --port x", "the console wants a terminal"),
+    ("send good.nc --port socket://", "socket:// needs a host and a port: socket://HOST:PORT"),
+    ("console --port x", "the console needs a terminal"),
 ]
 
 
@@ -111,7 +111,7 @@ def test_no_text_of_the_system_reaches_a_user(command: str, folder: Path) -> Non
     for name, why in (
         ("missing.nc", "there is no such file; is it written right?"),
         ("folder", "it is a folder; name a file"),
-        ("good.nc/x", "what should be a folder on the way to it is a file"),
+        ("good.nc/x", "a folder in its path is a file"),
         (long, "its name is too long; take a shorter one"),
         ("loop.nc", "its links lead round in a circle"),
     ):
@@ -139,7 +139,7 @@ def test_file_that_is_not_text_is_reported_without_pythons_words(
     done = ugrbl(*words.split())
     said = " ".join(done.output.split())
     assert done.exit_code == 1
-    assert "x.py cannot be read: it is no text in UTF-8; save it as that" in said
+    assert "x.py cannot be read: it is no text in UTF-8; save it as UTF-8" in said
     assert not re.search("codec|null|byte 0x|Errno", said)
 
 
@@ -149,7 +149,7 @@ def test_file_that_is_not_a_recording_is_named(data: bytes, folder: Path) -> Non
     (folder / "recordings" / "x.json").write_bytes(data)
     done = ugrbl("conformance", "recordings")
     assert done.exit_code == 1
-    assert "x.json is no recording, which is JSON: take it out of there" in done.output
+    assert "x.json is no recording in JSON: remove it from the folder" in done.output
 
 
 @pytest.mark.parametrize("command", ["run", "plot"])
@@ -157,7 +157,7 @@ def test_settings_file_with_a_zero_is_accepted_and_reported(command: str, folder
     (folder / "zero.settings").write_text("$102=0\n$110=600\n$13=0\n")
     done = ugrbl(command, "good.nc", "--settings", "zero.settings")
     assert done.exit_code == 0
-    assert done.output.count("note: $102=0 is no steps for a millimetre of Z") == 1
+    assert done.output.count("note: $102=0 means 0 steps/mm for Z") == 1
     assert done.output.count("note: ") == 1
 
 

@@ -108,8 +108,8 @@ def test_big_program_is_sent_completely(bench: Bench, tmp_path: Path) -> None:
     [
         (("run", "NONE.NC"), "There is no job NONE.NC"),
         (("show", "NONE.NC"), "There is no job NONE.NC"),
-        (("resume", "NONE.NC", "--yes"), "No job is noted of that name"),
-        (("resume", "--line", "5", "--yes"), "--line wants the name of the program"),
+        (("resume", "NONE.NC", "--yes"), "No unfinished job of that name"),
+        (("resume", "--line", "5", "--yes"), "--line needs the name of the program"),
         (("resume", "NONE.NC", "--yes", "--line", "5"), "There is no job NONE.NC"),
         (("button", "NONE.NC"), "There is no job NONE.NC"),
         (("run", "a b"), "a b is no name for a job"),

@@ -439,7 +439,9 @@ def test_underruns_are_reported_with_the_remedy(grbl: FakeGrbl, tmp_path: Path) 
     grbl.drains = list(range(1000))
     done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
     words = " ".join(done.output.split())
-    assert "for want of lines meanwhile: `ugrbl run FILE --board NAME` names lines" in words
+    assert (
+        "for want of lines during the program: `ugrbl run FILE --board NAME` names lines" in words
+    )
 
 
 def test_percent_signs_at_the_ends_of_a_file_are_not_sent(grbl: FakeGrbl, tmp_path: Path) -> None:
@@ -675,10 +677,10 @@ def refused(number: int, text: str) -> Callable[..., None]:
     ("port", "words"),
     [
         ("/dev/nowhere", "no such port; is the cable one that carries data?"),
-        ("nowhere/grbl", "no such port; is it written right, and does the simulator run?"),
-        ("socket://127.0.0.1:1", "nobody listens there; is the firmware or the simulator on"),
-        ("socket://127.0.0.1:99999", "wants a host and a port: socket://HOST:PORT"),
-        ("rfc2217://127.0.0.1:1", "nobody listens there;"),
+        ("nowhere/grbl", "no such port; is its name right, and does the simulator run?"),
+        ("socket://127.0.0.1:1", "no program listens there; does the firmware or simulator run"),
+        ("socket://127.0.0.1:99999", "needs a host and a port: socket://HOST:PORT"),
+        ("rfc2217://127.0.0.1:1", "no program listens there;"),
         ("foo://x", "a port is a device, or socket://HOST:PORT"),
     ],
 )
@@ -715,7 +717,7 @@ def test_refusal_by_the_system_is_reported_in_our_words(
 
 
 def test_impossible_baud_rate_is_named(grbl: FakeGrbl) -> None:
-    with pytest.raises(SendError, match=r"cannot have -1 baud; Grbl 1[.]1 has 115200"):
+    with pytest.raises(SendError, match=r"does not support -1 baud; Grbl 1[.]1 uses 115200"):
         Connection(grbl.port, -1)
 
 

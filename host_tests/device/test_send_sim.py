@@ -142,7 +142,7 @@ def place(bench: Bench) -> tuple[str, list[float]]:
 
 
 def line_made(text: str) -> int:
-    found = re.search(r"line (\d+) was being made", text)
+    found = re.search(r"line (\d+) was being executed", text)
     assert found, text
     return int(found[1])
 
@@ -296,7 +296,7 @@ def test_from_line_keeps_a_laser_dark_until_it_moves(bench: Bench, tmp_path: Pat
     connection.close()
     lines = ["G21 G90 M3 S500", "G0 X10 Y10", "G1 X12 F1000", "X13", "G0 X14", "G1 X15", "M5"]
     code, text = Send(bench, tmp_path, lines, "--from-line", "4", "--yes").end()
-    assert code == 1 and "line 4 goes on with G1" in text
+    assert code == 1 and "line 4 continues G1" in text
     code, text = Send(bench, tmp_path, lines, "--from-line", "5", "--yes").end()
     assert code == 0, text
     sent = bench.wire(">").replace(b"?", b"").split(b"\n")
@@ -341,7 +341,10 @@ def test_user_words_unknown_to_the_simulator_are_not_refusals(
 ) -> None:
     code, text = Send(own_bench, tmp_path, OWN_CUTS).end()
     assert code == 0, text
-    assert "not known here: line 3, M100, and 3 more lines; --custom FILE rehearses them" in text
+    assert (
+        "unknown to the simulator: line 3, M100, and 3 more lines; --custom FILE simulates them"
+        in text
+    )
     assert place(own_bench)[1] == [6.0, 4.0, 5.0]
 
 
@@ -388,7 +391,9 @@ def test_file_that_differs_from_the_machines_is_refused(
     other = tmp_path / "other.py"
     other.write_text(OWN.replace("tool_change", "tool_select"))
     code, text = Send(own_bench, tmp_path, OWN_CUTS, *words, "--custom", str(other)).end()
-    said = "is not what the machine has: G101, M100, on.tool_change there, G101, M100, on.tool_s"
+    said = (
+        "differs from the Python on the machine: G101, M100, on.tool_change there, G101, M100, on"
+    )
     assert code == 1 and said in " ".join(text.split())
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 
@@ -504,7 +509,7 @@ def test_command_that_needs_a_board_reports_the_simulator(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     pulled = CliRunner().invoke(app, ["custom", "pull", "x.py", "--port", str(bench.port)])
-    assert pulled.exit_code == 1 and "it is the simulator that answers" in pulled.output
+    assert pulled.exit_code == 1 and "the simulator answers on" in pulled.output
     words = ["doctor", "--port", str(bench.port), "--pins", "0", "--no-move"]
     assert "Grbl sim: it is the simulator" in CliRunner().invoke(app, words).output
 

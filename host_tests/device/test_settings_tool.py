@@ -144,7 +144,10 @@ def test_push_shows_asks_changes_and_saves_the_old_values(bench: Bench, pulled: 
     done = ugrbl(bench, "push", pulled, answer="n\n")
     assert done.exit_code == 1 and "nothing has been changed" in done.output
     done = ugrbl(bench, "push", pulled, answer="")
-    assert done.exit_code == 1 and "nothing has been changed; --yes does not ask" in done.output
+    assert (
+        done.exit_code == 1
+        and "nothing has been changed; --yes skips this question" in done.output
+    )
     done = ugrbl(bench, "push", pulled, answer="y\n")
     assert done.exit_code == 0, done.output
     assert done.output.index("Acceleration X") < done.output.index("Change 3 settings?")
@@ -165,7 +168,7 @@ def test_refused_value_is_reported_and_the_rest_is_pushed(bench: Bench, pulled: 
     assert done.exit_code == 1
     assert "$0=1: error:6" in done.output
     back = f"ugrbl settings restore {pulled}.before"
-    assert f"1 of 2 settings changed; to go back: {back}" in " ".join(done.output.split())
+    assert f"1 of 2 settings changed; to undo: {back}" in " ".join(done.output.split())
     result = json.loads(pulled.with_name("result").read_text())
     assert [row["number"] for row in result["refused"]] == [0]
     assert ugrbl(bench, "restore", before, "--yes").exit_code == 0
@@ -186,7 +189,7 @@ def test_interrupted_push_reports_its_progress_and_the_way_back(
     done = ugrbl(bench, "push", pulled, "--yes")
     assert done.exit_code == (1 if isinstance(end, SendError) else 130)
     back = f"ugrbl settings restore {pulled}.before"
-    assert f"1 of 3 settings changed; to go back: {back}" in " ".join(done.output.split())
+    assert f"1 of 3 settings changed; to undo: {back}" in " ".join(done.output.split())
 
 
 def test_push_with_all_values_refused_offers_no_way_back(bench: Bench, pulled: Path) -> None:
@@ -199,7 +202,7 @@ def test_push_with_all_values_refused_offers_no_way_back(bench: Bench, pulled: P
 @pytest.mark.parametrize(
     ("line", "what"),
     [
-        ("$100=0", "no steps for a millimetre of X"),
+        ("$100=0", "0 steps/mm for X"),
         ("$111=0.0", "a highest rate of 0 for Y"),
         ("$122=0", "an acceleration of 0 for Z"),
     ],
@@ -211,7 +214,7 @@ def test_zero_that_stops_an_axis_is_reported_before_the_question(
     file.write_text(f"; [VER:1.1h.20190830:]\n{line}\n")
     done = ugrbl(bench, "push", file, answer="n\n")
     said = " ".join(done.output.split())
-    assert f"note: {line} is {what}: it will not move as it should" in said
+    assert f"note: {line} means {what}: it will not move as it should" in said
     assert said.index("note: ") < said.index("Change 1 setting?")
     assert "note: " in ugrbl(bench, "diff", file).output
 
@@ -234,7 +237,7 @@ def test_push_leaves_settings_not_in_the_file_unchanged(bench: Bench, pulled: Pa
     done = ugrbl(bench, "diff", pulled, "--json", "-")
     assert [row["number"] for row in json.loads(done.stdout)["changes"]] == [27]
     done = ugrbl(bench, "restore", part, "--yes")
-    assert done.exit_code == 1 and "the file does not say $0, $1" in done.output
+    assert done.exit_code == 1 and "the file has no $0, $1" in done.output
 
 
 def test_factory_settings_are_restored(

@@ -326,7 +326,7 @@ def test_pulled_settings_file_describes_the_machine(program: Path) -> None:
         (["-o", "FOLDER"], "is a folder"),
         (["-o", "FILE/out.png"], "square.nc is no folder"),
         (["--json", "FOLDER"], "is a folder"),
-        (["--json", "FILE"], "it is not written over"),
+        (["--json", "FILE"], "it is not overwritten"),
         (["--board", "nowhere.py"], "there is no file nowhere.py"),
     ],
 )

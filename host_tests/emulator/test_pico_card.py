@@ -79,7 +79,7 @@ def test_job_runs_from_a_card(uf2: Path, tmp_path: Path) -> None:
     machine = wired(uf2, tmp_path, card)
     said = machine.ask("$F")
     assert f"[FILE:/part.nc|SIZE:{len(_JOB)}]" in said and "other.txt" in said
-    assert "a name" not in said and "Room for " in said
+    assert "a name" not in said and "Free space: " in said
     odometer, stack = Odometer(machine.pico), Stack(machine)
     stack.paint()
     machine.forget()
@@ -104,7 +104,7 @@ def test_removed_card_stops_the_job_and_another_card_runs(uf2: Path, tmp_path: P
     machine.pico.edges.clear()
     machine.pico.run_us(20_000)
     assert not machine.pico.edges, "the spindle is on"
-    assert "SD card: none is there" in machine.ask("$F", "error:3\r\n")
+    assert "SD card is missing" in machine.ask("$F", "error:3\r\n")
     card.power_off()
     card.is_in = True
     assert "/part.nc" in machine.ask("$F")

@@ -109,14 +109,14 @@ def test_dragged_file_becomes_a_machine_whose_job_resumes_after_a_power_cut(
     flash = machine.pico.read_flash(0, CHIP.flash)
 
     machine = powered(uf2, flash)
-    told = machine.wait_for("[MSG:Job STAIRS.NC: did not come to its end; last noted: line ")
+    told = machine.wait_for("[MSG:Job STAIRS.NC: did not finish; last recorded line: ")
     machine.wait_for("]\r\n")
-    line = int(machine.said.partition("last noted: line ")[2].partition("]")[0])
+    line = int(machine.said.partition("last recorded line: ")[2].partition("]")[0])
     assert 5 < line < 90, told
     odometer = home(machine)
     machine.forget()
     machine.send("$F=@\n")
-    machine.wait_for(f"Job STAIRS.NC: goes on at line {line}")
+    machine.wait_for(f"Job STAIRS.NC: continues at line {line}")
     machine.wait_for("Job STAIRS.NC: done, 104 lines", 60_000_000)
     places = [round(100 * mm) for mm in (*place_of(_JOB[101]), -1.5)]
     assert odometer.read() == [place + 200 for place in places]  # the switches are at 0

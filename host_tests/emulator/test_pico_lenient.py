@@ -25,7 +25,7 @@ def test_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) ->
     machine.pico.record([*STEP, *DIR])
     machine.forget()
     machine.send("\n".join((*_BEFORE[:4], "")))
-    machine.wait_for("[MSG:Tool 328, then ~]")
+    machine.wait_for("[MSG:Insert tool 328, then send ~]")
     machine.pico.run_us(300_000)
     assert machine.status()["state"] == "Hold:0"
     machine.send("~")

@@ -49,12 +49,12 @@ def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: P
     here, flash = odometer.read(), pico.read_flash(0, CHIP.flash)  # and the supply is gone
 
     machine = powered(uf2, flash)
-    machine.wait_for("last noted: line ")
+    machine.wait_for("last recorded line: ")
     machine.wait_for("]\r\n")
     found = _REPORT.search(machine.said)
     assert found, machine.said
     line = int(found[1])
-    assert f"last noted: line {line}]" in machine.said
+    assert f"last recorded line: {line}]" in machine.said
     at = [round(100 * float(word)) + 200 for word in found.groups()[1:]]  # switches are at 200
     assert at == here
     for axis, ends in enumerate(zip(place_of(_JOB[line - 2]), place_of(_JOB[line - 1]))):
@@ -62,4 +62,4 @@ def test_supply_that_fails_in_a_job_leaves_its_exact_line(uf2: Path, tmp_path: P
     home(machine)
     machine.forget()
     machine.send("$F=@\n")
-    machine.wait_for(f"Job STAIRS.NC: goes on at line {line}")
+    machine.wait_for(f"Job STAIRS.NC: continues at line {line}")

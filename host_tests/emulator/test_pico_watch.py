@@ -66,11 +66,11 @@ def test_hanging_main_loop_is_stopped_and_reported_when_it_returns(machine: Boar
     moving(machine)
     since = machine.pico.us
     machine.send("$BUSY=400\n")
-    machine.wait_for("ALARM:16\r\n[MSG:RuntimeErr: the main loop was away for ")
+    machine.wait_for("ALARM:16\r\n[MSG:RuntimeErr: the main loop was blocked for ")
     machine.pico.run_us(20_000)
     for stopped_ms in last_ms(machine, since):
         assert _LIMIT_MS - _BEAT_MS < stopped_ms <= _LIMIT_MS + 2 * _BEAT_MS + 2
-    away = int(machine.said.split("away for ")[1].split(" ms")[0])
+    away = int(machine.said.split("blocked for ")[1].split(" ms")[0])
     assert 400 - 2 * _BEAT_MS <= away <= 400 + _BEAT_MS
     assert machine.said.startswith("ok\r\nALARM:16\r\n")  # the line itself is accepted
     machine.forget()
@@ -234,4 +234,4 @@ def test_board_without_the_usb_ring_works_and_reports_a_slow_reset(uf2: Path) ->
     machine.pico.record([*STEP, SPINDLE_PWM])
     moving(machine)
     machine.send("$BUSY=400\n")
-    machine.wait_for("the main loop was away for ")
+    machine.wait_for("the main loop was blocked for ")

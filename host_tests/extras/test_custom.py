@@ -115,12 +115,12 @@ def g(m):
     [
         ("def x(:", "SyntaxErr"),
         ("1 / 0", "line 3, in <module>: ZeroDivisionErr"),
-        ("@mcode(3)\ndef spindle(m): pass", "M3 is taken"),
-        ("@gcode(0)\ndef rapid(m): pass", "G0 is taken"),
-        ("@mcode(100)\ndef a(m): pass\n@mcode(100)\ndef b(m): pass", "M100 is taken"),
+        ("@mcode(3)\ndef spindle(m): pass", "M3 is already in use"),
+        ("@gcode(0)\ndef rapid(m): pass", "G0 is already in use"),
+        ("@mcode(100)\ndef a(m): pass\n@mcode(100)\ndef b(m): pass", "M100 is already in use"),
         ("@on.nothing\ndef a(m): pass", "there is no event on.nothing"),
         ('@on.input("door")\ndef a(m, closed): pass', "names no input door"),
-        ("@every(0)\ndef a(m): pass", "every: 0 is no number of milliseconds"),
+        ("@every(0)\ndef a(m): pass", "every: 0 is not a number of milliseconds"),
         ("import nowhere_at_all", "nowhere_at_all"),
     ],
 )
@@ -180,7 +180,7 @@ def test_pulses_have_the_given_width_and_end_with_a_reset(bench: Make) -> None:
     assert seen[0] == {0: (500, 32768), 1: (50, 4915)} and made.heard == [True, False]
     assert seen[1] == {0: (500, 65535), 1: (50, 0)}
     assert seen[2] == {}, "a failure leaves no output on"
-    assert "a share from 0 to 1" in "".join(said[5]) and said[5][1] == "ALARM:34"
+    assert "duty must be 0 to 1" in "".join(said[5]) and said[5][1] == "ALARM:34"
     assert seen[3] == {0: (500, 65535)} and made.outputs == 1
 
 
@@ -450,8 +450,8 @@ def slow(m):
     made.rig.on_built = give
     said = made.say(("", "ms 1000"))
     told = made.greeting + said[0]
-    assert [line for line in told if "every 100: 60 ms without" in line] == [
-        "[MSG:every 100: 60 ms without a call of m]"
+    assert [line for line in told if "every 100 ran for 60 ms" in line] == [
+        "[MSG:every 100 ran for 60 ms without calling m]"
     ]
 
 

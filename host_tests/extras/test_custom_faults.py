@@ -395,7 +395,7 @@ def test_received_line_cancels_a_pending_jog(bench: Make) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("@on.after_reset\ndef a(m): m.g('G21')", "refused with 9: G21: in Alarm, behind a reset"),
+        ("@on.after_reset\ndef a(m): m.g('G21')", "refused with 9: G21: in Alarm, after a reset"),
         ("@on.report\ndef a(m): return 5", "on.report: it returns 5, and not a text or None"),
         ("@mcode(100)\ndef a(m): sys.exit()", "mine.py, line 3: SystemExit"),
         ("sys.exit()", "mine.py, line 2: SystemExit"),
@@ -439,8 +439,8 @@ keep.write()
 @needs_micropython
 def test_stored_values_can_be_read_back_by_micropython() -> None:
     assert run_micropython(_ON_MICROPYTHON, paths=[placed_firmware()]).splitlines() == [
-        "keep: n is not finite",
-        "keep: i is not finite",
+        "m.keep: n is not finite",
+        "m.keep: i is not finite",
         "m.keep: the name (1, 2) must be a text",
         """['["a", 8]', '["true", 1]']""",
     ]

@@ -179,14 +179,14 @@ def _again(on: Machine) -> None:
 
 _TROUBLES: "list[tuple[Callable[[Machine], None], str]]" = [
     (_dead, "Y: no answer"),
-    (_broken, "the wire is broken"),
-    (_spoilt, "a spoilt answer"),
+    (_broken, "no echo: its serial wire is cut"),
+    (_spoilt, "a corrupted answer"),
     (_short, "no answer"),
-    (_another, "a spoilt answer"),
+    (_another, "a corrupted answer"),
     (_hot, "Y: too hot"),
     (_grounded, "Y: short circuit to ground"),
     (_shorted, "Y: short circuit to supply"),
-    (_weak, "Y: its supply is too low"),
+    (_weak, "Y: its supply voltage is too low"),
     (_again, "Y: its supply has failed"),
 ]
 
@@ -343,7 +343,7 @@ def test_report_has_the_status_of_each_driver() -> None:
     assert "mode:spreadCycle" in reports[1]
     assert reports[1].endswith("state:too hot]")
     assert "microsteps:64" in reports[2]
-    assert reports[3:] == [f"[TMC:{name}|state:the wire is broken]" for name in "XYZ"]
+    assert reports[3:] == [f"[TMC:{name}|state:no echo: its serial wire is cut]" for name in "XYZ"]
     assert "error:3" in said
 
 
@@ -362,11 +362,11 @@ def test_checksum_of_a_known_datagram() -> None:
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"TMC2209": (0, 1)}, "TMC2209 has 2 addresses, and STEP 3 pins"),
-        ({"TMC2209": (0, 1, 4)}, "TMC2209: addresses are 0 to 3, each once"),
-        ({"TMC2209": (0, 1, 1)}, "TMC2209: addresses are 0 to 3, each once"),
-        ({"TMC_UART": (8,)}, "TMC_UART wants two pins: TX and RX"),
-        ({"DEFAULTS": {140: 9000.0}}, "DEFAULTS: $140=9000 is nothing a driver can do"),
+        ({"TMC2209": (0, 1)}, "TMC2209 has 2 addresses, but STEP has 3 pins"),
+        ({"TMC2209": (0, 1, 4)}, "TMC2209: addresses must be 0 to 3, each only once"),
+        ({"TMC2209": (0, 1, 1)}, "TMC2209: addresses must be 0 to 3, each only once"),
+        ({"TMC_UART": (8,)}, "TMC_UART needs two pins: TX and RX"),
+        ({"DEFAULTS": {140: 9000.0}}, "DEFAULTS: $140=9000 is beyond what a driver can do"),
     ],
 )
 def test_impossible_board_file_is_reported_with_the_cause(

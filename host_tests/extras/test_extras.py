@@ -121,7 +121,7 @@ def test_words_and_bytes_of_grbl_cannot_be_taken(monkeypatch: pytest.MonkeyPatch
             lambda: cnc.add_byte(0x84, print),
             lambda: cnc.add_byte(0x41, print),
         ):
-            with pytest.raises(ValueError, match="is taken"):
+            with pytest.raises(ValueError, match="is already in use"):
                 add()
 
     Bench(monkeypatch, install).say()
@@ -207,7 +207,7 @@ def test_job_cannot_be_entered_in_the_middle_of_a_cycle(monkeypatch: pytest.Monk
 
     bench = Bench(monkeypatch, install)
     bench.say(*lines("M100", "G86X1Z-1R1F9", "M100", "G0X1", "M100"))
-    assert whys == ["", "it goes on with a cycle", ""]
+    assert whys == ["", "that line is within a canned cycle", ""]
 
 
 def test_refused_line_of_a_cycle_changes_nothing(

@@ -325,7 +325,7 @@ def test_stored_settings_of_a_gantry_do_no_harm_on_another_board() -> None:
         ({"MOTORS": "XYZB"}, "MOTORS: XYZA first, then second motors: XYZY"),
         ({"MOTORS": "XYZYY", "STEP": (0, 1, 2, 3, 4)}, "MOTORS: Y has more than two"),
         ({"MOTORS": "XYXY"}, "MOTORS: XYZ first, then second motors: XYZY"),
-        ({"DEFAULTS": {171: 500}}, "DEFAULTS: $171 is 10 mm at the most"),
+        ({"DEFAULTS": {171: 500}}, "DEFAULTS: $171 may be at most 10 mm"),
         ({"LIMIT": (0, None, 2, 3)}, "LIMIT: Y has its second switch only"),
         ({"COREXY": True}, "MOTORS: Y shares its motor, and has no second"),
     ],

@@ -24,7 +24,7 @@ _BEHIND = 30  # lines that are compared
 _LONGEST = 3000
 # Reasons for which entry is refused.
 _NO_WAY = (
-    "goes on with a drilling cycle",
+    "is within a drilling cycle",
     " probes: ",
     " ends the program",
     "is refused with ",
@@ -98,7 +98,7 @@ def test_program_entered_at_a_line_continues_like_a_whole_run(
     bench = Witness(folder, LENIENT=True)
     homed(bench).put("PART.NC", *lines[: line + _BEHIND])
     said = bench.run(to_its_end(*FAST, *HOMED, LASER[laser], f"$F=PART.NC@{line}"))
-    if f"[MSG:Job PART.NC: goes on at line {line}]" not in said:
+    if f"[MSG:Job PART.NC: continues at line {line}]" not in said:
         assert any(why in said[-1] for why in _NO_WAY), said
         assert not bench.behind(line)
         return

@@ -91,7 +91,7 @@ def test_entry_before_offsets_written_by_a_job_restores_the_old_ones(tmp_path: P
     stopped(first, "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", "G10 L2 P1 X-6", SLOW)
     again = homed(Bench(tmp_path, first.store))
     said = again.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
-    assert "[MSG:Job A.NC: goes on at line 3]" in said
+    assert "[MSG:Job A.NC: continues at line 3]" in said
     assert (-8, -5, -5) in again.moves  # across to X-8 with G54 as at the start of the job
 
 
@@ -118,7 +118,7 @@ def test_entry_is_refused_if_an_offset_of_the_job_was_changed_by_the_user(tmp_pa
     stopped(first, "G90", "G10 L2 P1 X-1", "G1 X-8 F1200", SLOW)
     again = homed(Bench(tmp_path, first.store))
     said = again.run(say(*HOMED, "G10L2P1X-4", "$F=@", wait_s=5))
-    words = "G54 was set by the job, and again since: which holds is not known"
+    words = "G54 was changed since the job set it: its value is uncertain"
     assert said[-1] == f"[MSG:Job A.NC: {words}]"
 
 
@@ -137,7 +137,7 @@ def test_entry_is_refused_if_the_file_has_other_content_of_the_same_size(
     first.put("A.NC", "G90", "G1 X-9 F1200", SLOW)
     again = homed(Bench(tmp_path, first.store))
     said = again.run(say(*HOMED, "$F=@", wait_s=5))
-    assert said[-1] == "[MSG:Job A.NC: it is another file than the one that was noted]"
+    assert said[-1] == "[MSG:Job A.NC: the file has changed since that job stopped]"
 
 
 @pytest.mark.parametrize("z", ["G0 Z-1", ""])
@@ -145,7 +145,7 @@ def test_entry_moves_no_axis_that_was_not_homed(tmp_path: Path, z: str) -> None:
     bench = homed(Bench(tmp_path, HOMING=("XY",)))
     bench.put("A.NC", "G90", "G0 X-8", z, "G1 X-9 F1200")
     said = bench.run(to_its_end(*FAST, "$44=3", *HOMED, "$F=A.NC@4"))
-    not_known = "Z is not homed, and would have to move: where it is is not known"
+    not_known = "Z would have to move, but is not homed: home it first"
     assert said[-1] == f"[MSG:Job A.NC: {not_known if z else 'done, 4 lines'}]"
 
 

@@ -116,7 +116,7 @@ def to_its_end(*lines: str) -> Script:
     """Do as say(), but only until the job that the last line starts has ended."""
 
     def has_ended(text: str) -> bool:
-        return text.startswith("[MSG:Job ") and not (" begins" in text or " goes on at " in text)
+        return text.startswith("[MSG:Job ") and not (" begins" in text or " continues at " in text)
 
     def script(bench: Bench) -> Iterator[Any]:
         sender = bench.sender
@@ -173,7 +173,7 @@ def test_jobs_are_listed_shown_and_deleted(tmp_path: Path) -> None:
     bench.put(".hidden", "G0X9")
     said = bench.run(say("$F", "$F<=A.NC", "$FD=A.NC", "$F", wait_s=0))
     files = ["[FILE:/B.NC|SIZE:5]", "[FILE:/a.nc|SIZE:10]"]
-    told = [line for line in said if not line.startswith("[MSG:Room for ")]
+    told = [line for line in said if not line.startswith("[MSG:Free space: ")]
     assert told == [*files, "ok", "G0X2\nG0X3\n", "ok", "ok", files[0], "ok"]
 
 
@@ -378,7 +378,7 @@ def test_power_cut_is_reported_at_the_next_start(tmp_path: Path) -> None:
     bench.run(say("$F=A.NC", wait_s=1))
     assert bench.kept()[:2] == ["A.NC", "1"]
     said = Bench(tmp_path, bench.store).run(say("$G", wait_s=0))
-    assert said[0] == "[MSG:Job A.NC: did not come to its end; last noted: line 1]"
+    assert said[0] == "[MSG:Job A.NC: did not finish; last recorded line: 1]"
 
 
 def test_start_button_runs_its_job_only_while_idle(tmp_path: Path) -> None:
@@ -447,7 +447,7 @@ def test_power_cut_leaves_the_old_file(tmp_path: Path, cut: int) -> None:
     bench.run(push("NEW.NC", DATA, cut=cut))
     again = Bench(tmp_path)
     files = again.run(say("$F", wait_s=0))
-    assert files[0] == "[FILE:/NEW.NC|SIZE:5]" and files[1].startswith("[MSG:Room for ")
+    assert files[0] == "[FILE:/NEW.NC|SIZE:5]" and files[1].startswith("[MSG:Free space: ")
     assert again.run(push("NEW.NC", DATA))[-1] == "ok"
     assert [file.name for file in bench.folder.iterdir()] == ["NEW.NC"]
 
@@ -456,7 +456,7 @@ def test_wrong_checksum_leaves_the_old_file(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("NEW.NC", "G0X9")
     said = bench.run(push("NEW.NC", DATA, checksum=1))
-    assert said[-2:] == ["[MSG:Not taken: its checksum is another]", "error:3"]
+    assert said[-2:] == ["[MSG:Upload refused: the checksum does not match]", "error:3"]
     assert [file.read_text() for file in bench.folder.iterdir()] == ["G0X9\n"]
 
 
@@ -468,7 +468,7 @@ def test_transfer_ends_when_the_sender_is_silent(tmp_path: Path) -> None:
         yield from bench.sender.wait("ok", "$G\n")
 
     said = bench.run(script)
-    assert said[1:3] == ["[MSG:Not taken: it broke off]", "error:3"]
+    assert said[1:3] == ["[MSG:Upload refused: the sender stopped sending]", "error:3"]
     assert list(bench.folder.iterdir()) == []
 
 
@@ -491,12 +491,12 @@ def test_reset_ends_the_transfer(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("order", "why"),
     [
-        ("A.NC,0,0", "[MSG:A.NC: 0 bytes, and there is room for "),
-        ("A.NC,-5,0", "[MSG:A.NC: -5 bytes, and there is room for "),
-        ("A.NC,999999999999999,0", "[MSG:A.NC: 999999999999999 bytes, and there is room for "),
-        (".A,5,0", "[MSG:A job is called so: "),
-        ("A@3,5,0", "[MSG:A job is called so: "),
-        ("ABCDEFGHIJKLMNOPQRSTUVWXYZ1234567,5,0", "[MSG:A job is called so: "),
+        ("A.NC,0,0", "[MSG:A.NC has 0 bytes, but only "),
+        ("A.NC,-5,0", "[MSG:A.NC has -5 bytes, but only "),
+        ("A.NC,999999999999999,0", "[MSG:A.NC has 999999999999999 bytes, but only "),
+        (".A,5,0", "[MSG:A job name has letters"),
+        ("A@3,5,0", "[MSG:A job name has letters"),
+        ("ABCDEFGHIJKLMNOPQRSTUVWXYZ1234567,5,0", "[MSG:A job name has letters"),
     ],
 )
 def test_impossible_transfer_is_refused_first(tmp_path: Path, order: str, why: str) -> None:
@@ -535,7 +535,7 @@ def test_job_entry_needs_a_homed_machine(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *PROGRAM)
     said = bench.run(say("$F=A.NC@3", wait_s=1))
-    assert said == ["[MSG:Job A.NC: to go on in its middle, home first ($H)]", "error:3"]
+    assert said == ["[MSG:Job A.NC: to start at a line in it, home first ($H)]", "error:3"]
     assert bench.moves == []
 
 
@@ -564,7 +564,7 @@ def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
     whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
     part = homed(Bench(tmp_path))
     said = part.run(to_its_end(*FAST, *HOMED, f"$F=A.NC@{line}"))
-    assert f"[MSG:Job A.NC: goes on at line {line}]" in said
+    assert f"[MSG:Job A.NC: continues at line {line}]" in said
     assert said[-1] == "[MSG:Job A.NC: done, 11 lines]"
     assert part.steps == whole.steps
     assert part.behind(line) == whole.behind(line)
@@ -643,7 +643,7 @@ def test_hold_while_the_entry_is_computed_keeps_the_tool_in_place(
         bench.rig.link.send(byte)
         yield bench.rig.ms(20_000)
 
-    assert "[MSG:Job A.NC: it was held meanwhile]" in bench.run(script)
+    assert "[MSG:Job A.NC: a hold, the door or sleep interrupted it]" in bench.run(script)
     assert bench.moves == [] and bench.rig.port.spindle_pwm == 0
 
 
@@ -665,7 +665,7 @@ def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> N
         assert bench.moves[-1][0] in (0, -1)
 
     said = bench.run(script)
-    assert any("goes on at line" in text for text in said), said
+    assert any("continues at line" in text for text in said), said
 
 
 @pytest.mark.parametrize("line", ["$H", "$J=G91X1F100", "$C", "$SLP"])
@@ -673,7 +673,7 @@ def test_entry_after_commands_of_unknown_effect_is_refused(tmp_path: Path, line:
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G21", line, "G0X-9")
     said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
-    assert said[-1] == "[MSG:Job A.NC: line 2 is no G-code: what it does is not known]"
+    assert said[-1] == "[MSG:Job A.NC: line 2 is a $ command: its effect is not known]"
 
 
 def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues(
@@ -735,7 +735,7 @@ def test_job_is_not_resumed_with_another_file_of_that_name(tmp_path: Path) -> No
     bench.put("A.NC", "G0X1", "G0X2")
     again = homed(Bench(tmp_path, bench.store))
     said = again.run(say(*FAST, *HOMED, "$F=@", wait_s=5))
-    assert said[-1] == "[MSG:Job A.NC: it is another file than the one that was noted]"
+    assert said[-1] == "[MSG:Job A.NC: the file has changed since that job stopped]"
 
 
 def test_job_does_not_start_jobs(tmp_path: Path) -> None:
@@ -756,6 +756,6 @@ def test_status_requests_do_not_keep_a_transfer_open(
             yield bench.rig.ms(100)
 
     said = bench.run(script)
-    assert "[MSG:Not taken: it came damaged]" in said and "error:3" in said
+    assert "[MSG:Upload refused: the data arrived damaged]" in said and "error:3" in said
     reports = [text for text in said if text.startswith("<")]
     assert len(reports) > 50

@@ -259,7 +259,7 @@ def test_m6_waits_for_the_user_with_the_spindle_off() -> None:
 
     bench.rig.run(script())
     ((spindle_on, said),) = seen
-    assert not spindle_on and "[MSG:Tool 12, then ~]" in said and "<Hold:0|" in said
+    assert not spindle_on and "[MSG:Insert tool 12, then send ~]" in said and "<Hold:0|" in said
     assert not said.endswith("ok"), "the line is answered before the tool is changed"
 
 
@@ -434,8 +434,8 @@ def test_reset_in_check_mode_acts_during_any_number_of_holes() -> None:
 
 def test_m6_names_the_last_tool_word_and_none_after_a_reset() -> None:
     said = Bench().say(*AT, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
-    told = [text for each in said for text in each if text.startswith("[MSG:Tool")]
-    assert told == ["[MSG:Tool 3, then ~]", "[MSG:Tool 0, then ~]"]
+    told = [text for each in said for text in each if text.startswith("[MSG:Insert tool")]
+    assert told == ["[MSG:Insert tool 3, then send ~]", "[MSG:Insert tool 0, then send ~]"]
 
 
 @pytest.mark.parametrize("line", ["G43 H2", "G43 G43.1 Z5", "M3 G4 S3"])
@@ -530,7 +530,7 @@ def test_extra_with_a_cycle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         cnc.add_cycle(86, lambda *_: ())
 
-    with pytest.raises(ValueError, match="LENIENT has cycles of its own"):
+    with pytest.raises(ValueError, match="LENIENT has its own canned cycles"):
         beside(install, monkeypatch).say("G0X1")
 
 

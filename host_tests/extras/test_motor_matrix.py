@@ -37,13 +37,13 @@ def test_motors_move_as_the_words_say(lines: "list[tuple[int, int, int]]") -> No
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("X+Q", "Y"), "MOVES: Q in X+Q is no axis, or there twice"),
-        (("X+X", "Y"), "MOVES: X in X+X is no axis, or there twice"),
-        (("X+A", "Y"), "MOVES: A in X+A is no axis, or there twice"),
+        (("X+Q", "Y"), "MOVES: Q in X+Q is not an axis, or is listed twice"),
+        (("X+X", "Y"), "MOVES: X in X+X is not an axis, or is listed twice"),
+        (("X+A", "Y"), "MOVES: A in X+A is not an axis, or is listed twice"),
         (("X+Y", "X+Y"), "MOVES: X and Y cannot move alone"),
         (("X+Z", "Y", "Z"), "MOVES: X and Z cannot move alone"),
         (("X", "Y", ""), "MOVES: no motor moves Z"),
-        (("X", "Y", "Z", "X"), "MOVES has 4 words, and there are 3 axes"),
+        (("X", "Y", "Z", "X"), "MOVES has 4 words, but there are 3 axes"),
     ],
 )
 def test_impossible_words_are_reported(words: Sequence[str], why: str) -> None:
@@ -65,4 +65,4 @@ def test_motor_that_moves_one_axis_may_have_a_second() -> None:
 def test_words_and_corexy_exclude_each_other() -> None:
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim_corexz")), "COREXY": True})
-    assert board_check.problems(board) == ["MOVES says what COREXY does: write one of them"]
+    assert board_check.problems(board) == ["MOVES and COREXY exclude each other: use one"]

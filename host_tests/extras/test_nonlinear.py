@@ -488,7 +488,7 @@ def test_examples_are_boards_that_can_be_built(name: str) -> None:
     [
         ({"COREXY": True}, "KINEMATICS and COREXY are not for the same machine"),
         ({"JERK": True}, "KINEMATICS and JERK are not for the same machine"),
-        ({"STEP": (0, 1, 2, 3)}, "KINEMATICS: START has 3 numbers, STEP 4 pins"),
+        ({"STEP": (0, 1, 2, 3)}, "KINEMATICS: START has 3 numbers, but STEP has 4 pins"),
         ({"KINEMATICS": "random"}, "KINEMATICS: random.py has no inverse"),
     ],
 )

@@ -29,7 +29,7 @@ _REPORT = re.compile(
     r"(?P<sure>[^:]*): X(?P<X>-?[\d.]+) Y(?P<Y>-?[\d.]+) Z(?P<Z>-?[\d.]+)\]"
 )
 _CERTAIN = "position certain"
-_UNFINISHED = f"[MSG:Job {_JOB}: did not come to its end; last noted: line "
+_UNFINISHED = f"[MSG:Job {_JOB}: did not finish; last recorded line: "
 
 
 class Power:
@@ -169,7 +169,7 @@ def test_job_resumes_at_the_exact_line_of_the_failure(power: Power, tmp_path: Pa
     power.machine().put(_JOB, *_LINES)
     said = power.bench.run(say(*HOMED, "$F=@", wait_s=20))
     assert not report(said), "a record is reported once"
-    assert f"[MSG:Job {_JOB}: goes on at line {found['line']}]" in said
+    assert f"[MSG:Job {_JOB}: continues at line {found['line']}]" in said
     whole = homed(Bench(tmp_path / "whole"))
     whole.folder.parent.mkdir()
     whole.put(_JOB, *_LINES)
@@ -374,11 +374,11 @@ def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> N
 
 def test_time_of_a_stop_is_reported_for_the_settings(power: Power) -> None:
     said = power.bench.run(say(*FAST, "$I", wait_s=0))
-    assert "[MSG:Power fail: stops in 67 ms, of 100]" in said  # 14 + 50 + 3
+    assert "[MSG:Power fail: stops in 67 ms; supply lasts 100 ms]" in said  # 14 + 50 + 3
     said = power.bench.run(say("$121=200", "$I", wait_s=0))
-    assert "[MSG:Power fail: stops in 517 ms, of 100]" in said
+    assert "[MSG:Power fail: stops in 517 ms; supply lasts 100 ms]" in said
     said = power.bench.run(say("$121=0", "$I", wait_s=0))
-    assert "[MSG:Power fail: stops in 60000017 ms, of 100]" in said
+    assert "[MSG:Power fail: stops in 60000017 ms; supply lasts 100 ms]" in said
 
 
 def test_board_whose_flash_has_no_page_says_so(
@@ -389,4 +389,4 @@ def test_board_whose_flash_has_no_page_says_so(
     assert "ALARM:36" in said and power.writes == []
     Pin(_PIN).drive(0)
     said = power.bench.run(say("$G", wait_s=0))
-    assert said[0].startswith("[MSG:POWER_FAIL: flash has no page for it")
+    assert said[0].startswith("[MSG:POWER_FAIL: no free page of flash")

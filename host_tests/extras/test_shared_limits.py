@@ -100,7 +100,7 @@ def test_cycle_of_two_axes_that_share_is_refused() -> None:
     assert made.received.count("error:3") == 1
     made = machine({44: 0, 45: 0, 46: 0})
     made.play(["$H"], [(3000, "\x18")])
-    told = "X and Y share a limit input: have them homed one after the other, $44 to $49"
+    told = "X and Y share a limit input: home them one after the other, by $44 to $49"
     assert f"[MSG:{told}]" in made.received
     assert "ALARM:6" in made.received
     assert made.physical()[:2] == [0, 0]

@@ -131,7 +131,7 @@ def test_other_programs_are_reported(flash: Flash, said: str) -> None:
 def test_data_inside_the_file_system_is_reported() -> None:
     flash = program()
     flash.put(_START, bytes(SECTOR))
-    with pytest.raises(Uf2Error, match="lies in the file system already"):
+    with pytest.raises(Uf2Error, match="file system already has files"):
         binary_info.about(flash)
 
 
@@ -258,8 +258,8 @@ def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path)
     [
         (program(), "armv7emsp", "pio", "is for RP2040; the board file is for RP2350"),
         (program(), "xtensawin", "rmt", "the board file is for ESP32"),
-        (program(version="v1.22.2"), "armv6m", "pio", "1.22 is too old: .* wants 1.26"),
-        (program(version=""), "armv6m", "pio", "does not say its version: put MicroPython"),
+        (program(version="v1.22.2"), "armv6m", "pio", "1.22 is too old: .* needs 1.26"),
+        (program(version=""), "armv6m", "pio", "its version is not in it: put MicroPython"),
     ],
 )
 def test_a_micropython_for_another_board_is_reported(
@@ -289,7 +289,7 @@ def test_the_command_writes_the_file_and_says_where_to_drag_it(
     done = run("--micropython", str(micropython), "-o", str(out), *settings)
     assert done.exit_code == 0, done.output
     assert "drag the file onto RPI-RP2" in done.output and "v1.28.0, for RP2040" in done.output
-    assert "note: $111=0 is a highest rate of 0 for Y" in done.output
+    assert "note: $111=0 means a highest rate of 0 for Y" in done.output
     _, found = after_a_drag(out.read_bytes())
     assert {"main.py", "board.py", "deployed.sha256", "pio/engine.mpy"} <= found.keys()
 
@@ -302,11 +302,11 @@ def test_the_command_writes_the_file_and_says_where_to_drag_it(
         ("--micropython RPI_PICO.uf2 --settings nowhere", "nowhere cannot be read"),
         ("--micropython RPI_PICO.uf2 --settings more.settings", "the machine has no $999"),
         ("--micropython half.uf2", "it is cut off: 1 of its"),
-        ("--micropython RPI_PICO.uf2 -o bad.settings", "ends in .uf2"),
+        ("--micropython RPI_PICO.uf2 -o bad.settings", "must end in .uf2"),
         ("--micropython RPI_PICO.uf2 --settings bad.settings", "$0=1: error:6"),
         ("--micropython RPI_PICO.uf2 --custom bad.settings", "bad.settings is no Python file"),
-        ("--micropython RPI_PICO.uf2 --custom bad.py", "nothing has been made"),
-        ("--micropython RPI_PICO.uf2 -o RPI_PICO.uf2", "not written over"),
+        ("--micropython RPI_PICO.uf2 --custom bad.py", "no file was written"),
+        ("--micropython RPI_PICO.uf2 -o RPI_PICO.uf2", "not overwritten"),
         ("--micropython RPI_PICO.uf2 -o bad.py/x.uf2", "bad.py"),
         ("--micropython RPI_PICO.uf2 --board rpi_pico2", "RPI_PICO.uf2: it is for RP2040"),
         ("--micropython RPI_PICO.uf2 --board toaster", "no board 'toaster'"),

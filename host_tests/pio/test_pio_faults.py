@@ -375,7 +375,7 @@ def test_a_missing_interrupt_is_a_fault_until_the_engine_is_armed() -> None:
         rp2.PIO.handlers[1] = (lambda _: 0, 0, True)
         bed.start(rush([0]))
         bed.chip.run(100)
-        assert "does not come" in bed.engine.fault()
+        assert "did not occur" in bed.engine.fault()
         bed.engine.stop()
         check_stopped(bed, 0)
 
@@ -397,7 +397,7 @@ def test_motion_late_on_its_schedule_is_a_fault(base_us: int) -> None:
             clock.tick(us * 1000)
             assert bed.engine.fault() == ""
         clock.tick(30_000_000)
-        assert "behind" in bed.engine.fault()
+        assert "late on" in bed.engine.fault()
         bed.engine.stop()
         check_stopped(bed, bed.rises())
 

@@ -301,7 +301,7 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
         ({"ESTOP": 9}, "ESTOP: pin 9 is LIMIT already"),
         ({"INPUTS": {"door": 9}}, "INPUTS: pin 9 is LIMIT already"),
         ({"OUTPUTS": {"lamp": 30}}, "OUTPUTS: there is no pin 30"),
-        ({"CONTROL_INVERT": 8}, "CONTROL_INVERT: there is no input of value 8"),
+        ({"CONTROL_INVERT": 8}, "CONTROL_INVERT: the input of value 8 is not wired"),
     ],
 )
 def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:

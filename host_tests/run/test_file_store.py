@@ -122,7 +122,7 @@ def test_a_file_changed_by_another_program_is_not_overwritten(path: Path) -> Non
     store = FileStore(path)
     store.save("settings", ["$0=10"])
     path.write_text("$0=20\n")
-    with pytest.raises(OSError, match="changed by somebody else"):
+    with pytest.raises(OSError, match="changed by another program"):
         store.save("settings", ["$0=11"])
     assert path.read_text() == "$0=20\n"
 
@@ -130,7 +130,7 @@ def test_a_file_changed_by_another_program_is_not_overwritten(path: Path) -> Non
 def test_a_file_created_by_another_program_is_not_overwritten(path: Path) -> None:
     store = FileStore(path)
     path.write_text("precious")
-    with pytest.raises(OSError, match="changed by somebody else"):
+    with pytest.raises(OSError, match="changed by another program"):
         store.save("settings", ["$0=11"])
     assert path.read_text() == "precious"
 

@@ -209,7 +209,7 @@ def test_a_laser_is_switched_on_only_at_the_entry_point(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     here.settings[32] = "1"
-    with pytest.raises(CannotEnter, match="line 6 goes on with G1"):
+    with pytest.raises(CannotEnter, match="line 6 continues G1"):
         way(here, 6)
     lines = way(here, 7)
     assert lines.index("G0 M3 S8000") > lines.index("G53 G1 Z-29.000 F300")
@@ -217,7 +217,7 @@ def test_a_laser_is_switched_on_only_at_the_entry_point(
 
 
 def test_entry_at_a_continued_arc_is_refused(here: machine_snapshot.MachineSnapshot) -> None:
-    with pytest.raises(CannotEnter, match="line 8 goes on with G2"):
+    with pytest.raises(CannotEnter, match="line 8 continues G2"):
         way(here, 8)
     assert way(here, 7)[-1].startswith("G1 ")
 
@@ -227,7 +227,7 @@ def test_entry_at_a_continued_drilling_cycle_is_refused(
 ) -> None:
     lines = [b"G21 G90", b"G0 Z10", b"G99 G81 X5 Y5 Z-2 R2 F100", b"X10", b"G80", b"G0 X20"]
     found = forecast(here, ["G21 G90", "G0 Z10", "G0 X5", "X10"], ask_at=4)
-    with pytest.raises(CannotEnter, match="line 4 goes on with the drilling cycle of line 3"):
+    with pytest.raises(CannotEnter, match="line 4 continues the drilling cycle of line 3"):
         approach(lines, 4, found, here)
     assert approach(lines, 6, found, here).lines
 
@@ -257,7 +257,7 @@ def test_entry_after_a_changed_stored_position_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = [b"G21 G90", b"G53 G0 X-7 Y-7 Z-7", b"G28.1", b"G0 X1", b"G28"]
-    with pytest.raises(CannotEnter, match="another place for G28"):
+    with pytest.raises(CannotEnter, match="another position for G28"):
         way(here, 4, lines)
     here.offsets["G28"] = [-7.0, -7.0, -7.0]
     assert way(here, 4, lines)

@@ -236,7 +236,7 @@ def test_a_file_without_a_program_is_a_failure(program: Path, data: bytes) -> No
     [
         (["--plot", "out.tiff"], ".html, .png, .svg"),
         (["--json", "PROGRAM/x.json"], "program.nc is no folder"),
-        (["--json", "PROGRAM"], "it is not written over"),
+        (["--json", "PROGRAM"], "it is not overwritten"),
         (["--settings", "PROGRAM"], "is no setting"),
         (["--set", "fast"], "write it as"),
     ],
@@ -256,7 +256,7 @@ def test_a_program_for_another_controller_gets_a_hint_to_lenient(program: Path) 
     program.write_text("%\nO1000 (PART)\nN10 T1 M6\nG21 G90\nG0 X1\nM30\n%\n")
     done = CliRunner().invoke(app, ["run", str(program), "--check"])
     assert done.exit_code == 1 and "line 1" not in done.output
-    assert "lines 2, 3: written for another controller; --lenient takes" in done.output
+    assert "lines 2, 3: written for another controller; --lenient accepts" in done.output
     done = CliRunner().invoke(app, ["run", str(program), "--check", "--lenient"])
     assert done.exit_code == 0 and "another controller" not in done.output
 
@@ -271,7 +271,7 @@ def test_a_program_may_be_in_utf_16(program: Path, encoding: str) -> None:
 def test_a_dash_instead_of_a_minus_is_named(program: Path) -> None:
     program.write_text("G21\nG1 X−1 F500\n", encoding="utf-8")
     done = CliRunner().invoke(app, ["run", str(program)])
-    assert "line 2: '−' is no minus: write -" in done.output
+    assert "line 2: '−' is no minus sign: write -" in done.output
 
 
 def test_options_override_the_settings_file(program: Path, tmp_path: Path) -> None:

@@ -518,11 +518,11 @@ def test_a_tcp_sender_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpS
         (["--plot", "FOLDER"], ".html, .png, .svg"),
         (["--report", "FOLDER"], "is a folder"),
         (["--report", "FOLDER/mill.settings/x"], "mill.settings is no folder"),
-        (["--report", "FOLDER/mill.settings"], "not written over"),
+        (["--report", "FOLDER/mill.settings"], "not overwritten"),
         (["--settings", "FOLDER/nowhere/x"], "no folder"),
         (["--settings", "FOLDER"], "FOLDER"),
         (["--board", "toaster"], "no board 'toaster'"),
-        (["--rfc2217"], "is for --tcp"),
+        (["--rfc2217"], "needs --tcp"),
     ],
 )
 def test_impossible_options_are_reported_before_the_start(

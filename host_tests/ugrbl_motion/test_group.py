@@ -354,7 +354,7 @@ WRONG = [
     (lambda group: group.move(x=1, y=1e9), "y is out of reach"),
     (lambda group: group.move_by(x=-1e9), "x is out of reach"),
     (lambda group: group.axes[0].run(0), "stop"),
-    (lambda group: group.pace(0), "from 0.01 to 10"),
+    (lambda group: group.pace(0), "0.01 to 10"),
 ]
 
 

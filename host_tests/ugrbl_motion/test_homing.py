@@ -60,7 +60,7 @@ def test_other_axes_stay_where_they_are_and_earlier_moves_are_finished() -> None
 
 def test_a_switch_that_is_not_there_is_reported() -> None:
     bench = GroupBench()
-    with pytest.raises(GroupError, match="no switch at pin 20 was found: longer travel"):
+    with pytest.raises(GroupError, match="the switch at pin 20 was not reached: increase travel"):
         Homing(Switch(PIN), -40.0, 2.0, back_off=1.0, travel=6).find(bench.axes[X])
     assert bench.steps[X] == -480 and bench.group.done()
 

@@ -123,9 +123,9 @@ def test_address_in_use_is_reported() -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ("--sim --port x", "say one of --port and --sim"),
+        ("--sim --port x", "use only one of --port and --sim"),
         ("--port x --settings y", "--settings is for --sim"),
-        ("--port missing", "cannot open missing: no such port; is it written right"),
+        ("--port missing", "cannot open missing: no such port; is its name right"),
         ("--sim --board toaster", "no board 'toaster'"),
         ("--sim --settings FOLDER/photo", "photo"),
         ("--sim --host 192.0.2.1 --http 0", "192.0.2.1:0 cannot be listened at"),
@@ -145,7 +145,7 @@ def test_missing_board_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "find", list)
     done = CliRunner().invoke(app, ["web", "--no-browser", "--http", "0"])
     assert done.exit_code == 1
-    assert "no controller is plugged in" in done.output and "--sim" in done.output
+    assert "no controller was found" in done.output and "--sim" in done.output
 
 
 def test_page_is_saved_for_browser_without_server(tmp_path: Path) -> None:

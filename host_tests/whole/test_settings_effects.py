@@ -494,7 +494,7 @@ def test_an_unsaved_setting_has_its_effect_until_power_off() -> None:
 
     def script() -> Iterator[Any]:
         store.full = True
-        not_kept = ["[MSG:Flash is full or worn: not kept]", "error:7"]
+        not_kept = ["[MSG:Flash is full or worn: not saved]", "error:7"]
         assert (yield from bench.say("$100=125\n")) == not_kept
         assert (yield from look(bench)) == 125
         said = yield from bench.say("$RST=$\n", "banner")

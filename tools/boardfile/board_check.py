@@ -148,7 +148,7 @@ def _unknown(board: ModuleType) -> Iterator[str]:
     known = set(BY_NAME) | _names_of_extras(board)
     for name in (name for name in vars(board) if name.isupper() and name not in known):
         similar = difflib.get_close_matches(name, known, 1)
-        yield f"{name}: nothing reads it" + "".join(f"; is {guess} meant?" for guess in similar)
+        yield f"{name}: no such option" + "".join(f"; did you mean {guess}?" for guess in similar)
 
 
 def _pins_of_extras(board: ModuleType) -> tuple[str, ...]:
@@ -193,7 +193,7 @@ def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
     if motor_names.axes_of(board) < FEWEST_AXES:
         yield f"STEP wants {FEWEST_AXES} pins, for {motor_names.AXIS_LETTERS[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
-        yield "CONTROL wants four entries, for reset, hold, start and door; None where not wired"
+        yield "CONTROL needs four entries, for reset, hold, start and door; None where not wired"
     items = {item.name: item for item in ITEMS}
     known = Board(board.__name__, chip, getattr(board, "MOTORS", ""))
     for name, pins in _held(board):
@@ -283,8 +283,8 @@ def _imports_of_extras(board: ModuleType) -> Iterator[str]:
         for module in imports(text):
             if module.partition(".")[0] in packages:
                 yield (
-                    f"EXTRAS: {name} imports {module}, which is not there as it is here: what an "
-                    "extra needs, `cnc` has"
+                    f"EXTRAS: {name} imports {module}, which boards may not "
+                    "have: use only `cnc` and what boards have"
                 )
 
 
@@ -304,7 +304,7 @@ def _wires(board: ModuleType) -> Iterator[str]:
     inverted, held = getattr(board, "CONTROL_INVERT", 0), getattr(board, "CONTROL", ())
     for bit, name in enumerate(CONTROLS):
         if inverted >> bit & 1 and held[bit : bit + 1] in ((), (None,)):
-            yield f"CONTROL_INVERT: there is no pin for {name}, and open means pressed"
+            yield f"CONTROL_INVERT: there is no pin for {name}, so it would always be pressed"
 
 
 def _network(board: ModuleType) -> Iterator[str]:
@@ -325,9 +325,9 @@ def _card(board: ModuleType) -> Iterator[str]:
     if not pins:
         return
     if not getattr(board, "JOBS", ""):
-        yield 'SD_CARD: it is for jobs, and JOBS = "jobs" is not there'
+        yield 'SD_CARD is for jobs: add JOBS = "jobs"'
     if len(pins) != len(_SPI) + 1 or None in pins:
-        yield "SD_CARD wants four pins: clock, to the card, from the card, select"
+        yield "SD_CARD needs four pins: clock, to the card, from the card, select"
     elif board.ENGINE == "pio":
         spis = {(pin >> _SPI_LOG2) % 2 for pin in pins[: len(_SPI)]}
         roles = zip(pins, _SPI, strict=False)

@@ -243,7 +243,9 @@ def check(board: Board) -> None:
         check_motors(board, board.motors)
     check_rotary(board, board.rotary)
     if board.network and not board.chip.radio:
-        raise BoardError(f"{board.chip.title} has no radio: see --chip, a Pico W say")
+        raise BoardError(
+            f"{board.chip.title} has no radio: choose another --chip, for example pico_w"
+        )
     if board.page and board.chip.mpy_arch == TOO_SMALL:
         raise BoardError(NO_PAGE)
     _check_defaults(board)

@@ -113,15 +113,30 @@ Blank = Annotated[
     bool, typer.Option("--blank", help="Start with erased memory, as before the first start.")
 ]
 Switches = Annotated[
-    bool, typer.Option("--switches", help="Limit switches at both ends of $130-$132, for $H.")
+    bool,
+    typer.Option("--switches", help="Simulate limit switches at both ends of travel ($130-$132)."),
 ]
 Network = Annotated[
     str | None,
-    typer.Option(metavar="[HOST:]PORT", help="Also listen as a board's network: docs/network.md."),
+    typer.Option(
+        metavar="[HOST:]PORT", help="Also listen on TCP, as a networked board: docs/network.md."
+    ),
 ]
 Page = Annotated[
     str | None,
-    typer.Option(metavar="[HOST:]PORT", help="With --network: serve the page, as a board does."),
+    typer.Option(
+        metavar="[HOST:]PORT", help="With --network: also serve the control page, at this port."
+    ),
+]
+TcpPlace = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[HOST:]PORT", help="Listen on TCP instead; without HOST: this computer only."
+    ),
+]
+KeptSettings = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="File for settings, in the form of `ugrbl settings pull`."),
 ]
 
 
@@ -129,30 +144,29 @@ Page = Annotated[
 def sim(
     board: Board = DEFAULT_BOARD,
     port: Annotated[
-        Path | None, typer.Option(metavar="LINK", help="Link to the pseudo-terminal, made there.")
+        Path | None, typer.Option(metavar="LINK", help="Create this link to the pseudo-terminal.")
     ] = None,
-    tcp: Annotated[
-        str | None,
-        typer.Option(metavar="[HOST:]PORT", help="Use TCP instead; no HOST: this computer only."),
-    ] = None,
+    tcp: TcpPlace = None,
     rfc2217: Annotated[
-        bool, typer.Option("--rfc2217", help="With --tcp: as a serial port, for rfc2217:// URLs.")
+        bool,
+        typer.Option("--rfc2217", help="With --tcp: act as a serial port for rfc2217:// URLs."),
     ] = False,
-    stdio: Annotated[bool, typer.Option("--stdio", help="Use stdin and stdout instead.")] = False,
+    stdio: Annotated[
+        bool, typer.Option("--stdio", help="Use stdin and stdout instead of a pseudo-terminal.")
+    ] = False,
     speed: Annotated[
-        Speed, typer.Option(help="max: motion takes no longer than computing it.")
+        Speed, typer.Option(help="real: as fast as a machine; max: as fast as possible.")
     ] = Speed.REAL,
-    settings: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Keeps settings, as `ugrbl settings pull` writes them."),
-    ] = None,
+    settings: KeptSettings = None,
     blank: Blank = False,
     switches: Switches = False,
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="At the end, write steps and times there.")
+        Path | None,
+        typer.Option(metavar="FILE", help="At the end, write steps and times to this file."),
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="At the end, draw the tool's path there.")
+        Path | None,
+        typer.Option(metavar="FILE", help="At the end, draw the tool's path to this file."),
     ] = None,
     network: Network = None,
     page: Page = None,

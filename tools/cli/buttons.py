@@ -54,7 +54,7 @@ class Buttons:
         elif name not in known:
             self.say(f"there is no input {name}; there are {', '.join(known)}")
         elif word and word not in _WORDS:
-            self.say(f"{name} on or {name} off, not {word}")
+            self.say(f"write {name} on or {name} off, not {word}")
         else:
             closes = _WORDS.get(word, not self._inputs.is_closed(name))
             self._inputs.push(name, closes)

@@ -76,30 +76,37 @@ def show(results: Results, console: Console, most: int = 20) -> None:
     if ratios := results.time_ratios():
         low, middle, high = ratios[0], statistics.median(ratios), ratios[-1]
         console.print(
-            f"{len(ratios)} motions take {middle:.4f} of Grbl's time, the median, "
-            f"{low:.3f} to {high:.3f}",
+            f"{len(ratios)} motions: median duration {middle:.4f} x Grbl's, "
+            f"range {low:.3f} to {high:.3f}",
             highlight=False,
         )
     used = Counter(name for outcome in results.outcomes for name in outcome.differences)
     for name, count in used.items():
-        console.print(f"named difference {name}: {count} times", highlight=False)
+        console.print(f"known difference {name}: {count} times", highlight=False)
 
 
 def command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="DIR", help="Folder of recordings. [default: our own]"),
+        typer.Argument(metavar="DIR", help="Folder of recordings. [default: those of ugrbl]"),
     ] = CONVERSATIONS,
-    python: Annotated[str, typer.Option(help="cpython or micropython")] = "cpython",
+    python: Annotated[
+        str, typer.Option(help="Python that runs the firmware: cpython or micropython.")
+    ] = "cpython",
     port: Annotated[
         str | None, typer.Option(help="Serial port of a real device. The machine will move!")
     ] = None,
     only: Annotated[
-        str | None, typer.Option(metavar="CATEGORY", help="One file's name, or motion.")
+        str | None,
+        typer.Option(
+            metavar="CATEGORY", help="Replay only this category: a file's name, or motion."
+        ),
     ] = None,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write all results there; - is stdout."),
+        typer.Option(
+            "--json", metavar="FILE", help="Write all results to this file; - is stdout."
+        ),
     ] = None,
     board: Annotated[
         str | None,
@@ -111,9 +118,9 @@ def command(
     docs/conformance.md describes these recordings.
     """
     if python not in ("cpython", "micropython"):
-        raise typer.BadParameter("--python is cpython or micropython")
+        raise typer.BadParameter("--python must be cpython or micropython")
     if not folder.is_dir():
-        raise typer.BadParameter(f"no folder {folder}")
+        raise typer.BadParameter(f"there is no folder {folder}")
     try:
         check_outputs(json_file, given=locals())
         if board is not None:

@@ -27,7 +27,7 @@ def command(
     from .terminal import Terminal
 
     if not sys.stdin.isatty():
-        raise failed("the console wants a terminal; `ugrbl send -` takes lines from stdin")
+        raise failed("the console needs a terminal; `ugrbl send -` sends lines from stdin")
     try:
         connection = Connection(choose(port), baud)
         desk = Session(connection, print)

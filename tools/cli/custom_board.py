@@ -31,8 +31,10 @@ from .ports import Port
 
 __all__ = ["app"]  # includes the commands that need no board
 
-Anyway = Annotated[bool, typer.Option("--anyway", help="Push it even if only the dry run fails.")]
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+Anyway = Annotated[
+    bool, typer.Option("--anyway", help="Push the files even if the dry run fails.")
+]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
 # Messages of the firmware after its start.
 _RUNS = "Custom: "
@@ -76,7 +78,7 @@ def _judged(
     surroundings = around(board, file, inputs)
     verdict = judge(console, board, surroundings)
     if verdict.problems or not (verdict.is_good or anyway):
-        todo = "" if verdict.problems else "; --anyway does, if only the dry run is to blame"
+        todo = "" if verdict.problems else "; --anyway pushes even if the dry run fails"
         raise failed(f"nothing has been put on a board{todo}")
     assert surroundings.custom
     return surroundings.custom
@@ -92,7 +94,8 @@ def _push(console: Console, port: str, own: OwnPython) -> None:
         if wrong:
             shelf.restart()
             raise DeployError(
-                "\n".join(wrong), "name the pin in the board file, and deploy it; nothing was put"
+                "\n".join(wrong),
+                "add the pin to the board file, and deploy it; nothing was pushed",
             )
         with Bar(console) as bar:
             bar.begin(len(files), sum(map(len, files.values())))
@@ -107,7 +110,7 @@ def renamed(own: OwnPython, name: str) -> dict[str, bytes]:
         lines = [str(m.file) for m in own.modules.values() if f"{own.name}.".encode() in m.source]
         if lines:
             raise DeployError(
-                f"this board reads the folder {name}, and {lines[0]} speaks of {own.name}",
+                f"this board reads the folder {name}, but {lines[0]} refers to {own.name}",
                 f"write {name} there, or check and push with --board and its board file",
             )
     return {path.replace(own.name, name, 1): content for path, content in own.files.items()}
@@ -128,18 +131,20 @@ def _tell_start(console: Console, what: str, messages: "list[str]") -> None:
             return
         if text.startswith(_LEFT_OUT):
             raise DeployError(
-                f"{what}: the board has it, and leaves it out: {text.removeprefix(_LEFT_OUT)}",
-                "mend it and push it again, or take it away: ugrbl custom remove",
+                f"{what}: it is on the board, but was not loaded: {text.removeprefix(_LEFT_OUT)}",
+                "correct it and push it again, or remove it: ugrbl custom remove",
             )
     raise DeployError(
-        f"{what}: the board has it, and its firmware does not know of it",
-        "put the firmware of today there: ugrbl deploy",
+        f"{what}: it is on the board, but the firmware there is too old for it",
+        "update the firmware: ugrbl deploy",
     )
 
 
 @app.command(epilog=_EXAMPLE.format("pull mine.py --port /dev/ttyACM0"))
 def pull(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A .py file, or a folder.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Where to write: a .py file, or a folder.")
+    ],
     port: Port = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace an existing file or folder.")
@@ -148,14 +153,19 @@ def pull(
     """Fetch the files from the board, and restart the board."""
     with _told():
         if file.exists() and not force:
-            raise DeployError(f"{file} is there already", "--force replaces it")
+            raise DeployError(f"{file} exists already", "--force replaces it")
         paths.check_writable(file / "one" if file.is_dir() else file)
         where = ports.choose(port)
         files = _fetch(where)
         if not files:
-            raise DeployError(f"there is none on the board at {where}", "ugrbl custom push FILE")
+            raise DeployError(
+                f"the board at {where} has no Python of yours",
+                "put it there: ugrbl custom push FILE",
+            )
         path = keep(files, file)
-        Console().print(f"{path} is what is at {where}", highlight=False, soft_wrap=True)
+        Console().print(
+            f"{path} now has the files of the board at {where}", highlight=False, soft_wrap=True
+        )
 
 
 def _fetch(port: str) -> dict[str, bytes]:
@@ -175,7 +185,7 @@ def keep(found: Mapping[str, bytes], file: Path) -> Path:
         paths.write(file, next(iter(found.values())))
         return file
     if file.suffix == ".py":
-        raise DeployError(f"on the board there is a folder: {file} cannot be one", "name a folder")
+        raise DeployError(f"the board has a folder, which {file} cannot be", "name a folder")
     for path, content in found.items():
         paths.write(file / path.rpartition("/")[2], content)
     return file
@@ -202,7 +212,7 @@ def edit(
         try:
             done = _edit(Console(), editor, copy, where, board, inputs, anyway)
         except (typer.Exit, Exception):
-            text = f"your copy is {copy}: push it when it is right"
+            text = f"your edited copy is {copy}: correct it, then push it"
             Console(stderr=True).print(text, highlight=False, soft_wrap=True)
             raise
         shutil.rmtree(folder)
@@ -213,13 +223,13 @@ def edit(
 def _editor() -> list[str]:
     """Return the words of $VISUAL or $EDITOR. DeployError if neither is set."""
     command = os.environ.get("VISUAL") or os.environ.get("EDITOR") or ""
-    todo = "say which: export EDITOR=nano"
+    todo = "choose one: export EDITOR=nano"
     try:
         words = shlex.split(command)
     except ValueError as error:
         raise DeployError(f"$VISUAL or $EDITOR is no command: {command}", todo) from error
     if not words:
-        raise DeployError("no editor is known", todo)
+        raise DeployError("no editor is set in $EDITOR", todo)
     return words
 
 
@@ -238,9 +248,9 @@ def _edit(
         subprocess.run([*editor, str(copy)], check=True)
     except OSError as error:
         why = f"the editor {editor[0]} cannot be run; nothing was pushed"
-        raise DeployError(why, "say another: export EDITOR=nano") from error
+        raise DeployError(why, "choose another: export EDITOR=nano") from error
     except subprocess.CalledProcessError as error:
-        why = f"the editor {editor[0]} ended with {error.returncode}; nothing was pushed"
+        why = f"the editor {editor[0]} ended with exit code {error.returncode}; nothing was pushed"
         raise DeployError(why, "edit your copy, and push it: ugrbl custom push") from error
     if _digests(copy) == before:
         return False
@@ -260,11 +270,11 @@ def remove(port: Port = None, yes: Yes = False) -> None:
     with _told():
         where = ports.choose(port)
         if not yes:
-            agree(f"Take your Python off the board at {where}?", "nothing has been changed")
+            agree(f"Remove your Python from the board at {where}?", "nothing has been changed")
         with _shelf(where) as shelf:
             there = shelves.remove(shelf, shelves.name_of(shelf.options()))
             shelf.restart()
-        text = "is off the board" if there else "was not on the board"
+        text = "was removed from the board" if there else "was not on the board"
         Console().print(f"custom.py {text} at {where}", highlight=False, soft_wrap=True)
 
 

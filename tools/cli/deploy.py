@@ -67,13 +67,14 @@ class Bar:
 
 def command(
     board: Annotated[
-        str, typer.Option(metavar="NAME", help="A file of boards/, or a path: my_router.py.")
+        str,
+        typer.Option(metavar="NAME", help="Board: a file of boards/, or a path: my_router.py."),
     ],
     port: Annotated[
         str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
     ] = None,
     replace: Annotated[
-        bool, typer.Option("--replace", help="Replace a board.py or main.py of yours, too.")
+        bool, typer.Option("--replace", help="Also replace a board.py or main.py of your own.")
     ] = False,
     json_file: Json = None,
 ) -> None:
@@ -140,7 +141,7 @@ def _frozen(result: Result) -> list[tuple[str, str]]:
     """Return a row that says which firmware runs, if one is frozen."""
     if not result.frozen:
         return []
-    runs = "runs" if result.runs_frozen else "does not run: files go before it"
+    runs = "runs" if result.runs_frozen else "does not run: files on the board take priority"
     return [("frozen", f"build {result.frozen}, which {runs}")]
 
 

@@ -70,8 +70,8 @@ class Doctor:
             elif state in sync.QUIET:
                 self._examine(connection, pins_s, may_move, ask)
             else:
-                text = f"{state}: Grbl answers no questions then"
-                todo = f"{way_out(state)}; then look again"
+                text = f"{state}: Grbl answers no queries in this state"
+                todo = f"{way_out(state)}; then run this again"
                 self.add(Finding("state", BAD, text, todo))
                 self.add(*checkup.pins_at_rest(board_under_test.pins(connection), {}))
         finally:
@@ -120,7 +120,7 @@ class Doctor:
         if state == "Idle":
             self.add(Finding("state", OK, "Idle"))
         else:
-            self.add(Finding("state", NOTE, state, f"{way_out(state)}; then look again"))
+            self.add(Finding("state", NOTE, state, f"{way_out(state)}; then run this again"))
 
     def _pin(self, name: str, is_on: bool) -> None:
         self.console.print(f"     {name}: {'on' if is_on else 'off'}", highlight=False)
@@ -167,7 +167,9 @@ def command(
     pins: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", min=0, help="Watch the inputs for so long; 0: never. [default: ask]"
+            metavar="SECONDS",
+            min=0,
+            help="How long to watch the inputs; 0: not at all. [default: ask]",
         ),
     ] = None,
     move: Annotated[
@@ -176,7 +178,9 @@ def command(
     ] = None,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the findings there; - is stdout."),
+        typer.Option(
+            "--json", metavar="FILE", help="Write the findings to this file; - is stdout."
+        ),
     ] = None,
 ) -> None:
     """Find the faults of a machine, and say what to do.

@@ -17,19 +17,24 @@ from .ports import Baud, Port, connected
 
 app = typer.Typer(no_args_is_help=True, help="Programs that are stored on a board: docs/jobs.md.")
 
-Name = Annotated[str, typer.Argument(metavar="NAME", help="As `ugrbl job list` shows it.")]
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="Name of the program, as `ugrbl job list` shows it.")
+]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]
 _EXAMPLE = "\n\nExample:  ugrbl job {} --port /dev/ttyACM0"
 
 
 @app.command(epilog=_EXAMPLE.format("push part.nc"))
 def push(
-    file: Annotated[Path, typer.Argument(metavar="FILE", readable=False, help="The program.")],
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", readable=False, help="G-code file to store on the board."),
+    ],
     port: Port = None,
     baud: Baud = BAUD,
     name: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Its name there. [default: the same]"),
+        typer.Option(metavar="NAME", help="Name on the board. [default: the file's name]"),
     ] = None,
 ) -> None:
     """Put a program on a board, over the line that senders use.
@@ -94,11 +99,18 @@ def run(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
 @app.command(epilog=_EXAMPLE.format("resume PART.NC --line 1200"))
 def resume(
     name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="[default: the one that has not ended]")
+        str,
+        typer.Argument(
+            metavar="[NAME]", help="Name of the program. [default: the one that has not ended]"
+        ),
     ] = "",
     line: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="[default: where it was last held or stopped]"),
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Line to begin at. [default: where it was last held or stopped]",
+        ),
     ] = None,
     port: Port = None,
     baud: Baud = BAUD,
@@ -110,7 +122,7 @@ def resume(
     There the spindle starts, and the tool moves down at the feed rate.
     """
     if line and not name:
-        raise failed("--line wants the name of the program")
+        raise failed("--line needs the name of the program")
     called = _called(name) if name else ""
     what = f"line {line} of {called}" if line else f"{called or 'the program'}, where it stopped"
     with connected(port, baud) as connection:
@@ -122,7 +134,10 @@ def resume(
 
 @app.command(epilog=_EXAMPLE.format("button PART.NC"))
 def button(
-    name: Annotated[str, typer.Argument(metavar="[NAME]", help="[default: none]")] = "",
+    name: Annotated[
+        str,
+        typer.Argument(metavar="[NAME]", help="Program that the button starts. [default: none]"),
+    ] = "",
     port: Port = None,
     baud: Baud = BAUD,
 ) -> None:

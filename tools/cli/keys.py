@@ -27,7 +27,7 @@ COMMANDS = {
     "/": b"\x9b",
 }
 HELP = (
-    "keys: space holds, ~ or Enter goes on, + - > < 0 feed, 1 2 3 rapids 25 50 100 %, "
+    "keys: space holds, ~ or Enter resumes, + - > < 0 feed, 1 2 3 rapids 25 50 100 %, "
     "* / = spindle, Ctrl-C holds and asks"
 )
 # On a Windows console, arrow and function keys arrive as one of these and the character of another

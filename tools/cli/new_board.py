@@ -29,19 +29,32 @@ _CHIPS = "|".join(CHIPS)
 
 Motors = Annotated[
     str | None,
-    typer.Option(metavar="LETTERS", help="The axis of each motor: XYZY has two on Y."),
+    typer.Option(metavar="LETTERS", help="Axis of each motor: XYZY has two motors on Y."),
 ]
 Rotary = Annotated[
-    str | None, typer.Option(metavar="LETTERS", help="Axes that turn, in degrees: A, or AC.")
+    str | None, typer.Option(metavar="LETTERS", help="Rotary axes, in degrees: A, or AC.")
 ]
-Network = Annotated[bool, typer.Option("--network", help="Use its radio: docs/network.md.")]
-Page = Annotated[bool, typer.Option("--page", help="Serve the page in the network, too.")]
+Network = Annotated[
+    bool, typer.Option("--network", help="Connect by the board's radio: docs/network.md.")
+]
+Page = Annotated[bool, typer.Option("--page", help="Also serve the control page in the network.")]
 
 
 def _read_chip(name: str) -> Chip:
     if name not in CHIPS:
         raise typer.BadParameter(f"{name} is not one of {', '.join(CHIPS)}")
     return CHIPS[name]
+
+
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="FILE",
+        help="Board file to write, or a folder for it. [default: here]",
+    ),
+]
 
 
 def command(
@@ -52,7 +65,8 @@ def command(
     ] = None,
     title: Annotated[str, typer.Option(help="A description of the machine, in a line.")] = "",
     pin: Annotated[
-        list[str] | None, typer.Option(metavar="WHAT=PINS", help=f"WHAT: {_NAMES}.")
+        list[str] | None,
+        typer.Option(metavar="WHAT=PINS", help=f"Pins of WHAT, which is one of {_NAMES}."),
     ] = None,
     motors: Motors = None,
     rotary: Rotary = None,
@@ -65,14 +79,11 @@ def command(
         bool | None,
         typer.Option("--ask/--no-ask", help="Ask for missing values. [default: on a terminal]"),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="Or a folder for it. [default: here]"),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
+    out: Out = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the pins there; - is stdout."),
+        typer.Option("--json", metavar="FILE", help="Write the pins to this file; - is stdout."),
     ] = None,
 ) -> None:
     """Make a board file, and show the wiring.
@@ -87,10 +98,10 @@ def command(
     try:
         _check_name(name)
         if file.suffix != ".py":
-            raise BoardError(f"{file}: the name of a board file ends in .py")
+            raise BoardError(f"{file}: the name of a board file must end in .py")
         check_outputs(json_file, file)
         if file.exists() and not force:
-            raise BoardError(f"{file} is there already; --force replaces it")
+            raise BoardError(f"{file} exists already; --force replaces it")
         board = Board(title or name.replace("_", " ").capitalize(), _chip(console, chip, asking))
         words = _Words(_given(pin or []), motors, rotary)
         _wire(console, board, words, asking)
@@ -136,7 +147,7 @@ def _given(words: list[str]) -> dict[str, str]:
     for word in words:
         name, _, pins = word.partition("=")
         if name.upper() not in new_board.BY_NAME:
-            raise BoardError(f"{word}: it is one of {_NAMES}, as in step=2,3,4")
+            raise BoardError(f"{word}: it must be one of {_NAMES}, as in step=2,3,4")
         if not pins.strip():
             raise BoardError(f"{name} has no pins: write it as {name}=2,3,4")
         given[name.upper()] = pins
@@ -147,11 +158,11 @@ def _chip(console: Console, chip: Chip | None, asking: bool) -> Chip:
     """Return the chip from its option, or ask the user; BoardError if nobody can be asked."""
     if chip is None:
         if not asking:
-            raise BoardError(f"which chip? --chip, one of {', '.join(CHIPS)}")
+            raise BoardError(f"no chip is given: --chip needs one of {', '.join(CHIPS)}")
         for key, one in CHIPS.items():
             console.print(f"  {key:8} {one.title}", highlight=False)
         first = next(iter(CHIPS))
-        chip = typer.prompt("What is on the board", default=first, value_proc=_read_chip)
+        chip = typer.prompt("Chip or module of the board", default=first, value_proc=_read_chip)
     return chip
 
 
@@ -167,7 +178,9 @@ def _one(console: Console, board: Board, item: Item, text: str | None, asking: b
         if item.needed:
             answer = typer.prompt(question)
         else:
-            answer = typer.prompt(f"{question}, or nothing", default="", show_default=False)
+            answer = typer.prompt(
+                f"{question}; leave empty for none", default="", show_default=False
+            )
         try:
             pins = new_board.read_pins(answer)
             new_board.check_item(board, item, pins)
@@ -184,7 +197,7 @@ def _motors(console: Console, board: Board, text: str | None, asking: bool) -> s
     if text is None and (not asking or count <= new_board.FEWEST_AXES):
         new_board.check_axes(board)
         return ""
-    question = "The axis of each motor, XYZY for two on Y"
+    question = "Axis of each motor, for example XYZY for two motors on Y"
     first = (motor_names.AXIS_LETTERS * 2)[:count]
     letters = _letters(console, board, text, question, first, new_board.check_motors)
     return "" if letters == own else letters
@@ -194,7 +207,7 @@ def _rotary(console: Console, board: Board, text: str | None, asking: bool) -> s
     """Return the rotary axes; with X, Y and Z only there is no question."""
     if text is None and (not asking or board.axes <= new_board.FEWEST_AXES):
         return ""
-    question = "Axes that turn, A say, or nothing"
+    question = "Rotary axes, for example A; leave empty for none"
     return _letters(console, board, text, question, "", new_board.check_rotary)
 
 

@@ -17,7 +17,7 @@ from ..grbl.gcode_file import STDIN
 
 Json = Annotated[
     Path | None,
-    typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
+    typer.Option("--json", metavar="FILE", help="Write the result to this file; - is stdout."),
 ]
 # Formats of drawings.
 PICTURES = (".html", ".png", ".svg")
@@ -35,17 +35,17 @@ def check_outputs(
     that are read are never overwritten. `-` is stdout.
     """
     if plot and str(plot) != STDIN and plot.suffix.lower() not in PICTURES:
-        raise ValueError(f"{plot}: it can be {', '.join(PICTURES)}")
+        raise ValueError(f"{plot}: the picture's file must end in {', '.join(PICTURES)}")
     named = [file for file in (*files, plot) if file]
     if twice := [file for file in named if named.count(file) > 1]:
-        raise ValueError(f"{twice[0]} is named twice: what is written there last would be all")
+        raise ValueError(f"{twice[0]} is named twice: the second output would replace the first")
     others = {name: value for name, value in (given or {}).items() if not _is_one(value, named)}
     keep = [file for file in _read(others) if file.exists()]
     for file in named:
         if str(file) != STDIN:
             _check(file)
             if file.exists() and any(map(file.samefile, keep)):
-                raise ValueError(f"{file} is what is read: it is not written over")
+                raise ValueError(f"{file} is the input file: it is not overwritten")
 
 
 def _is_one(value: object, files: list[Path]) -> bool:
@@ -108,7 +108,7 @@ def agree(question: str, otherwise: str) -> None:
     try:
         agreed = typer.confirm(question, err=True)
     except typer.Abort as error:
-        raise failed(f"{otherwise}; --yes does not ask") from error
+        raise failed(f"{otherwise}; --yes skips this question") from error
     if not agreed:
         raise failed(otherwise)
 

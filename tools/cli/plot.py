@@ -21,32 +21,37 @@ EXAMPLES = examples(
     "ugrbl plot badge.nc -o badge.png --settings my.settings",
     "ugrbl plot badge.nc --set 120=500 --set 121=500",
 )
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="FILE",
+        help="Picture to write: .html, .png or .svg; - is stdout. [default: .html]",
+    ),
+]
 
 
 def command(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", readable=False, help="G-code program; - is stdin.")
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help=".html, .png or .svg; - is stdout. [default: .html]",
-        ),
-    ] = None,
+    out: Out = None,
     settings: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="The machine's settings, from `ugrbl settings pull`."),
     ] = None,
     what_if: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="N=V", help="Also draw it with this setting, to compare."),
+        typer.Option(
+            "--set", metavar="N=V", help="Also draw it with this setting, for comparison."
+        ),
     ] = None,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the figures there; - is stdout."),
+        typer.Option(
+            "--json", metavar="FILE", help="Write the figures to this file; - is stdout."
+        ),
     ] = None,
     board: Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")] = (
         machine.DEFAULT_BOARD
@@ -66,7 +71,7 @@ def command(
     try:
         check_outputs(json_file, plot=target, given=locals())
         if not out and target.is_file() and not plot.has_drawn(target):
-            raise ValueError(f"{target} exists, not drawn by plot: -o {target} replaces it")
+            raise ValueError(f"{target} exists and was not drawn by plot: -o {target} replaces it")
         jobs = _jobs(console, file, settings, what_if or (), board, around(board, custom, inputs))
         words = ""
         if len(jobs) > 1:
@@ -107,7 +112,7 @@ def _jobs(
             jobs.append(run_job(name, lines, chosen, board, screen.progress, around))
             screen.progress(jobs[-1].result.lines)
         if jobs[-1].result.stopped:
-            raise ValueError(f"could not finish: {why_stopped(jobs[-1].result)}")
+            raise ValueError(f"the program could not finish: {why_stopped(jobs[-1].result)}")
     show_errors(console, jobs[0].result.errors, lines)
     show_foreign(console, jobs[0].result.errors, lines)
     return jobs

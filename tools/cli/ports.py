@@ -56,7 +56,7 @@ def find() -> list[Found]:
 
 
 def command(
-    json_out: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json_out: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
 ) -> None:
     """List the serial ports that may have a controller.
 
@@ -68,7 +68,7 @@ def command(
     for found in [] if json_out else controllers:
         Console().print(f"{found.port}: {found.what}", highlight=False, soft_wrap=True)
     if not controllers:
-        Console(stderr=True).print("no controller is plugged in, as far as USB tells")
+        Console(stderr=True).print("no controller was found on USB")
         raise typer.Exit(1)
 
 
@@ -78,12 +78,10 @@ def choose(port: str | None) -> str:
         return port
     controllers = find()
     if not controllers:
-        raise SendError(
-            "no controller is plugged in, as far as USB tells; if there is one, say where: --port"
-        )
+        raise SendError("no controller was found on USB; if there is one, name its port: --port")
     if len(controllers) > 1:
         listed = ", ".join(f"{found.port} ({found.what})" for found in controllers)
-        raise SendError(f"there are several: {listed}; say which with --port")
+        raise SendError(f"there are several: {listed}; choose one with --port")
     return controllers[0].port
 
 

@@ -39,6 +39,14 @@ EXAMPLES = examples(
 
 
 _Runner = Callable[..., tuple[Result, Paced]]
+Picture = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot",
+        metavar="FILE",
+        help="Draw the tool's path: .html, .png or .svg; - is stdout.",
+    ),
+]
 
 
 def command(
@@ -50,15 +58,13 @@ def command(
         typer.Option(metavar="FILE", help="The machine's settings, from `ugrbl settings pull`."),
     ] = None,
     setting: Annotated[
-        list[str] | None, typer.Option("--set", metavar="N=V", help="A setting: 110=6000.")
+        list[str] | None,
+        typer.Option("--set", metavar="N=V", help="A setting for this run: 110=6000."),
     ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Use check mode: nothing moves; exit code 1 on errors.")
     ] = False,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--plot", metavar="FILE", help="Draw it: .html, .png or .svg; - is stdout."),
-    ] = None,
+    picture: Picture = None,
     json_file: Json = None,
     board: Annotated[
         str, typer.Option(metavar="NAME", help="Machine: a file of boards/, or a path.")
@@ -91,7 +97,7 @@ def command(
         seconds = time.monotonic() - begun
         late = _late(console, recorder, lines)
         _tell(console, result, recorder, lines, late, seconds)
-        who = "" if lenient else "--lenient takes such words, as does"
+        who = "" if lenient else "--lenient accepts such words, as does"
         show_foreign(console, result.errors, lines, who)
         if picture and isinstance(recorder, MotionTrace):
             job = job_of("as it is", lines, chosen, board, result, recorder)
@@ -112,7 +118,7 @@ def _chosen(console: Console, file: Path | None, more: Sequence[str]) -> list[st
 
 def _late(console: Console, recorder: Paced, lines: Sequence[bytes]) -> list[Stretch]:
     """Return the stretches of the program whose lines come too fast, the worst first."""
-    with console.status("looking whether lines come in time …"):
+    with console.status("checking whether lines come in time …"):
         return recorder.starves(lines)
 
 
@@ -136,7 +142,9 @@ def _tell(
     for number, output, on in result.switched:
         console.print(f"line {number}: {output} {'on' if on else 'off'}", highlight=False)
     for number in result.pauses:
-        console.print(f"line {number}: paused; told to go on", highlight=False)
+        console.print(
+            f"line {number}: the program paused; the simulator resumed it", highlight=False
+        )
     whose = recorder.intake().whose
     if late:
         console.print(_too_fast(late, whose), highlight=False, markup=False)
@@ -171,18 +179,18 @@ def _too_fast(late: Sequence[Stretch], whose: str) -> str:
     lost = sum(stretch.lost_s for stretch in late)
     return (
         f"lines {worst.first} to {worst.last} come too fast: {worst.needed:.0f} a second, mostly "
-        f"{kind_name}, of which {whose} takes {worst.taken:.0f}. Motion will falter "
+        f"{kind_name}, of which {whose} accepts {worst.taken:.0f}. Motion will falter "
         f"there{elsewhere}, and take about {lost:.1f} s longer. "
-        f"A feed of {worst.feed} % would do, or {instead}."
+        f"A feed of {worst.feed} % is slow enough, or use {instead}."
     )
 
 
 def _judge(result: Result, check: bool, acting: bool) -> None:
     """End with the right exit code. acting: the program has bytes that act at once."""
     if result.stopped:
-        raise failed(f"could not finish: {why_stopped(result)}")
+        raise failed(f"the program could not finish: {why_stopped(result)}")
     if result.resets:
         numbers = ", ".join(map(str, result.resets))
-        raise failed(f"line {numbers}: Ctrl-X is a reset: what was planned before it is lost")
+        raise failed(f"line {numbers}: Ctrl-X is a reset: motion planned before it is lost")
     if check and (result.errors or acting):
         raise typer.Exit(1)

@@ -96,7 +96,7 @@ class Screen:
         try:
             self._progress.stop()
         except OSError as failed:  # the result must still be shown if the disk is full
-            why = f"what has happened cannot be shown: {paths.why(failed)}"
+            why = f"the progress cannot be shown: {paths.why(failed)}"
             Console(stderr=True).print(why, highlight=False)
 
     def progress(self, answered: int, status: str = "") -> None:
@@ -169,7 +169,7 @@ def show_foreign(
     console: Console,
     errors: Sequence[tuple[int, str]],
     lines: Sequence[bytes],
-    who: str = "such words are taken by",
+    who: str = "such words are accepted by",
 ) -> None:
     """Show what helps with words of other controllers (docs/lenient.md), if some were refused.
 
@@ -180,12 +180,13 @@ def show_foreign(
     if languages:
         note = (
             f"{_where(list(languages))}: written for {next(iter(languages.values()))}, whose "
-            "language no Grbl has: choose Grbl in the program that made it (its post processor)"
+            "language no Grbl understands: choose Grbl in the program that made it (its post "
+            "processor)"
         )
     elif who and (found := [number for number, line in refused.items() if is_foreign(line)]):
         note = (
             f"{_where(found)}: written for another controller; {who} a board with LENIENT = True. "
-            "Tool changes can be a handler of your own: --custom"
+            "For tool changes, write a handler of your own: --custom"
         )
     else:
         return
@@ -201,7 +202,7 @@ def _where(numbers: Sequence[int]) -> str:
 def show_wide_arcs(console: Console, found: Sequence[tuple[int, str]]) -> None:
     """Show arcs that leave the part, at most _MOST_ERRORS."""
     for number, text in found[:_MOST_ERRORS]:
-        console.print(f"line {number}: {text}. Is it meant so?", highlight=False, soft_wrap=True)
+        console.print(f"line {number}: {text}. Is this intended?", highlight=False, soft_wrap=True)
     if len(found) > _MOST_ERRORS:
         console.print(f"… and {len(found) - _MOST_ERRORS} more such arcs")
 
@@ -219,7 +220,7 @@ def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
     all_problems = problems(lines)
     bad = [problem for problem in all_problems if not problem.in_comment]
     for problem in bad[:_MOST_ERRORS]:
-        words = f"line {problem.line}: {problem.text}, wherever it stands: take it out"
+        words = f"line {problem.line}: {problem.text}, wherever it is in a line: remove it"
         console.print(escape(words), highlight=False)
     if len(bad) > _MOST_ERRORS:
         console.print(f"… and {len(bad) - _MOST_ERRORS} more such lines")

@@ -25,9 +25,9 @@ EXAMPLES = examples(
     "ugrbl selftest --port COM3 --json -",
 )
 _MARKS = {True: "[green]passed[/]", False: "[red]FAILED[/]", None: "[yellow]      [/]"}
-_BARE = "The board file names no ENABLE: motors turn, unless their drivers have no power. Go on?"
+_BARE = "The board file names no ENABLE: motors turn if their drivers have power. Continue?"
 _LASER = (
-    "Use the spindle's output, at up to full power? A laser that is wired to it burns. (n: all "
+    "Test the spindle's output, at up to full power? A laser wired to it burns. (n: run only the "
     "other checks)"
 )
 
@@ -49,7 +49,7 @@ class Report:
         """Return a summary in one sentence."""
         count = Counter(row.passed for row in self.rows)
         words = [f"{count[True]} passed", f"{count[False]} failed"]
-        return ", ".join([*words, *([f"{count[None]} not looked at"] if count[None] else [])])
+        return ", ".join([*words, *([f"{count[None]} not checked"] if count[None] else [])])
 
 
 def command(
@@ -57,17 +57,18 @@ def command(
         str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer repetitions: some seconds.")
+        bool, typer.Option("--quick", help="Fewer repetitions, for a test of some seconds.")
     ] = False,
     yes: Annotated[
-        bool, typer.Option("--yes", "-y", help="Do not ask: no laser and no motor is wired.")
+        bool,
+        typer.Option("--yes", "-y", help="Do not ask; for boards without a wired laser or motor."),
     ] = False,
     seed: Annotated[
         int | None, typer.Option(metavar="N", help="Seed of the random instants. [default: any]")
     ] = None,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the rows there; - is stdout."),
+        typer.Option("--json", metavar="FILE", help="Write the rows to this file; - is stdout."),
     ] = None,
 ) -> None:
     """Test the firmware on the board: nothing wired, drivers off.
@@ -123,7 +124,7 @@ def _consent(wiring: Wiring, yes: bool) -> bool:
     if wiring.enable is None and not yes and not (ask and typer.confirm(_BARE)):
         raise DeployError(
             "the board file names no ENABLE, so motors would turn",
-            "switch off the power of their drivers and say --yes",
+            "switch off the power of their drivers and use --yes",
         )
     if wiring.spindle_pwm is None or yes:
         return True

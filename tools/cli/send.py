@@ -38,7 +38,7 @@ class Mode(str, Enum):
 def command(
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE", readable=False, help="Program; - is stdin."),
+        typer.Argument(metavar="FILE", readable=False, help="G-code program; - is stdin."),
     ],
     port: Port = None,
     baud: Baud = BAUD,
@@ -70,7 +70,9 @@ def command(
     ] = None,
     custom: CustomFile = None,
     inputs: Inputs = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before it starts.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", "-y", help="Do not ask for confirmation before it starts.")
+    ] = False,
 ) -> None:
     """Stream a program to a Grbl.
 
@@ -105,7 +107,7 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
         finally:
             connection.close()
     except OSError as error:
-        raise failed(f"what happens cannot be shown: {paths.why(error)}") from error
+        raise failed(f"the progress cannot be shown: {paths.why(error)}") from error
     except (SendError, Stopped, CannotEnter, ValueError) as error:
         raise failed(error) from error
 
@@ -117,7 +119,7 @@ def _read(file: Path, options: Options, console: Console) -> Sequence[bytes]:
     except OSError as error:
         raise Stopped(str(error)) from error
     if options.from_line > len(lines):
-        raise Stopped(f"{options.name} has {len(lines)} lines only")
+        raise Stopped(f"{options.name} has only {len(lines)} lines")
     if show_problems(console, lines):
         raise Stopped("nothing was sent")
     return lines

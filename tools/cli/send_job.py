@@ -89,8 +89,8 @@ class Job:
             return to_send
         if why := self._cannot_rehearse():
             if options.from_line > 1:
-                raise Stopped(f"--from-line needs the simulator: {why}")
-            self._say(f"not checked: {why}")
+                raise Stopped(f"--from-line cannot be simulated: {why}")
+            self._say(f"the program is not checked: {why}")
             return to_send
         job = self._rehearsal_job()
         if options.check:
@@ -110,12 +110,14 @@ class Job:
         found = Firmware.read(self._connection.info)
         self._own = CustomCodes.read(self._connection.info)
         if checkup.is_relative(found):
-            return f"{found.name} is a relative of Grbl, and takes what the simulator does not"
+            return (
+                f"{found.name} is a variant of Grbl, and accepts words that the simulator refuses"
+            )
         self._here = machine_snapshot.read_machine(self._connection)
         if not self._here.place:
-            return "the machine does not tell where it is: $10=1 lets it"
+            return "the machine does not report its position: set $10=1"
         if self._here.axes() > DEFAULT_AXES and self._options.from_line > 1:
-            return "it brings X, Y and Z back to their places, and the machine has more axes"
+            return "it can restore only X, Y and Z, and the machine has more axes"
         if self._options.board is None:
             self._letters = found.options.partition(",")[0]
         return ""
@@ -161,7 +163,7 @@ class Job:
         if not wrong or self._options.keep_going:
             return
         words = "1 line would be refused" if wrong == 1 else f"{wrong} lines would be refused"
-        if not self._confirm(f"{words}. Send it nevertheless?"):
+        if not self._confirm(f"{words}. Send the program anyway?"):
             raise Stopped(f"{words}; nothing was sent (--no-check sends it)")
 
     def _is_own(self, number: int, reply: str) -> bool:
@@ -178,13 +180,13 @@ class Job:
         what = f"line {numbers[0]}, {word or gcode_file.shown(self._lines[numbers[0] - 1])}"
         more = len(numbers) - 1
         what += f", and {more} more line{'s' * (more > 1)}" if more else ""
-        self._say(f"not known here: {what}; {self._todo('them' if more else 'it')}")
+        self._say(f"unknown to the simulator: {what}; {self._todo('them' if more else 'it')}")
 
     def _todo(self, what: str = "it") -> str:
         """Return the next step if the simulator does not know words of the machine's own."""
         if self._options.custom:
             return f"{self._options.custom} does not have {what}"
-        return f"--custom FILE rehearses {what}"
+        return f"--custom FILE simulates {what}"
 
     def _check_place(self, forecast: Forecast) -> None:
         """Raise Stopped if lines before the first one may have moved the machine in an unknown
@@ -194,13 +196,13 @@ class Job:
             handler = self._own.handler_of(line)
             if number in forecast.refused:
                 known = handler or self._own.is_cut
-                todo = self._todo() if known else "take it out if the machine refuses it, too"
+                todo = self._todo() if known else "remove it if the machine refuses it, too"
                 why = f"line {number} is not known to the simulator: {gcode_file.shown(line)}"
             elif handler and not self._options.custom:
                 why, todo = f"line {number} has the machine run {handler}", self._todo()
             else:
                 continue
-            raise Stopped(f"{why}; where the tool is behind it is not known: {todo}")
+            raise Stopped(f"{why}; the tool's position after it is not known: {todo}")
         self._check_file(forecast.own)
 
     def _check_file(self, own: str) -> None:
@@ -208,8 +210,8 @@ class Job:
         handlers."""
         if self._options.custom and own != self._own.text:
             raise Stopped(
-                f"{self._options.custom} is not what the machine has: "
-                f"{self._own.text or 'nothing'} there, {own} here; nothing was sent"
+                f"{self._options.custom} differs from the Python on the machine: "
+                f"{self._own.text or 'nothing'} there, {own} in the file; nothing was sent"
             )
 
     def _cautions(self, approach: Approach) -> list[str]:
@@ -217,10 +219,10 @@ class Job:
         cautions = list(approach.cautions)
         for line in approach.lines:
             if handler := self._own.handler_of(line.data):
-                cautions.append(f"{handler} is run on the way, by {line.text}")
+                cautions.append(f"{line.text} runs {handler} on the way")
         custom = self._options.custom
         if custom and own_python.read(custom).has_attribute("keep"):
-            cautions.append(f"{custom} reads what is kept (m.keep): the simulator began with none")
+            cautions.append(f"{custom} reads stored values (m.keep): the simulator had none")
         return cautions
 
     def _approach(self, running: Rehearsal) -> list[Line]:
@@ -237,8 +239,10 @@ class Job:
             self._say(f"  {words}")
         for words in self._cautions(way):
             self._say(f"  note: {words}")
-        if not self._options.yes and not self._confirm("Is the way free, and all of this right?"):
-            raise Stopped("nothing was sent (--yes does not ask)")
+        if not self._options.yes and not self._confirm(
+            "Is the way free, and is all of this correct?"
+        ):
+            raise Stopped("nothing was sent (--yes skips this question)")
         return way.lines
 
     def _confirm(self, question: str) -> bool:
@@ -262,7 +266,9 @@ class Job:
         errors = len(report.errors)
         self._say(f"{done} lines, {errors} error{'' if errors == 1 else 's'}")
         if report.drains > 0:
-            self._say(f"{checkup.held_up(report.drains, 'meanwhile')}: {checkup.WHY_DRAINED}")
+            self._say(
+                f"{checkup.held_up(report.drains, 'during the program')}: {checkup.WHY_DRAINED}"
+            )
         return report
 
     def _seconds_left(self, done: int) -> float | None:
@@ -277,22 +283,23 @@ class Job:
         Console(stderr=True).print(f"[red]stopped: {escape(report.stopped)}", highlight=False)
         if reached := self._reached(report):
             self._say(
-                f"line {reached} was being made: {gcode_file.shown(self._lines[reached - 1])}"
+                f"line {reached} was being executed: {gcode_file.shown(self._lines[reached - 1])}"
             )
-            self._say(f"line {report.line} was answered last; to go on: --from-line {reached}")
+            self._say(f"line {report.line} was answered last; to continue: --from-line {reached}")
         elif report.stopped.endswith(REFUSED) and report.stopped != f"line {report.line}{REFUSED}":
             self._say(
                 f"lines up to {report.line} were sent before that was known; of these, some moves "
-                "may have been made"
+                "may have been executed"
             )
         else:
             most = self._connection.blocks if report.blocks_left is None else report.blocks_left
             self._say(
-                f"line {report.line} was answered last; up to {most} moves before it were not made"
+                f"line {report.line} was answered last; up to {most} moves before it were not "
+                "executed"
             )
         state = report.state or "an unknown state"
         if report.lost:
-            self._say(f"the machine was in {state}, and goes on with what it has been sent")
+            self._say(f"the machine was in {state}, and goes on with the lines it has received")
         else:
             todo = "" if state == "Idle" else f": {way_out(state)}"
             if report.stopped.startswith(_DEAD):

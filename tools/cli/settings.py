@@ -37,10 +37,10 @@ File = Annotated[
         metavar="FILE",
         allow_dash=True,
         readable=False,
-        help="Lines of $n=v; - is stdin or stdout.",
+        help="Settings file, lines of $n=v; - is stdin or stdout.",
     ),
 ]
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]
 AnyVersion = Annotated[
     bool,
     typer.Option("--any-version", help="Accept a file for another Grbl, or without a version."),
@@ -53,14 +53,14 @@ def pull(
     file: File,
     port: Port = None,
     baud: Baud = BAUD,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a machine's settings to a file, each with its meaning."""
     to_stdout = str(file) == STDIN
     if not to_stdout:
         check_output(file)
         if file.exists() and not force:
-            raise failed(f"{file} is there already; --force replaces it")
+            raise failed(f"{file} exists already; --force replaces it")
     with _machine(port, baud) as connection:
         settings = sync.pull(connection)
     _keep(settings, file, "as pulled")
@@ -114,13 +114,16 @@ def restore(
     file: Annotated[
         Path | None,
         typer.Argument(
-            metavar="FILE", readable=False, help="A complete file, as pulled; - is stdin."
+            metavar="FILE", readable=False, help="A complete settings file, as pulled; - is stdin."
         ),
     ] = None,
     port: Port = None,
     baud: Baud = BAUD,
     factory: Annotated[
-        bool, typer.Option("--factory", help="The settings the firmware was built with ($RST=$).")
+        bool,
+        typer.Option(
+            "--factory", help="Restore the settings the firmware was built with ($RST=$)."
+        ),
     ] = False,
     yes: Yes = False,
     any_version: AnyVersion = False,
@@ -131,7 +134,7 @@ def restore(
     Afterwards it has exactly those settings. To undo a push: restore FILE.before.
     """
     if (file is None) != factory:
-        raise failed("say one of both: a file that was pulled, or --factory")
+        raise failed("give one of both: a file that was pulled, or --factory")
     check_output(Path("factory.before") if factory else None, json_file)
     if file:
         _write(file, port, baud, yes, any_version, json_file, complete=True)
@@ -145,7 +148,7 @@ def restore(
         sync.factory(connection)
         done = changes(before.values, sync.pull(connection).values)
     _report(before, done, json_file)
-    Console(stderr=True).print(f"what was there before is in {kept}", highlight=False)
+    Console(stderr=True).print(f"the old settings are in {kept}", highlight=False)
 
 
 def _write(
@@ -165,7 +168,7 @@ def _write(
     wanted = _read(file)
     from_stdin = str(file) == STDIN
     if from_stdin and not yes:
-        raise failed("settings from stdin leave nobody to ask: say --yes")
+        raise failed("with settings from stdin no question can be asked: use --yes")
     backup = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
     check_output(backup, json_file, given=locals())
     console = Console(stderr=True)
@@ -180,11 +183,13 @@ def _write(
         refusals: Sequence[tuple[Change, str]] = ()
         if todo:
             _keep(machine, backup, "before a push")
-            console.print(f"what is there now is kept in {backup}", highlight=False)
+            console.print(f"the present settings are saved in {backup}", highlight=False)
             refusals = _push(connection, todo, console, backup)
     _save_json(machine, todo, json_file, refusals)
     for change, reply in refusals:
-        words = reply_meaning(reply) if reply.startswith("error") else "it was not taken"
+        words = (
+            reply_meaning(reply) if reply.startswith("error") else "the machine did not accept it"
+        )
         console.print(f"[red]${change.number}={change.after}: {reply}: {escape(words)}")
     if refusals:
         raise typer.Exit(1)
@@ -208,7 +213,7 @@ def _push(
         done -= {change.number for change, _ in refusals}
     finally:
         if len(done) < len(todo):
-            back = f"; to go back: ugrbl settings restore {quote(str(kept))}" if done else ""
+            back = f"; to undo: ugrbl settings restore {quote(str(kept))}" if done else ""
             words = f"{len(done)} of {_count(todo)} changed{back}"
             console.print(words, highlight=False, markup=False, soft_wrap=True)
     return refusals
@@ -236,7 +241,9 @@ def _show(machine: Settings, todo: Sequence[Change]) -> None:
     """Show a table of the changes, and a note for values of 0 that stop an axis."""
     console = Console()
     if not todo:
-        console.print(f"nothing would change: {machine.firmware} has it all", highlight=False)
+        console.print(
+            f"nothing would change: {machine.firmware} already has these settings", highlight=False
+        )
         return
     table = Table("", "now", "then", "unit", "what it is", box=None, pad_edge=False)
     for change in todo:

@@ -104,17 +104,17 @@ def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
 def _wire(options: Options) -> "Pty | Tcp | Stdio":
     """Return the wire to the sender. ValueError if options contradict each other."""
     if sum((options.link is not None, options.tcp is not None, options.stdio)) > 1:
-        raise ValueError("say one of --port, --tcp and --stdio")
+        raise ValueError("use only one of --port, --tcp and --stdio")
     if options.tcp is not None:
         from ..run.tcp_link import Rfc2217, Tcp, address
 
         return (Rfc2217 if options.rfc2217 else Tcp)(*address(options.tcp))
     if options.rfc2217:
-        raise ValueError("--rfc2217 is for --tcp")
+        raise ValueError("--rfc2217 needs --tcp")
     try:
         from ..run.pty_link import Pty, Stdio
     except ImportError as error:
-        raise ValueError("there are no pseudo-terminals here: use --tcp PORT") from error
+        raise ValueError("this system has no pseudo-terminals: use --tcp PORT") from error
     return Stdio() if options.stdio else Pty()
 
 
@@ -152,7 +152,7 @@ def _network(options: Options) -> Network | None:
     has none."""
     if options.network is None:
         if options.page is not None:
-            raise ValueError("--page is for a board with a network: say --network PORT as well")
+            raise ValueError("--page is for a board with a network: add --network PORT")
         return None
     board = load_board(options.board)
     if getattr(board, "LINK", "") not in WIRELESS.values():

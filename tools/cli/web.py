@@ -49,26 +49,36 @@ def command(
     port: Port = None,
     baud: Baud = BAUD,
     sim: Annotated[
-        bool, typer.Option("--sim", help="The simulator instead, with limit switches.")
+        bool,
+        typer.Option("--sim", help="Use the simulator, with limit switches, instead of a board."),
     ] = False,
     board: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Machine of --sim, and of what is shown beforehand."),
+        typer.Option(
+            metavar="NAME", help="Machine for --sim and for previews: a file of boards/."
+        ),
     ] = machine.DEFAULT_BOARD,
     settings: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="With --sim: keeps them, as `ugrbl settings pull`."),
+        typer.Option(
+            metavar="FILE", help="With --sim: settings file, as `ugrbl settings pull` writes it."
+        ),
     ] = None,
     host: Annotated[
-        str, typer.Option(metavar="HOST", help="Address to listen at; 0.0.0.0: the network.")
+        str, typer.Option(metavar="HOST", help="Address to listen at; 0.0.0.0: the whole network.")
     ] = "127.0.0.1",
     http: Annotated[
-        int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of it; 0: any.")
+        int,
+        typer.Option(
+            metavar="PORT", min=0, max=65535, help="TCP port to listen at; 0: any free one."
+        ),
     ] = 8010,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
+    ] = True,
     save: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the page there, to open from disk; no server."),
+        typer.Option(metavar="FILE", help="Write the page to this file, and start no server."),
     ] = None,
 ) -> None:
     """Serve a page that jogs the machine and sends jobs.
@@ -91,7 +101,7 @@ def command(
 def _check(options: Options) -> None:
     """Check the options before anything is opened. Raises ValueError or SendError."""
     if options.sim and options.port:
-        raise ValueError("say one of --port and --sim")
+        raise ValueError("use only one of --port and --sim")
     if options.settings and not options.sim:
         raise ValueError("--settings is for --sim: a board keeps its own")
     load_board(options.board)

@@ -22,7 +22,7 @@ def command(
     ] = None,
     open_: Annotated[bool, typer.Option("--open", help="The network has no password.")] = False,
     access_point: Annotated[
-        bool, typer.Option("--access-point", help="The board makes that network itself.")
+        bool, typer.Option("--access-point", help="The board is the access point of that network.")
     ] = False,
     host: Annotated[
         str | None, typer.Option(metavar="NAME", help="The board is found as NAME.local.")
@@ -44,9 +44,9 @@ def command(
     if name is None and (open_ or access_point):
         raise failed("--open and --access-point want the network's --name")
     if open_ and access_point:
-        raise failed("a network of the board's own has a password: leave --open out")
+        raise failed("the board's own network needs a password: leave out --open")
     if off and name is not None:
-        raise failed("say one of --off and --name")
+        raise failed("use only one of --off and --name")
     password = _password(open_) if name is not None else None
     wanted = wifi.Wanted(
         name,
@@ -67,7 +67,9 @@ def command(
         now = wifi.status(connection)
     console = Console()
     if lines or off:
-        console.print("kept on the board; it holds when the board starts again", soft_wrap=True)
+        console.print(
+            "stored on the board; it takes effect when the board restarts", soft_wrap=True
+        )
     console.print(f"network: {now}", highlight=False, soft_wrap=True)
     console.print(f"key:     {key}", highlight=False, soft_wrap=True)
 

@@ -59,7 +59,7 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
                 wire.write(_ASK_REPL)
                 heard += wire.read(4096).decode("latin-1")
     except serial.SerialException:
-        return [Finding("port", BAD, broke(port), "then look again")]
+        return [Finding("port", BAD, broke(port), "then run this again")]
     board = _REPL.search(heard.replace("\r", ""))
     if ">>>" in heard:
         return _idle_board(board)
@@ -68,14 +68,16 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
             return [checkup.fault(line)]
     for pattern, who in _STRANGERS:
         if pattern.search(heard):
-            todo = "put the firmware on the board anew"
+            todo = "install the firmware on the board again"
             return [Finding("firmware", BAD, f"no Grbl: this looks like {who}", todo)]
     if heard and not heard.isprintable() and sum(c > "\x7f" for c in heard) > len(heard) / 4:
-        text = "bytes come, but no text"
-        return [Finding("firmware", BAD, text, f"another baud rate than {baud} (--baud)")]
+        text = "the board sends bytes that are no text"
+        return [Finding("firmware", BAD, text, f"try another baud rate than {baud} (--baud)")]
     text = "no answer" if not heard.strip() else f"no Grbl, but: {heard.strip()[:80]!r}"
-    todo = "is it powered, is the firmware on it, is this its port? Then unplug it and try again; "
-    todo += "after ALARM:1 or 2, Grbl hears nothing but a reset (Ctrl-X)"
+    todo = (
+        "is it powered, is the firmware on it, is this its port? If so, unplug it and try again; "
+    )
+    todo += "after ALARM:1 or 2, Grbl accepts only a reset (Ctrl-X)"
     return [Finding("firmware", BAD, text, todo)]
 
 
@@ -89,7 +91,7 @@ def _idle_board(found: re.Match[str] | None) -> list[Finding]:
         findings += checkup.micropython(board.name, board.version)
         findings.append(Finding("memory", OK, f"{board.free_bytes // 1024} kB are free"))
         if board.has_program:
-            todo = "its main.py has ended or failed: press its reset button, then look again"
+            todo = "its main.py has ended or failed: press its reset button, then run this again"
     findings.append(Finding("firmware", BAD, "MicroPython shows its prompt; no Grbl runs", todo))
     return findings
 
@@ -117,7 +119,7 @@ def pins(connection: Connection) -> str:
 def report(connection: Connection) -> None:
     """Wait for a new status report."""
     if not connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S):
-        raise SendError("the machine has stopped to answer")
+        raise SendError("the machine has stopped answering")
 
 
 def watch_pins(
@@ -166,13 +168,13 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
             return Finding(what, BAD, trouble, "reset it (Ctrl-X), see why, unlock it ($X)")
         moved = connection.place()[axis] - start[axis]
         if abs(moved - max(distance, 0)) > _NEAR_MM:
-            text = f"it should be {max(distance, 0):g} mm off and says {moved:.3f}"
+            text = f"it should have moved {max(distance, 0):g} mm and reports {moved:.3f}"
             return Finding(what, BAD, text, "report this: steps were lost within the firmware")
     todo = (
-        f"did {letter} itself do so? Nothing: enable pin, driver power; the other way first: $3; "
+        f"did {letter} really move? If not: enable pin, driver power; other way first: $3; "
         f"not a millimetre: ${100 + axis}"
     )
-    return Finding(what, OK, "a millimetre there and back, by its own count", todo)
+    return Finding(what, OK, "1 mm there and back, as the firmware counts", todo)
 
 
 def _wait_until_idle(connection: Connection) -> str:
@@ -193,5 +195,5 @@ def _wait_until_idle(connection: Connection) -> str:
 def _why_refused(answer: str) -> str:
     """Return the next step for a refused jog."""
     if answer == _BEYOND_TRAVEL:
-        return "the way is beyond the soft limits: move away from the end of travel"
-    return "look the number up above; reset it (Ctrl-X), then look again"
+        return "the move is beyond the soft limits: first move away from the end of travel"
+    return "see the meaning above; reset it (Ctrl-X), then run this again"

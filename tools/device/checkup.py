@@ -63,15 +63,17 @@ def firmware(found: Firmware, ours: str) -> Finding:
     """Judge which firmware answers. ours: the build that this package would deploy."""
     what = "firmware"
     if not found.version:
-        return Finding(what, BAD, "it does not tell its version", "update the firmware")
+        return Finding(what, BAD, "it does not report its version", "update the firmware")
     text = f"{found}{', ' + found.name if found.name else ''}"
     if is_relative(found):
-        return Finding(what, NOTE, f"{text}: a relative of Grbl; not all said here holds for it")
+        return Finding(
+            what, NOTE, f"{text}: a variant of Grbl; not every check here applies to it"
+        )
     if found.version != "1.1":
-        return Finding(what, BAD, text, "senders of today want Grbl 1.1: update the firmware")
+        return Finding(what, BAD, text, "current senders need Grbl 1.1: update the firmware")
     if is_ours(found) and found.build < ours:
-        todo = f"this computer has the build of {ours}: deploy it"
-        return Finding(what, NOTE, f"{text} is older than what is here", todo)
+        todo = f"this computer has the build of {ours}: ugrbl deploy"
+        return Finding(what, NOTE, f"{text} is older than the firmware of this computer", todo)
     is_simulator = is_ours(found) and found.name.split()[1:2] == ["sim"]
     return Finding(what, OK, f"{text}: it is the simulator" if is_simulator else text)
 
@@ -80,8 +82,8 @@ def link(found: Firmware) -> list[Finding]:
     """Judge whether Ctrl-X takes effect while the firmware is busy."""
     if not is_ours(found) or _SLOW_RESET not in found.name.split():
         return []
-    text = "this MicroPython keeps what comes over USB in a place we do not know: Ctrl-X is heard "
-    text += "at the firmware's next turn only, and the welcome is not sent when a port opens"
+    text = "this MicroPython stores bytes from USB in an unknown place: Ctrl-X takes effect only "
+    text += "at the firmware's next turn, and the welcome is not sent when a port opens"
     return [Finding("USB", NOTE, text, NEW_MICROPYTHON)]
 
 
@@ -90,7 +92,7 @@ def frozen(replies: Iterable[str]) -> list[Finding]:
     if not any(_FROZEN.fullmatch(reply) for reply in replies):
         return []
     text = (
-        "it is a part of the board's MicroPython: `ugrbl uf2 --keep` makes a file that updates it"
+        "the firmware is part of the board's MicroPython: a file of `ugrbl uf2 --keep` updates it"
     )
     return [Finding("frozen", OK, text)]
 
@@ -105,7 +107,7 @@ def stack(replies: Iterable[str]) -> list[Finding]:
     if size - used >= _STACK_SPARE:
         return [Finding("C stack", OK, text)]
     todo = "report it with what the machine was doing, and run the firmware without changes of "
-    todo += "your own: an interrupt that finds no room stops the machine"
+    todo += "your own: an interrupt without free stack stops the machine"
     return [Finding("C stack", NOTE, f"{text}: less than 1 kB is free", todo)]
 
 
@@ -125,8 +127,8 @@ def held_up(times: int, when: str) -> str:
 
 
 WHY_DRAINED = (
-    "`ugrbl run FILE --board NAME` names lines that come faster than a board takes them; where "
-    "there are none the sender is late: let it count characters (not wait for each ok), and the "
+    "`ugrbl run FILE --board NAME` names lines that come faster than a board takes them; if "
+    "there are none, the sender is late: let it count characters (not wait for each ok), and the "
     "computer neither sleep nor share a USB hub"
 )
 
@@ -138,8 +140,8 @@ def is_fault(text: str) -> bool:
 
 def fault(message: str) -> Finding:
     """Return the finding for a fault that the firmware reports."""
-    todo = "report it, with these lines and what the machine was doing; a reset (Ctrl-X), and it "
-    todo += "listens again: its place is what the motors made, but look before it moves"
+    todo = "report it, with these lines and what the machine was doing; after a reset (Ctrl-X) it "
+    todo += "works again: its position should be right, but check it before a move"
     return Finding("fault", BAD, _errors(message), todo)
 
 
@@ -155,13 +157,13 @@ def custom(replies: Sequence[str]) -> list[Finding]:
     found = []
     for reply in replies:
         if reply.startswith(_LEFT_OUT):
-            todo = "mend it: ugrbl custom edit; the machine is the plain one until then"
+            todo = "correct it: ugrbl custom edit; until then the machine runs without it"
             found.append(Finding("custom.py", BAD, _errors(reply[len(_LEFT_OUT) : -1]), todo))
     trace = [_errors(reply[len(_TRACE) : -1]) for reply in replies if reply.startswith(_TRACE)]
     if trace:
         who = [_OF_HANDLER.match(reply) for reply in replies]
         names = "".join(f"{match[1]} has failed\n" for match in who if match)
-        todo = "mend it: ugrbl custom edit; a push makes this go away"
+        todo = "correct it: ugrbl custom edit; a push removes this message"
         found.append(Finding("custom.py", NOTE, names + "\n".join(trace), todo))
     return found
 
@@ -224,7 +226,7 @@ def most_hz(found: Firmware, pulse_us: float) -> float:
 def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:
     """Judge which settings cannot work, or will disappoint."""
     findings = [finding for check in _CHECKS for finding in check(values, found)]
-    return findings or [Finding("settings", OK, "nothing in the settings contradicts itself")]
+    return findings or [Finding("settings", OK, "the settings have no contradictions")]
 
 
 def pins_at_rest(pins: str, values: Mapping[int, float]) -> list[Finding]:
@@ -292,7 +294,7 @@ def _positive(values: Mapping[int, float], found: Firmware) -> Findings:
             if values.get(base + axis, 0) <= 0:
                 number = f"${base + axis}"
                 text = f"{number}: the {name} of {letter} is {values.get(base + axis, 0):g}"
-                yield Finding("settings", BAD, text, f"set {number} to what the machine has")
+                yield Finding("settings", BAD, text, f"set {number} to the machine's value")
 
 
 def _step_rates(values: Mapping[int, float], found: Firmware) -> Findings:
@@ -305,7 +307,7 @@ def _step_rates(values: Mapping[int, float], found: Firmware) -> Findings:
             mm_min = highest_hz * 60 / values[100 + axis]
             text = (
                 f"{letter} at its highest rate needs {hz / 1000:.1f} kHz; "
-                f"{highest_hz / 1000:.0f} kHz can be had with pulses of {pulse_us:g} us"
+                f"{highest_hz / 1000:.0f} kHz is possible with pulses of {pulse_us:g} us"
             )
             todo = f"lower $11{axis} to {mm_min:.0f}, or take fewer microsteps"
             yield Finding("step rate", BAD, text, todo)
@@ -334,8 +336,8 @@ def _stock(values: Mapping[int, float], found: Firmware) -> Findings:
     """Find settings that are all still those of a new Grbl."""
     axes = list(_axes(values))
     if axes and all(values.get(base + i) == v for base, v in _STOCK.items() for i, _ in axes):
-        text = "steps/mm, rates, accelerations and travels are the factory's"
-        todo = "set $100 to $132 for this machine; start with steps/mm"
+        text = "steps/mm, rates, accelerations and travels are factory settings"
+        todo = "set the settings $100 through $132 for this machine; first steps/mm ($100 to $102)"
         yield Finding("settings", NOTE, text, todo)
 
 
@@ -343,7 +345,9 @@ def _homing(values: Mapping[int, float], found: Firmware) -> Findings:
     """Find settings of homing and limits that contradict each other."""
     if not values.get(22):
         if values.get(20):
-            yield Finding("homing", BAD, "soft limits ($20) without homing", "set $22=1")
+            yield Finding(
+                "homing", BAD, "soft limits ($20) are on without homing ($22)", "set $22=1"
+            )
         return
     off = values.get(27, 0)
     if off <= 0:
@@ -354,10 +358,10 @@ def _homing(values: Mapping[int, float], found: Firmware) -> Findings:
             text = f"the pull-off ($27) is longer than the travel of {letter}"
             yield Finding("homing", BAD, text, f"lower $27 or correct $13{axis}")
     if values.get(24, 0) > values.get(25, 0):
-        text = "homing looks for the switch ($25) slower than it measures it ($24)"
-        yield Finding("homing", NOTE, text, "exchange the two")
+        text = "homing searches the switch ($25) slower than it locates it ($24)"
+        yield Finding("homing", NOTE, text, "exchange the two values")
     if not values.get(21):
-        text = "homing is on and hard limits ($21) are off: a crash goes on"
+        text = "homing is on and hard limits ($21) are off: a crash is not stopped"
         yield Finding("homing", NOTE, text, "set $21=1 once the switches are free of noise")
 
 

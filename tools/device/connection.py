@@ -38,7 +38,7 @@ _MOST_PORTS = 0xFFFF
 _MOST_AXES = 6
 # Folders of pseudo-terminals on Linux and on macOS.
 _PSEUDO_TERMINALS = ("/dev/pts/", "/dev/ttys")
-ONLY_RESET = "after ALARM:1 or ALARM:2 it hears nothing but a reset (Ctrl-X)"
+ONLY_RESET = "after ALARM:1 or ALARM:2 it accepts only a reset (Ctrl-X)"
 # States in which Grbl reads no lines, and states in which it stays still.
 _DEAF = ("Hold", "Door", "Sleep")
 _AT_REST = ("Idle", "Check", "Alarm", "Sleep")
@@ -85,7 +85,7 @@ class Connection:
         try:
             self._serial.write(permitted(data))
         except serial.SerialTimeoutException as error:
-            text = "the machine takes no more bytes; see that it is powered, and connect anew"
+            text = "the machine accepts no more bytes; check its power, and connect again"
             raise SendError(text) from error
         except OSError as error:
             raise SendError(broke(self._port)) from error
@@ -285,10 +285,10 @@ def _why_not(port: str, baud: int, error: Exception) -> str:
     if is_url:
         return "a port is a device, or socket://HOST:PORT; `ugrbl ports` lists devices"
     if "baud" in str(error):
-        return f"it cannot have {baud} baud; Grbl 1.1 has {BAUD}"
+        return f"it does not support {baud} baud; Grbl 1.1 uses {BAUD}"
     if number == errno.ENOENT or "FileNotFound" in str(error):
         if is_simulator(port):
-            return "no such port; is it written right, and does the simulator run?"
+            return "no such port; is its name right, and does the simulator run?"
         return (
             "no such port; is the cable one that carries data? `ugrbl ports` lists what is there"
         )
@@ -297,8 +297,8 @@ def _why_not(port: str, baud: int, error: Exception) -> str:
     if number == errno.EACCES:
         return "permission denied; add yourself to its group (`ls -l` shows which) and log in anew"
     if number in (errno.EISDIR, errno.ENOTTY) or "configure port" in str(error):
-        return "it is no serial port; `ugrbl ports` lists those that there are"
-    name = errno.errorcode.get(number, "for a reason of its own")
+        return "it is no serial port; `ugrbl ports` lists the serial ports"
+    name = errno.errorcode.get(number, "unknown reason")
     return f"the system refuses it ({name}); unplug it, plug it in, and try again"
 
 
@@ -307,9 +307,9 @@ def _why_no_connection(kind: str, port: str, number: int) -> str:
     or the number of a failed search for the host."""
     place = _HOST_AND_PORT.search(port)
     if not place or not 0 < int(place[1]) <= _MOST_PORTS:
-        return f"{kind}:// wants a host and a port: {kind}://HOST:PORT"
+        return f"{kind}:// needs a host and a port: {kind}://HOST:PORT"
     if number == errno.ECONNREFUSED:
-        return "nobody listens there; is the firmware or the simulator on, and is it this port?"
+        return "no program listens there; does the firmware or simulator run, and is it this port?"
     if number in (socket.EAI_NONAME, socket.EAI_AGAIN):
         return "no host of that name is known; is it written right, and in this network?"
     return "no answer; is the machine on, and in this network?"

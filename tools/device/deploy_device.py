@@ -127,7 +127,7 @@ class MpremoteDevice:
             state = found[1].decode() if found and found[1] else ""
             if state and state not in _AT_REST:
                 raise DeployError(
-                    f"the machine on {self._port} is in {state}, and is not disturbed",
+                    f"the machine on {self._port} is in {state}, and is not interrupted",
                     f"{way_out(state)}, then deploy again",
                 )
             given_way = self._hear(_PROMPT, _PROMPT_S if found else 0.0, _ESCAPE)
@@ -143,13 +143,13 @@ class MpremoteDevice:
         answers, or ""."""
         if state and is_simulator(self._port):
             return DeployError(
-                f"it is the simulator that answers on {self._port}; no MicroPython is in it",
-                "say a board's port with --port; `ugrbl ports` lists those that there are",
+                f"the simulator answers on {self._port}; it has no MicroPython",
+                "name a board's port with --port; `ugrbl ports` lists the ports",
             )
         if state:
             return DeployError(
-                f"a Grbl answers on {self._port}, and does not give way to MicroPython's prompt",
-                "is it ours? Hold the button at REPL_PIN, if it has one, while you plug it in; or "
+                f"a Grbl answers on {self._port}, but does not open MicroPython's prompt",
+                "is it ugrbl? Hold its button at REPL_PIN, if any, while you plug it in; or "
                 "put MicroPython on the board anew: micropython.org/download",
             )
         return DeployError(
@@ -249,7 +249,7 @@ class MpremoteDevice:
         messages = _MESSAGE.findall(self._heard)
         lines = [line for line in self._heard.split(b"\r\n") if line.strip()]
         last = messages[-1:] or lines[-1:]
-        return f": {last[0].decode('latin-1')}" if last else ": it says nothing"
+        return f": {last[0].decode('latin-1')}" if last else ": it sends nothing"
 
     def _build(self) -> str:
         """Return the build that the firmware reports in $I; "" if it does not."""
@@ -325,7 +325,7 @@ class MpremoteDevice:
         except serial.SerialException as error:
             raise DeployError(
                 broke(self._port),
-                "plug the board in and deploy again: what has been copied is not copied anew",
+                "plug the board in and deploy again: files already copied are not copied again",
             ) from error
         except TransportError as error:
             raise DeployError(

@@ -62,7 +62,9 @@ def approach(
     words = [description for _, description in steps if description]
     cautions = _cautions(lines[: number - 1])
     cautions += _cautions_after(lines, number)
-    cautions += [f"{name} is on by then: see that it is" for name in forecast.outputs_on]
+    cautions += [
+        f"{name} is on at that line: make sure that it is" for name in forecast.outputs_on
+    ]
     return Approach(to_send, words, cautions)
 
 
@@ -73,7 +75,7 @@ def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -
     refused = ("G1", "G2", "G3") if laser and "M3" in modes else ("G2", "G3")
     motion = next((word for word in modes if word in refused), "")
     if motion and not _MOTION.search(_code(line)):
-        text = f"line {number} goes on with {motion} of a line before"
+        text = f"line {number} continues {motion} of an earlier line"
         raise CannotEnter(f"{text}: begin with a line that names its motion (G0 to G3)")
 
 
@@ -88,7 +90,7 @@ def _check_cycle(lines: Sequence[bytes], number: int) -> None:
         elif _CYCLE_ENDS.search(code):
             begun = 0
     if begun and not _CYCLE_ENDS.search(_code(lines[number - 1])):
-        text = f"line {number} goes on with the drilling cycle of line {begun}"
+        text = f"line {number} continues the drilling cycle of line {begun}"
         raise CannotEnter(f"{text}: begin there, or after its end")
 
 
@@ -112,8 +114,8 @@ def _check_places(after: Sequence[bytes], here: MachineSnapshot, there: MachineS
         for word in _GOES_TO.findall(_code(line)):
             name = f"G{word.decode()}"
             if there.offsets.get(name) != here.offsets.get(name):
-                text = f"the lines before store another place for {name} ({name}.1)"
-                raise CannotEnter(f"{text}, and the program goes to it: begin in front of that")
+                text = f"the lines before store another position for {name} ({name}.1)"
+                raise CannotEnter(f"{text}, and the program moves to it: begin before that line")
 
 
 class _Way:
@@ -229,8 +231,8 @@ def _cautions_after(lines: Sequence[bytes], number: int) -> list[str]:
     before."""
     for number_of_line, line in enumerate(lines[number - 1 :], number):
         if _STORES.search(_code(line)):
-            text = f"line {number_of_line} stores offsets: where it has been done already"
-            return [f"{text}, see that those in front of it are as they were before"]
+            text = f"line {number_of_line} stores offsets: if it was executed before"
+            return [f"{text}, restore the offsets that were in force then"]
     return []
 
 
@@ -238,9 +240,9 @@ def _cautions(before: Sequence[bytes]) -> list[str]:
     """Return warnings about what only the user can check."""
     found = []
     for pattern, text in (
-        (_RELATIVE, "moves relatively (G91): the places above hold where the program began here"),
-        (_ORIGIN, "sets the origin where the tool is: that holds where it stands there again"),
-        (_TOOL, "names a tool: see that it is in the spindle"),
+        (_RELATIVE, "moves relatively (G91): the above is right only if the program began here"),
+        (_ORIGIN, "sets the origin where the tool is: right only if it is there again"),
+        (_TOOL, "names a tool: make sure that it is in the spindle"),
     ):
         numbers = [number for number, line in enumerate(before, 1) if pattern.search(_code(line))]
         if numbers:

@@ -25,7 +25,7 @@ _NAME = re.compile(r"[A-Z0-9_-][A-Z0-9._-]{0,31}")
 _FILE = re.compile(r"\[FILE:/(.*)\|SIZE:(\d+)\]")
 _MESSAGE = re.compile(r"\[MSG:(.*)\]")
 NO_JOBS = (
-    "this machine keeps no jobs: on a board with ugrbl its file wants the line"
+    "this machine stores no jobs: on a board with ugrbl its file needs the line"
     ' JOBS = "jobs", and `ugrbl deploy` puts that there'
 )
 

@@ -203,7 +203,7 @@ class Stream:
         except OSError as error:  # a full disk, or a closed pipe
             self._connection.write(FEED_HOLD)
             self._view = _Mute()
-            self._why_hold = f"what happens cannot be shown ({paths.why(error)})"
+            self._why_hold = f"the progress cannot be shown ({paths.why(error)})"
             self._hold()
 
     def _turn(self) -> None:
@@ -257,7 +257,7 @@ class Stream:
             self._connection.write(STATUS)
         if now - self._connection.heard >= _SILENCE_S:
             self._connection.heard = now
-            self._view.message(f"the machine has said nothing for {_SILENCE_S:g} s")
+            self._view.message(f"the machine has sent nothing for {_SILENCE_S:g} s")
 
     def _handle(self, line: str) -> None:
         """Process a line from the machine: an answer, an alarm, a reset, a status or a message."""

@@ -35,7 +35,9 @@ def pull(connection: Connection) -> Settings:
     """Read all settings. SendError if the machine's state does not allow it."""
     state = connection.state()
     if state and state not in QUIET:
-        raise SendError(f"the machine is in {state} and does not tell: {way_out(state)} first")
+        raise SendError(
+            f"the machine is in {state} and does not report its settings: {way_out(state)} first"
+        )
     info = _ask(connection, "$I")
     values = _ask(connection, "$$")
     settings = Settings.read("\n".join(line for line in values if line.startswith("$")))
@@ -74,7 +76,7 @@ def factory(connection: Connection) -> None:
     """Restore the factory settings ($RST=$); the firmware then restarts."""
     connection.write(b"$RST=$\n")
     if not connection.wait_for(is_welcome, _ANSWER_S):
-        raise SendError("the machine did not restore its settings: is it at rest?")
+        raise SendError("the machine did not restore its settings: is it idle?")
 
 
 def _ask(connection: Connection, line: str) -> list[str]:

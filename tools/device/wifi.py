@@ -85,7 +85,7 @@ def _told(replies: list[str], prefix: str) -> str:
     for reply in replies:
         if reply.startswith(prefix):
             return reply[len(prefix) : -1]
-    raise SendError("the board answers in a way that this ugrbl does not know")
+    raise SendError("the board's answer is unknown to this version of ugrbl")
 
 
 def _ask(connection: Connection, line: str) -> list[str]:
@@ -97,6 +97,6 @@ def _ask(connection: Connection, line: str) -> list[str]:
     if why:
         raise SendError(f"the board refuses it: {why[-1]}")
     raise SendError(
-        f'the board has no $NET ({replies[-1]}): its board file wants LINK = "wifi", '
+        f'the board has no $NET ({replies[-1]}): its board file needs LINK = "wifi", '
         'or "uart_wifi" on an ESP32'
     )

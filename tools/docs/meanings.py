@@ -7,20 +7,20 @@ G_MEANINGS = {
     "G3": "Arc, counterclockwise, to the target: centre I J K, or radius R.",
     "G4": "Dwell for P seconds.",
     "G10": "L2: set the offset of coordinate system P (1 to 6; 0: the active one). "
-    "L20: set it so that the present place reads as the axis words say.",
+    "L20: set it so that the present position becomes the axis words.",
     "G17": "Arcs lie in the XY plane.",
     "G18": "Arcs lie in the ZX plane.",
     "G19": "Arcs lie in the YZ plane.",
     "G20": "Lengths are in inches.",
     "G21": "Lengths are in millimetres.",
-    "G28": "Rapid to the place kept by G28.1; with axis words by way of the target, "
+    "G28": "Rapid to the position stored by G28.1; with axis words by way of the target, "
     "and only those axes.",
-    "G28.1": "Keep the present place for G28.",
-    "G30": "Rapid to the place kept by G30.1; with axis words by way of the target, "
+    "G28.1": "Store the present position for G28.",
+    "G30": "Rapid to the position stored by G30.1; with axis words by way of the target, "
     "and only those axes.",
-    "G30.1": "Keep the present place for G30.",
-    "G38.2": "Probe towards the workpiece until contact; none is ALARM:5.",
-    "G38.3": "Probe towards the workpiece until contact; none is no alarm.",
+    "G30.1": "Store the present position for G30.",
+    "G38.2": "Probe towards the workpiece until contact; without contact, ALARM:5.",
+    "G38.3": "Probe towards the workpiece until contact; without contact, no alarm.",
     "G38.4": "Probe away from the workpiece until contact is lost; if it is not, ALARM:5.",
     "G38.5": "Probe away from the workpiece until contact is lost; if it is not, no alarm.",
     "G40": "Cutter compensation off: the only mode there is.",
@@ -36,10 +36,10 @@ G_MEANINGS = {
     "G61": "Path control, exact path: the only mode there is.",
     "G80": "No motion mode: axis words without a command are refused.",
     "G90": "Targets are absolute.",
-    "G91": "Targets are relative to the present place.",
+    "G91": "Targets are relative to the present position.",
     "G91.1": "Arc centres are relative to where the arc begins: the only mode there is.",
-    "G92": "Shift all coordinate systems so that the present place reads as the axis words say.",
-    "G92.1": "Take that shift back.",
+    "G92": "Shift all coordinate systems so that the present position becomes the axis words.",
+    "G92.1": "Remove the shift of G92.",
     "G93": "F is the inverse of the time a block takes: F2 is half a minute.",
     "G94": "F is in units per minute.",
 }
@@ -54,7 +54,7 @@ M_MEANINGS = {
     "M7": "Mist coolant on. Board option `MIST`.",
     "M8": "Flood coolant on.",
     "M9": "All coolant off.",
-    "M56": "Parking in action; with P0: not. Board option `OVERRIDE_CONTROL`.",
+    "M56": "Parking on; with P0: off. Board option `OVERRIDE_CONTROL`.",
 }
 COMMANDS = {
     "$$": "Show all settings.",
@@ -64,16 +64,16 @@ COMMANDS = {
     "$#": "Show offsets and the last probing.",
     "$H": "Home. `$HX`, `$HY`, `$HZ`: one axis; board option `SINGLE_AXIS_HOMING`.",
     "$SLP": "Sleep: spindle, coolant and motors off until a reset.",
-    "$I": "Show version and build options. `$I=text`: keep a text, shown with them.",
+    "$I": "Show version and build options. `$I=text`: store a text, shown with them.",
     "$RST=": "`$`: restore settings. `#`: clear offsets. `*`: both, startup lines and `$I` text.",
-    "$N": "Show the startup lines. `$N0=line`, `$N1=line`: keep one; it runs after every start.",
+    "$N": "Show the startup lines. `$N0=line`, `$N1=line`: store one; it runs after every start.",
 }
 EVENTS = {
     0x3F: "Status report.",
     0x7E: "Cycle start: begin, or go on after a hold, a pause or a closed door.",
-    0x21: "Feed hold: come to rest, keeping the position.",
+    0x21: "Feed hold: slow down and stop, keeping the position.",
     0x40: "With `DIALECT` 0.9: safety door, as 0x84. A character like others in 1.1.",
     0x84: "Safety door: hold, then spindle and coolant off.",
-    0x85: "Jog cancel: end the jog and forget those that wait. Ignored otherwise.",
+    0x85: "Jog cancel: end the jog and drop those that wait. Ignored otherwise.",
 }
 RESET = "Soft reset: stop at once, start anew. While it moves steps are lost: ALARM:3."

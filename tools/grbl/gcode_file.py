@@ -85,7 +85,7 @@ def read_utf8(path: Path) -> bytes:
     try:
         return data.decode("utf-16").encode()
     except UnicodeDecodeError as error:
-        raise NotText(f"{name_of(path)} begins as UTF-16, and is broken") from error
+        raise NotText(f"{name_of(path)} begins as UTF-16, and is damaged") from error
 
 
 def read_lines(path: Path) -> Lines:
@@ -105,7 +105,7 @@ def check_text(lines: Sequence[bytes], name: str) -> None:
 def check_utf8(data: bytes, name: object) -> None:
     """Raise NotText if the data is not text in UTF-8."""
     if not (is_text(data) and is_utf8(data)):
-        raise NotText(f"{name} cannot be read: it is no text in UTF-8; save it as that")
+        raise NotText(f"{name} cannot be read: it is no text in UTF-8; save it as UTF-8")
 
 
 def is_foreign(line: bytes) -> bool:
@@ -204,7 +204,7 @@ def _what(line: bytes, byte: bytes) -> str:
         return _NAMES[byte]
     sign = next((sign for sign in text(line) if not sign.isascii()), "")
     if sign and sign in _DASHES:
-        return f"{sign!r} is no minus: write -"
+        return f"{sign!r} is no minus sign: write -"
     return f"{sign!r} holds bytes that are real-time commands"
 
 

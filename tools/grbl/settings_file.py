@@ -23,7 +23,7 @@ AXES = "XYZABC"
 SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
 # Meaning of 0, which Grbl accepts, by the number without the axis.
 _ZEROS = {
-    "10": "no steps for a millimetre of",
+    "10": "0 steps/mm for",
     "11": "a highest rate of 0 for",
     "12": "an acceleration of 0 for",
 }
@@ -260,7 +260,7 @@ def zeros(lines: Iterable[str]) -> list[str]:
     should."""
     found = filter(None, map(_ZERO.fullmatch, lines))
     return [
-        f"{line[0]} is {_ZEROS[line[1]]} {AXES[int(line[2])]}: it will not move as it should"
+        f"{line[0]} means {_ZEROS[line[1]]} {AXES[int(line[2])]}: it will not move as it should"
         for line in found
     ]
 
@@ -314,4 +314,4 @@ def check_fit(file: Settings, machine: Settings, any_version: bool, complete: bo
     missing = sorted(machine.values.keys() - file.values.keys())
     if complete and missing:
         names = ", ".join(f"${number}" for number in missing)
-        raise SettingsError(f"the file does not say {names}; push it instead of restoring it")
+        raise SettingsError(f"the file has no {names}; push it instead of restoring it")

@@ -45,7 +45,7 @@ def about(flash: Flash) -> About:
         )
     start, size = devices[0]
     if flash.end > start:
-        raise Uf2Error("something lies in the file system already: take MicroPython as it comes")
+        raise Uf2Error("its file system already has files: use an unchanged MicroPython")
     return About(texts[_NAME], texts.get(_VERSION, ""), start, size)
 
 

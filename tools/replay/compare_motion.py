@@ -133,7 +133,7 @@ def _judge_path(record: Json, observed: Json) -> list[str]:
         if _distance(place, *parts[reached]) > slack:
             return [f"at {k * samples['dt_ms']} ms off the path: {place}"]
     if reached + _LOOK_AHEAD < len(parts):
-        return [f"only {reached} of {len(parts)} parts of the path have been made"]
+        return [f"only {reached} of {len(parts)} parts of the path were executed"]
     return []
 
 

@@ -63,7 +63,7 @@ def _cases(path: Path) -> list[Json]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{path} is no recording, which is JSON: take it out of there") from error
+        raise ValueError(f"{path} is no recording in JSON: remove it from the folder") from error
     return content if isinstance(content, list) else [content]
 
 
@@ -90,10 +90,12 @@ def _board(path: Path, cases: list[Json], whole: set[str]) -> str:
     """
     dialects = _dialects(cases) or (whole if len(whole) == 1 else {"1.1"})
     if len(dialects) > 1:
-        raise ValueError(f"{path} is of several Grbls: {', '.join(sorted(dialects))}")
+        raise ValueError(
+            f"{path} mixes recordings of several Grbl versions: {', '.join(sorted(dialects))}"
+        )
     dialect = next(iter(dialects))
     if dialect not in _SPEAKERS:
-        raise ValueError(f"{path} is of Grbl {dialect}: nothing here speaks as that")
+        raise ValueError(f"{path} is of Grbl {dialect}, which ugrbl cannot imitate")
     name = _BOARDS.get(path.stem, _SPEAKERS[dialect])
     speaks = getattr(load_board(name), "DIALECT", "1.1")
     return name if dialect.startswith(speaks) else _SPEAKERS[dialect]

@@ -94,7 +94,7 @@ def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
     try:
         refused = compilers.refusal(module.source)
     except CompilerError as error:
-        verdict.notes = [f"not seen by MicroPython's compiler: {error}"]
+        verdict.notes = [f"not checked by MicroPython's compiler: {error}"]
         return
     if refused:
         line, reason = refused
@@ -105,9 +105,9 @@ def _why(module: Module, line: int) -> str:
     """Return the unsupported construct, if it is easy to recognise; else ""."""
     for node in ast.walk(module.tree):
         if isinstance(node, ast.stmt) and node.lineno == line and type(node).__name__ == "Match":
-            return ": it has no match"
+            return ": MicroPython has no match statement"
         if isinstance(node, ast.FunctionDef) and node.args.posonlyargs and node.lineno == line:
-            return ": it has no / among parameters"
+            return ": MicroPython has no / among parameters"
     return ""
 
 
@@ -120,7 +120,7 @@ def _imports(own: OwnPython, module: Module, board: Any) -> Iterator[str]:
     for line, name in _imported(module.tree):
         first = name.partition(".")[0]
         if not first and not own.is_folder:
-            yield f"{module.file}, line {line}: nothing goes to the board with a single file"
+            yield f"{module.file}, line {line}: relative imports need a folder; this is one file"
         elif first and first not in ON_BOARDS | chip | {API, own.name}:
             yield f"{module.file}, line {line}: no board has a module {name}"
 
@@ -132,8 +132,8 @@ def _prints(module: Module) -> Iterator[str]:
             to_file = any(keyword.arg == "file" for keyword in node.keywords)
             if node.func.id == "print" and not to_file:
                 yield (
-                    f"{module.file}, line {node.lineno}: print() goes among the answers to the "
-                    "sender: m.message(text) tells it something"
+                    f"{module.file}, line {node.lineno}: print() would mix with answers to the "
+                    "sender: use m.message(text)"
                 )
 
 
@@ -157,7 +157,7 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
     try:
         if watch.is_late(lambda: machine.run(rig)):
             verdict.problems.append(
-                f"{own.path}: no end of reading it within {watch.LONGEST_S:g} s: what stands "
+                f"{own.path}: importing it did not end within {watch.LONGEST_S:g} s: what stands "
                 "outside of handlers runs once, at start"
             )
             return ()
@@ -199,7 +199,7 @@ def _examine(own: OwnPython, cnc: Any, notes: "list[Any]", verdict: Verdict) -> 
         where = _place(function)
         problems = [*_word(cnc, kind, key, letters)] if kind in "MG" else []
         if kind in "MG" and (kind, key) in first_place:
-            problems.append(f"{kind}{key} stands twice: {first_place[kind, key]}")
+            problems.append(f"{kind}{key} is defined twice: {first_place[kind, key]}")
         first_place.setdefault((kind, key), where)
         problems += _parameters(kind, letters, function)
         verdict.problems += [f"{where}: {problem}" for problem in problems]
@@ -226,32 +226,32 @@ def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
         is_number = isinstance(number, int | float) and not isinstance(number, bool)
     if not is_number or number < 0 or (letter == "M" and number != int(number)):
         right = "a whole number" if letter == "M" else 'a number such as 81 or 81.1, or "10 L1",'
-        yield f"{word}: {right} stands behind {letter}"
+        yield f"{word}: {right} must follow {letter}"
     elif abs(number * 10 - round(number * 10)) > 1e-6:
-        yield f"{word}: words have tenths at the most"
+        yield f"{word}: the number may have one decimal place at most"
     elif cnc.is_taken(letter, word[1:]):
         yield f"{word} is Grbl's own, or another extra's"
     if not isinstance(letters, str):
-        yield f'{word}: its letters are a text: "Pq"'
+        yield f'{word}: its letters must be a text: "Pq"'
         return
     for each in letters:
         if each.upper() not in _LETTERS:
-            yield f"{word}: {each!r} cannot be a parameter: letters are, but G, M and N"
+            yield f"{word}: {each!r} cannot be a parameter: use letters other than G, M and N"
     for repeated in {each for each in letters.upper() if letters.upper().count(each) > 1}:
-        yield f"{word}: {repeated} stands twice in {letters!r}"
+        yield f"{word}: {repeated} is listed twice in {letters!r}"
 
 
 def _parameters(kind: str, letters: Any, function: "Callable[..., Any]") -> Iterator[str]:
     """Compare the function's parameters with the values it will be called with."""
     if inspect.isgeneratorfunction(function):
-        yield f"{function.__name__} has a yield: none of it would run. Whoever waits just waits"
+        yield f"{function.__name__} has a yield, so none of it would run: remove it"
         return
     if inspect.iscoroutinefunction(function):
-        yield f"{function.__name__} is async: none of it would run"
+        yield f"{function.__name__} is async, so none of it would run: remove async"
         return
     parameters = inspect.signature(function).parameters
     if not parameters:
-        yield f"{function.__name__}() takes no m: it is handed the machine first"
+        yield f"{function.__name__}() has no parameter m: it gets the machine first"
         return
     if kind in "MG":
         yield from _letters(str(letters), parameters, function.__name__)
@@ -288,7 +288,7 @@ def _letters(letters: str, parameters: Any, name: str) -> Iterator[str]:
             yield f"{name}(): {upper} may be missing on the line, so it needs a default: {upper}=0"
     for parameter in unfilled.values():
         if parameter.default is parameter.empty and parameter.kind is not parameter.VAR_POSITIONAL:
-            yield f"{name}(): nobody gives it {parameter.name}; its letters are {letters!r}"
+            yield f"{name}(): no letter sets {parameter.name}; its letters are {letters!r}"
 
 
 def check(own: OwnPython, board: str, around: Around) -> "tuple[Verdict, Sequence[Any]]":

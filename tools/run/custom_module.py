@@ -83,8 +83,8 @@ class CustomModule:
         elif self.on_endless_wait and not may_come:
             level = "on" if closed else "off"
             self.on_endless_wait(
-                f"{handler} waits for the input {name} to {change}, and nobody is there to do "
-                f"that: --input {name}={level}, or {name}=2s for two seconds later"
+                f"{handler} waits for the input {name} to {change}, which nothing does here: "
+                f"add --input {name}={level}, or {name}=2s for two seconds later"
             )
 
 

@@ -29,7 +29,7 @@ _SHORT = b"G4 P0.2"
 _PERIODS = 3  # a program for a periodic handler lasts so many periods
 _MESSAGE = re.compile(r"\[MSG:(.*)\]")  # a message to the sender
 _UNLOCKED = (*_BROKEN_OFF, b"$X", _SHORT)
-_IN_ALARM = ": in Alarm, behind a reset in motion; look at m.state before m.g"
+_IN_ALARM = ": in Alarm, after a reset during motion; check m.state before m.g"
 # Lines that trigger an event.
 LINES: dict[str, tuple[bytes, ...]] = {
     "startup": (_SHORT,),
@@ -85,7 +85,7 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
             why = (faults or [stopped or rig.link.result.stopped])[0]
             return why + (_IN_ALARM if lines is _UNLOCKED and kind == "after_reset" else ""), False
         if name not in rig.custom_module.ran:
-            return "not tried: could not be brought about here", True
+            return "not tried: the simulator could not cause it", True
         if refused := [reply for _, reply in rig.link.result.errors]:
             output = [text for _, text in rig.link.result.other_output]
             messages = [m[1] for m in map(_MESSAGE.match, output) if m]
@@ -145,5 +145,5 @@ def _run(rig: "Rig", name: str) -> str:
     ""."""
     if watch.is_late(lambda: machine.run(rig)):
         handler = rig.custom_module.interrupted or name
-        return f"{handler}: no end of it within {watch.LONGEST_S:g} s"
+        return f"{handler}: it did not end within {watch.LONGEST_S:g} s"
     return ""

@@ -51,7 +51,9 @@ class FileStore:
         """Replace the file completely, or leave it unchanged. OSError if it cannot be replaced."""
         kept = {**self._kept, _SETTINGS if name.startswith(_SETTINGS) else name: list(lines)}
         if self._there() != self._text:
-            raise OSError(f"{self._path} has been changed by somebody else: it is left alone")
+            raise OSError(
+                f"{self._path} has been changed by another program: it is not overwritten"
+            )
         before = "" if self._text is None else _decoded(self._text)
         text = "".join(f"{line}\n" for line in _written(before, kept, self._firmware)).encode()
         paths.write(self._path, text)

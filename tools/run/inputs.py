@@ -40,7 +40,7 @@ def rule(text: str) -> Rule:
     """Parse a rule of the command line. ValueError if it is not one."""
     name, equals, when = (part.strip() for part in text.partition("="))
     if not name or not equals:
-        raise ValueError(f"--input {text}: say NAME=WHEN, WHEN being {_WHEN}")
+        raise ValueError(f"--input {text}: write NAME=WHEN, WHEN being {_WHEN}")
     if when in ("on", "off"):
         return Rule(name, closed=when == "on")
     if match := _TIME.fullmatch(when):
@@ -51,7 +51,7 @@ def rule(text: str) -> Rule:
         raise ValueError(f"--input {text}: WHEN is {_WHEN}")
     axis, side, mm = match[1], match[2], float(match[3])
     if not side and not mm:
-        raise ValueError(f"--input {text}: on which side of it? {axis}<0 or {axis}>0")
+        raise ValueError(f"--input {text}: name the side of it: {axis}<0 or {axis}>0")
     # Without < or > it is closed from there on away from 0.
     above = side == ">" if side else mm > 0
     return Rule(name, axis=AXIS_LETTERS.index(axis.upper()), mm=mm, above=above)

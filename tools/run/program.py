@@ -292,7 +292,7 @@ class ProgramLink(machine.UntimedLink):
         elif run == state.SLEEP:
             self.stop("asleep ($SLP)")
         elif rig.now - self.news > _STALLED_MS * rig.ticks_per_ms:
-            self.stop("nothing happens any more")
+            self.stop("the machine does nothing any more")
         elif rig.custom_module and rig.custom_module.running:
             self._watch_handler(rig.custom_module.running[-1])
         rig.skip()
@@ -304,7 +304,9 @@ class ProgramLink(machine.UntimedLink):
         if self.rig.now - self.news > _WAITING_MS * self.rig.ticks_per_ms:
             minutes = _WAITING_MS // 60_000
             time = f"{minutes} minute{'s' * (minutes > 1)}"
-            self.stop(f"{name} has waited for {time}: what for does never come here")
+            self.stop(
+                f"{name} has waited for {time}: what it waits for never comes in the simulator"
+            )
 
     def _resume(self) -> None:
         """Send a cycle start, and note the pause."""

@@ -22,7 +22,7 @@ def address(text: str) -> tuple[str, int]:
     valid."""
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
-        raise ValueError(f"{text} is no place to listen at; write it as 2323 or {LOOPBACK}:2323")
+        raise ValueError(f"{text} is no address to listen at; write it as 2323 or {LOOPBACK}:2323")
     return host.strip("[]") or LOOPBACK, int(port)
 
 
@@ -41,10 +41,10 @@ def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
 def why_not(error: OSError) -> str:
     """Return why listening is not possible, and what to use instead."""
     if error.errno == errno.EADDRINUSE:
-        return "another program does; say another port"
+        return "another program does; choose another port"
     if error.errno == errno.EACCES:
-        return "the system keeps such ports to itself; say one from 1024 on"
-    return "this computer has no such address; 0.0.0.0 is all that it has"
+        return "the system reserves such ports; choose one from 1024 on"
+    return "this computer has no such address; 0.0.0.0 means all of its own"
 
 
 class Tcp(Wire):

@@ -80,7 +80,7 @@ class PunchPort(SimPort):
         self.place()
         speed = down - up
         if speed > 0 and speed != self._speed and not self._rig.engine.idle():
-            raise BrokenLaw("it goes down while the machine moves")
+            raise BrokenLaw("the punch goes down while the machine moves")
         self._speed = speed
 
     def rest(self, levels: int) -> None:

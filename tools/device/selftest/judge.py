@@ -103,8 +103,8 @@ def _steps(facts: list[Fact]) -> Iterator[Row]:
     text = f"{total} on each of {len(axes)} axes, there and back, all counted"
     if not good:
         last = facts[-1]
-        text = f"asked {total}, there and back; position {last['position']}, counted"
-        text += f" {last['counted']}" + ("" if last["rested"] else "; it did not come to rest")
+        text = f"commanded {total}, there and back; position {last['position']}, counted"
+        text += f" {last['counted']}" + ("" if last["rested"] else "; motion did not end")
     yield Row(f"steps at {facts[0]['rate']}, all axes", good, text, {"facts": facts})
 
 
@@ -166,7 +166,7 @@ def _turns(facts: list[Fact]) -> Iterator[Row]:
             yield Row(what, False, "no reversal was seen")
             continue
         good = min(ticks) * TICK_US >= asked_us - _EXACT_TICKS * TICK_US
-        text = f"{_us(min(ticks)):g} us at the least; {asked_us} asked; {len(ticks)} reversals"
+        text = f"{_us(min(ticks)):g} us at least; {asked_us} required; {len(ticks)} reversals"
         yield Row(what, good, text, {"us": _us(min(ticks)), "asked_us": asked_us})
 
 
@@ -174,9 +174,9 @@ def _stops(facts: list[Fact]) -> Iterator[Row]:
     """Judge stops at random instants: the position must equal the count, and no step follow."""
     one = facts[0]
     good = one["wrong"] == 0 == one["late"] and one["count"] > 0
-    text = f"{one['count']}, half of them in an interrupt; position equal to the count"
+    text = f"{one['count']} stops, half in an interrupt; position equal to the step count"
     if not good:
-        text = f"{one['wrong']} of {one['count']} with a position that is not the count"
+        text = f"{one['wrong']} of {one['count']} stops with a position other than the step count"
         text += f" (the first: {one['first']}), {one['late']} with steps after the stop"
     yield Row("stops at random instants", good, text, one)
 
@@ -185,10 +185,10 @@ def _starts(facts: list[Fact]) -> Iterator[Row]:
     """Judge short moves from standstill: every step must be made, and each move must end."""
     one = facts[0]
     good = one["wrong"] == 0 == one["stuck"] and one["count"] > 0
-    text = f"{one['count']}, every step made and counted"
+    text = f"{one['count']} moves, every step made and counted"
     if not good:
-        text = f"{one['wrong']} of {one['count']} wrong (the first: {one['first']}), "
-        text += f"{one['stuck']} without an end"
+        text = f"{one['wrong']} of {one['count']} moves wrong (the first: {one['first']}), "
+        text += f"{one['stuck']} did not end"
     yield Row("starts from rest", good, text, one)
 
 
@@ -214,7 +214,7 @@ def _limit(what: str, fact: Fact) -> Row:
     if max(delays) > 0.95 * fact["window"]:  # steps to the end of the sampled window
         text = f"more than {_us(fact['window']):g} us; {len(delays)} interrupts forced"
     if fact["missed"] or fact["wrong"]:
-        text += f"; {fact['missed']} not heard, {fact['wrong']} positions that are not the count"
+        text += f"; {fact['missed']} not detected, {fact['wrong']} positions unlike the step count"
     return Row(what, good, text, {**fact, "mean_us": mean, "worst_us": worst})
 
 
@@ -230,7 +230,11 @@ def duty_percent(edges: Sequence[int]) -> float:
 def _pwm(facts: list[Fact]) -> Iterator[Row]:
     """Judge the spindle's PWM: the duty cycle at the pin against the power set."""
     if "power" not in facts[0]:
-        why = "the board file names no SPINDLE_PWM" if facts[0]["asked"] else "--yes allows it"
+        why = (
+            "the board file names no SPINDLE_PWM"
+            if facts[0]["asked"]
+            else "not allowed; --yes allows it"
+        )
         yield Row("spindle PWM", None, f"left out: {why}")
         return
     for one in facts:
@@ -262,7 +266,7 @@ def _save(facts: list[Fact]) -> Iterator[Row]:
     off_us = max(fact["longest_us"] - fact["beat_us"], 0)
     what = "settings save: interrupts off"
     if fact["wrong"]:
-        text = f"{fact['wrong']} of {fact['count']} saves read back otherwise"
+        text = f"{fact['wrong']} of {fact['count']} saves read back with other values"
         yield Row(what, False, text, fact)
     elif off_us < _FLASH_US:
         text = f"{NOT_SHOWN}{off_us / 1000:g} ms; no flash is as fast as that"

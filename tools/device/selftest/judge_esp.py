@@ -17,10 +17,12 @@ def stops(facts: list[Fact]) -> Iterator[Row]:
     one = facts[0]
     good = one["worst"] <= _CLOCK_STEPS and one["late"] == 0 and one["moved"] > 0
     text = f"{one['count']}, half of them in a soft interrupt, {one['moved']} of them in motion; "
-    text += f"position by the clock: equal to the count {one['exact']} times, at the most "
-    text += f"{one['worst']} off; no step afterwards"
+    text += (
+        f"position computed from time: matched the step counter in {one['exact']} stops; largest "
+    )
+    text += f"difference {one['worst']} steps; no step afterwards"
     if not good:
-        text = f"position up to {one['worst']} steps off the count (the first: {one['first']}), "
+        text = f"position up to {one['worst']} steps off the counter (the first: {one['first']}), "
         text += f"{one['late']} with steps after the stop, {one['moved']} of {one['count']} moved"
     yield Row("stops at random instants", good, text, one)
 
@@ -45,13 +47,13 @@ def _limit(what: str, fact: Fact) -> Row:
     times_us = fact["us"]
     lost = fact["missed"] or fact["late"] or fact["worst"] > _CLOCK_STEPS
     if not times_us:
-        return Row(what, False, f"{fact['missed']} pulled, none heard", fact)
+        return Row(what, False, f"{fact['missed']} inputs pulled low, none detected", fact)
     mean = sum(times_us) / len(times_us)
     text = f"mean {mean:.0f} us, worst {max(times_us)} us; {len(times_us)} inputs pulled low "
     text += "by the chip"
     if lost:
         text += (
-            f"; {fact['missed']} not heard, {fact['late']} with steps after the stop, position "
+            f"; {fact['missed']} not detected, {fact['late']} with steps after the stop, position "
         )
         text += f"up to {fact['worst']} off"
     good = not lost and max(times_us) <= _LIMIT_US
@@ -69,5 +71,5 @@ def pwm(facts: list[Fact]) -> Iterator[Row]:
             fact["edges"] == 0
         )
         what = "spindle PWM after a kill" if fact.get("killed") else f"spindle PWM, {due:g} %"
-        text = f"{percent:.1f} % of {fact['looks']} looks at the pin, {hz:.0f} pulses a second"
+        text = f"{percent:.1f} % high in {fact['looks']} readings, {hz:.0f} pulses a second"
         yield Row(what, good, text, fact)

@@ -154,8 +154,8 @@ def _countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
         raise DeployError(f"ENGINE {wiring.engine!r} is none that can be tested", "")
     if not isinstance(chip, Esp) and wiring.motors > _MOST_MOTORS:
         raise DeployError(
-            f"{wiring.motors} motors, a laser's beam being one, leave no machine of PIO 1 that "
-            "could count steps",
+            f"{wiring.motors} motors, a laser's beam being one, leave no state machine of PIO 1 "
+            "that could count steps",
             f"a board file with {_MOST_MOTORS} of them can be tested",
         )
     if isinstance(chip, Esp) and not wiring.has_pcnt:
@@ -182,5 +182,9 @@ def check(
     board.enter()
     is_back = board.until_restart(program.hang(chip, pwm), hearer.line, _HANG_S)
     hearer.close()
-    text = "the watchdog has started the firmware anew" if is_back else "it did not come back"
+    text = (
+        "the watchdog has started the firmware anew"
+        if is_back
+        else "the board did not start again"
+    )
     tell(Row("hang on purpose: watchdog", is_back, text))
