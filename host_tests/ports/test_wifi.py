@@ -92,6 +92,33 @@ def test_an_invalid_setting_changes_nothing(bench: NetBench, line: str) -> None:
     assert bench.store.files["network"] == before
 
 
+@pytest.mark.parametrize("line", ["$NET/PASS=", "$NET/PASS=41", "$NET/MODE+AP"])
+def test_an_access_point_never_loses_its_password(bench: NetBench, line: str) -> None:
+    asked(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP")
+    before = list(bench.store.files["network"])
+    said = asked(bench, line)
+    assert said[-1] == "error:3" and said[0].startswith("[MSG:")
+    assert bench.store.files["network"] == before
+
+
+def test_after_off_the_next_network_is_joined_and_not_made(bench: NetBench) -> None:
+    asked(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP", "$NET/OFF")
+    assert asked(bench, "$NET/SSID=42")[-1] == "ok"
+    assert "MODE" not in kept(bench)
+
+
+@pytest.mark.parametrize("password", ["", "hunter22"])
+def test_an_access_point_becomes_a_station_by_the_tool(bench: NetBench, password: str) -> None:
+    asked(bench, *wifi.orders(wifi.Wanted("Mine", "hunter22" * 2, False)))
+    assert kept(bench)["MODE"] == "ap"
+    said = asked(bench, *wifi.orders(wifi.Wanted("Ours", password, True)))
+    assert not [line for line in said if line.startswith("error:")]
+    assert (kept(bench)["MODE"], kept(bench)["PASS"]) == (
+        "station",
+        password.encode().hex().upper(),
+    )
+
+
 def test_the_network_is_set_up_only_while_idle_and_only_at_the_cable(bench: NetBench) -> None:
     before = list(bench.store.files["network"])
 

@@ -31,7 +31,12 @@ class Wanted:
 
 
 def orders(wanted: Wanted) -> Iterator[str]:
-    """Yield the lines that make these changes. ValueError if a value is not possible."""
+    """Yield the lines that make these changes. ValueError if a value is not possible.
+
+    At no time is there an access point without a password, because the board refuses that.
+    """
+    if wanted.is_station:
+        yield "$NET/MODE=STATION"
     if wanted.name is not None:
         yield "$NET/SSID=" + _hex("the network's name", wanted.name, 1, _LONGEST_NAME)
     if wanted.password is not None:
@@ -40,8 +45,8 @@ def orders(wanted: Wanted) -> Iterator[str]:
         yield "$NET/PASS=" + digits[: 2 * _PIECE]
         if digits[2 * _PIECE :]:
             yield "$NET/PASS+" + digits[2 * _PIECE :]
-    if wanted.is_station is not None:
-        yield "$NET/MODE=" + ("STATION" if wanted.is_station else "AP")
+    if wanted.is_station is False:
+        yield "$NET/MODE=AP"
     if wanted.host is not None:
         if not _HOST.fullmatch(wanted.host):
             raise ValueError("the host's name has letters, digits and -, 31 at the most")

@@ -16,11 +16,12 @@ def change(values: "dict[str, str]", text: str) -> str:
     """Change the stored values. Return "", or what is wrong, and then change nothing.
 
     values: by name; SSID and PASS are stored as hexadecimal digits. text: `NAME=VALUE`;
-    `PASS+VALUE` continues a password; `OFF` removes the network's name and password.
+    `PASS+VALUE` continues a password; `OFF` removes the network's name, password and mode. An
+    access point always has a password: without one, strangers could join it.
     """
     name, sign, value = _split(text)
     if name == "OFF" and not sign:
-        for removed in ("SSID", "PASS"):
+        for removed in ("SSID", "PASS", "MODE"):
             values.pop(removed, None)
         return ""
     # Shown if the name or the sign is none of these.
@@ -30,19 +31,23 @@ def change(values: "dict[str, str]", text: str) -> str:
     elif name == "PASS" and sign:
         value = (values.get("PASS", "") if sign == "+" else "") + value
         problem = _check_hex(value, 0, _LONGEST_PASSWORD)
-    elif name == "MODE" and value in ("STATION", "AP"):
-        has_password = len(values.get("PASS", "")) >= 2 * _SHORTEST_PASSWORD  # 2 digits per letter
-        is_open = value == "AP" and not has_password
-        problem = "Before MODE=AP, set a PASS of 8 letters or more" if is_open else ""
+    elif name == "MODE" and sign == "=" and value in ("STATION", "AP"):
+        problem = ""
         value = value.lower()
     elif name == "HOST" and sign == "=":
         value = value.lower()
         problem = _check_host(value)
     elif name == "PORT" and sign == "=":
         problem = _check_port(value)
-    if not problem:
-        values[name] = value
-    return problem
+    if problem:
+        return problem
+    changed = dict(values)
+    changed[name] = value
+    # Two hexadecimal digits per letter.
+    if changed.get("MODE") == "ap" and len(changed.get("PASS", "")) < 2 * _SHORTEST_PASSWORD:
+        return "With MODE=AP, PASS must have 8 letters or more"
+    values[name] = value
+    return ""
 
 
 def _check_hex(text: str, fewest: int, most: int) -> str:
