@@ -31,10 +31,10 @@ KERNELS = f"{kernel_module.PACKAGE}/"  # files on a board without a source file
 BOARD = "board.py"
 
 # These modules create engines and links. The function that creates one has its name.
-_PARTS = ("boot.parts", "boot.parts_esp")
+_CREATORS = ("boot.parts", "boot.parts_esp")
 # Modules that are on a board only if one of these options has this value; True stands for any true
 # value. Every other module is on a board if a module there imports it. Imports inside the
-# functions of _PARTS count only for the board's own engine and link.
+# functions of _CREATORS count only for the board's own engine and link.
 _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "motion.kinematics": (("BACKLASH", "COREXY", "MOTORS", "MOVES", "SKEW"), True),
     "ports.storage.job_files": (("JOBS",), True),
@@ -52,7 +52,7 @@ _DIGITS = 8
 # The module whose constant says that the chip may be an RP2350.
 _LAYOUT = "pio.state_layout"
 _CHIP = "RP2350"
-_MAY_BE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
+_CHIP_LINE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
 
 
 class BuildError(Exception):
@@ -121,15 +121,15 @@ def for_chip(sources: Mapping[str, str], arch: str) -> dict[str, str]:
     If no RP2350 has it, the constant of that chip becomes 0, and the compilers drop the code that
     depends on it. ValueError if the line with the constant is missing.
     """
-    made = dict(sources)
+    result = dict(sources)
     if _CHIP not in processors(arch):
-        made[_LAYOUT], count = _MAY_BE.subn(f"{_CHIP} = const(0)", made[_LAYOUT])
+        result[_LAYOUT], count = _CHIP_LINE.subn(f"{_CHIP} = const(0)", result[_LAYOUT])
         if count != 1:
             raise ValueError(
                 f"{_LAYOUT} does not say whether the chip may be an {_CHIP}: "
                 f"it needs a line {_CHIP} = const(1)"
             )
-    return made
+    return result
 
 
 def id_of(arch: str) -> str:
@@ -139,20 +139,22 @@ def id_of(arch: str) -> str:
 
 
 def in_place(arch: str, more: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
-    """Return the modules for a processor, by name, after the first pass and with their id.
+    """Return the modules for a processor, by name, with constants inlined (inline.py) and the
+    firmware's id in base/errors.py.
 
     more: modules that are not the firmware's, by name.
     """
-    return _in_place({**for_chip(texts(), arch), **more})
+    return _inlined_with_id({**for_chip(texts(), arch), **more})
 
 
 def prepared(arch: str) -> Apart:
-    """Return the texts that are compiled: if there is machine code for the processor, with kernels
-    taken out, as C."""
+    """Return the modules as they are compiled. Where LLVM compiles kernels for the processor, they
+    are taken out of the modules, and the result has them as C text."""
     texts = in_place(arch)
     if arch not in compilers.PROCESSORS:
         return Apart(texts, c="", pieces={})
-    return _apart(texts, _reached(texts, _plain(arch)))
+    on_every_board = _needed_modules(texts, _plain_board(arch))
+    return _taken_apart(texts, on_every_board)
 
 
 def _id(written: dict[str, str]) -> str:
@@ -160,12 +162,12 @@ def _id(written: dict[str, str]) -> str:
 
 
 @cached
-def _in_place(written: dict[str, str]) -> dict[str, str]:
+def _inlined_with_id(written: dict[str, str]) -> dict[str, str]:
     stamped = f'"{_id(written)}"'
     return {name: text.replace(_OF_SOURCES, stamped) for name, text in inline(written).items()}
 
 
-_apart = cached(kernel_module.taken_apart)
+_taken_apart = cached(kernel_module.taken_apart)
 
 
 # Modules that a board needs
@@ -173,10 +175,10 @@ _apart = cached(kernel_module.taken_apart)
 
 def modules_of(board: ModuleType) -> list[str]:
     """Return the names of the modules that a board needs."""
-    return _reached(in_place(getattr(board, "MPY_ARCH", "")), board)
+    return _needed_modules(in_place(getattr(board, "MPY_ARCH", "")), board)
 
 
-def _plain(arch: str) -> ModuleType:
+def _plain_board(arch: str) -> ModuleType:
     """Return a board with only the options that every board with that processor has."""
     chip = next(chip for chip in CHIPS.values() if chip.mpy_arch == arch)
     board = ModuleType("board")
@@ -184,47 +186,57 @@ def _plain(arch: str) -> ModuleType:
     return board
 
 
-def _reached(there: Mapping[str, str], board: ModuleType) -> list[str]:
-    """Return the names of the modules that are imported on a board, directly or by another one."""
+def _needed_modules(texts: Mapping[str, str], board: ModuleType) -> list[str]:
+    """Return the names of the modules that a board needs: main, its extras, and all modules that
+    these import, directly or by another one. texts: of all modules, by name."""
     extras = _extras(board)
-    on = {name: text for name, text in there.items() if not _is_off(board, name)}
+    allowed = {name: text for name, text in texts.items() if not _is_switched_off(board, name)}
     if not extras:
-        on.pop(_EXTRAS_API, None)
-    return sorted(imported_by(on, [module(START), *extras], _others(board)))
+        allowed.pop(_EXTRAS_API, None)
+    unused = _unused_engines_and_links(board)
+    return sorted(imported_by(allowed, [module(START), *extras], unused))
 
 
-def of_other_chips(there: Mapping[str, str], arch: str) -> set[str]:
-    """Return the names of modules that only engines of chips with another processor import."""
+def of_other_chips(texts: Mapping[str, str], arch: str) -> set[str]:
+    """Return the names of modules that only engines of chips with another processor import.
+    texts: of all modules, by name."""
     here = processors(arch)
-    others = {
+    other_engines = {
         name
         for name, engine in engines.engines().items()
         if not any(engine.runs_on(processor) for processor in here)
     }
-    extras = [name for name in there if name.startswith("extras.")]
-    start = [module(START), *extras]
-    return imported_by(there, start, ()) - imported_by(there, start, others)
+    extras = [name for name in texts if name.startswith("extras.")]
+    roots = [module(START), *extras]
+    with_all_engines = imported_by(texts, roots, ())
+    return with_all_engines - imported_by(texts, roots, other_engines)
 
 
 def imported_by(
-    there: Mapping[str, str],
-    names: Iterable[str],
-    without: Collection[str],
-    parts: Collection[str] = _PARTS,
+    texts: Mapping[str, str],
+    roots: Iterable[str],
+    unused: Collection[str],
+    creators: Collection[str] = _CREATORS,
 ) -> set[str]:
-    """Return these modules and all that they import, except what only functions `without` of the
-    modules `parts` import."""
+    """Return the names of the modules `roots` and of all that they import, directly or by another
+    one.
+
+    texts: of all modules, by name. unused: engines and links; imports inside the functions with
+    these names are left out, in the modules `creators`, which create engines and links.
+    """
     found: set[str] = set()
-    left = list(names)
-    while left:
-        name = left.pop()
-        if name in there and name not in found:
+    to_visit = list(roots)
+    while to_visit:
+        name = to_visit.pop()
+        if name in texts and name not in found:  # else it is MicroPython's, or a name in a module
             found.add(name)
-            left += imported(there[name], frozenset(without if name in parts else ()))
+            skipped = frozenset(unused if name in creators else ())
+            to_visit += imported(texts[name], skipped)
     return found
 
 
-def _is_off(board: ModuleType, name: str) -> bool:
+def _is_switched_off(board: ModuleType, name: str) -> bool:
+    """Return whether no option of the board has the value that this module needs (_SWITCHED)."""
     asking, wanted = _SWITCHED.get(name, ((), None))
     values = [getattr(board, option, None) for option in asking]
     found = [_is_given(value) if wanted is True else value for value in values]
@@ -237,14 +249,15 @@ def _is_given(value: object) -> bool:
 
 
 def _extras(board: ModuleType) -> list[str]:
+    """Return the names of the extras' modules that a board's options select."""
     paths.use_firmware()
     from boot import select_extras
 
-    own = getattr(board, "CUSTOM", options.BY_NAME["CUSTOM"].default)
-    return select_extras.extra_names(board, bool(own))
+    custom = getattr(board, "CUSTOM", options.BY_NAME["CUSTOM"].default)
+    return select_extras.extra_names(board, bool(custom))
 
 
-def _others(board: ModuleType) -> set[str]:
+def _unused_engines_and_links(board: ModuleType) -> set[str]:
     """Return the engines and links that this board does not use."""
     link = getattr(board, "LINK", options.BY_NAME["LINK"].default)
     return {*engines.engines(), *engines.links()} - {board.ENGINE, link}
@@ -258,6 +271,7 @@ def imported(text: str, without: frozenset[str] = frozenset()) -> tuple[str, ...
 
 
 def _imported(node: ast.AST, without: Collection[str]) -> Iterator[str]:
+    """Yield the names that a node of the syntax tree imports, as imported() does."""
     if isinstance(node, ast.FunctionDef) and node.name in without:
         return
     condition = ast.unparse(node.test) if isinstance(node, ast.If) else ""
@@ -277,7 +291,7 @@ def _imported(node: ast.AST, without: Collection[str]) -> Iterator[str]:
 
 def firmware(arch: str) -> dict[str, bytes]:
     """Return all modules, by name, compiled; from the package if the compilers are missing.
-    BuildError."""
+    BuildError if it does not have them either."""
     if compilers.are_there(arch):
         return compiled(arch, prepared(arch))
     if found := {file.name: file.read_bytes() for file in _in_package(arch).glob("*")}:
@@ -298,14 +312,20 @@ def _in_package(arch: str) -> Path:
     return paths.COMPILED / arch / id_of(arch)
 
 
-def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[str, bytes]:
-    """Compile each module. told: returns the file name for tracebacks, from the module name."""
+def compiled(
+    arch: str, apart: Apart, traceback_name: Callable[[str], str] = str
+) -> dict[str, bytes]:
+    """Compile each module, and put the kernels' machine code into the modules of kernels.
+
+    traceback_name: returns the file name that tracebacks show, from the module name.
+    """
     try:
         code = {
-            name: compilers.compiled(told(name), text, arch) for name, text in made.texts.items()
+            name: compilers.compiled(traceback_name(name), text, arch)
+            for name, text in apart.texts.items()
         }
-        for name in made.pieces:
-            code[name] = kernel_module.with_code(code[name], name, made, arch)
+        for name in apart.pieces:
+            code[name] = kernel_module.with_code(code[name], name, apart, arch)
     except compilers.CompilerError as error:
         raise BuildError(str(error)) from error
     return code
@@ -316,10 +336,10 @@ def compile_all(arch: str, board: ModuleType | None = None) -> Build:
 
     Raises BuildError if the package does not have them either.
     """
-    whole = firmware(arch)
-    wanted = _reached(prepared(arch).texts, board) if board else whole
-    files = {path_of(name): whole[name] for name in wanted}
-    files[START] = _text(START).encode()
+    all_modules = firmware(arch)
+    wanted = _needed_modules(prepared(arch).texts, board) if board else all_modules
+    files = {path_of(name): all_modules[name] for name in wanted}
+    files[START] = _text(START).encode()  # as source text: MicroPython runs no main.mpy
     return Build(arch, files, id=id_of(arch))
 
 
@@ -342,7 +362,8 @@ def signature(made: Build) -> int:
     """Return version and processor of the compiled code, encoded as in the board's
     sys.implementation._mpy.
 
-    Most files run on every processor; the result is from a file with native code.
+    All files have the same version, in byte 1. Byte 2 has the processor's number, and a smaller
+    one in files without native code, which run on every processor; hence the maximum.
     """
     heads = (content[:4] for path, content in made.files.items() if path.endswith(".mpy"))
     return max(head[1] | head[2] << 8 for head in heads)

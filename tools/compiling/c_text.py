@@ -40,6 +40,7 @@ class Function:
     """Translates one function to C."""
 
     def __init__(self, modules: "Mapping[str, Module]", key: Key) -> None:
+        """modules: all, by name. key: the function's module and name."""
         self._modules = modules
         self._module = module = modules[key[0]]
         self._function = function = module.functions[key[1]]
@@ -47,6 +48,7 @@ class Function:
         self.parameters = {
             argument.arg: viper.annotation(argument.annotation) for argument in function.args.args
         }
+        # Of parameters and locals. For a local, bool and uint are integers, too.
         self._types = self.parameters | {
             name: type if type in BITS or type == "object" else "int"
             for name, type in viper.types(function, module.numbers).items()
@@ -60,7 +62,7 @@ class Function:
 
     def body(self) -> str:
         """Return its definition."""
-        own = [name for name in self._types if name not in self.parameters]
+        own = [name for name in self._types if name not in self.parameters]  # its locals
         declared = [f"{self.c_type(self._types[name])} {name}_ = {{0}};" for name in own]
         lines = [*declared, *self._block(viper.body(self._function)), "return 0;"]
         inner = "\n    ".join(lines)
@@ -87,6 +89,7 @@ class Function:
                 yield self._after(statement)
 
     def _after(self, node: ast.AST) -> str:
+        """Return the check for an exception, if the node uses an object; else ""."""
         return "CHECK" if any(map(self.is_object, ast.walk(node))) else ""
 
     def is_object(self, node: ast.AST) -> bool:
@@ -94,6 +97,7 @@ class Function:
         return isinstance(node, ast.Name) and self._types.get(node.id) == "object"
 
     def _statement(self, node: ast.stmt) -> Iterator[str]:
+        """Yield the lines of a statement in C. Capitals are macros of the two dialects."""
         match node:
             case ast.Assign([ast.Name(name)], value):
                 yield f"{name}_ = {self.expression(value)};"
@@ -102,15 +106,16 @@ class Function:
                 yield self._after(value)
                 yield f"{self._store(place, 'v')} }}"
             case ast.Assign([ast.Tuple(names)], value) if self.is_object(value):
-                taken = f"TAKE_APART({self.expression(value)}, {len(names)});"
+                unpacked = f"TAKE_APART({self.expression(value)}, {len(names)});"
                 parts = [
                     f"{self.expression(n)} = PART({i});" for i, n in reversed([*enumerate(names)])
                 ]
-                yield f"{{ {taken} {' '.join(parts)} }}"
+                yield f"{{ {unpacked} {' '.join(parts)} }}"
             case ast.AugAssign(ast.Name(name) as target, op, value):
                 old = ast.Name(target.id, ast.Load())
                 yield f"{name}_ = {self.expression(ast.BinOp(old, op, value))};"
             case ast.AugAssign(ast.Subscript(pointer, index), op, value):
+                # p[index] += value, with the index computed once: _PLACE becomes the C name place
                 yield f"{{ integer place = {self.expression(index)};"
                 place = ast.Subscript(pointer, ast.Name(_PLACE, ast.Load()), ast.Load())
                 yield f"integer v = {self.expression(ast.BinOp(place, op, value))};"
@@ -141,7 +146,9 @@ class Function:
                 raise self.refuse(node)
 
     def _for(self, name: str, bounds: "list[ast.expr]", body: "list[ast.stmt]") -> Iterator[str]:
-        if len(bounds) > 2:
+        """Yield `for name in range(*bounds)`. bounds: the end, or start and end. A hidden variable
+        counts, so that the loop may assign to the name, as in Python."""
+        if len(bounds) > 2:  # a step
             raise self.refuse(bounds[2])
         first, end = ["0", *(self.expression(bound) for bound in bounds)][-2:]
         yield f"for (integer turn = {first}, end = {end}; turn < end; turn++) {{"
@@ -196,12 +203,13 @@ class Function:
         return f"({one} {_BINARY[type(op)]} {other})"
 
     def _either(self, op: ast.boolop, values: "list[str]") -> str:
-        """Return one of the values, as Python's `and` and `or` do."""
-        *before, made = values
-        for value in reversed(before):
-            parts = ("t", made) if isinstance(op, ast.Or) else (made, "t")
-            made = f"({{ integer t = {value}; t ? {parts[0]} : {parts[1]}; }})"
-        return made
+        """Return an expression for the value that Python's `and` or `or` returns: the first one
+        that decides, else the last one."""
+        *others, result = values  # built from the last value to the first
+        for value in reversed(others):
+            if_true, if_false = ("t", result) if isinstance(op, ast.Or) else (result, "t")
+            result = f"({{ integer t = {value}; t ? {if_true} : {if_false}; }})"
+        return result
 
     def _store(self, place: ast.Subscript, value: str) -> str:
         bits = BITS[self.pointer_type(place.value)]
@@ -216,6 +224,7 @@ class Function:
         raise self.refuse(node)
 
     def _call(self, node: ast.Call, name: str, arguments: "list[ast.expr]") -> str:
+        """Return a call as a number or a pointer: of an object, a cast, or another kernel."""
         if self.is_object(node.func):
             return f"RESULT({self.called(node)})"
         if name == "int":
@@ -225,16 +234,16 @@ class Function:
             return f"ADDRESS({value})" if self.type_of(arguments[0]) in BITS else value
         if name in BITS:
             return self.cast(name, arguments[0])
-        meant = self._module.means(name)
-        if meant is None or meant[1] not in getattr(self._modules.get(meant[0]), "functions", ()):
-            raise self.refuse(node)
-        parameters = self._modules[meant[0]].functions[meant[1]].args.args
+        key = self._module.means(name)
+        if key is None or key[1] not in getattr(self._modules.get(key[0]), "functions", ()):
+            raise self.refuse(node)  # it is no kernel
+        parameters = self._modules[key[0]].functions[key[1]].args.args
         types = [viper.annotation(parameter.annotation) for parameter in parameters]
-        handed = [
-            self.cast(type, each) if type in BITS else self.expression(each)
-            for type, each in zip(types, arguments, strict=True)
+        passed = [
+            self.cast(type, argument) if type in BITS else self.expression(argument)
+            for type, argument in zip(types, arguments, strict=True)
         ]
-        return f"{c_name(*meant)}({', '.join(handed)})"
+        return f"{c_name(*key)}({', '.join(passed)})"
 
     def cast(self, type: str, node: ast.expr) -> str:
         """Return a value as a pointer: an object's buffer, another pointer, or an address."""
@@ -243,9 +252,11 @@ class Function:
         return f"{'OF' if self.is_object(node) else 'AS'}({type}, {self.expression(node)})"
 
     def called(self, node: ast.Call) -> str:
-        """Return the call of an object with objects and numbers."""
-        kinds = "".join("O" if self.is_object(each) else "L" for each in node.args)
+        """Return the call of an object with objects and numbers: the macro CALL with the function,
+        the number of arguments, their kinds, "(OL)", as CPython's C API wants them, and
+        the arguments. A number is boxed for MicroPython."""
+        kinds = "".join("O" if self.is_object(argument) else "L" for argument in node.args)
         values = map(self.expression, node.args)
-        given = [v if kind == "O" else f"BOX({v})" for kind, v in zip(kinds, values, strict=True)]
-        function, quoted = self.expression(node.func), f'"({kinds})"'
-        return f"CALL({', '.join([function, str(len(kinds)), quoted, *given])})"
+        passed = [v if kind == "O" else f"BOX({v})" for kind, v in zip(kinds, values, strict=True)]
+        function, format = self.expression(node.func), f'"({kinds})"'
+        return f"CALL({', '.join([function, str(len(kinds)), format, *passed])})"

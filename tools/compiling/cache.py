@@ -32,34 +32,34 @@ def cached(function: Callable[_P, _R]) -> Callable[_P, _R]:
     in_memory: dict[str, _R] = {}
 
     @wraps(function)
-    def found_or_made(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        asked = repr((_passes(), function.__module__, function.__name__, args, kwargs))
-        key = hashlib.sha256(asked.encode()).hexdigest()
+    def cached_function(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        call = repr((_passes(), function.__module__, function.__name__, args, kwargs))
+        key = hashlib.sha256(call.encode()).hexdigest()
         if key not in in_memory:
-            in_memory[key] = of_disk(key, *args, **kwargs)
+            in_memory[key] = from_disk_or_computed(key, *args, **kwargs)
         return in_memory[key]
 
-    def of_disk(key: str, *args: _P.args, **kwargs: _P.kwargs) -> _R:
+    def from_disk_or_computed(key: str, *args: _P.args, **kwargs: _P.kwargs) -> _R:
         if paths.CACHE is None:
             return function(*args, **kwargs)
         file = paths.CACHE / key
         try:
-            found = pickle.loads(file.read_bytes())
-            file.touch()
-            return cast(_R, found)
+            result = pickle.loads(file.read_bytes())
+            file.touch()  # _tidy() removes what is not used
+            return cast(_R, result)
         except (OSError, EOFError, pickle.UnpicklingError):
-            made = function(*args, **kwargs)
+            result = function(*args, **kwargs)
         with suppress(OSError):  # if the folder is not writable, it is computed each time
             _tidy(file.parent)
-            paths.write(file, pickle.dumps(made))
-        return made
+            paths.write(file, pickle.dumps(result))
+        return result
 
-    return found_or_made
+    return cached_function
 
 
 @cache
 def _passes() -> str:
-    """Return a hash of these passes and compilers."""
+    """Return a hash of the modules of this package, of Python and of the compilers."""
     digest = hashlib.sha256(sys.version.encode())
     for file in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(file.read_bytes())
@@ -73,9 +73,9 @@ def _passes() -> str:
 
 @cache
 def _tidy(folder: Path) -> None:
-    """Create the folder and remove results that were not used for _MOST_DAYS."""
+    """Create the folder and remove results that were not used for _MOST_DAYS; once per process."""
     folder.mkdir(parents=True, exist_ok=True)
-    oldest = time.time() - _MOST_DAYS * 86400
+    oldest_allowed = time.time() - _MOST_DAYS * 86400
     for file in folder.iterdir():
-        if file.stat().st_mtime < oldest:
+        if file.stat().st_mtime < oldest_allowed:
             file.unlink(missing_ok=True)

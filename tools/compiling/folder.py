@@ -16,9 +16,10 @@ def check(folder: Path, is_named: bool) -> None:
     write over other files than a build's."""
     if folder.exists() and not folder.is_dir():
         raise BuildError(f"{folder} is no folder")
-    of_a_build = (_PACKAGE_LIST, "boot/power_up.mpy")  # with and without --frozen
     if is_named and folder.exists() and any(folder.iterdir()):
-        if not any((folder / name).is_file() for name in of_a_build):
+        # A build has one of them: a list for mip, or with --frozen this module.
+        in_every_build = (_PACKAGE_LIST, "boot/power_up.mpy")
+        if not any((folder / name).is_file() for name in in_every_build):
             raise BuildError(f"{folder} has other files: name a new folder, or an empty one")
 
 
@@ -56,9 +57,10 @@ def folders(made: Build) -> list[str]:
 
 
 def place(folder: Path) -> None:
-    """Write the sources for MicroPython on a desktop: with constants in place."""
+    """Write the sources for MicroPython on a desktop, of the firmware and of ugrbl_motion, with
+    numbers in place of constants."""
     library = motion_package.texts()
-    start = {f"{LIBRARY}.__init__": library.pop(LIBRARY)}
-    for name, text in inline({**texts(), **library, **start}, keep=True).items():
+    package_init = {f"{LIBRARY}.__init__": library.pop(LIBRARY)}
+    for name, text in inline({**texts(), **library, **package_init}, keep=True).items():
         file = folder / f"{name.replace('.', '/')}.py"
         paths.write(file, text.encode())

@@ -63,20 +63,22 @@ def for_board(file: Path) -> Build:
     if not compilers.are_there(arch):
         raise BuildError(compilers.missing("compiled firmware in the package cannot be frozen"))
     ready, sources = build.prepared(arch), build.texts()
-    start, number = build.module(build.START), build.id_of(arch)
+    main, firmware_id = build.module(build.START), build.id_of(arch)
     unused = build.of_other_chips(ready.texts, arch)
     pieces = {name: keys for name, keys in ready.pieces.items() if name not in unused}
     texts = {name: text for name, text in ready.texts.items() if name not in unused}
-    texts |= {start: _start(sources[start])}
-    texts[HELPER] = sources[HELPER].replace(_MARK + _NOTHING, f"{_MARK}{number} {__version__}")
-    moved = arch.startswith(_ARM)
-    if moved:
+    texts[main] = _start(sources[main])
+    # The helper's source says "ugrbl frozen: nothing"; not_frozen() and the tools read it.
+    about = f"{_MARK}{firmware_id} {__version__}"
+    texts[HELPER] = sources[HELPER].replace(_MARK + _NOTHING, about)
+    runs_in_memory = arch.startswith(_ARM)  # its native code
+    if runs_in_memory:
         texts = {name: decorated(text) for name, text in texts.items()}
-    code = build.compiled(arch, ready._replace(texts=texts, pieces=pieces), told=_file)
-    made = Build(arch, {}, board.ENGINE, number)
+    code = build.compiled(arch, ready._replace(texts=texts, pieces=pieces), traceback_name=_file)
+    made = Build(arch, {}, board.ENGINE, firmware_id)
     for name in sorted(code):
         path = _file(name).removesuffix(".py") + ".mpy"
-        made.files[path] = with_lengths(code[name]) if moved else code[name]
+        made.files[path] = with_lengths(code[name]) if runs_in_memory else code[name]
     return made
 
 
@@ -86,9 +88,9 @@ def _file(module: str) -> str:
 
 
 def decorated(text: str) -> str:
-    """Return a module whose native functions are copied into memory. NotFrozen if a native
-    function is a generator or has functions within, because those are native too and would not be
-    copied."""
+    """Return a module's text with a decorator on each native function that copies its code into
+    memory; lines keep their numbers. NotFrozen if a native function is a generator or has
+    functions within, because those are native too and would not be copied."""
     lines = text.splitlines(keepends=True)
     tree = ast.parse(text)
     if not (functions := [*_native(tree)]):
@@ -99,13 +101,16 @@ def decorated(text: str) -> str:
             raise NotFrozen(f"{function.name} is native code with a function or a yield within")
         # The decorator must be the lowest one, because it needs the function itself. The others
         # move up by one, to an empty line, so that no later line moves.
-        first, last = (function.decorator_list[at].lineno - 1 for at in (0, -1))
-        if lines[first - 1].strip():
+        # The lowest one is micropython.viper or .native, which the compiler removes.
+        highest, lowest = (function.decorator_list[index].lineno - 1 for index in (0, -1))
+        empty = highest - 1
+        if lines[empty].strip():
             raise NotFrozen(f"there is no empty line above {function.name}")
-        others = lines[first:last]
-        lines[first - 1 : last] = [*others, f"{' ' * function.col_offset}@{_DECORATOR}\n"]
-    begin = tree.body[int(isinstance(tree.body[0], ast.Expr))].lineno - 1  # after the docstring
-    lines[begin] = f"from {HELPER} import {_DECORATOR}; {lines[begin]}"
+        others = lines[highest:lowest]
+        lines[empty:lowest] = [*others, f"{' ' * function.col_offset}@{_DECORATOR}\n"]
+    has_docstring = isinstance(tree.body[0], ast.Expr)
+    first = tree.body[int(has_docstring)].lineno - 1
+    lines[first] = f"from {HELPER} import {_DECORATOR}; {lines[first]}"
     return "".join(lines)
 
 
@@ -139,6 +144,7 @@ def read(text: str) -> str:
 
 
 def _native(tree: ast.Module) -> Iterator[ast.FunctionDef]:
+    """Yield the functions that are compiled to native code: that decorator is the lowest one."""
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
             decorators = [ast.unparse(each) for each in node.decorator_list]

@@ -31,16 +31,16 @@ def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
     """
     trees = {name: ast.parse(text) for name, text in sources.items()}
     known: dict[str, Constants] = {name: {} for name in trees}
-    while True:  # a constant may depend on another module's
+    while True:  # a constant may depend on another module's: repeat until none is added
         found = {name: _public(tree, known) for name, tree in trees.items()}
         if found == known:
             break
         known = found
-    made = {
+    inlined = {
         name: edited(text, _edits(trees[name], known[name], known, keep))
         for name, text in sources.items()
     }
-    return made if keep else pruned(made)
+    return inlined if keep else pruned(inlined)
 
 
 def pruned(sources: Mapping[str, str], ours: Iterable[str] = ()) -> dict[str, str]:
@@ -49,23 +49,25 @@ def pruned(sources: Mapping[str, str], ours: Iterable[str] = ()) -> dict[str, st
     ours: names of further modules whose unused imports are dropped.
     """
     trees = {name: ast.parse(text) for name, text in sources.items()}
-    asked = {key for tree in trees.values() for key in _asked(tree)}
-    known = {"micropython", *sources, *ours}
-    found = {}
+    used_elsewhere = {key for tree in trees.values() for key in _names_of_others(tree)}
+    may_be_dropped = {"micropython", *sources, *ours}
+    result = {}
     for name, text in sources.items():
-        used = {*_used(trees[name]), *(what for module, what in asked if module == name)}
+        # A name that another module takes from this one is used, too.
+        used = {*_used(trees[name]), *(what for of, what in used_elsewhere if of == name)}
         edits = []
         for node in ast.walk(trees[name]):
-            if isinstance(node, ast.Import | ast.ImportFrom) and _is_of(node, known):
-                left = [alias for alias in node.names if _bound(alias) in used]
-                if len(left) < len(node.names):
-                    edits.append(Edit(node, imports(node, left)))
-        found[name] = edited(text, edits)
-    return found
+            if isinstance(node, ast.Import | ast.ImportFrom) and _is_of(node, may_be_dropped):
+                kept = [alias for alias in node.names if _bound(alias) in used]
+                if len(kept) < len(node.names):
+                    edits.append(Edit(node, imports(node, kept)))
+        result[name] = edited(text, edits)
+    return result
 
 
 def imported(tree: ast.AST) -> Iterator[tuple[str, str, str]]:
-    """Yield for each import the name there, the module, and the name in it; "" for a module."""
+    """Yield for each import the name that it gets there, the module, and the name in the module;
+    "" if the module itself is imported."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((n.asname or n.name, n.name, "") for n in node.names)
@@ -73,26 +75,27 @@ def imported(tree: ast.AST) -> Iterator[tuple[str, str, str]]:
             yield from ((n.asname or n.name, node.module, n.name) for n in node.names)
 
 
-def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """Yield module and name for each use of another module."""
-    aliases = {}
+def _names_of_others(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Yield module and name for each name of another module that is imported, or used as
+    `module.name`."""
+    modules = {}  # by their names here; also what may be a module: `from base import ring`
     for here, module, name in imported(tree):
-        aliases[here] = f"{module}.{name}" if name else module
+        modules[here] = f"{module}.{name}" if name else module
         yield module, name
     for node in ast.walk(tree):
         match node:
-            case ast.Attribute(ast.Name(alias), name) if alias in aliases:
-                yield aliases[alias], name
+            case ast.Attribute(ast.Name(here), name) if here in modules:
+                yield modules[here], name
 
 
 def _used(tree: ast.Module) -> Iterator[str]:
     """Yield the names that the code uses or exports (`__all__`); not the const() calls that the
     compiler resolves."""
-    found = [statement for statement in tree.body if isinstance(statement, ast.Assign)]
-    for statement in found:
+    assignments = [statement for statement in tree.body if isinstance(statement, ast.Assign)]
+    for statement in assignments:
         if ast.unparse(statement.targets[0]) == "__all__":
             yield from ast.literal_eval(statement.value)
-    calls = (each.value for each in found if isinstance(each.value, ast.Call))
+    calls = (each.value for each in assignments if isinstance(each.value, ast.Call))
     consts = {call.func for call in calls if ast.unparse(call.func) == "const"}
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and node not in consts:
@@ -113,14 +116,14 @@ def _is_of(node: ast.Import | ast.ImportFrom, modules: set[str]) -> bool:
 
 def constants(tree: ast.Module, names: Names) -> Constants:
     """Return the constants that a module assigns exactly once, as `NAME = const(…)`. names: those
-    that it imports."""
-    there, found = dict(names), {}
+    that it imports, which its own may be computed from."""
+    known, found = dict(names), {}
     for statement in tree.body:
         name, value = _definition(statement)
-        if value and (number := _number(value, there)) is not None:
-            there[name] = found[name] = number
-    stored = _stored(tree)
-    return {name: number for name, number in found.items() if stored.count(name) == 1}
+        if value and (number := _number(value, known)) is not None:
+            known[name] = found[name] = number
+    assigned = _stored(tree)
+    return {name: number for name, number in found.items() if assigned.count(name) == 1}
 
 
 def _public(tree: ast.Module, known: Mapping[str, Constants]) -> Constants:
@@ -129,12 +132,16 @@ def _public(tree: ast.Module, known: Mapping[str, Constants]) -> Constants:
 
 
 def _imported(tree: ast.Module, known: Mapping[str, Constants]) -> Names:
-    """Return the constants that a module imports, and the modules, by their names there."""
+    """Return what a module imports, by the names there: constants, and modules with their
+    constants, so that `module.NAME` can be evaluated. known: the constants of all modules."""
     found: dict[str, int | SimpleNamespace] = {}
     for here, module, name in imported(tree):
-        whole = f"{module}.{name}" if name else module
         number = known.get(module, {}).get(name)
-        found[here] = SimpleNamespace(**known.get(whole, {})) if number is None else number
+        if number is not None:
+            found[here] = number
+        else:  # a module, or anything else, which then has no constants
+            as_module = f"{module}.{name}" if name else module
+            found[here] = SimpleNamespace(**known.get(as_module, {}))
     return found
 
 
@@ -165,8 +172,11 @@ def _stored(tree: ast.Module) -> list[str]:
 def _edits(
     tree: ast.Module, own: Constants, known: Mapping[str, Constants], keep: bool
 ) -> Iterator[Edit]:
-    stored = {*_stored(tree), *(n.arg for n in ast.walk(tree) if isinstance(n, ast.arg))}
-    names = {n: v for n, v in _imported(tree, known).items() if n not in stored} | own
+    """Yield the edits that put numbers in place of a module's constants. own: its public ones;
+    their definitions become `pass`, or with `keep` a number. known: those of all modules."""
+    parameters = {n.arg for n in ast.walk(tree) if isinstance(n, ast.arg)}
+    hidden = {*_stored(tree), *parameters}  # an imported name may mean something else somewhere
+    names = {n: v for n, v in _imported(tree, known).items() if n not in hidden} | own
     for statement in tree.body:
         name, value = _definition(statement)
         if name in own and value:
@@ -176,6 +186,7 @@ def _edits(
 
 
 def _uses(statement: ast.stmt, names: Names) -> Iterator[Edit]:
+    """Yield an edit for each `NAME` or `module.NAME` that is a known constant."""
     for node in ast.walk(statement):
         number = None
         match node:
@@ -215,7 +226,8 @@ def edited(text: str, edits: Iterable[Edit]) -> str:
     for edit in sorted(edits, key=lambda e: (e.node.lineno, e.node.col_offset), reverse=True):
         node = edit.node
         first, last = node.lineno - 1, (node.end_lineno or node.lineno) - 1
-        head = lines[first].encode()[: node.col_offset].decode()
-        tail = lines[last].encode()[node.end_col_offset :].decode()
-        lines[first : last + 1] = [head + edit.text + tail, *["\n"] * (last - first)]
+        # Columns are counted in bytes of UTF-8.
+        before = lines[first].encode()[: node.col_offset].decode()
+        after = lines[last].encode()[node.end_col_offset :].decode()
+        lines[first : last + 1] = [before + edit.text + after, *["\n"] * (last - first)]
     return "".join(lines)

@@ -37,22 +37,29 @@ class Apart(NamedTuple):
 
 
 def taken_apart(texts: "Mapping[str, str]", core: "Collection[str]") -> Apart:
-    """Separate kernels from the rest. core: modules that every board has. NotForC if a kernel has
-    a form that cannot be translated."""
+    """Separate kernels from the rest. texts: of all modules, by name. core: names of the modules
+    that every board has. NotForC if a kernel has a form that cannot be translated.
+
+    A kernel that only other kernels call gets no name in Python: it is in the C text alone.
+    """
     modules = {name: Module(name, text) for name, text in texts.items()}
     keys = [(name, function) for name, module in modules.items() for function in module.functions]
     names = _names(keys)
     homes = {name: _home(name, core) for name, module in modules.items() if module.functions}
-    left = {name: _without(text, modules[name], names, homes) for name, text in texts.items()}
-    made = pruned(left, homes.values())
-    asked = {(home, name) for text in made.values() for _, home, name in imported(ast.parse(text))}
+    without_kernels = {
+        name: _without(text, modules[name], names, homes) for name, text in texts.items()
+    }
+    # Without imports that only kernels needed; the others tell which kernels Python code uses.
+    left = pruned(without_kernels, homes.values())
+    trees = map(ast.parse, left.values())
+    exported = {(home, name) for tree in trees for _, home, name in imported(tree)}
     pieces: dict[str, list[Key]] = {}
     for key in sorted(keys, key=lambda key: names[key]):
-        if (homes[key[0]], names[key]) in asked:
+        if (homes[key[0]], names[key]) in exported:
             pieces.setdefault(homes[key[0]], []).append(key)
-    for home, there in pieces.items():
-        made[home] = _TEXT.format(names=", ".join(names[key] for key in there))
-    return Apart(made, machine_code.in_c(modules, keys), pieces)
+    for home, piece in pieces.items():
+        left[home] = _TEXT.format(names=", ".join(names[key] for key in piece))
+    return Apart(left, machine_code.in_c(modules, keys), pieces)
 
 
 def with_code(compiled: bytes, name: str, apart: Apart, arch: str) -> bytes:
@@ -62,41 +69,44 @@ def with_code(compiled: bytes, name: str, apart: Apart, arch: str) -> bytes:
 
 
 def _home(module: str, core: "Collection[str]") -> str:
+    """Return the name of the module of kernels that gets the kernels of this module."""
     return _CORE if module in core else f"{PACKAGE}.{module.replace('.', '_')}"
 
 
 def _names(keys: "list[Key]") -> "dict[Key, str]":
     """Return a name for each kernel: the function's own if it is unique, else with its
-    module's."""
+    module's, as `begin_ring` for `begin` in base.ring."""
     count = Counter(name for _, name in keys)
     return {
-        (of, name): name if count[name] == 1 else f"{name}_{of.rpartition('.')[2]}"
-        for of, name in keys
+        (module, name): name if count[name] == 1 else f"{name}_{module.rpartition('.')[2]}"
+        for module, name in keys
     }
 
 
 def _without(
     text: str, module: Module, names: "Mapping[Key, str]", homes: "Mapping[str, str]"
 ) -> str:
-    """Return a module's text with imports in place of its kernels. names: of all kernels. homes:
-    the module of kernels for each module that has some."""
+    """Return a module's text with imports in place of its kernels, and in place of its imports of
+    other modules' kernels. names: of all kernels, in the modules of kernels. homes: the module of
+    kernels for each module that has some."""
 
-    def asked(of: str, kernels: "list[ast.alias]") -> str:
-        """Return an import of kernels, each under the name that it has in this module."""
-        both = [(names[of, a.name], a.asname or a.name) for a in kernels]
+    def import_of(source: str, kernels: "list[ast.alias]") -> str:
+        """Return an import of kernels that were defined in the module `source`, each under the
+        name that it has in this module."""
+        both = [(names[source, a.name], a.asname or a.name) for a in kernels]
         listed = [ast.alias(name, None if name == here else here) for name, here in both]
-        return ast.unparse(ast.ImportFrom(homes[of], listed, 0))
+        return ast.unparse(ast.ImportFrom(homes[source], listed, 0))
 
     tree = ast.parse(text)
     edits = []
     for kernel in viper.vipers(tree):
         kernel.lineno = kernel.decorator_list[0].lineno  # the decorator goes, too
-        edits.append(Edit(kernel, asked(module.name, [ast.alias(kernel.name)])))
+        edits.append(Edit(kernel, import_of(module.name, [ast.alias(kernel.name)])))
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node.module in homes:
             kernels = [a for a in node.names if (node.module, a.name) in names]
-            left = [a for a in node.names if a not in kernels]
-            made = [imports(node, left)] if left else []
-            made += [asked(node.module, kernels)] if kernels else []
-            edits.append(Edit(node, "; ".join(made)))
+            others = [a for a in node.names if a not in kernels]
+            statements = [imports(node, others)] if others else []
+            statements += [import_of(node.module, kernels)] if kernels else []
+            edits.append(Edit(node, "; ".join(statements)))
     return edited(text, edits)

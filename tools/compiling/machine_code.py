@@ -149,12 +149,11 @@ struct function export_{name} = {{0, {signature}, (uintptr_t)use_{name}}};
 
 
 def in_c(modules: Mapping[str, Module], keys: "Sequence[Key]") -> str:
-    """Return the C text of these functions."""
+    """Return the C text of these functions, all declared before the first definition."""
     functions = [_Function(modules, key) for key in keys]
-    declared = [f"static {f.head()};\n" for f in functions]
-    return "".join(
-        [_HEAD, *declared, *(part for f in functions for part in (f.body(), f.outer()))]
-    )
+    declared = [f"static {function.head()};\n" for function in functions]
+    defined = [text for function in functions for text in (function.body(), function.outer())]
+    return "".join([_HEAD, *declared, *defined])
 
 
 @cached
@@ -170,16 +169,17 @@ def compiled(text: str, arch: str) -> bytes:
 
 @cached
 def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
-    """Link a piece: the objects of these functions, and all functions they call. CompilerError."""
+    """Link a piece from the C text of all kernels: the function objects `exports`, in this order,
+    and only the functions that these need. Returns its code. CompilerError."""
     kept = [f"KEEP(*(.exports.{c_name(*key)}))" for key in exports]
     with TemporaryDirectory() as folder:
-        made, script, whole, code = (
+        objects, script, elf, code = (
             Path(folder, name) for name in ("kernels.o", "script", "kernels.elf", "kernels.bin")
         )
-        made.write_bytes(compiled(text, arch))
+        objects.write_bytes(compiled(text, arch))
         script.write_text(_LINKED.format(exports="\n        ".join(kept)), encoding="utf-8")
-        llvm("ld.lld", "--gc-sections", "-T", str(script), "-o", str(whole), str(made))
-        llvm("objcopy", "-O", "binary", str(whole), str(code))
+        llvm("ld.lld", "--gc-sections", "-T", str(script), "-o", str(elf), str(objects))
+        llvm("objcopy", "-O", "binary", str(elf), str(code))
         return code.read_bytes()
 
 
@@ -187,9 +187,14 @@ class _Function(Function):
     """A function for a board."""
 
     def outer(self) -> str:
-        """Return the function that MicroPython calls, and its object."""
-        taken = {"object": "given[{}]", **dict.fromkeys(BITS, "memory(given[{}])")}
+        """Return the function that MicroPython calls with an array of objects, `given`, and its
+        function object."""
+        as_pointers = dict.fromkeys(BITS, "memory(given[{}])")
+        conversions = {"object": "given[{}]", **as_pointers}  # by type; others are numbers
         types = self.parameters.values()
-        given = [taken.get(type, "number(given[{}])").format(i) for i, type in enumerate(types)]
+        arguments = [
+            conversions.get(type, "number(given[{}])").format(i) for i, type in enumerate(types)
+        ]
+        # MP_OBJ_FUN_MAKE_SIG of py/obj.h: fewest and most arguments, which are the same number
         signature = len(types) << 17 | len(types) << 1
-        return _EXPORT.format(name=self.name, given=", ".join(given), signature=signature)
+        return _EXPORT.format(name=self.name, given=", ".join(arguments), signature=signature)

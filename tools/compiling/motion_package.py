@@ -39,15 +39,15 @@ def compile_for(arch: str) -> Build:
 
 def _in_one_package(arch: str) -> Apart:
     """Return the modules that the package consists of, kernels apart, with their new names."""
-    whole = build.in_place(arch, texts())
+    all_texts = build.in_place(arch, texts())
     engine = next(chip.engine for chip in CHIPS.values() if chip.mpy_arch == arch)
-    first = {name: whole[name] for name in sorted(_reached(whole, engine))}
-    apart = Apart(first, "", {})
+    needed = {name: all_texts[name] for name in sorted(_needed_modules(all_texts, engine))}
+    apart = Apart(needed, "", {})
     if arch in compilers.PROCESSORS:
-        apart = taken_apart(first, first)
-    left = _reached(apart.texts, engine)  # without modules that were kernels only
+        apart = taken_apart(needed, needed)  # all kernels go into the core
+    left = _needed_modules(apart.texts, engine)  # without modules that were kernels only
     names = {name: _new_name(name) for name in left}
-    names |= {name.partition(".")[0]: LIBRARY for name in left}
+    names |= {name.partition(".")[0]: LIBRARY for name in left}  # for `from motion import …`
     return Apart(
         {names[name]: moved(apart.texts[name], names) for name in left},
         apart.c,
@@ -55,10 +55,10 @@ def _in_one_package(arch: str) -> Apart:
     )
 
 
-def _reached(there: dict[str, str], engine: str) -> set[str]:
+def _needed_modules(all_texts: dict[str, str], engine: str) -> set[str]:
     """Return the names of the modules that the package imports, directly or by another one."""
-    others = {*engines.engines()} - {engine}
-    return build.imported_by(there, texts(), others, (_HARDWARE,))
+    other_engines = {*engines.engines()} - {engine}
+    return build.imported_by(all_texts, texts(), other_engines, creators=(_HARDWARE,))
 
 
 def _new_name(name: str) -> str:

@@ -29,14 +29,17 @@ def rewritten(compiled: bytes, rewrite: Rewrite) -> bytes:
 
 
 def number(value: int) -> bytes:
-    """Encode a number with seven bits per byte, highest first."""
-    made = [value & 127]
+    """Encode a number with seven bits per byte, highest first; all bytes but the last have bit 7
+    set."""
+    encoded = [value & 127]  # from the last byte to the first
     while value := value >> 7:
-        made.append(value & 127 | 128)
-    return bytes(reversed(made))
+        encoded.append(value & 127 | 128)
+    return bytes(reversed(encoded))
 
 
 class _Reader:
+    """Reads a compiled module from its position `at` on."""
+
     def __init__(self, compiled: bytes) -> None:
         self._compiled = compiled
         self.at = _HEAD
@@ -47,28 +50,29 @@ class _Reader:
         for _ in range(names):
             length = self._number()
             if not length & _IS_ROM:
-                self._take((length >> 1) + 1)
+                self._take((length >> 1) + 1)  # its text, and a zero byte
         for _ in range(constants):
             self._pass_constant()
 
     def function(self, rewrite: Rewrite) -> Iterator[bytes]:
-        """Yield a function, rewritten, and the functions within it. The first is the module's."""
+        """Yield the bytes of a function, with its code rewritten, and of the functions within it.
+        The outermost one is the module's own code. Bytecode stays as it is."""
         head = self._number()
         kind = head & _KINDS
         code = self._take(head >> _KIND_BITS)
-        behind = b""
+        trailer = b""  # what follows the code
         if kind == _NATIVE:
-            prelude = self._number()
-            code, behind = _native(code, prelude, rewrite)
+            prelude = self._number()  # its position in the code
+            code, trailer = _native(code, prelude, rewrite)
         elif kind == _VIPER:
             flags = self._number()
             if flags & _VIPER_SECTIONS:
                 raise ValueError("native code that is linked from elsewhere")
-            code, behind = rewrite(code), number(flags)
+            code, trailer = rewrite(code), number(flags)
         elif kind != _BYTECODE:
             raise ValueError("inline assembler")
         yield number(len(code) << _KIND_BITS | head & (_KINDS | _HAS_CHILDREN))
-        yield code + behind
+        yield code + trailer
         if head & _HAS_CHILDREN:
             children = self._number()
             yield number(children)
@@ -76,14 +80,17 @@ class _Reader:
                 yield from self.function(rewrite)
 
     def _pass_constant(self) -> None:
+        """Read over a constant: a tuple of constants, or a kind that may have a text."""
         kind = self._take(1)[0]
         if kind == _TUPLE:
             for _ in range(self._number()):
                 self._pass_constant()
         elif kind > _WITHOUT_TEXT:
-            self._take(self._number() + (kind in (_STR, _BYTES)))
+            has_zero_byte = kind in (_STR, _BYTES)  # after the text
+            self._take(self._number() + has_zero_byte)
 
     def _number(self) -> int:
+        """Read a number that number() encodes."""
         value = 0
         while True:
             byte = self._take(1)[0]
@@ -97,8 +104,10 @@ class _Reader:
 
 
 def _native(code: bytes, prelude: int, rewrite: Rewrite) -> "tuple[bytes, bytes]":
-    """Return code with its prelude, and the encoded position where the prelude begins."""
-    if not (code[prelude] & 128 and code[prelude + 1] & _GENERATOR):
-        made = rewrite(code[:prelude])
-        code, prelude = made + code[prelude:], len(made)
+    """Return the code, rewritten, with its prelude, and the encoded position of the prelude. The
+    code of a generator is not rewritten."""
+    has_second_byte = code[prelude] & 128
+    if not (has_second_byte and code[prelude + 1] & _GENERATOR):
+        rewritten_code = rewrite(code[:prelude])
+        code, prelude = rewritten_code + code[prelude:], len(rewritten_code)
     return code, number(prelude)

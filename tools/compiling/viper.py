@@ -41,8 +41,8 @@ class Module:
         self.tree = ast.parse(text)
         self.functions = {f.name: f for f in vipers(self.tree)}
         self.numbers = constants(self.tree, {})
-        names = imported(self.tree)
-        self.imported = {here: (module, function) for here, module, function in names}
+        # By the names here: where each imported name is defined, a function or anything else.
+        self.imported = {here: (module, there) for here, module, there in imported(self.tree)}
 
     def means(self, name: str) -> Key | None:
         """Return the function that a global name refers to, or may refer to if it is imported;
@@ -61,7 +61,8 @@ def types(function: ast.FunctionDef, numbers: Iterable[str]) -> dict[str, str]:
 
 
 class _Stores(ast.NodeVisitor):
-    """Visits statements in the order of the source, as MicroPython's compiler does."""
+    """Adds the type of each local that a statement assigns to `found`, unless it has one already.
+    Statements come in the order of the source, as in MicroPython's compiler."""
 
     def __init__(self, found: MutableMapping[str, str]) -> None:
         self._found = found
@@ -83,7 +84,8 @@ class _Stores(ast.NodeVisitor):
 
 
 def type_of(node: ast.expr, known: Mapping[str, str]) -> str:
-    """Return the viper type of a value; "object" also if it cannot be determined."""
+    """Return the viper type of a value; "object" also if it cannot be determined. known: the types
+    of names."""
     match node:
         case ast.Constant(bool()) | ast.Compare() | ast.UnaryOp(ast.Not()):
             return "bool"
