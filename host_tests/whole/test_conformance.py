@@ -277,7 +277,7 @@ def test_a_file_without_a_welcome_uses_the_dialect_of_its_folder(tmp_path: Path)
 
 @pytest.mark.parametrize("text", ["Grbl 0.8c ['$' for help]", "[0.9j.20150717:]\nGrbl 1.1h ["])
 def test_an_unknown_or_mixed_dialect_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ValueError, match=r"of Grbl 0\.8c|several Grbls: 0\.9j, 1\.1"):
+    with pytest.raises(ValueError, match=r"of Grbl 0\.8c|several Grbl versions: 0\.9j, 1\.1"):
         boards(tmp_path, a=case(*text.split("\n")))
 
 

@@ -1,7 +1,15 @@
 """Judge replays of recordings by the rules of their FORMAT.md.
 
 judge_case() is for conversations, compare_motion.judge_motion() for motion records. Both return
-what is wrong, in words, and add the names of the differences they ignored.
+what is wrong, in words, and add to `used` the names of the known differences that they ignored.
+
+A case has `setup` (lines with their answers) and `steps`. A recorded step has:
+    send, wait, expect   characters sent, what ended the step, lines received in it
+    moved, out           steps per axis, outputs that changed (name: level)
+    compare              "shape": numbers in reports may differ; "info": nothing is compared
+    moving               motors ran at its begin or end: moves and outputs are not compared
+    moved_varies         only the sum of the moves of the whole case is compared
+A step of the replay (`mine`, in `got`) has lines, partial (an unfinished line), moved and out.
 """
 
 import re
@@ -45,7 +53,7 @@ def _same_line(line: _Line, got: str, used: list[str]) -> bool:
     expected = line.text
     if expected == got:
         return True
-    for difference in DIFFERENCES:
+    for difference in DIFFERENCES:  # rewrite() turns our line into Grbl's
         if difference.rewrite(got, expected, line.sent) == expected:
             used.append(difference.name)
             return True
@@ -77,9 +85,9 @@ def expected_lines(step: Json, lasers: bool = False) -> list[_Line]:
 def _judge_lines(
     steps: list[Json], got: list[Json], places: Places, lenient: bool, used: list[str]
 ) -> list[str]:
-    """Return the steps whose lines differ. steps: as recorded; got: as replayed.
+    """Return a message for each step whose lines differ. steps: as recorded; got: as replayed.
 
-    lenient: a line may also come in any other step.
+    lenient: a line may also come in any other step, as long as the order is the same.
     """
     wrong = []
     for number, (step, mine) in enumerate(zip(steps, got, strict=False)):
@@ -90,42 +98,52 @@ def _judge_lines(
                 wrong.append(f"step {number}: lines")
         if "partial" in step and step["partial"] != mine["partial"]:
             wrong.append(f"step {number}: unfinished line")
-    later = wrong and _same_but_later(steps, got, places.lasers, lenient, used)
-    return [] if later else wrong
+    if wrong and _same_but_later(steps, got, places.lasers, lenient, used):
+        return []
+    return wrong
 
 
 def _same_but_later(
     steps: list[Json], got: list[Json], lasers: bool, lenient: bool, used: list[str]
 ) -> bool:
-    """Return whether the lines differ only in their step. A line that was on the wire at the end
-    of a fixed time belongs to either step."""
+    """Return whether all lines together are the same, and lines are only in other steps.
+
+    A line may be one step earlier or later if the first of the two steps lasts a fixed time
+    (wait "ms"), because a line that was on the wire at its end belongs to either. lenient: it may
+    be in any step.
+    """
     if len(steps) != len(got) or any(step.get("compare") == "info" for step in steps):
         return False
     theirs = [(line, n) for n, step in enumerate(steps) for line in expected_lines(step, lasers)]
     ours = [(line, n) for n, mine in enumerate(got) for line in mine["lines"]]
     if not same_lines([line for line, _ in theirs], [line for line, _ in ours], used):
         return False
-    moved = {(min(a, b), max(a, b)) for (_, a), (_, b) in zip(theirs, ours, strict=True) if a != b}
+    shifts = {
+        (min(a, b), max(a, b)) for (_, a), (_, b) in zip(theirs, ours, strict=True) if a != b
+    }
     return lenient or all(
-        last == first + 1 and steps[first]["wait"].startswith("ms") for first, last in moved
+        last == first + 1 and steps[first]["wait"].startswith("ms") for first, last in shifts
     )
 
 
 def _with_late_alarms(steps: list[Json], got: list[Json], used: list[str]) -> list[Json]:
-    """Return the replay with an alarm at the end of a step moved to the next one, as it was
-    recorded."""
-    late = [dict(mine) for mine in got]
-    for (step, then), (mine, next_one) in zip(pairwise(steps), pairwise(late), strict=False):
-        early = mine["lines"][len(step["expect"]) :]
-        if len(early) == 1 and early[0].startswith("ALARM:") and early == then["expect"][:1]:
-            mine["lines"], next_one["lines"] = mine["lines"][:-1], early + next_one["lines"]
+    """Return the replay, with each alarm that Grbl reported only in the next step moved there."""
+    moved = [dict(mine) for mine in got]
+    for (step, next_step), (mine, next_mine) in zip(
+        pairwise(steps), pairwise(moved), strict=False
+    ):
+        surplus = mine["lines"][len(step["expect"]) :]
+        is_alarm = len(surplus) == 1 and surplus[0].startswith("ALARM:")
+        if is_alarm and surplus == next_step["expect"][:1]:
+            mine["lines"] = mine["lines"][:-1]
+            next_mine["lines"] = surplus + next_mine["lines"]
             used.append(LATE_ALARM[0])
-    return late
+    return moved
 
 
 def _judge_moves(steps: list[Json], got: list[Json], places: Places, used: list[str]) -> list[str]:
-    """Return the steps whose moves or outputs differ. Where single steps may vary, all moves
-    together must be equal."""
+    """Return a message for each step whose moves or outputs differ. If the moves of single steps
+    may vary, their sum must be equal."""
     wrong = []
     axes = places.axes
     for number, (step, mine) in enumerate(zip(steps, got, strict=False)):
@@ -134,8 +152,8 @@ def _judge_moves(steps: list[Json], got: list[Json], places: Places, used: list[
         if "compare" not in step and not step.get("moved_varies"):
             if number in places.wrong:
                 wrong.append(f"step {number}: moved")
-            elif number in places.names:
-                used.append(places.names[number])
+            elif number in places.reasons:
+                used.append(places.reasons[number])
         if not _same_outputs(step, mine, used):
             wrong.append(f"step {number}: outputs")
     if any(step.get("moved_varies") for step in steps) and not _rest_varies(steps):
@@ -155,6 +173,7 @@ def _same_outputs(step: Json, got: Json, used: list[str]) -> bool:
     ]
     if expected == mine:
         return True
+    # M3 without a speed: Grbl 0.9 connects a PWM without power to the pin; we do not.
     if "spindle_on" in expected and "spindle_pwm" not in expected and "spindle_on" not in mine:
         del expected["spindle_on"]
         used.append(NO_SPEED[0])
@@ -173,15 +192,19 @@ def _rest_varies(steps: list[Json]) -> bool:
 
 
 def judge_case(case: Json, observed: Json, used: list[str], lenient: bool = False) -> list[str]:
-    """Return what is wrong with the replay of a transcript case; empty if it conforms."""
+    """Return what is wrong with the replay of a transcript case; empty if it conforms.
+
+    lenient: for a device with other timing: only the lines of the whole case are compared.
+    """
     for quirk in QUIRKS if "quirk" in case.get("tags", ()) else ():
-        first = quirk.begins(case["steps"])
-        if first is not None:
+        quirk_begin = quirk.begins(case["steps"])
+        if quirk_begin is not None:  # compare only the steps before it
             used.append(quirk.name)
-            case = {**case, "steps": case["steps"][:first]}
-            observed = {**observed, "steps": observed.get("steps", [])[:first]}
+            case = {**case, "steps": case["steps"][:quirk_begin]}
+            observed = {**observed, "steps": observed.get("steps", [])[:quirk_begin]}
     wrong = trouble(observed)
     for item, mine in zip(case["setup"], observed.get("setup", ()), strict=False):
+        # The short form of an item is a line with its answers.
         step = item if isinstance(item, dict) else {"expect": item[1]}
         if "expect" in step and not same_lines(expected_lines(step), mine["lines"], used):
             wrong.append(f"setup {item[0] if isinstance(item, list) else item}: {mine['lines']}")

@@ -80,15 +80,16 @@ class Results:
         return bool(self.required()) and not self.failures()
 
     def as_json(self) -> Json:
-        """Return the results for a report in JSON."""
+        """Return the results for a report in JSON. In `differences` is how many cases each known
+        difference was seen in."""
         passed = len(self.required()) - len(self.failures())
         return {
             "python": self.python,
             "passed": passed,
             "total": len(self.required()),
             "categories": {
-                name: {"passed": good, "total": all_}
-                for name, (good, all_) in self.categories().items()
+                name: {"passed": good, "total": required}
+                for name, (good, required) in self.categories().items()
             },
             "failures": [asdict(outcome) for outcome in self.failures()],
             "skipped": [
@@ -97,7 +98,7 @@ class Results:
                 if o.skipped
             ],
             "time ratios": self.time_ratios(),
-            "differences": dict(Counter(d for o in self.outcomes for d in o.differences)),
+            "differences": dict(Counter(name for o in self.outcomes for name in o.differences)),
         }
 
 
@@ -111,7 +112,7 @@ def find_micropython() -> str | None:
 
 
 def _command(python: str, program: Path) -> list[str]:
-    """Return the command that runs a program under this Python."""
+    """Return the command that runs a program. python: "cpython", else MicroPython is taken."""
     if python == "cpython":
         return [sys.executable, str(program)]
     found = find_micropython()
@@ -122,9 +123,10 @@ def _command(python: str, program: Path) -> list[str]:
 
 @contextmanager
 def _environment(python: str, program: Path) -> Iterator[dict[str, str]]:
-    """Yield the environment in which our program finds a firmware that this Python can run."""
+    """Yield the environment in which our program finds a firmware that this Python can run. For
+    MicroPython this is a copy of the sources in a temporary folder."""
     if python == "cpython" or program != _REPLAY:
-        yield dict(os.environ)
+        yield dict(os.environ)  # they need no copy
         return
     with TemporaryDirectory(prefix="ugrbl-") as folder:
         place(Path(folder))
@@ -142,14 +144,14 @@ class _Replayer:
         self._errors: "deque[str]" = deque(maxlen=20)
 
     def replay(self, board: str, case: Json) -> Json:
-        """Replay a case; returns what was observed."""
+        """Replay a case; returns what was observed, or an "error" if the process died or hangs."""
         process = self._process or self._start()
         assert process.stdin
         with suppress(BrokenPipeError):  # the process has died: its output ends, too
             process.stdin.write(json.dumps({"board": board, "case": case}) + "\n")
             process.stdin.flush()
         try:
-            while line := self._lines.get(timeout=_CASE_SECONDS):
+            while line := self._lines.get(timeout=_CASE_SECONDS):  # "": its output has ended
                 try:
                     return cast(Json, json.loads(line))
                 except ValueError:
@@ -214,9 +216,12 @@ def _skip(case: Json) -> str:
 
 
 def judge(category: str, case: Json, observed: Json, lenient: bool = False) -> Outcome:
-    """Return the outcome of one case or record, with the data that shows the difference."""
+    """Return the outcome of one case or motion record; for a case that fails, with its steps.
+
+    observed: what the replay returned. lenient: see judge_case().
+    """
     outcome = Outcome(category, case["name"])
-    if "program" in case:
+    if "program" in case:  # a motion record
         if "samples" in observed:
             outcome.wrong = judge_motion(case, observed, outcome.differences)
             outcome.times_s = case["duration_s"], observed["duration_s"]
@@ -243,32 +248,38 @@ def run_folder(
     choose: "Callable[[list[tuple[Recording, Json]]], list[tuple[Recording, Json]]]" = _all,
     processes: int = os.cpu_count() or 1,
 ) -> Results:
-    """Replay the cases of a folder on the simulator. program: the replaying program. choose:
-    returns the cases to replay."""
+    """Replay the cases of a folder on the simulator, in several processes.
+
+    only: one category. board: replaces the board that a recording needs. program: the replaying
+    program. choose: returns those of the required cases that are to be replayed.
+    """
     results = Results(python)
     command = _command(python, program)
-    every = [(job, case) for job in recordings.load(folder, only, board) for case in job.cases]
+    recorded = recordings.load(folder, only, board)
+    every = [(recording, case) for recording in recorded for case in recording.cases]
     results.outcomes = [
-        Outcome(job.category, case["name"], skipped=_skip(case))
-        for job, case in every
+        Outcome(recording.category, case["name"], skipped=_skip(case))
+        for recording, case in every
         if _skip(case)
     ]
     replayers: list[_Replayer] = []
-    own = threading.local()  # a process for each thread
+    of_this_thread = threading.local()
 
-    def work(chosen: "tuple[Recording, Json]") -> Outcome:
-        """Replay and judge a case; each thread has its own replayer."""
-        job, case = chosen
-        if not hasattr(own, "replayer"):
-            own.replayer = _Replayer(command, environment)
-            replayers.append(own.replayer)
-        return judge(job.category, case, own.replayer.replay(job.board, case))
+    def replay_and_judge(chosen: "tuple[Recording, Json]") -> Outcome:
+        """Runs in a thread of the pool; each has a process of its own, started when needed."""
+        recording, case = chosen
+        if not hasattr(of_this_thread, "replayer"):
+            of_this_thread.replayer = _Replayer(command, environment)
+            replayers.append(of_this_thread.replayer)
+        observed = of_this_thread.replayer.replay(recording.board, case)
+        return judge(recording.category, case, observed)
 
     with (
         _environment(python, program) as environment,
         ThreadPoolExecutor(processes) as pool,
     ):
-        results.outcomes += pool.map(work, choose([row for row in every if not _skip(row[1])]))
+        required = [(recording, case) for recording, case in every if not _skip(case)]
+        results.outcomes += pool.map(replay_and_judge, choose(required))
         for replayer in replayers:
             replayer.end()
     return results
@@ -278,18 +289,19 @@ def run_folder(
 
 
 def run_port(folder: Path, port: Any, only: str | None = None) -> Results:
-    """Replay on a real device the cases that need only its serial port, which is open."""
+    """Replay on a real device the cases that need only its serial port, which is open. They are
+    judged leniently, because a device's times differ."""
     from .serial_replay import SerialReplay, needs_a_bench
 
     results = Results("port")
-    jobs = recordings.load(folder, only, None)
+    recorded = recordings.load(folder, only, None)
     device = SerialReplay(port)
-    for job in jobs:
-        for case in job.cases:
+    for recording in recorded:
+        for case in recording.cases:
             reason = _skip(case) or needs_a_bench(case)
             if reason:
-                outcome = Outcome(job.category, case["name"], skipped=reason)
+                outcome = Outcome(recording.category, case["name"], skipped=reason)
             else:
-                outcome = judge(job.category, case, device.replay(case), lenient=True)
+                outcome = judge(recording.category, case, device.replay(case), lenient=True)
             results.outcomes.append(outcome)
     return results

@@ -42,11 +42,12 @@ def _version_09(ours: str, grbls: str, _sent: str) -> str:
 
 def _probe_09(ours: str, grbls: str, sent: str) -> str:
     """Return our line with the probing word as Grbl 0.9 writes it."""
-    # Grbl 0.9 reports the tenths less 4, as a byte: 254, 255, 0, 1 for 2 to 5.
-    slip = _PROBE_09.match(grbls)
-    if sent != "$G\n" or slip is None:
+    # Grbl 0.9 reports the tenths less 4, as a byte: [G38.254 to [G38.1 for G38.2 to G38.5.
+    their_word = _PROBE_09.match(grbls)
+    if sent != "$G\n" or their_word is None:
         return ours
-    return ours.replace(f"[G38.{(int(slip[1]) + 4) % 256} ", slip[0], 1)
+    our_word = f"[G38.{(int(their_word[1]) + 4) % 256} "
+    return ours.replace(our_word, their_word[0], 1)
 
 
 def _options(ours: str, grbls: str, _sent: str) -> str:
@@ -71,7 +72,7 @@ class Quirk(NamedTuple):
 
 
 def _after_refused_homing(steps: list[dict[str, Any]]) -> int | None:
-    """Return the step after a refused $HX."""
+    """Return the step after the first refused $HX; None if there is none. See QUIRKS."""
     refused = (
         n + 1
         for n, step in enumerate(steps)
@@ -81,10 +82,12 @@ def _after_refused_homing(steps: list[dict[str, Any]]) -> int | None:
 
 
 def _probes_in_contact(steps: list[dict[str, Any]]) -> int | None:
-    """Return the step that probes although the probe is closed, and is answered by an alarm."""
+    """Return the step that probes although the probe is closed, and is answered by an alarm; None
+    if there is none. See QUIRKS."""
     closed = False
     for n, step in enumerate(steps):
-        closed = step.get("pins", {}).get("probe", "closed" if closed else "") == "closed"
+        level = step.get("pins", {}).get("probe")  # "closed" or "open"; None: unchanged
+        closed = closed if level is None else level == "closed"
         if closed and "G38" in step["send"] and step["expect"] == ["ALARM: Probe fail"]:
             return n
     return None

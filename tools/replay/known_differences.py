@@ -3,7 +3,8 @@
 Only a case that does not conform is looked up here. In a conversation, everything before the line
 with the difference is as recorded; after it every answer, the number of status reports, outputs,
 and positions at standstill. In a motion record, replies, final position, pulses and path are as
-recorded; and the time is within the limits of the row.
+recorded; and the time is within the limits of the row. Cases and records: see compare.py and
+compare_motion.py.
 """
 
 import math
@@ -25,7 +26,7 @@ _REFUSED = {"error:8", "error: Not idle"}
 _STEP = re.compile(r"step (\d+): ")
 _REPEATED = re.compile("([\x90-\x9d]).*\\1")
 
-_SLOWEST_HZ = 30.5
+_SLOWEST_HZ = 30.5  # Grbl makes no fewer steps/s
 _STEPS_PER_MM = 250.0  # of the recordings, unless they set another value
 _BLOCKS = 15  # capacity of Grbl's planner
 _STARVED_MS = 12.0  # time of the AVR for a block, with its line on the wire
@@ -53,31 +54,33 @@ class MotionDifference(NamedTuple):
 
 
 def _blocks(lines: list[str]) -> Iterator[tuple[int, float, float]]:
-    """Yield (number, ms, steps/s of the axis with most steps) of each line that moves at a feed
+    """Yield (index, ms, steps/s of the axis with most steps) of each line that moves at a feed
     rate. Only the G-code of these cases is parsed."""
-    place = {"X": 0.0, "Y": 0.0, "Z": 0.0}
-    per_mm = dict.fromkeys(place, _STEPS_PER_MM)
-    feed, relative, inverse = 0.0, False, False
+    position = {"X": 0.0, "Y": 0.0, "Z": 0.0}
+    per_mm = dict.fromkeys(position, _STEPS_PER_MM)
+    feed = 0.0  # in mm/min; in moves per minute after G93
+    is_relative = is_inverse_time = False
     for number, line in enumerate(lines):
         text = line.upper()
         for axis, steps in _PER_MM.findall(text):
             per_mm["XYZ"[int(axis)]] = float(steps)
-        relative = "G91" in text or (relative and "G90" not in text)
-        inverse = "G93" in text or (inverse and "G94" not in text)
+        is_relative = "G91" in text or (is_relative and "G90" not in text)
+        is_inverse_time = "G93" in text or (is_inverse_time and "G94" not in text)
         if match := _FEED.search(text):
             feed = float(match[1])
-        before = dict(place)
+        before = dict(position)
         for axis, mm in _AXIS.findall(text):
-            place[axis] = float(mm) + (place[axis] if relative else 0.0)
-        distance = math.dist(place.values(), before.values())
-        minutes = 0.0 if not feed else 1 / feed if inverse else distance / feed
-        if distance and minutes and not text.startswith(("$", "G0")):
-            steps = max(abs(place[axis] - before[axis]) * per_mm[axis] for axis in place)
+            position[axis] = float(mm) + (position[axis] if is_relative else 0.0)
+        distance_mm = math.dist(position.values(), before.values())
+        minutes = 0.0 if not feed else 1 / feed if is_inverse_time else distance_mm / feed
+        if distance_mm and minutes and not text.startswith(("$", "G0")):
+            steps = max(abs(position[axis] - before[axis]) * per_mm[axis] for axis in position)
             yield number, minutes * 60_000, steps / minutes / 60
 
 
 def _slow_step(steps: list[Json]) -> int | None:
-    """Return the step that sends the first motion slower than _SLOWEST_HZ."""
+    """Return the step that sends the first motion slower than _SLOWEST_HZ; None if there is
+    none."""
     lines = [
         (line, number) for number, step in enumerate(steps) for line in step["send"].split("\n")
     ]
@@ -93,26 +96,27 @@ def _slow(record: Json) -> float:
 
 
 def _starved(record: Json) -> float:
-    """Return the longest duration of a record whose blocks an AVR cannot plan in time; 0 for
-    others."""
+    """Return the longest duration, relative to Grbl's, of a record with _BLOCKS blocks in a row
+    that an AVR cannot plan in time; 0 for others."""
     ms = [ms for _, ms, _ in _blocks(record["program"])]
-    runs = [ms[i : i + _BLOCKS] for i in range(len(ms) - _BLOCKS)]
-    return 1.01 * any(sum(run) < _BLOCKS * _STARVED_MS for run in runs)
+    in_planner = [ms[i : i + _BLOCKS] for i in range(len(ms) - _BLOCKS)]
+    is_starved = any(sum(blocks_ms) < _BLOCKS * _STARVED_MS for blocks_ms in in_planner)
+    return 1.01 if is_starved else 0.0
 
 
 def _burst(record: Json) -> float:
-    """Return the longest duration of a record with several equal overrides at once; 0 for
-    others."""
+    """Return the longest duration, relative to Grbl's, of a record with several equal overrides at
+    once; 0 for others."""
     events = record.get("events_ms_after_first_step", ())
-    return 2.0 * any(_REPEATED.search(sent) for _, sent in events)
+    return 2.0 if any(_REPEATED.search(sent) for _, sent in events) else 0.0
 
 
 def _pause_step(steps: list[Json]) -> int | None:
     """Return the step in which a reset or the door interrupts homing, and Grbl reports ALARM:8."""
-    homes = False
+    has_homed = False  # $H was sent
     for n, step in enumerate(steps):
-        homes = homes or step["send"].startswith("$H")
-        if homes and "ALARM:8" in step["expect"] and _pause_alarm(step):
+        has_homed = has_homed or step["send"].startswith("$H")
+        if has_homed and "ALARM:8" in step["expect"] and _pause_alarm(step):
             return n
     return None
 
@@ -162,15 +166,15 @@ def _read_step(steps: list[Json]) -> int | None:
 
 
 def _without_listings(_step: Json, lines: list[str]) -> list[str]:
-    """Replace each listing with its ok, and each refusal, by the same word, because both are
-    right."""
-    kept_lines: list[str] = []
+    """Return the lines with the word "refused" in place of each listing with its ok, and of each
+    refusal, because both are right."""
+    result: list[str] = []
     for line in lines:
-        is_end = line == "ok" and kept_lines and _LISTED.match(kept_lines[-1])
-        while is_end and kept_lines and _LISTED.match(kept_lines[-1]):
-            kept_lines.pop()
-        kept_lines.append("refused" if is_end or line in _REFUSED else line)
-    return kept_lines
+        ends_listing = line == "ok" and result and _LISTED.match(result[-1])
+        while ends_listing and result and _LISTED.match(result[-1]):
+            result.pop()
+        result.append("refused" if ends_listing or line in _REFUSED else line)
+    return result
 
 
 _SLOW = (
@@ -231,58 +235,67 @@ MOTIONS = (
 
 
 def explain_case(
-    case: Json, observed: Json, wrong: list[str], astray: set[int], used: list[str]
+    case: Json, observed: Json, wrong: list[str], wrong_moves: set[int], used: list[str]
 ) -> bool:
-    """Return whether everything wrong with a case is explained by the table; adds the name to
+    """Return whether a row of CASES explains everything wrong with a case; adds the row's name to
     `used`.
 
-    astray: the steps whose moves differ without a reason.
+    wrong: messages, "step 3: …" if they are about a step. wrong_moves: the steps whose moves
+    differ without a reason.
     """
     steps, got = case["steps"], observed.get("steps", [])
-    numbers = [_STEP.match(problem) for problem in wrong]
+    in_steps = [_STEP.match(problem) for problem in wrong]  # None: not about a step
     if len(steps) != len(got):
         return False
     for row in CASES:
         first = row.begins(steps)
-        if first is None or not all(match and int(match[1]) >= first for match in numbers):
+        if first is None or not all(match and int(match[1]) >= first for match in in_steps):
             continue
-        if _answers(row, steps, [step["expect"] for step in steps]) != _answers(
-            row, steps, [mine["lines"] for mine in got]
-        ):
+        theirs = _answers(row, steps, [step["expect"] for step in steps])
+        ours = _answers(row, steps, [mine["lines"] for mine in got])
+        if theirs != ours:
             continue
-        moves = any(number >= first for number in astray)
-        if _ends_alike(row, steps[first:], got[first:], moves):
+        moves_differ = any(number >= first for number in wrong_moves)
+        if _ends_alike(row, steps[first:], got[first:], moves_differ):
             used.append(row.name)
             return True
     return False
 
 
 def _answers(
-    row: CaseDifference, steps: list[Json], said: list[list[str]]
+    row: CaseDifference, steps: list[Json], lines_of_steps: list[list[str]]
 ) -> tuple[list[str], int]:
-    """Return what must be equal of all output: lines, and the number of reports."""
+    """Return what must be equal of all output: the lines that count in this row, without status
+    reports, and the number of these."""
     lines = [
-        line for step, part in zip(steps, said, strict=True) for line in row.counted(step, part)
+        line
+        for step, received in zip(steps, lines_of_steps, strict=True)
+        for line in row.counted(step, received)
     ]
     reports = [line for line in lines if line.startswith("<")]
     return [line for line in lines if not line.startswith("<")], len(reports)
 
 
-def _ends_alike(row: CaseDifference, steps: list[Json], got: list[Json], moves: bool) -> bool:
+def _ends_alike(
+    row: CaseDifference, steps: list[Json], got: list[Json], moves_differ: bool
+) -> bool:
     """Return whether outputs end as recorded, and so do axes whose moves differ, if they stand
     still. If they still move, none is further than recorded."""
-    outs: list[dict[str, int]] = [{}, {}]
+    their_levels: dict[str, int] = {}
+    our_levels: dict[str, int] = {}
     for step, mine in zip(steps, got, strict=True):
-        for levels, change in zip(outs, (step.get("out", {}), mine["out"]), strict=True):
-            levels.update(change)
-    for levels in outs:
-        levels.pop("enable_pin", None)
-    if outs[0] != outs[1] or not moves:
-        return outs[0] == outs[1]
+        their_levels.update(step.get("out", {}))
+        our_levels.update(mine["out"])
+    for levels in (their_levels, our_levels):
+        levels.pop("enable_pin", None)  # judged in compare_motors.py
+    if their_levels != our_levels:
+        return False
+    if not moves_differ:
+        return True
     axes = range(len(got[0]["moved"]))
     theirs = [sum((step.get("moved") or [0] * 9)[axis] for step in steps) for axis in axes]
     ours = [sum(mine["moved"][axis] for mine in got) for axis in axes]
-    if row.stands:
+    if row.stands:  # we must not move at all
         return not any(got[0]["moved"])
     if got[-1]["moving"] or steps[-1].get("moving"):
         return all(min(a, 0) <= b <= max(a, 0) for a, b in zip(theirs, ours, strict=True))
@@ -292,9 +305,9 @@ def _ends_alike(row: CaseDifference, steps: list[Json], got: list[Json], moves: 
 def explain_motion(record: Json, observed: Json, used: list[str]) -> bool:
     """Return whether the table explains times and rates that differ from Grbl's, and they are
     within its limits; adds the name to `used`."""
-    share = observed["duration_s"] / record["duration_s"]
+    relative_duration = observed["duration_s"] / record["duration_s"]
     for row in MOTIONS:
-        if row.shortest <= share <= row.longest(record):
+        if row.shortest <= relative_duration <= row.longest(record):
             used.append(row.name)
             return True
     return False

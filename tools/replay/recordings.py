@@ -38,19 +38,22 @@ class Recording:
 
 
 def load(folder: Path, only: str | None, board: str | None) -> list[Recording]:
-    """Return every file of the folder with its cases; motion records form one category.
+    """Return the recordings in the files of a folder: a file is a category, and all motion records
+    are one.
 
-    only: one category. board: replaces the board that the recordings need. ValueError if a file is
-    not a recording, or is of a Grbl whose dialect no board has.
+    only: one category; None: all. board: replaces the board that the recordings need. ValueError
+    if a file is not a recording, or is of a Grbl whose dialect no board has.
     """
     files = [(path.stem, path) for path in sorted(folder.glob("*.json"))]
     files += [("motion", path) for path in sorted(folder.glob("motion/*.json"))]
-    contents = [(category, path, _cases(path)) for category, path in files]
-    contents = [row for row in contents if _has_cases(row[2])]
-    dialects = _dialects(case for _, _, cases in contents for case in cases)
+    all_files = [(category, path, _cases(path)) for category, path in files]
+    with_cases = [
+        (category, path, cases) for category, path, cases in all_files if _has_cases(cases)
+    ]
+    dialects = _dialects(case for _, _, cases in with_cases for case in cases)
     recordings = [
         Recording(category, board or _board(path, cases, dialects), cases)
-        for category, path, cases in contents
+        for category, path, cases in with_cases
         if only in (None, category)
     ]
     if not recordings:
@@ -83,12 +86,13 @@ def _dialects(cases: Iterable[Json]) -> set[str]:
     return found
 
 
-def _board(path: Path, cases: list[Json], whole: set[str]) -> str:
+def _board(path: Path, cases: list[Json], of_folder: set[str]) -> str:
     """Return the board whose dialect and options a file was recorded with.
 
-    A file in which no Grbl reports its version has the same version as the rest of its folder.
+    of_folder: the Grbl versions in the file's folder. A file in which no Grbl reports its version
+    has that of its folder, or 1.1 if there are several.
     """
-    dialects = _dialects(cases) or (whole if len(whole) == 1 else {"1.1"})
+    dialects = _dialects(cases) or (of_folder if len(of_folder) == 1 else {"1.1"})
     if len(dialects) > 1:
         raise ValueError(
             f"{path} mixes recordings of several Grbl versions: {', '.join(sorted(dialects))}"
@@ -97,5 +101,6 @@ def _board(path: Path, cases: list[Json], whole: set[str]) -> str:
     if dialect not in _SPEAKERS:
         raise ValueError(f"{path} is of Grbl {dialect}, which ugrbl cannot imitate")
     name = _BOARDS.get(path.stem, _SPEAKERS[dialect])
-    speaks = getattr(load_board(name), "DIALECT", "1.1")
-    return name if dialect.startswith(speaks) else _SPEAKERS[dialect]
+    board_dialect = getattr(load_board(name), "DIALECT", "1.1")
+    # A file of that name may be of another Grbl version than the board that has its options.
+    return name if dialect.startswith(board_dialect) else _SPEAKERS[dialect]
