@@ -46,7 +46,7 @@ _NO_LETTER = const(255)  # in place of the bit: the machine has no such word
 ROW = const(6)  # bytes of a row
 # Places in a row. The first is the place in Modes.modal, or NOWHERE.
 SETTING = const(1)  # value to store there, or in NON_MODAL
-_CLAIM = const(2)  # use of the axis words: AXES_…
+_AXIS_USE = const(2)  # use of the axis words: AXES_…
 _DECIMALS = const(3)  # allowed decimals: bit n for .n
 GROUP = const(4)  # two bytes
 NOWHERE = const(255)  # in place of a place: the word sets none
@@ -60,36 +60,36 @@ dictionary = bytearray(ROW)  # row 0 means no word
 
 
 def add_word(
-    at: int, group: int, place: int, setting: int, claim: int = b.AXES_UNCLAIMED, decimals: int = 0
+    at: int, group: int, place: int, setting: int, axis_use: int = b.AXES_UNUSED, decimals: int = 0
 ) -> None:
     """Add a word to the dictionary.
 
     at: its G number, or M_WORDS plus its M number. group: a bit of block_layout.py. place: the
     modal state's place that it sets, or NOWHERE. setting: the value set there; of GROUP_0, in
-    NON_MODAL. claim, decimals: see _CLAIM and _DECIMALS.
+    NON_MODAL. axis_use, decimals: see _AXIS_USE and _DECIMALS.
     """
     index[at] = len(dictionary) // ROW
-    dictionary.extend(bytes((place, setting, claim, decimals, group & 255, group >> 8)))
+    dictionary.extend(bytes((place, setting, axis_use, decimals, group & 255, group >> 8)))
 
 
 # Calls, because constant rows would stay in memory in addition to the dictionary.
-add_word(0, b.GROUP_1, mode.MOTION, b.SEEK, b.AXES_MOTION)
-add_word(1, b.GROUP_1, mode.MOTION, b.LINEAR, b.AXES_MOTION)
-add_word(2, b.GROUP_1, mode.MOTION, b.CW_ARC, b.AXES_MOTION)
-add_word(3, b.GROUP_1, mode.MOTION, b.CCW_ARC, b.AXES_MOTION)
+add_word(0, b.GROUP_1, mode.MOTION, b.SEEK, b.AXES_FOR_MOTION)
+add_word(1, b.GROUP_1, mode.MOTION, b.LINEAR, b.AXES_FOR_MOTION)
+add_word(2, b.GROUP_1, mode.MOTION, b.CW_ARC, b.AXES_FOR_MOTION)
+add_word(3, b.GROUP_1, mode.MOTION, b.CCW_ARC, b.AXES_FOR_MOTION)
 add_word(4, b.GROUP_0, NOWHERE, b.DWELL)
-add_word(10, b.GROUP_0, NOWHERE, b.SET_COORDS, b.AXES_NON_MODAL)
+add_word(10, b.GROUP_0, NOWHERE, b.SET_COORDS, b.AXES_FOR_COMMAND)
 add_word(17, b.GROUP_2, mode.PLANE, 0)
 add_word(18, b.GROUP_2, mode.PLANE, 1)
 add_word(19, b.GROUP_2, mode.PLANE, 2)
 add_word(20, b.GROUP_6, mode.INCHES, 1)
 add_word(21, b.GROUP_6, mode.INCHES, 0)
-add_word(28, b.GROUP_0, NOWHERE, b.GO_G28, b.AXES_NON_MODAL, OTHERS | 0b10)
-add_word(30, b.GROUP_0, NOWHERE, b.GO_G30, b.AXES_NON_MODAL, OTHERS | 0b10)
-add_word(38, b.GROUP_1, mode.MOTION, 38, b.AXES_MOTION, OTHERS | NEEDED | 0b111100)
+add_word(28, b.GROUP_0, NOWHERE, b.GO_G28, b.AXES_FOR_COMMAND, OTHERS | 0b10)
+add_word(30, b.GROUP_0, NOWHERE, b.GO_G30, b.AXES_FOR_COMMAND, OTHERS | 0b10)
+add_word(38, b.GROUP_1, mode.MOTION, 38, b.AXES_FOR_MOTION, OTHERS | NEEDED | 0b111100)
 add_word(40, b.GROUP_7, NOWHERE, 0)
-add_word(43, b.GROUP_8, mode.TOOL_LENGTH, 1, b.AXES_TOOL_LENGTH, OTHERS | NEEDED | 0b10)
-add_word(49, b.GROUP_8, mode.TOOL_LENGTH, 0, b.AXES_TOOL_LENGTH)
+add_word(43, b.GROUP_8, mode.TOOL_LENGTH, 1, b.AXES_FOR_LENGTH, OTHERS | NEEDED | 0b10)
+add_word(49, b.GROUP_8, mode.TOOL_LENGTH, 0, b.AXES_FOR_LENGTH)
 add_word(53, b.GROUP_0, NOWHERE, b.ABSOLUTE_OVERRIDE)
 add_word(54, b.GROUP_12, mode.SYSTEM, 0)
 add_word(55, b.GROUP_12, mode.SYSTEM, 1)
@@ -97,11 +97,11 @@ add_word(56, b.GROUP_12, mode.SYSTEM, 2)
 add_word(57, b.GROUP_12, mode.SYSTEM, 3)
 add_word(58, b.GROUP_12, mode.SYSTEM, 4)
 add_word(59, b.GROUP_12, mode.SYSTEM, 5)
-add_word(61, b.GROUP_13, NOWHERE, 0, b.AXES_UNCLAIMED, OTHERS)
+add_word(61, b.GROUP_13, NOWHERE, 0, b.AXES_UNUSED, OTHERS)
 add_word(80, b.GROUP_1, mode.MOTION, b.NO_MOTION)
-add_word(90, b.GROUP_3, mode.RELATIVE, 0, b.AXES_UNCLAIMED, OTHERS)
-add_word(91, b.GROUP_3, mode.RELATIVE, 1, b.AXES_UNCLAIMED, OTHERS | 0b10)
-add_word(92, b.GROUP_0, NOWHERE, b.SET_G92, b.AXES_NON_MODAL, OTHERS | 0b10)
+add_word(90, b.GROUP_3, mode.RELATIVE, 0, b.AXES_UNUSED, OTHERS)
+add_word(91, b.GROUP_3, mode.RELATIVE, 1, b.AXES_UNUSED, OTHERS | 0b10)
+add_word(92, b.GROUP_0, NOWHERE, b.SET_G92, b.AXES_FOR_COMMAND, OTHERS | 0b10)
 add_word(93, b.GROUP_5, mode.INVERSE_TIME, 1)
 add_word(94, b.GROUP_5, mode.INVERSE_TIME, 0)
 add_word(M_WORDS + 0, b.GROUP_M4, mode.PROGRAM_FLOW, b.PAUSED)
@@ -142,16 +142,16 @@ def byte(value: int, top: int) -> int:
 
 
 @micropython.viper
-def enter(place: int, setting: int, claim: int, group: int, ints: ptr32) -> int:
+def enter(place: int, setting: int, axis_use: int, group: int, ints: ptr32) -> int:
     """Store a G or M word in a block's ints. Returns Grbl's error number, or 0.
 
-    place, setting, claim, group: from the word's row of the dictionary, see add_word(). The error
-    is that of a second word of a modal group, or a second one that uses the axis words.
+    place, setting, axis_use, group: from the word's row of the dictionary, see add_word(). The
+    error is that of a second word of a modal group, or a second one that uses the axis words.
     """
-    if claim:
-        if ints[b.CLAIM]:
+    if axis_use:
+        if ints[b.AXIS_USE]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
-        ints[b.CLAIM] = claim
+        ints[b.AXIS_USE] = axis_use
     if group == b.GROUP_0:
         ints[b.NON_MODAL] = setting
     elif place != NOWHERE:
@@ -200,7 +200,7 @@ def store_words(
             else:
                 setting = words[row + SETTING]
                 group = words[row + GROUP] | (words[row + GROUP + 1] << 8)
-                error = int(enter(words[row], setting, words[row + _CLAIM], group, ints))
+                error = int(enter(words[row], setting, words[row + _AXIS_USE], group, ints))
         else:
             bit = index[_INDEXED + letter - _A]  # of WORDS
             if bit == _NO_LETTER:
@@ -319,7 +319,7 @@ class Block:
         """Add a G number as a motion mode of this block only."""
         self._index[number] = len(self._rows) // ROW
         # As add_word(), but in a copy of the dictionary, because other blocks share that.
-        row = bytes((mode.MOTION, number, b.AXES_MOTION, 0, b.GROUP_1, 0))
+        row = bytes((mode.MOTION, number, b.AXES_FOR_MOTION, 0, b.GROUP_1, 0))
         self._rows = self._rows + row
 
     def _store_rare(self, i: int) -> int:
@@ -342,12 +342,12 @@ class Block:
     def _enter_rare(self, row: bytearray, number: int, hundredths: int) -> int:
         """Store a word with its row of the dictionary; its number is number + hundredths / 100.
         Returns Grbl's error number, or 0."""
-        place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]
+        place, setting, axis_use, decimals = row[0], row[SETTING], row[_AXIS_USE], row[_DECIMALS]
         group = row[GROUP] | row[GROUP + 1] << 8
-        if hundredths and claim == b.AXES_NON_MODAL:  # G28.1, G30.1, G92.1 use no axis words
-            claim = b.AXES_UNCLAIMED
+        if hundredths and axis_use == b.AXES_FOR_COMMAND:  # G28.1, G30.1, G92.1 use no axis words
+            axis_use = b.AXES_UNUSED
             setting += hundredths  # .1: + 10, as SET_G28 is GO_G28 + 10
-        if claim and self.ints[b.CLAIM]:
+        if axis_use and self.ints[b.AXIS_USE]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
         if (hundredths and decimals & OTHERS) or decimals & NEEDED:
             # One decimal, which the row allows.
@@ -359,7 +359,7 @@ class Block:
                 setting += hundredths + 100  # 138 + 10 n for G38.n, as PROBE_TOWARD is 158
         elif hundredths and number != 49:  # those of G49 are ignored, as in Grbl
             return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
-        return enter(place, setting, claim, group, self.ints)
+        return enter(place, setting, axis_use, group, self.ints)
 
 
 def _round(x: float) -> int:

@@ -38,33 +38,33 @@ PAUSED = const(1)
 END_M2 = const(2)
 END_M30 = const(30)
 
-# Which command uses the axis words.
-AXES_UNCLAIMED = const(0)
-AXES_NON_MODAL = const(1)
-AXES_MOTION = const(2)
-AXES_TOOL_LENGTH = const(3)
+# AXIS_USE: which command uses the line's axis words.
+AXES_UNUSED = const(0)
+AXES_FOR_COMMAND = const(1)  # a non-modal one: G10, G28, G30, G92
+AXES_FOR_MOTION = const(2)
+AXES_FOR_LENGTH = const(3)  # the tool length: G43.1, G49
 
 # Places in Block.ints, after the modal state as the line would set it:
 COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups of the line's words
 WORDS = const(MODAL_LENGTH + 1)  # mask of the line's value words
 NON_MODAL = const(MODAL_LENGTH + 2)
-CLAIM = const(MODAL_LENGTH + 3)  # AXES_…
+AXIS_USE = const(MODAL_LENGTH + 3)  # AXES_…
 INDEX = const(MODAL_LENGTH + 4)  # the coordinate system that G10 writes
 ONLY = const(MODAL_LENGTH + 5)  # not 0: the line must request exactly this, with or without S
 
 # Requests of a checked block, a bit each: see checks.check().
-SPEED = const(0x001)
+SPEED = const(0x001)  # another S
 SET_TOOL = const(0x002)
-ACCESSORIES = const(0x004)
-OFFSETS = const(0x008)
+ACCESSORIES = const(0x004)  # spindle, coolant or override control by M words
+OFFSETS = const(0x008)  # another tool length or coordinate system
 COMMAND = const(0x010)  # a non-modal command
 MOVE = const(0x020)
 FLOW = const(0x040)
-SPECIAL = const(0x080)  # the motion is an arc, a probe, or an extra's
+NOT_STRAIGHT = const(0x080)  # with MOVE: an arc, a probe, or an extra's motion
 # Laser mode: the line's effect on the beam.
-DARK = const(0x100)  # not a cutting motion
-IN_MOTION = const(0x200)  # S takes effect with the motion
-SYNC = const(0x400)  # the beam changes without motion
+BEAM_OFF = const(0x100)  # not a cutting motion: power 0 in this line, whatever S is
+S_IN_MOTION = const(0x200)  # S takes effect with the motion, not before it
+BEAM_SWITCHES = const(0x400)  # on or off without motion: S is set again, after all motion
 CHECKED = const(0x800)  # always set
 
 # Places in Interpreter.machine, for kernels.

@@ -49,8 +49,8 @@ def check(
     """Check a block that was read in that modal state. Returns its requests, bits of
     block_layout.py, or minus Grbl's error number. laser: laser mode; jog: 1 for a $J= line."""
     words = ints[b.WORDS]
-    if ints[b.CLAIM] == b.AXES_UNCLAIMED and words & b.AXIS_WORDS:
-        ints[b.CLAIM] = b.AXES_MOTION
+    if ints[b.AXIS_USE] == b.AXES_UNUSED and words & b.AXIS_WORDS:
+        ints[b.AXIS_USE] = b.AXES_FOR_MOTION
     if singles[b.N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
         return 0 - errors.GCODE_INVALID_LINE_NUMBER
     # 3.5.19, section of the standard: feed rate and feed rate mode.
@@ -72,7 +72,7 @@ def check(
             return 0 - errors.GCODE_VALUE_WORD_MISSING
     if ints[mode.INCHES]:
         _in_mm(xyz, machine, singles)
-    if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
+    if ints[b.AXIS_USE] == b.AXES_FOR_LENGTH and ints[mode.TOOL_LENGTH]:  # G43.1
         if words & b.AXIS_WORDS != 1 << machine[b.LENGTH_AXIS]:
             return 0 - errors.GCODE_G43_DYNAMIC_AXIS_ERROR
     result = int(_targets(ints, singles, xyz, position, offsets, machine, stored))
@@ -82,7 +82,7 @@ def check(
     result = int(_motion(ints, singles, xyz, position, machine[b.AXES], plane, arc))
     if result < 0:
         return result
-    used_words |= result | (b.AXIS_WORDS if ints[b.CLAIM] else 0)
+    used_words |= result | (b.AXIS_WORDS if ints[b.AXIS_USE] else 0)
     if words & ~used_words:  # a value word that no command of the line uses
         return 0 - errors.GCODE_UNUSED_WORDS
     if jog:
@@ -96,8 +96,12 @@ def check(
 @micropython.viper
 def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> int:
     """Compute the block's feed rate, mm/min, or 1/min in inverse time mode, into singles[F].
-    Returns Grbl's error number, or 0. Without an F word the last rate stays in force, except in
-    inverse time, and except in a jog, which needs its own. jog: 1 for a $J= line."""
+    Returns Grbl's error number, or 0. jog: 1 for a $J= line.
+
+    Without an F word the last rate stays in force, except in inverse time and in a jog: both need
+    their own. On the line that ends G93 it does not, because it was no rate in mm/min: F is 0 if
+    that line has none, and if it has one, it is not converted from inches, as in Grbl.
+    """
     has_f = ints[b.WORDS] & b.WORD_F
     motion = ints[mode.MOTION]
     if jog:
@@ -106,10 +110,10 @@ def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> 
         if ints[mode.INCHES]:
             multiply(singles, b.F, singles, b.INCH_MM)
     elif ints[mode.INVERSE_TIME]:
-        cuts = motion != b.SEEK and motion != b.NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
-        if ints[b.CLAIM] == b.AXES_MOTION and cuts and has_f == 0:
+        feeds = motion != b.SEEK and motion != b.NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
+        if ints[b.AXIS_USE] == b.AXES_FOR_MOTION and feeds and has_f == 0:
             return errors.GCODE_UNDEFINED_FEED_RATE
-    elif modal[mode.INVERSE_TIME] == 0:  # else the last F was not a rate in mm/min
+    elif modal[mode.INVERSE_TIME] == 0:  # else this line ends G93: see above
         if has_f == 0:
             singles[b.F] = rates[mode.FEED]
         elif ints[mode.INCHES]:
@@ -142,7 +146,7 @@ def _targets(
     command = ints[b.NON_MODAL]
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if command != b.SET_COORDS and command != b.SET_G92:  # noqa: PLR1714 (a viper cannot ask `in`)
-        if axis_words and ints[b.CLAIM] != b.AXES_TOOL_LENGTH:
+        if axis_words and ints[b.AXIS_USE] != b.AXES_FOR_LENGTH:
             _target(ints, singles, xyz, position, offsets, machine)
         if command == 0:
             return 0
@@ -275,7 +279,7 @@ def _where_stored(
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if axis_words == 0:
         # No axis words: no move to their target, which would come first.
-        ints[b.CLAIM] = b.AXES_UNCLAIMED
+        ints[b.AXIS_USE] = b.AXES_UNUSED
     for i in range(axes):
         stored[i] = offsets[system * axes + i]
         if axis_words and (axis_words >> i) & 1 == 0:
@@ -294,14 +298,14 @@ def _motion(
     axis_words = words & b.AXIS_WORDS
     if motion == b.NO_MOTION:  # 3.5.15
         return 0 - errors.GCODE_AXIS_WORDS_EXIST if axis_words else 0
-    if ints[b.CLAIM] != b.AXES_MOTION:  # the axis words are those of another command
+    if ints[b.AXIS_USE] != b.AXES_FOR_MOTION:  # the axis words are those of another command
         return 0
     if motion != b.SEEK and singles[b.F] & int(0x7FFFFFFF) == 0:
         return 0 - errors.GCODE_UNDEFINED_FEED_RATE
     if axis_words == 0:
         if motion > b.LINEAR:
             return 0 - errors.GCODE_NO_AXIS_WORDS
-        ints[b.CLAIM] = b.AXES_UNCLAIMED  # a line without axis words only sets the mode
+        ints[b.AXIS_USE] = b.AXES_UNUSED  # a line without axis words only sets the mode
     elif motion == b.CW_ARC or motion == b.CCW_ARC:  # noqa: PLR1714 (a viper cannot ask `in`); 3.5.3
         error = int(find_arc(ints, singles, xyz, position, axes, plane, arc))
         if error:
@@ -330,12 +334,12 @@ def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) 
         or modal[mode.OVERRIDE_CONTROL] != ints[mode.OVERRIDE_CONTROL]
     ):
         asked |= b.ACCESSORIES
-    if modal[mode.SYSTEM] != ints[mode.SYSTEM] or ints[b.CLAIM] == b.AXES_TOOL_LENGTH:
+    if modal[mode.SYSTEM] != ints[mode.SYSTEM] or ints[b.AXIS_USE] == b.AXES_FOR_LENGTH:
         asked |= b.OFFSETS
     if ints[b.NON_MODAL]:
         asked |= b.COMMAND
-    if ints[b.CLAIM] == b.AXES_MOTION and ints[mode.MOTION] != b.NO_MOTION:
-        asked |= b.MOVE if ints[mode.MOTION] <= b.LINEAR else b.MOVE | b.SPECIAL
+    if ints[b.AXIS_USE] == b.AXES_FOR_MOTION and ints[mode.MOTION] != b.NO_MOTION:
+        asked |= b.MOVE if ints[mode.MOTION] <= b.LINEAR else b.MOVE | b.NOT_STRAIGHT
     if ints[mode.PROGRAM_FLOW]:
         asked |= b.FLOW
     if laser:
@@ -344,9 +348,9 @@ def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) 
         last = modal[mode.MOTION]
         did_cut = 1 if last <= b.CCW_ARC and (b.CUTTING >> last) & 1 else 0
         if cuts == 0:
-            asked |= b.DARK  # the beam is off in this line
-        if ints[b.WORDS] & b.AXIS_WORDS and ints[b.CLAIM] == b.AXES_MOTION:
-            asked |= b.IN_MOTION  # S is set as the motion begins
+            asked |= b.BEAM_OFF  # the beam is off in this line
+        if ints[b.WORDS] & b.AXIS_WORDS and ints[b.AXIS_USE] == b.AXES_FOR_MOTION:
+            asked |= b.S_IN_MOTION  # S is set as the motion begins
         elif modal[mode.SPINDLE] == SPINDLE_CW and did_cut != cuts:
-            asked |= b.SYNC  # the beam of M3 goes on or off without a motion
+            asked |= b.BEAM_SWITCHES  # the beam of M3 goes on or off without a motion
     return asked

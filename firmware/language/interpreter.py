@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from language.block import Block
 
 JOG_START = const(3)  # the length of "$J="
-_SWITCHES = const(b.SPEED | b.SYNC | b.ACCESSORIES | b.OFFSETS | b.COMMAND)  # see _switch()
+# Requests for which _switch() has something to do; a dwell is a COMMAND.
+_SWITCHES = const(b.SPEED | b.BEAM_SWITCHES | b.ACCESSORIES | b.OFFSETS | b.COMMAND)
 
 
 class Interpreter:
@@ -134,9 +135,10 @@ class Interpreter:
             asked = self.check_line(line, length << 8, modal, 0)
         elif asked < 0:
             raise GrblError(-asked)
-        # A move-only line: wait for a free block, then a kernel executes it. WATCHED: requests
-        # that an extra wants to be executed in Python.
-        if not asked & (~ln.PLAIN | machine[b.WATCHED] & (b.MOVE | b.SPECIAL)):
+        # What no kernel may execute: all but PLAIN, and motion that an extra watches.
+        python_only = ~ln.PLAIN | machine[b.WATCHED] & (b.MOVE | b.NOT_STRAIGHT)
+        # A move-only line: wait for a free row of the ring, then a kernel executes it.
+        if not asked & python_only:
             if asked & b.MOVE and self._state.run != st.CHECK:
                 machine[b.ASKED] = asked
                 self._canon.make_room()
@@ -185,8 +187,9 @@ class Interpreter:
         """Execute the checked block, whose requests are `asked`, in the standard's order. Moves
         are only requested here: execute() then calls Canon.finish(), with less on the stack."""
         block, modes = self.block, self._modes
-        if asked & b.SPECIAL and block.ints[mode.MOTION] in self.motions:
-            self.motions[block.ints[mode.MOTION]].check(block)
+        motion = block.ints[mode.MOTION]
+        if asked & b.NOT_STRAIGHT and motion in self.motions:  # an extra's
+            self.motions[motion].check(block)  # may refuse the block
         ln.commit_modal(block.ints, block.singles, modes.modal, modes.rates)
         modes.rates[mode.TOOL] = block.singles[b.T]
         if asked & _SWITCHES:
@@ -195,8 +198,8 @@ class Interpreter:
             move = self._begin_move(
                 block, layout.INVERSE_TIME if block.ints[mode.INVERSE_TIME] else 0
             )
-            if asked & b.DARK:
-                move.spindle_rpm = 0.0
+            if asked & b.BEAM_OFF:
+                move.spindle_rpm = 0.0  # laser mode, and the motion does not cut; S stays
             if asked & b.COMMAND:
                 self._non_modal(block, move)
             if asked & b.MOVE:
@@ -209,6 +212,7 @@ class Interpreter:
         flags: further ones of motion/layout.py."""
         # No more than three at once: these would allocate a tuple.
         move, numbers, modes = self._move, self._numbers, self._modes
+        # Read a float as an object only if its bits have changed: each reading takes memory.
         if store_if_changed(numbers, mode.FEED, block.singles, b.F):
             move.feed = block.singles[b.F]
         if block.ints[mode.INVERSE_TIME]:
@@ -221,23 +225,29 @@ class Interpreter:
         return move
 
     def _switch(self, block: "Block", asked: int) -> None:
-        """Execute what precedes motion: speed, M words, a dwell, offsets. asked: requests."""
+        """Execute what precedes motion: speed, M words, a dwell, offsets. asked: requests.
+
+        Two are of laser mode. BEAM_SWITCHES: the beam goes on or off although S is the same, so
+        the speed is set once more. BEAM_OFF: the beam's power is 0 in this line; S stays.
+        """
         modes, new = self._modes, block.ints
-        if asked & (b.SPEED | b.SYNC):
+        if asked & (b.SPEED | b.BEAM_SWITCHES):
             self._set_speed(block, asked)
         if asked & b.ACCESSORIES:
-            self._set_accessories(new, 0.0 if asked & b.DARK else modes.rates[mode.RPM])
+            rpm = 0.0 if asked & b.BEAM_OFF else modes.rates[mode.RPM]
+            self._set_accessories(new, rpm)
         if new[b.NON_MODAL] == b.DWELL:
             self._canon.dwell(block.singles[b.P])
         if asked & b.OFFSETS and self._set_offsets(block):
             self._offsets_changed()
 
     def _set_speed(self, block: "Block", asked: int) -> None:
-        """Set S, after all motion; a laser's S that belongs to a motion is only stored, because
-        the motion sets it. asked: the block's requests."""
+        """Set S, after all motion. It is only stored if the spindle is off, or if it is a laser's
+        S that the motion of this line will set. asked: the block's requests."""
         modes, speed = self._modes, block.singles[b.S]
-        if modes.modal[mode.SPINDLE] and not asked & b.IN_MOTION:
-            self._canon.spin(modes.modal[mode.SPINDLE], 0.0 if asked & b.DARK else speed)
+        direction = modes.modal[mode.SPINDLE]  # 0: off
+        if direction and not asked & b.S_IN_MOTION:
+            self._canon.spin(direction, 0.0 if asked & b.BEAM_OFF else speed)
         modes.rates[mode.RPM] = speed
 
     def _set_accessories(self, new: "array[int]", rpm: float) -> None:
@@ -258,7 +268,7 @@ class Interpreter:
         """Set tool length and coordinate system. Returns whether the work zero has changed."""
         changed = False
         modal, new, coords = self._modes.modal, block.ints, self._coords
-        if new[b.CLAIM] == b.AXES_TOOL_LENGTH:
+        if new[b.AXIS_USE] == b.AXES_FOR_LENGTH:
             modal[mode.TOOL_LENGTH] = new[mode.TOOL_LENGTH]
             length = block.xyz[coords.length_axis] if modal[mode.TOOL_LENGTH] else 0.0
             if coords.tool_length != length:
@@ -287,7 +297,7 @@ class Interpreter:
                 self._offsets_changed()
         elif command in (b.GO_G28, b.GO_G30):
             move.flags |= layout.RAPID_MOTION
-            if block.ints[b.CLAIM]:  # axis words: first to that point
+            if block.ints[b.AXIS_USE]:  # axis words: first to that point
                 self._canon.line(block.xyz, move)
             self._canon.line(block.stored, move)
             copy(block.stored, modes.position, block.axes)

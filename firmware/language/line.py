@@ -35,7 +35,9 @@ from language.block import read
 from language.checks import check
 
 # The requests that can be executed here.
-PLAIN = const(b.CHECKED | b.MOVE | b.SPECIAL | b.SPEED | b.SET_TOOL | b.DARK | b.IN_MOTION)
+PLAIN = const(
+    b.CHECKED | b.MOVE | b.NOT_STRAIGHT | b.SPEED | b.SET_TOOL | b.BEAM_OFF | b.S_IN_MOTION
+)
 
 
 @micropython.viper
@@ -105,7 +107,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
     too, but the position is not.
     """
     # Another S of a turning spindle has to wait for the end of motion, except a laser's.
-    if asked & ~PLAIN or (asked & b.SPEED and modal[mode.SPINDLE] and asked & b.IN_MOTION == 0):
+    if asked & ~PLAIN or (asked & b.SPEED and modal[mode.SPINDLE] and asked & b.S_IN_MOTION == 0):
         return 0
     _, block, plans = memory
     _ints, _singles, target, _rates, _position, _, _machine, _scale, rare = block
@@ -125,20 +127,21 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
         moves = 0 if ptr32(running)[0] & CHECK else 1
         if obstacles & OUTSIDE or (moves and obstacles & FULL):
             return 0
-    if asked & b.SPECIAL:
+    if asked & b.NOT_STRAIGHT:
         if ints[mode.MOTION] > b.CCW_ARC or ints[mode.INVERSE_TIME]:  # not an arc, or with G93
             return 0
-        if moves == 0 and travel[SHUT]:  # a chord may be outside
+        if moves == 0 and travel[SHUT]:  # check mode with soft limits: a chord may violate them
             return 0
-        if moves and (hook or int(_is_bent(xyz, position, axes, rare, plans))):
-            return 0  # more than one chord
+        # An arc of several chords; with a hook any arc, because the hook plans them.
+        if moves and (hook or int(_more_chords(xyz, position, axes, rare, plans))):
+            return 0
     commit_modal(ints, singles, modal, rates)
     rates[mode.RPM] = singles[b.S]
     rates[mode.TOOL] = singles[b.T]
     if moves:
         flags = int(_flags(ints, modal, scale[LASER]))
         power = 0
-        scale[ASKED_SPEED] = 0 if asked & b.DARK else rates[mode.RPM]
+        scale[ASKED_SPEED] = 0 if asked & b.BEAM_OFF else rates[mode.RPM]
         speed = scale[ASKED_SPEED]  # here, because power_from_rpm() overwrites it
         if flags & SPINDLE_MASK:
             power = int(power_from_rpm(scale, flags))
@@ -151,7 +154,7 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
             planned = int(
                 plan_block(xyz, ptr32(table), ptr32(ring), flow, flags, line, power, rate)
             )
-        if planned == 0:  # no step: a laser may still need its power
+        if planned == 0:  # no step: the interpreter does the rest, because a laser may need power
             return 0
         ptr32(speeds)[row] = speed  # rpm, from which overrides compute the power again
     if asked & b.MOVE:
@@ -174,9 +177,9 @@ def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
 
 
 @micropython.viper
-def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object) -> int:
-    """Return 0 if one chord is enough for the block's arc, from position to xyz; else how many
-    more it takes. rare, plans: parts of `memory`. Uses the planner's course as scratch."""
+def _more_chords(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object) -> int:
+    """Return how many chords the block's arc, from position to xyz, takes beyond one: 0 if one is
+    enough. rare, plans: parts of `memory`. Uses the planner's course as scratch."""
     _, plane, arc = rare
     _, _, _, _, _, _, _, steps_per_mm, course = plans
     chords = ptr32(course)

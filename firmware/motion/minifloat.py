@@ -40,16 +40,19 @@ def value(r: int) -> float:
 
 @micropython.viper
 def per_minute(r: int) -> int:
-    """Return 60 times the real r as an integer, rounded, a half up; at most 30 bits.
+    """Return 60 times the real r as an integer, rounded, a half up.
 
-    It converts mm/s to mm/min, for reports.
+    It converts mm/s to mm/min, for reports. The result has at most 30 bits: from r = 2**24 on,
+    far above any machine's speed, the exponent counts as 9, and the result is too small.
     """
     # Twice the result is computed first: adding 1 to that, then halving, rounds a half up.
-    twice = r % LIMIT * 120  # 22 bits
-    shift = BIAS - r // LIMIT  # to the right
-    if shift <= 0:
-        return twice << (0 - shift if shift > -9 else 9) >> 1  # more would not fit
-    return ((twice >> (shift if shift < 31 else 31)) + 1) >> 1  # from 31 on it is 0
+    twice = r % LIMIT * 120  # 22 bits, to be multiplied by 2**exponent
+    exponent = r // LIMIT - BIAS
+    if exponent >= 0:
+        left = exponent if exponent < 9 else 9
+        return twice << left >> 1
+    right = 0 - exponent if exponent > -31 else 31  # from 31 on nothing is left
+    return ((twice >> right) + 1) >> 1
 
 
 @micropython.viper

@@ -193,15 +193,16 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         return HIGHEST
     if squares >= _REVERSAL:
         return 0
-    # Two roots: |D| in 2**-14, the length; then that of 4 - |D|**2, twice the cosine.
-    cosine = 0
+    # Two roots in 2**-14: |D|, then that of 4 - |D|**2, twice the cosine. In a loop, because
+    # square_root() is inlined, and code takes memory.
+    root = 0
     for _ in range(2):
-        length = cosine
-        cosine = int(square_root(squares))
-        squares = 0x3FFFFFFF - squares
-    cosine >>= 1
+        change = root  # in the end |D|
+        root = int(square_root(squares))
+        squares = 0x3FFFFFFF - squares  # 4 in 2**-28, less |D|**2
+    cosine = root >> 1
     # c (1 + c) / |D| in 2**-15. JUNCTION's 2**16 makes up for the 2**-14 of D_i, and is the 4.
-    shape = (((cosine * (_UNIT + cosine)) >> 14) << 15) // length
+    shape = (((cosine * (_UNIT + cosine)) >> 14) << 15) // change
     return int(product(int(pack(shape, BIAS - 15)), least, table[JUNCTION]))
 
 
@@ -381,7 +382,7 @@ def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     tail = flow[TAIL]
-    exit_sqr = 0  # of the block before: the newest one ends at speed 0
+    exit_sqr = 0  # entry speed squared of the following block: the newest one ends at speed 0
     visited = 0
     while head != tail:
         head = head - 1 if head else flow[ROWS] - 1

@@ -56,8 +56,9 @@ def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
         return 0
     total = fast + slow
     change = fast - slow
-    exponent = unit - 19  # 18 bits of the speeds are a fraction, and the 2 of the formula
-    # Each is reduced to 15 bits.
+    # s = total * change / ramp * 2**exponent: the speeds have 18 bits of fraction; 1 is the 2 of
+    # the formula. Each is reduced to 15 bits.
+    exponent = unit - 19
     while total >= LIMIT:
         total >>= 1
         exponent += 1
@@ -70,13 +71,12 @@ def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
     while ramp >= LIMIT:
         ramp >>= 1
         exponent -= 1
-    # From here on `change` is the distance, to be multiplied by 2**exponent.
-    change = total * change // ramp
+    distance = total * change // ramp  # to be multiplied by 2**exponent
     if exponent < 0:
-        return change >> (0 - exponent) if exponent > -31 else 0
-    if exponent > 30 or change > HIGHEST >> exponent:
+        return distance >> (0 - exponent) if exponent > -31 else 0
+    if exponent > 30 or distance > HIGHEST >> exponent:
         return HIGHEST
-    return change << exponent
+    return distance << exponent
 
 
 @micropython.viper
@@ -91,6 +91,7 @@ def after(speed: int, ramp: int, distance: int, down: int) -> int:
     square = int(mul(square, square))  # a real: speed**2
     # A real: 2 * ramp * distance. BIAS + 1: twice ramp.
     change = int(mul(int(pack(ramp, BIAS + 1)), int(pack(distance, BIAS))))
+    # Both mantissas at the larger exponent; the smaller number loses bits.
     exponent = square >> 15
     if change >> 15 > exponent:
         exponent = change >> 15

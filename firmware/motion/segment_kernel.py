@@ -227,8 +227,8 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     else:
         distance = rest
         time = int(share(rest, mean)) if mean else 1
-        # More than a sixteenth above ramp, and 4 for rounding: brake as ramp allows, leave faster.
-        if speed - leave > int(times(ramp + (ramp >> 4), time)) + 4:
+        most_change = int(times(ramp + (ramp >> 4), time)) + 4  # a sixteenth more; 4: rounding
+        if speed - leave > most_change:  # brake as ramp allows, leave faster
             end = int(after(speed, ramp, rest, 1))
             if end < leave:
                 end = leave
@@ -277,9 +277,10 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
     """
     at = flow[BLOCK_AT]
     ramp = ring[at + RAMP]
-    top = ring[at + CRUISE]
+    top = ring[at + CRUISE]  # the speed to reach; 0 in a hold
     speed = flow[END_SPEED]
-    unit = 18 if flow[STEPS_LEFT] < _MOST_FINE_STEPS else 0  # slack and way are in 2**-unit step
+    # slack and braking distances are in 2**-unit step: 18, or 0 for whole steps if many are left.
+    unit = 18 if flow[STEPS_LEFT] < _MOST_FINE_STEPS else 0
     rest = (flow[STEPS_LEFT] << 18) + flow[FRACTION_LEFT] if unit else HIGHEST  # of the block
     room = rest
     must_brake = 0
@@ -298,12 +299,14 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
                 flow[BRAKE_TO] = slow
                 flow[BRAKE_UNIT] = unit
                 flow[BRAKE_DISTANCE] = int(braking(fast, slow, ramp, unit))
-            way = flow[BRAKE_DISTANCE]  # between both speeds; computed only if they are new
-            if speed < leave:  # it need not brake: way is the distance to speed up to leave
-                slack += way if way < slack else slack
+            ramp_distance = flow[BRAKE_DISTANCE]  # between both speeds; computed if they are new
+            if speed < leave:  # it need not brake, but speed up to `leave`: more slack
+                slack += ramp_distance if ramp_distance < slack else slack
             else:
-                slack -= way
-                if slack <= (speed >> 8 if unit else (way >> 12) + 1):  # 1/256 segment
+                slack -= ramp_distance
+                # Too little to be worth a piece: 1/256 segment, or braking()'s error.
+                least = speed >> 8 if unit else (ramp_distance >> 12) + 1
+                if slack <= least:
                     must_brake = 1
         if must_brake == 0 and speed <= top:
             if unit == 0:  # whole steps to a distance

@@ -57,7 +57,7 @@ class Segments:
     def progress(self) -> int:
         """Return a number that changes as motion is executed; it has no other meaning."""
         flow = self._flow
-        # Any mixture of the three: two such numbers are only compared.
+        # Any mixture of the three will do, because two such numbers are only compared.
         return flow[layout.TAIL] ^ flow[layout.STEPS_LEFT] << 6 ^ flow[LOADED] << 5
 
     def begin_system(self) -> None:

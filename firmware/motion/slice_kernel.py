@@ -253,7 +253,8 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
     ratios = flow[BLOCK_AT] + STEPS + motors  # index in the ring: steps / EVENTS, in 2**-29
     # Whether this is the block's last row: nothing is left to plan, and no other row is to come.
     last = flow[STEPS_LEFT] == 0 and flow[FRACTION_LEFT] == 0 and flow[SLICES] == 0
-    # ticks may have 27 bits: 18 are kept, for the products below.
+    # ticks may have 27 bits: `dropped` low ones are ignored, so that 18 are left, for the products
+    # below.
     dropped = 0
     while ticks >> dropped >= 1 << 18:
         dropped += 1
@@ -274,8 +275,9 @@ def place_steps(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) 
             gain >>= 1
             scale += 1
         for k in range(2 if steps else 0):  # its first step, then its last
-            # The phase still to go to that step, then its tick.
-            part = (((steps if k else 1) << 18) - phase) >> scale
+            step = steps if k else 1
+            # First the phase still to go to that step, in the end its tick.
+            part = ((step << 18) - phase) >> scale
             if part < gain:
                 # ticks * part / gain, ticks as two digits of 9 bits; gain has 21 bits at most.
                 coarse = (ticks >> dropped >> 9) * part

@@ -42,14 +42,14 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     its error may be larger. Steps keep their places within the row, in proportion.
     """
     at = flow[BLOCK_AT]  # index of the loaded block in the ring
-    bits = ring[at + LINE]  # ticks per step, a float
-    steps = 0  # of the motor that makes the most
+    bits = ring[at + LINE]  # ticks per step at the exact rate, a float; 0: it has none
+    steps = 0  # of the motor that makes the most in this row
     for i in range(motors):
         if row[ROW_AXES + ROW_STRIDE * i] > steps:
             steps = row[ROW_AXES + ROW_STRIDE * i]
     if bits == 0 or steps == 0:
         return 0
-    # Ticks per step: 24 bits of mantissa * 2**-shift, as whole ticks and a fraction in 2**-17.
+    # Ticks per step = mantissa (24 bits) * 2**-shift = whole ticks, and a fraction in 2**-17.
     shift = 150 - (bits >> 23)
     mantissa = (bits & 0x7FFFFF) | 0x800000
     fraction = 0
@@ -62,15 +62,15 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
             fraction <<= _FRACTION_BITS - shift
     else:
         whole = mantissa << (0 - shift)
-    ticks = row[ROW_TICKS]
-    fraction = fraction * steps + rest[0]
-    exact = whole * steps + (fraction >> _FRACTION_BITS)
+    ticks = row[ROW_TICKS]  # the row's time, as planned
+    fraction = fraction * steps + rest[0]  # of the whole row from here on
+    exact = whole * steps + (fraction >> _FRACTION_BITS)  # the time that the row is to have
     change = exact - ticks
     if change < 0:
         change = 0 - change
     near = (ticks >> _NEAR_LOG2) + (whole >> _END_LOG2)  # the planner's errors, in ticks
     rounding = ticks // ((ring[at + CRUISE] >> 1) + 1) + 2  # of CRUISE to a whole number
-    if change > near + rounding:
+    if change > near + rounding:  # more than errors: a ramp or a hold
         return 0
     rest[0] = fraction & ((1 << _FRACTION_BITS) - 1)
     row[ROW_TICKS] = exact
@@ -78,10 +78,10 @@ def set_time(flow: ptr32, ring: ptr32, row: ptr32, motors: int, rest: ptr32) -> 
     while ticks >> scale >= 4096:
         scale += 1
     for i in range(motors):
-        base = ROW_AXES + ROW_STRIDE * i
-        for k in range(base + 1, base + 3 if row[base] else base + 1):
-            # Of the first and of the last step's tick.
-            moved = (row[k] >> scale) * change // (ticks >> scale)
+        base = ROW_AXES + ROW_STRIDE * i  # its steps; the ticks of the first and the last follow
+        end = base + 3 if row[base] else base + 1  # without steps it has no ticks
+        for k in range(base + 1, end):
+            moved = (row[k] >> scale) * change // (ticks >> scale)  # change * tick / ticks
             row[k] = row[k] + moved if exact > ticks else row[k] - moved
     return 1
 

@@ -189,9 +189,9 @@ class Group:
         names = [axis.name for axis in self.axes]
         levels = self._levels_after({name: wanted[name] for name in wanted if name not in names})
         self._wait_for_space()
-        rounding = self._rounding[:]
+        rounding = self._rounding[:]  # a copy, because the move may still be refused
         for i, axis in enumerate(self.axes):
-            end = self._lines.end(i)
+            end = self._lines.end(i)  # of the queued moves, in steps; becomes this move's end
             if axis.name in wanted:
                 exact = wanted[axis.name] * axis.steps_per_unit
                 if by:

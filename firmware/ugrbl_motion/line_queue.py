@@ -124,7 +124,8 @@ class LineQueue:
         self.paused = self.stopping = False
         self._targets = memoryview(planner.table)[layout.LIMITS + layout.TARGET * count :]
         self._move = Move()
-        self._nowhere = array("f", (0.0 for _ in range(count)))  # targets are in whole steps
+        # A target in mm that nobody reads: with PLACED, targets are steps in the planner's table.
+        self._unused_target = array("f", (0.0 for _ in range(count)))
         self._steps = array("i", (0 for _ in range(count)))
         # Ticks per step at pace 1, per row of the ring.
         self._periods = array("f", (0.0 for _ in range(length)))
@@ -149,8 +150,9 @@ class LineQueue:
     def _on_rest(self) -> None:
         """Set the outputs that change after the last move: the engine has run out of rows."""
         flow = self._planner.flow
-        if flow[HEAD] == flow[TAIL]:  # else a hold has stopped it
+        if flow[HEAD] == flow[TAIL]:  # no move is left; else a hold has stopped the engine
             state = self._state
+            # As a row of the same move, with other levels.
             self._on_row(state[_PLAYING] & ~_LEVELS_MASK | state[_FINAL_LEVELS])
 
     @micropython.native
@@ -174,19 +176,21 @@ class LineQueue:
         if rate:
             head = planner.flow[HEAD]  # the row that the move will have
             self._periods[head] = self._engine.tick_hz / rate
-            move.line_number = self._period_bits(head)
+            move.line_number = self._period_bits(head)  # its place carries the exact period
             move.feed = 60.0 * self._scale * feed  # the planner's mm/min
         else:
             move.flags |= layout.RAPID_MOTION
         for i, end in enumerate(self.ends):  # PLACED: the target is in the planner's table
             self._targets[i] = _BIAS + end
         number = (self._number + 1) & _NUMBER_MASK
-        if planner.line(self._nowhere, move, number << LEVEL_BITS | self.levels):
+        # The place of the spindle power carries both: _on_row() gets it as the move begins.
+        power_field = number << LEVEL_BITS | self.levels
+        if planner.line(self._unused_target, move, power_field):
             self._number = number
             if not self.paused:
                 self._engine.start()
-        elif not self.busy():
-            self._on_rest()  # outputs that changed without a move
+        elif not self.busy():  # no steps: outputs change without a move
+            self._on_rest()
         return self._number
 
     def _period_bits(self, row: int) -> int:
@@ -204,9 +208,10 @@ class LineQueue:
         planner.override()  # plans all moves again; below, their exact rates follow
         row = flow[TAIL]
         while row != flow[HEAD]:
-            at = row * flow[layout.ROW_SIZE]  # its index in the ring
-            if planner.ring[at + LINE]:  # it has an exact rate
-                planner.ring[at + LINE] = self._period_bits(row)
+            # LINE: not a line number here, but the exact period as bits, 0 for none.
+            period_at = row * flow[layout.ROW_SIZE] + LINE  # index in the ring
+            if planner.ring[period_at]:
+                planner.ring[period_at] = self._period_bits(row)
             row = (row + 1) % flow[ROWS]
 
     @property
@@ -302,4 +307,5 @@ class LineQueue:
     def begun_after(self, number: int) -> bool:
         """Return whether a later move than that one has begun."""
         playing = self._state[_PLAYING] >> LEVEL_BITS
-        return 0 < (playing - number & _NUMBER_MASK) < _HALF_RANGE
+        ahead = playing - number & _NUMBER_MASK  # numbers wrap: a large difference is negative
+        return 0 < ahead < _HALF_RANGE

@@ -109,7 +109,7 @@ class Recorder:
 
     def _attach(self) -> None:
         """Observe the planner. Called by the rig when the controller is built."""
-        from language.block_layout import SPECIAL
+        from language.block_layout import NOT_STRAIGHT
 
         controller = self._rig.controller
         self._planner = controller.planner
@@ -130,7 +130,7 @@ class Recorder:
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.state.hooks, "probe", self._watch_probe)
         self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
-        interpreter.watch(SPECIAL)  # else kernels would plan some arcs by themselves
+        interpreter.watch(NOT_STRAIGHT)  # else kernels would plan some arcs by themselves
 
     def _look_at_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
         """Replace Canon.arc."""

@@ -266,7 +266,7 @@ class Drilling:
         block = self._machine.interpreter.block
         if block.ints[b.COMMANDS] & (b.GROUP_0 | b.GROUP_1 | b.GROUP_M4):
             raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
-        if block.ints[b.CLAIM]:
+        if block.ints[b.AXIS_USE]:
             raise GrblError(errors.GCODE_AXIS_COMMAND_CONFLICT)
         if block.ints[INVERSE_TIME] or not block.singles[b.F]:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)

@@ -127,12 +127,13 @@ class Lenient:
         drilling = self._drilling
         is_watched = drilling.cycle or drilling.ends_at_r or line.find(b"T", 0, length) >= 0
         words = (_words_of_line(line, length) if is_watched else None) or []  # []: not read
-        if not (drilling.repeats(words) and self._execute_changed(line, length, words)):
+        is_executed = drilling.repeats(words) and self._execute_changed(line, length, words)
+        if not is_executed:
             if drilling.cycle and has(words, "G", _G53) and not has(words, "G", *MOTIONS):
                 raise GrblError(GCODE_G53_INVALID_MOTION_MODE)
             try:
                 self._previous_execute(line, length)
-            except GrblError:
+            except GrblError:  # try once more without the words that have no effect
                 if not self._execute_changed(line, length, words or _words_of_line(line, length)):
                     raise
         self._note_tool(words)
@@ -180,13 +181,14 @@ class Lenient:
         rest = self._keep_words(words, keys)  # appends to keys
         drilling = self._drilling
         ends_at_r = has(words, "G", _G99) or (drilling.ends_at_r and not has(words, "G", _G98))
+        # As written, for the message; _split() refuses a second one.
         cycles = [
             "G" + text for letter, text, tenths in rest if letter == "G" and tenths in CYCLES
         ]
         if cycles or drilling.repeats(rest):
             if "M6" in keys:
                 return False  # a tool change is not executed with a cycle
-            holes = drilling.plan(rest, ends_at_r)
+            holes = drilling.plan(rest, ends_at_r)  # checks all: GrblError changes nothing
             self._report_words(keys + cycles)
             drilling.execute(holes)
             return True
@@ -243,17 +245,12 @@ class Lenient:
         """Return the key in _MESSAGES of a word that may be dropped, or of the S of G4, which is
         changed; "" for all others. words: its line."""
         letter, _, tenths = word
-        if letter == "O":  # with other words it is a subroutine of LinuxCNC
+        if letter == "O":  # alone or with N; with other words it is a subroutine of LinuxCNC
             return "O" if all(other[0] in "NO" for other in words) else ""
-        if letter == "H":
+        if letter == "H":  # the tool number of G43, which is dropped or kept with it
             return self._message_key_of_g(_G43, words) if has(words, "G", _G43) else ""
-        if letter in "SP" and _sets_acceleration(words):
-            return "M204"
-        if letter in "PQ":
-            return "G64" if has(words, "G", _G64) and not has(words, "G", *_WITH_P_AND_Q) else ""
-        if letter == "S":
-            is_speed = has(words, "P") or has(words, "M", *_SPINDLE_ON)
-            return "G4 S" if has(words, "G", _G4) and not is_speed else ""
+        if letter in "PQS":
+            return _message_key_of_value(letter, words)
         if letter == "M":
             if tenths == _M204 and _sets_acceleration(words):
                 return "M204"
@@ -263,14 +260,13 @@ class Lenient:
     def _message_key_of_g(self, tenths: int, words: "list[Word]") -> str:
         """Return the key in _MESSAGES of a G word that may be dropped, or "". tenths: its number;
         words: its line. G43 and G49 only without a tool length."""
+        key = "G61.1" if tenths == _G61_1 else "G%d" % (tenths // 10)
         if tenths in (_G43, _G49):
             has_length = self._machine.coords.tool_length or has(words, "G", _G43_1)
-            return "" if has_length else "G%d" % (tenths // 10)
-        if tenths == _G80:
-            return "G80" if has(words, "G", *MOTIONS) else ""
-        if tenths in (_G61_1, _G64, _G98, _G99):
-            return "G61.1" if tenths == _G61_1 else "G%d" % (tenths // 10)
-        return ""
+            return "" if has_length else key
+        if tenths == _G80:  # without a motion Grbl accepts it
+            return key if has(words, "G", *MOTIONS) else ""
+        return key if tenths in (_G61_1, _G64, _G98, _G99) else ""
 
     def _report_words(self, keys: "list[str]") -> None:
         """Report words that are dropped or changed, each once until a reset. keys: of _MESSAGES,
@@ -289,6 +285,21 @@ class Lenient:
             self._machine.canon.synchronise()
             self._cnc.message("Insert tool %s, then send ~" % self._tool)
         self._run_text("M0")
+
+
+def _message_key_of_value(letter: str, words: "list[Word]") -> str:
+    """Return the key in _MESSAGES of a P, Q or S that another word of its line explains, or "".
+
+    M204 has acceleration in P and S, G64 its tolerances in P and Q, and G4 its seconds in S. But P
+    and Q may be those of G4, G10 or a cycle; S is a speed with M3 or M4; and if G4 has a P, that
+    is its time.
+    """
+    if letter != "Q" and _sets_acceleration(words):
+        return "M204"
+    if letter != "S":
+        return "G64" if has(words, "G", _G64) and not has(words, "G", *_WITH_P_AND_Q) else ""
+    is_speed = has(words, "P") or has(words, "M", *_SPINDLE_ON)
+    return "G4 S" if has(words, "G", _G4) and not is_speed else ""
 
 
 def _sets_acceleration(words: "list[Word]") -> bool:

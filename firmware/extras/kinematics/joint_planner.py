@@ -30,6 +30,7 @@ _UNIT_DIRECTION = const(16384)  # 1 in the planner's directions
 _DIRECTION = const(4)  # multiple of the number of axes, after LIMITS in the planner's table
 _NO_LIMIT = 1e18  # larger than every speed squared or acceleration
 _SPEED_BITS = const(30)  # the planner's scaled speeds squared are below 2**30
+_JUNCTION_SCALE = 65536.0  # the planner's JUNCTION has distances in 2**-16 mm
 _BEND_SHARE = 0.5  # share of a joint's acceleration available for bends
 
 
@@ -136,24 +137,36 @@ class NonlinearPlanner(Planner):
     ) -> None:
         """Apply settings, as Planner.configure(). Steps, rates, accelerations are of joints."""
         super().configure(settings, tick_hz, segment_log2, step_hz)
-        table, kinematics = self.table, self.kinematics
-        copy(self.steps_per_mm, kinematics.resolution, self.axes)  # per unit of a joint
-        # From the settings' minutes to seconds. From here on steps_per_mm is the tool's: the
-        # positions that the planner reports are in 1/1000 mm.
-        for i in range(self.axes):
-            self._rates[i] = min(settings.max_rate[i] / 60, step_hz / self.steps_per_mm[i])
+        self._set_joint_limits(settings, step_hz)
+        self._set_tool_scale(settings)
+        self._start_from(self._block_end_steps)  # the same steps are another position now
+
+    def _set_joint_limits(self, settings: "AxisLimits", step_hz: int) -> None:
+        """Move resolution, rates and accelerations, which Planner.configure() takes for those of
+        axes, to the joints: motor steps per unit of a joint, units/s, units/s2.
+
+        The planner's own steps_per_mm, and the same in its table, becomes that of the positions
+        that it reports, which are the tool's, in 1/1000 mm.
+        """
+        joint_resolution, tool_resolution = self.kinematics.resolution, self.steps_per_mm
+        copy(self.steps_per_mm, joint_resolution, self.axes)
+        for i in range(self.axes):  # the settings are per minute
+            self._rates[i] = min(settings.max_rate[i] / 60, step_hz / joint_resolution[i])
             self._accelerations[i] = settings.acceleration[i] / 3600
-            self.steps_per_mm[i] = _PER_MM
-        resolution = layout.LIMITS + layout.RESOLUTION * self.axes  # index in the table
-        copy(self.steps_per_mm, memoryview(table)[resolution:], self.axes)
-        self._fastest = kinematics.geometry.FASTEST / 60
-        scale = (1 << _SPEED_BITS) / (self._fastest * self._fastest)
+            tool_resolution[i] = _PER_MM
+        resolution_at = layout.LIMITS + layout.RESOLUTION * self.axes  # index in the table
+        copy(tool_resolution, memoryview(self.table)[resolution_at:], self.axes)
+
+    def _set_tool_scale(self, settings: "AxisLimits") -> None:
+        """Set the scale of the planner's squared speeds: 2**30 is the square of the tool's highest
+        speed, the geometry's FASTEST (mm/min)."""
+        table = self.table
+        self._fastest = self.kinematics.geometry.FASTEST / 60
+        scale = (1 << _SPEED_BITS) / (self._fastest * self._fastest)  # per (mm/s)2
         table[layout.ROOT_SCALE] = minifloat.real(scale**-0.5)
         table[layout.SQR_SCALE] = minifloat.real(scale)
         table[layout.SLOWEST] = minifloat.real(_SLOWEST_MM_S)
-        # As JUNCTION in the table, whose unit of distance is 2**-16 mm.
-        self._deviation = 65536.0 * settings.junction_deviation_mm * scale
-        self._start_from(self._block_end_steps)  # the same steps are another position now
+        self._deviation = _JUNCTION_SCALE * settings.junction_deviation_mm * scale
 
     # Positions
 
@@ -297,8 +310,9 @@ class NonlinearPlanner(Planner):
         """
         ring, table, slope = self.ring, self.table, self._slope
         direction = layout.LIMITS + _DIRECTION * self.axes  # index in the table
-        # slope is still the last chord's. The scalar product of this chord's change, whose length
-        # is pace * length, and of the last slope, whose length is _pace, has their angle's cosine.
+        # slope is still the last chord's. The scalar product of this chord's change, a vector of
+        # the length pace * length, and of the last slope, of the length _pace, is the product of
+        # both lengths and the cosine of the angle between the chords.
         product = sum([(end[i] - begin[i]) * slope[i] for i in range(self.axes)])
         is_bend = product > _BEND_COSINE * pace * length * self._pace  # and not a corner
         per_distance = 2 / (length + self._length)  # from one chord's middle to the next one's
@@ -314,11 +328,12 @@ class NonlinearPlanner(Planner):
                 bend_sqr = min(bend_sqr, _BEND_SHARE * self._accelerations[i] / bend)
         rapid = min(rapid, math.sqrt(bend_sqr))
         rate = self._rate(move, rapid)
-        fast_sqr = min(rapid, 2 * rate) ** 2  # overrides go to 200 %
+        fast_sqr = min(rapid, 2 * rate) ** 2  # (mm/s)2, the highest: overrides go to 200 %
         accel = _NO_LIMIT
         for i in range(self.axes):
             if slope[i]:
-                available = self._accelerations[i] - self._bends[i] * fast_sqr  # the bend's share
+                # What the bend leaves of the joint's acceleration at that speed.
+                available = self._accelerations[i] - self._bends[i] * fast_sqr
                 accel = min(accel, available / abs(slope[i]))
         ring[at + layout.RAPID], ring[at + layout.ACCEL] = (
             minifloat.real(rapid),

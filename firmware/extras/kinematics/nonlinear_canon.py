@@ -75,11 +75,11 @@ class NonlinearCanon(Canon):
         ints, xyz, code = self.block.ints, self.block.xyz, errors.GCODE_INVALID_TARGET
         start = self.modes.position
         if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):
-            if ints[b.CLAIM]:  # it has axis words
+            if ints[b.AXIS_USE]:  # it has axis words
                 self.check(start, xyz, None, code)
                 start = xyz
             self.check(start, self.block.stored, None, code)  # the position of G28 or G30
-        elif ints[b.CLAIM] == b.AXES_MOTION and ints[b.WORDS] & b.AXIS_WORDS:
+        elif ints[b.AXIS_USE] == b.AXES_FOR_MOTION and ints[b.WORDS] & b.AXIS_WORDS:
             is_arc = ints[MOTION] in (b.CW_ARC, b.CCW_ARC)
             self.check(start, xyz, self.block.arc if is_arc else None, code)
 

@@ -11,7 +11,7 @@ from array import array
 import micropython
 from base.errors import BAD_NUMBER_FORMAT, GCODE_MAX_VALUE_EXCEEDED, NEGATIVE_VALUE
 from control.spindle import ASKED, power_from_rpm
-from language.block_layout import CHECKED, IN_MOTION, MOVE, ONLY
+from language.block_layout import CHECKED, MOVE, ONLY, S_IN_MOTION
 from language.words import number, scan
 from micropython import const
 from motion.beam_layout import LEVEL
@@ -56,7 +56,7 @@ _S = const(83)  # ASCII
 _MINUS_BYTE = const(3)  # the sign of a float is in this byte of its four,
 _MINUS = const(128)  # and is this bit
 _STRAIGHT_CUT = const(
-    CHECKED | MOVE | IN_MOTION
+    CHECKED | MOVE | S_IN_MOTION
 )  # its words: a line with a cluster must have no others
 
 # The array `clusters` has a row per block: the number of dots, 0 for a normal block, then their
