@@ -40,12 +40,11 @@ _OTHERS = {
 }
 
 # On an RP2350, which can step one motor more without a laser.
-MOST_BESIDE_BEAM = 7
+MOST_MOTORS_WITH_LASER = 7
 
-# SPI pins of RP2040 and RP2350: GPIO number modulo 4 of SCK, TX and RX. Groups of 2**_SPI_LOG2 = 8
-# pins belong to SPI0 and SPI1 in turn.
-_SPI = (2, 3, 0)
-_SPI_LOG2 = 3
+# SPI pins of RP2040 and RP2350.
+_SPI_REMAINDERS = (2, 3, 0)  # of GPIO numbers modulo 4: SCK, TX, RX
+_SPI_PINS_LOG2 = 3  # pins 0 to 7 are SPI0's, 8 to 15 SPI1's, and so on in turn
 
 
 def problems(board: ModuleType) -> list[str]:
@@ -53,10 +52,11 @@ def problems(board: ModuleType) -> list[str]:
     values = [*_values(board), *_unknown(board), *_network(board)]
     if is_simulated(board):
         return values or list(_firmware(board))
-    without_pins = list(_missing(board)) or list(_parts(board)) or list(_kinds(board))
-    if without_pins:
-        return without_pins
-    check = _inputs if _has_registers(board) else _pins
+    basic = list(_missing(board)) or list(_parts(board)) or list(_types(board))
+    if basic:  # the other checks rely on these
+        return basic
+    check = _pins_beside_registers if _has_registers(board) else _pins_of_chip
+    # Without CHIP the board may have one of several: report the one whose pins fit best.
     pins = min((list(check(board, chip)) for chip in chips_of(board)), key=len)
     others = values or (() if pins else _firmware(board))  # it relies on correct pins
     return [*pins, *_wires(board), *_card(board), *others, *_defaults(board)]
@@ -66,14 +66,17 @@ def notes(board: ModuleType) -> list[str]:
     """Return hints about the pins and defaults of a correct board."""
     if is_simulated(board):
         return []
-    check = _inputs if _has_registers(board) else _pins
+    check = _pins_beside_registers if _has_registers(board) else _pins_of_chip
+    # The chip whose pins fit best, as in problems().
     chip = min(chips_of(board), key=lambda chip: len(list(check(board, chip))))
     # With shift registers these are outputs of the registers, and not pins of the chip.
     not_pins = ("STEP", "DIR", "ENABLE") if _has_registers(board) else ()
-    held = [(name, pin) for name, pins in _held(board) for pin in pins if name not in not_pins]
-    hints = [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
-    values = (f"${number}={value:g}" for number, value in getattr(board, "DEFAULTS", {}).items())
-    return hints + [f"DEFAULTS: {words}" for words in zeros(values)]
+    used = [
+        (name, pin) for name, pins in _pins_by_name(board) for pin in pins if name not in not_pins
+    ]
+    hints = [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in used if pin in chip.odd]
+    settings = (f"${number}={value:g}" for number, value in getattr(board, "DEFAULTS", {}).items())
+    return hints + [f"DEFAULTS: {words}" for words in zeros(settings)]
 
 
 def imports(text: str) -> Iterator[str]:
@@ -111,9 +114,9 @@ def _missing(board: ModuleType) -> Iterator[str]:
 
 def _parts(board: ModuleType) -> Iterator[str]:
     """Check that ENGINE, LINK, MPY_ARCH and CHIP are known words and fit together."""
-    found = [_problem(board, name) for name in ("ENGINE", "LINK", "MPY_ARCH", "CHIP")]
-    yield from filter(None, found)
-    if any(found):
+    unknown = [_problem(board, name) for name in ("ENGINE", "LINK", "MPY_ARCH", "CHIP")]
+    yield from filter(None, unknown)
+    if any(unknown):
         return
     engine = engines()[board.ENGINE]
     if not any(engine.runs_on(chip.processor) for chip in on_their_own(board.MPY_ARCH)):
@@ -132,7 +135,7 @@ def _values(board: ModuleType) -> Iterator[str]:
     yield from filter(None, (_problem(board, name) for name in BY_NAME))
 
 
-def _kinds(board: ModuleType) -> Iterator[str]:
+def _types(board: ModuleType) -> Iterator[str]:
     """Check the types alone; with a wrong type nothing else can be checked."""
     for name, option in BY_NAME.items():
         if hasattr(board, name) and not option.kind.fits(getattr(board, name)):
@@ -175,8 +178,9 @@ def _as_tuple(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,)
 
 
-def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Yield names in the board file with their pins; controls under their own names."""
+def _pins_by_name(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Yield names in the board file with their pins, without those that are not wired. CONTROL is
+    a pin each for RESET, HOLD, START and DOOR, which appear under these names."""
     for item in ITEMS:
         if item.name not in CONTROLS and getattr(board, item.name, None) is not None:
             yield item.name, _as_tuple(getattr(board, item.name))
@@ -188,64 +192,66 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
             yield name, _as_tuple(getattr(board, name))
 
 
-def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
+def _pins_of_chip(board: ModuleType, chip: Chip) -> Iterator[str]:
     """Check that pins exist, are used once, and are as many as the engine needs."""
     if motor_names.axes_of(board) < FEWEST_AXES:
         yield f"STEP wants {FEWEST_AXES} pins, for {motor_names.AXIS_LETTERS[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
         yield "CONTROL needs four entries, for reset, hold, start and door; None where not wired"
     items = {item.name: item for item in ITEMS}
-    known = Board(board.__name__, chip, getattr(board, "MOTORS", ""))
-    for name, pins in _held(board):
+    checked = Board(title=board.__name__, chip=chip, motors=getattr(board, "MOTORS", ""))
+    for name, pins in _pins_by_name(board):
         # One enable pin per driver is allowed as well as one for all.
         if name in items and not (name == "ENABLE" and len(pins) > 1):
             try:
-                check_item(known, items[name], pins)
+                check_item(checked, items[name], pins)
             except BoardError as error:
                 yield str(error)
                 continue
         else:
-            yield from _check_pins_exist(known, name, pins)
-        known.pins[name] = pins
+            yield from _check_pins_exist(checked, name, pins)
+        checked.pins[name] = pins  # later pins must differ from these
         if name == "STEP":
             try:
-                check_axes(known)
+                check_axes(checked)
             except BoardError as error:
                 yield str(error)
 
 
-def _check_pins_exist(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
+def _check_pins_exist(checked: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
     """Yield a problem for each pin that does not exist or is in use. Axes may share a limit pin.
 
-    known: the board with the pins checked so far.
+    checked: the board with the pins checked so far.
     """
-    used = {pin: other for other, held in known.pins.items() for pin in held}
-    for count, pin in enumerate(pins):
+    used = {pin: other for other, others in checked.pins.items() for pin in others}
+    for index, pin in enumerate(pins):
         if pin is None:
             continue
-        if pin not in known.chip.pins:
-            yield f"{name}: {known.chip.title} has no pin {pin} to connect to"
+        if pin not in checked.chip.pins:
+            yield f"{name}: {checked.chip.title} has no pin {pin} to connect to"
         elif pin in used:
             yield f"{name}: pin {pin} is {used[pin]} already"
-        elif pin in pins[:count] and name != "LIMIT":
+        elif pin in pins[:index] and name != "LIMIT":
             yield f"{name} names pin {pin} twice"
 
 
-def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
-    """Check a board with shift registers, whose outputs are numbered apart from the pins."""
+def _pins_beside_registers(board: ModuleType, chip: Chip) -> Iterator[str]:
+    """Check a board whose motors use shift registers: STEP, DIR and ENABLE are outputs of these,
+    numbered apart from the pins of the chip."""
     outputs = (*board.STEP, *board.DIR, *_as_tuple(getattr(board, "ENABLE", ())))
     for pin in sorted(set(outputs)):
         if outputs.count(pin) > 1:
             yield f"output {pin} of the shift registers has two uses"
-    for name in ("DIR", "LIMIT"):
+    motors = len(board.STEP)
+    for name in ("DIR", "LIMIT"):  # LIMIT may have fewer: a second motor needs no switch
         count = len(getattr(board, name, ()))
-        if count and (count > len(board.STEP) or (name == "DIR" and count < len(board.STEP))):
-            yield f"{name} wants {len(board.STEP)} pins, not {count}"
-    known = Board(board.__name__, chip, pins={"I2S": board.I2S})
-    for name, pins in _held(board):
+        if count and (count > motors or (name == "DIR" and count < motors)):
+            yield f"{name} wants {motors} pins, not {count}"
+    checked = Board(title=board.__name__, chip=chip, pins={"I2S": board.I2S})
+    for name, pins in _pins_by_name(board):
         if name not in ("STEP", "DIR", "ENABLE"):
-            yield from _check_pins_exist(known, name, pins)
-            known.pins[name] = pins
+            yield from _check_pins_exist(checked, name, pins)
+            checked.pins[name] = pins
 
 
 def _names_of_extras(board: ModuleType) -> set[str]:
@@ -277,7 +283,8 @@ def _name_of_custom(board: ModuleType) -> Iterator[str]:
 
 
 def _imports_of_extras(board: ModuleType) -> Iterator[str]:
-    """Report imports of firmware modules: a board may lack them, and has no constants of them."""
+    """Report imports of firmware modules in the user's modules: a board may lack such a module,
+    and its constants are inlined there."""
     packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()} - {"extras"}
     for name, text in _own_extras(board).items():
         for module in imports(text):
@@ -294,16 +301,19 @@ def _wires(board: ModuleType) -> Iterator[str]:
         if getattr(board, option, False) and not _wired(board, name):
             yield f"{option} is set and there is no pin for the {name}"
     has_power = getattr(board, "SPINDLE_PWM", None) is not None
-    if getattr(board, "TOOL", "spindle") == "laser" and not has_power:
+    is_laser = getattr(board, "TOOL", "spindle") == "laser"
+    if is_laser and not has_power:
         yield "TOOL = laser: there is no pin for SPINDLE_PWM"
-    if getattr(board, "TOOL", "spindle") == "laser" and len(board.STEP) > MOST_BESIDE_BEAM:
-        yield f"TOOL = laser: its beam takes what a motor takes, and leaves {MOST_BESIDE_BEAM}"
+    if is_laser and len(board.STEP) > MOST_MOTORS_WITH_LASER:
+        most = MOST_MOTORS_WITH_LASER
+        yield f"TOOL = laser: its beam takes what a motor takes, and leaves {most}"
     for name in getattr(board, "INVERT", ()):
         if name in INVERTIBLE and getattr(board, name, None) is None:
             yield f"INVERT: there is no pin for {name}"
-    inverted, held = getattr(board, "CONTROL_INVERT", 0), getattr(board, "CONTROL", ())
+    inverted, controls = getattr(board, "CONTROL_INVERT", 0), getattr(board, "CONTROL", ())
     for bit, name in enumerate(CONTROLS):
-        if inverted >> bit & 1 and held[bit : bit + 1] in ((), (None,)):
+        is_missing = controls[bit : bit + 1] in ((), (None,))  # CONTROL is too short, or has None
+        if inverted >> bit & 1 and is_missing:
             yield f"CONTROL_INVERT: there is no pin for {name}, so it would always be pressed"
 
 
@@ -326,13 +336,14 @@ def _card(board: ModuleType) -> Iterator[str]:
         return
     if not getattr(board, "JOBS", ""):
         yield 'SD_CARD is for jobs: add JOBS = "jobs"'
-    if len(pins) != len(_SPI) + 1 or None in pins:
+    if len(pins) != len(_SPI_REMAINDERS) + 1 or None in pins:
         yield "SD_CARD needs four pins: clock, to the card, from the card, select"
     elif board.ENGINE == "pio":
-        spis = {(pin >> _SPI_LOG2) % 2 for pin in pins[: len(_SPI)]}
-        roles = zip(pins, _SPI, strict=False)
+        bus_pins = pins[: len(_SPI_REMAINDERS)]  # without the last one, select
+        spis = {(pin >> _SPI_PINS_LOG2) % 2 for pin in bus_pins}
+        roles = zip(bus_pins, _SPI_REMAINDERS, strict=True)
         if len(spis) > 1 or any(pin % 4 != remainder for pin, remainder in roles):
-            numbers = ", ".join(map(str, pins[: len(_SPI)]))
+            numbers = ", ".join(map(str, bus_pins))
             yield f"SD_CARD: {numbers} are not SCK, TX and RX of one SPI, as 10, 11, 12 are"
 
 

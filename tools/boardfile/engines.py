@@ -38,8 +38,8 @@ def engines() -> dict[str, Engine]:
     from boot import parts
 
     return {
-        name: Engine(needed, pins, hz, tuple(Oldest(*row) for row in oldest))
-        for name, (_, needed, pins, hz, oldest) in parts._ENGINES.items()
+        name: Engine(needed, pins, most_hz, tuple(Oldest(*row) for row in oldest))
+        for name, (_, needed, pins, most_hz, oldest) in parts._ENGINES.items()
     }
 
 

@@ -35,10 +35,11 @@ def board_file(name: str) -> Path:
     if file.suffix != ".py":
         _check_name(name)
         file = paths.BOARDS / f"{name}.py"
-    if not file.is_file() and file.name == name and file.stem in boards():
+    is_bare_name = file.name == name
+    if not file.is_file() and is_bare_name and file.stem in boards():
         file = paths.BOARDS / name
     if not file.is_file():
-        where = " here, nor in boards/: see ugrbl new-board" if file.name == name else ""
+        where = " here, nor in boards/: see ugrbl new-board" if is_bare_name else ""
         raise BoardFileError(f"there is no file {file}{where}")
     return file
 
@@ -62,9 +63,9 @@ def load_board(name: str) -> Any:
     if name.endswith(".py"):
         return _checked(board_file(name), may_be_simulated=True)
     _check_name(name)
-    folder = str(paths.BOARDS.parent)
-    if folder not in sys.path:
-        sys.path.append(folder)
+    parent = str(paths.BOARDS.parent)  # boards/ is a package
+    if parent not in sys.path:
+        sys.path.append(parent)
     return import_module(f"boards.{name}")
 
 
@@ -76,7 +77,7 @@ def load(file: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     if own_modules(module) and str(file.parent) not in sys.path:
-        sys.path.append(str(file.parent))  # the folder of these, as on the board
+        sys.path.append(str(file.parent))  # the user's modules are imported from there
     return module
 
 

@@ -30,8 +30,8 @@ _GROUPS = {
     42: "Axis",
     **{43 + axis: f"{letter}-axis" for axis, letter in enumerate(AXES)},
 }
-_AXIS_GROUP = 42
-_GENERAL = 1
+_AXIS_GROUP = 42  # parent of the groups of the axes, which have the next numbers
+_GENERAL = 1  # a group
 # Settings that are neither in the group of an axis nor general.
 _MEMBERS = {
     3: (5, 20, 21),
@@ -42,10 +42,14 @@ _MEMBERS = {
     36: (338, 339, 810),
 }
 _GROUP_OF = {number: group for group, numbers in _MEMBERS.items() for number in numbers}
-_REPORT_MASK = 10
+_REPORT_MASK = 10  # the setting $10
+_REPORT_MASK_BITS = "Machine position,Buffer state"  # names of its bits
+# grblHAL's numbers for types of values
+_BOOL = 0
+_BITFIELD = 1
 _AXIS_MASK = 4
-_AXES = "axes"  # format of a mask of axes
-_REPORTED = "Machine position,Buffer state"  # names of its bits
+_INTEGER = 5
+_FLOAT = 6
 _HEADER = "$-Code\tSetting\tUnits\tDatatype\tData format\tSetting Description\tMin\tMax"
 # A board sends ASCII, and these characters separate values.
 _PLAIN = str.maketrans({"…": "...", "|": "/", "[": "(", "]": ")", "`": None})
@@ -53,7 +57,8 @@ _IN_DEGREES = (("millimeters", "degrees"), ("millimetre", "degree"), ("mm", "deg
 
 
 class _Kind(NamedTuple):
-    """The type of a value: grblHAL's number and word for it, its format, its limits."""
+    """The type of a value: grblHAL's number and word for it, its format, its limits. form: of a
+    bitfield, the names of its bits. least, most: "" for none."""
 
     number: int
     word: str
@@ -73,16 +78,17 @@ class _Setting(NamedTuple):
     text: str
 
     def row(self) -> str:
-        """Return the row for programs ($ES)."""
-        number, _, form, least, most = self.kind
-        unit = self.unit if self.kind.word in ("integer", "float") else ""
+        """Return the row for programs ($ES). The two zeros: the machine need not restart after a
+        change, and there may be no value."""
+        type_number, _, form, least, most = self.kind
+        unit = self.unit if type_number in (_INTEGER, _FLOAT) else ""
         head = f"{self.number}|{self.group}|{self.name}|{unit}"
-        return f"ES {self.number} [SETTING:{head}|{number}|{form}|{least}|{most}|0|0]"
+        return f"ES {self.number} [SETTING:{head}|{type_number}|{form}|{least}|{most}|0|0]"
 
     def table_row(self) -> str:
         """Return the row for tables, with the description ($ESH)."""
-        number, word, form, least, most = self.kind
-        form = _AXES if number == _AXIS_MASK else form
+        type_number, word, form, least, most = self.kind
+        form = "axes" if type_number == _AXIS_MASK else form
         cells = self.name, self.unit, word, form, self.text, least, most, "0", "0"
         return f"ESH {self.number} {self.number}\t" + "\t".join(cells)
 
@@ -109,7 +115,7 @@ def _rows(board: ModuleType) -> Iterator[str]:
     yield f"ESH 0 {_HEADER}"
     yield from (setting.table_row() for setting in settings)
     for group, label in _GROUPS.items():
-        if group <= _AXIS_GROUP + motor_names.axes_of(board):
+        if group <= _AXIS_GROUP + motor_names.axes_of(board):  # no groups of missing axes
             parent = _AXIS_GROUP if group > _AXIS_GROUP else 0
             yield f"EG {group} [SETTINGGROUP:{group}|{parent}|{label}]"
     for word, texts in (("ALARM", alarms()), ("ERROR", errors())):
@@ -119,18 +125,18 @@ def _rows(board: ModuleType) -> Iterator[str]:
 
 def _settings(board: ModuleType) -> list[_Setting]:
     """Return the board's settings by number; the tool's replace others with the same number."""
-    every = tables_of(board)
-    found = {
+    by_number = {
         setting.number: setting
-        for module, rows in every.items()
+        for module, rows in tables_of(board).items()  # the tool's come last
         for row in rows
         for setting in _of_row(module, row, board)
     }
-    return [found[number] for number in sorted(found)]
+    return [by_number[number] for number in sorted(by_number)]
 
 
 def _of_row(module: str, row: "Row", board: ModuleType) -> Iterator[_Setting]:
-    """Yield the settings of a row of base/settings.py: one, or one per axis."""
+    """Yield the settings of a row of a module's table: one, or one per axis. Units of rotary axes
+    are degrees."""
     meaning = row_meaning(module, row)
     text = meaning.text.translate(_PLAIN)
     kind = _kind(row, meaning.limits == "any number")
@@ -152,14 +158,12 @@ def _kind(row: "Row", is_signed: bool) -> _Kind:
 
     number, _, kind, _, unit = row
     if kind == settings.BOOL:
-        return _Kind(0, "bool")
+        return _Kind(_BOOL, "bool")
     if kind == settings.INT and number == _REPORT_MASK:
-        return _Kind(1, "bitfield", _REPORTED)
+        return _Kind(_BITFIELD, "bitfield", _REPORT_MASK_BITS)
+    if kind == settings.INT and unit == "mask":
+        return _Kind(_AXIS_MASK, "bitfield")
     if kind == settings.INT:
-        return (
-            _Kind(_AXIS_MASK, "bitfield")
-            if unit == "mask"
-            else _Kind(5, "integer", "##0", "0", "255")
-        )
+        return _Kind(_INTEGER, "integer", "##0", least="0", most="255")
     form = "#####0" if kind == settings.WHOLE else "#####0.000"
-    return _Kind(6, "float", "-" + form) if is_signed else _Kind(6, "float", form, "0")
+    return _Kind(_FLOAT, "float", "-" + form) if is_signed else _Kind(_FLOAT, "float", form, "0")

@@ -45,7 +45,7 @@ ITEMS = (
 # One tuple holds all of these in the file, with None for a missing input.
 CONTROLS = ("RESET", "HOLD", "START", "DOOR")
 # Steps and directions, and inputs that are read all at once, need pins up to Chip.last_quick.
-QUICK = ("STEP", "DIR", "LIMIT", "PROBE", *CONTROLS)
+FAST_PINS = ("STEP", "DIR", "LIMIT", "PROBE", *CONTROLS)
 # Options that a pin switches on.
 SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
 BY_NAME = {item.name: item for item in ITEMS}
@@ -93,7 +93,7 @@ class Board:
     def text(self) -> str:
         """Return the text of the board file."""
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]
-        lines += [f'CHIP = "{name}"' for name, one in CHIPS.items() if one is self.chip]
+        lines += [f'CHIP = "{name}"' for name, chip in CHIPS.items() if chip is self.chip]
         lines += [f'MPY_ARCH = "{self.chip.mpy_arch}"', f'ENGINE = "{self.chip.engine}"']
         link = engines.WIRELESS[self.chip.link] if self.network else self.chip.link
         lines += [f'LINK = "{link}"', *(["PAGE = True"] if self.page else []), ""]
@@ -102,7 +102,7 @@ class Board:
         if self.rotary:
             lines.append(f'ROTARY = "{self.rotary}"  # axes that turn, in degrees')
         for item in ITEMS:
-            if item.name == CONTROLS[0]:
+            if item.name == CONTROLS[0]:  # one line for all of them
                 lines += self._controls()
             elif item.name not in CONTROLS and (pins := self.pins.get(item.name)):
                 value = _tuple(pins) if item.per_axis else str(pins[0])
@@ -110,6 +110,7 @@ class Board:
         lines += [
             f"{option} = True" for name, option in SWITCHED_ON.items() if self.pins.get(name)
         ]
+        # Pins that are inputs only have no pull-up resistor.
         if bare := sorted(pin for pin, _ in self.wiring() if pin in self.chip.inputs_only):
             lines.append(f"NO_PULL_UP = {_tuple(bare)}  # resistors to 3.3 V do it")
         if self.chip.engine == "rmt":
@@ -127,10 +128,10 @@ class Board:
 
     def _controls(self) -> list[str]:
         """Return the line of the control inputs; no line if none is wired."""
-        held = [self.pins.get(name, ()) for name in CONTROLS]
-        if not any(held):
+        pins_of_each = [self.pins.get(name, ()) for name in CONTROLS]
+        if not any(pins_of_each):
             return []
-        values = ", ".join(str(pins[0]) if pins else "None" for pins in held)
+        values = ", ".join(str(pins[0]) if pins else "None" for pins in pins_of_each)
         return [f"CONTROL = ({values})  # reset, hold, start, door"]
 
     def wiring(self) -> Iterator[tuple[int, str]]:
@@ -169,8 +170,8 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
         if item.needed:
             raise BoardError(f"{item.name} is needed: --pin {item.name.lower()}=2,3,4")
         return
-    count = len(board.pins.get("STEP", pins)) if item.per_axis else 1
-    # A second motor needs no switch of its own.
+    count = len(board.pins.get("STEP", pins)) if item.per_axis else 1  # STEP itself: any number
+    # Limit switches are one per motor or, because a second motor needs none, one per axis.
     wanted = {count, board.axes or count} if item.name == "LIMIT" else {count}
     if item.name == "STEP" and len(pins) > board.chip.most_motors:
         raise BoardError(
@@ -187,7 +188,7 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
             continue
         if pin not in board.chip.pins:
             raise BoardError(f"{item.name}: {board.chip.title} has no pin {pin} to connect to")
-        if item.name in QUICK and pin > board.chip.last_quick:
+        if item.name in FAST_PINS and pin > board.chip.last_quick:
             raise BoardError(
                 f"{item.name}: pin {pin} cannot do it: steps, directions, limits, probe and "
                 f"buttons have to be pins up to {board.chip.last_quick}"

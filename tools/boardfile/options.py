@@ -99,11 +99,11 @@ class Option(NamedTuple):
             return f"{self.name} is {value}: it is {self.low} at the least"
         if self.high is not None and value > self.high:
             return f"{self.name} is {value}: it is {self.high} at the most"
-        return self._no_word(value if isinstance(value, tuple) else (value,))
+        return self._unknown_word(value if isinstance(value, tuple) else (value,))
 
-    def _no_word(self, found: tuple[Any, ...]) -> str:
-        words = list(self.words()) if self.words else found
-        unknown = [word for word in found if word not in words]
+    def _unknown_word(self, values: tuple[Any, ...]) -> str:
+        words = list(self.words()) if self.words else values
+        unknown = [value for value in values if value not in words]
         return f"{self.name}: {unknown[0]!r} is not one of {', '.join(words)}" if unknown else ""
 
     @property

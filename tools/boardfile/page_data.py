@@ -36,12 +36,12 @@ _LEFT_OUT = {"TOOL": ("punch",)}
 
 
 def data() -> dict[str, Any]:
-    """Return all data, with types of JSON only."""
+    """Return all data, with types of JSON only; board_file.js reads these names."""
     return {
         "version": __version__,
         "chips": {name: _chip(name) for name in CHIPS},
         "items": [list(item) for item in new_board.ITEMS],
-        "quick": new_board.QUICK,
+        "quick": new_board.FAST_PINS,
         "controls": new_board.CONTROLS,
         "switchedOn": new_board.SWITCHED_ON,
         "wireless": WIRELESS,
@@ -49,8 +49,8 @@ def data() -> dict[str, Any]:
         "noPage": new_board.NO_PAGE,
         "tooSmall": new_board.TOO_SMALL,
         "rmtHz": engines()["rmt"].most_hz,
-        "mostBesideBeam": board_check.MOST_BESIDE_BEAM,
-        "apart": _apart(),
+        "mostBesideBeam": board_check.MOST_MOTORS_WITH_LASER,
+        "apart": _excluded(),
         "forms": {
             title: [_option(BY_NAME[name]) for name in names] for title, names in FORMS.items()
         },
@@ -87,8 +87,8 @@ def _option(option: Option) -> dict[str, Any]:
     }
 
 
-def _apart() -> dict[str, tuple[str, ...]]:
-    """Return options that exclude each other, from the extras, in their order."""
+def _excluded() -> dict[str, tuple[str, ...]]:
+    """Return, by an option, those that it excludes; from the extras, in their order."""
     paths.use_firmware()
     from extras.kinematics import skew
     from extras.motors import backlash

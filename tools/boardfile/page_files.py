@@ -20,8 +20,8 @@ _FOLDER = paths.TOOLS / "web" / "page"
 _PART = re.compile(r"<!-- part: ([\w.]+) -->\n")
 _SCRIPT = re.compile("(<script>\n)(.*?)(</script>)", re.DOTALL)
 _STYLE = re.compile("(<style>)(.*?)(</style>)", re.DOTALL)
-_IN_STYLE = re.compile(r"/\*.*?\*/|\s*([{};,\n])\s*", re.DOTALL)
-_IN_HTML = re.compile(r"<!--(?! part).*?-->\n|^ +(?=<)", re.DOTALL | re.MULTILINE)
+_STYLE_WASTE = re.compile(r"/\*.*?\*/|\s*([{};,\n])\s*", re.DOTALL)
+_HTML_WASTE = re.compile(r"<!--(?! part).*?-->\n|^ +(?=<)", re.DOTALL | re.MULTILINE)
 DATA = "board_data"
 TEXTS = "texts"
 # Parts that a page from a board cannot use: browsers open a USB port only for a file from disk, or
@@ -34,27 +34,27 @@ _NOT_FROM_BOARD = (
 
 @cache
 def page(from_board: bool = False) -> str:
-    """Return the page. OSError if a part is missing.
+    """Return the page. OSError if a replacement is missing.
 
     from_board: as a board serves it, in English only, and without parts that it cannot use.
     """
 
-    def joined(text: str) -> str:
-        return _PART.sub(part, text)
+    def with_parts(text: str) -> str:  # the parts may name parts
+        return _PART.sub(replacement, text)
 
-    def part(found: "re.Match[str]") -> str:
+    def replacement(found: "re.Match[str]") -> str:
         name = found[1]
         if name == TEXTS:
-            return _as_data(
-                name, page_texts.data({} if from_board else page_texts.tables(_FOLDER))
-            )
-        return "" if from_board and name in _NOT_FROM_BOARD else joined(_wrapped(name))
+            languages = {} if from_board else page_texts.tables(_FOLDER)
+            return _as_data(name, page_texts.data(languages))
+        return "" if from_board and name in _NOT_FROM_BOARD else with_parts(_wrapped(name))
 
-    return joined(_wrapped("index.html"))
+    return with_parts(_wrapped("index.html"))
 
 
 def _wrapped(name: str) -> str:
-    """Return a part as it is in the page."""
+    """Return a part as it is in the page: a script in its tags, data as JSON, and without
+    comments and indentation."""
     if name == DATA:
         from . import page_data
 
@@ -62,8 +62,8 @@ def _wrapped(name: str) -> str:
     text = (_FOLDER / name).read_text(encoding="utf-8")
     if name.endswith(".js"):
         return f'<script>\n"use strict";\n{page_script.lean(text)}</script>\n'
-    text = _STYLE.sub(lambda found: found[1] + _IN_STYLE.sub(r"\1", found[2]) + found[3], text)
-    text = _IN_HTML.sub("", text)
+    text = _STYLE.sub(lambda found: found[1] + _STYLE_WASTE.sub(r"\1", found[2]) + found[3], text)
+    text = _HTML_WASTE.sub("", text)
     return _SCRIPT.sub(lambda found: found[1] + page_script.lean(found[2]) + found[3], text)
 
 

@@ -21,78 +21,91 @@ _LINE_END = re.compile(r"\s*\n\s*")
 def pieces(script: str) -> Iterator[tuple[str, str]]:
     """Yield kind and text of each piece; the texts together are the script. IndexError if a
     literal has no end."""
-    start = at = 0
-    depths: list[int] = []  # open braces in the value of each open template
-    while at < len(script):
-        sign = script[at]
-        end, kind = _literal_or_comment(script, start, at, depths)
-        if not end:
-            if depths:
-                depths[-1] += (sign == "{") - (sign == "}")
-            at += 1
+    code_start = index = 0
+    # For each template whose value is being read: the braces that are open in the value.
+    open_braces: list[int] = []
+    while index < len(script):
+        sign = script[index]
+        end, kind = _literal_or_comment(script, code_start, index, open_braces)
+        if kind == CODE:
+            if open_braces:
+                open_braces[-1] += (sign == "{") - (sign == "}")
+            index += 1
             continue
-        if at > start:
-            yield CODE, script[start:at]
-        yield kind, script[at:end]
-        if sign == "}":
-            depths.pop()
-        if sign in "`}" and script[end - 1] == "{":
-            depths.append(0)
-        start = at = end
-    if at > start:
-        yield CODE, script[start:]
+        if index > code_start:
+            yield CODE, script[code_start:index]
+        yield kind, script[index:end]
+        if sign == "}":  # a value has ended
+            open_braces.pop()
+        if sign in "`}" and script[end - 1] == "{":  # another value begins
+            open_braces.append(0)
+        code_start = index = end
+    if index > code_start:
+        yield CODE, script[code_start:]
 
 
-def _literal_or_comment(script: str, start: int, at: int, depths: list[int]) -> tuple[int, str]:
-    """Return the end of what begins here, and its kind; 0 if it is code."""
-    sign = script[at]
-    if script.startswith("//", at):
-        return script.index("\n", at), COMMENT
-    if script.startswith("/*", at):
-        return script.index("*/", at) + 2, COMMENT
+def _literal_or_comment(
+    script: str, code_start: int, index: int, open_braces: list[int]
+) -> tuple[int, str]:
+    """Return the end and the kind of what begins at an index; (0, CODE) if it is code.
+
+    code_start: where the code before it begins. open_braces: see pieces().
+    """
+    sign = script[index]
+    if script.startswith("//", index):
+        return script.index("\n", index), COMMENT
+    if script.startswith("/*", index):
+        return script.index("*/", index) + 2, COMMENT
     if sign in "\"'":
-        return _end(script, at + 1, sign), LITERAL
-    if sign == "`" or (sign == "}" and depths and not depths[-1]):
-        return _template_end(script, at + 1), LITERAL
-    before = script[start:at].rstrip()
+        return _string_end(script, index + 1, sign), LITERAL
+    ends_value = sign == "}" and open_braces and not open_braces[-1]
+    if sign == "`" or ends_value:
+        return _template_end(script, index + 1), LITERAL
+    before = script[code_start:index].rstrip()
     if (
-        sign == "/"
+        sign == "/"  # else it is a division
         and before
         and (before[-1] in _BEFORE_REGEX or _WORD_BEFORE_REGEX.search(before))
     ):
-        return _regex_end(script, at + 1), LITERAL
+        return _regex_end(script, index + 1), LITERAL
     return 0, CODE
 
 
-def _end(script: str, at: int, quote: str) -> int:
-    while script[at] != quote:
-        at += 1 + (script[at] == "\\")
-    return at + 1
+# The end of a literal that begins before `index`. A backslash makes the next character literal.
 
 
-def _template_end(script: str, at: int) -> int:
-    while script[at] != "`":
-        if script.startswith("${", at):
-            return at + 2
-        at += 1 + (script[at] == "\\")
-    return at + 1
+def _string_end(script: str, index: int, quote: str) -> int:
+    while script[index] != quote:
+        index += 1 + (script[index] == "\\")
+    return index + 1
 
 
-def _regex_end(script: str, at: int) -> int:
-    in_class = False
-    while in_class or script[at] != "/":
-        in_class = (in_class or script[at] == "[") and script[at] != "]"
-        at += 1 + (script[at] == "\\")
-    return at + 1
+def _template_end(script: str, index: int) -> int:
+    """Return the end of a template, or of its part before a value: after "${"."""
+    while script[index] != "`":
+        if script.startswith("${", index):
+            return index + 2
+        index += 1 + (script[index] == "\\")  # a backslash and the next character
+    return index + 1
+
+
+def _regex_end(script: str, index: int) -> int:
+    """Return the end of a regular expression. In brackets, as in /[/]/, a slash does not end
+    it."""
+    in_brackets = False
+    while in_brackets or script[index] != "/":
+        in_brackets = (in_brackets or script[index] == "[") and script[index] != "]"
+        index += 1 + (script[index] == "\\")  # a backslash and the next character
+    return index + 1
 
 
 def lean(script: str) -> str:
     """Return the script without comments, indentation, empty lines, and spaces around signs."""
-    kept = "\n"
+    kept = "\n"  # so that the first line has one before it, too; removed at the end
     for kind, text in pieces(script):
         if kind == CODE:
             code = _AROUND_SIGNS.sub(r"\1", _LINE_END.sub("\n", text))
-            kept += code.lstrip() if kept[-1] == "\n" else code
+            kept += code.lstrip() if kept[-1] == "\n" else code  # no empty lines
         elif kind == LITERAL:
             kept += text
     return kept[1:]

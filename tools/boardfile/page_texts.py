@@ -28,17 +28,21 @@ def tables(folder: Path) -> dict[str, dict[str, str]]:
 
 def number(text: str, multiplier: int) -> int:
     """Return the number by which the page finds a text; texts.js computes it, too."""
-    found = 0
+    result = 0
     for sign in text:
-        found = (found * multiplier + ord(sign)) & _MASK
-    return found
+        result = (result * multiplier + ord(sign)) & _MASK
+    return result
 
 
 def multiplier(texts: Iterable[str]) -> int:
     """Return the first multiplier by which no two texts have the same number."""
     texts = set(texts)
     tried = count(_MULTIPLIER, 2)
-    return next(one for one in tried if len({number(x, one) for x in texts}) == len(texts))
+    return next(
+        candidate
+        for candidate in tried
+        if len({number(x, candidate) for x in texts}) == len(texts)
+    )
 
 
 def data(languages: Mapping[str, Mapping[str, str]]) -> dict[str, object]:
@@ -47,12 +51,13 @@ def data(languages: Mapping[str, Mapping[str, str]]) -> dict[str, object]:
     texts = {text for table in languages.values() for text in table if text}
     chosen = multiplier(texts)
     by_number = sorted((number(text, chosen), text) for text in texts)
-    numbers = [0, *(found for found, _ in by_number)]
+    sorted_numbers = [found for found, _ in by_number]
+    sorted_texts = [text for _, text in by_number]
     return {
         "multiplier": chosen,
-        "steps": [after - before for before, after in pairwise(numbers)],
+        "steps": [after - before for before, after in pairwise([0, *sorted_numbers])],
         "languages": {
-            code: [table.get(text, "") for text in (NAME, *(text for _, text in by_number))]
+            code: [table.get(text, "") for text in (NAME, *sorted_texts)]
             for code, table in languages.items()
         },
     }

@@ -40,12 +40,14 @@ class Intake(NamedTuple):
 
 
 def intake(board: Any) -> Intake:
-    """Return the intake for a board file; a Pico's if it names no chip."""
+    """Return the intake for a board file: a Pico's rates, the only ones there are, and a text that
+    says so."""
     chip = CHIPS.get(getattr(board, "CHIP", ""))
+    # The processors that the board may have; none for a machine of the simulator.
     names = [chip.processor] if chip else processors(getattr(board, "MPY_ARCH", ""))
     whose = "a Pico"
     if names and _MEASURED not in names:
         whose = f"a Pico (an {names[0]} has not been measured)"
-    # An ESP32-S3 has native USB there.
+    # With LINK "uart", an ESP32-S3 has native USB, which is fast enough.
     is_serial = getattr(board, "LINK", "usb") == "uart" and names[0] == "ESP32"
-    return Intake(PICO, whose, _UART_BYTES_S if is_serial else 0.0)
+    return Intake(PICO, whose, bytes_s=_UART_BYTES_S if is_serial else 0.0)
