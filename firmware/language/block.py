@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     ReadOn = Callable[[bytearray, int, int, object], int]
 
-assert b.ONLY < mode.MODAL_ROOM, "the modal state has no free place: enlarge MODAL_ROOM"
+assert b.ONLY < mode.MODAL_ROOM, "the modal state is full: enlarge MODAL_ROOM"
 
 _BEYOND = 2147483648.0  # 2**31: what a 32-bit integer cannot hold
 

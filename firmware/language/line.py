@@ -132,9 +132,8 @@ def run_move(asked: int, modal: ptr32, memory: object) -> int:
             return 0
         if moves == 0 and travel[SHUT]:  # check mode with soft limits: a chord may violate them
             return 0
-        # An arc of several chords; with a hook any arc, because the hook plans them.
         if moves and (hook or int(_more_chords(xyz, position, axes, rare, plans))):
-            return 0
+            return 0  # several chords; or a hook, which plans all arcs
     commit_modal(ints, singles, modal, rates)
     rates[mode.RPM] = singles[b.S]
     rates[mode.TOOL] = singles[b.T]

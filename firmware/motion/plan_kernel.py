@@ -193,10 +193,8 @@ def junction_speed_sqr(table: ptr32, dirs: int) -> int:
         return HIGHEST
     if squares >= _REVERSAL:
         return 0
-    # Two roots in 2**-14: |D|, then that of 4 - |D|**2, twice the cosine. In a loop, because
-    # square_root() is inlined, and code takes memory.
     root = 0
-    for _ in range(2):
+    for _ in range(2):  # in 2**-14: |D|, then the root of 4 - |D|**2, twice the cosine
         change = root  # in the end |D|
         root = int(square_root(squares))
         squares = 0x3FFFFFFF - squares  # 4 in 2**-28, less |D|**2
