@@ -132,8 +132,9 @@ def byte(value: int, top: int) -> int:
 
     value: its bits; top: the highest byte of these, above 127 if the float is negative.
     """
-    # 127 is the exponent of 1, 134 that of 128 to 255. A mantissa of 24 bits has 150.
+    # 127 is the exponent of 1, 134 that of 128 to 255; with 150 the mantissa is the number.
     exponent = (value >> 23) & 255
+    # Negative, above 255, or below 1 and not 0.
     if top > 127 or exponent > 134 or (exponent < 127 and exponent):
         return 256
     number = ((value & 0x7FFFFF) | 0x800000) if exponent else 0

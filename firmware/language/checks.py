@@ -159,7 +159,8 @@ def _targets(
     if command == b.SET_G92:
         if axis_words == 0:
             return 0 - errors.GCODE_NO_AXIS_WORDS
-        # The new G92 offset replaces xyz. The active system's offset stays in force.
+        # Into xyz: the new G92 offset, which replaces the old one. The active system's offset
+        # stays in force.
         in_force = ints[mode.SYSTEM] * axes
         replaced = G92 * axes
         _offset(ints, singles, xyz, position, offsets, machine, in_force, replaced, xyz)
@@ -278,8 +279,7 @@ def _where_stored(
     """
     axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if axis_words == 0:
-        # No axis words: no move to their target, which would come first.
-        ints[b.AXIS_USE] = b.AXES_UNUSED
+        ints[b.AXIS_USE] = b.AXES_UNUSED  # so that no move to xyz comes first
     for i in range(axes):
         stored[i] = offsets[system * axes + i]
         if axis_words and (axis_words >> i) & 1 == 0:
@@ -313,8 +313,8 @@ def _motion(
         return b.WORD_R if words & b.WORD_R else b.WORD_IJK
     elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # an extra's: see interfaces.Motion
         return b.MOTION_WORDS
-    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # 3.5.9: probes move
-        return 0 - errors.GCODE_INVALID_TARGET
+    elif motion > b.CCW_ARC and int(same_position(position, xyz, axes)):  # a probe that stands
+        return 0 - errors.GCODE_INVALID_TARGET  # 3.5.9
     return 0
 
 

@@ -157,9 +157,11 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
             r[C] = rounding
     if r[A] & int(0x7FFFFFFF) <= r[C] and r[B] & int(0x7FFFFFFF) <= r[C]:
         return 0  # the ends are the same
+    # Twice that, as an angle: an ANGLE that is larger is no rounding, but nearly a circle.
     r[C] = r[C] + _TWICE
-    quotient(r, C, r, RADIUS)  # as an angle: a larger ANGLE is no rounding, but nearly a circle
-    if r[ANGLE] & int(0x7FFFFFFF) > _NO_SWEEP and r[ANGLE] & int(0x7FFFFFFF) > r[C]:
+    quotient(r, C, r, RADIUS)
+    size = r[ANGLE] & int(0x7FFFFFFF)
+    if size > _NO_SWEEP and size > r[C]:
         return 0
     length(r, A, B)
     r[ANGLE] = r[A]
@@ -232,7 +234,8 @@ def _chord_rotation(r: ptr32, chords: int) -> int:
     bits = 0
     while chords >> bits:
         bits += 1
-    store(r, C, chords << (24 - bits), 126 + bits, 0)  # chords, as a float
+    # C: chords, as a float of this mantissa of 24 bits, exponent and sign.
+    store(r, C, chords << (24 - bits), 126 + bits, 0)
     r[_TANGENT] = r[ANGLE]
     quotient(r, _TANGENT, r, C)
     r[_TANGENT] = r[_TANGENT] - _TWICE

@@ -229,7 +229,7 @@ class Planner:
 
         course: the arc's (arcs.py), which holds how many chords are left; power: of the spindle.
         """
-        self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm
+        self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm  # the place of an arc's chords
         return arcs.follow(
             course,
             self.table,

@@ -73,10 +73,8 @@ class ReportHal(Report):
     def build_info(self, info: str, options: str) -> None:
         """Answer $I, with axes and features. info: the user's text, "" for none; options: letters
         and numbers."""
-        name, axes = (
-            "GrblHAL" + self.identity[_GRBL_LENGTH:],
-            self._axes,
-        )  # identity: Grbl and more
+        axes = self._axes
+        name = "GrblHAL" + self.identity[_GRBL_LENGTH:]  # identity: Grbl and more
         self._line("[VER:%s.%s:%s]" % (self.VERSION, BUILD, name + " " + info if info else name))
         self._line("[OPT:%s,%d,0]" % (options, axes))  # 0 tools: there is no tool table
         self._line("[AXS:%d:%s]" % (axes, LETTERS[:axes]))

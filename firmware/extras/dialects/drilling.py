@@ -188,7 +188,7 @@ class Drilling:
         before = list(modes.position)
         self._run(holes.other_words)
         if list(modes.position) != before:  # a handler of another extra has moved the machine
-            self.plan(holes.cycle_words, holes.ends_at_r)  # changes `holes`, which it returns
+            self.plan(holes.cycle_words, holes.ends_at_r)  # again, into the same `holes`
         if not self.cycle:
             self._motion_before = modal[MOTION]
             self._open_before = interpreter.is_open

@@ -134,10 +134,10 @@ class RotaryCanon(Canon):
         """
         planner, state = self.planner, self._state
         for axis in self.endless():
-            exact = _EXACT_STEPS / planner.steps_per_mm[axis]
+            exact = _EXACT_STEPS / planner.steps_per_mm[axis]  # the farthest exact position
             if not abs(target[axis]) > exact:
                 continue
-            turns = self._whole_turns(axis, target)
+            turns = self._whole_turns(axis, target)  # in degrees
             if turns and state.run != st.CHECK:  # in check mode only the numbers change
                 while not planner.empty() or self._motor_control.moving:
                     self.auto_start()  # else planned lines would not be executed yet
@@ -152,9 +152,9 @@ class RotaryCanon(Canon):
                 self.coords.set_g92(g92)
                 state.wco_countdown = 0  # the next status report has the offsets
                 state.invalidate_lines()
-            # Allow this line's target, as far as any axis may go.
-            far = min(abs(target[axis]), planner.reach_mm(axis))
-            self.limit(axis, max(far, exact))
+            # Allow this line's target, which may still be beyond, as far as any axis may go.
+            allowed = min(abs(target[axis]), planner.reach_mm(axis))
+            self.limit(axis, max(allowed, exact))
 
     def _whole_turns(self, axis: int, target: "array[float]") -> float:
         """Return the whole turns to subtract from an axis, in degrees: those in the position at

@@ -139,7 +139,8 @@ class GangedHoming(HomingProbing):
         """
         closed = self._inputs.limits()
         for axis, motor in self.pairs:
-            if (axes == 0 or axes >> axis & 1) and (closed >> axis | closed >> motor) & 1:
+            is_homed = axes == 0 or axes >> axis & 1
+            if is_homed and (closed >> axis | closed >> motor) & 1:
                 self._voice.message("%s: move off the closed limit switch first" % LETTERS[axis])
                 self._motor_control.reset()
                 self._state.alarm = errors.ALARM_HARD_LIMIT
@@ -165,7 +166,8 @@ class GangedHoming(HomingProbing):
             if axes >> axis & 1:
                 self._racked[i] += self._difference(axis, motor)
                 # closed has a bit per motor; the axis' number is also that of its first motor.
-                if not approach and not closed >> axis & closed >> motor & 1:
+                both_closed = closed >> axis & closed >> motor & 1
+                if not approach and not both_closed:
                     self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
                     self._motor_control.reset()
                     self._canon.service()  # raises Abort
@@ -181,8 +183,8 @@ class GangedHoming(HomingProbing):
 
         An approach also fails if one motor has searched too far alone.
         """
-        if super()._failed(approach, axes) or not approach:
-            return self._state.alarm != 0  # a pull-off has no search
+        if super()._failed(approach, axes) or not approach:  # a pull-off has no search
+            return self._state.alarm != 0  # super() has set it if it failed
         for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
                 racked = abs(self._racked[i] + self._difference(axis, motor))

@@ -203,21 +203,21 @@ def place_slot(flow: ptr32, line: ptr32) -> int:
         f (v + u) / (v + w)     because distance = mean speed * time
     """
     block_left = line[EXECUTED_LEFT]
-    way = line[DISTANCE_TO_LAY]  # in 2**-16 mm; steps: the same distance in 2**-18 step
+    way = line[DISTANCE_TO_LAY]  # to lay out now, in 2**-16 mm
     time = line[TIME_TO_LAY]
     # What is left of the block in two units, as reals: of the line and of the flow.
     in_line = int(pack(block_left or 1, BIAS))
     in_steps = int(distance_left(flow))
-    whole = HIGHEST
+    whole = HIGHEST  # what is left of the block in 2**-18 step
     if flow[STEPS_LEFT] < _COUNTED_STEPS:
         whole = (flow[STEPS_LEFT] << _STEP_BITS) + flow[FRACTION_LEFT]
-    steps = whole
-    end = line[TAP_SUM]
+    steps = whole  # `way` in 2**-18 step
+    end = line[TAP_SUM]  # the speed at its end: u, or w below
     if way > block_left:  # the block ends within the slot
-        part = int(share(block_left, way))  # of the distance, 2**-17
-        start = line[SUM_LAID_OUT]
+        part = int(share(block_left, way))  # f, in 2**-17
+        start = line[SUM_LAID_OUT]  # v
         speeds = start + end  # v + u
-        end = int(speed_between(start, end, part))
+        end = int(speed_between(start, end, part))  # w
         if start + end:
             part = int(share(int(times(speeds, part)), start + end))  # of the time, from here on
         time = int(times(time, part))
@@ -390,6 +390,7 @@ def end_plan_block(line: ptr32, ring: ptr32, gentle: int) -> int:
     line[TIME_TO_FILL] = 0
     slowdown = int(product(ring[before + ACCEL], gentle, ONE))  # a T / 4
     part = int(square_root(int(share(int(square_root(sqr)), slowdown)) << 12)) if sqr else 0
-    # part: sqrt(v / (a T / 4)) in 2**-14.5, up to 23170; 181 is 2**7.5; FILTER_TAPS: up to 64.
+    # part: sqrt(v / (a T / 4)) in 2**-14.5, up to 23170. 181 is 2**7.5, so * 181 >> 22 makes it a
+    # whole number. FILTER_TAPS, which is T in slots, is up to 64.
     line[STAND_SLOTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)
     return 0

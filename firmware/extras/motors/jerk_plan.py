@@ -184,17 +184,17 @@ def mark_grid_corner(table: ptr32, ring: ptr32, line: ptr32, at: int, before: in
     corner (CHAIN_SQR) as its own.
     """
     junction = ring[at + JUNCTION_SQR]
-    chained = ring[before + FLAGS] & _IN_GRID_CHAIN
-    linked = 0
+    after_chain = ring[before + FLAGS] & _IN_GRID_CHAIN
+    in_chain = 0  # 1: this block belongs to a chain, too
     if junction == HIGHEST:  # it goes straight on
-        if chained:
-            linked = int(is_short(table, ring, at, line[CHAIN_SQR]))
-            if linked == 0:
+        if after_chain:
+            in_chain = int(is_short(table, ring, at, line[CHAIN_SQR]))
+            if in_chain == 0:  # the chain ends here
                 ring[at + JUNCTION_SQR] = line[CHAIN_SQR]
-    elif junction and (chained or ring[before + JUNCTION_SQR] < HIGHEST):
-        linked = int(is_grid_corner(table, ring, at, before))
+    elif junction and (after_chain or ring[before + JUNCTION_SQR] < HIGHEST):
+        in_chain = int(is_grid_corner(table, ring, at, before))
         line[CHAIN_SQR] = junction
-    if linked:
+    if in_chain:
         ring[at + FLAGS] = ring[at + FLAGS] | _IN_GRID_CHAIN
     return 0
 
@@ -230,10 +230,8 @@ def is_short(table: ptr32, ring: ptr32, at: int, sqr: int) -> int:
     """
     root = int(pack(int(square_root(sqr)), BIAS))
     scale = table[ROOT_SCALE]
-    # The innermost product is T / 4, in s.
-    way = int(
-        product(int(mul(root, int(mul(table[JUNCTION_DERATE], scale)))), scale, _FOUR_UNITS_PER_MM)
-    )
+    quarter_time = int(mul(table[JUNCTION_DERATE], scale))  # T / 4, in s; all these are reals
+    way = int(product(int(mul(root, quarter_time)), scale, _FOUR_UNITS_PER_MM))  # v T
     return 1 if way > int(product(ring[at + LENGTH], _UNITS_PER_MM, ONE)) else 0
 
 
@@ -246,7 +244,7 @@ def limit_rate(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> i
     next and the previous one. Returns 0; the block has the flag _RATE_LIMITED if it was limited.
     """
     sqr = ring[after + JUNCTION_SQR]  # becomes the speed squared that the corners allow
-    entry = ring[at + JUNCTION_SQR]
+    entry = ring[at + JUNCTION_SQR]  # 0: the block begins at standstill, which limits nothing
     if entry and entry < sqr:
         sqr = entry
     if entry and ring[before + FLAGS] & _RATE_LIMITED and ring[before + NOMINAL_SQR] < sqr:
