@@ -134,7 +134,7 @@ def test_watchdog_is_stopped_at_the_prompt() -> None:
 
 def fill_the_scheduler() -> None:
     """Fill the scheduler, as an engine's timer does during 8 ms of a collection."""
-    clock.busy = True
+    clock.in_c_code = True
     for _ in range(8):
         clock.call(lambda _: None, None)
 
@@ -143,7 +143,7 @@ def deaf(change: Any) -> None:
     """Make a change while the scheduler is full, so that no callback runs."""
     fill_the_scheduler()
     change()
-    clock.busy = False
+    clock.in_c_code = False
     clock.advance(clock.us + 10)
     assert clock.lost
 

@@ -261,7 +261,7 @@ def test_falling_punch_stops_the_machine() -> None:
 
 def test_punch_down_at_power_up_goes_up_first() -> None:
     bench = Bench()
-    bench.port._place = DOWN
+    bench.port._position = DOWN
 
     def script() -> Iterator[Any]:
         yield from bench.until(lambda: bool(bench.sender.partial()))
@@ -275,7 +275,7 @@ def test_punch_down_at_power_up_goes_up_first() -> None:
 def test_startup_lines_wait_for_the_punch() -> None:
     bench = Bench()
     bench.rig.store.files["startup"] = ["G0X1", ""]
-    bench.port._place = DOWN
+    bench.port._position = DOWN
 
     def script() -> Iterator[Any]:
         assert (yield from bench.say("", "banner")) == [*_BANNER, ">G0X1:ok"]
@@ -422,7 +422,7 @@ def test_simulated_machine_detects_motion_with_the_punch_down() -> None:
         hooks = bench.rig.controller.state.hooks
         hooks.may_start = hooks.started = ()  # the hooks of the punch
         bench.port.dead = SENSOR_UP
-        bench.port._place, bench.port._up_until = DOWN, bench.rig.now
+        bench.port._position, bench.port._up_until = DOWN, bench.rig.now
         bench.port.stuck = True
         bench.rig.link.send(b"G0X1\n")
         yield from bench.passes(500)

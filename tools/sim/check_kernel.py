@@ -21,10 +21,13 @@ def check_lines(
 
     received, indices, line, kinds: memory of talk/lines.py. modal, machine, memory: that of the
     interpreter.
+
+    clean() moves the next line into `line` and returns flags, LINE if there was one, and its
+    length from bit 2. execute() returns 0 for a line that is not move-only.
     """
     done = 0
     text = ptr8(line)
-    found = int(clean(received, indices, text, kinds))  # flags, and the length from bit 2
+    found = int(clean(received, indices, text, kinds))
     while found & LINE:
         if int(execute(line, found >> 2, modal, machine, memory)) == 0:
             return done

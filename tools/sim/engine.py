@@ -2,6 +2,10 @@
 
 Segments are pulled through the same interface as on a board and played in virtual time. Switches
 that close at a position act at the exact step.
+
+A segment is a row of integers: ROW_TICKS, its duration; ROW_DIRS, a mask of motors that turn
+backwards; ROW_POWER, the tool's power; and for each motor, from `base` on, the number of its steps
+and the ticks of the first and of the last one, from the start of the segment (motion/layout.py).
 """
 
 from array import array
@@ -15,59 +19,67 @@ if TYPE_CHECKING:
     from interfaces import NextSegment
 
 _NEVER = 1 << 60  # a tick that never comes
+# Places in a row after row[base], the number of the motor's steps.
+_FIRST_TICK = 1  # the tick of its first step
+_LAST_TICK = 2  # the tick of its last step
 
 
 def leading(gaps: int, gap: int, longer: int) -> int:
-    """Return how many of the longer gaps come first, as slice_kernel.leading() does. This is in
-    Python because it is called for each step.
+    """Return how many of the longer gaps come first; the others come last. This is
+    slice_kernel.leading(), in Python because it is called for each step.
 
-    gaps: number of all gaps between a segment's steps. gap: ticks of a short one; the `longer`
-    ones have one more.
+    gaps: number of all gaps between a segment's steps. gap: ticks of a short one; `longer` of the
+    gaps have one tick more. They are halved if, all at the beginning, they would displace a step
+    by an eighth of a step or more.
     """
     return longer >> 1 if gaps > gap >> 1 else longer
 
 
 def step_tick(row: "array[int]", base: int, index: int) -> int:
-    """Return the tick, from the start of the segment, of a step of the axis at row[base].
-
-    index: of the step, from 0. row[base] is the number of steps, and the next two are the ticks of
-    the first and of the last one.
+    """Return the tick, from the start of the segment, of a step of the motor at row[base]. index:
+    of the step, from 0.
 
     The gaps between a segment's steps differ by one tick at most. Their order is that of
     slice_kernel.leading(), as in every engine.
     """
     gaps = row[base] - 1
     if gaps < 1:
-        return row[base + 1]
-    gap, longer = divmod(row[base + 2] - row[base + 1], gaps)
-    front = leading(gaps, gap, longer)
-    last = max(index - gaps + longer - front, 0)  # longer gaps at the end, before this step
-    return row[base + 1] + index * gap + min(index, front) + last
+        return row[base + _FIRST_TICK]
+    gap, longer = divmod(row[base + _LAST_TICK] - row[base + _FIRST_TICK], gaps)
+    longer_first = leading(gaps, gap, longer)
+    longer_last = longer - longer_first
+    # Of the longer gaps at either end, those before this step.
+    extra_ticks = min(index, longer_first) + max(index - (gaps - longer_last), 0)
+    return row[base + _FIRST_TICK] + index * gap + extra_ticks
 
 
 def steps_until(row: "array[int]", base: int, tick: int) -> int:
-    """Return the number of steps of the axis at row[base] in the first `tick` ticks of the
-    segment."""
+    """Return the number of steps of the motor at row[base] in the first `tick` ticks of the
+    segment, including a step at `tick`. It is the inverse of step_tick()."""
     count = row[base]
-    if count == 0 or tick < row[base + 1]:
+    if count == 0 or tick < row[base + _FIRST_TICK]:
         return 0
-    if tick >= row[base + 2]:
+    if tick >= row[base + _LAST_TICK]:
         return count
-    span = row[base + 2] - row[base + 1]
+    span = row[base + _LAST_TICK] - row[base + _FIRST_TICK]
     gap, longer = divmod(span, count - 1)
-    front = leading(count - 1, gap, longer)
-    tick -= row[base + 1]
-    if tick < front * (gap + 1):
-        return tick // (gap + 1) + 1
-    if span - tick <= (longer - front) * (gap + 1):  # among the longer gaps at the end
-        return count - -(-(span - tick) // (gap + 1))
-    return (tick - front) // gap + 1
+    longer_gap = gap + 1
+    longer_first = leading(count - 1, gap, longer)
+    since_first = tick - row[base + _FIRST_TICK]
+    until_last = span - since_first
+    if since_first < longer_first * longer_gap:  # among the longer gaps at the beginning
+        return since_first // longer_gap + 1
+    if until_last <= (longer - longer_first) * longer_gap:  # among those at the end
+        still_to_come = -(-until_last // longer_gap)  # rounded up
+        return count - still_to_come
+    return (since_first - longer_first) // gap + 1
 
 
 class Switch:
-    """An input that is closed exactly while the steps of a motor are >= (or <=) a number.
+    """An input that is closed exactly while the steps of a motor are >= (above) or <= a number.
 
-    A bouncing one opens again after its first step, and so on, `bounces` times.
+    axis: the motor, from 0. A bouncing one closes at that number, opens one step further, closes
+    at the next one, and so on; it has opened again `bounces` times when it stays closed.
     """
 
     def __init__(self, pin: str, axis: int, above: bool, steps: int, bounces: int = 0) -> None:
@@ -80,23 +92,26 @@ class Switch:
     def closed(self, steps: int) -> bool:
         """Return whether it is closed with the motor at `steps`."""
         beyond = steps - self.steps if self.above else self.steps - steps
-        return beyond >= 0 and (beyond % 2 == 0 or beyond >= 2 * self.bounces)
+        has_settled = beyond >= 2 * self.bounces
+        return beyond >= 0 and (beyond % 2 == 0 or has_settled)  # bouncing: every second step
 
     def crossing(self, start: int, end: int) -> int:
-        """Return after how many steps, on the way from start to end, it changes; 0 if never."""
+        """Return after how many steps, on the way from start to end, it first changes; 0 if it
+        never does."""
         sign = 1 if end > start else -1
         was_closed = self.closed(start)
         if self.bounces == 0 and was_closed == self.closed(end):
             return 0
-        # It changes only between these two positions.
+        # It changes only between these two positions: try each step between them.
         low, high = self.steps - 2 * self.bounces - 1, self.steps + 2 * self.bounces + 1
-        near = low if sign > 0 else high  # nothing changes before it
-        made = max(0, (near - start) * sign)
+        nearer_end = low if sign > 0 else high
+        made = max(0, (nearer_end - start) * sign)
+        most = (high - low) + abs(nearer_end - start)  # after more steps, it has been passed
         while made < abs(end - start):
             made += 1
             if self.closed(start + sign * made) != was_closed:
                 return made
-            if made > (high - low) + abs(near - start):
+            if made > most:
                 break
         return 0
 
@@ -106,6 +121,8 @@ class SimEngine:
 
     prepare: called by start(), before motion; may let time pass.
     depth: segments held by the "hardware", including the running one.
+    segment_log2: ticks of a full segment, as a power of 2, for the firmware.
+    pins_changed: called after each event, when a switch may have changed.
     trace: called with (start tick, row) for every segment as it ends or is cut short;
         the row then has only the steps really made.
     """
@@ -122,13 +139,13 @@ class SimEngine:
         self.switches: "list[Switch]" = []
         self.starts = 0  # how often motion has begun
         self._axes = axes
-        # A ring of segments. The one at _head runs; it and the following are _held.
+        # A ring of segments. The one at _head runs; _held is how many there are, with this one.
         self._queue = [array("i", [0] * row_length(axes)) for _ in range(depth)]
         self._head = 0
         self._held = 0
         self._start = 0  # tick at which the running segment began
         self._running = False
-        self._stopped = True  # no motion before arm()
+        self._stopped = True  # by stop(), or from the beginning; no motion before arm()
         self._locked = 0  # mask of motors that make no steps
         self._physical = array("i", [0] * axes)  # steps at the pins before the running segment
         self._offset = array("i", [0] * axes)  # the firmware's position minus the steps made
@@ -154,12 +171,12 @@ class SimEngine:
         self._on_rest = on_rest
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
-        """Take settings over; the firmware's position stays the same."""
+        """Apply settings; the firmware's position stays the same, also if dir_invert changes."""
         self.pulse_us = pulse_us
-        steps = self._physical[:]
-        self.position(steps)
+        position = self._physical[:]
+        self.position(position)
         self.dir_invert = dir_invert
-        self.set_position(steps)
+        self.set_position(position)
 
     def arm(self) -> None:
         self._stopped = False
@@ -174,9 +191,9 @@ class SimEngine:
             if self._held:
                 self._running = True
                 self.starts += 1
-                self._begin()
+                self._set_power()
             if self._stopped:
-                self.stop()  # stopped meanwhile
+                self.stop()  # again: a callback has called it, and segments were added since
 
     def stop(self) -> None:
         """End motion at once, and drop the segments held."""
@@ -190,7 +207,7 @@ class SimEngine:
     def lock(self, motors: int) -> None:
         """Let these motors, a mask, make no more steps until stop()."""
         if self._running and motors & ~self._locked:
-            self._split()
+            self._split_running()
         self._locked |= motors
 
     def fault(self) -> str:
@@ -200,16 +217,19 @@ class SimEngine:
         return not self._running
 
     def position(self, steps: "array[int]") -> None:
+        """Store the position by the firmware's count, in steps, into the array."""
         self.physical(steps)
         for i in range(self._axes):
-            steps[i] = self._asked(i, steps[i]) + self._offset[i]
+            steps[i] = self._firmware_steps(i, steps[i]) + self._offset[i]
 
     def set_position(self, steps: "array[int]") -> None:
+        """Set the firmware's count to these steps; nothing moves. Called while idle."""
         for i in range(self._axes):
-            self._offset[i] = steps[i] - self._asked(i, self._physical[i])
+            self._offset[i] = steps[i] - self._firmware_steps(i, self._physical[i])
 
-    def _asked(self, axis: int, steps: int) -> int:
-        """Return a motor's steps as the firmware counts: $3 inverts the pin, not the count."""
+    def _firmware_steps(self, axis: int, steps: int) -> int:
+        """Return a motor's steps at the pins with the firmware's sign: $3 inverts the pin, not
+        the count."""
         return -steps if self.dir_invert >> axis & 1 else steps
 
     # Interface for the simulator
@@ -222,7 +242,7 @@ class SimEngine:
         if self._running:
             row = self._queue[self._head]
             for i in range(self._axes):
-                made = self._made(row, i, self.now - self._start)
+                made = self._steps_made(row, i, self.now - self._start)
                 steps[i] += made
 
     def power_off(self) -> None:
@@ -231,11 +251,12 @@ class SimEngine:
         self.set_position(array("i", [0] * self._axes))
 
     def next_event(self) -> int:
-        """Return the tick up to which nothing changes by itself."""
+        """Return the tick up to which nothing changes by itself: the end of the running segment,
+        or a switch that changes before. _NEVER when idle."""
         if not self._running:
             return _NEVER
         row = self._queue[self._head]
-        earliest = row[ROW_TICKS]
+        earliest = row[ROW_TICKS]  # from the start of the segment
         for switch in self.switches:
             tick = self._crossing_tick(row, switch)
             if tick < earliest:
@@ -243,7 +264,7 @@ class SimEngine:
         return self._start + earliest
 
     def advance(self, to: int) -> None:
-        """Let time pass until `to`, play segments and report pins that change."""
+        """Let time pass until tick `to`: play segments, and call pins_changed at each event."""
         while True:
             event = self.next_event()
             if event > to:
@@ -251,12 +272,12 @@ class SimEngine:
             self.now = event
             row = self._queue[self._head]
             if event - self._start >= row[ROW_TICKS]:
-                self._next(row)
+                self._end_segment(row)
             if self.switches and self.pins_changed:
                 self.pins_changed()
         self.now = to
 
-    def _made(self, row: "array[int]", axis: int, tick: int) -> int:
+    def _steps_made(self, row: "array[int]", axis: int, tick: int) -> int:
         """Return the steps of a motor, with their sign, in the first `tick` ticks of a segment."""
         if self._locked >> axis & 1:
             return 0
@@ -268,56 +289,58 @@ class SimEngine:
         _NEVER if it does not in this segment."""
         axis = switch.axis
         start = self._physical[axis]
-        end = start + self._made(row, axis, row[ROW_TICKS])
-        made = self._made(row, axis, self.now - self._start)
+        end = start + self._steps_made(row, axis, row[ROW_TICKS])
+        made = self._steps_made(row, axis, self.now - self._start)
         crossing = switch.crossing(start + made, end)
         if crossing == 0:
             return _NEVER
         base = ROW_AXES + ROW_STRIDE * axis
-        return step_tick(row, base, abs(made) + crossing - 1)
+        index_of_step = abs(made) + crossing - 1
+        return step_tick(row, base, index_of_step)
 
     def _refill(self) -> None:
         """Pull segments until the queue is full or there are no more."""
         size = len(self._queue)
         while self._held < size:
             row = self._queue[(self._head + self._held) % size]
-            if not self._next_segment(row):
+            if not self._next_segment(row):  # it fills the row
                 break
             row[ROW_DIRS] ^= self.dir_invert  # as at the pins
             self._held += 1
 
-    def _begin(self) -> None:
+    def _set_power(self) -> None:
         """Set the power of the segment that begins."""
         self._on_power(self._queue[self._head][ROW_POWER])
 
-    def _next(self, row: "array[int]") -> None:
-        """End the running segment, and begin the next one or rest."""
+    def _end_segment(self, row: "array[int]") -> None:
+        """End the running segment, whose row this is, and begin the next one; or end motion."""
         self._finish(row[ROW_TICKS])
         self._start += row[ROW_TICKS]
         self._head = (self._head + 1) % len(self._queue)
         self._held -= 1
         self._refill()
         if self._held:
-            self._begin()
+            self._set_power()
         else:
             self._running = False
             self._on_rest()
         if self._stopped:
-            self.stop()  # stopped meanwhile
+            self.stop()  # again: a callback has called it, and segments were added since
 
     def _finish(self, ticks: int) -> None:
-        """Count the steps made in the running segment, which ends after `ticks`."""
+        """Count the steps made in the running segment, which ends after `ticks`: at its end, or
+        earlier. Its row then has only these, for `trace`."""
         row = self._queue[self._head]
         if ticks == row[ROW_TICKS] and not self._locked:
-            self._add_whole(row, ticks)
+            self._count_whole(row, ticks)
         else:
-            self._cut(row, ticks)
+            self._count_cut(row, ticks)
         row[ROW_TICKS] = ticks
         if self.trace:
             self.trace(self._start, row)
 
-    def _add_whole(self, row: "array[int]", ticks: int) -> None:
-        """Add the steps of a segment that was not cut to the motors' positions, in steps.
+    def _count_whole(self, row: "array[int]", ticks: int) -> None:
+        """Count the steps of a segment that was not cut: _count_cut(), in less time.
 
         ticks: the length of the segment. A step that is due later is not counted.
         """
@@ -326,32 +349,33 @@ class SimEngine:
             base = ROW_AXES + ROW_STRIDE * i
             made = row[base]
             if made:
-                if row[base + 2] > ticks:
+                if row[base + _LAST_TICK] > ticks:
                     made = steps_until(row, base, ticks)
                 physical[i] += -made if dirs >> i & 1 else made
 
-    def _cut(self, row: "array[int]", ticks: int) -> None:
-        """Reduce a segment that ends early, or without the steps of a motor, to the steps made."""
+    def _count_cut(self, row: "array[int]", ticks: int) -> None:
+        """Count the steps of a segment that ends after `ticks`, or in which a motor is locked;
+        reduce its row to these."""
         for i in range(self._axes):
             base = ROW_AXES + ROW_STRIDE * i
-            made = self._made(row, i, ticks)
+            made = self._steps_made(row, i, ticks)
             self._physical[i] += made
-            row[base + 2] = step_tick(row, base, abs(made) - 1) if made else 0
+            row[base + _LAST_TICK] = step_tick(row, base, abs(made) - 1) if made else 0
             row[base] = abs(made)
 
-    def _split(self) -> None:
+    def _split_running(self) -> None:
         """Cut the running segment in two at this moment, because a lock acts only on the rest of
-        it."""
+        it. The first part is finished; the rest takes its place in the queue."""
         row = self._queue[self._head]
-        done = self.now - self._start
-        rest = array("i", row)
+        done = self.now - self._start  # ticks
+        rest = array("i", row)  # a copy
         for i in range(self._axes):
             base = ROW_AXES + ROW_STRIDE * i
-            made = abs(self._made(row, i, done))
+            made = abs(self._steps_made(row, i, done))
             rest[base] = row[base] - made
             if rest[base]:
-                rest[base + 1] = step_tick(row, base, made) - done
-                rest[base + 2] = row[base + 2] - done
+                rest[base + _FIRST_TICK] = step_tick(row, base, made) - done
+                rest[base + _LAST_TICK] = row[base + _LAST_TICK] - done
         rest[ROW_TICKS] = row[ROW_TICKS] - done
         self._finish(done)
         self._start = self.now

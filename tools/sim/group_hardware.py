@@ -19,13 +19,14 @@ _SEGMENT_QUEUE = 5
 
 
 class SimHardware:
-    """A GroupHardware. outputs: (tick, levels, steps of the motors) at every change. made: (start
-    tick, row) of every segment, with the steps really made."""
+    """A GroupHardware. outputs: (tick, levels: a mask, steps of the motors) at every change. made:
+    (start tick, row) of every segment, with the steps really made."""
 
     def __init__(self) -> None:
         self.outputs: "list[tuple[int, int, list[int]]]" = []
         self.made: "list[tuple[int, array[int]]]" = []
         self.sim: "SimEngine"
+        # Of each watched input: number, level, on_change, whether it had the level.
         self._watched: "list[tuple[int, int, Callable[[], object], bool]]" = []
 
     # The GroupHardware interface
@@ -49,7 +50,8 @@ class SimHardware:
     def watch(
         self, number: int, level: int, on_change: "Callable[[], object]"
     ) -> "Callable[[], bool]":
-        """Call on_change when the input gets the level: 0 while its switch is closed."""
+        """Call on_change whenever the input changes to the level: 0 while its switch is closed.
+        Returns a function that says whether it has the level."""
 
         def has_level() -> bool:
             return self._level(number) == level
@@ -76,7 +78,7 @@ class SimHardware:
         self, pin: int, axis: int, steps: int, above: bool = True, bounces: int = 0
     ) -> None:
         """Close an input while a motor (from 0, in the order of the axes' names) is at so many
-        steps or above, or at so many or below."""
+        steps or above; with above=False, at so many or below. bounces: see Switch."""
         self.sim.switches.append(Switch(str(pin), axis, above, steps, bounces))
 
     def steps(self) -> "array[int]":
@@ -85,17 +87,19 @@ class SimHardware:
         return self._steps
 
     def _level(self, number: int) -> int:
-        self.steps()
+        """Return an input's level now: 0 while its switch is closed, 1 without a switch."""
+        self.steps()  # updates _steps
         for switch in self.sim.switches:
             if switch.pin == str(number) and switch.closed(self._steps[switch.axis]):
                 return 0
         return 1
 
     def _look_at_switches(self) -> None:
-        for i, (number, level, on_change, before) in enumerate(self._watched):
-            has = self._level(number) == level
-            self._watched[i] = number, level, on_change, has
-            if has and not before:
+        """Report the watched inputs that have changed to their level."""
+        for i, (number, level, on_change, had_level) in enumerate(self._watched):
+            has_level = self._level(number) == level
+            self._watched[i] = number, level, on_change, has_level
+            if has_level and not had_level:
                 on_change()
 
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 def run(text: str, name: str) -> "list[SimHardware]":
-    """Run a program; return the hardware of its groups. name: of the program in tracebacks."""
+    """Run a program's text; return the hardware of its groups. name: of the program in
+    tracebacks."""
     from .group_hardware import simulate
     from .virtual_asyncio import install
 

@@ -21,10 +21,11 @@ class SimBeamEngine(SimEngine):
         self.beam[bm.BOTH] = 1
         self.beam[bm.LEVEL] = bm.UNKNOWN
         self.levels = array("i", [0] * (bm.LEVELS_MASK + 1))
-        # The segment as it was pulled; the beam is its last axis, with a step for each change.
+        # The segment as it was pulled. After the motors it has the beam, as one more of them: a
+        # step is a change of power, to the next one in the ring `levels`.
         self._whole = array("i", [0] * row_length(axes + 1))
         self._pieces: "list[array[int]]" = []
-        self._taken = 0  # number of levels taken from the ring
+        self._levels_taken = 0  # number of levels taken from the ring
         self._level = 0  # the power at the end of the pieces
         self.burning: "Callable[[], int]" = int  # the power when idle
 
@@ -41,12 +42,13 @@ class SimBeamEngine(SimEngine):
 
     def arm(self) -> None:
         super().arm()
-        self._taken = self.beam[bm.COUNT]
+        # Levels queued before belong to motion that was dropped.
+        self._levels_taken = self.beam[bm.COUNT]
 
     def start(self) -> None:
         """Begin motion with the power as it is."""
         if not self._running and not self._stopped:
-            self.beam[bm.LEVEL] = bm.UNKNOWN
+            self.beam[bm.LEVEL] = bm.UNKNOWN  # so that the firmware queues the first one again
             self._level = self.burning()
         super().start()
 
@@ -60,28 +62,29 @@ class SimBeamEngine(SimEngine):
         """Put pieces into the queue, of more segments if needed, until it is full."""
         size = len(self._queue)
         while self._held < size:
-            if not self._pieces and self._next_segment(self._whole):
-                self._take_apart()
+            if not self._pieces and self._next_segment(self._whole):  # it fills the row
+                self._cut_at_changes()
             if not self._pieces:
                 break
             self._queue[(self._head + self._held) % size] = self._pieces.pop(0)
             self._held += 1
 
-    def _take_apart(self) -> None:
-        """Cut the segment into pieces."""
-        row, base = self._whole, ROW_AXES + ROW_STRIDE * self._axes
+    def _cut_at_changes(self) -> None:
+        """Cut the segment into pieces, at each change of power."""
+        row, base = self._whole, ROW_AXES + ROW_STRIDE * self._axes  # base: of the beam
         row[ROW_DIRS] ^= self.dir_invert  # as at the pins
         begin = 0
         for change in range(row[base]):
             tick = min(step_tick(row, base, change), row[ROW_TICKS])
-            self._piece(begin, tick)
+            self._append_piece(begin, tick)
             begin = tick
-            self._level = self.levels[self._taken & bm.LEVELS_MASK]
-            self._taken += 1
-        self._piece(begin, row[ROW_TICKS])
+            self._level = self.levels[self._levels_taken & bm.LEVELS_MASK]
+            self._levels_taken += 1
+        self._append_piece(begin, row[ROW_TICKS])
 
-    def _piece(self, begin: int, end: int) -> None:
-        """Append the piece after one tick up to the other, including steps at the latter."""
+    def _append_piece(self, begin: int, end: int) -> None:
+        """Append the piece from tick `begin` of the segment, exclusive, to `end`, inclusive. The
+        first piece includes a step at tick 0."""
         if begin == end:
             return
         row = self._whole
@@ -92,7 +95,7 @@ class SimBeamEngine(SimEngine):
             before = steps_until(row, base, begin) if begin else 0
             steps = steps_until(row, base, end) - before
             piece[base] = steps
-            if steps:  # the ticks of its first and its last step
+            if steps:  # the ticks of its first and its last step, from the start of the piece
                 piece[base + 1] = step_tick(row, base, before) - begin
                 piece[base + 2] = step_tick(row, base, before + steps - 1) - begin
         self._pieces.append(piece)

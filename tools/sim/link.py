@@ -25,8 +25,9 @@ class SimLink:
         self._rig = rig
         self._rx_ticks = rig.engine.tick_hz * _BITS // rx_baud  # per byte
         self._tx_ticks = rig.engine.tick_hz * _BITS // tx_baud
-        self._turn = 0  # tick of the firmware's last read
-        # In each direction the bytes on the wire, and the tick when the first of them arrives.
+        self._last_read = 0  # tick of the firmware's last read_into()
+        # In each direction (rx: to the device) the bytes on the wire, or arrived and not read yet,
+        # and the tick when the first of them arrives. The others follow, one each _rx_ticks.
         self._rx = bytearray()
         self._rx_due = 0
         self._tx = bytearray()
@@ -35,16 +36,19 @@ class SimLink:
     # The Link interface
 
     def read_into(self, buf: bytearray) -> int:
-        """Return the number of bytes received. If there are none, time passes until the next
-        event."""
-        turn = self._turn + self._rig.loop_ticks
-        if turn > self._rig.now and self._rig.moving():
-            self._rig.pass_time(turn)
+        """Read bytes into the buffer; return their number. If there are none, time passes until
+        the next event.
+
+        In motion, the firmware's loop takes at least loop_ticks between two reads.
+        """
+        loop_end = self._last_read + self._rig.loop_ticks
+        if loop_end > self._rig.now and self._rig.moving():
+            self._rig.pass_time(loop_end)
         count = self._arrived(len(buf))
         if count == 0:
             self._rig.wait()
             count = self._arrived(len(buf))
-        self._turn = self._rig.now
+        self._last_read = self._rig.now
         buf[:count] = self._rx[:count]
         self._rx = self._rx[count:]
         self._rx_due += count * self._rx_ticks
@@ -59,20 +63,22 @@ class SimLink:
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         """Queue bytes to the sender; while the queue is full, time passes."""
         rig = self._rig
-        # Lines that were processed one after another are answered at once.
+        # Answers to several lines may come in one call: each takes the time of an answer.
         rig.pass_time(rig.now + rig.answer_ticks * max(1, bytes(data).count(_OK)))
         if not self._tx:
             self._tx_due = rig.now + self._tx_ticks
         self._tx.extend(data)
-        if len(self._tx) > _TX_QUEUE:
-            rig.pass_time(self._tx_due + (len(self._tx) - _TX_QUEUE - 1) * self._tx_ticks)
+        too_many = len(self._tx) - _TX_QUEUE
+        if too_many > 0:  # until that many have been sent
+            rig.pass_time(self._tx_due + (too_many - 1) * self._tx_ticks)
 
     # Interface for the simulator
 
     def send(self, data: "bytes | bytearray | memoryview") -> int:
-        """Start transmitting; returns the tick at which the last byte arrives."""
+        """Start transmitting to the device, after the bytes that are on the wire; returns the tick
+        at which the last byte arrives."""
         now = self._rig.now
-        if not self._rx:
+        if not self._rx:  # else the bytes follow these
             self._rx_due = max(now, self.wire_free) + self._rx_ticks
         self._rx.extend(data)
         if data:
@@ -88,7 +94,7 @@ class SimLink:
         return self._tx_due + (len(self._tx) - 1) * self._tx_ticks if self._tx else self._rig.now
 
     def advance(self) -> None:
-        """Deliver the bytes whose time on the wire has passed."""
+        """Deliver to the sender the bytes whose time on the wire has passed."""
         now = self._rig.now
         if self._tx and self._tx_due <= now:
             count = min(len(self._tx), (now - self._tx_due) // self._tx_ticks + 1)

@@ -53,12 +53,13 @@ class Machine:
         ]
         self.rig = Rig(module, store)
         self._sender = Sender(self.rig)
-        # For the firmware's thread: jobs; None is the end. From it: the result of each one.
+        # For the firmware's thread: jobs, which are generators for the rig's script; None is the
+        # end. From it: the result of each one, or its exception.
         self._jobs: "queue.SimpleQueue[Job | None]" = queue.SimpleQueue()
         self._done: "queue.SimpleQueue[list[str] | BaseException]" = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._live, daemon=True)
+        self._thread = threading.Thread(target=self._run_firmware, daemon=True)
         self._thread.start()
-        self.welcome = self._do(lambda: self._until(self._has_welcomed), _BOOT_MS)
+        self.welcome = self._do(lambda: self._lines_until(self._has_welcomed), _BOOT_MS)
 
     def __enter__(self) -> "Machine":
         return self
@@ -81,7 +82,7 @@ class Machine:
 
     def ask(self, line: str, limit_ms: float = _LIMIT_MS) -> "list[str]":
         """Send a line. Returns the lines received until it is answered; the answer is the last
-        one."""
+        one. limit_ms: of virtual time, else TimeoutError."""
         return self.program([line], limit_ms)
 
     def program(self, lines: "Iterable[str]", limit_ms: float = _LIMIT_MS) -> "list[str]":
@@ -103,7 +104,7 @@ class Machine:
     def status(self) -> str:
         """Return the answer to `?`."""
         self.send("?")
-        lines = self._do(lambda: self._until(lambda: bool(self._reports())))
+        lines = self._do(lambda: self._lines_until(lambda: bool(self._reports())))
         return next(line for line in reversed(lines) if line.startswith("<"))
 
     def settings(self) -> "dict[int, str]":
@@ -155,15 +156,15 @@ class Machine:
         self._act(lambda: self.rig.port.push(pins))
 
     def switch(self, pin: str, motor: int, steps: int, above: bool = True) -> None:
-        """From now on, close an input while a motor (from 0) is at so many steps or above, or at
-        so many or below."""
+        """From now on, close an input while a motor (from 0) is at so many steps or above; with
+        above=False, at so many or below. pin: as for push()."""
         from .engine import Switch
 
         self.rig.engine.switches.append(Switch(pin, motor, above, steps))
 
     # The firmware's thread
 
-    def _live(self) -> None:
+    def _run_firmware(self) -> None:
         """Run the firmware until the machine is switched off. This is the thread."""
         try:
             self.rig.run(self._script())
@@ -171,7 +172,8 @@ class Machine:
             self._done.put(error)
 
     def _script(self) -> "Generator[Any, None, None]":
-        """Do one job after another, and wait while there is none. The rig runs this script."""
+        """Do one job after another, and wait while there is none. The rig runs this script; while
+        it waits for a job, virtual time stands still."""
         while (job := self._jobs.get()) is not None:
             try:
                 result: "list[str] | BaseException" = yield from job()
@@ -199,13 +201,13 @@ class Machine:
 
         def job() -> "Generator[Any, None, list[str]]":
             action()
-            yield self.rig.now
+            yield self.rig.now  # a job is a generator: resumed at once
             return []
 
         self._do(job)
 
-    def _until(self, condition: "Callable[[], bool]") -> "Generator[Any, None, list[str]]":
-        """Wait until a condition is true. Returns the lines received."""
+    def _lines_until(self, condition: "Callable[[], bool]") -> "Generator[Any, None, list[str]]":
+        """Wait until a condition is true. Returns the lines received. This is a job for _do()."""
         yield from self._sender.until(condition)
         return self._sender.take()
 

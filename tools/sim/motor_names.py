@@ -29,10 +29,10 @@ def names(of_motors: str) -> "tuple[str, ...]":
 
 
 def shared(board: "Any") -> str:
-    """Return the axes whose motors also move others: XY of a CoreXY."""
+    """Return the axes whose motors also move others: XY of a CoreXY; "" if there are none."""
     if getattr(board, "COREXY", False):
         return "XY"
-    # By motor, the axes that it moves: X+Z; a single one, X or -X, is its own.
+    # By motor, the axes that it moves, without a sign: X+Z. A motor of one axis has only X.
     moved = [word.strip("+-") for word in getattr(board, "MOVES", ())]
     pairs = zip(AXIS_LETTERS, moved)
     return "".join([letter for letter, axes in pairs if axes != letter])

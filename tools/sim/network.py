@@ -24,14 +24,15 @@ class RigLink(NetLink):
     _OF_CABLE = ("received", "stopping", "turn")
 
     def __init__(self, rig: "Rig", cable: "Any", calls: "Incoming | None", *more: "Any") -> None:
-        # What a NetLink expects of a board's cable: USB.
+        # What a NetLink expects of a board's cable, here as of USB.
         cable.shared = array("i", (0, 0, 0))
         cable.poll_reset = None
         cable.is_slow = False
         self.cable = cable
         super().__init__(cable, calls, *more)
         self._rig = rig
-        self._at_rest = self._is_at_rest  # the machine is made later, and perhaps again
+        # Not the controller's own method: it is built later, and again after each power cycle.
+        self._at_rest = self._is_at_rest
 
     def _is_at_rest(self) -> bool:
         return self._rig.controller.at_rest()
@@ -39,9 +40,9 @@ class RigLink(NetLink):
     def _accept(self, conn: "Any", address: str, now_ms: int) -> None:
         """Accept a client; one at a trusted address needs no key."""
         super()._accept(conn, address, now_ms)
-        for caller in self._clients:
-            if caller.conn is conn and address in self.trusts:
-                caller.trusted = True
+        for client in self._clients:
+            if client.conn is conn and address in self.trusts:
+                client.trusted = True
 
     def __getattr__(self, name: str) -> "Any":
         """Return an attribute of the cable."""

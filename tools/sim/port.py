@@ -21,11 +21,11 @@ CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 
 
 def limit_names(board: "ModuleType") -> "tuple[str, ...]":
-    """Return the limit inputs' names in recordings, in the bit order of Port.limits(): limit_x; ""
-    if a second motor has none."""
+    """Return the limit inputs' names in recordings, in the bit order of Port.limits(), a bit per
+    motor: limit_x, and limit_y2 for a second motor; "" if a second motor has none."""
     names = ["limit_" + name.lower() for name in motor_names.names(motor_names.letters(board))]
     wired = getattr(board, "LIMIT", ())
-    for motor in range(motor_names.axes_of(board), len(names)):
+    for motor in range(motor_names.axes_of(board), len(names)):  # the second motors
         if motor >= len(wired) or wired[motor] is None:
             names[motor] = ""
     return tuple(names)
@@ -61,8 +61,8 @@ class SimPort:
         self.limit_names = limit_names(board)
         self._shared = shared_inputs(board)
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
-        # The direction pin then signals that the spindle is on.
-        self._enables: bool = getattr(board, "SPINDLE_ENABLE_PIN", False)
+        # The board's direction pin signals that the spindle is on, so safe() clears it.
+        self._dir_is_enable: bool = getattr(board, "SPINDLE_ENABLE_PIN", False)
         self.enable_pin = 1
         self.spindle_on = False
         self.spindle_pwm = 0
@@ -78,17 +78,18 @@ class SimPort:
         self._contact_level = True  # the probe's level that ends the motion
         self._limits_enabled = False
         self._killed = False  # outputs stay off until revive()
-        # Pins of an extra: levels of outputs, those of kill(), names of inputs as for push().
-        self.own_outputs = self._rest = 0
+        # Pins of an extra.
+        self.own_outputs = 0  # mask of their levels
+        self._safe_outputs = 0  # the mask for safe() and kill()
         self.own_pulses: "dict[int, tuple[int, int]]" = {}  # Hz and duty, by output
-        self._own_inputs: "tuple[str, ...]" = ()
+        self._own_inputs: "tuple[str, ...]" = ()  # names as for push()
         self._on_change: "Callable[[], None] | None" = None
         self.limit_invert = 0
         self.fault = ""
         self.estop: "Callable[[], bool] | None" = None
         if getattr(board, "ESTOP", None) is not None:
             self.estop = self._stop_is_open
-            # a contact that opens when pressed, or when its wire breaks
+            # Not pressed: its contact opens when pressed, or when its wire breaks.
             self._pushed[ESTOP] = True
             self._closed.add(ESTOP)
 
@@ -113,13 +114,14 @@ class SimPort:
         """Switch spindle, coolant and an extra's outputs off."""
         self.spindle_on = False
         self.spindle_pwm = self.flood = self.mist = 0
-        self.own_outputs = self._rest
+        self.own_outputs = self._safe_outputs
         self.own_pulses.clear()
-        if self._enables:
+        if self._dir_is_enable:
             self.spindle_dir = 0
 
     def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
-        """Call on_contact once when the probe has that level; None: no more."""
+        """Call on_contact once, when the probe has that level or at once if it has; None: stop
+        watching."""
         self._on_contact = on_contact
         self._contact_level = closed
         self._look_at_probe()
@@ -127,9 +129,9 @@ class SimPort:
     def limits(self) -> int:
         """Return a mask of the closed limit inputs, by motor."""
         closed = self._mask(self.limit_names)
-        for mask in self._shared:
-            if closed & mask:
-                closed |= mask
+        for inputs_of_pin in self._shared:
+            if closed & inputs_of_pin:
+                closed |= inputs_of_pin
         return closed
 
     def controls(self) -> int:
@@ -170,7 +172,8 @@ class SimPort:
             self.safe()
 
     def pulse(self, index: int, hz: int, duty: int) -> None:
-        """Set the frequency and duty of an extra's output."""
+        """Set the frequency and duty of an extra's output; its level shows whether duty is not
+        0."""
         self.own_pulses[index] = hz, duty
         bit = 1 << index
         self.own_outputs = self.own_outputs | bit if duty else self.own_outputs & ~bit
@@ -178,10 +181,13 @@ class SimPort:
             self.safe()
 
     def rest(self, levels: int) -> None:
-        self._rest = levels
+        """Set the levels that safe() gives an extra's outputs."""
+        self._safe_outputs = levels
 
     def sense(self) -> int:
-        return (1 << len(self._own_inputs)) - 1 ^ self._mask(self._own_inputs)
+        """Return the levels of an extra's inputs: 1 while open, because of their pull-ups."""
+        all_open = (1 << len(self._own_inputs)) - 1
+        return all_open ^ self._mask(self._own_inputs)
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
         self._on_change = on_change
@@ -202,7 +208,8 @@ class SimPort:
         self.spindle_pwm = self.spindle_dir = self.flood = self.mist = 0
 
     def push(self, pins: "dict[str, bool]") -> None:
-        """Close (True) or open inputs by name, all at once."""
+        """Close (True) or open inputs by name, all at once, as by hand: they stay so. A switch may
+        close them as well."""
         self._pushed.update(pins)
         self.update()
 
@@ -215,7 +222,8 @@ class SimPort:
         return self._contact_level if self._on_contact else None
 
     def update(self) -> None:
-        """Read every switch again and raise the interrupts of those that have changed."""
+        """Read every switch at the motors' present steps, and call the listeners of the inputs
+        that have changed."""
         engine = self._rig.engine
         steps = self._rig.scratch
         engine.physical(steps)
@@ -247,10 +255,10 @@ class SimPort:
         return ESTOP not in self._closed
 
     def _look_at_probe(self) -> None:
-        """Report the contact if the probe has the level that ends the motion."""
+        """Report the contact, once, if the probe has the level that ends the motion."""
         if self._on_contact and self.probe() == self._contact_level:
             on_contact = self._on_contact
-            self._on_contact = None
+            self._on_contact = None  # first, because the call may start to watch again
             on_contact()
 
     def _mask(self, names: "tuple[str, ...]") -> int:

@@ -3,6 +3,11 @@
 For each step, a transcript case gives the lines received, the steps moved and the outputs changed;
 a motion record gives replies, step counts, times and samples. Nothing is judged here: see
 tools/replay/conformance.py. Runs under CPython and MicroPython.
+
+For a transcript, result["setup"] and result["steps"] have an observation for each step: "lines"
+received, "partial": the unfinished one, "moved": steps by motor, "out": outputs that have changed,
+"moving", "unpowered", "off_step". A replay that fails has "error", one that takes too long
+"too_long".
 """
 
 import sys
@@ -46,12 +51,13 @@ def describe(error: Exception) -> str:
     return "".join(traceback.format_exception(type(error), error, error.__traceback__))
 
 
-# By the board's options, because two boards may have the same name.
+# The files of each store, by the board's options, because two boards may have the same name.
 _factory: "dict[str, dict[str, list[str]]]" = {}
 
 
 def factory_store(board: "ModuleType") -> MemoryStore:
-    """Return a store as the firmware leaves it after its very first start on this board."""
+    """Return a new store as the firmware leaves it after its very first start on this board. That
+    start is simulated once per board, and its files are copied."""
     names = [name for name in dir(board) if name.isupper()]
     options = repr([(name, board.__dict__[name]) for name in names])
     if options not in _factory:
@@ -60,7 +66,7 @@ def factory_store(board: "ModuleType") -> MemoryStore:
 
         def script() -> "Script":
             sender.allow(_START_MS)
-            yield from sender.wait("banner", "", 500)
+            yield from sender.wait("banner", "", settle=500)
 
         rig.run(script())
         _factory[options] = rig.store.files
@@ -77,10 +83,10 @@ class _Case:
         self.case = case
         self.blank = case["init"] == "blank"  # the memory is erased, and the power still off
         self.rig = Rig(board, MemoryStore() if self.blank else factory_store(board), full=True)
-        self.rig.engine.trace = self.segment
+        self.rig.engine.trace = self.note_lost_steps
         self.sender = Sender(self.rig)
-        self.place = array("i", self.rig.scratch)
-        self.unpowered = False  # steps were lost because motors had no power
+        self.place = array("i", self.rig.scratch)  # steps of the motors when the step began
+        self.unpowered = False  # in this step, steps were lost because motors had no power
         self.result: "Json" = {"setup": [], "steps": []}
 
     def run(self) -> "Json":
@@ -94,12 +100,12 @@ class _Case:
     def script(self) -> "Script":
         """Do all steps of the case, and note what each one has changed."""
         sender = self.sender
-        current = None
+        current = None  # observations of the step that is being done
         try:
             sender.allow(_START_MS)
             if not self.blank:
                 yield from sender.wait("banner", "")
-            sender.take()
+            sender.take()  # drops the banner: it belongs to no step
             for part, items in (("setup", self.case["setup"]), ("steps", self.case["steps"])):
                 for item in items:
                     step = item
@@ -114,13 +120,13 @@ class _Case:
         except Exception as error:
             self.result["error"] = describe(error)
 
-    def segment(self, _start: int, row: "array[int]") -> None:
+    def note_lost_steps(self, _start: int, row: "array[int]") -> None:
         """Note steps that are lost because motors have no power. Called by the engine for every
         segment."""
-        off = 1 ^ self.rig.controller.settings.enable_invert
-        if self.rig.port.enable_pin == off:
-            made = [row[ROW_AXES + ROW_STRIDE * i] for i in range(len(self.place))]
-            self.unpowered = self.unpowered or any(made)
+        level_without_power = 1 ^ self.rig.controller.settings.enable_invert
+        if self.rig.port.enable_pin == level_without_power:
+            steps = [row[ROW_AXES + ROW_STRIDE * motor] for motor in range(len(self.place))]
+            self.unpowered = self.unpowered or any(steps)
 
     def begin(self, part: str) -> "Json":
         """Return the observations of a new step, with its initial values. part: setup or steps."""
@@ -131,7 +137,8 @@ class _Case:
         return observed
 
     def end(self, observed: "Json | None") -> None:
-        """Replace the initial values in `observed` by what has changed since."""
+        """Replace the initial values in `observed` by what has changed since. None: no step has
+        begun."""
         if observed is None:
             return
         observed["lines"] = self.sender.take()
@@ -139,9 +146,9 @@ class _Case:
         before = list(self.place)
         self.rig.engine.physical(self.place)
         observed["moved"] = [self.place[i] - before[i] for i in range(len(before))]
-        # The exact position's distance from a whole step of the longest axis.
-        beyond = self.rig.controller.planner.flow[PARTIAL_STEP] / _PARTIAL_STEP
-        observed["off_step"] = min(beyond, 1 - beyond)
+        # The exact position's distance from the closest whole step of the longest axis, in steps.
+        since_step = self.rig.controller.planner.flow[PARTIAL_STEP] / _PARTIAL_STEP
+        observed["off_step"] = min(since_step, 1 - since_step)
         observed["unpowered"] = self.unpowered
         observed["moving"] = self.rig.moving()
         levels = self.outputs()
@@ -157,7 +164,11 @@ class _Case:
         return {name: int(level) for name, level in zip(_OUTPUTS, levels)}
 
     def step(self, step: "Json") -> "Script":
-        """Do a step: switches, inputs, power, and then the bytes, until its wait has ended."""
+        """Do a step: switches, inputs, power, and then the bytes, until its wait has ended.
+
+        Its keys: "send" and "wait" as for Sender.wait(), "settle_ms": silence that ends it,
+        "t_ms": how long it took in the recording, "switches", "pins", "power".
+        """
         rig = self.rig
         limit_ms = step.get("t_ms", 0) * _SLOWER + step.get("settle_ms", 0) + _SPARE_MS
         self.sender.allow(limit_ms)
@@ -170,64 +181,70 @@ class _Case:
                 self.blank = False  # the power has just come on
             else:
                 rig.cycle_power()
-                yield rig.now
+                yield rig.now  # the rig restarts the firmware here
         yield from self.sender.wait(step["wait"], step["send"], step.get("settle_ms"))
 
 
 def _attach(rig: Rig, row: "Any") -> None:
-    """Give the rig a switch of a recording: pin, axis, `ge` or `le`, steps."""
+    """Give the rig a switch of a recording: pin, axis, `ge` or `le` for closed from that many
+    steps on upwards or downwards, steps."""
     pin, axis, relation, steps = row
     rig.engine.switches.append(Switch(pin, _AXES.index(axis), relation == "ge", steps))
     rig.port.push({pin: False})  # it is no longer pushed by hand
 
 
 class _Trace:
-    """Follows the segments from the first step on: counts, times, peak rates and samples."""
+    """Follows the segments from the first step on: counts, times, peak rates and samples.
+
+    dt_ms: time between two samples; each has net_steps at that moment.
+    """
 
     def __init__(self, axes: int, tick_hz: int, dt_ms: float) -> None:
-        self.first: "int | None" = None  # ticks of the first and the last step
-        self.last = 0
-        self.net = [0] * axes  # steps forward minus steps backward
+        self.first_step: "int | None" = None  # its tick; None: no step was made
+        self.last_step = 0  # its tick
+        self.net_steps = [0] * axes  # steps forward minus steps backward
         self.pulses = [0] * axes  # steps in both directions
         self.samples: "list[list[int]]" = []
         self._hz = tick_hz
-        self._dt = int(dt_ms * tick_hz // 1000)  # ticks between samples
+        self._sample_ticks = int(dt_ms * tick_hz // 1000)  # between samples
         # By axis: the ticks of the last steps, and the shortest time of _PEAK_INTERVALS intervals.
         self._recent: "list[list[int]]" = [[] for _ in range(axes)]
         self._shortest: "list[int | None]" = [None] * axes
 
     def segment(self, start: int, row: "array[int]") -> None:
-        """Follow a segment. Called by the engine for every segment that has been played."""
-        axes = range(len(self.net))
-        if self.first is None:
+        """Follow a segment that begins at tick `start`. Called by the engine for every segment
+        that has been played."""
+        axes = range(len(self.net_steps))
+        if self.first_step is None:
             bases = [ROW_AXES + ROW_STRIDE * i for i in axes]
             first_steps = [start + row[base + 1] for base in bases if row[base]]
             if not first_steps:
                 return
-            self.first = min(first_steps)
+            self.first_step = min(first_steps)
         self.sample_until(start + row[ROW_TICKS], start, row)
         for i in axes:
             base = ROW_AXES + ROW_STRIDE * i
             count = row[base]
             if count:
-                self.net[i] += -count if row[ROW_DIRS] >> i & 1 else count
+                self.net_steps[i] += -count if row[ROW_DIRS] >> i & 1 else count
                 self.pulses[i] += count
-                self.last = max(self.last, start + row[base + 2])
-                self._rates(i, start, row, base, count)
+                self.last_step = max(self.last_step, start + row[base + 2])
+                self._follow_rate(i, start, row, base)
 
     def sample_until(self, tick: int, start: int = 0, row: "array[int] | None" = None) -> None:
-        """Take the samples due before a tick."""
-        if self.first is None:
+        """Take the samples due before a tick. row: the segment that began at `start` and is not
+        in net_steps yet; None: nothing moves."""
+        if self.first_step is None:
             return
-        due = self.first + len(self.samples) * self._dt
+        due = self.first_step + len(self.samples) * self._sample_ticks
         while due < tick:
-            place = list(self.net)
+            sample = list(self.net_steps)
             if row is not None and due >= start:
-                for i in range(len(place)):
-                    made = steps_until(row, ROW_AXES + ROW_STRIDE * i, due - start)
-                    place[i] += -made if row[ROW_DIRS] >> i & 1 else made
-            self.samples.append(place)
-            due += self._dt
+                for i in range(len(sample)):
+                    steps = steps_until(row, ROW_AXES + ROW_STRIDE * i, due - start)
+                    sample[i] += -steps if row[ROW_DIRS] >> i & 1 else steps
+            self.samples.append(sample)
+            due += self._sample_ticks
 
     def peaks(self) -> "dict[str, float]":
         """Return the highest step rate of each axis in Hz, by letter."""
@@ -237,15 +254,15 @@ class _Trace:
             if ticks
         }
 
-    def _rates(self, axis: int, start: int, row: "array[int]", base: int, count: int) -> None:
-        """Follow the peak rate of an axis through the `count` steps of its segment."""
+    def _follow_rate(self, axis: int, start: int, row: "array[int]", base: int) -> None:
+        """Follow the peak rate of an axis through its steps in a segment, row[base] of them."""
         recent = self._recent[axis]
         shortest = self._shortest[axis]
-        for index in range(count):
+        for index in range(row[base]):
             tick = start + step_tick(row, base, index)
             recent.append(tick)
             if len(recent) > _PEAK_INTERVALS:
-                span = tick - recent.pop(0)
+                span = tick - recent.pop(0)  # of _PEAK_INTERVALS intervals
                 if shortest is None or span < shortest:
                     shortest = span
         self._shortest[axis] = shortest
@@ -305,14 +322,16 @@ class _Motion:
             self.result["error"] = describe(error)
 
     def program(self) -> "Script":
-        """Stream the program, inject the events at their times, wait for the end of motion."""
+        """Stream the program by character counting, send the events at their times, wait for the
+        end of motion."""
         rig = self.rig
         sender = self.sender
         lines = [line + "\n" for line in self.record["program"]]
+        # (ms after the first step, text to send), in order.
         events = list(self.record.get("events_ms_after_first_step", ()))
-        sent = 0
+        sent = 0  # number of lines
         unanswered: "list[int]" = []  # lengths of the lines sent and not answered
-        answered = 0
+        answered = 0  # number of lines
         while sent < len(lines) or unanswered or events:
             sender.poll()
             while answered < sender.answers and unanswered:
@@ -322,9 +341,9 @@ class _Motion:
                 rig.link.send(to_bytes(lines[sent]))
                 unanswered.append(len(lines[sent]))
                 sent += 1
-            wake = rig.ms(1)
-            if events and self.trace.first is not None:
-                due = self.trace.first + int(events[0][0] * rig.ticks_per_ms)
+            wake = rig.ms(1)  # tick of the next turn of this loop
+            if events and self.trace.first_step is not None:
+                due = self.trace.first_step + int(events[0][0] * rig.ticks_per_ms)
                 if due <= rig.now:
                     rig.link.send(to_bytes(events.pop(0)[1]))
                     continue
@@ -332,20 +351,20 @@ class _Motion:
             if rig.now >= sender.deadline:
                 raise TooLong()
             yield wake
-        yield from sender.wait("idle", "", 100)
+        yield from sender.wait("idle", "", settle=100)
 
     def summary(self) -> None:
         """Put the counts, samples and rates of the motion into the result."""
         trace = self.trace
         result = self.result
         trace.sample_until(self.rig.now)
-        result["net_steps"] = _by_letter(trace.net)
+        result["net_steps"] = _by_letter(trace.net_steps)
         result["pulses"] = _by_letter(trace.pulses)
         result["samples"] = trace.samples
         result["peak_step_rate_hz"] = trace.peaks()
         result["duration_s"] = 0
-        if trace.first is not None:
-            result["duration_s"] = (trace.last - trace.first) / self.rig.engine.tick_hz
+        if trace.first_step is not None:
+            result["duration_s"] = (trace.last_step - trace.first_step) / self.rig.engine.tick_hz
 
 
 def replay(case: "Json", board: "ModuleType") -> "Json":

@@ -16,12 +16,13 @@ if TYPE_CHECKING:
 
 def set_path() -> None:
     """Make firmware, boards and simulator importable; under CPython the stand-ins too.
-    UGRBL_FIRMWARE: what MicroPython runs instead of the sources (compiling/folder.place())."""
-    here = sys.argv[0].rsplit("/", 1)[0] if "/" in sys.argv[0] else "."
+    UGRBL_FIRMWARE, of the environment: a folder of compiled firmware, which MicroPython runs
+    instead of the sources (compiling/folder.place())."""
+    here = sys.argv[0].rsplit("/", 1)[0] if "/" in sys.argv[0] else "."  # tools/sim
     tools = here + "/.."
     try:
         os.stat(tools + "/firmware")
-        root = tools  # installed
+        root = tools  # installed: the firmware is inside the package
     except OSError:
         root = tools + "/.."
     # Replaces this folder, whose modules would hide the firmware's.

@@ -53,7 +53,7 @@ class MemoryStore:
         self.files[name] = list(lines)
 
 
-class _AtRest:
+class _NoWritesInMotion:
     """A Store in front of the rig's, and of job files: it checks that nothing is written during
     motion.
 
@@ -85,10 +85,10 @@ class _Board:
 
 def _without_custom(board: "Any") -> "Any":
     """Return a copy of a board that reads no Python of the user's, whatever is in the current
-    folder."""
+    folder: by default the firmware would load custom.py from there."""
     copied = _Board()
     for name, value in dict(board.__dict__, CUSTOM="").items():
-        if name[:2] != "__":
+        if name[:2] != "__":  # no attribute of the module itself
             setattr(copied, name, value)
     return copied
 
@@ -116,19 +116,21 @@ class Rig:
         self.store: "Any" = MemoryStore() if store is None else store
         tool = getattr(board, "TOOL", "spindle")
         has_punch = tool == "punch"
-        engine = {"punch": PunchEngine, "laser": SimBeamEngine}.get(tool, SimEngine)
-        self.engine = engine(axes, getattr(board, "SEGMENT_QUEUE", _SEGMENT_QUEUE))
+        engine_of_tool = {"punch": PunchEngine, "laser": SimBeamEngine}.get(tool, SimEngine)
+        self.engine = engine_of_tool(axes, getattr(board, "SEGMENT_QUEUE", _SEGMENT_QUEUE))
         self.engine.tick_hz = SimEngine.tick_hz // coarse
         self._full = full or coarse > 1
         self.ticks_per_ms = self.engine.tick_hz / 1000
         self.drivers = DriverBus(getattr(board, "TMC2209", ()), self.engine.idle)
         self.scratch = array("i", [0] * axes)  # for steps of motors that are used at once
-        # How long parts of the firmware take: a turn of its loop, an answer, the start of motion.
-        self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
-        start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
+        # How long parts of the firmware take, 0 by default: a turn of its loop, each `ok` and
+        # status report, the start of motion.
+        ticks_per_us = self.ticks_per_ms / 1000
+        self.loop_ticks = int(getattr(board, "LOOP_US", 0) * ticks_per_us)
+        self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * ticks_per_us)
+        start_ticks = int(getattr(board, "START_US", 0) * ticks_per_us)
         if start_ticks:
             self.engine.prepare = lambda: self.pass_time(self.now + start_ticks)
-        self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
         self.port = (PunchPort if has_punch else SimPort)(self, board)
         self.engine.pins_changed = self.port.update
         if isinstance(self.engine, SimBeamEngine):
@@ -140,8 +142,8 @@ class Rig:
         # called whenever a new controller has been built
         self.on_built: "Callable[[], None] | None" = None
         self._script: "Script"
-        self._wake: "Wake"  # when to resume the script
-        self._cycle = False  # the script restarts the firmware
+        self._wake: "Wake"  # when to resume the script: a tick, or a condition
+        self._restarts = False  # the script has asked for cycle_power()
 
     @property
     def now(self) -> int:
@@ -153,14 +155,15 @@ class Rig:
         return self.now + int(milliseconds * self.ticks_per_ms)
 
     def run(self, script: "Script") -> None:
-        """Power up and run the firmware until the script, a generator, ends."""
+        """Power up and run the firmware until the script, a generator, ends; power up again each
+        time that it cycles the power."""
         self._script = script
         self._wake = self.now
         while True:
-            self._cycle = False
+            self._restarts = False
             self.drivers.attach(getattr(self.board, "TMC_UART", ()))
             try:
-                store = _AtRest(self.store, self.engine.idle)
+                store = _NoWritesInMotion(self.store, self.engine.idle)
                 self.controller = wiring.build(
                     self.board, self.link, self.port, self.engine, store
                 )
@@ -170,20 +173,24 @@ class Rig:
                 if self.on_built:
                     self.on_built()
                 self.controller.power_up()
-                self.controller.protocol.run()
+                self.controller.protocol.run()  # endless: PowerOff is raised inside
             except PowerOff:
                 self.engine.power_off()
                 self.port.power_off()
                 self.link.power_off()
-            if not self._cycle:
+            if not self._restarts:
                 return
 
     def _give_reports_time(self) -> None:
         """Make status reports take time. Requests during this time are answered by the same
-        report."""
+        report.
+
+        A function that adds a field to reports is called for each one: this one adds nothing, and
+        lets the time pass.
+        """
 
         def field() -> str:
-            """Return nothing for the report, after the time that it takes."""
+            """Let the time of a report pass; return no field."""
             self.pass_time(self.now + self.answer_ticks)
             return ""
 
@@ -193,7 +200,7 @@ class Rig:
     def cycle_power(self) -> None:
         """Restart the firmware, with its memory kept, when the script yields. Called by the
         script."""
-        self._cycle = True
+        self._restarts = True
 
     def power_off(self) -> None:
         """End the machine. Called by a link."""
@@ -206,7 +213,7 @@ class Rig:
     def wait(self) -> None:
         """Let time pass to the next event. Called when the firmware has nothing to read."""
         must_poll = self.inputs or not self.engine.idle()
-        self.pass_time(self.ms(_POLL_MS if must_poll else self.idle_poll_ms), True)
+        self.pass_time(self.ms(_POLL_MS if must_poll else self.idle_poll_ms), or_arrival=True)
 
     def skip(self) -> None:
         """Let time pass, without a script, until something may have changed by itself."""
@@ -215,8 +222,8 @@ class Rig:
         engine.advance(max(event, self.now))
 
     def pass_time(self, to: int, or_arrival: bool = False) -> None:
-        """Let time pass until `to`, or until a byte arrives, and resume the script when it asked
-        for it."""
+        """Let time pass until tick `to`, or with or_arrival until a byte arrives at the device.
+        Resume the script whenever its wake has come."""
         engine, link = self.engine, self.link
         while True:
             stop = to  # the next tick at which something other than the engine may act
@@ -238,11 +245,12 @@ class Rig:
                 return
 
     def _wake_script(self) -> None:
-        """Resume the script as long as what it waits for is there. PowerOff when it ends."""
+        """Resume the script, again and again, while its tick has come or its condition is true.
+        PowerOff when it ends or cycles the power."""
         while self._wake() if callable(self._wake) else self._wake <= self.engine.now:
             try:
                 self._wake = next(self._script)
             except StopIteration:
                 raise PowerOff()
-            if self._cycle:
+            if self._restarts:
                 raise PowerOff()

@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
     Script = Generator[int | Callable[[], bool], None, None]
 
-# Silence, in ms, that ends a step.
+# Silence, in ms, that ends a step, by how it waits: see Sender.wait().
 _SETTLE = {"ok": 20, "idle": 20, "stream": 20, "report": 5, "banner": 60}
 WINDOW = 127  # unanswered bytes while streaming
-_REACT_MS = 2  # time for the firmware after the last byte, before its state counts
+_REACT_MS = 2  # after the last byte; the firmware may be idle before because it has not read it
 
 
 class TooLong(Exception):
@@ -63,7 +63,7 @@ class Sender:
             text = to_text(link.received)
             if "\r\n" in text:
                 lines = text.split("\r\n")
-                link.received = bytearray(to_bytes(lines.pop()))
+                link.received = bytearray(to_bytes(lines.pop()))  # the unfinished line
                 for line in lines:
                     self.lines.append(line)
                     self.answers += is_answer(line)
@@ -73,19 +73,20 @@ class Sender:
         self.deadline = self.rig.ms(milliseconds)
 
     def until(self, condition: "Callable[[], bool]") -> "Script":
-        """Wait until condition() is true."""
+        """Wait until condition() is true; TooLong at the deadline."""
 
-        def over() -> bool:
+        def has_ended() -> bool:
             self.poll()
             return condition() or self.rig.now >= self.deadline
 
-        if not over():
-            yield over
+        if not has_ended():
+            yield has_ended  # the rig resumes this when it returns True
         if not condition():
             raise TooLong()
 
     def silence(self, since: int, milliseconds: int) -> "Script":
-        """Wait until nothing has arrived for so long, from tick `since` on at the earliest."""
+        """Wait until nothing has arrived for so many ms, counted from tick `since` on at the
+        earliest."""
         rig = self.rig
         while True:
             end = max(since, rig.link.last_arrival) + int(milliseconds * rig.ticks_per_ms)
@@ -96,18 +97,17 @@ class Sender:
             yield end
 
     def stream(self, lines: "list[str]") -> "Script":
-        """Send by character counting until every line is answered."""
+        """Send by character counting until every line is answered. lines: with their ends."""
         lengths: "list[int]" = []  # of the lines without an answer
         unanswered = 0  # their bytes
         counted = self.answers  # number of answers taken into account
 
-        def another() -> bool:
-            """Return whether a further answer has come."""
+        def has_new_answer() -> bool:
             return self.answers > counted
 
         for line in lines:
             while unanswered + len(line) > WINDOW and lengths:
-                yield from self.until(another)
+                yield from self.until(has_new_answer)
                 unanswered -= lengths.pop(0)
                 counted += 1
             lengths.append(len(line))
@@ -117,7 +117,8 @@ class Sender:
         yield from self.until(lambda: self.answers >= wanted)
 
     def at_rest(self) -> bool:
-        """Return whether motion has ended, as the recorder determined it by reading the chip."""
+        """Return whether motion has ended and no more follows by itself, as the recorder
+        determined it by reading the chip: also in a completed hold, an alarm, or sleep."""
         rig = self.rig
         controller = rig.controller
         if controller is None or rig.moving():
@@ -134,14 +135,14 @@ class Sender:
 
         how: `ok`: until every line is answered; `idle`: until motion has ended, too; `stream`:
         the same as `ok` while sending by character counting; `report`, `banner`: until one has
-        come; `ms 50`: so long. settle: ms of silence that end it; None: the usual time.
+        come; `ms 50`: so long. settle: ms of silence that end it; None: those of _SETTLE.
         """
         rig = self.rig
         if how == "stream":
             yield from self.stream([line + "\n" for line in text.split("\n")[:-1]])
             since = rig.now
         else:
-            since = rig.link.send(to_bytes(text))
+            since = rig.link.send(to_bytes(text))  # tick at which the last byte arrives
             wanted = text.count("\n") + text.count("\r")
             if how.startswith("ms "):
                 yield since + int(float(how[3:]) * rig.ticks_per_ms)
@@ -155,7 +156,7 @@ class Sender:
             else:
                 raise ValueError("unknown wait: " + how)
         if how == "idle":
-            react = since + int(_REACT_MS * rig.ticks_per_ms)
-            yield from self.until(lambda: rig.now >= react and self.at_rest())
+            has_reacted = since + int(_REACT_MS * rig.ticks_per_ms)
+            yield from self.until(lambda: rig.now >= has_reacted and self.at_rest())
             since = rig.now
         yield from self.silence(since, _SETTLE[how] if settle is None else settle)

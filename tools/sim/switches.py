@@ -19,15 +19,16 @@ class EndSwitch(Switch):
     """
 
     def __init__(self, rig: "Rig", motor: int, above: bool) -> None:
-        super().__init__(rig.port.limit_names[motor], motor, above, 0)
+        super().__init__(rig.port.limit_names[motor], motor, above, steps=0)
         self._rig = rig
-        self._number = motor_names.AXIS_LETTERS.index(motor_names.letters(rig.board)[motor])
+        # The axis that the motor moves: the index of its settings.
+        self._axis_number = motor_names.AXIS_LETTERS.index(motor_names.letters(rig.board)[motor])
 
     @property
     def steps(self) -> int:
         settings = self._rig.controller.settings
-        half_mm = (settings.max_travel[self._number] + _SPARE_MM) / 2
-        steps = int(half_mm * settings.steps_per_mm[self._number])
+        half_mm = (settings.max_travel[self._axis_number] + _SPARE_MM) / 2
+        steps = int(half_mm * settings.steps_per_mm[self._axis_number])
         return steps if self.above else -steps
 
     @steps.setter
@@ -37,13 +38,15 @@ class EndSwitch(Switch):
 
 class PlaceSwitch(Switch):
     """A switch that is closed above a position, or below it. mm: relative to where the machine
-    begins. The limit switch of a second motor follows that motor."""
+    begins. axis: the motor, from 0, which is also the number of its axis; but the limit switch of
+    the axis' second motor follows that one."""
 
     def __init__(self, rig: "Rig", pin: str, axis: int, above: bool, mm: float) -> None:
         names, letters = rig.port.limit_names, motor_names.letters(rig.board)
         limit_motor = names.index(pin) if pin in names else axis
         is_same_axis = letters[limit_motor] == letters[axis]
-        super().__init__(pin, limit_motor if is_same_axis else axis, above, 0)
+        motor = limit_motor if is_same_axis else axis
+        super().__init__(pin, motor, above, steps=0)
         self._rig = rig
         self._number = axis  # the axis whose settings give the length of a step
         self._mm = mm
@@ -58,7 +61,8 @@ class PlaceSwitch(Switch):
 
 
 def fit(rig: "Rig") -> None:
-    """Give a machine its switches. ValueError if its motors do not move one axis each."""
+    """Give a machine an EndSwitch at both ends of each motor's travel, if the motor has a limit
+    input. ValueError if its motors do not move one axis each."""
     together = motor_names.shared(rig.board)
     if together:
         raise ValueError("no switches here: motors move %s together" % " and ".join(together))

@@ -22,16 +22,16 @@ _BEGIN = {
 }
 _READABLE = (GCONF, GSTAT, IFCNT, IOIN, CHOPCONF, DRV_STATUS)
 _WRITABLE = (GCONF, GSTAT, NODECONF, IHOLD_IRUN, 0x11, 0x13, TCOOLTHRS, SGTHRS, CHOPCONF)
-_READ_BYTES, _WRITE_BYTES = 4, 8
-# A datagram: sync, address, register with the write flag, data, CRC. The address of the master,
-# in answers, is 255.
+# A datagram: sync, address, register with the write flag, four bytes of data unless it is a read
+# request, CRC. The address of the master, in answers, is 255.
+_READ_BYTES, _WRITE_BYTES = 4, 8  # length of a request
 _SYNC, _SYNC_BITS, _MASTER = 5, 0xF, 0xFF
-_WRITE = 0x80
+_WRITE = 0x80  # flag in the byte of the register
 
 
 def crc(data: bytes) -> int:
     """Return the CRC: the remainder by x^8 + x^2 + x + 1 of all bits, the lowest of each byte
-    first."""
+    first. By long division, as in the definition."""
     bits = [byte >> i & 1 for byte in data for i in range(8)] + [0] * 8
     for i in range(len(bits) - 8):
         if bits[i]:
@@ -60,11 +60,12 @@ class Driver:
         self._writes = 0  # datagrams that were accepted, for IFCNT
 
     def take(self, data: bytes) -> bytes:
-        """Process a datagram to this address; returns the answer, or b""."""
-        register = data[2] & ~_WRITE
+        """Process a datagram to this address; returns the answer of a read request, else b"". An
+        invalid one is ignored, as by the chip."""
+        register, is_write = data[2] & ~_WRITE, data[2] & _WRITE
         if not self.has_supply or data[0] & _SYNC_BITS != _SYNC or crc(data[:-1]) != data[-1]:
             return b""
-        if not data[2] & _WRITE:
+        if not is_write:
             if len(data) != _READ_BYTES or register not in _READABLE:
                 return b""
             value = self._writes & 0xFF if register == IFCNT else self.registers.get(register, 0)
@@ -73,7 +74,7 @@ class Driver:
         if len(data) == _WRITE_BYTES and register in _WRITABLE:
             self._writes += 1
             value = int.from_bytes(data[3:7], "big")
-            if register == GSTAT:  # writing ones clears
+            if register == GSTAT:  # a bit written as 1 is cleared
                 value = self.registers[GSTAT] & ~value | self.stuck
             self.registers[register] = value
         return b""
@@ -83,29 +84,29 @@ class DriverBus:
     """All drivers of a machine, one per motor. spoil: changes an answer, for tests. is_broken:
     nothing comes back on the wire, not even the echo."""
 
-    def __init__(self, addresses: "Sequence[int]", at_rest: "Callable[[], bool]") -> None:
+    def __init__(self, addresses: "Sequence[int]", is_idle: "Callable[[], bool]") -> None:
         self.drivers = [Driver(address) for address in addresses]
         self.spoil: "Callable[[bytes], bytes] | None" = None
         self.is_broken = False
         self.datagrams = 0  # number of all
         self.in_motion = 0  # number of datagrams while motors turned
-        self._at_rest = at_rest
+        self._is_idle = is_idle
 
     def attach(self, pins: "Sequence[int]") -> None:
-        """Connect to these pins, TX and RX."""
+        """Connect to these pins, TX and RX; () if the board has no such wire."""
         if len(pins) == 2:
             machine.UART.at[pins[0], pins[1]] = self.exchange
 
     def exchange(self, data: bytes) -> bytes:
         """Return what comes back: the echo of the data, followed by the answer."""
         self.datagrams += 1
-        if not self._at_rest():
+        if not self._is_idle():
             self.in_motion += 1
         if self.is_broken:
             return b""
         answer = b""
         for driver in self.drivers:
-            if len(data) > 2 and data[1] == driver.address:
+            if len(data) > 2 and data[1] == driver.address:  # byte 1 of a datagram
                 answer = driver.take(data)
         if answer and self.spoil:
             answer = self.spoil(answer)

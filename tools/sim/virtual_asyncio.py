@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 def install(made: "list[SimHardware]") -> None:
-    """Make asyncio.run() use the clock of this hardware, the last one in the list."""
+    """Make asyncio.run() use the clock of this hardware, of the last one in the list; it may be
+    added later."""
     if sys.implementation.name == "micropython":
         _install_in_micropython(made)
     else:
@@ -30,10 +31,10 @@ def _install_in_cpython(made: "list[SimHardware]") -> None:
     import selectors
 
     class Selector(selectors.SelectSelector):
-        """Lets virtual time pass instead of waiting."""
+        """Lets virtual time pass instead of waiting: an event loop waits in select()."""
 
         def select(self, timeout: "float | None" = None) -> "Any":
-            if timeout is None:
+            if timeout is None:  # without a limit
                 raise RuntimeError("every task waits, and nothing will wake one")
             if timeout > 0:
                 _pass_s(made, timeout)
@@ -61,20 +62,21 @@ def _install_in_micropython(made: "list[SimHardware]") -> None:
     """MicroPython's loop has no clock of its own: its functions are replaced.
 
     Its queue, which is in C, takes the real time for tasks that may run at once. So the virtual
-    time is the real one and all time that has passed in waits: those tasks are always due.
+    time is the sum of the real one and all time that has passed in waits: it is never earlier than
+    the real one, so those tasks are always due.
     """
     core: "Any" = asyncio.core  # type: ignore[attr-defined]
-    real = core.ticks
-    passed = [0]
+    real_ticks = core.ticks
+    waited_ms = [0]  # in a list, because both functions below use it
 
     def ticks() -> int:
-        return int(core.ticks_add(real(), passed[0]))
+        return int(core.ticks_add(real_ticks(), waited_ms[0]))
 
     def wait(milliseconds: int) -> None:
-        if milliseconds < 0:
+        if milliseconds < 0:  # without a limit
             raise RuntimeError("every task waits, and nothing will wake one")
         if milliseconds:
-            passed[0] += milliseconds
+            waited_ms[0] += milliseconds
             _pass_s(made, milliseconds / 1000)
 
     core.ticks = ticks

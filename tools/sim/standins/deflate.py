@@ -7,7 +7,7 @@ RAW = 1
 
 
 class DeflateIO:
-    """Decompresses a stream."""
+    """Decompresses a stream of raw deflate; OSError if it is damaged."""
 
     def __init__(self, stream: io.BytesIO, packing: int, window_log2: int) -> None:
         assert packing == RAW
@@ -15,7 +15,7 @@ class DeflateIO:
         try:
             self._left = unpacking.decompress(stream.read())
         except zlib.error as fault:
-            raise OSError(22) from fault
+            raise OSError(22) from fault  # EINVAL
 
     def readinto(self, buf: bytearray) -> int:
         """Fill the buffer; returns the number of bytes."""

@@ -19,16 +19,15 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-# Duration of a call of write_pulses(), in us: fixed, per duration, and at most in addition (flash
-# cache misses). The hardware starts shortly before the call returns.
-CALL_US = 90
-DURATION_US = 0.2
-MOOD_US = 30
-RETURN_US = 8
+# Duration of a call of write_pulses(), in us.
+CALL_US = 90  # fixed
+DURATION_US = 0.2  # for each duration of the train
+JITTER_US = 30  # at most in addition, for flash cache misses
+RETURN_US = 8  # from the start of the train to the return of the call
 ABORT_US = 20  # duration of active(False)
-# A generator of pseudo-random numbers for the additional time: x * 75 + 74, modulo 65537.
-_MOOD_FACTOR, _MOOD_OFFSET, _MOOD_MODULUS = 75, 74, 65537
-_BLOCK_ESP32 = 64
+# A generator of pseudo-random numbers for the jitter: x * 75 + 74, modulo 65537.
+_RANDOM_FACTOR, _RANDOM_OFFSET, _RANDOM_MODULUS = 75, 74, 65537
+_BLOCK_ESP32 = 64  # symbols; this block size identifies the ESP32, the S3 has another
 
 HEAP_DATA = 4
 psram = 4_134_464  # free at first; 0 without PSRAM
@@ -65,17 +64,18 @@ class RMT:
         self.symbols = num_symbols or self.block
         if self.symbols < self.block or self.symbols % 2:
             raise ValueError("num_symbols must be even and at least %d" % self.block)
-        blocks = -(-self.symbols // self.block)
-        self._number = RMT.channels[-1]._after if RMT.channels else 0
-        self._after: int = self._number + blocks
-        if self._after > self.available:
+        blocks = -(-self.symbols // self.block)  # rounded up
+        # Blocks are assigned in sequence; a channel has the number of its first one.
+        self._number = RMT.channels[-1]._end_block if RMT.channels else 0
+        self._end_block: int = self._number + blocks
+        if self._end_block > self.available:
             raise OSError(261)  # ESP_ERR_NOT_FOUND
         self.pin = pin
         self.trains: "list[tuple[int, int, list[int], int]]" = []
         self._enabled = False
         self._end = 0  # of the last train, in us
-        self._aborted = 0  # number of trains
-        self._mood = id + 1  # state of the generator
+        self._aborted = 0  # number of trains: they count as in progress for ever
+        self._random = id + 1  # state of the generator
         esp_machine.mem32.connect(pin.id, self.first_signal + self._number)
         RMT.channels.append(self)
 
@@ -93,10 +93,11 @@ class RMT:
             if not 0 < ticks <= self.PULSE_MAX:
                 raise ValueError("a duration that the hardware does not have")
         if self._enabled:
-            clock.work(max(0, self._end - clock.us))
+            clock.work(max(0, self._end - clock.us))  # wait for the last train
         self._enabled = True
-        self._mood = (self._mood * _MOOD_FACTOR + _MOOD_OFFSET) % _MOOD_MODULUS
-        clock.work(CALL_US + int(len(duration) * DURATION_US) + self._mood % (MOOD_US + 1))
+        self._random = (self._random * _RANDOM_FACTOR + _RANDOM_OFFSET) % _RANDOM_MODULUS
+        jitter_us = self._random % (JITTER_US + 1)
+        clock.work(CALL_US + int(len(duration) * DURATION_US) + jitter_us)
         start = clock.us
         self._end = start + sum(duration)
         self.trains.append((start, 1 if data else 0, list(duration), self._end))
@@ -104,7 +105,8 @@ class RMT:
 
     def flash_write(self, us: int) -> None:
         """Delay the interrupt that refills the memory for so long, from now on. If the memory runs
-        empty, the train gets old durations again, and becomes longer."""
+        empty meanwhile, the train is rewritten as it is then played: old durations are repeated,
+        and it becomes longer."""
         if clock.us >= self._end:
             return
         start, level, durations, _ = self.trains[-1]
@@ -112,15 +114,15 @@ class RMT:
         played = []
         end = start  # of the durations played
         filled = 2 * self.symbols  # number of durations that were in memory; a symbol has two
-        while remaining and end < clock.us:
+        while remaining and end < clock.us:  # played before now
             played.append(remaining.pop(0))
             end += played[-1]
             if len(played) % self.symbols == 0:  # half of the memory is free again
                 filled += self.symbols
-        while remaining and len(played) < filled:
+        while remaining and len(played) < filled:  # in memory already
             played.append(remaining.pop(0))
             end += played[-1]
-        while remaining and end < clock.us + us:
+        while remaining and end < clock.us + us:  # until the refill: the memory once more
             played.append(played[-2 * self.symbols])
             end += played[-1]
         played += remaining
@@ -135,7 +137,7 @@ class RMT:
             raise ValueError("activate by calling write_pulses()")
         if self._enabled and clock.us < self._end:
             self._aborted += 1
-            if self.block == _BLOCK_ESP32:
+            if self.block == _BLOCK_ESP32:  # there, this waits for the end of the train
                 clock.work(self._end - clock.us)
             start, level, duration, _ = self.trains[-1]
             self.trains[-1] = (start, level, duration, clock.us)

@@ -26,9 +26,9 @@ class Clock:
         self.timers: "list[Timer]" = []
         self.call_us = 2  # duration of reading the time, so that a loop that waits for it ends
         self.lost = 0  # number of callbacks that found no place
-        self.busy = False  # C code runs, and no callback can
+        self.in_c_code = False  # no callback can run
         self._due = _NEVER  # when the next timer expires
-        self._inside = False  # a callback runs
+        self._in_callback = False  # nor can another one
         self._waiting: "list[tuple[Any, object]]" = []  # callbacks with their arguments
 
     def ticks_us(self) -> int:
@@ -52,7 +52,8 @@ class Clock:
         self.rearmed()
 
     def call(self, callback: "Any", argument: object) -> None:
-        """Schedule a callback from an interrupt: it runs now, or as soon as possible."""
+        """Schedule a callback from an interrupt: it runs now, or as soon as possible, or is lost
+        if too many wait."""
         if len(self._waiting) < _PLACES:
             self._waiting.append((callback, argument))
         else:
@@ -61,28 +62,28 @@ class Clock:
 
     def _run(self) -> None:
         """Run the callbacks that wait, one at a time."""
-        while self._waiting and not self._inside and not self.busy:
+        while self._waiting and not self._in_callback and not self.in_c_code:
             callback, argument = self._waiting.pop(0)
-            self._inside = True
+            self._in_callback = True
             try:
                 callback(argument)
             finally:
-                self._inside = False
+                self._in_callback = False
 
     def work(self, us: int) -> None:
-        """Let time pass inside C code: timers tick, but no callback can run."""
+        """Let time pass inside C code: timers schedule their callbacks, but none can run."""
         self.us += us
         if self.us >= self._due:
-            busy, self.busy = self.busy, True
-            self._tick()
-            self.busy = busy
+            was_in_c_code, self.in_c_code = self.in_c_code, True
+            self._call_timers()
+            self.in_c_code = was_in_c_code
 
     def rearmed(self) -> None:
         """Note that a timer was started or stopped."""
         self._due = min([timer.due for timer in self.timers], default=_NEVER)
 
-    def _tick(self) -> None:
-        """Call for all timers that are due, the earliest first."""
+    def _call_timers(self) -> None:
+        """Schedule the callbacks of all timers that are due, the earliest first."""
         while self._due <= self.us:
             timer = min(self.timers, key=_due)
             callback = timer.callback
@@ -91,12 +92,13 @@ class Clock:
             self.call(callback, timer)
 
     def advance(self, to: int) -> None:
-        """Let time pass in Python code: callbacks of timers run when they are due, or late."""
-        assert not self._inside, "a callback may not wait for callbacks"
+        """Let time pass in Python code, until `to` in us: callbacks of timers run when they are
+        due, or late."""
+        assert not self._in_callback, "a callback may not wait for callbacks"
         self._run()
         while self._due <= to:
             self.us = max(self.us, self._due)
-            self._tick()
+            self._call_timers()
         self.us = max(self.us, to)
 
 

@@ -33,7 +33,8 @@ class Pads:
     """machine.mem32, limited to pins: the GPIO matrix (which signal each pin shows), output
     enables, and levels.
 
-    `log` has (us, word) of every change, by pin; OFF in a word means that the output is disabled.
+    `log` has (us, selection word) of every change, by pin: the signal, `inverted`, and OFF, which
+    is not the chip's: the pin's output is disabled.
     """
 
     register = 0x100  # the pin's own level
@@ -63,14 +64,15 @@ class Pads:
         """Make a pin an input, as gpio_set_direction() of ESP-IDF does."""
         self.connect(pin, self.register | self.OFF)
 
-    def _of_all(self, address: int, registers: "tuple[int, int]") -> int:
-        """Return the first pin of a register with a bit per pin; -1 for any other register."""
-        offset = address - (self.first & ~0xFFF)
+    def _first_pin(self, address: int, registers: "tuple[int, int]") -> int:
+        """Return the pin of bit 0 if the address is one of these registers, which have a bit per
+        pin and are for pins 0 to 31 and from 32; else -1."""
+        offset = address - (self.first & ~0xFFF)  # from the beginning of the GPIO registers
         return 32 * registers.index(offset) if offset in registers else -1
 
     def __getitem__(self, address: int) -> int:
         """Return a register: a pin's selection word, or levels of up to 32 pins."""
-        first = self._of_all(address, _LEVELS)
+        first = self._first_pin(address, _LEVELS)
         if first < 0:
             return self.word(self._pin(address)) & ~self.OFF
         from esp_pcnt import pad_now
@@ -81,7 +83,7 @@ class Pads:
 
     def __setitem__(self, address: int, word: int) -> None:
         """Write a pin's selection word, or enable the outputs of all pins whose bit is set."""
-        first = self._of_all(address, _ENABLES)
+        first = self._first_pin(address, _ENABLES)
         if first < 0:
             pin = self._pin(address)
             self.connect(pin, word | (self.word(pin) & self.OFF))
@@ -114,7 +116,7 @@ class Pin:
     PULL_DOWN, PULL_UP = 1, 2
     IRQ_RISING, IRQ_FALLING = 1, 2
     pins: "dict[int, Pin]" = {}
-    _fresh = True
+    _is_new = True  # the first __init__ of a pin: later ones keep its state
     without_output = (34, 35, 36, 37, 38, 39)  # and without pull-ups: ESP32
 
     def __new__(cls, id: int, *_: object, **__: object) -> "Pin":
@@ -127,8 +129,8 @@ class Pin:
     def __init__(
         self, id: int, mode: int = -1, pull: "int | None" = -1, *, value: "int | None" = None
     ) -> None:
-        if self._fresh:
-            self._fresh = False
+        if self._is_new:
+            self._is_new = False
             self.id = id
             self.level = 0
             self.mode = 0
@@ -161,11 +163,11 @@ class Pin:
         return 0
 
     def _set(self, level: int) -> None:
-        """Set an input's level."""
+        """Set an input's level; if it changes, call the handler of this edge."""
         if level != self.level:
             self.level = level
-            wanted = self.IRQ_RISING if level else self.IRQ_FALLING
-            if self.handler and self.trigger & wanted:
+            edge = self.IRQ_RISING if level else self.IRQ_FALLING
+            if self.handler and self.trigger & edge:
                 clock.call(self.handler, self)
 
     def irq(self, handler: object = None, trigger: int = 3) -> "IRQ":
@@ -308,17 +310,17 @@ class I2S(io.IOBase):
         self.buffer_us = _DMA_FRAMES * 1_000_000 // rate
         self.memory = [bytearray(self.size) for _ in range(max(2, ibuf // self.size))]
         self.played: "list[tuple[int, bytes]]" = []
-        self._asyncio = False
+        self._never_waits = False  # write(), once poll() has been used
         self._free: "list[int]" = []  # indices of buffers played and not taken, oldest first
-        self._current: "bytearray | None" = None  # taken, and being written
-        self._at = 0  # bytes written to it
+        self._current: "bytearray | None" = None  # the buffer taken, and being written
+        self._written = 0  # bytes written to it
         self._began = clock.us  # when the buffer now playing began
         self._playing = 0  # its index
-        self._deaf = False  # during a write to flash there are no interrupts
-        self._begin()
+        self._has_interrupts = True  # not during a write to flash
+        self._record()
         I2S.open_streams[id] = self
 
-    def _begin(self) -> None:
+    def _record(self) -> None:
         if self.recording:
             self.played.append((self._began, bytes(self.memory[self._playing])))
 
@@ -329,15 +331,15 @@ class I2S(io.IOBase):
             self._began += self.buffer_us
             done = self._playing
             self._playing = (done + 1) % count
-            self._begin()
-            if not self._deaf:
-                self._ended(done)
+            self._record()
+            if self._has_interrupts:
+                self._free_buffer(done)
 
-    def _ended(self, done: int) -> None:
-        """Handle the interrupt at the end of a buffer."""
+    def _free_buffer(self, done: int) -> None:
+        """Handle the interrupt at the end of a buffer: it may be written again."""
         buffer = self.memory[done]
         buffer[:] = bytes(len(buffer))  # auto_clear
-        if len(self._free) == len(self.memory) - 1:
+        if len(self._free) == len(self.memory) - 1:  # the oldest one is lost to the writer
             self._free.pop(0)
         self._free.append(done)
 
@@ -346,42 +348,43 @@ class I2S(io.IOBase):
         one."""
         self.run()
         began = self._began
-        self._deaf = True
+        self._has_interrupts = False
         clock.work(us)
         self.run()
-        self._deaf = False
+        self._has_interrupts = True
         if self._began > began:
-            self._ended((self._playing - 1) % len(self.memory))
+            self._free_buffer((self._playing - 1) % len(self.memory))
 
     def fileno(self) -> int:
         """Support poll() of CPython: return a file that is always writable."""
-        self._asyncio = True
+        self._never_waits = True
         return 1
 
     def ioctl(self, request: int, flags: int) -> int:
         """Support poll() of MicroPython."""
         if request != _POLL:
             return -1
-        self._asyncio = True
+        self._never_waits = True
         return flags
 
     def write(self, buf: "bytearray | memoryview") -> int:
+        """Write to free buffers; return the number of bytes. Without poll(), wait for buffers."""
         if not self.size:
             raise OSError("the stream is closed")
         self.run()
         done = 0
         while done < len(buf):
-            if self._current is None or self._at == self.size:
-                while not self._free and not self._asyncio:
+            if self._current is None or self._written == self.size:  # take another one
+                while not self._free and not self._never_waits:
                     clock.work(self.buffer_us)
                     self.run()
                 if not self._free:
                     break
                 self._current = self.memory[self._free.pop(0)]
-                self._at = 0
-            count = min(len(buf) - done, self.size - self._at)
-            self._current[self._at : self._at + count] = buf[done : done + count]
-            self._at += count
+                self._written = 0
+            count = min(len(buf) - done, self.size - self._written)
+            self._current[self._written : self._written + count] = buf[done : done + count]
+            self._written += count
             done += count
         clock.work(20)
         return done

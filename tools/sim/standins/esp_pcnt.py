@@ -37,27 +37,28 @@ class Pad:
     def __init__(self, pin: int) -> None:
         self.pin = pin
         self.level = 0
-        self._at = [0, 0]  # how much of both logs has been read
-        self._train = self._edge = 0  # the next edge of the channel's trains
-        self._sources = [esp_machine.Pads.register, 0, 0]  # their present values
+        self._read = [0, 0]  # of both logs: by source, _WORD and _OWN
+        self._train = self._edge = 0  # the next edge: index of its train, and in this train
+        # The present values, by source: _WORD, _OWN, _SIGNAL.
+        self._sources = [esp_machine.Pads.register, 0, 0]
         self.run(clock.us)
 
     def run(self, until: int) -> "list[tuple[int, int]]":
-        """Return changes of the level up to then, (us, level)."""
-        events = self._logged(until) + self._trains(until)
+        """Return changes of the level since the last call and up to then, (us, level)."""
+        events = self._log_events(until) + self._train_events(until)
         changes = []
         # By time, then by index, because MicroPython's sort() is not stable.
         for _, index in sorted([(events[i][0], i) for i in range(len(events))]):
             us, source, value = events[index]
             self._sources[source] = value
-            level = self._now()
+            level = self._level_now()
             if level != self.level:
                 self.level = level
                 changes.append((us, level))
         return changes
 
-    def _now(self) -> int:
-        """Return the level that follows from the sources."""
+    def _level_now(self) -> int:
+        """Return the level that follows from the sources: the word selects one of the others."""
         word = self._sources[_WORD]
         if word & esp_machine.Pads.OFF:
             return 1  # the pull-up
@@ -65,20 +66,22 @@ class Pad:
         is_inverted = word & esp_machine.Pads.inverted
         return self._sources[_OWN if has_own else _SIGNAL] ^ (1 if is_inverted else 0)
 
-    def _logged(self, until: int) -> "list[Event]":
-        """Return new entries of both logs up to then."""
+    def _log_events(self, until: int) -> "list[Event]":
+        """Return new entries of both logs up to then: of selection words, and of own levels."""
         pin = esp_machine.Pin.pins[self.pin]
-        own = [] if self.pin in esp_machine.PWM.outputs else pin.log
+        words = esp_machine.mem32.log.get(self.pin, [])
+        own_levels = [] if self.pin in esp_machine.PWM.outputs else pin.log  # of a PWM: its duty
         events = []
-        for source, log in ((_WORD, esp_machine.mem32.log.get(self.pin, [])), (_OWN, own)):
-            while self._at[source] < len(log) and log[self._at[source]][0] <= until:
-                us, value = log[self._at[source]]
+        for source, log in ((_WORD, words), (_OWN, own_levels)):
+            while self._read[source] < len(log) and log[self._read[source]][0] <= until:
+                us, value = log[self._read[source]]
                 events.append((us, source, value))
-                self._at[source] += 1
+                self._read[source] += 1
         return events
 
-    def _trains(self, until: int) -> "list[Event]":
-        """Return edges of the channel's trains; of an aborted train, those up to its end."""
+    def _train_events(self, until: int) -> "list[Event]":
+        """Return new edges of the channel's trains up to then; of an aborted train, those up to
+        its end."""
         channel = _channel(self.pin)
         events: "list[Event]" = []
         while channel and self._train < len(channel.trains):
@@ -90,7 +93,7 @@ class Pad:
                 self._edge += 1
             if end > until:
                 break
-            events.append((end, _SIGNAL, 0))
+            events.append((end, _SIGNAL, 0))  # the idle level
             self._train += 1
             self._edge = 0
         return events
@@ -103,14 +106,15 @@ def pwm_level(pwm: "Any", us: int) -> int:
 
 
 def pad_now(pin: int) -> int:
-    """Return the level at a pin now."""
+    """Return the level at a pin now. The level of a PWM follows from the time."""
     pwm = esp_machine.PWM.outputs.get(pin)
     if pwm is None:
         if pin not in PCNT.pads:
             PCNT.pads[pin] = Pad(pin)
         PCNT.pads[pin].run(clock.us)
         return PCNT.pads[pin].level
-    return 1 if esp_machine.mem32.word(pin) & esp_machine.Pads.OFF else pwm_level(pwm, clock.us)
+    is_off = esp_machine.mem32.word(pin) & esp_machine.Pads.OFF
+    return 1 if is_off else pwm_level(pwm, clock.us)  # 1: the pull-up
 
 
 class PCNT:
@@ -121,12 +125,12 @@ class PCNT:
     units: "dict[int, PCNT]" = {}
     pads: "dict[int, Pad]" = {}  # pins that have been read
     most_units = 8  # S3: 4
-    lose = 0  # for tests: every n-th step is missed
+    lose = 0  # for tests: every n-th step is missed; 0: none
 
-    _pad: "Pad | None"
-    _mode: "Pad | None"
-    _pwm: "Any"
-    _range: "tuple[int, int]"
+    _pad: "Pad | None"  # of the pin whose steps are counted
+    _mode: "Pad | None"  # of the pin that may reverse them
+    _pwm: "Any"  # the PWM at the pin, else None
+    _range: "tuple[int, int]"  # limits of the count
 
     def __new__(cls, id: int, **_: object) -> "PCNT":
         if not 0 <= id < cls.most_units:
@@ -154,7 +158,7 @@ class PCNT:
         filter: int = 0,
         value: "int | None" = None,
     ) -> None:
-        """Set what is given; the rest stays. New limits set the count to 0."""
+        """Set what is given; the rest stays. New limits, or value=0, set the count to 0."""
         if channel or filter or falling or mode_low or rising == self.DECREMENT:
             raise NotImplementedError("only what our programs use is modelled")
         if mode_pin is not None and pin is None:
@@ -197,7 +201,7 @@ class PCNT:
         self._counts = self._reverses = self._started = False
         self._range = (0, 0)
         self._value = self._seen = 0  # the count, and the number of steps at the pin
-        self._since = clock.us  # up to then steps are counted
+        self._since = clock.us  # the steps before are counted already
 
     def start(self) -> None:
         self._run()
@@ -222,33 +226,34 @@ class PCNT:
         if self._pwm:
             self._run_pwm()
         elif self._pad:
-            turns = self._mode.run(clock.us) if self._mode else []
-            down = self._turned(turns)
+            mode_changes = self._mode.run(clock.us) if self._mode else []
+            mode_level = self._level_before(mode_changes)
             for us, level in self._pad.run(clock.us):
-                while turns and turns[0][0] <= us:
-                    down = turns.pop(0)[1]
-                if level and self._started and self._counts:
-                    self._step(-1 if down and self._reverses else 1)
+                while mode_changes and mode_changes[0][0] <= us:
+                    mode_level = mode_changes.pop(0)[1]
+                is_rising = level == 1
+                if is_rising and self._started and self._counts:
+                    self._step(-1 if mode_level and self._reverses else 1)
         self._since = clock.us
 
-    def _turned(self, turns: "list[tuple[int, int]]") -> int:
-        """Return the mode pin's level before these changes."""
-        if turns:
-            return 1 - turns[0][1]
+    def _level_before(self, mode_changes: "list[tuple[int, int]]") -> int:
+        """Return the mode pin's level before these changes; 0 without a mode pin."""
+        if mode_changes:
+            return 1 - mode_changes[0][1]
         return self._mode.level if self._mode else 0
 
     def _run_pwm(self) -> None:
         """Count a PWM's periods up to now."""
-        off = esp_machine.mem32.word(self._pwm.pin.id) & esp_machine.Pads.OFF
-        if not off and self._started and 0 < self._pwm.duty < _FULL_DUTY:
-            period = 1_000_000 // self._pwm.frequency
+        is_off = esp_machine.mem32.word(self._pwm.pin.id) & esp_machine.Pads.OFF
+        if not is_off and self._started and 0 < self._pwm.duty < _FULL_DUTY:
+            period = 1_000_000 // self._pwm.frequency  # us
             self._value += clock.us // period - self._since // period
 
     def _step(self, sign: int) -> None:
         """Count a step forward (1) or backward (-1)."""
         self._seen += 1
         if self.lose and self._seen % self.lose == 0:
-            return
+            return  # missed, for a test
         self._value += sign
         if not self._range[0] < self._value < self._range[1]:
             raise OverflowError("it begins at 0 again, and nobody is told")

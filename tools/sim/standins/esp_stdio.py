@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 _RING = 259  # bytes
-_TURN_US = 400  # of the main loop
+_LOOP_US = 400  # duration of a turn of the firmware's main loop
 _BYTE_US = 87  # at 115200 baud
 
 
@@ -63,15 +63,16 @@ class Wire:
     # select.poll()
 
     def register(self, stream: object, events: int) -> None:
-        if events != 1:
+        if events != 1:  # POLLIN
             raise NotImplementedError("only what our link uses is modelled")
 
     def ipoll(self, timeout: int) -> "list[int]":
-        """Return one entry if there are bytes, else none; then a turn of the main loop passes."""
+        """Return one entry if there are bytes. Else the time of a turn of the main loop passes,
+        in which bytes may arrive."""
         if timeout:
             raise NotImplementedError("only what our link uses is modelled")
         if not self._ring:
-            clock.advance(clock.us + _TURN_US)
+            clock.advance(clock.us + _LOOP_US)
             self.on_read()
         return [1] if self._ring else []
 
@@ -97,7 +98,7 @@ class Wire:
         return before
 
     def _notify(self, _: object) -> None:
-        """Take the second terminal's bytes as input."""
+        """Read the second terminal until it is empty; its bytes are input as those of the wire."""
         byte = bytearray(1)
         while self._second and self._second.readinto(byte):
             self.arrive(bytes(byte))

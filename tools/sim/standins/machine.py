@@ -35,7 +35,7 @@ def freq(hz: int = 0) -> int:
 _BANKS = (0x40014000, 0x40028000)
 _ALIAS = 0x1000
 _CONTROL, _CONTROL_STEP = 0x40014004, 8
-_OUTOVER = 8  # bit position: 0 normal, 1 inverted, 2 low, 3 high
+_OUTOVER = 8  # bit position of the override: 0 normal, 1 inverted, 2 low, 3 high
 _FUNCTION_MASK, _FUNCTION_PWM, _FUNCTION_SIO = 31, 4, 5
 _LEVELS = 0xD0000004  # of all pins, in SIO: read only
 
@@ -61,7 +61,7 @@ class _Memory:
         value &= 0xFFFFFFFF
         for bank in _BANKS:
             alias, offset = divmod(address - bank, _ALIAS)
-            if 0 < alias < 4:
+            if 0 < alias < 4:  # 1 flips, 2 sets, 3 clears
                 address = bank + offset
                 old = self[address]
                 value = (old ^ value, old | value, old & ~value)[alias - 1]
@@ -109,7 +109,8 @@ class Pin:
             raise ValueError("invalid pin")
         if id not in cls.pins:
             pin = cls.pins[id] = object.__new__(cls)
-            pin.id, pin.mode, pin.pull, pin.level, pin.driven = id, cls.IN, None, 0, None
+            pin.id, pin.mode, pin.pull = id, cls.IN, None
+            pin.level, pin.driven = 0, None  # of its output; from outside, None: by nobody
             pin.handler, pin.trigger, pin.hard = None, 0, False
             pin.calls = 0
         return cls.pins[id]
@@ -143,7 +144,8 @@ class Pin:
         control = mem32[_CONTROL + _CONTROL_STEP * self.id]
         is_pwm = control & _FUNCTION_MASK == _FUNCTION_PWM
         level = PWM.outputs[self.id].shape() if is_pwm else 65535 * self.level
-        return (level, 65535 - level, 0, 65535)[control >> _OUTOVER & 3]
+        override = control >> _OUTOVER & 3
+        return (level, 65535 - level, 0, 65535)[override]
 
     def __call__(self, level: "int | None" = None) -> int:
         return self.value(level)
@@ -158,7 +160,8 @@ class Pin:
         self.value(not self.level)
 
     def value(self, level: "int | None" = None) -> int:
-        """Return the level of the output, or of the input; with an argument, set the output."""
+        """Return the level of the output, or of the input; with an argument, set the output. An
+        input that nobody drives has the level of its pull."""
         if level is not None:
             self.level = 1 if level else 0
         if self.mode == Pin.OUT:
@@ -177,11 +180,11 @@ class Pin:
         if handler is not None:
             self.handler, self.trigger, self.hard = handler, trigger, bool(hard)
         elif hard is not None:
-            raise NotImplementedError("nobody takes a handler away")
+            raise NotImplementedError("removing a handler is not modelled")
         return _Irq(self)
 
     def drive(self, level: int) -> None:
-        """Set the pin from outside; a change of level causes an interrupt."""
+        """Set the pin from outside; a change of level causes an interrupt, or waits in latched."""
         before = self.value()
         self.driven = level
         edge = Pin.IRQ_RISING if level else Pin.IRQ_FALLING
@@ -193,7 +196,7 @@ class Pin:
             Pin.latched.append(self)
 
     def interrupt(self) -> None:
-        """Call its handler."""
+        """Call its handler, which is removed if it raises."""
         self.calls += 1
         try:
             if self.handler:
@@ -203,7 +206,7 @@ class Pin:
             raise
 
 
-def _checked(hz: int) -> int:
+def _checked_hz(hz: int) -> int:
     """Return a PWM's frequency, if the chip can make it."""
     if not 8 <= hz <= 62_500_000:
         raise ValueError("freq out of range")
@@ -223,14 +226,14 @@ class PWM:
 
         duty is the value set last, and playing that of the present pulse; both 0 to 65535.
         """
-        self.frequency = _checked(freq)
+        self.frequency = _checked_hz(freq)
         self.duty = self.playing = duty_u16
         self.invert = invert
         PWM.outputs[pin.id] = self
         pin.select(_FUNCTION_PWM)
 
     def shape(self) -> int:
-        """Return its output."""
+        """Return its output: 0 to 65535, the share of time for which it is high."""
         return 65535 - self.playing if self.invert else self.playing
 
     def wrap(self) -> None:
@@ -238,9 +241,10 @@ class PWM:
         self.playing = self.duty
 
     def freq(self, value: int = 0) -> int:
-        """Return the integer closest to the frequency that the chip makes, at 125 MHz."""
+        """Return the integer closest to the frequency that the chip makes, at 125 MHz; with an
+        argument, set it first."""
         if value:
-            self.frequency = _checked(value)
+            self.frequency = _checked_hz(value)
         counts = round(_CLOCK_HZ / self.frequency)
         return round(_CLOCK_HZ / counts)
 

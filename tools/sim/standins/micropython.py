@@ -86,20 +86,20 @@ def kbd_intr(char: int, /) -> None:
 def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
     """Compile again with pointer casts at entry and, unless VIPER is "fast", all checks."""
     plain = cast(FunctionType, function)
-    if VIPER == "fast" and compiled and (made := compiled(plain.__module__, plain.__qualname__)):
-        return cast("Callable[..., _Result]", made)
-    return cast("Callable[..., _Result]", _made(plain, _code(plain)))
+    if VIPER == "fast" and compiled and (in_c := compiled(plain.__module__, plain.__qualname__)):
+        return cast("Callable[..., _Result]", in_c)
+    return cast("Callable[..., _Result]", _run_factory(plain, _factory_code(plain)))
 
 
-def _code(plain: FunctionType) -> CodeType:
-    """Return the code that makes the function. A checkout caches it, as compiling/cache.py does,
-    because compiling takes most of a process's start time."""
-    file = _kept(plain)
+def _factory_code(plain: FunctionType) -> CodeType:
+    """Return the code of a factory that makes the function, see _compile(). A checkout caches it,
+    as compiling/cache.py does, because compiling takes most of a process's start time."""
+    file = _cache_file(plain)
     try:
         return cast(CodeType, marshal.loads(file.read_bytes()))
-    except (OSError, EOFError, ValueError, TypeError):
+    except (OSError, EOFError, ValueError, TypeError):  # not there, or damaged
         code = _compiled(plain)
-    if (_ROOT / "firmware").is_dir():
+    if (_ROOT / "firmware").is_dir():  # a checkout
         with suppress(OSError):  # the folder is not writable
             file.parent.mkdir(parents=True, exist_ok=True)
             new = file.with_suffix(f".{os.getpid()}")  # others may write the same file
@@ -108,30 +108,32 @@ def _code(plain: FunctionType) -> CodeType:
     return code
 
 
-def _kept(plain: FunctionType) -> Path:
+def _cache_file(plain: FunctionType) -> Path:
+    """Return the file of the function's code; its name depends on all that the code does."""
     code, names = plain.__code__, plain.__globals__
-    numbers = {n: names[n] for n in code.co_names if isinstance(names.get(n), (int, float))}
+    constants = {n: names[n] for n in code.co_names if isinstance(names.get(n), (int, float))}
     source = "".join(linecache.getlines(code.co_filename, names))
-    key = repr((sys.version, _OURS, VIPER, code.co_filename, code.co_firstlineno, numbers))
+    key = repr((sys.version, _OURS, VIPER, code.co_filename, code.co_firstlineno, constants))
     return _ROOT / "build" / "cache" / hashlib.sha256((key + source).encode()).hexdigest()
 
 
 def _compiled(plain: FunctionType) -> CodeType:
+    """Return the code for _factory_code(), not from the cache."""
     node = _definition(plain)
     _check_signature(plain, node)
-    casts, checks = _POINTER_CASTS, {} if VIPER == "fast" else _INT_CHECKS
-    if checks:
+    is_checked = VIPER != "fast"
+    if is_checked:
         _Checks(plain).generic_visit(node)
-    entry = {**casts, **checks}
+    at_entry = {**_POINTER_CASTS, **(_INT_CHECKS if is_checked else {})}  # by the argument's type
     node.body[:0] = [
-        _statement(entry[_type(argument)].format(argument.arg), argument)
+        _statement(at_entry[_type(argument)].format(argument.arg), argument)
         for argument in node.args.args
-        if _type(argument) in entry
+        if _type(argument) in at_entry
     ]
     return _compile(plain, node)
 
 
-# Kept views by id; they are accepted in place of the objects they show.
+# Views by their own id. As an argument, such a view stands for the array that it shows.
 kept_views: dict[int, memoryview] = {}
 
 
@@ -143,27 +145,24 @@ class _Pointer:
         self.views: dict[int, memoryview] = {}  # by id; a view keeps its object alive
 
     def __call__(self, memory: Any, /) -> Any:
+        """Return a view of an array, of another view, or of registers at an address."""
         if isinstance(memory, int) and (memory in _REGISTERS or memory == _LEVELS):
             return _Registers(memory)
         view = self.views.get(id(memory))
         if view is None:
             view = memoryview(memory).cast("B").cast(cast(Any, self._code))
-            is_kept = kept_views.get(id(memory)) is memory
-            if is_kept or isinstance(memory, (array, bytearray)):
+            is_kept_view = kept_views.get(id(memory)) is memory
+            if is_kept_view or isinstance(memory, (array, bytearray)):
                 if len(kept_views) >= _VIEWS_KEPT:
-                    _forget_views()
-                if is_kept:
-                    kept_views[id(memory)] = memory
+                    # All at once, because a view may be known by the id of another.
+                    kept_views.clear()
+                    for pointer in _POINTERS.values():
+                        pointer.views.clear()
+                if is_kept_view:
+                    kept_views[id(memory)] = memory  # again, if it was just forgotten
                 # Also for the view, because a viper function may pass its pointer on.
                 self.views[id(memory)] = self.views[id(view)] = kept_views[id(view)] = view
         return view
-
-
-def _forget_views() -> None:
-    """Forget all views at once, because a view may be known by the id of another."""
-    kept_views.clear()
-    for pointer in _POINTERS.values():
-        pointer.views.clear()
 
 
 class _Registers:
@@ -176,7 +175,7 @@ class _Registers:
 
     def __getitem__(self, index: int) -> int:
         value = int(self._memory[self._address + 4 * index])
-        return value - (value >> 31 << 32)
+        return value - (value >> 31 << 32)  # signed
 
     def __setitem__(self, index: int, value: int) -> None:
         self._memory[self._address + 4 * index] = _int(value)
@@ -194,7 +193,7 @@ def _uint(value: Any) -> int:
     return _int(value, limit=2 * _WORD_LIMIT) & 0xFFFFFFFF
 
 
-def _count(value: int) -> int:
+def _shift_count(value: int) -> int:
     if not 0 <= value < _WORD_BITS:
         raise OverflowError(f"shift by {value}: the result depends on the chip")
     return value
@@ -220,8 +219,8 @@ class _Checks(ast.NodeTransformer):
         self._function = function
 
     def visit(self, node: ast.AST) -> Any:
-        takes_apart = isinstance(node, ast.Tuple) and isinstance(node.ctx, ast.Store)
-        if isinstance(node, self._REFUSED) and not takes_apart:
+        is_unpacking = isinstance(node, ast.Tuple) and isinstance(node.ctx, ast.Store)
+        if isinstance(node, self._REFUSED) and not is_unpacking:
             _refuse(self._function, f"{type(node).__name__} is not for viper", node)
         return super().visit(node)
 
@@ -234,6 +233,7 @@ class _Checks(ast.NodeTransformer):
         return self._literal(node, self._function.__globals__.get(node.id))
 
     def _literal(self, node: ast.AST, value: object) -> ast.AST:
+        """Return the node, unless the value of this literal or constant is refused."""
         if isinstance(value, float):
             _refuse(self._function, f"{value} is a float", node)
         if isinstance(value, int) and not -_SMALL_INT_LIMIT <= value < _SMALL_INT_LIMIT:
@@ -241,19 +241,21 @@ class _Checks(ast.NodeTransformer):
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
+        """Replace casts to pointers, and int(), in which a literal may be large: not visited."""
         name = node.func.id if isinstance(node.func, ast.Name) and node.args else ""
         if name in _POINTERS and isinstance(node.args[0], ast.Name):
-            return _expression(_POINTER_MET.format(name, node.args[0].id), node)
+            source = _KNOWN_VIEW.format(name, node.args[0].id)
+            return _placed(ast.parse(source, mode="eval").body, node)
         if name != "int":
             return self.generic_visit(node)
         inner = node.args[0]
-        bare = (ast.Constant, ast.Name, ast.UnaryOp, ast.unaryop, ast.expr_context)
-        is_literal = all(isinstance(part, bare) for part in ast.walk(inner))
+        of_literal = (ast.Constant, ast.Name, ast.UnaryOp, ast.unaryop, ast.expr_context)
+        is_literal = all(isinstance(part, of_literal) for part in ast.walk(inner))
         return _call("viper_int", inner if is_literal else self.visit(inner))
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
         self.generic_visit(node)
-        if self._constant(node.slice) < 0:
+        if self._constant(node.slice) < 0:  # known only at run time
             node.slice = _checked(_INDEX, node.slice)
         return node
 
@@ -264,7 +266,7 @@ class _Checks(ast.NodeTransformer):
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         self.generic_visit(node)
         if isinstance(node.op, (ast.LShift, ast.RShift)):
-            if not 0 <= self._constant(node.right) < _WORD_BITS:
+            if not 0 <= self._constant(node.right) < _WORD_BITS:  # not known to be valid
                 node.right = _checked(_COUNT, node.right)
         return _checked(_WORD, node) if isinstance(node.op, self._CHECKED) else node
 
@@ -276,7 +278,7 @@ class _Checks(ast.NodeTransformer):
         return value if isinstance(value, int) else -1
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
-        """Turn `p[i] += x` into `p[at] = p[at := i] + x`: the right side is evaluated first."""
+        """Turn `p[i] += x` into `p[viper_at] = p[viper_at := i] + x`: the right side is first."""
         target = node.target
         old = cast(ast.expr, copy.deepcopy(target))
         cast(ast.Name, old).ctx = ast.Load()
@@ -296,7 +298,8 @@ def _check_signature(function: FunctionType, node: ast.FunctionDef) -> None:
     places: list[ast.arg | ast.FunctionDef] = [*arguments.args, node]
     for typed in places:
         if _type(typed) not in (*_POINTER_CASTS, *_INT_CHECKS, "bool", "object"):
-            _refuse(function, f"{_type(typed)} is no viper type (no result: return 0)", typed)
+            why = f"{_type(typed)} is no viper type (a function without a result: return 0)"
+            _refuse(function, why, typed)
 
 
 def _type(node: "ast.arg | ast.FunctionDef") -> str:
@@ -312,13 +315,13 @@ def _refuse(function: FunctionType, why: str, node: ast.AST) -> NoReturn:
 
 @lru_cache(maxsize=8)
 def _definitions(source: str) -> dict[tuple[str, int], ast.FunctionDef]:
-    """Return functions by name and first line. Positions are those of the whole file."""
+    """Return functions by name and first line, that of a decorator included."""
     nodes = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
     return {(n.name, min([n.lineno, *(d.lineno for d in n.decorator_list)])): n for n in nodes}
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef:
-    """Take the definition out of its file's tree. A second call parses the file again."""
+    """Take the definition out of its file's tree, to change it. A second call parses it again."""
     code = function.__code__
     source = "".join(linecache.getlines(code.co_filename, function.__globals__))
     place = code.co_name, code.co_firstlineno
@@ -331,10 +334,6 @@ def _definition(function: FunctionType) -> ast.FunctionDef:
 
 def _statement(source: str, place: ast.AST) -> ast.stmt:
     return _placed(ast.parse(source).body[0], place)
-
-
-def _expression(source: str, place: ast.AST) -> ast.expr:
-    return _placed(ast.parse(source, mode="eval").body, place)
 
 
 def _placed(tree: _Node, place: ast.AST) -> _Node:
@@ -353,8 +352,8 @@ def _checked(check: str, value: ast.expr) -> ast.expr:
     """Return the value with an inline check: calls took half of the simulator's time."""
     tree = ast.parse(check, mode="eval").body
     nodes = [ast.copy_location(node, value) for node in ast.walk(tree)]
-    (place,) = (node for node in nodes if isinstance(node, ast.NamedExpr))
-    place.value = value
+    (viper_now,) = (node for node in nodes if isinstance(node, ast.NamedExpr))
+    viper_now.value = value  # in place of the name `value`
     return tree
 
 
@@ -363,7 +362,7 @@ def _call(name: str, argument: ast.expr) -> ast.expr:
 
 
 def _compile(function: FunctionType, node: ast.FunctionDef) -> CodeType:
-    """Compile inside a factory: the helpers become closure cells, not names of the module."""
+    """Compile inside a factory: its parameters, the helpers, become closure cells, not globals."""
     node.decorator_list, node.returns = [], None
     for argument in node.args.args:
         argument.annotation = None
@@ -373,7 +372,8 @@ def _compile(function: FunctionType, node: ast.FunctionDef) -> CodeType:
     return compile(tree, function.__code__.co_filename, "exec", dont_inherit=True)
 
 
-def _made(function: FunctionType, code: CodeType) -> FunctionType:
+def _run_factory(function: FunctionType, code: CodeType) -> FunctionType:
+    """Return the function that the code's factory makes, as the original one's replacement."""
     names: dict[str, Callable[..., FunctionType]] = {}
     exec(code, function.__globals__, names)
     result = names["factory"](**_HELPERS)
@@ -383,15 +383,15 @@ def _made(function: FunctionType, code: CodeType) -> FunctionType:
 
 
 _POINTERS = {"ptr8": _Pointer("B"), "ptr16": _Pointer("H"), "ptr32": _Pointer("i")}
-# A pointer met before costs no call of a Python function.
-_POINTER_MET = "viper_{0}(viper_id({1})) or {0}({1})"
+# The known view of an array, or a new one; for a known one no Python function is called.
+_KNOWN_VIEW = "viper_{0}(viper_id({1})) or {0}({1})"
 # The statements that replace annotations.
-_POINTER_CASTS = {t: "{0} = " + _POINTER_MET.format(t, "{0}") for t in _POINTERS}
+_POINTER_CASTS = {t: "{0} = " + _KNOWN_VIEW.format(t, "{0}") for t in _POINTERS}
 _INT_CHECKS = {"int": "{0} = viper_int({0})", "uint": "{0} = viper_int({0}, 0, 1 << 32)"}
 _HELPERS: dict[str, Any] = {
     "viper_id": id,
     "viper_int": _int,
-    "viper_count": _count,
+    "viper_count": _shift_count,
     "viper_index": _index,
     **{f"viper_{t}": pointer.views.get for t, pointer in _POINTERS.items()},
 }

@@ -5,7 +5,7 @@ that is removed from it is lost.
 """
 
 _host = ["PicoW"]
-in_reach: "dict[bytes, bytes]" = {}
+in_reach: "dict[bytes, bytes]" = {}  # the password of each network, by its name
 
 _LONGEST_HOST = 32
 _IDLE = 0
@@ -35,7 +35,7 @@ class WLAN:
     def __init__(self, side: int) -> None:
         self._side = side
         self._active = False
-        self._wanted: "tuple[bytes, bytes] | None" = None
+        self._wanted: "tuple[bytes, bytes] | None" = None  # name and password given to connect()
         self.asked: "dict[str, object]" = {}  # parameters given to config()
         self.calls = 0  # number of calls of connect()
 

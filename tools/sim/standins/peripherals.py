@@ -37,13 +37,14 @@ class UART(_Inert):
         return len(self._arrived)
 
     def read(self, count: int = -1, /) -> "bytes | None":
-        """Return so many received bytes, all by default; None if there are none."""
+        """Return so many received bytes, -1: all; None if there are none."""
         end = len(self._arrived) if count < 0 else count
         data, self._arrived = self._arrived[:end], self._arrived[end:]
         return data or None
 
     def readline(self) -> "bytes | None":
-        return self.read(self._arrived.find(b"\n") + 1 or -1)
+        length = self._arrived.find(b"\n") + 1  # 0: no whole line
+        return self.read(length or -1)
 
     def readinto(self, buf: "bytearray | memoryview", count: int = -1, /) -> "int | None":
         data = self.read(len(buf) if count < 0 else count) or b""

@@ -28,7 +28,8 @@ class PIOASMError(Exception):
 
 
 class _Assembler:
-    """One pass over a program. Labels are known from the second pass on."""
+    """One pass over a program. labels: by name, the indices of instructions; filled by the first
+    pass, and used by the second one, the final one."""
 
     def __init__(self, labels: dict[str, int], final: bool) -> None:
         self.words = array("H")
@@ -36,7 +37,7 @@ class _Assembler:
         self._final = final
 
     def names(self) -> dict[str, object]:
-        """Return the globals of a program."""
+        """Return the globals of a program: each instruction is a call of a method."""
         methods = (self.label, self.jmp, self.out, self.pull, self.push, self.mov, self.irq)
         names: dict[str, object] = {method.__name__: method for method in methods}
         places = {**_PLACES, **_CONDITIONS, "block": 0x20, "noblock": 0}
@@ -54,13 +55,13 @@ class _Assembler:
         return self
 
     def label(self, name: str) -> None:
-        if not self._final and name in self.labels:
+        if not self._final and name in self.labels:  # the final pass meets all again
             raise PIOASMError(f"duplicate label {name}")
         self.labels[name] = len(self.words)
 
     def jmp(self, condition: "int | str", label: str = "") -> "_Assembler":
-        """Append a jump. The condition may be missing: jmp("label")."""
-        number = 0 if isinstance(condition, str) else condition
+        """Append a jump. The condition, one of _CONDITIONS, may be missing: jmp("label")."""
+        number = 0 if isinstance(condition, str) else condition  # 0: always
         target = label or str(condition)
         if self._final and target not in self.labels:
             raise PIOASMError(f"unknown label {target}")
@@ -103,12 +104,15 @@ def asm_pio(
         labels: dict[str, int] = {}
         for final in (False, True):
             assembler = _Assembler(labels, final)
+            # Runs the function, with the assembler's names as its globals.
             FunctionType(function.__code__, assembler.names())()
         words = assembler.words
         if len(words) > _SIZE:
             raise PIOASMError("program too long")
+        not_loaded = [-1, -1, -1]  # offsets in the blocks
+        execctrl = (len(words) - 1) << 12  # the last instruction; the first one follows it
         shiftctrl = out_shiftdir << 19 | in_shiftdir << 18
-        return [words, -1, -1, -1, (len(words) - 1) << 12, shiftctrl, out_init, set_init, None]
+        return [words, *not_loaded, execctrl, shiftctrl, out_init, set_init, None]
 
     return assemble
 
@@ -160,7 +164,7 @@ class StateMachine:
             if (pin is None) != (init is None):
                 raise ValueError("the pins given are not those that the program sets")
         pio = id // 4
-        if program[_OFFSETS + pio] < 0:
+        if program[_OFFSETS + pio] < 0:  # not loaded into this block yet
             offset = StateMachine.used.get(pio, 0)
             if offset + len(program[_DATA]) > _SIZE:
                 raise OSError(12)  # ENOMEM
@@ -193,20 +197,21 @@ class DMA:
         inc_write: bool = True,
         ring_size: int = 0,
         ring_sel: bool = False,
-        treq_sel: int = 63,
+        treq_sel: int = 63,  # unpaced
         chain_to: int = -1,
         irq_quiet: bool = True,
     ) -> int:
-        chain_to = self.channel if chain_to < 0 else chain_to
+        chain_to = self.channel if chain_to < 0 else chain_to  # itself: to none
         for value, limit in ((size, 4), (ring_size, 16), (treq_sel, 64), (chain_to, 16)):
             if not 0 <= value < limit:
                 raise ValueError("bad field value")
+        is_enabled = 1
         flags = (
             int(irq_quiet) << 21
             | int(ring_sel) << 10
             | int(inc_write) << 5
             | int(inc_read) << 4
-            | 1
+            | is_enabled
         )
         return flags | treq_sel << 15 | chain_to << 11 | ring_size << 6 | size << 2
 
