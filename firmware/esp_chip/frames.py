@@ -164,7 +164,7 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
     Ticks and frames count from the start of the buffer that is being filled. A direction changes
     in the first frame in which its axis may step (FREE_FRAME) and the row has begun.
     """
-    now = timing[ROW_END] >> FRAME_LOG2  # frame in which the last row ends, before the delay
+    first_frame = timing[ROW_END] >> FRAME_LOG2  # in which the last row ends, before the delay
     start = timing[ROW_END] + late
     timing[ROW_END] = start + row[ROW_TICKS]
     for i in range(timing[AXES]):
@@ -184,8 +184,8 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
             if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACKWARDS]:
                 lanes[lane + BACKWARDS] = 1 - lanes[lane + BACKWARDS]
                 change_frame = lanes[lane + FREE_FRAME]  # in which the direction changes
-                if now > change_frame:
-                    change_frame = now
+                if first_frame > change_frame:
+                    change_frame = first_frame
                 if change_frame >= FRAMES:  # in a later buffer
                     lanes[lane + CHANGE_DUE] = change_frame + 1  # 0 would mean that none is due
                 else:
@@ -261,13 +261,13 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
         direction = lanes[lane + DIR_BIT]
         invert = lanes[lane + DIR_INVERT]
         place = steps[i]
-        last = 0
+        previous = 0  # level in the frame before
         for k in range(until):
             level = frames[k] & bit
-            if level and last == 0:
+            if level and previous == 0:  # a rising edge
                 dir_level = 1 if frames[k] & direction else 0
                 place = place - 1 if dir_level != invert else place + 1
-            last = level
+            previous = level
         steps[i] = place
     return 0
 
@@ -280,8 +280,9 @@ def find_playing(state: ptr32, now: int, buffer_us: int) -> int:
     state: see i2s_layout.py. now: us, masked by base/times.py. buffer_us: length of a buffer.
     """
     passed = (now - state[PLAYING_SINCE]) & MASK
-    if passed > NEGATIVE:  # below 0
-        return 0  # a turn of the timer since `now` has moved PLAYING_SINCE past it
+    # Below 0: after `now` was read, the timer's turn has moved PLAYING_SINCE past it.
+    if passed > NEGATIVE:
+        return 0
     while passed >= buffer_us:
         passed -= buffer_us
         state[PLAYING_SINCE] = (state[PLAYING_SINCE] + buffer_us) & MASK
@@ -300,13 +301,14 @@ def playing_slot(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     Buffers still in the ring are searched, the oldest first.
     """
     sent = state[SENT]
-    first = sent - slots + 1
-    if first < 0:
-        first = 0
-    for k in range(first, sent):
-        number = notes[(k % slots) * size + NUMBER]
+    oldest = sent - slots + 1  # of our buffers in the ring that were handed over
+    if oldest < 0:
+        oldest = 0
+    for n in range(oldest, sent):
+        number = notes[(n % slots) * size + NUMBER]
         if number == state[PLAYING]:
-            return k % slots
-        if number > state[PLAYING]:  # not yet
-            return k % slots - ZEROS_BEFORE
+            return n % slots
+        if number > state[PLAYING]:  # buffer n comes later: zeros are played before it
+            return n % slots - ZEROS_BEFORE
+    # All have been played: zeros, before the next buffer to be handed over.
     return sent % slots - ZEROS_BEFORE if sent < state[MADE] else NOT_FILLED

@@ -253,14 +253,15 @@ class I2sEngine(TimerEngine):
         """
         state, axes = self._state, self._axes
         passed = frames.find_playing(state, now, self._buffer_us)
-        slot = frames.playing_slot(state, self._notes, self._slots, self._note_size)  # < 0: zeros
-        # Where zeros are played, the positions are those at the start of the next buffer.
-        note = (slot if slot >= 0 else slot + s.ZEROS_BEFORE) * self._note_size + s.START_PLACES
+        slot = frames.playing_slot(state, self._notes, self._slots, self._note_size)
+        zeros_are_played = slot < 0  # the positions are those at the start of the next buffer
+        is_filled = slot != s.NOT_FILLED  # if not, those after all steps put into buffers
+        noted_slot = slot + s.ZEROS_BEFORE if zeros_are_played else slot
+        places_at = noted_slot * self._note_size + s.START_PLACES  # index in the notes
         for i in range(axes):
-            filled = slot != s.NOT_FILLED
-            place = self._notes[note + i] if filled else self._lanes[LANE * i + PLACE]
+            place = self._notes[places_at + i] if is_filled else self._lanes[LANE * i + PLACE]
             steps[i] = place - self._owed[i]
-        if slot >= 0:
+        if not zeros_are_played:
             frames_played = passed * FRAMES // self._buffer_us + 1
             frames.count(self._ring[slot], frames_played, self._timing, self._lanes, steps)
 
@@ -297,7 +298,7 @@ class I2sEngine(TimerEngine):
         self._report_power()
         if state[s.NEXT_NUMBER] <= state[s.PLAYING] + 1:  # nothing follows the buffer being played
             if passed < _DOUBT_US or passed > self._buffer_us - _DOUBT_US:
-                return
+                return  # too close to a buffer's end: in the next turn
             # The stream is out of data, or may be: zeros are played before the next buffer.
             state[s.NEXT_NUMBER] = state[s.PLAYING] + 1
             state[s.QUIET_DUE] = 1
@@ -349,12 +350,14 @@ class I2sEngine(TimerEngine):
         notes[note + s.HAS_MOTION] = state[s.PULLING]
         if state[s.PULLING]:
             state[s.MOTION_END] = state[s.MADE] + 1
-            if not state[s.ROW_BEGUN]:  # motion begins: first locked axes return
-                timing[frames.ROW_END] = 0
-                if frames.make_return_row(row, self._owed, self._axes, self.tick_hz // _RETURN_HZ):
+            if not state[s.ROW_BEGUN]:  # motion begins: first axes that were locked return
+                timing[frames.ROW_END] = 0  # at the buffer's start
+                gap_ticks = self.tick_hz // _RETURN_HZ
+                if frames.make_return_row(row, self._owed, self._axes, gap_ticks):
                     late = frames.lateness(row, timing, lanes)
                     frames.begin_row(buffer, row, timing, lanes, late)
                     state[s.ROW_BEGUN] = 1
+            # render() returns 1 if the row is over and the buffer has space for another one.
             while not state[s.ROW_BEGUN] or frames.render(buffer, timing, lanes):
                 if not self._next_segment(row):
                     state[s.PULLING] = state[s.ROW_BEGUN] = 0

@@ -38,7 +38,6 @@ from esp_chip.trains import made
 _HIGHEST_HZ = const(20_000)  # steps/s of one axis, at most
 _SHORTEST_US = const(6_000)  # a channel's steps last this long at the highest rate
 _LONGEST_DURATION_US = const(32_767)  # that RMT can play
-
 _PREPARE_US = const(6_000)  # the next train is prepared so long before it is due
 _EARLY_US = const(4_000)  # the next train is handed over at most so long before it is due
 _WAIT_US = const(1_200)  # so long a turn waits in a loop for a train's end; the timer has 1 ms
@@ -64,7 +63,7 @@ _REPORTED_POWER = const(7)  # last spindle power reported; -1: none
 _LONGEST_GAP_US = const(8)  # longest standstill between trains, in us
 _WORST_SKEW_US = const(9)  # largest error of a channel's start, us
 _TRAINS = const(10)  # number of trains
-_WAS_CUT_OFF = const(11)  # 1: a train was cut off; its channels may play on without pins
+_WAS_CUT_OFF = const(11)  # 1: a train was cut off; channels play its rest, without pins
 _STATE_LENGTH = const(12)
 
 # Lanes: integers per axis, about the train being played.
@@ -158,8 +157,9 @@ class RmtEngine(TimerEngine):
         if not state[_RUNNING]:
             state[_REPORTED_POWER] = -1
             now = time.ticks_us()
-            rest_us = time.ticks_diff(state[_FREE_US], now)  # of a train that was cut off
-            if not (state[_WAS_CUT_OFF] and 0 < rest_us < LOST_US):  # channels are free
+            rest_us = time.ticks_diff(state[_FREE_US], now)
+            channels_are_busy = state[_WAS_CUT_OFF] and 0 < rest_us < LOST_US
+            if not channels_are_busy:
                 state[_FREE_US] = now & MASK
             state[_WAS_CUT_OFF] = 0
             state[_NEXT_DUE_US] = (state[_FREE_US] + _START_DELAY_US) & MASK
@@ -282,7 +282,7 @@ class RmtEngine(TimerEngine):
         for i in range(self._axes):
             count = trains.durations(rows, timing, size, i, self._next[i])
             if count < 0:
-                raise RuntimeError("RMT: a pulse train is longer than its channel")
+                raise RuntimeError("RMT: a pulse train does not fit into its channel's memory")
             self._counts[i] = count
         self._note_powers()
         trains.advance(timing)
@@ -295,11 +295,11 @@ class RmtEngine(TimerEngine):
         timing, rows = self._timing, self._rows
         start_us = -timing[trains.DONE_US]  # so much of the first row was in the last train
         for k in range(trains.ROWS):
-            row = (timing[trains.FIRST_ROW] + k) % trains.ROWS * self._row_size
+            at = (timing[trains.FIRST_ROW] + k) % trains.ROWS * self._row_size  # index in rows
             is_in_train = k < timing[trains.ROWS_TAKEN] or (k == 0 and timing[trains.PART_US])
             self._next_powers[2 * k] = start_us if is_in_train else _NEVER
-            self._next_powers[2 * k + 1] = rows[row + ROW_POWER]
-            start_us += rows[row]  # a row begins with its time
+            self._next_powers[2 * k + 1] = rows[at + ROW_POWER]
+            start_us += rows[at]  # a row begins with its time
 
     def _report_power(self, now: int) -> None:
         """Report the spindle power that is due at `now`, us, in the train being played."""
@@ -344,19 +344,19 @@ class RmtEngine(TimerEngine):
                     self._direction[i].value(back ^ (self._dir_invert >> i & 1))
                     setup_us = SETUP_US
         # It begins when it is due, or so late that all axes can be started, one after the other.
-        now = time.ticks_us()
-        due_in = time.ticks_diff(state[_NEXT_DUE_US], now)
+        due_in = time.ticks_diff(state[_NEXT_DUE_US], time.ticks_us())
         late_us = 0
-        ready_in = setup_us + _GUARD_US
+        ready_in = setup_us + _GUARD_US  # us from now until channel i can play
         for i in range(self._axes):
             if self._counts[i]:
                 ready_in += self._call_us(i)
-                late_us = max(late_us, ready_in - due_in - self._next[i][0])
+                first_step_in = due_in + self._next[i][0]  # us from now, if it begins when due
+                late_us = max(late_us, ready_in - first_step_in)
         state[_BEGAN_US] = (state[_NEXT_DUE_US] + late_us) & MASK
         state[_FREE_US] = state[_BEGAN_US]  # _start_channel() moves it to the channels' ends
         self._playing, self._next = self._next, self._playing
         self._powers, self._next_powers = self._next_powers, self._powers
-        delay_us = 0
+        delay_us = 0  # of the slowest start, in addition
         for i in range(self._axes):
             if self._counts[i]:
                 delay_us = max(delay_us, self._start_channel(i))
@@ -375,25 +375,26 @@ class RmtEngine(TimerEngine):
         playing = self._playing[axis]
         pulses = self._lists[axis]
         first = playing[0]  # us from the train's begin to its first step
-        call = self._call_us(axis)  # expected time of write_pulses(), us
+        expected = self._call_us(axis)  # time of write_pulses(), us
         del pulses[:]  # the list is used again: nothing is allocated
         pulses.extend(memoryview(playing)[:count])
         before = time.ticks_us()
         # The first duration is what is left until the first step when the channel will begin.
-        lead = time.ticks_diff(state[_BEGAN_US], before) + first - call
+        lead = time.ticks_diff(state[_BEGAN_US], before) + first - expected
         pulses[0] = playing[0] = min(max(lead, 1), _LONGEST_DURATION_US)
         self._channels[axis].play(pulses)
         took = time.ticks_diff(time.ticks_us(), before)
         began = (before + took - _RETURN_US) & MASK
         lanes[lane + _STARTED_US] = began
         lanes[lane + _DURATIONS] = count
-        state[_WORST_SKEW_US] = max(state[_WORST_SKEW_US], abs(took - call))
-        learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of the error
+        error = took - expected
+        state[_WORST_SKEW_US] = max(state[_WORST_SKEW_US], abs(error))
+        learned = min(max(error, -_HELD_UP_US), _HELD_UP_US) // 4  # a part of it
         estimate = max(lanes[lane + _CALL_TIME_US] + learned, _LEAST_CALL_US)
         lanes[lane + _CALL_TIME_US] = min(estimate, _MOST_CALL_US)
         end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK
         if time.ticks_diff(end, state[_FREE_US]) > 0:
             state[_FREE_US] = end
-        first_edge = (began + playing[0]) & MASK
-        delay = time.ticks_diff(first_edge, (state[_BEGAN_US] + first) & MASK)
+        planned_step = (state[_BEGAN_US] + first) & MASK
+        delay = time.ticks_diff((began + playing[0]) & MASK, planned_step)
         return delay if delay > _HELD_UP_US else 0

@@ -86,7 +86,9 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
                         least = gap
         if known & busy & (dirs ^ rows[at + ROW_DIRS]):
             break  # an axis reverses here
-        rest = rows[at] if k else total + rows[at]  # the first row was begun in the last train
+        rest = rows[at]  # time of the row in this train
+        if k == 0:  # the last train has begun this row: total is minus the time done
+            rest += total
         count = most  # steps of the row that a channel has to hold: at most those in `rest`
         if least > 0 and rest // least + 1 < most:
             count = rest // least + 1
@@ -154,8 +156,8 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
         at = ((timing[FIRST_ROW] + k) & _ROWS_MASK) * size
         base = at + ROW_AXES + ROW_STRIDE * axis
         steps = rows[base]
-        end = rows[at] + 1  # steps before this time are in the train
-        if timing[PART_US]:
+        end = rows[at] + 1  # steps before this time of the row are in the train: all,
+        if timing[PART_US]:  # or, if it is cut, those before the cut
             end = timing[PART_US]
         tick = rows[base + 1]
         gap = 0
@@ -169,7 +171,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
             if tick >= end:
                 break
             if tick >= done:
-                if count >> 1 >= timing[MOST_STEPS]:
+                if count >> 1 >= timing[MOST_STEPS]:  # two durations per step
                     return -1
                 edge = origin + tick  # start of the pulse
                 if count and edge < last + _LEAST_PAUSE_US:
