@@ -56,8 +56,8 @@ class EspPort(PortPins):
         limits = self.limits()
         if limits != self._limits_polled:
             self._limits_polled = limits
-            waits = self._limits_disarmed  # the timer must not start again
-            if self._limits_enabled and limits != self._limits_seen and not waits:
+            timer_runs = self._limits_disarmed  # it will read them, and must not start again
+            if self._limits_enabled and limits != self._limits_seen and not timer_runs:
                 self._limit_changed(_first(self._limits))
         if not self._is_settling and self.controls() != self._controls_seen:
             self._control_changed(_first(self._controls))

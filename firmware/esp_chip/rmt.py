@@ -242,7 +242,7 @@ class RmtEngine(TimerEngine):
         now = time.ticks_us()
         self._report_power(now)
         due_in = time.ticks_diff(state[_NEXT_DUE_US], now)
-        if due_in > _PREPARE_US:
+        if due_in > _PREPARE_US:  # too early: in a later turn
             return
         if not state[_NEXT_READY] and not self._prepare():  # no more motion
             if time.ticks_diff(state[_FREE_US], now) <= 0 and due_in <= 0:
@@ -252,7 +252,7 @@ class RmtEngine(TimerEngine):
                 self._on_rest()
             return
         free_in = time.ticks_diff(state[_FREE_US], time.ticks_us())
-        if due_in > _EARLY_US or free_in > _WAIT_US:
+        if due_in > _EARLY_US or free_in > _WAIT_US:  # in a later turn
             return
         while time.ticks_diff(state[_FREE_US], time.ticks_us()) > 0:
             pass

@@ -254,7 +254,8 @@ def read(
             letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, store_rare
         )
     )
-    return error if error else scanned >> 8 & 255  # the words before it go first
+    # The error of a word comes before that of the text after all words.
+    return error if error else scanned >> 8 & 255
 
 
 @micropython.viper

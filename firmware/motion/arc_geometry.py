@@ -260,7 +260,8 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
     farthest = int(0x4D800000)  # the float FARTHEST
     if r[RADIUS] >= farthest:
         return 0
-    # On its way a position is up to three radii from the start, because shears overshoot.
+    # A: more than any position's distance from 0, mm. On its way a position is up to three radii
+    # from the start, because shears overshoot.
     r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0  # four radii; then five, 1 mm, all ends
     add_single(r, RADIUS, r, A)
     add_single(r, _ONE, r, A)
@@ -277,7 +278,7 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
             coarsest = i
     r[_UNITS_PER_MM] = farthest
     quotient(r, _UNITS_PER_MM, r, A)
-    multiply(r, A, steps_per_mm, finest)
+    multiply(r, A, steps_per_mm, finest)  # the distance in steps
     if r[A] >= farthest:
         return 0
     greatest = steps_per_mm[coarsest] + _MOST_STEP_BITS * _TWICE  # times 2**27

@@ -282,7 +282,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
     # slack and braking distances are in 2**-unit step: 18, or 0 for whole steps if many are left.
     unit = 18 if flow[STEPS_LEFT] < _MOST_FINE_STEPS else 0
     rest = (flow[STEPS_LEFT] << 18) + flow[FRACTION_LEFT] if unit else HIGHEST  # of the block
-    room = rest
+    room = rest  # the longest distance of the piece
     must_brake = 0
     leave = int(look_ahead(flow, ring, scale))
     if leave > top:
@@ -311,7 +311,7 @@ def next_piece(flow: ptr32, ring: ptr32, scale: int) -> int:
         if must_brake == 0 and speed <= top:
             if unit == 0:  # whole steps to a distance
                 slack = slack << 18 if slack < 4096 else HIGHEST
-            if speed < top:
+            if speed < top:  # it speeds up, which uses up twice its distance
                 slack = (slack + 1) >> 1
             if slack < rest:
                 room = slack

@@ -299,17 +299,17 @@ def speed_share(flow: ptr32, ring: ptr32) -> int:
 @micropython.viper
 def scaled_power(table: ptr32, full: int, part: int) -> int:
     """Return the spindle power at a part of the programmed rate (2**-17), where power follows
-    speed.
+    speed: from 0 to POWER_MAX, in whole units.
 
-    full: the power at the whole rate, in 1/64; up to POWER_FLOOR, in 1/64, too, it gives the least
-    power, 1. Returns at most POWER_MAX, in whole units. As in Grbl's laser mode the power is
-    linear in the speed, and never 0 while S is not.
+    full: the power at the whole rate, in 1/64 unit. As in Grbl's laser mode the power is linear in
+    the speed, and never 0 while S is not: up to POWER_FLOOR, in 1/64, too, it is 1.
     """
+    fine_power = full  # in 1/64 unit
     if part < FULL_TIME:
-        full = int(times(full, part))
-    if full == 0:
+        fine_power = int(times(full, part))
+    if fine_power == 0:
         return 0
-    if full <= table[POWER_FLOOR]:
+    if fine_power <= table[POWER_FLOOR]:
         return 1
-    full = ((full - table[POWER_FLOOR]) >> 6) + 1  # from 1/64, above the least
-    return full if full < table[POWER_MAX] else table[POWER_MAX]
+    power = ((fine_power - table[POWER_FLOOR]) >> 6) + 1
+    return power if power < table[POWER_MAX] else table[POWER_MAX]

@@ -110,7 +110,7 @@ class LineQueue:
         self._scale = scale = 2.0 ** math.floor(math.log(finest) / math.log(2))
         self._overrides = _Overrides()
         self._planner = planner = Planner(count, length, None, self._overrides)
-        self._segments = ExactSegments(planner, array("i", (0,)))
+        self._segments = ExactSegments(planner, array("i", (0,)))  # the fraction of a tick due
         dir_invert = sum([1 << i for i in range(count) if axes[i].invert])
         engine.configure(pulse_us, 0, dir_invert)  # 0: STEP of no axis is inverted
         self.fastest_hz = engine.max_step_hz(pulse_us)

@@ -64,6 +64,7 @@ class NonlinearCanon(Canon):
         because a cancel would come before the jog.
         """
         planner, course = self.planner, self.planner.course
+        # None: a straight line; 0.0: the tolerance, which only chords need.
         course.start_path(planner.place, planner.joints, target, None, 0.0)
         if not course.is_in_reach():
             self._refuse(errors.TRAVEL_EXCEEDED)

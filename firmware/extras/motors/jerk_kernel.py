@@ -343,13 +343,14 @@ def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> i
 def count_piece(line: ptr32, rest: int) -> int:
     """Return the distance of the plan's last piece in 2**-16 mm; PLAN_FRACTION is carried on.
 
-    rest: distance_left() before it. Computed in 2**-20 mm, so a piece has less than 1024 mm.
+    rest: distance_left() before it. A piece must have less than 1024 mm, 2**30 of 2**-20 mm.
     """
     block_left = line[PLAN_LEFT]
     in_line = int(pack(block_left, BIAS))  # the distance that `rest` is in 2**-18 step
-    way = int(part_of(line[PIECE_DISTANCE], rest, in_line, _SIXTEEN)) + line[PLAN_FRACTION]
-    line[PLAN_FRACTION] = way & ((1 << _FRACTION_BITS) - 1)
-    way >>= _FRACTION_BITS
+    # Converted by what is left of the block in both units, times 16: in 2**-20 mm.
+    fine_way = int(part_of(line[PIECE_DISTANCE], rest, in_line, _SIXTEEN)) + line[PLAN_FRACTION]
+    line[PLAN_FRACTION] = fine_way & ((1 << _FRACTION_BITS) - 1)
+    way = fine_way >> _FRACTION_BITS
     if way > block_left:
         way = block_left
     line[PLAN_LEFT] = block_left - way

@@ -158,13 +158,14 @@ def set_max_entry(table: ptr32, ring: ptr32, at: int, before: int) -> int:
     corner of the grid.
     """
     junction = ring[at + JUNCTION_SQR]
-    entry = ring[at + NOMINAL_SQR]  # the lower one of the two rates, squared; fast: the higher one
-    fast = ring[before + NOMINAL_SQR]
+    entry = ring[at + NOMINAL_SQR]  # the lower one of the two rates, squared,
+    fast = ring[before + NOMINAL_SQR]  # and the higher one
     if fast < entry:
         entry = fast
         fast = ring[at + NOMINAL_SQR]
     accel = ring[at + ACCEL]
-    if ring[at + FLAGS] & ring[before + FLAGS] & _RATE_LIMITED and fast - (fast >> 3) <= entry:
+    both_limited = ring[at + FLAGS] & ring[before + FLAGS] & _RATE_LIMITED
+    if both_limited and fast - (fast >> 3) <= entry:
         fast = entry  # as equal rates: nothing is lowered
     elif junction < HIGHEST and ring[at + FLAGS] & _IN_GRID_CHAIN == 0:
         junction = int(lower_at_corner(table, accel, junction))
