@@ -234,8 +234,7 @@ def _chord_rotation(r: ptr32, chords: int) -> int:
     bits = 0
     while chords >> bits:
         bits += 1
-    # C: chords, as a float of this mantissa of 24 bits, exponent and sign.
-    store(r, C, chords << (24 - bits), 126 + bits, 0)
+    store(r, C, chords << (24 - bits), 126 + bits, 0)  # chords as mantissa, exponent, sign
     r[_TANGENT] = r[ANGLE]
     quotient(r, _TANGENT, r, C)
     r[_TANGENT] = r[_TANGENT] - _TWICE
