@@ -177,10 +177,11 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
             if steps > 1:
                 span = row[base + 2] - row[base + 1]
                 lanes[lane + GAP] = span // (steps - 1)
-                longer = span % (steps - 1)  # so many gaps are one tick longer: the first ones
+                # So many gaps are one tick longer: some first ones, and the other last ones.
+                longer = span % (steps - 1)
                 first_longer = int(leading(steps - 1, lanes[lane + GAP], longer))
                 lanes[lane + FIRST_LONGER] = first_longer
-                lanes[lane + LAST_LONGER] = longer - first_longer  # and the last ones
+                lanes[lane + LAST_LONGER] = longer - first_longer
             if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACKWARDS]:
                 lanes[lane + BACKWARDS] = 1 - lanes[lane + BACKWARDS]
                 change_frame = lanes[lane + FREE_FRAME]  # in which the direction changes

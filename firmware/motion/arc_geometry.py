@@ -374,8 +374,8 @@ def lay(
         _place_axes(r, plane, start, target, steps_per_mm, course, axes)
         multiply(r, _TANGENT, r, _UNIT_RATIO)
         quotient(r, _SINE, r, _UNIT_RATIO)
-        course[arcs.SHEARS] = arcs.PLACE_BIAS - int(whole_part(r, _TANGENT, 28 + shift))
-        course[arcs.SHEARS + 1] = arcs.PLACE_BIAS + int(whole_part(r, _SINE, 28 + shift))
+        course[arcs.SHEARS] = arcs.PLACE_BIAS - int(whole_part(r, _TANGENT, 28 + shift))  # -t
+        course[arcs.SHEARS + 1] = arcs.PLACE_BIAS + int(whole_part(r, _SINE, 28 + shift))  # s
     return chords
 
 

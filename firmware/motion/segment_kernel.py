@@ -205,12 +205,12 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     time = flow[TIME_TO_FILL]
     end = leave
     mean = (speed + leave) >> 1
-    if rest > int(times(mean, time)):  # the segment ends before the block
+    at_mean = int(times(mean, time))  # distance at mean speed
+    if rest > at_mean:  # the segment ends before the block
         most_change = int(times(ramp, time))
         if rest < HIGHEST:
-            change = int(times(speed - leave, int(share(int(times(mean, time)), rest))))
-        else:
-            # share() is at most 1: where more is needed, the excess is added.
+            change = int(times(speed - leave, int(share(at_mean, rest))))
+        else:  # share() is at most 1: where more is needed, the excess is added
             change = int(times(most_change, int(share(flow[BRAKE_DISTANCE], flow[STEPS_LEFT]))))
             if flow[BRAKE_DISTANCE] > flow[STEPS_LEFT]:
                 excess = flow[BRAKE_DISTANCE] - flow[STEPS_LEFT]

@@ -93,10 +93,8 @@ class NonlinearCanon(Canon):
         All its chords are checked. The machine is serviced meanwhile, because that takes long.
         """
         planner, course = self.planner, self.planner.course
-        joints = vector(planner.axes)
-        copy(
-            planner.joints, joints, planner.axes
-        )  # inverse() chooses the solution nearest to them
+        joints = vector(planner.axes)  # those at start: inverse() finds the solution nearest to
+        copy(planner.joints, joints, planner.axes)  # what the array has before
         is_in_reach = planner.kinematics.geometry.inverse(start, joints)
         course.start_path(start, joints, target, arc, self._settings.arc_tolerance_mm)
         while is_in_reach and course.has_next():

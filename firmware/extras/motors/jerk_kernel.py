@@ -390,8 +390,8 @@ def end_plan_block(line: ptr32, ring: ptr32, gentle: int) -> int:
     line[JOIN_SPEED] = 0
     line[TIME_TO_FILL] = 0
     slowdown = int(product(ring[before + ACCEL], gentle, ONE))  # a T / 4
+    # sqrt(v / (a T / 4)) in 2**-14.5, up to 23170. 181 is 2**7.5, so * 181 >> 22 makes it a whole
+    # number. FILTER_TAPS, which is T in slots, is up to 64.
     part = int(square_root(int(share(int(square_root(sqr)), slowdown)) << 12)) if sqr else 0
-    # part: sqrt(v / (a T / 4)) in 2**-14.5, up to 23170. 181 is 2**7.5, so * 181 >> 22 makes it a
-    # whole number. FILTER_TAPS, which is T in slots, is up to 64.
     line[STAND_SLOTS] = line[FILTER_TAPS] - (line[FILTER_TAPS] * part * 181 >> 22)
     return 0

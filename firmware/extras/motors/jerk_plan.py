@@ -250,8 +250,9 @@ def limit_rate(table: ptr32, ring: ptr32, at: int, after: int, before: int) -> i
         sqr = entry
     if entry and ring[before + FLAGS] & _RATE_LIMITED and ring[before + NOMINAL_SQR] < sqr:
         sqr = ring[before + NOMINAL_SQR]
-    # Nothing to do: a stop, or corners that are no stops when lowered, or straight lines.
-    if sqr == 0 or int(lower_at_corner(table, ring[at + ACCEL], sqr)) or sqr == HIGHEST:
+    # Nothing to do: a stop, or straight lines, or corners that are no stops when lowered.
+    lowered_sqr = int(lower_at_corner(table, ring[at + ACCEL], sqr))
+    if sqr == 0 or sqr == HIGHEST or lowered_sqr:  # noqa: PLR1714 (a viper cannot ask `in`)
         return 0
     if ring[after + FLAGS] & _IN_GRID_CHAIN or int(is_short(table, ring, at, sqr)) == 0:
         return 0

@@ -107,6 +107,7 @@ class Chip:
         """Return a register's 32 bits. Raises Silence if no try gets a valid answer."""
         request = bytearray((_SYNC, self._address, register, 0))
         request[3] = checksum(request[:3])  # of the bytes before it
+        begins_with = bytes((_SYNC, _MASTER, register))  # an answer, before its value
         why = ""
         for _ in range(tries):
             answer = self._wire.exchange(request, _ANSWER_BYTES)
@@ -114,10 +115,9 @@ class Chip:
                 why = "no echo: its serial wire is cut"
             elif len(answer) < _ANSWER_BYTES:
                 why = "no answer: is the motors' supply on?"
-            # The checksum is wrong, or its first bytes are not those of an answer.
-            elif checksum(answer[:_CHECKSUM_AT]) != answer[_CHECKSUM_AT] or answer[
-                :_VALUE_AT
-            ] != bytes((_SYNC, _MASTER, register)):
+            elif checksum(answer[:_CHECKSUM_AT]) != answer[_CHECKSUM_AT]:
+                why = "a corrupted answer"
+            elif answer[:_VALUE_AT] != begins_with:
                 why = "a corrupted answer"
             else:
                 return int.from_bytes(answer[_VALUE_AT:_CHECKSUM_AT], "big")
