@@ -120,7 +120,7 @@ def turning(lines: "list[str]") -> Machine:
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make an endless axis unwind beyond 819 degrees."""
-    monkeypatch.setattr(rotary, "_EXACT", 16384.0)
+    monkeypatch.setattr(rotary, "_EXACT_STEPS", 16384.0)
 
 
 def places(machine: Machine) -> "tuple[float, float]":

@@ -39,9 +39,9 @@ _found: "dict[str, Any]" = {}  # prepare() stores here what install() needs
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Note the modules to read and the pins of the board file."""
-    board_option = board.__dict__.get
+    option = board.__dict__.get
     _found["modules"] = options.custom
-    _found["outputs"], _found["inputs"] = board_option("OUTPUTS", {}), board_option("INPUTS", {})
+    _found["outputs"], _found["inputs"] = option("OUTPUTS", {}), option("INPUTS", {})
 
 
 def install(cnc: "Cnc") -> None:
@@ -60,7 +60,7 @@ def install(cnc: "Cnc") -> None:
     try:
         custom.register(_read(_found["modules"]))
     except KeyboardInterrupt:
-        custom.leave_out(RuntimeError("Ctrl-C while its file was being read"))
+        custom.leave_out(RuntimeError("Ctrl-C came while its file was read"))
     except BaseException as fault:  # sys.exit(), too
         custom.leave_out(fault)
 
