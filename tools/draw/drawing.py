@@ -58,22 +58,23 @@ class Drawing:
 
 
 def draw(job: "Job", most: int, tolerance_mm: float = TOLERANCE_MM) -> Drawing:
-    """Return a job with at most so many points, plus those between rapids and cuts.
+    """Return a job with at most `most` points, plus those between rapids and cuts.
 
     Points are left out where path and speed stay within a tolerance, which grows until the rest
-    are few enough. Speed of a stroke: its length along the path, divided by its time.
+    are few enough. Speed of a stroke, between two points: its length along the path, divided by
+    its time.
     """
     motion = job.motion
     points, rapid = motion.points, motion.rapids
     time_s = np.frombuffer(motion.time_s)
     speed = np.frombuffer(motion.speed_mm_s, np.float32)
-    # A speed error of half a shade counts as much as the tolerance.
-    shade = 2 * SHADES * tolerance_mm / (float(speed.max(initial=0)) or 1.0)
-    parting = np.flatnonzero(rapid[1:] != rapid[:-1])
+    # Speed is a fourth coordinate, scaled so that half a shade of colour is as the tolerance.
+    scale = 2 * SHADES * tolerance_mm / (float(speed.max(initial=0)) or 1.0)
+    between_kinds = np.flatnonzero(rapid[1:] != rapid[:-1])
     rows, tolerance_mm = fitted(
-        np.column_stack([points, speed * np.float32(shade)]), tolerance_mm, parting, most
+        np.column_stack([points, speed * np.float32(scale)]), tolerance_mm, between_kinds, most
     )
-    # Distance along the path up to each point.
+    # Distance along the path up to each point; [: len(points)] because there may be none.
     path_mm = np.concatenate([[0.0], np.cumsum(_lengths(points))])[: len(points)]
     length, seconds = np.diff(path_mm[rows], prepend=0), np.diff(time_s[rows], prepend=0)
     mm_s = np.divide(length, seconds, out=np.zeros(len(rows)), where=seconds > 0)
@@ -89,7 +90,7 @@ def _lengths(points: Numbers) -> Numbers:
 def fastest(drawings: Sequence[Drawing]) -> float:
     """Return the end of the colour scale, in mm/min: the fastest cut, or the fastest rapid if
     nothing cuts."""
-    for rapid in (False, True):
+    for rapid in (False, True):  # cuts first
         highest = max(float(each.stroke_speeds(rapid).max(initial=0)) for each in drawings)
         if highest:
             return highest
@@ -97,7 +98,7 @@ def fastest(drawings: Sequence[Drawing]) -> float:
 
 
 def box(drawing: Drawing) -> tuple[Numbers, Numbers]:
-    """Return lowest corner and size; no side is 0."""
+    """Return lowest corner and size in mm, X, Y and Z; a side of 0 is made 1."""
     if not len(drawing.points):
         return np.zeros(3), np.ones(3)
     low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
@@ -107,11 +108,12 @@ def box(drawing: Drawing) -> tuple[Numbers, Numbers]:
 
 
 def travel(job: "Job", drawing: Drawing) -> tuple[Numbers, Numbers] | None:
-    """Return a frame of $130 and $131 around the job, lowest corner and size, if the job is nearly
-    as large."""
-    low, size = (side[:2] for side in box(drawing))
+    """Return a frame of the travel ($130 and $131) with the job in its middle: lowest corner and
+    size, X and Y in mm. None unless the job takes more than a third of it in X or Y."""
+    low, size = (values[:2] for values in box(drawing))
     frame = np.array(job.limits["travel"][:2])
-    return (low + (size - frame) / 2, frame) if (size * 3 > frame).any() else None
+    is_large = (size * 3 > frame).any()
+    return (low + (size - frame) / 2, frame) if is_large else None
 
 
 def figures(job: "Job") -> list[tuple[str, str]]:
@@ -119,14 +121,12 @@ def figures(job: "Job") -> list[tuple[str, str]]:
     from .job import short
 
     motion, totals = job.motion, job.result.totals
-    seconds, rapid, moves = (
-        motion.seconds,
-        motion.rapids,
-        np.frombuffer(motion.block, np.int32) > 0,
-    )
+    seconds, is_rapid = motion.seconds, motion.rapids
+    is_moving = np.frombuffer(motion.block, np.int32) > 0  # 0: a standstill
     speed = np.frombuffer(motion.speed_mm_s, np.float32)
     power = np.frombuffer(motion.power, np.float32)
-    rapid_s, cut_s = float(seconds[rapid].sum()), float(seconds[~rapid & moves].sum())
+    rapid_s = float(seconds[is_rapid].sum())
+    cut_s = float(seconds[~is_rapid & is_moving].sum())
     rows = [
         ("takes", short(job.seconds)),
         ("of that", f"cuts {short(cut_s)}, rapids {short(rapid_s)}"),
@@ -148,15 +148,17 @@ def figures(job: "Job") -> list[tuple[str, str]]:
 
 
 def envelope(time_s: Numbers, values: Numbers, most: int) -> tuple[Numbers, Numbers]:
-    """Return the curve with at most so many points: the lowest and the highest of each section."""
+    """Return the curve with at most `most` points: the lowest and the highest of each section, so
+    that no peak is lost."""
     count = len(time_s)
     if count <= most:
         return np.asarray(time_s), np.asarray(values)
-    section = -(-count // (most // 2))  # points of a section, rounded up
+    sections = most // 2
+    section = -(-count // sections)  # points of a section, rounded up
     begins = np.arange(0, count, section)
-    padded = np.full(len(begins) * section, values[-1])
+    padded = np.full(len(begins) * section, values[-1])  # the last section is filled up
     padded[:count] = values
     table = padded.reshape(len(begins), section)  # a row per section
     rows = np.concatenate([begins + table.argmin(axis=1), begins + table.argmax(axis=1)])
-    rows = np.unique(np.minimum(rows, count - 1))
+    rows = np.unique(np.minimum(rows, count - 1))  # sorted; padding is the last point
     return np.asarray(time_s)[rows], np.asarray(values)[rows]

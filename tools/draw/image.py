@@ -35,32 +35,34 @@ _RING: dict[str, Any] = {"mfc": "white", "mec": "black", "ms": 5, "mew": 1.2}
 
 
 def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "Figure":
-    """Draw the jobs as a figure."""
+    """Draw the jobs as a figure. words: a line below the title, or "". is_svg: with fewer strokes,
+    because each one is an element of the file."""
     from matplotlib.figure import Figure
 
     figure = Figure(dpi=100, layout="constrained")
     figure.suptitle(f"{title}\n{words}" if words else title, parse_math=False)
-    places = _places(figure, len(jobs))
+    places = _places(figure, len(jobs))  # by job: from above, in 3D, and its curves
     drawings = [_draw(job, _STROKES_SVG if is_svg else _STROKES) for job in jobs]
-    look: dict[str, Any] = {"cmap": drawing.SCALE, "clim": (0, drawing.fastest(drawings))}
-    above: list[Any] = []
+    colour_scale: dict[str, Any] = {"cmap": drawing.SCALE, "clim": (0, drawing.fastest(drawings))}
+    views: list[Any] = []  # from above
     for place, job, drawn in zip(places, jobs, drawings, strict=True):
-        above.append(figure.add_subplot(place[0], aspect="equal"))
-        flat = _from_above(above[-1], job, drawn, look)
-        above[-1].set_title(_heading(job, drawn), fontsize="small", parse_math=False)
-        _in_space(figure.add_subplot(place[1], projection="3d"), drawn, look)
-    figure.colorbar(flat, ax=above, label="speed of cuts in mm/min", extend="max", panchor=False)
+        views.append(figure.add_subplot(place[0], aspect="equal"))
+        cuts = _from_above(views[-1], job, drawn, colour_scale)
+        views[-1].set_title(_heading(job, drawn), fontsize="small", parse_math=False)
+        _in_space(figure.add_subplot(place[1], projection="3d"), drawn, colour_scale)
+    figure.colorbar(cuts, ax=views, label="speed of cuts in mm/min", extend="max", panchor=False)
     _curves(figure, [place[2:] for place in places], jobs)
     return figure
 
 
 def _places(figure: "Figure", count: int) -> list[list[Any]]:
-    """Return the places of path, 3D view and curves of each job: in columns if there are
-    several."""
+    """Return the places of path, 3D view and curves of each job. Several jobs are columns; a
+    single one has path and 3D view side by side, above its curves."""
     if count == 1:
-        figure.set_size_inches(_WIDE, sum(_HEIGHTS) - _HEIGHTS[1])
-        grid = figure.add_gridspec(len(_HEIGHTS) - 1, 2, height_ratios=_HEIGHTS[:1] + _HEIGHTS[2:])
-        return [[grid[0, 0], grid[0, 1], *(grid[row, :] for row in range(1, len(_HEIGHTS) - 1))]]
+        heights = _HEIGHTS[:1] + _HEIGHTS[2:]  # without that of the 3D view
+        figure.set_size_inches(_WIDE, sum(heights))
+        grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+        return [[grid[0, 0], grid[0, 1], *(grid[row, :] for row in range(1, len(heights)))]]
     figure.set_size_inches(_WIDTH * count, sum(_HEIGHTS))
     grid = figure.add_gridspec(len(_HEIGHTS), count, height_ratios=_HEIGHTS)
     return [[grid[row, column] for row in range(len(_HEIGHTS))] for column in range(count)]
@@ -90,26 +92,27 @@ def _filled(rows: Sequence[str]) -> list[str]:
     return lines
 
 
-def _from_above(axes: "Axes", job: Job, drawn: Drawing, look: dict[str, Any]) -> Any:
-    """Draw the path from above; returns the cuts, whose colours the colour scale explains."""
+def _from_above(axes: "Axes", job: Job, drawn: Drawing, colour_scale: dict[str, Any]) -> Any:
+    """Draw the path from above; return the cuts, whose colours the figure's colour scale explains.
+    colour_scale: of speeds, as arguments for LineCollection."""
     from matplotlib.collections import LineCollection
 
     rapids = LineCollection(
         list(drawn.strokes(True)[:, :, :2]), colors=drawing.RAPID, linewidths=0.6, linestyles="--"
     )
     speeds = drawn.stroke_speeds(False)
-    flat = LineCollection(
-        list(drawn.strokes(False)[:, :, :2]), array=speeds, linewidths=0.8, **look
+    cuts = LineCollection(
+        list(drawn.strokes(False)[:, :, :2]), array=speeds, linewidths=0.8, **colour_scale
     )
     axes.add_collection(rapids)
-    axes.add_collection(flat)
+    axes.add_collection(cuts)
     axes.plot([mark[0] for mark in job.marks], [mark[1] for mark in job.marks], "o", **_RING)
     low, size = _roomy(drawn)
     axes.update_datalim([low[:2], (low + size)[:2]])
     axes.autoscale_view()
     axes.set(xlabel="X mm", ylabel="Y mm")
     _travel(axes, job, drawn)
-    return flat
+    return cuts
 
 
 def _travel(axes: "Axes", job: Job, drawn: Drawing) -> None:
@@ -122,8 +125,8 @@ def _travel(axes: "Axes", job: Job, drawn: Drawing) -> None:
         axes.add_patch(Rectangle((x, y), *size, fill=False, ec=drawing.TRAVEL, ls=":"))
 
 
-def _in_space(axes: Any, drawn: Drawing, look: dict[str, Any]) -> None:
-    """Draw the path in 3D. look: the colours of speeds."""
+def _in_space(axes: Any, drawn: Drawing, colour_scale: dict[str, Any]) -> None:
+    """Draw the path in 3D. colour_scale: of speeds, as arguments for LineCollection."""
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
 
@@ -135,12 +138,13 @@ def _in_space(axes: Any, drawn: Drawing, look: dict[str, Any]) -> None:
     )
     axes.add_collection3d(
         art3d.Line3DCollection(
-            _lines(cuts), array=drawn.stroke_speeds(False), linewidths=0.6, **look
+            _lines(cuts), array=drawn.stroke_speeds(False), linewidths=0.6, **colour_scale
         )
     )
     low, size = _roomy(drawn)
     longest = max(size)
     axes.tick_params(pad=_PAD)
+    # A flat job is drawn higher than it is, so that its height is visible.
     axes.set_box_aspect(np.maximum(size, drawing.FLATTEST * longest), zoom=_ZOOM)
     for letter, start, side in zip("xyz", low, size, strict=True):
         axes.set(**{f"{letter}lim": (start, start + side)})
@@ -155,8 +159,8 @@ def _roomy(drawn: Drawing) -> tuple[Numbers, Numbers]:
     """Return lowest corner and size of a drawing. A narrow side of X or Y is widened, because both
     have the same scale."""
     low, size = drawing.box(drawn)
-    room = np.maximum(drawing.FLATTEST * max(size) - size, 0) / 2 * (1, 1, 0)
-    return low - room, size + 2 * room
+    missing = np.maximum(drawing.FLATTEST * max(size) - size, 0) * (1, 1, 0)  # not of Z
+    return low - missing / 2, size + missing
 
 
 def _lines(strokes: Numbers) -> list[Any]:
@@ -167,15 +171,15 @@ def _lines(strokes: Numbers) -> list[Any]:
 def _curves(figure: "Figure", places: Sequence[Sequence[Any]], jobs: Sequence[Job]) -> None:
     """Draw speed, acceleration, step rate and power; each row has one scale, and all have one time
     axis."""
-    rows: list[list[Axes]] = [[], [], [], []]
-    first: Axes | None = None
+    rows: list[list[Axes]] = [[], [], [], []]  # of each row: the axes of each job so far
+    first: Axes | None = None  # whose time axis all share
     for column, job in zip(places, jobs, strict=True):
         motion = job.motion
-        for place, shared in zip(column, rows, strict=True):
-            axes = figure.add_subplot(place, sharex=first, sharey=shared[0] if shared else None)
+        for place, row in zip(column, rows, strict=True):
+            axes = figure.add_subplot(place, sharex=first, sharey=row[0] if row else None)
             first = first or axes
             axes.grid(alpha=0.3)
-            shared.append(axes)
+            row.append(axes)
         time_s, power = np.frombuffer(motion.time_s), np.frombuffer(motion.power, np.float32)
         speed = 60 * np.frombuffer(motion.speed_mm_s, np.float32)
         rows[0][-1].plot(*envelope(time_s, speed, _POINTS), linewidth=0.6, color="black")
@@ -187,12 +191,13 @@ def _curves(figure: "Figure", places: Sequence[Sequence[Any]], jobs: Sequence[Jo
         rows[3][-1].set(xlabel="seconds")
     mean = f"acceleration\nmm/s², mean\nof {MEAN_S * 1000:.0f} ms"
     labels = ("speed\nmm/min", mean, "steps\nper second", "spindle or\nlaser, %")
-    for shared, label in zip(rows, labels, strict=True):
-        shared[0].set(ylabel=label)
+    for row, label in zip(rows, labels, strict=True):
+        row[0].set(ylabel=label)
 
 
 def _by_axis(axes: "Axes", job: Job, columns: Iterable[Numbers], limits: str) -> None:
-    """Draw a curve per axis, and the limit of its setting as a dotted line if it is near."""
+    """Draw a curve per axis, of columns, and its limit as a dotted line if it is near. limits: the
+    key of job.limits."""
     time_s = np.frombuffer(job.motion.time_s)
     highest = 0.0
     for letter, colour, values in zip(LETTERS, drawing.AXES, columns, strict=False):
@@ -200,6 +205,6 @@ def _by_axis(axes: "Axes", job: Job, columns: Iterable[Numbers], limits: str) ->
         axes.plot(times, kept, linewidth=0.6, color=colour, label=letter)
         highest = max(highest, float(kept.max(initial=0)))
     for limit, colour in zip(job.limits[limits], drawing.AXES, strict=False):
-        if limit <= 2 * highest:
+        if limit <= 2 * highest:  # else it would make the curves too small
             axes.axhline(limit, color=colour, linewidth=0.8, linestyle=":")
     axes.legend(loc="upper right", ncols=len(LETTERS), fontsize="small")

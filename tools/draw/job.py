@@ -94,7 +94,11 @@ def run_job(
     progress: Callable[[int], None] | None = None,
     around: machine.Around = machine.NOTHING,
 ) -> Job:
-    """Run a program. ValueError if a setting is refused."""
+    """Run a program. ValueError if a setting is refused.
+
+    lines: of the program. settings: lines `$110=500`, sent before it. progress: called with the
+    number of lines done. around: see machine.Around.
+    """
     result, trace = trace_program(
         lines, board=board, settings=settings, progress=progress, around=around
     )
@@ -116,7 +120,8 @@ def job_of(
 
 
 def _limits(board: str, settings: Sequence[str], axes: int) -> dict[str, list[float]]:
-    """Return the limits that the settings set for each axis."""
+    """Return the limits of each axis with these settings: "step_hz" (steps per second at its
+    highest rate), "acceleration" in mm/s2, and "travel" in mm."""
     values = _defaults(board)
     for line in settings:
         number, _, value = line.lstrip("$").partition("=")
@@ -135,9 +140,10 @@ def _defaults(board: str) -> dict[int, float]:
 
     given = getattr(load_board(board), "DEFAULTS", {})
     values = {}
-    for number, _, kind, default, _ in settings._TABLE:
-        for axis in range(len(LETTERS) if kind == settings.AXIS else 1):
-            values[number + axis] = float(given.get(number + axis, default))
+    for first, _, kind, default, _ in settings._TABLE:
+        count = len(LETTERS) if kind == settings.AXIS else 1  # numbers of this row
+        for number in range(first, first + count):
+            values[number] = float(given.get(number, default))
     return values
 
 
@@ -152,11 +158,11 @@ def describe(settings: Sequence[str]) -> str:
 
 
 def verdict(before: Job, after: Job) -> str:
-    """Return the difference in words."""
-    digits = 1 if before.seconds < 60 else 0  # so that the times shown add up
+    """Return the difference in time in words: `41.2 s instead of 50.0 s: 8.8 s saved (18 %)`."""
+    digits = 1 if before.seconds < 60 else 0  # as short() shows them, so that they add up
     saved = round(before.seconds, digits) - round(after.seconds, digits)
     times = f"{short(after.seconds)} instead of {short(before.seconds)}"
-    if not before.seconds or abs(saved) < 0.005 * before.seconds:
+    if not before.seconds or abs(saved) < 0.005 * before.seconds:  # less than 0.5 %
         return f"{times}: next to no difference"
     share = 100 * abs(saved) / before.seconds
     what = "saved" if saved > 0 else "more"
@@ -164,7 +170,7 @@ def verdict(before: Job, after: Job) -> str:
 
 
 def short(seconds: float) -> str:
-    """Return a duration as text."""
+    """Return a duration as text: 0.25 s, 12.5 s, 3 min 20 s, 1 h 5 min."""
     if seconds < 1:
         return f"{seconds:.2f} s"
     if seconds < 60:

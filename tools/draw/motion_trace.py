@@ -44,6 +44,8 @@ class Motion:
     """Columns of equal length, a row per segment; a standstill has a row at each end.
 
     speed is that at the end of the segment, along the path; power is the tool's, from 0 to 1.
+    block is the index of the segment's block in the columns of blocks: line, rapid, and per mm of
+    its path the steps of each motor and the share, in mm, of each axis. Block 0 is a standstill.
     Acceleration and step rate are per axis and computed on demand, without sign, as the settings
     limit them.
     """
@@ -93,14 +95,16 @@ class Motion:
         return range(len(self.share))
 
     def acceleration(self, axis: int) -> Column:
-        """Return the acceleration in mm/s2, along the path, as a mean over MEAN_S."""
+        """Return an axis' acceleration in mm/s2 for each segment, without sign, as a mean over
+        MEAN_S. Only changes of the speed along the path count, not those of direction."""
         time_s = np.frombuffer(self.time_s)
         change = np.abs(np.diff(_view(self.speed_mm_s), prepend=np.float32(0)))
-        changed = np.cumsum(change * _view(self.share[axis])[_view(self.block)], dtype=float)
-        ends = np.append(0.0, time_s), np.append(0.0, changed)
+        axis_share = _view(self.share[axis])[_view(self.block)]
+        # The sum of the axis' changes of speed, up to the end of each segment, from time 0 on.
+        sums = np.append(0.0, np.cumsum(change * axis_share, dtype=float))
+        times = np.append(0.0, time_s)
         middle = time_s - self.seconds / 2
-        # The change of speed up to half of MEAN_S after, and before, the middle of each segment.
-        after, before = (np.interp(middle + s, *ends) for s in (MEAN_S / 2, -MEAN_S / 2))
+        after, before = (np.interp(middle + s, times, sums) for s in (MEAN_S / 2, -MEAN_S / 2))
         return np.asarray((after - before) / MEAN_S)
 
     def step_hz(self, motor: int) -> Column:
@@ -126,38 +130,43 @@ class MotionTrace(Paced):
         per_motor = [_column("f") for _ in self._motors]
         per_axis = [_column("f") for _ in self._axes]
         self.motion = Motion(steps_per_mm=per_motor, share=per_axis)
-        self._begun_at = 0
-        self._blocks: dict[int, int] = {}  # block of the trace, by the row of the planner's ring
-        self._plans: dict[int, tuple[float, int]] = {}  # speed and block, by the segment's row
+        self._start_tick = 0  # the tick of time 0
+        self._blocks: dict[int, int] = {}  # block of the trace, by its place in the planner's ring
+        # Speed at the end and block of each segment that waits in the engine, by its row's id().
+        self._plans: dict[int, tuple[float, int]] = {}
         self._port = rig.port
-        self._add_block(0, False, [0.0 for _ in self._motors])
+        self._add_block(0, False, [0.0 for _ in self._motors])  # block 0, a standstill
 
     def start_clock(self) -> None:
-        """Start the clock at the beginning of the program; earlier segments are removed."""
+        """Start the clock at the beginning of the program; segments before, of settings and
+        commands, are removed."""
         super().start_clock()
         self.motion.forget()
-        self._begun_at = self._rig.now
+        self._start_tick = self._rig.now
         self._add(0.0, 0.0, 0, self._to_mm(self._place))
 
     def _attach(self) -> None:
-        """Attach to the machine, as Paced._attach(), also to the generator of segments."""
+        """Attach to the machine, as Paced._attach(), also to the generator of segments: the engine
+        calls _next_segment() instead of it."""
         super()._attach()
         from motion.minifloat import value
 
-        self._value = value
+        self._to_float = value
         self._segments = self._rig.controller.segments
         hooks = self._rig.controller.state.hooks
-        self._next = replace_method(hooks, "next_segment", self._noted)
+        self._firmware_next = replace_method(hooks, "next_segment", self._next_segment)
 
     def _note(self, row: int) -> None:
         """Note a block that was planned in this row of the planner's ring."""
         super()._note(row)
         layout, ring = self._layout, self._planner.ring
-        at = row * self._planner.flow[layout.ROW_SIZE]
-        length = self._value(ring[at + layout.LENGTH]) or 1.0
+        at = row * self._planner.flow[layout.ROW_SIZE]  # its place in the ring
+        length = self._to_float(ring[at + layout.LENGTH]) or 1.0
         steps = ring[at + layout.STEPS : at + layout.STEPS + len(self._motors)]
-        dirs, flags = ring[at + layout.DIRS], ring[at + layout.FLAGS]
-        per_mm = [(-count if dirs >> i & 1 else count) / length for i, count in enumerate(steps)]
+        backwards, flags = ring[at + layout.DIRS], ring[at + layout.FLAGS]  # masks
+        per_mm = [
+            (-count if backwards >> i & 1 else count) / length for i, count in enumerate(steps)
+        ]
         self._blocks[at] = len(self.motion.line)
         rapid = bool(flags & (layout.RAPID_MOTION | layout.SYSTEM_MOTION))
         self._add_block(self._rig.link.now_at(), rapid, per_mm)
@@ -167,33 +176,35 @@ class MotionTrace(Paced):
         motion = self.motion
         motion.line.append(line)
         motion.rapid.append(rapid)
-        for steps, mm in zip(motion.steps_per_mm, per_mm, strict=True):
-            steps.append(abs(mm))
-        for share, mm in zip(motion.share, self._to_mm(per_mm), strict=True):
-            share.append(abs(mm))
+        for column, steps in zip(motion.steps_per_mm, per_mm, strict=True):
+            column.append(abs(steps))
+        for column, mm in zip(motion.share, self._to_mm(per_mm), strict=True):
+            column.append(abs(mm))
 
-    def _noted(self, row: "array[int]") -> int:
-        """Replace Segments.next: note the speed of the segment, and its block. Return its result,
-        0 if there is no segment."""
-        has_segment = int(self._next(row))
+    def _next_segment(self, row: "array[int]") -> int:
+        """Replace the generator of segments: let it fill the row, and note the speed at the end of
+        the segment, and its block. Return 0 if there is no segment."""
+        has_segment = int(self._firmware_next(row))
         if has_segment:
-            block = self._planner.flow[self._layout.BLOCK_AT]
-            self._plans[id(row)] = (self._value(self._segments.rate()), self._blocks.get(block, 0))
+            place = self._planner.flow[self._layout.BLOCK_AT]
+            speed = self._to_float(self._segments.rate())
+            self._plans[id(row)] = speed, self._blocks.get(place, 0)
         return has_segment
 
     def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
-        """Add a segment that begins at `start`, in ticks, and ends at this position, in mm."""
-        if not self.motion.time_s:
-            self._begun_at = start
+        """Add a segment that begins at `start`, in ticks, and ends at this position, in mm. Called
+        after it was executed."""
+        if not self.motion.time_s:  # the first one, without start_clock()
+            self._start_tick = start
             self._add(0.0, 0.0, 0, [0.0 for _ in self._axes])
         hz = self._rig.engine.tick_hz
         speed, block = self._plans.get(id(row), (0.0, 0))
-        begin = (start - self._begun_at) / hz
+        begin = (start - self._start_tick) / hz
         motion = self.motion
-        if len(motion) and begin - motion.time_s[-1] > _REST_S:
-            last = [column[-1] for column in motion.place]
-            self._add(motion.time_s[-1], 0.0, 0, last)
-            self._add(begin, 0.0, 0, last)
+        if len(motion) and begin - motion.time_s[-1] > _REST_S:  # a standstill before it
+            place = [column[-1] for column in motion.place]
+            self._add(motion.time_s[-1], 0.0, 0, place)
+            self._add(begin, 0.0, 0, place)
         self._add(begin + row[self._layout.ROW_TICKS] / hz, speed, block, at)
 
     def _add(self, time_s: float, speed: float, block: int, at: Sequence[float]) -> None:
@@ -218,8 +229,9 @@ def trace_program(
 ) -> tuple[Result, MotionTrace]:
     """Run a program as run.run_program does, and trace every segment.
 
-    For a long one, segments are longer where the lines are long; steps, path and time are the
-    same.
+    settings: lines sent before it. check: run it in check mode ($C), without motion. progress:
+    called with the number of lines done. For a long program, segments are up to _COARSE times as
+    long; steps, path and time are the same.
     """
     commands = (*settings, *(["$C"] if check else []))
     coarse = _COARSE if len(lines) > _MANY_LINES else 1

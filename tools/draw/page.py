@@ -53,7 +53,7 @@ def page(jobs: Sequence[Job], title: str, words: str) -> str:
         "library": _library(),
         "script": SCRIPT,
     }
-    return re.sub(r"@(\w+)@", lambda match: parts[match[1]], PAGE)
+    return re.sub(r"@(\w+)@", lambda match: parts[match[1]], PAGE)  # fills in @title@, …
 
 
 def _packed(text: str) -> str:
@@ -82,6 +82,7 @@ def _job(job: Job, drawn: Drawing) -> dict[str, Any]:
         ("drawn", f"nowhere more than {drawn.tolerance_mm:g} mm beside the path"),
     ]
     columns: dict[str, tuple[Numbers, str]] = {
+        # Values with their type in numpy, which the script reads.
         **{name: (drawn.points[:, i], "f4") for i, name in enumerate("xyz")},
         "time": (drawn.time_s, "f8"),
         "speed": (drawn.speed, "f4"),
@@ -101,7 +102,8 @@ def _job(job: Job, drawn: Drawing) -> dict[str, Any]:
 
 
 def _shape(drawn: Drawing) -> dict[str, float]:
-    """Return the sides of the 3D view; the height is visible, however small."""
+    """Return the sides of the 3D view, in plotly's units: the longest is 1.2. The height is
+    visible, however small."""
     _, size = drawing.box(drawn)
     longest = float(max(size))
     sides = [size[0], size[1], max(size[2], drawing.FLATTEST * longest)]
@@ -109,7 +111,8 @@ def _shape(drawn: Drawing) -> dict[str, float]:
 
 
 def _frame(job: Job, drawn: Drawing) -> dict[str, float] | None:
-    """Return a frame of the travel around the job, if the job is nearly as large."""
+    """Return the corners of drawing.travel(), the frame of the machine's travel; None if the job
+    is much smaller."""
     place = drawing.travel(job, drawn)
     if place is None:
         return None
@@ -123,7 +126,7 @@ def _frame(job: Job, drawn: Drawing) -> dict[str, float] | None:
 
 
 def _curves(job: Job) -> "Sequence[list[dict[str, Any]]]":
-    """Return the curves over time, for each chart."""
+    """Return the curves over time, for each chart in the order of _CHARTS."""
     motion = job.motion
     speed = 60 * np.frombuffer(motion.speed_mm_s, np.float32)
     power = 100 * np.frombuffer(motion.power, np.float32)

@@ -16,7 +16,7 @@ _HEAD = PAGE.index("<title>")
 def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
     """Draw the jobs side by side; the file's suffix selects the format. `-` is a page on stdout.
 
-    OSError says in words why it cannot be written.
+    words: a line below the title, or "". OSError says in words why it cannot be written.
     """
     if str(file) == STDIN:
         sys.stdout.write(_page(jobs, title, words))

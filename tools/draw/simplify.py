@@ -22,7 +22,7 @@ def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) 
     """Return the rows of a polyline that are sufficient. keep: rows that always stay.
 
     Every point is within the tolerance of the straight line between the kept ones around it, in
-    all columns together.
+    all columns together. Each _STRETCH-th point stays too, which limits the work.
     """
     count = len(points)
     is_kept = np.zeros(count, bool)
@@ -30,11 +30,11 @@ def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) 
     is_kept[np.asarray(keep, np.int64)] = True
     for begin in range(0, count, _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE + 1)  # it ends where the next one begins
-        _cut(points[part], is_kept[part], tolerance)
+        _mark_kept(points[part], is_kept[part], tolerance)
     return np.flatnonzero(is_kept)
 
 
-def _cut(points: Points, is_kept: NDArray[np.bool_], tolerance: float) -> None:
+def _mark_kept(points: Points, is_kept: NDArray[np.bool_], tolerance: float) -> None:
     """Mark the points to keep, between points that are kept already.
 
     first, last: rows of the ends of sections. Each section with a point too far from its chord is
@@ -42,12 +42,16 @@ def _cut(points: Points, is_kept: NDArray[np.bool_], tolerance: float) -> None:
     """
     ends = np.flatnonzero(is_kept)
     first, last = ends[:-1], ends[1:]
-    while len(first := first[wide := last - first > 1]):  # sections with points between the ends
-        last = last[wide]
+    while True:
+        has_points = last - first > 1  # between its ends
+        first, last = first[has_points], last[has_points]
+        if not len(first):
+            return
         worst, distance = _farthest(points, first, last)
-        cut = distance > tolerance
-        first, last, worst = first[cut], last[cut], worst[cut]
+        is_cut = distance > tolerance
+        first, last, worst = first[is_cut], last[is_cut], worst[is_cut]
         is_kept[worst] = True
+        # Two sections of each.
         first, last = np.concatenate((first, worst)), np.concatenate((worst, last))
 
 
@@ -56,36 +60,40 @@ def fitted(
 ) -> tuple[Rows, float]:
     """Simplify as simplify(), with a tolerance doubled until at most `most` rows remain.
 
-    Rows that always stay are not counted. Returns the tolerance too.
+    keep: rows that always stay, which are not counted. Returns the tolerance too.
     """
     rows = simplify(points, tolerance, keep)
     while len(rows) > most + len(keep):
         tolerance *= 2
-        rows = rows[simplify(points[rows], tolerance / 2, np.searchsorted(rows, keep))]
+        # The rows left are within half of it already; the other half is for leaving out more.
+        kept_of_rows = np.searchsorted(rows, keep)
+        rows = rows[simplify(points[rows], tolerance / 2, kept_of_rows)]
     return rows, tolerance
 
 
 def _farthest(points: Points, first: Rows, last: Rows) -> tuple[Rows, NDArray[np.float64]]:
     """Return for each section the point farthest from its chord: its row, and its distance."""
     sizes = last - first - 1  # points between the ends
-    begins = np.cumsum(sizes) - sizes
     # The points of all sections in one array: their sections, their rows, their distances.
+    begins = np.cumsum(sizes) - sizes  # index in it of each section's first point
     section = np.repeat(np.arange(len(first)), sizes)
     rows = np.arange(len(section)) - begins[section] + first[section] + 1
     distance_sqr = _distance_sqr(points, rows, first[section], last[section])
     highest = np.maximum.reduceat(distance_sqr, begins)
-    is_highest = np.flatnonzero(distance_sqr == highest[section])
-    _, earliest = np.unique(section[is_highest], return_index=True)
-    return rows[is_highest[earliest]], np.sqrt(highest)
+    at_highest = np.flatnonzero(distance_sqr == highest[section])
+    _, earliest = np.unique(section[at_highest], return_index=True)  # one per section
+    return rows[at_highest[earliest]], np.sqrt(highest)
 
 
 def _distance_sqr(points: Points, rows: Rows, first: Rows, last: Rows) -> NDArray[np.float64]:
-    """Return the squared distance of each row from the line segment between two others."""
+    """Return the squared distance of each row from the line segment between two others. rows,
+    first, last: indices of points, of equal length."""
     begin = points[first].astype(float)
     chord, offset = points[last] - begin, points[rows] - begin
     # einsum: scalar products, row by row.
     length_sqr = np.einsum("ij,ij->i", chord, chord)
     along = np.einsum("ij,ij->i", offset, chord)
+    # 0 at the segment's beginning, 1 at its end; 0 if it has no length.
     share = np.divide(along, length_sqr, out=np.zeros_like(along), where=length_sqr > 0)
     offset -= np.clip(share, 0, 1)[:, None] * chord  # from the nearest point of the segment
     return np.asarray(np.einsum("ij,ij->i", offset, offset))

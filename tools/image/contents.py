@@ -52,7 +52,8 @@ def check_fit(micropython: MicroPython, arch: str, engine: str) -> None:
 
 
 def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
-    """Return why a board with this architecture and engine cannot run with it; "" if it can."""
+    """Return why a board file with this architecture (armv6m, …) and engine cannot be used with
+    this MicroPython; "" if it can."""
     chip, version = micropython.chip, micropython.about.version
     wanted = chips.processors(arch)
     if chip not in wanted:
@@ -63,15 +64,15 @@ def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
     return f"{why}: {NEW_MICROPYTHON}" if why else ""
 
 
-def frozen_only(micropython: MicroPython, made: Build) -> bytes:
+def frozen_only(micropython: MicroPython, build: Build) -> bytes:
     """Return MicroPython unchanged, as a UF2 file. Uf2Error if the firmware of this build is not
     frozen into it."""
-    if why := _lacking(micropython.frozen, made):
+    if why := _wrong_frozen(micropython.frozen, build):
         raise Uf2Error(f"{micropython.file}: {why}")
     return uf2.write(micropython.flash)
 
 
-def _lacking(frozen: str, made: Build) -> str:
+def _wrong_frozen(frozen: str, build: Build) -> str:
     """Return why the frozen firmware (its id) is not that of this build; "" if it is."""
     if not frozen:
         return (
@@ -79,32 +80,33 @@ def _lacking(frozen: str, made: Build) -> str:
             "`ugrbl deploy` brings it up to date and keeps them; how to freeze it is told in "
             "docs/boards.md"
         )
-    if frozen == made.id:
+    if frozen == build.id:
         return ""
     return (
-        f"the build {frozen} is frozen into it, and here is {made.id}: "
+        f"the build {frozen} is frozen into it, and here is {build.id}: "
         "build MicroPython anew, with this firmware"
     )
 
 
-def files(made: Build, own: Mapping[str, bytes], frozen: str = "") -> dict[str, bytes]:
+def files(build: Build, own: Mapping[str, bytes], frozen: str = "") -> dict[str, bytes]:
     """Return the files by path. own: the user's. frozen: id of the firmware in its MicroPython."""
-    rest = freeze.not_frozen(made, frozen)
+    rest = freeze.not_frozen(build, frozen)
     return {**rest.files, LIST: listing(rest), **own}
 
 
 def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:
-    """Return MicroPython with that file system, as a UF2 file. Uf2Error if it does not fit."""
+    """Return MicroPython with a file system that has these files, by path, as a UF2 file. Uf2Error
+    if they do not fit."""
     _, flash, about = micropython
-    whole = Flash(flash.family, dict(flash.pages), flash.others)
-    for place, sector in file_system.make(files, about.size).items():
-        whole.put(about.start + place, sector)
+    whole = Flash(flash.family, dict(flash.pages), flash.others)  # a copy
+    for offset, sector in file_system.make(files, about.size).items():
+        whole.put(about.start + offset, sector)
     return uf2.write(whole)
 
 
 def settings_files(board: str, settings: Path) -> dict[str, bytes]:
-    """Return settings as the board's own store writes them, by path. SettingsError if the machine
-    would refuse them."""
+    """Return the files in which the board's own store keeps these settings, by path. settings: a
+    file of `ugrbl settings pull`. SettingsError if the machine would refuse them."""
     name, lines = kept_settings(board, settings)
     use_firmware()
     from ports.storage.flash_store import FlashStore

@@ -9,8 +9,8 @@ from littlefs import LittleFS, LittleFSError, UserContext
 from .uf2 import SECTOR, Uf2Error
 
 _PROG_SIZE = 256
-_PASSING = ".passing"
-_DISK_VERSION = 0x00020000  # every MicroPython reads this version
+_TEMPORARY = ".passing"
+_DISK_VERSION = 0x00020000  # 2.0; every MicroPython reads this version
 
 
 class _Chip(UserContext):
@@ -28,8 +28,8 @@ class _Chip(UserContext):
 
 
 def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
-    """Return a file system of so many bytes with these files, by path: its sectors, by their
-    offset. Uf2Error if they do not fit.
+    """Return a file system of `size` bytes with these files, by path: its sectors of 4 KiB, by
+    their offset. Uf2Error if they do not fit.
 
     Sectors that are never read are left out. Blank ones that are read are included: of the two
     blocks of each folder littlefs uses the newer, and that might otherwise be a leftover of an
@@ -39,7 +39,7 @@ def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
     disk = _littlefs(chip)
     disk.format()
     disk.mount()
-    name = ""
+    name = ""  # of the file that is being written
     try:
         for name, content in files.items():
             folder = PurePosixPath(name).parent
@@ -52,19 +52,23 @@ def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
         raise Uf2Error(f"{name} does not fit into the {size // 1024} KiB of flash") from error
     disk.unmount()
     chip.seen.clear()
-    _look_at_all(_littlefs(chip))
+    _read_all(_littlefs(chip))  # the chip notes in `seen` the blocks that are read
     image = bytes(chip.buffer)
-    return {at: image[at : at + SECTOR] for at in sorted(SECTOR * block for block in chip.seen)}
+    offsets = sorted(SECTOR * block for block in chip.seen)
+    return {offset: image[offset : offset + SECTOR] for offset in offsets}
 
 
 def _write_root_anew(disk: LittleFS, chip: _Chip) -> None:
     """Rewrite the root folder until littlefs compacts it. A folder is a log that is read to its
-    end for each name; the compacted one has only the final state of its entries."""
+    end for each name; the compacted one has only the final state of its entries.
+
+    Creating and removing a file adds to the log, until it is compacted, with a new revision.
+    """
     before = _revisions(chip)
     while _revisions(chip) == before:
-        with disk.open(_PASSING, "wb"):
+        with disk.open(_TEMPORARY, "wb"):
             pass
-        disk.remove(_PASSING)
+        disk.remove(_TEMPORARY)
 
 
 def _revisions(chip: _Chip) -> bytes:
@@ -85,7 +89,7 @@ def _littlefs(chip: _Chip) -> LittleFS:
     )
 
 
-def _look_at_all(disk: LittleFS) -> None:
+def _read_all(disk: LittleFS) -> None:
     """Read every file, as a board may, so that the chip records all blocks in use."""
     disk.mount()
     for folder, _, names in disk.walk("/"):

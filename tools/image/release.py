@@ -25,7 +25,7 @@ from ..run import stubs
 CHECKSUMS = "SHA256SUMS"
 UNRELEASED = "Unreleased"
 # A zip has the times of its files; a fixed time makes equal files an equal zip.
-_MADE = (2020, 1, 1, 0, 0, 0)
+_FIXED_TIME = (2020, 1, 1, 0, 0, 0)  # of all files, so that the same content is the same zip
 
 
 class ReleaseError(Exception):
@@ -41,7 +41,8 @@ def check_version(tag: str) -> None:
 
 
 def notes(changelog: str, tag: str) -> str:
-    """Return the changelog's section of that version; in a dry run, the unreleased one."""
+    """Return the changelog's section of that version, without its heading; in a dry run (tag ""),
+    the unreleased one."""
     wanted = tag.removeprefix("v") or UNRELEASED
     found = re.search(
         rf"^## \[{re.escape(wanted)}\][^\n]*\n(.*?)(?=^## \[|\Z)",
@@ -61,21 +62,22 @@ def board_zip(name: str) -> bytes:
 
 def motion_zip(arch: str) -> bytes:
     """Return the package ugrbl_motion for a processor as a zip, in a folder of that name."""
-    made = motion_package.compile_for(arch)
+    compiled = motion_package.compile_for(arch)
 
     def save(place: Path) -> None:
-        folder.save(made, place)
+        folder.save(compiled, place)
         stubs.save(stubs.motion(), place)
 
     return _zip(build.LIBRARY, save)
 
 
 def _zip(name: str, save: Callable[[Path], None]) -> bytes:
+    """Return the files that save() writes into a folder as a zip, in a folder of that name."""
     data = io.BytesIO()
     with TemporaryDirectory() as place, zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
         save(Path(place))
         for path in sorted(path for path in Path(place).rglob("*") if path.is_file()):
-            entry = zipfile.ZipInfo(f"{name}/{path.relative_to(place).as_posix()}", _MADE)
+            entry = zipfile.ZipInfo(f"{name}/{path.relative_to(place).as_posix()}", _FIXED_TIME)
             entry.compress_type = zipfile.ZIP_DEFLATED
             file.writestr(entry, path.read_bytes())
     return data.getvalue()
@@ -88,7 +90,8 @@ def checksums(files: Iterable[Path]) -> str:
 
 
 def make(tag: str, place: Path, names: Iterable[str]) -> None:
-    """Write all files of the release. Raises ReleaseError before anything is written."""
+    """Write all files of the release into a folder. names: of the boards; tag: "" for a dry run.
+    Raises ReleaseError before anything is written."""
     check_version(tag)
     text = notes((paths.BOARDS.parent / "CHANGELOG.md").read_text(encoding="utf-8"), tag)
     paths.write(place / "ugrbl.html", page_files.page().encode())

@@ -50,7 +50,7 @@ class Flash:
 
     def read(self, address: int, size: int) -> bytes:
         """Return bytes, possibly from several pages; 0xFF where there is no page."""
-        first = address - address % PAGE
+        first = address - address % PAGE  # the page in which it begins
         pages = range(first, address + size, PAGE)
         content = b"".join(self.pages.get(page, b"\xff" * PAGE) for page in pages)
         return content[address - first : address - first + size]
@@ -67,10 +67,10 @@ def read(data: bytes) -> Flash:
         raise Uf2Error("it is no UF2 file: those are made of blocks of 512 bytes")
     flashes: dict[int, Flash] = {}
     others = []
-    blocks = 0
+    blocks = 0  # how many the file should have, as each of them says
     for number, begin in enumerate(range(0, len(data), _BLOCK)):
         block = data[begin : begin + _BLOCK]
-        *magic, flags, address, size, _, count, family = _HEAD.unpack_from(block)
+        *magic, flags, address, size, _number, count, family = _HEAD.unpack_from(block)
         if tuple(magic) != _MAGIC or block[-4:] != _MAGIC_END.to_bytes(4, "little"):
             raise Uf2Error(f"it is no UF2 file: block {number} is damaged")
         if family not in CHIPS or not flags & _HAS_FAMILY:
@@ -92,7 +92,8 @@ def read(data: bytes) -> Flash:
 
 
 def write(flash: Flash) -> bytes:
-    """Return the file."""
+    """Return the file: blocks of other families first, then a block for each page, of complete
+    sectors. A page that is missing in its sector is 0xFF."""
     addresses = [address for sector in _sectors(flash.pages) for address in sector]
     blocks = list(flash.others)
     for number, address in enumerate(addresses):

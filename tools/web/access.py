@@ -27,13 +27,13 @@ class Access:
     def refusal(self, headers: Mapping[str, str], query: Mapping[str, str]) -> str:
         """Return why a request is refused, in a sentence; "" if it is accepted."""
         host = headers.get("Host", "")
-        if not self._is_own(_name(host)):
+        if not self._is_own(_without_port(host)):
             return (
                 f"this server is not called {host or 'nothing'}: use the address that it has "
                 "printed at its start"
             )
         origin = headers.get("Origin")
-        if origin is not None and _place(origin) != host.lower():
+        if origin is not None and _host_of_origin(origin) != host.lower():
             return (
                 f"a page of {origin} may not talk to a machine here: open the page of this server"
             )
@@ -46,7 +46,9 @@ class Access:
     def _is_own(self, name: str) -> bool:
         """Return whether a browser may use that name.
 
-        A number is accepted, because it cannot resolve to another address later, as a name can.
+        is_local: the server is bound to this computer only, and has no other name. From the
+        network a number is accepted, because it cannot resolve to another address later, as a name
+        can; also this computer's name, with any domain.
         """
         if is_loopback(name) or (name and name == self._bound):
             return True
@@ -60,7 +62,7 @@ def is_loopback(host: str) -> bool:
     return host == "localhost" or (_is_number(host) and ipaddress.ip_address(host).is_loopback)
 
 
-def _place(origin: str) -> str:
+def _host_of_origin(origin: str) -> str:
     """Return host and port of an Origin; "" if it has none, as `null`."""
     try:
         return urlsplit(origin).netloc.lower()
@@ -68,7 +70,7 @@ def _place(origin: str) -> str:
         return ""
 
 
-def _name(host: str) -> str:
+def _without_port(host: str) -> str:
     """Return a Host without its port."""
     try:
         return urlsplit(f"//{host}").hostname or ""

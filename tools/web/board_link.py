@@ -15,7 +15,7 @@ _AGAIN_S = 1.0
 _READ_BYTES = 4096
 _WRITE_BYTES = 256
 # Time limit for the last bytes when the link is closed; a feed hold among them must be sent.
-_LAST_S = 1.0
+_CLOSING_S = 1.0
 
 
 class Source(Protocol):
@@ -66,14 +66,14 @@ class BoardLink:
         self._heard, self._changed, self._log = heard, changed, log
         self._port: Any = None  # None: no board is connected
         self._closing = threading.Event()
-        self._news = threading.Condition()  # signals bytes to write, and changes of the port
+        self._queues_changed = threading.Condition()  # and the lock of all that follows
         self._urgent = bytearray()  # realtime bytes to write, before all lines
         self._lines: deque[bytes] = deque()
-        self._writing = False  # bytes taken from them are being written
+        self._is_writing = False  # bytes taken from these two are being written
         self._last_reason = ""  # the last logged reason why the port could not be opened
         self._threads = [
             threading.Thread(target=work, name=f"board link, {work.__name__}", daemon=True)
-            for work in (self._read_on, self._write_on)
+            for work in (self._read_loop, self._write_loop)
         ]
 
     @property
@@ -94,10 +94,10 @@ class BoardLink:
 
     def close(self) -> None:
         """Send the remaining bytes within 1 s and close the port."""
-        with self._news:
-            self._news.wait_for(self._is_empty, _LAST_S)
+        with self._queues_changed:
+            self._queues_changed.wait_for(self._is_empty, _CLOSING_S)
             self._closing.set()
-            self._news.notify_all()
+            self._queues_changed.notify_all()
         for thread in self._threads:
             if thread.is_alive():
                 thread.join()
@@ -110,21 +110,21 @@ class BoardLink:
 
     def write_line(self, line: bytes) -> None:
         """Queue a whole line; it is lost if no board is connected."""
-        with self._news:
+        with self._queues_changed:
             if self._port is not None:
                 self._lines.append(line)
-                self._news.notify_all()
+                self._queues_changed.notify_all()
 
     def write_now(self, byte: bytes) -> None:
         """Queue a realtime byte before all waiting lines; it is lost if no board is connected."""
-        with self._news:
+        with self._queues_changed:
             if self._port is not None:
                 self._urgent += byte
-                self._news.notify_all()
+                self._queues_changed.notify_all()
 
     def forget_lines(self) -> None:
         """Drop the lines that are not sent yet."""
-        with self._news:
+        with self._queues_changed:
             self._lines.clear()
 
     def waiting(self) -> int:
@@ -133,25 +133,27 @@ class BoardLink:
 
     def _is_empty(self) -> bool:
         """Return whether nothing waits to be written, or nothing can be."""
-        idle = not (self._urgent or self._lines or self._writing)
+        idle = not (self._urgent or self._lines or self._is_writing)
         return idle or self._port is None
 
-    def _write_on(self) -> None:
+    def _write_loop(self) -> None:
         """Write what is queued until the link is closed. This is a thread."""
         while True:
-            with self._news:
-                self._writing = False
-                self._news.notify_all()
-                self._news.wait_for(lambda: self._urgent or self._lines or self._closing.is_set())
+            with self._queues_changed:
+                self._is_writing = False
+                self._queues_changed.notify_all()  # close() waits for this
+                self._queues_changed.wait_for(
+                    lambda: self._urgent or self._lines or self._closing.is_set()
+                )
                 if self._closing.is_set():
                     return
                 data, port = self._next(), self._port
-                self._writing = True
-            if port is None:
+                self._is_writing = True
+            if port is None:  # lost meanwhile, and the data with it
                 continue
             try:
                 port.write(data)
-            except (OSError, TypeError, ValueError):  # as in _read_on()
+            except (OSError, TypeError, ValueError):  # the last two: the port was closed
                 self._lose(port)
 
     def _next(self) -> bytes:
@@ -167,7 +169,7 @@ class BoardLink:
 
     # From the board
 
-    def _read_on(self) -> None:
+    def _read_loop(self) -> None:
         """Read until the link is closed; open the port again while there is none. This is a
         thread."""
         while not self._closing.is_set():
@@ -177,7 +179,7 @@ class BoardLink:
                 continue
             try:
                 data = _read(port)
-            except (OSError, TypeError, ValueError):  # also raised for a closed port
+            except (OSError, TypeError, ValueError):  # the last two: the port was closed
                 self._lose(port)
                 continue
             if data:
@@ -195,15 +197,15 @@ class BoardLink:
                 self._last_reason = str(error)
                 self._log(f"{self._last_reason}; it is tried again")
             return
-        with self._news:
+        with self._queues_changed:
             self._port, self._last_reason = port, ""
         self._log(f"{self.name} is there again")
         self._changed()
 
     def _lose(self, port: Any) -> None:
         """Drop the failed port and all bytes that wait for it; either thread may call it first."""
-        with self._news:
-            if self._port is not port:
+        with self._queues_changed:
+            if self._port is not port:  # the other thread was first
                 return
             self._port = None
             self._lines.clear()
@@ -215,11 +217,11 @@ class BoardLink:
 
 def _read(port: Any) -> bytes:
     """Return the available bytes; wait up to 0.05 s for the first."""
-    data = bytes(port.read(1))
+    data = bytes(port.read(1))  # waits
     try:
         while data and len(data) < _READ_BYTES and (more := port.in_waiting):
             data += port.read(more)
-    except (OSError, TypeError, ValueError):
+    except (OSError, TypeError, ValueError):  # the port failed or was closed
         if not data:
             raise
-    return data  # the next read meets the same fault again
+    return data  # after a fault too: the next call meets it again, and raises

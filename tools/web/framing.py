@@ -20,7 +20,7 @@ class Framing:
     """Store an incomplete line until its end arrives."""
 
     def __init__(self) -> None:
-        self._line = bytearray()
+        self._incomplete_line = bytearray()
 
     def take(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
         """Yield (part, is_realtime) for each complete line, with its end, and each realtime byte.
@@ -29,19 +29,20 @@ class Framing:
         """
         for part in _PARTS.findall(permitted(data)):
             if part in b"\r\n":
-                line = bytes(self._line + part)
-                self._line.clear()
+                line = bytes(self._incomplete_line + part)
+                self._incomplete_line.clear()
                 yield line, False
             elif len(part) == 1 and _is_realtime(part):
                 if part == RESET:
                     self.forget()  # Grbl drops its incomplete line as well
                 yield part, True
             else:
-                self._line += part[: _LONGEST - len(self._line)]
+                space = _LONGEST - len(self._incomplete_line)
+                self._incomplete_line += part[:space]
 
     def forget(self) -> None:
         """Drop the incomplete line."""
-        self._line.clear()
+        self._incomplete_line.clear()
 
 
 def _is_realtime(part: bytes) -> bool:

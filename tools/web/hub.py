@@ -22,7 +22,7 @@ _MESSAGE_BYTES = 65_536
 # More waiting lines than this stop reading from the controlling browser until the board reads
 # some.
 _LINES_AHEAD = 2000
-_LOOK_S = 0.01
+_POLL_S = 0.01
 _LONGEST_LINE = 1024
 
 
@@ -72,7 +72,7 @@ class Browser:
         self._socket = socket
         self._parts: deque[bytes | str] = deque()
         self._unread = 0  # bytes and characters in the queue
-        self._news = asyncio.Event()  # signals a new part
+        self._has_parts = asyncio.Event()  # signals a new part
 
     def put(self, part: bytes | str) -> bool:
         """Queue a part for sending. Return whether space was free for it."""
@@ -80,14 +80,14 @@ class Browser:
             return False
         self._parts.append(part)
         self._unread += len(part)
-        self._news.set()
+        self._has_parts.set()
         return True
 
     async def send_on(self) -> None:
         """Send queued parts until the connection breaks (ConnectionError)."""
         while True:
-            await self._news.wait()
-            self._news.clear()
+            await self._has_parts.wait()
+            self._has_parts.clear()
             while self._parts:
                 part = self._parts.popleft()
                 if isinstance(part, str):
@@ -99,7 +99,7 @@ class Browser:
                     self._unread -= len(data)
 
     def _joined(self, data: bytes) -> bytes:
-        """Join successive byte parts of the queue into one message."""
+        """Join successive byte parts of the queue to `data`, into one message."""
         parts = [data]
         size = len(data)
         while self._parts and isinstance(self._parts[0], bytes) and size < _MESSAGE_BYTES:
@@ -113,15 +113,16 @@ class LastState:
 
     def __init__(self) -> None:
         self.state = ""  # Idle, Run, …; "" if it is not known
-        self._line = b""  # the beginning of a line
+        self._incomplete_line = b""
 
     def hear(self, data: bytes) -> bool:
         """Read bytes from the board. Return whether the machine has restarted."""
         has_restarted = False
-        *lines, rest = (self._line + data).split(b"\n")
-        self._line = rest[-_LONGEST_LINE:]
+        *lines, incomplete = (self._incomplete_line + data).split(b"\n")
+        self._incomplete_line = incomplete[-_LONGEST_LINE:]
         for line in lines:
             if line.startswith(b"<"):
+                # Without the substate of `Hold:0`.
                 self.state = state_of(line.decode("latin-1")).partition(":")[0]
             elif line.startswith(b"Grbl"):
                 self.forget()
@@ -140,9 +141,9 @@ class Hub:
         self._board = board
         self._log = log
         self._browsers: list[Browser] = []
-        self._driver: Browser | None = None  # the browser that controls the machine
+        self._controller: Browser | None = None  # the browser that controls the machine
         self._framing = Framing()
-        self._last = LastState()
+        self._machine = LastState()
         self._job = SharedJob()
 
     # Browsers
@@ -150,36 +151,38 @@ class Hub:
     def join(self, browser: Browser) -> None:
         """Add a browser; it takes control if no browser has it."""
         self._browsers.append(browser)
-        if self._driver is None:
-            self._driver = browser
-        self._tell()
-        self._tell_job([browser])
+        if self._controller is None:
+            self._controller = browser
+        self._send_state()
+        self._send_job([browser])
 
     def leave(self, browser: Browser) -> None:
         """Remove a browser whose connection has ended."""
         if browser not in self._browsers:
             return
         self._browsers.remove(browser)
-        if browser is self._driver:
-            self._abandon("has gone")
-        self._tell()
+        if browser is self._controller:
+            self._release_control("has gone")
+        self._send_state()
 
     def drive(self, browser: Browser, wanted: bool) -> None:
-        """Give control to a browser, or take it back."""
-        if wanted and browser is not self._driver:
+        """Give control to a browser that has asked for it (wanted), or take it back from one that
+        releases it; the last one that asks has it."""
+        if wanted and browser is not self._controller:
             self._leave_job()
-            self._forget()
-            self._driver = browser
+            self._drop_input()
+            self._controller = browser
             self._log(f"{browser.who} drives now")
-        elif not wanted and browser is self._driver:
-            self._abandon("drives no more")
-        self._tell()
+        elif not wanted and browser is self._controller:
+            self._release_control("drives no more")
+        self._send_state()
 
     async def send(self, browser: Browser, data: bytes) -> None:
-        """Pass a browser's bytes to the board if it controls, else drop them; wait for space."""
-        if self._driver is None and data == STATUS:
+        """Pass a browser's bytes to the board if it controls, else drop them; but pass a `?` while
+        no browser controls. Then wait while too many lines wait for the board."""
+        if self._controller is None and data == STATUS:
             self._board.write_now(STATUS)
-        if browser is not self._driver:
+        if browser is not self._controller:
             return
         for part, is_realtime in self._framing.take(data):
             if part == RESET:
@@ -188,28 +191,29 @@ class Hub:
                 self._board.write_now(part)
             else:
                 self._board.write_line(part)
-        while self._board.waiting() > _LINES_AHEAD and browser is self._driver:
-            await asyncio.sleep(_LOOK_S)
+        while self._board.waiting() > _LINES_AHEAD and browser is self._controller:
+            await asyncio.sleep(_POLL_S)
 
-    def _abandon(self, how: str) -> None:
-        """Take control from the browser. Hold a running machine, and cancel a jog.
+    def _release_control(self, how: str) -> None:
+        """Take control from the browser that has it. Hold a running machine, and cancel a jog.
 
         how: for the log, such as `has gone`.
         """
-        who = self._driver.who if self._driver else ""
-        self._driver = None
+        who = self._controller.who if self._controller else ""
+        self._controller = None
         self._leave_job()
-        self._forget()
-        stop = {"Run": FEED_HOLD, "Jog": JOG_CANCEL}.get(self._last.state)
+        self._drop_input()
+        stop = {"Run": FEED_HOLD, "Jog": JOG_CANCEL}.get(self._machine.state)
         if stop is None or not self._board.is_open:
             return
         self._board.write_now(stop)
         effect = "held (!)" if stop == FEED_HOLD else "told to end its jog"
-        self._log(f"{who} {how}, and the machine was in {self._last.state}: it is {effect}")
-        self._last.forget()  # so the command is sent only once
+        self._log(f"{who} {how}, and the machine was in {self._machine.state}: it is {effect}")
+        self._machine.forget()  # so the command is sent only once
 
-    def _forget(self) -> None:
-        """Drop incomplete input of the last controlling browser.
+    def _drop_input(self) -> None:
+        """Drop input of the last controlling browser: an incomplete line, and lines that wait for
+        the board.
 
         Lines of a job that the next browser may continue count as sent, so they stay.
         """
@@ -224,7 +228,7 @@ class Hub:
         if self._job.is_under_way:
             return False
         self._job.open(program)
-        self._tell_job(self._browsers)
+        self._send_job(self._browsers)
         return True
 
     def get_program(self) -> dict[str, str]:
@@ -233,33 +237,33 @@ class Hub:
 
     async def tell_job(self, browser: Browser, progress: dict[str, Any], lines: str) -> None:
         """Share the controlling browser's progress and send its lines together."""
-        if browser is self._driver and self._job.update(progress):
-            self._tell_job(other for other in self._browsers if other is not browser)
+        if browser is self._controller and self._job.update(progress):
+            self._send_job(other for other in self._browsers if other is not browser)
         await self.send(browser, lines.encode("latin-1", "ignore"))
 
     def _leave_job(self) -> None:
         """Leave a job under way to the next controlling browser."""
         if self._job.is_under_way:
             self._job.leave()
-            self._tell_job(self._browsers)
+            self._send_job(self._browsers)
 
     def _stop_job(self, why: str) -> None:
         """Stop a job under way; no browser can continue it."""
         if self._job.is_under_way:
             self._job.stop(why)
-            self._tell_job(self._browsers)
+            self._send_job(self._browsers)
 
-    def _tell_job(self, browsers: Iterable[Browser]) -> None:
+    def _send_job(self, browsers: Iterable[Browser]) -> None:
         """Send the open program's name and its progress."""
-        news = self._job.news()
-        if news:
-            self._put(news, browsers)
+        message = self._job.message()
+        if message:
+            self._put(message, browsers)
 
     # The board
 
     def heard(self, data: bytes) -> None:
         """Pass bytes from the board to all browsers."""
-        has_restarted = self._last.hear(data)
+        has_restarted = self._machine.hear(data)
         self._put(data, self._browsers)
         if has_restarted:
             self._stop_job("the machine was reset")
@@ -267,24 +271,24 @@ class Hub:
     def link_changed(self) -> None:
         """React to a broken or restored link to the board."""
         self._framing.forget()
-        self._last.forget()
-        self._tell()
+        self._machine.forget()
+        self._send_state()
         self._stop_job("the connection was lost")
 
-    def _tell(self) -> None:
+    def _send_state(self) -> None:
         """Send the current state to each browser."""
         for browser in tuple(self._browsers):
             self._put(self._state_for(browser), [browser])
 
     def _state_for(self, browser: Browser) -> str:
         """Return the JSON message: the link, whether this browser controls, and how many watch."""
-        drivers = int(self._driver is not None)
+        controlling = int(self._controller is not None)
         return json.dumps(
             {
                 "link": {"name": self._board.name, "open": self._board.is_open},
-                "driver": browser is self._driver,
-                "drivers": drivers,
-                "watchers": len(self._browsers) - drivers,
+                "driver": browser is self._controller,
+                "drivers": controlling,
+                "watchers": len(self._browsers) - controlling,
             }
         )
 

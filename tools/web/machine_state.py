@@ -14,12 +14,13 @@ import numpy as np
 from ..draw.motion_trace import LETTERS, Motion
 
 _SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
-_KEPT = ("G28", "G30")  # stored positions, not coordinate systems
+_STORED = ("G28", "G30")  # stored positions, not coordinate systems
+# Motion, plane, units, distance and feed modes; a feed rate.
 _MODE = re.compile(r"G(?:[0-3]|80|1[7-9]|2[01]|9[0134])")
 _FEED = re.compile(r"F\d{1,6}(?:\.\d{1,3})?")
 _AXES = 3
 _FARTHEST_MM = 1e5
-_BEYOND_MM = 0.005  # smaller differences are the rounding of steps
+_TOLERANCE_MM = 0.005  # smaller differences are the rounding of steps
 # Numbers of settings; _TRAVEL is that of X.
 _SOFT_LIMITS, _HOMING_DIRECTIONS, _TRAVEL = 20, 23, 130
 
@@ -27,25 +28,29 @@ Place = tuple[float, ...]
 
 
 def lines(request: Mapping[str, Any]) -> list[str]:
-    """Return lines that bring a fresh machine to "place", "offsets" and "modes" of a request."""
+    """Return lines that bring a fresh machine to the state in a request.
+
+    "place": machine coordinates. "offsets": lists by name, those of `$#`: of G54 to G59, G92 and
+    the tool length TLO, and the positions G28 and G30. "modes": words as of `$G`.
+    """
     offsets = _offsets(request.get("offsets"))
-    modes = [word for word in _words(request.get("modes")) if isinstance(word, str)]
+    modes = [word for word in _list_of(request.get("modes")) if isinstance(word, str)]
     system = next((word for word in modes if word in _SYSTEMS), _SYSTEMS[0])
-    place = _place(request.get("place")) or (0.0,) * _AXES
+    place = _position_of(request.get("place")) or (0.0,) * _AXES
     commands = []
-    for name in _KEPT:
+    for name in _STORED:
         if name in offsets:  # G28.1 stores the position at which the machine is
             commands += [_move_to(offsets[name]), f"{name}.1"]
     for number, name in enumerate(_SYSTEMS, 1):
         if name in offsets:
-            commands.append(f"G21 G10 L2 P{number} {_axes(offsets[name])}")
+            commands.append(f"G21 G10 L2 P{number} {_axis_words(offsets[name])}")
     commands += [_move_to(place), system]
-    tool = offsets.get("TLO", (0.0,))[0]
-    if tool:
-        commands.append(f"G21 G43.1 Z{tool:.4f}")
+    tool_mm = offsets.get("TLO", (0.0,))[0]
+    if tool_mm:
+        commands.append(f"G21 G43.1 Z{tool_mm:.4f}")
     if "G92" in offsets:
-        shown = _shown(place, offsets.get(system), tool, offsets["G92"])
-        commands.append(f"G21 G92 {_axes(shown)}")
+        g92 = _g92_coordinates(place, offsets.get(system), tool_mm, offsets["G92"])
+        commands.append(f"G21 G92 {_axis_words(g92)}")
     commands += [f"G21 G94 {word}" for word in modes if _FEED.fullmatch(word)]
     # Last, because the other lines set modes, too.
     mode_words = [word for word in modes if _MODE.fullmatch(word)]
@@ -54,19 +59,20 @@ def lines(request: Mapping[str, Any]) -> list[str]:
 
 def _move_to(place: Place) -> str:
     """Return a rapid move to machine coordinates in mm."""
-    return f"G21 G90 G53 G0 {_axes(place)}"
+    return f"G21 G90 G53 G0 {_axis_words(place)}"
 
 
-def _axes(place: Place) -> str:
+def _axis_words(place: Place) -> str:
     """Return the words of a position: X1.0000 Y2.0000 Z3.0000."""
     return " ".join(f"{letter}{mm:.4f}" for letter, mm in zip(LETTERS, place, strict=False))
 
 
-def _shown(place: Place, system: Place | None, tool: float, shift: Place) -> Place:
-    """Return the coordinates for a G92 that results in this shift. system: the offset of the
-    active coordinate system; tool: the length offset."""
+def _g92_coordinates(place: Place, system: Place | None, tool_mm: float, shift: Place) -> Place:
+    """Return the coordinates to give G92 at `place`, in machine coordinates, so that its offset
+    becomes `shift`. system: the offset of the active coordinate system, None: 0; tool_mm: the
+    length offset, of Z."""
     offsets = system or (0.0,) * _AXES
-    lengths = (0.0, 0.0, tool)
+    lengths = (0.0, 0.0, tool_mm)
     parts = zip(place, offsets, lengths, shift)
     return tuple(mm - offset - length - shift_mm for mm, offset, length, shift_mm in parts)
 
@@ -75,20 +81,21 @@ def _offsets(value: Any) -> dict[str, Place]:
     """Return the valid positions by name, without those that are 0."""
     if not isinstance(value, dict):
         return {}
-    places = {name: _place(numbers) for name, numbers in value.items()}
+    places = {name: _position_of(numbers) for name, numbers in value.items()}
     return {name: place for name, place in places.items() if place and any(place)}
 
 
-def _place(value: Any) -> Place | None:
-    """Return the coordinates of the first axes; None if they are invalid."""
-    numbers = _words(value)[:_AXES]
+def _position_of(value: Any) -> Place | None:
+    """Return a list of a request as coordinates of the first _AXES axes, in mm; None if it is
+    empty or invalid."""
+    numbers = _list_of(value)[:_AXES]
     if not numbers or not all(isinstance(number, int | float) for number in numbers):
         return None
     place = tuple(float(number) for number in numbers)
     return place if all(isfinite(mm) and abs(mm) < _FARTHEST_MM for mm in place) else None
 
 
-def _words(value: Any) -> Sequence[Any]:
+def _list_of(value: Any) -> Sequence[Any]:
     """Return a list of a request; () if it is none."""
     return value if isinstance(value, list) else ()
 
@@ -108,14 +115,16 @@ def beyond(
         return []
     # With FORCE_SET_ORIGIN (Z), an axis that homes at its lower end has positive coordinates.
     has_origin = "Z" in str(request.get("options", ""))
+    # A mask of those axes.
     positive = int(float(settings.get(_HOMING_DIRECTIONS, 0))) if has_origin else 0
     problems = []
     for axis, column in enumerate(motion.place[:_AXES]):
         travel = float(settings.get(_TRAVEL + axis, 0))
         low, high = (0.0, travel) if positive >> axis & 1 else (-travel, 0.0)
         if travel > 0:
-            problems += _over(motion, np.frombuffer(column, np.float32), high, axis)
-            problems += _over(motion, -np.frombuffer(column, np.float32), -low, axis, -1)
+            places = np.frombuffer(column, np.float32)
+            problems += _over(motion, places, high, axis)
+            problems += _over(motion, -places, -low, axis, sign=-1)
     return sorted(problems)
 
 
@@ -127,11 +136,13 @@ def _over(
     places: machine coordinates, mm, of each row of the motion. sign -1: the lower end, for which
     `places` and `end` are negated.
     """
-    over = places > end + _BEYOND_MM
-    rows = np.flatnonzero(over & (motion.lines > 0))
+    is_over = places > end + _TOLERANCE_MM
+    is_of_program = motion.lines > 0
+    rows = np.flatnonzero(is_over & is_of_program)
     if not len(rows):
         return []
-    farthest, last = sign * float(places[rows].max()), sign * end + 0.0
+    farthest = sign * float(places[rows].max())
+    last = sign * end + 0.0  # + 0.0: no "-0" in the message
     return [
         (
             int(motion.lines[rows[0]]),

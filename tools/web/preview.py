@@ -33,7 +33,7 @@ MOST_POINTS = 20_000
 _TOLERANCE_MM = 0.01
 RAPID, FEED = 0, 1
 _NUMBER = re.compile("[0-9]{1,3}")  # number of a setting
-_BEYOND = 3.4e38  # more than single precision holds
+_TOO_LARGE = 3.4e38  # about the largest number in single precision
 _DECIMALS = 4  # one more than Grbl prints
 REFUSED = 3  # exit code: the answer is a sentence
 
@@ -53,12 +53,12 @@ def preview(request: Mapping[str, Any], board: str) -> dict[str, Any]:
     """
     name, lines = _program(request)
     settings = _settings(request.get("settings", {}))
-    chosen = machine.taken(board, on_paper(settings))
+    accepted = machine.taken(board, on_paper(settings))
     result, trace = trace_program(
         [gcode_file.sanitize(line) for line in lines],
         board=board,
-        settings=[*chosen, *machine_state.lines(request)],
-        progress=_needed(),
+        settings=[*accepted, *machine_state.lines(request)],
+        progress=_end_with_parent(),
     )
     if why := refused(result.stopped):
         raise Refused(f"the simulated machine does not take its settings: {result.stopped}: {why}")
@@ -103,7 +103,7 @@ def _value(text: Any) -> float | None:
         value = float(text)
     except (TypeError, ValueError, OverflowError):
         return None
-    return value if abs(value) < _BEYOND else None
+    return value if abs(value) < _TOO_LARGE else None
 
 
 # Answers
@@ -129,6 +129,7 @@ def _problems(
         if not problem.in_comment
     ]
     if result.stopped:
+        # What ended it is its last output, of which [0] is the line.
         last = result.other_output[-1][0] if result.other_output else result.lines
         cause = f" - {meaning(result.stopped)}" if result.stopped.startswith("ALARM:") else ""
         problems.append(_problem(last, f"{result.stopped}{cause}"))
@@ -139,18 +140,19 @@ def _problem(line: int, text: str) -> dict[str, Any]:
     """Return a problem; code: Grbl's number of an error or alarm, 0 if it has none."""
     kind, _, rest = text.partition(":")
     number = rest.partition(" ")[0]
-    is_grbls = kind in ("error", "ALARM") and number.isdecimal()
-    return {"line": line, "text": text, "code": int(number) if is_grbls else 0}
+    has_code = kind in ("error", "ALARM") and number.isdecimal()
+    return {"line": line, "text": text, "code": int(number) if has_code else 0}
 
 
 def _times(motion: Motion) -> list[list[float]]:
-    """Return when the motion of each line ends, in s; at most MOST_TIMES rows."""
-    # Backwards, because np.unique() returns the first index of each line.
-    lines = motion.lines
-    numbers, from_end = np.unique(lines[::-1], return_index=True)
-    seconds = np.frombuffer(motion.time_s)[::-1][from_end]
-    seconds = np.maximum.accumulate(seconds[numbers > 0])
-    numbers = numbers[numbers > 0]  # 0 is no line of the program
+    """Return rows of line number and the time in s at which its motion ends; at most
+    MOST_TIMES."""
+    # Backwards, because np.unique() returns the first index of each line: here of its last row.
+    numbers, last_rows = np.unique(motion.lines[::-1], return_index=True)
+    seconds = np.frombuffer(motion.time_s)[::-1][last_rows]
+    is_of_program = numbers > 0
+    numbers = numbers[is_of_program]
+    seconds = np.maximum.accumulate(seconds[is_of_program])  # never earlier than the line before
     rows = _spread(len(numbers), MOST_TIMES)
     return [[int(numbers[row]), round(float(seconds[row]), 3)] for row in rows]
 
@@ -161,14 +163,15 @@ def _spread(count: int, most: int) -> Rows:
 
 
 def _path(motion: Motion) -> list[list[float]]:
-    """Return the corners of the path and the changes of line, at most MOST_POINTS."""
+    """Return the corners of the path and the changes of line, at most MOST_POINTS; for the rows
+    see preview()."""
     if not len(motion):
         return []
-    moves = np.frombuffer(motion.block, np.int32) > 0
-    # While the machine stands still, its point belongs to the move before.
-    of_move = np.maximum.accumulate(np.where(moves, np.arange(len(motion)), 0))
-    points, rapid, line = motion.points, motion.rapids[of_move], motion.lines[of_move]
-    moving_s = np.cumsum(np.where(moves, motion.seconds, 0.0))
+    is_moving = np.frombuffer(motion.block, np.int32) > 0
+    # For each row, the last one in motion: a point at which the machine stands belongs to that.
+    last_move = np.maximum.accumulate(np.where(is_moving, np.arange(len(motion)), 0))
+    points, rapid, line = motion.points, motion.rapids[last_move], motion.lines[last_move]
+    moving_s = np.cumsum(np.where(is_moving, motion.seconds, 0.0))  # without standstills
     lengths = np.sqrt((np.diff(points, axis=0, prepend=points[:1]) ** 2).sum(axis=1, dtype=float))
     rows = _corners(points, rapid, line)
     # Between two of these rows: length in mm, time in s, and mean speed in mm/min.
@@ -177,20 +180,25 @@ def _path(motion: Motion) -> list[list[float]]:
     return [
         [*(round(float(x), 4) for x in points[row]), kind, int(line[row]), round(float(mm_min))]
         for row, kind, mm_min in zip(rows, np.where(rapid[rows], RAPID, FEED).tolist(), speed)
-        if mm_min > 0 or row == rows[0]
+        if mm_min > 0 or row == rows[0]  # the first point, where no segment ends
     ]
 
 
 def _corners(points: Any, rapid: Any, line: Any) -> Rows:
     """Return the rows that describe the path within the tolerance, at most MOST_POINTS.
 
-    Of these, at most half are for changes of line; if there are more, only for changes between
-    rapid and feed, and else for none.
+    points, rapid, line: of each row. The rows before a change of line or between rapid and feed
+    always stay, if they are at most half of MOST_POINTS; else only those between rapid and feed;
+    if these are more too, none.
     """
-    rapids = np.flatnonzero(rapid[1:] != rapid[:-1])
-    lines = np.flatnonzero((rapid[1:] != rapid[:-1]) | (line[1:] != line[:-1]))
-    none: Rows = np.empty(0, np.int64)
-    keep = next(kept for kept in (lines, rapids, none) if len(kept) <= MOST_POINTS // 2)
+    changes_kind = rapid[1:] != rapid[:-1]
+    changes_line = line[1:] != line[:-1]
+    choices: list[Rows] = [
+        np.flatnonzero(changes_kind | changes_line),
+        np.flatnonzero(changes_kind),
+        np.empty(0, np.int64),
+    ]
+    keep = next(rows for rows in choices if len(rows) <= MOST_POINTS // 2)
     rows, _ = fitted(points, _TOLERANCE_MM, keep, MOST_POINTS - len(keep))
     return rows
 
@@ -198,8 +206,9 @@ def _corners(points: Any, rapid: Any, line: Any) -> Rows:
 # The process
 
 
-def _needed() -> Callable[[int], None]:
-    """Return a progress function that ends the process after its parent has ended."""
+def _end_with_parent() -> Callable[[int], None]:
+    """Return a progress function, called now and then, that ends this process after its parent has
+    ended."""
     parent = os.getppid()
 
     def progress(line: int) -> None:
@@ -213,7 +222,7 @@ def main() -> None:
     """Preview the request on stdin at low priority."""
     if hasattr(os, "nice"):
         os.nice(10)
-    out, sys.stdout = sys.stdout.buffer, sys.stderr  # other prints go to stderr
+    out, sys.stdout = sys.stdout.buffer, sys.stderr  # only the answer goes to stdout
     try:
         answer = preview(_request(sys.stdin.buffer.read()), sys.argv[1])
     except (Refused, gcode_file.NotText) as error:

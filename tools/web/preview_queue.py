@@ -32,7 +32,8 @@ class PreviewQueue:
         self._running: asyncio.subprocess.Process | None = None
 
     async def look(self, body: bytes) -> Answer:
-        """Return the answer to a request, see preview.py; an older one ends with status 409."""
+        """Return the answer to a request, see preview.py. A newer call ends this one, with status
+        409."""
         process = await self._start()
         try:
             out, err = await asyncio.wait_for(process.communicate(body), self._longest_s)
@@ -41,8 +42,8 @@ class PreviewQueue:
         except ConnectionError:  # it ended before it had read everything
             out, err = b"", b""
         finally:
-            replaced = self._running is not process
-            if not replaced:
+            was_replaced = self._running is not process  # by a newer call, or closed
+            if not was_replaced:
                 self._running = None
             _end(process)
         await process.wait()
@@ -50,7 +51,7 @@ class PreviewQueue:
             return Answer(HTTPStatus.OK, out.decode())
         if process.returncode == REFUSED:
             return Answer(HTTPStatus.BAD_REQUEST, out.decode())
-        if replaced:
+        if was_replaced:
             return Answer(HTTPStatus.CONFLICT, "another program is looked at now: ask again")
         return self._failed(err.decode("utf-8", "replace"))
 
@@ -72,7 +73,7 @@ class PreviewQueue:
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C is for the server
+                start_new_session=True,  # so that Ctrl-C ends only the server
             )
             return self._running
 

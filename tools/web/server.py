@@ -46,7 +46,7 @@ class Server:
         self._log = log
         self._page = page
         self._loop = asyncio.get_running_loop()
-        self._link = BoardLink(source, self._heard, self._changed, self._log_from_thread)
+        self._link = BoardLink(source, self._heard, self._link_changed, self._log_from_thread)
         self._hub = Hub(self._link, log)
         self._previews = PreviewQueue(board, log, longest_s)
         self._sockets: set[web.WebSocketResponse] = set()
@@ -63,8 +63,8 @@ class Server:
         app.router.add_post("/api/look", self._post_look)
         app.router.add_get("/api/job", self._get_job)
         app.router.add_post("/api/job", self._post_job)
-        app.router.add_route("*", "/{rest:.*}", _nothing_here)
-        app.on_shutdown.append(self._say_goodbye)
+        app.router.add_route("*", "/{rest:.*}", _answer_404)
+        app.on_shutdown.append(self._close_sockets)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=_GOODBYE_S)
         await self._runner.setup()
         try:
@@ -88,7 +88,7 @@ class Server:
     def _heard(self, data: bytes) -> None:
         self._loop.call_soon_threadsafe(self._hub.heard, data)
 
-    def _changed(self) -> None:
+    def _link_changed(self) -> None:
         self._loop.call_soon_threadsafe(self._hub.link_changed)
 
     def _log_from_thread(self, text: str) -> None:
@@ -175,18 +175,19 @@ class Server:
         return socket
 
     async def _listen(self, socket: web.WebSocketResponse, browser: Browser) -> None:
-        """Take a browser's messages until the connection ends: binary ones and text are bytes for
-        the board, JSON is for this server."""
+        """Handle a browser's messages until the connection ends: JSON is for this server; binary
+        ones, and other text, are bytes for the board."""
         async for message in socket:
             if message.type is WSMsgType.BINARY:
                 await self._hub.send(browser, message.data)
             elif message.type is WSMsgType.TEXT and message.data.startswith("{"):
-                await self._take_words(browser, message)
+                await self._do_message(browser, message)
             elif message.type is WSMsgType.TEXT:  # Grbl senders send text messages
                 await self._hub.send(browser, message.data.encode("latin-1", "ignore"))
 
-    async def _take_words(self, browser: Browser, message: WSMessage) -> None:
-        """Do what a JSON message says: take or leave control, or progress of a job with lines."""
+    async def _do_message(self, browser: Browser, message: WSMessage) -> None:
+        """Do what a JSON message says: {"drive": true or false} takes or releases control, {"job":
+        progress, "lines": text} reports a job's progress and sends its lines."""
         try:
             fields = message.json()
         except ValueError:
@@ -198,7 +199,7 @@ class Server:
         else:
             self._log(f"{browser.who} has sent words that mean nothing here: passed over")
 
-    async def _say_goodbye(self, app: web.Application) -> None:
+    async def _close_sockets(self, app: web.Application) -> None:
         """Close all sockets at the same time, so that no slow one delays the others."""
         goodbyes = [socket.close(code=_AWAY) for socket in tuple(self._sockets)]
         await asyncio.gather(*goodbyes, return_exceptions=True)
@@ -210,7 +211,7 @@ async def _send_on(browser: Browser) -> None:
         await browser.send_on()
 
 
-async def _nothing_here(request: web.Request) -> web.StreamResponse:
+async def _answer_404(request: web.Request) -> web.StreamResponse:
     """Answer for an unknown path."""
     return _sentence(404, f"there is no {request.path} here: the page is at /")
 

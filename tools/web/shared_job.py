@@ -38,7 +38,8 @@ class SharedJob:
         self.program, self._progress = program, {}
 
     def update(self, progress: dict[str, Any]) -> bool:
-        """Store the controlling browser's report; return whether it is of the open program."""
+        """Store the controlling browser's report, and return True; ignore it, and return False, if
+        it is not of the open program."""
         if not self.program or progress.get("id") != self.program["id"]:
             return False
         self._progress = progress
@@ -52,12 +53,12 @@ class SharedJob:
         """Stop the job, because the machine has lost the lines it received."""
         self._progress.update(state="stopped", why=why)
 
-    def news(self) -> str:
+    def message(self) -> str:
         """Return the JSON message for browsers; "" if no program is open."""
         if not self.program:
             return ""
-        named = {"id": self.program["id"], "name": self.program["name"]}
-        return json.dumps({"job": {**named, **self._progress}})
+        id_and_name = {key: self.program[key] for key in ("id", "name")}  # without its text
+        return json.dumps({"job": {**id_and_name, **self._progress}})
 
 
 def program_of(body: bytes) -> "dict[str, str] | None":
@@ -67,7 +68,7 @@ def program_of(body: bytes) -> "dict[str, str] | None":
         return {
             key: posted[key]
             for key in ("id", "name", "program")
-            if posted[key] == str(posted[key])
+            if posted[key] == str(posted[key])  # it is a text
         }
     except (ValueError, TypeError, KeyError, RecursionError):
         return None

@@ -44,7 +44,7 @@ class TcpPort:
         return len(self._received)
 
     def read(self, limit: int) -> bytes:
-        """Return at most limit bytes; wait up to 0.05 s for the first."""
+        """Return at most limit bytes; wait up to 0.05 s for the first. b"": none have come."""
         if not self._received and select.select([self._socket], [], [], _READ_S)[0]:
             self._received = self._socket.recv(_READ_BYTES)
             if not self._received:
@@ -72,14 +72,14 @@ class Simulator:
     def __init__(self, board: str, settings: Path | None = None) -> None:
         self._options = {"board": board, "settings": str(settings) if settings else ""}
         self._process: subprocess.Popen[str] | None = None
-        self._place = ""  # its TCP address, HOST:PORT
+        self._address = ""  # its TCP address, HOST:PORT
 
     def open(self) -> TcpPort:
         """Return its port; start it if it is not running. Raises SendError."""
         if self._process is None or self._process.poll() is not None:
             self._start()
         try:
-            return TcpPort(self._place)
+            return TcpPort(self._address)
         except OSError as error:
             raise SendError("the simulator does not answer") from error
 
@@ -111,12 +111,12 @@ class Simulator:
             process.stdin.flush()
             answer = json.loads(process.stdout.readline() or "{}")
         except (OSError, ValueError):
-            answer = {}  # it ended, or printed something else
+            answer = {}  # it ended, or printed something else than its address
         self._process = process
         if "place" not in answer:
             self.close()
             raise SendError(answer.get("refused", "the simulator ended before it had begun"))
-        self._place = answer["place"]
+        self._address = answer["place"]
 
 
 def main() -> None:
