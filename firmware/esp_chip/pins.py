@@ -60,7 +60,7 @@ class EspPort(PortPins):
             if self._limits_enabled and limits != self._limits_seen and not timer_runs:
                 self._limit_changed(_first(self._limits))
         if not self._is_settling and self.controls() != self._controls_seen:
-            self._control_changed(_first(self._controls))
+            self._control_changed(_first(self._controls))  # any pin: the handler reads them all
         if self._estop and self._estop.value() != self._estop_polled:
             self._estop_polled = self._estop.value()
             self._control_changed(self._estop)

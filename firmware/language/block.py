@@ -352,7 +352,7 @@ class Block:
         if axis_use and self.ints[b.AXIS_USE]:
             return errors.GCODE_AXIS_COMMAND_CONFLICT
         if (hundredths and decimals & OTHERS) or decimals & NEEDED:
-            # One decimal, which the row allows.
+            # The row decides: one decimal, which it allows; else the word is unsupported.
             if hundredths % 10 or not (decimals & TENTHS) >> hundredths // 10 & 1:
                 return errors.GCODE_UNSUPPORTED_COMMAND
             if number == 91:

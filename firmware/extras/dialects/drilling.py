@@ -301,16 +301,7 @@ class Drilling:
         G91 each hole is that far from the one before; in G90 all are at the same place.
         """
         relative = self._machine.interpreter.block.ints[RELATIVE]
-        return (
-            "".join(
-                [
-                    _AXIS_LETTERS[i]
-                    + (_text(position + count * float(number)) if relative else number)
-                    for number, position, i in in_plane
-                ]
-            )
-            for count in range(1, times + 1)
-        )
+        return (_axis_words(in_plane, count if relative else 0) for count in range(1, times + 1))
 
     def _position(self, axis: int) -> float:
         """Return an axis's position in the units and work coordinates of the checked line."""
@@ -322,6 +313,19 @@ class Drilling:
         coords, ints = self._machine.coords, self._machine.interpreter.block.ints
         mm -= coords.work_zero(ints[SYSTEM], axis)
         return mm / _MM_PER_INCH if ints[INCHES] else mm
+
+
+def _axis_words(in_plane: "list[tuple[str, float, int]]", count: int) -> str:
+    """Return the axis words of a hole. in_plane: see Drilling._words_of_holes().
+
+    count: the hole is so many times the numbers away from the position (G91); 0: it is at the
+    numbers (G90).
+    """
+    words = ""
+    for number, position, i in in_plane:
+        end = _text(position + count * float(number)) if count else number
+        words += _AXIS_LETTERS[i] + end
+    return words
 
 
 def _check_numbers(holes: Holes, given: "dict[str, str]") -> None:
