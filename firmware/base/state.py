@@ -109,7 +109,7 @@ class State:
         follow the present one."""
         # _FOLLOWS has per state a mask of the states that it may follow.
         if not _FOLLOWS[run] & (self.run or _IDLE_BIT):
-            raise RuntimeError("state %d cannot follow state %d" % (run, self.run))
+            raise RuntimeError("firmware bug: state %d cannot follow state %d" % (run, self.run))
         if (self.run | run) & CHECK:  # check mode begins or ends: it changes what lines do
             self.invalidate_lines()
         self.run = self.running[0] = run

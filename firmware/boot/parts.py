@@ -277,7 +277,7 @@ def _check_engine(board: "ModuleType") -> None:
     missing = [name for name in needed if name not in board.__dict__]
     if missing:
         names = ", ".join(missing)
-        raise ValueError("ENGINE = %s: the board file names no %s" % (engine, names))
+        raise ValueError("ENGINE = %s requires %s in the board file" % (engine, names))
     chip = getattr(sys.implementation, "_machine", "")
     why = too_old(engine, chip, sys.implementation.version[:2])
     if why:

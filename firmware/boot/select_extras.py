@@ -100,7 +100,7 @@ def known(option: str, word: str, rows: "dict[str, Any]") -> "Any":
     if word not in rows:
         words = sorted(rows)  # MicroPython's dict has no order
         last = words.pop()
-        raise ValueError("%s is %s or %s, not %s" % (option, ", ".join(words), last, word))
+        raise ValueError("%s must be %s or %s, not %s" % (option, ", ".join(words), last, word))
     return rows[word]
 
 

@@ -265,7 +265,7 @@ class MotorControl:
         progress = self._segments.progress()
         self._stalls = self._stalls + 1 if progress == self._progress else 0
         if self._stalls > _PATIENCE:
-            raise RuntimeError("motion is planned, but no steps are made")
+            raise RuntimeError("motion is planned, but the engine makes no steps")
         self._progress = progress
         self.start(self._state.run)
 

@@ -59,7 +59,7 @@ class Channel:
         # The pin must output one of RMT's signals now.
         if not 0 <= self._signal - first_signal < blocks:
             raise ValueError(
-                "pin %d does not output the pulses of RMT: is it an unused output pin?" % pin
+                "pin %d does not output RMT pulses: choose a free pin that can be an output" % pin
             )
         self._inverted = 0  # or _INVERTED
         self.cut()  # until play()

@@ -28,6 +28,6 @@ def prepare() -> None:
         wanted -= _COMPILED_BYTES
     if free < wanted:
         raise MemoryError(
-            "%d bytes free of the %d that the firmware needs: take a module with PSRAM, and "
-            "MicroPython's image for it" % (free, wanted)
+            "only %d bytes of RAM are free, the firmware needs %d: use a module with PSRAM and "
+            "the MicroPython image for it" % (free, wanted)
         )

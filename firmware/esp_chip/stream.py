@@ -23,7 +23,7 @@ class Stream:
 
     def __init__(self, pins: "tuple[int, int, int]", rate_hz: int, buffers: int) -> None:
         if FRAMES * 1_000_000 % rate_hz:
-            raise ValueError("I2S_RATE_HZ: 256 frames must last whole microseconds")
+            raise ValueError("I2S_RATE_HZ: 256 frames must last a whole number of microseconds")
         self.buffers = buffers
         self.buffer_us = FRAMES * 1_000_000 // rate_hz
         self._pins = pins

@@ -55,13 +55,13 @@ class TimerEngine:
     def fault(self) -> str:
         """Return the engine's fault, in words; "" without a fault."""
         if self._failure:
-            words = "the pulse engine's refill failed: %s %s" % (
+            words = "refilling the step pulse buffer failed: %s %s" % (
                 type(self._failure).__name__,
                 self._failure,
             )
             # A sender must not read it as an answer to a line.
             return words.replace("rror", "rr").replace("ok", "o-k")
-        return "step pulses are late on their schedule" if self._is_late() else ""
+        return "step pulses came later than scheduled" if self._is_late() else ""
 
     def _refill(self, _timer: object) -> None:
         """Do one turn, in the timer's interrupt. After a fault only the inputs are checked."""

@@ -173,7 +173,7 @@ class Cnc:
         machine.interpreter.add_motion(number, Cycle(machine, plan, letters))
         self.entries.append(
             lambda: (
-                "that line is within a canned cycle"
+                "the line is inside a canned cycle: start before it"
                 if machine.modes.modal[MOTION] == number
                 else ""
             )
@@ -254,7 +254,7 @@ class Cnc:
         """
         is_override = st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE
         if byte < _FIRST_UPPER_BYTE or byte in st.EVENTS or is_override:
-            raise ValueError("byte 0x%X is already in use" % byte)
+            raise ValueError("real-time byte 0x%X is already in use" % byte)
         reader = self._machine.reader
         previous_post = reader.post
         is_received = bytearray(1)  # a flag: post() may run in an interrupt and must not allocate

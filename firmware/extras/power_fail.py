@@ -285,7 +285,9 @@ class PowerFail:
         what = _FAILED
         if name:
             what = "Job %s: power failed at line %d" % (name, line)
-        sure = "position certain" if flags & _CERTAIN else "stopped at speed, position not certain"
+        sure = "position certain"
+        if not flags & _CERTAIN:
+            sure = "stopped without braking, position uncertain"
         if flags & _Z_WAS_TO_RISE:
             sure += ", Z perhaps higher"
         positions = ["%s%.3f" % (LETTERS[i], position[i]) for i in range(axes)]
@@ -300,4 +302,5 @@ class PowerFail:
             rate = settings.max_rate[axis]  # mm/min
             longest = max(longest, rate / acceleration if acceleration else _LONGEST_STOP_MIN)
         ms = int(min(longest, _LONGEST_STOP_MIN) * _MS_PER_MINUTE) + _QUEUED_MS + _WRITE_MS
-        self._cnc.message("Power fail: stops in %d ms; supply lasts %d ms" % (ms, self._supply_ms))
+        text = "Power fail: a stop takes %d ms; the supply lasts %d ms"
+        self._cnc.message(text % (ms, self._supply_ms))

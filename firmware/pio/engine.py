@@ -60,7 +60,7 @@ _FAULTS = (
     "step pulses were lost before they reached the pins",
     "DMA ran out of step pulses during motion",
     "the pulse engine's interrupt did not occur",
-    "step pulses are late on their schedule",
+    "step pulses came later than scheduled",
 )
 
 

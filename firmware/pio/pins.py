@@ -62,7 +62,9 @@ class GpioPort(PortPins):
         if RP2350:  # this build supports one: only that chip has pins above 31
             for number in self._input_numbers:
                 if _LAST_COMMON_PIN < number < NOT_WIRED:
-                    raise ValueError("pin %d: limits, probe, buttons are pins 0 to 31" % number)
+                    raise ValueError(
+                        "pin %d: limits, probe, buttons must be on pins 0 to 31" % number
+                    )
         # For kill(): 1 once it has run; then pairs, a register's address and bits; then 0.
         self._pads = array("i", [0, 0])
         self._all_bits = _OUTOVER_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
@@ -139,7 +141,7 @@ class GpioPort(PortPins):
                 continue
             if its_hz != hz or (number ^ own) & 1 == 0:  # 0: the same channel
                 raise ValueError(
-                    "pin %d shares a PWM slice with pin %d: same frequency only" % (own, number)
+                    "pin %d shares a PWM slice with pin %d: use the same frequency" % (own, number)
                 )
         pwm = super()._begin_pulses(index, hz)
         if self._pads[0]:  # switching a pad to the PWM releases it

@@ -44,4 +44,6 @@ def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ..
     for bit in range(_CONTROLS):
         is_wired = bit < len(controls) and controls[bit] is not None
         if board.__dict__.get("CONTROL_INVERT", 0) >> bit & 1 and not is_wired:
-            raise ValueError("CONTROL_INVERT: the input of value %d is not wired" % (1 << bit))
+            raise ValueError(
+                "CONTROL_INVERT: %d stands for an input that is not wired" % (1 << bit)
+            )

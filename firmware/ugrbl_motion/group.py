@@ -50,7 +50,7 @@ class Axis(Motor):
     def group(self) -> "Group":
         """Return the group of this axis. Raises ValueError if it has none."""
         if self._group is None:
-            raise ValueError("this axis is in no group: Group(x=axis) first")
+            raise ValueError("this axis is in no group: create one first, Group(x=axis)")
         return self._group
 
     @property

@@ -48,7 +48,9 @@ class Hardware:
         chip has none, or it is in use."""
         engines = {"rp2": pio, "esp32": rmt}
         if sys.platform not in engines:
-            raise OSError("no step engine for %s: use the simulator's" % sys.platform)
+            raise OSError(
+                "no step engine for %s: on a computer use the simulator's" % sys.platform
+            )
         if Hardware._has_engine:
             raise OSError("this chip has one step engine: put all axes into one Group")
         engine = engines[sys.platform](step, direction)

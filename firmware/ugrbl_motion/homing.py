@@ -101,4 +101,4 @@ class Homing:
         axis.move_by(distance, self._slow)
         yield from axis.group.until_done()
         if self._is_closed():
-            raise GroupError("the switch at pin %d stays closed" % self._switch.pin)
+            raise GroupError("the switch at pin %d stays closed after back_off" % self._switch.pin)

@@ -110,7 +110,7 @@ def test_every_board_option_is_in_the_reference():
 
 
 def test_a_row_without_a_comment_is_named(monkeypatch):
-    table = f"T: \"{comments._KIND}\" = (\n    (7, 'x'),\n)\n"
+    table = f"T: \"{comments._TABLE_TYPE}\" = (\n    (7, 'x'),\n)\n"
     monkeypatch.setattr(comments, "source", lambda module: table)
     with pytest.raises(ValueError, match=r"\$7 has no comment"):
         comments.setting_comments()

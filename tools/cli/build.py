@@ -92,7 +92,8 @@ def command(
 
 
 def _make(board: str | None, arch: str, kind: str) -> Build:
-    """Compile the firmware, for a board or a processor, or another kind of build."""
+    """Compile the firmware for a board, else for a processor. kind: "frozen", "motion" or "", from
+    the options; BuildError if they do not fit."""
     if arch not in ARCHS[1:]:
         raise BuildError(f"{arch} is no processor: choose one of {', '.join(ARCHS[1:])}")
     if kind == "frozen" and not board:
@@ -101,7 +102,7 @@ def _make(board: str | None, arch: str, kind: str) -> Build:
         return motion_package.compile_for(arch)
     if not board:
         return build.compile_all(arch)
-    compile_for = freeze.for_board if kind else build.for_board
+    compile_for = freeze.for_board if kind == "frozen" else build.for_board
     return compile_for(board_file(board))
 
 

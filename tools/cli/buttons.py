@@ -45,7 +45,7 @@ class Buttons:
             self.enter(self._lines.popleft())
 
     def enter(self, line: str) -> None:
-        """Process one line."""
+        """Process one line: NAME, NAME on, NAME off; an empty one lists the closed inputs."""
         name, _, word = line.strip().partition(" ")
         known = self._inputs.names
         if not name:
@@ -56,8 +56,8 @@ class Buttons:
         elif word and word not in _WORDS:
             self.say(f"write {name} on or {name} off, not {word}")
         else:
-            closes = _WORDS.get(word, not self._inputs.is_closed(name))
-            self._inputs.push(name, closes)
+            toggled = not self._inputs.is_closed(name)
+            self._inputs.push(name, _WORDS.get(word, toggled))
             self.say(f"{name} is {'closed' if self._inputs.is_closed(name) else 'open'}")
 
     def say(self, text: str) -> None:

@@ -18,30 +18,32 @@ from ..paths import CONVERSATIONS
 from ..replay.conformance import Outcome, Results, run_folder, run_port
 from .outputs import check_outputs, failed, save_json
 
-_READ_S = 0.002
+_READ_S = 0.002  # how long a read of the serial port waits for bytes
 
 
 def _side_by_side(outcome: Outcome) -> Iterator[tuple[str, str, str]]:
-    """Yield number, expected and observed result of every step, for the table of a failing
-    case."""
+    """Yield number, expected and observed result of every step, for the table of a failing case.
+
+    docs/conformance.md has the keys of a step. An observed one has lines, and may have moved and
+    out."""
     for number, step in enumerate(outcome.expected):
-        mine = outcome.got[number] if number < len(outcome.got) else {"lines": ["(not reached)"]}
+        ours = outcome.got[number] if number < len(outcome.got) else {"lines": ["(not reached)"]}
         expected = [*step["expect"]]
-        got = [*mine["lines"]]
-        if "moved" in mine and (step.get("moved") or any(mine["moved"])):
+        got = [*ours["lines"]]
+        if "moved" in ours and (step.get("moved") or any(ours["moved"])):  # steps of each axis
             note = " (not required)" if step.get("moving") or step.get("moved_varies") else ""
             expected.append(f"moved {step.get('moved', [0, 0, 0])}{note}")
-            got.append(f"moved {mine['moved']}")
-        if step.get("out") or mine.get("out"):
+            got.append(f"moved {ours['moved']}")
+        if step.get("out") or ours.get("out"):  # changes of outputs
             expected.append(f"out {step.get('out', {})}")
-            got.append(f"out {mine.get('out', {})}")
-        marks = [key for key in ("moving", "moved_varies") if step.get(key)]
+            got.append(f"out {ours.get('out', {})}")
+        conditions = [key for key in ("moving", "moved_varies") if step.get(key)]
         if "compare" in step:
-            marks.append(step["compare"])
-        for pin in ("pins", "switches", "power"):
-            if pin in step:
-                marks.append(f"{pin} {step[pin]}")
-        head = f"{number} {step['send']!r} {step['wait']} {' '.join(marks)}"
+            conditions.append(step["compare"])
+        for key in ("pins", "switches", "power"):
+            if key in step:
+                conditions.append(f"{key} {step[key]}")
+        head = f"{number} {step['send']!r} {step['wait']} {' '.join(conditions)}"
         yield head, "\n".join(expected), "\n".join(got)
 
 
@@ -51,7 +53,8 @@ def _table() -> Table:
 
 
 def show(results: Results, console: Console, most: int = 20) -> None:
-    """Print the failing cases, then n of m per category."""
+    """Print the failing cases, at most `most`, then n of m per category, how the durations of
+    motions compare with Grbl's, and which known differences were met."""
     for outcome in results.failures()[:most]:
         title = f"{outcome.category}: {outcome.name}"
         console.print(f"\n[bold red]{escape(title)}[/]")
@@ -74,7 +77,7 @@ def show(results: Results, console: Console, most: int = 20) -> None:
         f"{required - len(results.failures())} of {required} conform, {skipped} not required"
     )
     if ratios := results.time_ratios():
-        low, middle, high = ratios[0], statistics.median(ratios), ratios[-1]
+        low, middle, high = ratios[0], statistics.median(ratios), ratios[-1]  # they are sorted
         console.print(
             f"{len(ratios)} motions: median duration {middle:.4f} x Grbl's, "
             f"range {low:.3f} to {high:.3f}",

@@ -21,7 +21,10 @@ File = Annotated[
     typer.Argument(metavar="FILE", readable=False, help="A .py file, or a folder of them."),
 ]
 Board = Annotated[
-    str, typer.Option(metavar="NAME", help="A file of boards/, or a path: it names the pins.")
+    str,
+    typer.Option(
+        metavar="NAME", help="Board file that names the pins: a file of boards/, or a path."
+    ),
 ]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
 
@@ -80,7 +83,7 @@ def judge(console: Console, board: str, surroundings: Around) -> Verdict:
     with console.status(f"checking {own.path} …"):
         verdict, notes = custom_check.check(own, board, surroundings)
         custom_try.try_all(notes, board, surroundings, verdict)
-    _tell(console, own, verdict, board)
+    _show(console, own, verdict, board)
     return verdict
 
 
@@ -89,10 +92,10 @@ def _own(surroundings: Around) -> OwnPython:
     return surroundings.custom
 
 
-def _tell(console: Console, own: OwnPython, verdict: Verdict, board: str) -> None:
+def _show(console: Console, own: OwnPython, verdict: Verdict, board: str) -> None:
     """Show problems, the handlers tried, notes, and a last line with the verdict."""
 
-    def say(mark: str, text: str, end: str = "") -> None:
+    def say(mark: str, text: str, end: str = "") -> None:  # mark, end: markup, printed as it is
         console.print(f"{mark}{escape(text)}{end}", highlight=False, soft_wrap=True)
 
     for problem in verdict.problems:
@@ -104,19 +107,19 @@ def _tell(console: Console, own: OwnPython, verdict: Verdict, board: str) -> Non
             say("[red]BAD [/] ", result)
     for lack in verdict.untried:
         say("[yellow]note[/] ", f"cannot be tried in the simulator: {lack}")
-    for note in verdict.notes + _assumed(own, board):
+    for note in verdict.notes + _assumed_pins(own, board):
         say("[yellow]note[/] ", note)
     count = len(verdict.handlers)
     bad = len(verdict.problems) + sum(not is_good for _, _, is_good in verdict.tried)
-    words = f"{own.path}: {count} handler{'s' * (count != 1)}, " if count else f"{own.path}: "
+    what = f"{own.path}: {count} handler{'s' * (count != 1)}, " if count else f"{own.path}: "
     if bad:
-        words += f"{bad} wrong"
+        outcome = f"{bad} wrong"
     else:
-        words += "not tried" if verdict.untried else "all is well"
-    say("[b]", words, "[/b]")
+        outcome = "not tried" if verdict.untried else "all is well"
+    say("[b]", what + outcome, "[/b]")
 
 
-def _assumed(own: OwnPython, board: str) -> list[str]:
+def _assumed_pins(own: OwnPython, board: str) -> list[str]:
     """Return a note about pins that only the simulator has."""
     from ..boardfile.files import load_board
 

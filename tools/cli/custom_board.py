@@ -16,7 +16,7 @@ from rich.markup import escape
 
 from .. import paths
 from ..compiling.build import digest
-from ..device import custom_files as shelves
+from ..device import custom_files
 from ..device.connection import SendError
 from ..device.custom_files import CustomFiles
 from ..device.deploy import DeployError
@@ -37,8 +37,8 @@ Anyway = Annotated[
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
 # Messages of the firmware after its start.
-_RUNS = "Custom: "
-_LEFT_OUT = "Custom left out: "
+_RUNS = "Custom: "  # and the names of the handlers
+_LEFT_OUT = "Custom left out: "  # and the reason
 _NEW = '''"""My own words for the machine: see docs/custom.md of ugrbl."""
 
 from ugrbl import mcode
@@ -65,19 +65,19 @@ def push(
     or the new one.
     """
     console = Console()
-    with _told():
-        own = _judged(console, file, board, inputs, anyway)
+    with _with_messages():
+        own = _checked(console, file, board, inputs, anyway)
         where = ports.choose(port)
         _push(console, where, own)
 
 
-def _judged(
+def _checked(
     console: Console, file: Path, board: str, inputs: "list[str] | None", anyway: bool
 ) -> OwnPython:
     """Return the user's Python after the check. Ends the command if the check fails."""
     surroundings = around(board, file, inputs)
     verdict = judge(console, board, surroundings)
-    if verdict.problems or not (verdict.is_good or anyway):
+    if verdict.problems or not (verdict.is_good or anyway):  # anyway: only problems count
         todo = "" if verdict.problems else "; --anyway pushes even if the dry run fails"
         raise failed(f"nothing has been put on a board{todo}")
     assert surroundings.custom
@@ -86,37 +86,40 @@ def _judged(
 
 def _push(console: Console, port: str, own: OwnPython) -> None:
     """Put the files on the board, restart it, and show what the firmware reports."""
-    with _shelf(port) as shelf:
-        options = shelf.options()
-        name = shelves.name_of(options)
+    with _board_files(port) as on_board:
+        options = on_board.options()
+        name = custom_files.name_of(options)
         files = renamed(own, name)
-        wrong = custom_check.unknown_pins(own, options["OUTPUTS"], options["INPUTS"])
-        if wrong:
-            shelf.restart()
+        missing_pins = custom_check.unknown_pins(own, options["OUTPUTS"], options["INPUTS"])
+        if missing_pins:
+            on_board.restart()
             raise DeployError(
-                "\n".join(wrong),
+                "\n".join(missing_pins),
                 "add the pin to the board file, and deploy it; nothing was pushed",
             )
         with Bar(console) as bar:
             bar.begin(len(files), sum(map(len, files.values())))
-            shelves.push(shelf, name, files, bar.written)
-        shelf.restart()
-        _tell_start(console, f"{', '.join(files)} at {port}", shelf.told)
+            custom_files.push(on_board, name, files, bar.written)
+        on_board.restart()
+        _show_start(console, f"{', '.join(files)} at {port}", on_board.told)
 
 
 def renamed(own: OwnPython, name: str) -> dict[str, bytes]:
-    """Return its files, under the name that this board reads."""
-    if own.is_folder and name != own.name:
-        lines = [str(m.file) for m in own.modules.values() if f"{own.name}.".encode() in m.source]
-        if lines:
+    """Return the files of the user's Python by path, under the name that this board reads (its
+    option CUSTOM). DeployError if one imports its own folder by another name."""
+    old = own.name
+    if own.is_folder and name != old:
+        referring = [str(m.file) for m in own.modules.values() if f"{old}.".encode() in m.source]
+        if referring:
             raise DeployError(
-                f"this board reads the folder {name}, but {lines[0]} refers to {own.name}",
-                f"write {name} there, or check and push with --board and its board file",
+                f"this board reads the folder {name}, but {referring[0]} refers to {old}",
+                f"write {name} in that file, or check and push with --board and the file of this "
+                "board",
             )
-    return {path.replace(own.name, name, 1): content for path, content in own.files.items()}
+    return {path.replace(old, name, 1): content for path, content in own.files.items()}
 
 
-def _tell_start(console: Console, what: str, messages: "list[str]") -> None:
+def _show_start(console: Console, what: str, messages: "list[str]") -> None:
     """Show what the firmware reports about it. Ends the command if it was left out.
 
     what: the files and the port. messages: those of the start, without [MSG:].
@@ -151,7 +154,7 @@ def pull(
     ] = False,
 ) -> None:
     """Fetch the files from the board, and restart the board."""
-    with _told():
+    with _with_messages():
         if file.exists() and not force:
             raise DeployError(f"{file} exists already", "--force replaces it")
         paths.check_writable(file / "one" if file.is_dir() else file)
@@ -170,22 +173,27 @@ def pull(
 
 def _fetch(port: str) -> dict[str, bytes]:
     """Return the user's files that are on the board, by path, and restart the board."""
-    with _shelf(port) as shelf:
-        name = shelves.name_of(shelf.options())
-        files = shelves.pull(shelf, name)
-        shelf.restart()
+    with _board_files(port) as on_board:
+        name = custom_files.name_of(on_board.options())
+        files = custom_files.pull(on_board, name)
+        on_board.restart()
         return files
 
 
 def keep(found: Mapping[str, bytes], file: Path) -> Path:
-    """Write a file, or a folder of files; returns its path."""
-    if len(found) == 1 and "/" not in next(iter(found)):
+    """Write the files of a board, by their paths there: one to a file, or a folder of them to a
+    folder. Returns the path of the file or folder that was written."""
+    first_path, first_content = next(iter(found.items()))
+    if len(found) == 1 and "/" not in first_path:  # a single file, not a folder
         if file.is_dir():
-            file /= next(iter(found))
-        paths.write(file, next(iter(found.values())))
+            file /= first_path
+        paths.write(file, first_content)
         return file
     if file.suffix == ".py":
-        raise DeployError(f"the board has a folder, which {file} cannot be", "name a folder")
+        raise DeployError(
+            f"the board has a folder of files, which cannot be written to the single file {file}",
+            "name a folder",
+        )
     for path, content in found.items():
         paths.write(file / path.rpartition("/")[2], content)
     return file
@@ -202,7 +210,7 @@ def edit(
 
     If the board has none, you start with an example.
     """
-    with _told():
+    with _with_messages():
         editor = _editor()
         where = ports.choose(port)
         files = _fetch(where) or {"custom.py": _NEW.encode()}
@@ -210,13 +218,13 @@ def edit(
         is_single = all("/" not in path for path in files)
         copy = keep(files, folder / ("custom.py" if is_single else "custom"))
         try:
-            done = _edit(Console(), editor, copy, where, board, inputs, anyway)
+            was_changed = _edit(Console(), editor, copy, where, board, inputs, anyway)
         except (typer.Exit, Exception):
             text = f"your edited copy is {copy}: correct it, then push it"
             Console(stderr=True).print(text, highlight=False, soft_wrap=True)
             raise
         shutil.rmtree(folder)
-        if not done:
+        if not was_changed:
             Console().print("nothing was changed", highlight=False)
 
 
@@ -254,7 +262,7 @@ def _edit(
         raise DeployError(why, "edit your copy, and push it: ugrbl custom push") from error
     if _digests(copy) == before:
         return False
-    _push(console, port, _judged(console, copy, board, inputs, anyway))
+    _push(console, port, _checked(console, copy, board, inputs, anyway))
     return True
 
 
@@ -267,33 +275,33 @@ def _digests(copy: Path) -> dict[str, str]:
 @app.command(epilog=_EXAMPLE.format("remove --port /dev/ttyACM0"))
 def remove(port: Port = None, yes: Yes = False) -> None:
     """Remove it from the board, and restart the machine without it."""
-    with _told():
+    with _with_messages():
         where = ports.choose(port)
         if not yes:
             agree(f"Remove your Python from the board at {where}?", "nothing has been changed")
-        with _shelf(where) as shelf:
-            there = shelves.remove(shelf, shelves.name_of(shelf.options()))
-            shelf.restart()
-        text = "was removed from the board" if there else "was not on the board"
+        with _board_files(where) as on_board:
+            was_there = custom_files.remove(on_board, custom_files.name_of(on_board.options()))
+            on_board.restart()
+        text = "was removed from the board" if was_there else "was not on the board"
         Console().print(f"custom.py {text} at {where}", highlight=False, soft_wrap=True)
 
 
 @contextmanager
-def _shelf(port: str) -> "Iterator[CustomFiles]":
-    """Yield a board at its prompt."""
+def _board_files(port: str) -> "Iterator[CustomFiles]":
+    """Yield the user's files on a board, which is at its MicroPython prompt."""
     from ..device.deploy_device import MpremoteDevice  # it needs a moment to be imported
 
-    shelf: Any = MpremoteDevice(port)
+    on_board: Any = MpremoteDevice(port)
     try:
-        shelf.enter()
-        yield shelf
+        on_board.enter()
+        yield on_board
     finally:
-        shelf.close()
+        on_board.close()
 
 
 @contextmanager
-def _told() -> "Iterator[None]":
-    """Convert exceptions to a message with cause and next step."""
+def _with_messages() -> "Iterator[None]":
+    """End the command with a message, with cause and next step, if the body fails."""
     try:
         yield
     except DeployError as error:

@@ -86,8 +86,9 @@ def demo(console: Console) -> bool:
         totals = running.finish()
     show_errors(console, report.errors, lines)
     console.print(_summary(report, totals, seconds))
-    equal = totals.steps_planned == totals.steps_made and any(totals.steps_made.values())
-    return report.ok() and report.answered == len(lines) and report.state == "Idle" and equal
+    made_all = totals.steps_planned == totals.steps_made and any(totals.steps_made.values())
+    sent_all = report.answered == len(lines)
+    return report.ok() and sent_all and report.state == "Idle" and made_all
 
 
 def _stream(running: Simulator, lines: Sequence[bytes], console: Console) -> tuple[Report, float]:

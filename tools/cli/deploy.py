@@ -71,7 +71,7 @@ def command(
         typer.Option(metavar="NAME", help="Board: a file of boards/, or a path: my_router.py."),
     ],
     port: Annotated[
-        str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
+        str | None, typer.Option(metavar="PORT", help="Serial port. [default: the only one]")
     ] = None,
     replace: Annotated[
         bool, typer.Option("--replace", help="Also replace a board.py or main.py of your own.")
@@ -141,7 +141,11 @@ def _frozen(result: Result) -> list[tuple[str, str]]:
     """Return a row that says which firmware runs, if one is frozen."""
     if not result.frozen:
         return []
-    runs = "runs" if result.runs_frozen else "does not run: files on the board take priority"
+    runs = (
+        "runs"
+        if result.runs_frozen
+        else "does not run, because files on the board take priority over it"
+    )
     return [("frozen", f"build {result.frozen}, which {runs}")]
 
 

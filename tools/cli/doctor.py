@@ -28,8 +28,8 @@ _MARKS = {OK: "[green]ok  [/]", NOTE: "[yellow]note[/]", BAD: "[red]BAD [/]"}
 _PINS_S = 15.0  # how long inputs are watched by default
 _TEST_RATE = 200.0  # mm/min
 # The first numbers of settings that each axis has.
-_STEPS_PER_MM = 100
-_MAX_RATE = 110
+_FIRST_STEPS_PER_MM = 100  # $100 for X, $101 for Y
+_FIRST_MAX_RATE = 110  # $110 for X, $111 for Y
 
 
 class Doctor:
@@ -53,7 +53,8 @@ class Doctor:
     def see(
         self, port: str, baud: int, pins_s: float | None, may_move: Callable[[], bool], ask: bool
     ) -> None:
-        """Examine what is on a port."""
+        """Examine what is on a port. pins_s, ask: see _examine(). may_move: returns whether the
+        machine may move; it may ask the user."""
         with self.console.status(f"listening on {port} …"):
             connection = Connection(port, baud)
             alive = connection.answers()
@@ -67,7 +68,7 @@ class Doctor:
             fault = board_under_test.fault(connection) if state == "Alarm" else ""
             if fault:
                 self.add(checkup.fault(fault))
-            elif state in sync.QUIET:
+            elif state in sync.QUIET:  # it answers queries
                 self._examine(connection, pins_s, may_move, ask)
             else:
                 text = f"{state}: Grbl answers no queries in this state"
@@ -86,7 +87,8 @@ class Doctor:
     ) -> None:
         """Examine a Grbl that answers: firmware, settings, inputs, and a small move of each axis.
 
-        pins_s: how long to watch the inputs; None: ask the user, if `ask`.
+        pins_s: how long to watch the inputs; 0: not at all; None: _PINS_S, if `ask` and the user
+        agrees. ask: there is a user.
         """
         settings = sync.pull(connection)
         self.add(checkup.firmware(settings.firmware, _our_build()))
@@ -98,18 +100,18 @@ class Doctor:
         self._state(connection)
         values = _numbers(settings)
         self.add(*checkup.settings(values, settings.firmware))
-        board_under_test.report(connection)
+        board_under_test.report(connection)  # the inputs of the next line are from this report
         self.add(*checkup.pins_at_rest(board_under_test.pins(connection), values))
-        axes = sum(_STEPS_PER_MM + axis in values for axis in range(len(AXES)))
+        axes = sum(_FIRST_STEPS_PER_MM + axis in values for axis in range(len(AXES)))
         if pins_s is None and ask and typer.confirm("Watch the inputs while you press them?"):
             pins_s = _PINS_S
         if pins_s:
             self.console.print(f"press each switch now; {pins_s:g} s …", highlight=False)
-            seen = board_under_test.watch_pins(connection, pins_s, self._pin)
-            self.add(*checkup.pins_pressed(seen, values, axes))
+            pressed = board_under_test.watch_pins(connection, pins_s, self._pin)
+            self.add(*checkup.pins_pressed(pressed, values, axes))
         if may_move():
             for axis in range(axes):
-                rate = min(_TEST_RATE, values.get(_MAX_RATE + axis, _TEST_RATE))
+                rate = min(_TEST_RATE, values.get(_FIRST_MAX_RATE + axis, _TEST_RATE))
                 self.add(board_under_test.move(connection, axis, AXES[axis], rate))
                 if self.findings[-1].verdict != OK:
                     break
@@ -131,8 +133,11 @@ class Doctor:
         notes = sum(finding.verdict == NOTE for finding in self.findings)
         if not bad and not notes:
             return "all is well"
-        words = [f"{bad} wrong"] * bool(bad) + [f"{notes} worth a look"] * bool(notes)
-        return ", ".join(words)
+        wrong, worth_a_look = (
+            f"{bad} wrong" if bad else "",
+            f"{notes} worth a look" if notes else "",
+        )
+        return ", ".join(filter(None, (wrong, worth_a_look)))
 
 
 def _health(connection: Connection, found: Firmware) -> list[str]:

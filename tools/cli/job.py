@@ -42,47 +42,48 @@ def push(
     A program of the same name is replaced when the new one is complete.
     """
     try:
-        called, data = jobs.name_of(name or file.name), with_line_feeds(read_utf8(file))
+        name_on_board, data = jobs.name_of(name or file.name), with_line_feeds(read_utf8(file))
         check_text(split_lines(data), name_of(file))
     except (ValueError, OSError) as error:
         raise failed(error) from error
     console = Console()
     with connected(port, baud) as connection, Progress(console=console, transient=True) as bar:
-        task = bar.add_task(called, total=len(data))
-        jobs.push(connection, called, data, lambda done: bar.update(task, completed=done))
-    _say(f"{called} is on the board: {len(data)} bytes; `ugrbl job run {called}` runs it")
+        task = bar.add_task(name_on_board, total=len(data))
+        jobs.push(connection, name_on_board, data, lambda done: bar.update(task, completed=done))
+    how = f"`ugrbl job run {name_on_board}` runs it"
+    _say(f"{name_on_board} is on the board: {len(data)} bytes; {how}")
 
 
 @app.command("list", epilog=_EXAMPLE.format("list"))
 def list_jobs(port: Port = None, baud: Baud = BAUD) -> None:
     """Show the programs on a board, and the free space."""
     with connected(port, baud) as connection:
-        files, room = jobs.files(connection)
+        files, free_space = jobs.files(connection)
     if files:
         table = Table("name", "bytes", box=None, pad_edge=False)
         for one in files:
             table.add_row(one.name, str(one.size))
         Console().print(table)
-    _say(room)
+    _say(free_space)
 
 
 @app.command(epilog=_EXAMPLE.format("show PART.NC"))
 def show(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
     """Print a program that is on a board."""
     with connected(port, baud) as connection:
-        print(jobs.show(connection, _called(name)), end="")
+        print(jobs.show(connection, _name_on_board(name)), end="")
 
 
 @app.command(epilog=_EXAMPLE.format("delete PART.NC"))
 def delete(name: Name, port: Port = None, baud: Baud = BAUD, yes: Yes = False) -> None:
     """Remove a program from a board."""
-    called = _called(name)
+    name_on_board = _name_on_board(name)
     with connected(port, baud) as connection:
         if not yes:
-            jobs.check_there(connection, called)
-            agree(f"Delete {called} from the board?", "nothing has been changed")
-        jobs.delete(connection, called)
-    _say(f"{called} is not on the board any more")
+            jobs.check_there(connection, name_on_board)
+            agree(f"Delete {name_on_board} from the board?", "nothing has been changed")
+        jobs.delete(connection, name_on_board)
+    _say(f"{name_on_board} is not on the board any more")
 
 
 @app.command(epilog=_EXAMPLE.format("run PART.NC"))
@@ -93,7 +94,7 @@ def run(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
     and `ugrbl console`, can show them, hold the program and stop it.
     """
     with connected(port, baud) as connection:
-        _say(jobs.start(connection, _called(name)))
+        _say(jobs.start(connection, _name_on_board(name)))
 
 
 @app.command(epilog=_EXAMPLE.format("resume PART.NC --line 1200"))
@@ -101,7 +102,7 @@ def resume(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="[NAME]", help="Name of the program. [default: the one that has not ended]"
+            metavar="[NAME]", help="Name of the program. [default: the one that was interrupted]"
         ),
     ] = "",
     line: Annotated[
@@ -123,13 +124,18 @@ def resume(
     """
     if line and not name:
         raise failed("--line needs the name of the program")
-    called = _called(name) if name else ""
-    what = f"line {line} of {called}" if line else f"{called or 'the program'}, where it stopped"
+    name_on_board = _name_on_board(name) if name else ""
+    what = (
+        f"line {line} of {name_on_board}"
+        if line
+        else f"{name_on_board or 'the program'}, where it stopped"
+    )
     with connected(port, baud) as connection:
         if not yes:
-            jobs.check_there(connection, called)
+            jobs.check_there(connection, name_on_board)
             agree(f"The tool will move to {what}. Is it the right tool?", "nothing has moved")
-        _say(jobs.start(connection, called, f"@{line or ''}"))
+        from_line = f"@{line or ''}"  # @ alone: where it was last held or stopped
+        _say(jobs.start(connection, name_on_board, from_line))
 
 
 @app.command(epilog=_EXAMPLE.format("button PART.NC"))
@@ -145,13 +151,13 @@ def button(
 
     When pressed, it runs that program if nothing else runs.
     """
-    called = _called(name) if name else ""
+    name_on_board = _name_on_board(name) if name else ""
     with connected(port, baud) as connection:
-        jobs.button(connection, called)
-    _say(f"the start button runs {called or 'no program'}")
+        jobs.button(connection, name_on_board)
+    _say(f"the start button runs {name_on_board or 'no program'}")
 
 
-def _called(name: str) -> str:
+def _name_on_board(name: str) -> str:
     """Return a job's name as the board has it. A name that it cannot have ends the command."""
     try:
         return jobs.name_of(name)

@@ -32,7 +32,7 @@ HELP = (
 )
 # On a Windows console, arrow and function keys arrive as one of these and the character of another
 # key.
-_TWO_READS = ("\0", "\xe0")
+_FIRST_OF_TWO = ("\0", "\xe0")
 # The sequences of arrow and function keys contain characters of other keys.
 _SEQUENCE = re.compile(r"\x1b(?:[\[O][0-9;]*[A-Za-z~])?")
 
@@ -43,7 +43,7 @@ class Keys:
 
     def __init__(self, listen: bool = True) -> None:
         self._listen = listen and sys.stdin.isatty()
-        self._saved: Any = None
+        self._saved: Any = None  # mode of the terminal before; None: not changed
 
     def __enter__(self) -> "Keys":
         if sys.platform != "win32" and self._listen:
@@ -82,12 +82,12 @@ class Keys:
 
 
 def _read_console(msvcrt: Any) -> str:
-    """Return the keys pressed in a Windows console since the last call, without those of two
-    reads."""
+    """Return the keys pressed in a Windows console since the last call, without arrow and function
+    keys, which take two reads."""
     keys = ""
     while msvcrt.kbhit():
         key = msvcrt.getwch()
-        if key in _TWO_READS:
+        if key in _FIRST_OF_TWO:  # an arrow or function key
             msvcrt.getwch()
         else:
             keys += key

@@ -35,7 +35,7 @@ Rotary = Annotated[
     str | None, typer.Option(metavar="LETTERS", help="Rotary axes, in degrees: A, or AC.")
 ]
 Network = Annotated[
-    bool, typer.Option("--network", help="Connect by the board's radio: docs/network.md.")
+    bool, typer.Option("--network", help="Connect over the board's Wi-Fi: docs/network.md.")
 ]
 Page = Annotated[bool, typer.Option("--page", help="Also serve the control page in the network.")]
 
@@ -90,7 +90,7 @@ def command(
 
     It asks for the pins that options do not give, and checks all of them.
     """
-    asking = sys.stdin.isatty() if ask is None else ask
+    can_ask = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")
     file = out or Path()
     if os.path.isdir(file) or not file.suffix:
@@ -102,9 +102,9 @@ def command(
         check_outputs(json_file, file)
         if file.exists() and not force:
             raise BoardError(f"{file} exists already; --force replaces it")
-        board = Board(title or name.replace("_", " ").capitalize(), _chip(console, chip, asking))
-        words = _Words(_given(pin or []), motors, rotary)
-        _wire(console, board, words, asking)
+        board = Board(title or name.replace("_", " ").capitalize(), _chip(console, chip, can_ask))
+        words = _Words(_pins_of_options(pin or []), motors, rotary)
+        _set_pins(console, board, words, can_ask)
         board.defaults = _defaults(setting or [])
         board.network, board.page = network or page, page
         new_board.check(board)
@@ -121,7 +121,7 @@ def _check_name(name: str) -> None:
     if not name.isidentifier():
         raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
     if iskeyword(name):
-        raise BoardError(f"{name} is a word of Python's: name it otherwise")
+        raise BoardError(f"{name} is a reserved word of Python: choose another name")
 
 
 class _Words(NamedTuple):
@@ -132,16 +132,16 @@ class _Words(NamedTuple):
     rotary: str | None
 
 
-def _wire(console: Console, board: Board, said: _Words, asking: bool) -> None:
+def _set_pins(console: Console, board: Board, said: _Words, can_ask: bool) -> None:
     """Set all pins, and after those for steps what their motors move."""
     for item in ITEMS:
-        board.pins[item.name] = _one(console, board, item, said.pins.get(item.name), asking)
+        board.pins[item.name] = _item_pins(console, board, item, said.pins.get(item.name), can_ask)
         if item.name == "STEP":
-            board.motors = _motors(console, board, said.motors, asking)
-            board.rotary = _rotary(console, board, said.rotary, asking)
+            board.motors = _motors(console, board, said.motors, can_ask)
+            board.rotary = _rotary(console, board, said.rotary, can_ask)
 
 
-def _given(words: list[str]) -> dict[str, str]:
+def _pins_of_options(words: list[str]) -> dict[str, str]:
     """Return the pins given by options, by name of the item."""
     given = {}
     for word in words:
@@ -154,10 +154,10 @@ def _given(words: list[str]) -> dict[str, str]:
     return given
 
 
-def _chip(console: Console, chip: Chip | None, asking: bool) -> Chip:
+def _chip(console: Console, chip: Chip | None, can_ask: bool) -> Chip:
     """Return the chip from its option, or ask the user; BoardError if nobody can be asked."""
     if chip is None:
-        if not asking:
+        if not can_ask:
             raise BoardError(f"no chip is given: --chip needs one of {', '.join(CHIPS)}")
         for key, one in CHIPS.items():
             console.print(f"  {key:8} {one.title}", highlight=False)
@@ -166,10 +166,12 @@ def _chip(console: Console, chip: Chip | None, asking: bool) -> Chip:
     return chip
 
 
-def _one(console: Console, board: Board, item: Item, text: str | None, asking: bool) -> Pins:
-    """Return the pins of one item, from its option or from the user, who is asked until they are
-    valid."""
-    if text is not None or not asking:
+def _item_pins(
+    console: Console, board: Board, item: Item, text: str | None, can_ask: bool
+) -> Pins:
+    """Return the pins of one item, from its option (text; None if it is missing) or from the user,
+    who is asked until they are valid."""
+    if text is not None or not can_ask:
         pins = new_board.read_pins(text or "")
         new_board.check_item(board, item, pins)
         return pins
@@ -189,23 +191,23 @@ def _one(console: Console, board: Board, item: Item, text: str | None, asking: b
             console.print(f"[yellow]{escape(str(error))}", highlight=False)
 
 
-def _motors(console: Console, board: Board, text: str | None, asking: bool) -> str:
+def _motors(console: Console, board: Board, text: str | None, can_ask: bool) -> str:
     """Return the axis of each motor; "" if each has its own. With three motors there is no
-    question."""
+    question. text: of the option; None if it is missing."""
     count = len(board.pins["STEP"])
-    own = motor_names.AXIS_LETTERS[:count]
-    if text is None and (not asking or count <= new_board.FEWEST_AXES):
+    one_each = motor_names.AXIS_LETTERS[:count]
+    if text is None and (not can_ask or count <= new_board.FEWEST_AXES):
         new_board.check_axes(board)
         return ""
     question = "Axis of each motor, for example XYZY for two motors on Y"
-    first = (motor_names.AXIS_LETTERS * 2)[:count]
-    letters = _letters(console, board, text, question, first, new_board.check_motors)
-    return "" if letters == own else letters
+    suggestion = (motor_names.AXIS_LETTERS * 2)[:count]
+    letters = _letters(console, board, text, question, suggestion, new_board.check_motors)
+    return "" if letters == one_each else letters
 
 
-def _rotary(console: Console, board: Board, text: str | None, asking: bool) -> str:
+def _rotary(console: Console, board: Board, text: str | None, can_ask: bool) -> str:
     """Return the rotary axes; with X, Y and Z only there is no question."""
-    if text is None and (not asking or board.axes <= new_board.FEWEST_AXES):
+    if text is None and (not can_ask or board.axes <= new_board.FEWEST_AXES):
         return ""
     question = "Rotary axes, for example A; leave empty for none"
     return _letters(console, board, text, question, "", new_board.check_rotary)
@@ -219,7 +221,8 @@ def _letters(
     default: str,
     check: Callable[[Board, str], None],
 ) -> str:
-    """Return letters from an option or from the user, who is asked until they are valid."""
+    """Return letters from an option (text), or if it is None from the user, who is asked until
+    they are valid. check: raises BoardError for others."""
     while True:
         letters = text
         if letters is None:

@@ -39,12 +39,12 @@ def check_outputs(
     named = [file for file in (*files, plot) if file]
     if twice := [file for file in named if named.count(file) > 1]:
         raise ValueError(f"{twice[0]} is named twice: the second output would replace the first")
-    others = {name: value for name, value in (given or {}).items() if not _is_one(value, named)}
-    keep = [file for file in _read(others) if file.exists()]
+    inputs = {name: value for name, value in (given or {}).items() if not _is_one(value, named)}
+    read = [file for file in _read(inputs) if file.exists()]
     for file in named:
         if str(file) != STDIN:
             _check(file)
-            if file.exists() and any(map(file.samefile, keep)):
+            if file.exists() and any(map(file.samefile, read)):
                 raise ValueError(f"{file} is the input file: it is not overwritten")
 
 
@@ -104,7 +104,7 @@ def examples(*lines: str) -> str:
 
 def agree(question: str, otherwise: str) -> None:
     """Ask a question on stderr. The command ends unless the answer is yes; also without a
-    terminal."""
+    terminal. otherwise: the text that is shown then, that nothing was done."""
     try:
         agreed = typer.confirm(question, err=True)
     except typer.Abort as error:
@@ -114,7 +114,8 @@ def agree(question: str, otherwise: str) -> None:
 
 
 def failed(why: object) -> typer.Exit:
-    """Show a failure on stderr; returns the exception to raise."""
+    """Show a failure, an exception or a text, on stderr; returns the exception that ends the
+    command with exit code 1."""
     if isinstance(why, BrokenPipeError):
         raise why  # the reader of stdout is gone: end without a message
     Console(stderr=True).print(f"[red]{escape(words(why))}", highlight=False)
@@ -124,6 +125,6 @@ def failed(why: object) -> typer.Exit:
 def words(why: object) -> str:
     """Return an error in words, without the number of the system's error."""
     if isinstance(why, OSError) and why.strerror:
-        said = paths.why(why)
-        return f"{why.filename}: {said}" if why.filename else said
+        reason = paths.why(why)
+        return f"{why.filename}: {reason}" if why.filename else reason
     return str(why)

@@ -50,7 +50,7 @@ def command(
     json_file: Annotated[
         Path | None,
         typer.Option(
-            "--json", metavar="FILE", help="Write the figures to this file; - is stdout."
+            "--json", metavar="FILE", help="Write the numerical results to this file; - is stdout."
         ),
     ] = None,
     board: Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")] = (
@@ -73,17 +73,17 @@ def command(
         if not out and target.is_file() and not plot.has_drawn(target):
             raise ValueError(f"{target} exists and was not drawn by plot: -o {target} replaces it")
         jobs = _jobs(console, file, settings, what_if or (), board, around(board, custom, inputs))
-        words = ""
+        comparison = ""
         if len(jobs) > 1:
             extra = describe([as_line(text) for text in what_if or ()])
-            words = f"{extra}: {verdict(*jobs)}"
+            comparison = f"{extra}: {verdict(*jobs)}"
         console.print("Drawing …")
-        plot.save(jobs, name, words, target)
+        plot.save(jobs, name, comparison, target)
         if json_file:
-            save_json({"jobs": [job.as_json() for job in jobs], "verdict": words}, json_file)
+            save_json({"jobs": [job.as_json() for job in jobs], "verdict": comparison}, json_file)
     except (ValueError, OSError) as error:
         raise failed(error) from error
-    _tell(console, jobs, words, target)
+    _show(console, jobs, comparison, target)
     if jobs[0].result.errors:
         raise typer.Exit(1)
 
@@ -118,9 +118,9 @@ def _jobs(
     return jobs
 
 
-def _tell(console: Console, jobs: Sequence[Job], words: str, target: Path) -> None:
-    """Show the time of each run, the picture's file, and the comparison (words), if any."""
+def _show(console: Console, jobs: Sequence[Job], comparison: str, target: Path) -> None:
+    """Show the time of each run, the picture's file, and the comparison; "" if there is none."""
     rows = [(job.name, short(job.seconds)) for job in jobs]
     console.print(summary([*rows, ("drawn in", str(target))]))
-    if words:
-        console.print(words, highlight=False)
+    if comparison:
+        console.print(comparison, highlight=False)

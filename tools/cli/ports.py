@@ -48,7 +48,7 @@ def find() -> list[Found]:
     """Return the ports that may have a controller, recognised by their USB numbers."""
     controllers = []
     for port in list_ports.comports():
-        for vendor, product, name in _KNOWN:
+        for vendor, product, name in _KNOWN:  # product 0: any
             if port.vid == vendor and product in (0, port.pid):
                 controllers.append(Found(port.device, name))
                 break

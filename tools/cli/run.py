@@ -85,18 +85,18 @@ def command(
         with console.status("reading …"):
             lines = read_program(file)
             surroundings = replace(around(board, custom, inputs), lenient=lenient)
-            acting = show_problems(console, lines)
+            has_realtime_bytes = show_problems(console, lines)
         chosen = _chosen(console, settings, setting or ())
         check_settings(chosen, board, surroundings)
         begun = time.monotonic()
         run: _Runner = trace_program if picture else run_program
-        asked = {"board": board, "settings": chosen, "check": check, "around": surroundings}
+        conditions = {"board": board, "settings": chosen, "check": check, "around": surroundings}
         with Screen(console, name_of(file), len(lines)) as screen:
-            result, recorder = run(lines, progress=screen.progress, **asked)
+            result, recorder = run(lines, progress=screen.progress, **conditions)
             screen.progress(result.lines)
         seconds = time.monotonic() - begun
         late = _late(console, recorder, lines)
-        _tell(console, result, recorder, lines, late, seconds)
+        _show(console, result, recorder, lines, late, seconds)
         who = "" if lenient else "--lenient accepts such words, as does"
         show_foreign(console, result.errors, lines, who)
         if picture and isinstance(recorder, MotionTrace):
@@ -106,7 +106,7 @@ def command(
             _save(result, late, json_file)
     except (ValueError, OSError) as error:
         raise failed(error) from error
-    _judge(result, check, acting)
+    _end(result, check, has_realtime_bytes)
 
 
 def _chosen(console: Console, file: Path | None, more: Sequence[str]) -> list[str]:
@@ -127,7 +127,7 @@ def _save(result: Result, late: Sequence[Stretch], file: Path) -> None:
     save_json({**result.as_json(), "too_fast": too_fast}, file)
 
 
-def _tell(
+def _show(
     console: Console,
     result: Result,
     recorder: Paced,
@@ -135,7 +135,7 @@ def _tell(
     late: Sequence[Stretch],
     seconds: float,
 ) -> None:
-    """Show the result."""
+    """Show the result. late: see _late(). seconds: how long the computation took."""
     show_errors(console, result.errors, lines)
     show_wide_arcs(console, result.wide_arcs)
     show_messages(console, result.other_output)
@@ -145,7 +145,7 @@ def _tell(
         console.print(
             f"line {number}: the program paused; the simulator resumed it", highlight=False
         )
-    whose = recorder.intake().whose
+    whose = recorder.intake().whose  # the board whose speed was assumed: "a Pico"
     if late:
         console.print(_too_fast(late, whose), highlight=False, markup=False)
     speed = f"{seconds:.1f} s, {result.lines / seconds:.0f} lines/s"
@@ -170,27 +170,27 @@ _KINDS = {
 
 
 def _too_fast(late: Sequence[Stretch], whose: str) -> str:
-    """Return a text about the worst stretch of lines that come too fast, with the next step."""
+    """Return a text about the worst stretch of lines that come too fast, with the next step.
+    whose: the board that cannot accept them as fast, in words."""
     worst = late[0]
-    kind_name, instead = _KINDS[worst.kind]
-    elsewhere = {1: "", 2: ", and at one more place"}.get(
-        len(late), f", and at {len(late) - 1} more places"
-    )
+    kind_name, remedy = _KINDS[worst.kind]
+    more = len(late) - 1
+    elsewhere = {0: "", 1: ", and at one more place"}.get(more, f", and at {more} more places")
     lost = sum(stretch.lost_s for stretch in late)
     return (
-        f"lines {worst.first} to {worst.last} come too fast: {worst.needed:.0f} a second, mostly "
-        f"{kind_name}, of which {whose} accepts {worst.taken:.0f}. Motion will falter "
+        f"lines {worst.first} to {worst.last} need {worst.needed:.0f} lines a second, mostly "
+        f"{kind_name}, but {whose} accepts only {worst.taken:.0f} of these. Motion will stutter "
         f"there{elsewhere}, and take about {lost:.1f} s longer. "
-        f"A feed of {worst.feed} % is slow enough, or use {instead}."
+        f"Lower the feed to {worst.feed} %, or use {remedy}."
     )
 
 
-def _judge(result: Result, check: bool, acting: bool) -> None:
-    """End with the right exit code. acting: the program has bytes that act at once."""
+def _end(result: Result, check: bool, has_realtime_bytes: bool) -> None:
+    """End with the right exit code. has_realtime_bytes: outside of comments, they act at once."""
     if result.stopped:
         raise failed(f"the program could not finish: {why_stopped(result)}")
     if result.resets:
         numbers = ", ".join(map(str, result.resets))
         raise failed(f"line {numbers}: Ctrl-X is a reset: motion planned before it is lost")
-    if check and (result.errors or acting):
+    if check and (result.errors or has_realtime_bytes):
         raise typer.Exit(1)

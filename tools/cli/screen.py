@@ -102,11 +102,12 @@ class Screen:
     def progress(self, answered: int, status: str = "") -> None:
         """Show that `answered` lines are done. status: a report with state and position, or ""."""
         seconds_left = self._seconds_left(answered)
-        if found := _OVERRIDES.search(status):
+        if found := _OVERRIDES.search(status):  # else those of the last report that had them
             self._overrides = "" if found[1] == "100,100,100" else f"  {found[1]} %"
         state = brief(status) + self._overrides
         if seconds_left is not None and state_of(status) != "Idle":
-            state += f"  {clock(seconds_left)[: -len('.000')]} left"
+            without_ms = clock(seconds_left)[: -len(".000")]
+            state += f"  {without_ms} left"
         self._progress.update(self._task, completed=answered, state=escape(state))
 
     def message(self, words: str) -> None:
@@ -122,7 +123,7 @@ class Screen:
         if not sys.stdin.isatty():
             return Choice.ABORT
         self._progress.stop()
-        self._keys.__exit__(None, None, None)
+        self._keys.__exit__(None, None, None)  # the user types a line with Enter
         try:
             return self._choice(why)
         finally:
@@ -131,10 +132,12 @@ class Screen:
 
     def _choice(self, why: str) -> Choice:
         """Return the answer to r, k or a; k is offered only after a refused line."""
-        keep = "k to keep going whatever is refused, " if why.endswith("refused") else ""
+        keep_going = "k to keep going whatever is refused, " if why.endswith("refused") else ""
         self.message(f"{why}; the machine is held")
-        self.message(f"Type r to resume, {keep}or a to abort, then Enter; Ctrl-C aborts, too.")
-        prompt, letters = ("r, k or a> ", "rka") if keep else ("r or a> ", "ra")
+        self.message(
+            f"Type r to resume, {keep_going}or a to abort, then Enter; Ctrl-C aborts, too."
+        )
+        prompt, letters = ("r, k or a> ", "rka") if keep_going else ("r or a> ", "ra")
         try:
             while (answer := input(prompt).strip().lower()[:1]) not in tuple(letters):
                 pass
@@ -173,20 +176,23 @@ def show_foreign(
 ) -> None:
     """Show what helps with words of other controllers (docs/lenient.md), if some were refused.
 
-    who: text that names what accepts them; empty if everything that does is in use.
+    errors: (number of the line from 1, reply). who: begins the text that names what accepts such
+    words; "" if LENIENT was in use, so that nothing more would.
     """
     refused = {number: lines[number - 1] for number, _ in errors}
+    # By number, the controller for whose language a line was written.
     languages = {number: whose for number, line in refused.items() if (whose := language_of(line))}
     if languages:
+        controller = next(iter(languages.values()))
         note = (
-            f"{_where(list(languages))}: written for {next(iter(languages.values()))}, whose "
+            f"{_where(list(languages))}: written for {controller}, whose "
             "language no Grbl understands: choose Grbl in the program that made it (its post "
             "processor)"
         )
-    elif who and (found := [number for number, line in refused.items() if is_foreign(line)]):
+    elif who and (foreign := [number for number, line in refused.items() if is_foreign(line)]):
         note = (
-            f"{_where(found)}: written for another controller; {who} a board with LENIENT = True. "
-            "For tool changes, write a handler of your own: --custom"
+            f"{_where(foreign)}: written for another controller; {who} a board with "
+            "LENIENT = True. For tool changes, write a handler of your own: --custom"
         )
     else:
         return
@@ -220,7 +226,7 @@ def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
     all_problems = problems(lines)
     bad = [problem for problem in all_problems if not problem.in_comment]
     for problem in bad[:_MOST_ERRORS]:
-        words = f"line {problem.line}: {problem.text}, wherever it is in a line: remove it"
+        words = f"line {problem.line}: {problem.text} anywhere in a line: remove it"
         console.print(escape(words), highlight=False)
     if len(bad) > _MOST_ERRORS:
         console.print(f"… and {len(bad) - _MOST_ERRORS} more such lines")
@@ -255,7 +261,8 @@ def totals_rows(totals: Totals) -> list[tuple[str, str]]:
     ]
     for axis, made in totals.steps_made.items():
         planned = totals.steps_planned[axis]
-        rows.append((f"steps {axis}", _steps(planned, made, totals.steps_probed.get(axis, 0))))
+        not_made = totals.steps_probed.get(axis, 0)  # because the probe touched before
+        rows.append((f"steps {axis}", _steps(planned, made, probed=not_made)))
     for axis, (low, high) in totals.bounds_mm.items():
         unit = "degrees" if axis in totals.rotary else "mm"
         rows.append((f"travel {axis}", f"{low:.3f} to {high:.3f} {unit}"))

@@ -25,8 +25,8 @@ EXAMPLES = examples(
     "ugrbl selftest --port COM3 --json -",
 )
 _MARKS = {True: "[green]passed[/]", False: "[red]FAILED[/]", None: "[yellow]      [/]"}
-_BARE = "The board file names no ENABLE: motors turn if their drivers have power. Continue?"
-_LASER = (
+_MOTORS_TURN = "The board file names no ENABLE: motors turn if their drivers have power. Continue?"
+_LASER_BURNS = (
     "Test the spindle's output, at up to full power? A laser wired to it burns. (n: run only the "
     "other checks)"
 )
@@ -54,7 +54,7 @@ class Report:
 
 def command(
     port: Annotated[
-        str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
+        str | None, typer.Option(metavar="PORT", help="Serial port. [default: the only one]")
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer repetitions, for a test of some seconds.")
@@ -64,11 +64,17 @@ def command(
         typer.Option("--yes", "-y", help="Do not ask; for boards without a wired laser or motor."),
     ] = False,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Seed of the random instants. [default: any]")
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Seed for the random times at which stops are injected. [default: random]",
+        ),
     ] = None,
     json_file: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the rows to this file; - is stdout."),
+        typer.Option(
+            "--json", metavar="FILE", help="Write the results to this file; - is stdout."
+        ),
     ] = None,
 ) -> None:
     """Test the firmware on the board: nothing wired, drivers off.
@@ -90,7 +96,11 @@ def command(
         report.show_row(Row("the board", False, f"{error}{'; ' if todo else ''}{todo}"))
     except KeyboardInterrupt:
         report.show_row(
-            Row("the board", False, "stopped half way: unplug it, and plug it in again")
+            Row(
+                "the board",
+                False,
+                "stopped before the end: unplug the board, and plug it in again",
+            )
         )
     console.print(f"[b]{report.verdict()}[/b]; seed {seed}", highlight=False)
     if json_file:
@@ -110,8 +120,9 @@ def _test(board: Board, report: Report, quick: bool, yes: bool, seed: int) -> No
     """Run all checks. If they cannot be run, or the user declines, start the firmware again."""
     chip, wiring = look(board)
     try:
-        pwm = _consent(wiring, yes)
-        check(board, chip, program.amounts(chip, quick), pwm, seed, report.show_row)
+        may_use_pwm = _consent(wiring, yes)
+        amounts = program.amounts(chip, quick)
+        check(board, chip, amounts, may_use_pwm, seed, report.show_row)
     except (DeployError, typer.Abort):
         with suppress(DeployError):  # the first exception says more
             board.start()
@@ -119,13 +130,14 @@ def _test(board: Board, report: Report, quick: bool, yes: bool, seed: int) -> No
 
 
 def _consent(wiring: Wiring, yes: bool) -> bool:
-    """Return whether the spindle's output may be used; DeployError if nothing may be tested."""
+    """Return whether the spindle's output may be used; DeployError if nothing may be tested. yes:
+    everything may, without a question."""
     ask = sys.stdin.isatty() and not yes
-    if wiring.enable is None and not yes and not (ask and typer.confirm(_BARE)):
+    if wiring.enable is None and not yes and not (ask and typer.confirm(_MOTORS_TURN)):
         raise DeployError(
             "the board file names no ENABLE, so motors would turn",
             "switch off the power of their drivers and use --yes",
         )
     if wiring.spindle_pwm is None or yes:
         return True
-    return ask and typer.confirm(_LASER)
+    return ask and typer.confirm(_LASER_BURNS)

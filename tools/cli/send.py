@@ -62,7 +62,7 @@ def command(
             "--from",
             metavar="N",
             min=1,
-            help="Begin at line N, with the modes and the position after the lines before.",
+            help="Begin at line N, with the modes and position that the earlier lines lead to.",
         ),
     ] = 1,
     board: Annotated[
@@ -81,10 +81,17 @@ def command(
     terminal and SIGTERM hold the machine first. Keys: space holds, ~ resumes, + and - change the
     feed. The exit code is 0 if all lines were sent and none was refused.
     """
-    name = gcode_file.name_of(file)
-    by_line = mode is Mode.LINE
-    whose = custom, tuple(inputs or ())
-    options = Options(name, board, check_first, by_line, keep_going, from_line, yes, *whose)
+    options = Options(
+        name=gcode_file.name_of(file),
+        board=board,
+        check=check_first,
+        by_line=mode is Mode.LINE,
+        keep_going=keep_going,
+        from_line=from_line,
+        yes=yes,
+        custom=custom,
+        inputs=tuple(inputs or ()),
+    )
     report = _send(file, options, port, baud)
     if report.signal:
         raise typer.Exit(128 + report.signal)
@@ -96,7 +103,7 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
     """Send the file; returns the result. Ends the command if nothing can be sent."""
     console = Output()
     try:
-        # Checked before the machine is contacted.
+        # Raises ValueError for wrong options before the machine is contacted.
         around(options.board or DEFAULT_BOARD, options.custom, list(options.inputs))
         # In a file the status would only be an empty line, which fails on a full disk.
         with console.status("reading …") if console.is_terminal else nullcontext():

@@ -31,7 +31,7 @@ _PATIENCE_S = 20.0
 # Grbl's answer to an unknown word.
 _UNKNOWN = "error:20"
 # Alarms after which Grbl accepts only a reset.
-_DEAD = ("ALARM:1:", "ALARM:2:")
+_RESET_ONLY = ("ALARM:1:", "ALARM:2:")
 
 
 @dataclass
@@ -63,11 +63,11 @@ class Job:
         self._options = options
         self._connection = connection
         self._console = console
-        self._here = MachineSnapshot()
-        self._letters = ""  # of its options in $I
-        self._own = CustomCodes()
+        self._machine = MachineSnapshot()  # its state before the program
+        self._letters = ""  # of the machine's options in $I
+        self._custom_codes = CustomCodes()  # the machine's, from $I
         self._rehearsal: Rehearsal | None = None
-        self._lead = 0  # number of lines that prepare for the program
+        self._approach_lines = 0  # how many lines are sent before the program's first one
 
     def run(self) -> Report:
         """Check the program, send it, show the result. Stopped if nothing is sent."""
@@ -75,14 +75,14 @@ class Job:
         try:
             report = self._send(self._prepare())
             if report.stopped:
-                self._tell_end(report)
+                self._show_end(report)
             return report
         finally:
             if self._rehearsal:
                 self._rehearsal.close()
 
     def _prepare(self) -> Sequence[Line]:
-        """Return the lines to send."""
+        """Return the lines to send: the program, or with --from-line an approach and the rest."""
         options = self._options
         to_send = Ready(self._lines)
         if not options.check and options.from_line == 1:
@@ -90,7 +90,7 @@ class Job:
         if why := self._cannot_rehearse():
             if options.from_line > 1:
                 raise Stopped(f"--from-line cannot be simulated: {why}")
-            self._say(f"the program is not checked: {why}")
+            self._print(f"the program is not checked: {why}")
             return to_send
         job = self._rehearsal_job()
         if options.check:
@@ -98,9 +98,9 @@ class Job:
         self._rehearsal = Rehearsal(job)
         if options.from_line == 1:
             return to_send
-        way = self._approach(self._rehearsal)
-        self._lead = len(way)
-        return Ready(self._lines, options.from_line, way)
+        lines_before = self._approach(self._rehearsal)
+        self._approach_lines = len(lines_before)
+        return Ready(self._lines, options.from_line, lines_before)
 
     def _cannot_rehearse(self) -> str:
         """Return why the simulator would differ from the machine; "" if it would not."""
@@ -108,16 +108,16 @@ class Job:
         if state != "Idle":
             return f"the machine is in {state}"
         found = Firmware.read(self._connection.info)
-        self._own = CustomCodes.read(self._connection.info)
+        self._custom_codes = CustomCodes.read(self._connection.info)
         if checkup.is_relative(found):
             return (
                 f"{found.name} is a variant of Grbl, and accepts words that the simulator refuses"
             )
-        self._here = machine_snapshot.read_machine(self._connection)
-        if not self._here.place:
+        self._machine = machine_snapshot.read_machine(self._connection)
+        if not self._machine.place:
             return "the machine does not report its position: set $10=1"
-        if self._here.axes() > DEFAULT_AXES and self._options.from_line > 1:
-            return "it can restore only X, Y and Z, and the machine has more axes"
+        if self._machine.axes() > DEFAULT_AXES and self._options.from_line > 1:
+            return "only X, Y and Z can be restored, and the machine has more axes"
         if self._options.board is None:
             self._letters = found.options.partition(",")[0]
         return ""
@@ -125,14 +125,14 @@ class Job:
     def _rehearsal_job(self) -> rehearsal.Job:
         """Return what the simulator is to run: the program, from the machine's own state."""
         options = self._options
-        ask_at = options.from_line if options.from_line > 1 else 0
+        report_state_before_line = options.from_line if options.from_line > 1 else 0  # 0: never
         return rehearsal.Job(
             Changed(self._lines, gcode_file.sanitize),
-            self._here.commands(),
+            self._machine.commands(),
             options.board or DEFAULT_BOARD,
-            ask_at,
+            report_state_before_line,
             letters=self._letters,
-            axes=DEFAULT_AXES if options.board else max(self._here.axes(), DEFAULT_AXES),
+            axes=DEFAULT_AXES if options.board else max(self._machine.axes(), DEFAULT_AXES),
             custom=str(options.custom or ""),
             inputs=list(options.inputs),
         )
@@ -147,40 +147,42 @@ class Job:
             result, line = rehearsal.check(
                 job, lambda done: status.update(f"checking: line {done} of {total} …")
             )
-        self._check_file(result.own)
-        errors = [error for error in result.errors if not self._is_own(*error)]
-        self._tell_unknown(
-            [number for number, reply in result.errors if (number, reply) not in errors]
-        )
+        self._check_same_custom(result.own)
+        # (line, reply), without refused words that the machine itself knows
+        errors = [error for error in result.errors if not self._is_custom(*error)]
+        self._show_unknown([error[0] for error in result.errors if error not in errors])
         show_errors(self._console, errors, self._lines)
         show_foreign(self._console, errors, self._lines)
         show_wide_arcs(self._console, result.wide_arcs)
         wrong = len(errors)
-        if result.stopped:
+        if result.stopped:  # an alarm, or the reply to the line after which it cannot go on
             wrong += 1
             why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
-            self._say(": ".join(filter(None, [f"line {line}", result.stopped, why])))
+            self._print(": ".join(filter(None, [f"line {line}", result.stopped, why])))
         if not wrong or self._options.keep_going:
             return
         words = "1 line would be refused" if wrong == 1 else f"{wrong} lines would be refused"
         if not self._confirm(f"{words}. Send the program anyway?"):
             raise Stopped(f"{words}; nothing was sent (--no-check sends it)")
 
-    def _is_own(self, number: int, reply: str) -> bool:
+    def _is_custom(self, number: int, reply: str) -> bool:
         """Return whether the simulator refuses a line only for a word that the machine has, or may
         have."""
         line = self._lines[number - 1]
-        return reply == _UNKNOWN and (self._own.is_cut or bool(self._own.word_in(line)))
+        return reply == _UNKNOWN and (
+            self._custom_codes.is_cut or bool(self._custom_codes.word_in(line))
+        )
 
-    def _tell_unknown(self, numbers: Sequence[int]) -> None:
-        """Show lines with words of the machine's own, which are not counted as errors."""
+    def _show_unknown(self, numbers: Sequence[int]) -> None:
+        """Show the first of the lines with words of the machine's own, and how many more there
+        are. They are not counted as errors."""
         if not numbers:
             return
-        word = self._own.word_in(self._lines[numbers[0] - 1])
-        what = f"line {numbers[0]}, {word or gcode_file.shown(self._lines[numbers[0] - 1])}"
+        line = self._lines[numbers[0] - 1]
+        what = f"line {numbers[0]}, {self._custom_codes.word_in(line) or gcode_file.shown(line)}"
         more = len(numbers) - 1
         what += f", and {more} more line{'s' * (more > 1)}" if more else ""
-        self._say(f"unknown to the simulator: {what}; {self._todo('them' if more else 'it')}")
+        self._print(f"unknown to the simulator: {what}; {self._todo('them' if more else 'it')}")
 
     def _todo(self, what: str = "it") -> str:
         """Return the next step if the simulator does not know words of the machine's own."""
@@ -188,57 +190,64 @@ class Job:
             return f"{self._options.custom} does not have {what}"
         return f"--custom FILE simulates {what}"
 
-    def _check_place(self, forecast: Forecast) -> None:
+    def _check_position(self, forecast: Forecast) -> None:
         """Raise Stopped if lines before the first one may have moved the machine in an unknown
         way."""
         for number in range(1, self._options.from_line):
             line = self._lines[number - 1]
-            handler = self._own.handler_of(line)
+            handler = self._custom_codes.handler_of(line)
             if number in forecast.refused:
-                known = handler or self._own.is_cut
-                todo = self._todo() if known else "remove it if the machine refuses it, too"
+                may_be_known = handler or self._custom_codes.is_cut  # to the machine
+                todo = self._todo() if may_be_known else "remove it if the machine refuses it, too"
                 why = f"line {number} is not known to the simulator: {gcode_file.shown(line)}"
-            elif handler and not self._options.custom:
+            elif handler and not self._options.custom:  # the simulator ran no handler
                 why, todo = f"line {number} has the machine run {handler}", self._todo()
             else:
                 continue
             raise Stopped(f"{why}; the tool's position after it is not known: {todo}")
-        self._check_file(forecast.own)
+        self._check_same_custom(forecast.own)
 
-    def _check_file(self, own: str) -> None:
-        """Raise Stopped if the machine has other Python than was rehearsed. own: names of its
-        handlers."""
-        if self._options.custom and own != self._own.text:
+    def _check_same_custom(self, rehearsed: str) -> None:
+        """Raise Stopped if the machine has other Python than was rehearsed. rehearsed: the names
+        of the handlers in the file, as $I lists them."""
+        on_machine = self._custom_codes.text
+        if self._options.custom and rehearsed != on_machine:
             raise Stopped(
                 f"{self._options.custom} differs from the Python on the machine: "
-                f"{self._own.text or 'nothing'} there, {own} in the file; nothing was sent"
+                f"{on_machine or 'nothing'} there, {rehearsed} in the file; nothing was sent"
             )
 
     def _cautions(self, approach: Approach) -> list[str]:
         """Return cautions about the approach, including those about the machine's own Python."""
         cautions = list(approach.cautions)
         for line in approach.lines:
-            if handler := self._own.handler_of(line.data):
-                cautions.append(f"{line.text} runs {handler} on the way")
+            if handler := self._custom_codes.handler_of(line.data):
+                cautions.append(
+                    f"before line {self._options.from_line}, {line.text} runs {handler}"
+                )
         custom = self._options.custom
         if custom and own_python.read(custom).has_attribute("keep"):
-            cautions.append(f"{custom} reads stored values (m.keep): the simulator had none")
+            cautions.append(
+                f"{custom} reads stored values (m.keep): the simulator had none, so the machine "
+                "may act differently"
+            )
         return cautions
 
     def _approach(self, running: Rehearsal) -> list[Line]:
-        """Return the lines that approach the first line, if the user agrees."""
+        """Return the lines that bring the machine to where the first line begins, after the user
+        has agreed; else Stopped."""
         number = self._options.from_line
         with self._console.status(f"simulating up to line {number} …"):
             forecast = running.wait()
         if forecast is None:
             raise Stopped("the simulator has failed")
-        way = approach(self._lines, number, forecast, self._here)
-        self._check_place(forecast)
-        self._say(f"before line {number}, the machine goes")
+        way = approach(self._lines, number, forecast, self._machine)
+        self._check_position(forecast)
+        self._print(f"before line {number}, the machine goes")
         for words in way.words:
-            self._say(f"  {words}")
+            self._print(f"  {words}")
         for words in self._cautions(way):
-            self._say(f"  note: {words}")
+            self._print(f"  note: {words}")
         if not self._options.yes and not self._confirm(
             "Is the way free, and is all of this correct?"
         ):
@@ -253,7 +262,7 @@ class Job:
         """Send the lines, with a progress bar and keys, and show how many were done."""
         options = self._options
         if sys.stdin.isatty():
-            self._say(keys.HELP)
+            self._print(keys.HELP)
         seconds_left = self._seconds_left
         with Screen(
             self._console, options.name, len(to_send), seconds_left, listen=True
@@ -262,68 +271,69 @@ class Job:
             with stopping_signals(stream):
                 report = stream.run()
             screen.progress(report.answered, f"<{report.state}>")
-        done = max(0, report.answered - self._lead)
+        done = max(0, report.answered - self._approach_lines)
         errors = len(report.errors)
-        self._say(f"{done} lines, {errors} error{'' if errors == 1 else 's'}")
+        self._print(f"{done} lines, {errors} error{'' if errors == 1 else 's'}")
         if report.drains > 0:
-            self._say(
+            self._print(
                 f"{checkup.held_up(report.drains, 'during the program')}: {checkup.WHY_DRAINED}"
             )
         return report
 
     def _seconds_left(self, done: int) -> float | None:
-        """Return the time left after so many lines sent; None while the rehearsal has none."""
+        """Return the time left after `done` sent lines; None while the rehearsal has none."""
         forecast = self._rehearsal.forecast if self._rehearsal else None
         if forecast is None:
             return None
-        return forecast.seconds_left(max(0, done - self._lead) + self._options.from_line - 1)
+        of_program = max(0, done - self._approach_lines)
+        return forecast.seconds_left(of_program + self._options.from_line - 1)
 
-    def _tell_end(self, report: Report) -> None:
+    def _show_end(self, report: Report) -> None:
         """Show why it ended early, what was executed, and what the machine does now."""
         Console(stderr=True).print(f"[red]stopped: {escape(report.stopped)}", highlight=False)
-        if reached := self._reached(report):
-            self._say(
-                f"line {reached} was being executed: {gcode_file.shown(self._lines[reached - 1])}"
-            )
-            self._say(f"line {report.line} was answered last; to continue: --from-line {reached}")
-        elif report.stopped.endswith(REFUSED) and report.stopped != f"line {report.line}{REFUSED}":
-            self._say(
-                f"lines up to {report.line} were sent before that was known; of these, some moves "
+        by_refusal = report.stopped.endswith(REFUSED)
+        if number := self._executed_line(report):
+            line = gcode_file.shown(self._lines[number - 1])
+            self._print(f"line {number} was being executed: {line}")
+            self._print(f"line {report.line} was answered last; to continue: --from-line {number}")
+        elif by_refusal and report.stopped != f"line {report.line}{REFUSED}":  # an earlier line
+            self._print(
+                f"lines up to {report.line} had already been sent by then; some of their moves "
                 "may have been executed"
             )
         else:
             most = self._connection.blocks if report.blocks_left is None else report.blocks_left
-            self._say(
+            self._print(
                 f"line {report.line} was answered last; up to {most} moves before it were not "
                 "executed"
             )
         state = report.state or "an unknown state"
         if report.lost:
-            self._say(f"the machine was in {state}, and goes on with the lines it has received")
+            self._print(f"the machine was in {state}, and goes on with the lines it has received")
         else:
             todo = "" if state == "Idle" else f": {way_out(state)}"
-            if report.stopped.startswith(_DEAD):
+            if report.stopped.startswith(_RESET_ONLY):
                 todo = f": reset it (Ctrl-X), then {way_out(state)}"
-            self._say(f"the machine is in {state}{todo}")
+            self._print(f"the machine is in {state}{todo}")
 
-    def _reached(self, report: Report) -> int | None:
-        """Return the line that was executed at the stop, if the rehearsal knows it."""
+    def _executed_line(self, report: Report) -> int | None:
+        """Return the line that was executed at the stop, if the rehearsal knows it; else None."""
         forecast: Forecast | None = None
         if self._rehearsal and report.place and report.place_line:
             forecast = self._rehearsal.wait(_PATIENCE_S)
-        if forecast is None or self._is_unseen(report.place_line or 0):
+        if forecast is None or self._may_have_moved_unknown(report.place_line or 0):
             return None
-        place = [at * self._here.unit_mm() for at in report.place]
-        line = report.place_line
-        return forecast.line_at(line, place, self._connection.blocks, report.blocks_left)
+        place_mm = [coordinate * self._machine.unit_mm() for coordinate in report.place]
+        answered = report.place_line  # the last line answered when the position was reported
+        return forecast.line_at(answered, place_mm, self._connection.blocks, report.blocks_left)
 
-    def _is_unseen(self, last: int) -> bool:
+    def _may_have_moved_unknown(self, last: int) -> bool:
         """Return whether up to that line, or the next one, the machine may have moved in an
         unknown way."""
         lines = self._lines[: last + 1]
-        return not self._options.custom and any(map(self._own.handler_of, lines))
+        return not self._options.custom and any(map(self._custom_codes.handler_of, lines))
 
-    def _say(self, words: str) -> None:
+    def _print(self, words: str) -> None:
         """Show a text to the user, on stderr if stdout fails."""
         try:
             self._console.print(words, highlight=False, markup=False, soft_wrap=True)

@@ -133,8 +133,8 @@ def restore(
 
     Afterwards it has exactly those settings. To undo a push: restore FILE.before.
     """
-    if (file is None) != factory:
-        raise failed("give one of both: a file that was pulled, or --factory")
+    if (file is None) != factory:  # none of both, or both
+        raise failed("give either a file that was pulled, or --factory")
     check_output(Path("factory.before") if factory else None, json_file)
     if file:
         _write(file, port, baud, yes, any_version, json_file, complete=True)
@@ -144,7 +144,7 @@ def restore(
         if not yes:
             agree("Restore the factory's settings?", "nothing has been changed")
         kept = Path("factory.before")
-        _keep(before, kept, "before a restore to the factory's")
+        _keep(before, kept, "before a restore of the factory settings")
         sync.factory(connection)
         done = changes(before.values, sync.pull(connection).values)
     _report(before, done, json_file)
@@ -196,13 +196,14 @@ def _write(
 
 
 def _push(
-    connection: Connection, todo: Sequence[Change], console: Console, kept: Path
+    connection: Connection, todo: Sequence[Change], console: Console, backup: Path
 ) -> Sequence[tuple[Change, str]]:
-    """Write the changes; returns those refused. kept: the file with the old settings."""
-    done: set[int] = set()
+    """Write the changes; returns those refused, each with the reply. If not all were accepted,
+    also because of an exception, it shows how many. backup: the file with the old settings."""
+    accepted: set[int] = set()
 
     def progress(change: Change) -> None:
-        done.add(change.number)
+        accepted.add(change.number)
         console.print(f"${change.number}={change.after}", highlight=False)
 
     refusals: Sequence[tuple[Change, str]] = ()
@@ -210,11 +211,11 @@ def _push(
         sync.push(connection, todo, progress)
     except sync.Refused as refused:
         refusals = refused.refusals
-        done -= {change.number for change, _ in refusals}
+        accepted -= {change.number for change, _ in refusals}
     finally:
-        if len(done) < len(todo):
-            back = f"; to undo: ugrbl settings restore {quote(str(kept))}" if done else ""
-            words = f"{len(done)} of {_count(todo)} changed{back}"
+        if len(accepted) < len(todo):
+            back = f"; to undo: ugrbl settings restore {quote(str(backup))}" if accepted else ""
+            words = f"{len(accepted)} of {_count(todo)} changed{back}"
             console.print(words, highlight=False, markup=False, soft_wrap=True)
     return refusals
 

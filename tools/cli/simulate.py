@@ -80,7 +80,7 @@ def simulate(options: Options) -> None:
             if network.page:
                 _say(f"and its page is at http://{network.page.host}:{network.page.port}/")
         if not options.stdio:
-            _hear_person(rig)
+            _listen_to_user(rig)
         machine.run(rig)
     finally:
         wire.close()
@@ -164,7 +164,7 @@ def _network(options: Options) -> Network | None:
         return Network(calls)
     try:
         return Network(calls, _listen(options.page), TemporaryDirectory(prefix="ugrbl-"))
-    except BaseException:
+    except BaseException:  # the port for the page is in use
         calls.close()
         raise
 
@@ -176,7 +176,8 @@ def _listen(place: str) -> "HostCalls":
 
 
 def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
-    """Return the cable, or the firmware's own link around it."""
+    """Return the cable; with a network the firmware's own link for boards with one, around the
+    cable."""
     if network is None:
         return cable
     paths.use_firmware()
@@ -192,8 +193,9 @@ def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
     return RigPageLink(rig, cable, page, _HOST)
 
 
-def _hear_person(rig: "Rig") -> None:
-    """Let a user at the terminal push inputs; with custom.py also through a pipe."""
+def _listen_to_user(rig: "Rig") -> None:
+    """Let a user at the terminal push inputs, by lines on stdin; with custom.py also through a
+    pipe."""
     if sys.stdin is None or not (sys.stdin.isatty() or rig.custom_module):
         return
     buttons = Buttons(rig.inputs, Console())

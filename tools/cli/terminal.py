@@ -16,13 +16,14 @@ from .keys import COMMANDS
 from .session import JOGS, Session
 
 _HISTORY = ".ugrbl_history"
-_TURN_S = 0.01
-_GAP = "   "
-_HARD = "\0"  # stands for a blank at which no line is broken
-_LINE_HELP = "Tab: keys jog   Ctrl-X: reset   Ctrl-D: leave"
+_POLL_S = 0.01
+_GAP = "   "  # separates parts of a text
+_UNBREAKABLE = "\0"  # stands for a blank at which no line is broken
+_LINE_HELP = "Tab: jog with keys   Ctrl-X: reset   Ctrl-D: leave"
 _KEY_HELP = (
-    "Tab: lines   arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z zero   h home   u unlock"
-    "   space holds   ~ goes on   + - 0 feed   1 2 3 rapids   * / = spindle   Ctrl-X: reset"
+    "Tab: type lines   arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z set zero   h home"
+    "   u unlock   space holds   ~ resumes   + - 0 feed   1 2 3 rapids   * / = spindle"
+    "   Ctrl-X: reset"
 )
 _OTHER_KEYS = "[],.huxyz" + "".join(key for key in COMMANDS if key.isprintable() and key != " ")
 
@@ -40,8 +41,8 @@ class Terminal:
 
     def __init__(self, desk: Session) -> None:
         self._machine_session = desk
-        self._by_keys = False
-        self._session: PromptSession[str] = PromptSession(
+        self._in_key_mode = False
+        self._prompt_session: PromptSession[str] = PromptSession(
             history=_History(str(Path.home() / _HISTORY)),
             bottom_toolbar=self._toolbar,
             key_bindings=self._bindings(),
@@ -50,48 +51,50 @@ class Terminal:
 
     async def run(self) -> None:
         """Run until the user leaves, or the machine cannot be reached."""
-        turning = asyncio.create_task(self._turn())
-        asking = asyncio.create_task(self._ask())
-        done, _ = await asyncio.wait((turning, asking), return_when=asyncio.FIRST_COMPLETED)
-        for task in (turning, asking):
+        polling = asyncio.create_task(self._poll())
+        reading = asyncio.create_task(self._read_lines())
+        done, _ = await asyncio.wait((polling, reading), return_when=asyncio.FIRST_COMPLETED)
+        for task in (polling, reading):
             task.cancel()
-        await asyncio.gather(turning, asking, return_exceptions=True)
+        await asyncio.gather(polling, reading, return_exceptions=True)
         for task in done:
-            task.result()
+            task.result()  # raises the exception with which it ended, if any
 
-    async def _turn(self) -> None:
+    async def _poll(self) -> None:
         """Poll the machine until this is cancelled, or the connection fails."""
         while True:
             self._machine_session.poll()
-            await asyncio.sleep(_TURN_S)
+            await asyncio.sleep(_POLL_S)
 
-    async def _ask(self) -> None:
+    async def _read_lines(self) -> None:
         """Read lines from the user and enter them, until the end of input (Ctrl-D)."""
         while True:
             try:
                 with patch_stdout():
-                    self._machine_session.enter(await self._session.prompt_async(self._prompt))
+                    self._machine_session.enter(
+                        await self._prompt_session.prompt_async(self._prompt)
+                    )
             except KeyboardInterrupt:  # Ctrl-C clears the line
                 continue
             except EOFError:
                 return
 
     def _prompt(self) -> str:
-        return f"jog, {self._machine_session.jog_line()} " if self._by_keys else "> "
+        return f"jog, {self._machine_session.jog_line()} " if self._in_key_mode else "> "
 
     def _toolbar(self) -> str:
-        columns = self._session.output.get_size().columns
-        shown = self._machine_session.status(), _KEY_HELP if self._by_keys else _LINE_HELP
+        columns = self._prompt_session.output.get_size().columns
+        shown = self._machine_session.status(), _KEY_HELP if self._in_key_mode else _LINE_HELP
         return "\n".join(line for text in shown for line in wrapped(text, columns))
 
     def _bindings(self) -> KeyBindings:
         """Return the keys: Tab and Ctrl-X always, those that move the machine only in key mode."""
         bindings = KeyBindings()
-        by_keys = Condition(lambda: self._by_keys)
+        in_key_mode = Condition(lambda: self._in_key_mode)
 
         @bindings.add("tab")
         def _switch(event: KeyPressEvent) -> None:
-            self._by_keys = not self._by_keys
+            self._in_key_mode = not self._in_key_mode
             self._machine_session.leave()
 
         @bindings.add("c-x", eager=True)
@@ -103,17 +106,16 @@ class Terminal:
                 self._machine_session.press(_name(pressed.key))
 
         for key in (*JOGS, *_OTHER_KEYS, "space", "enter"):
-            bindings.add(key, filter=by_keys, eager=True)(press)
-        bindings.add("<any>", filter=by_keys)(lambda event: None)
+            bindings.add(key, filter=in_key_mode, eager=True)(press)
+        bindings.add("<any>", filter=in_key_mode)(lambda event: None)  # others do nothing
         return bindings
 
 
 def wrapped(text: str, columns: int) -> list[str]:
     """Wrap text to a terminal's width. Words that no gap separates stay together, if they fit."""
-    joined = text.replace(" ", _HARD).replace(_HARD * len(_GAP), _GAP)
-    return [
-        line.replace(_HARD, " ") for line in textwrap.wrap(joined, columns, break_on_hyphens=False)
-    ]
+    joined = text.replace(" ", _UNBREAKABLE).replace(_UNBREAKABLE * len(_GAP), _GAP)
+    lines = textwrap.wrap(joined, columns, break_on_hyphens=False)
+    return [line.replace(_UNBREAKABLE, " ") for line in lines]
 
 
 def _name(key: str) -> str:

@@ -104,17 +104,18 @@ def _check_nothing_else(wanted: Path | None) -> None:
 def _own(
     console: Console, board: str, settings: Path | None, custom: Path | None
 ) -> dict[str, bytes]:
-    """Return the user's settings and Python, after the check."""
-    kept = contents.settings_files(board, settings) if settings else {}
+    """Return the files of the user's settings and Python by their paths on the board. Ends the
+    command if the Python fails its check."""
+    settings_files = contents.settings_files(board, settings) if settings else {}
     if settings:
         show_zeros(console, read_settings(settings).lines())
     if custom is None:
-        return kept
+        return settings_files
     surroundings = around(board, custom, None)
     if not judge(console, board, surroundings).is_good:
         raise failed("no file was written")
     assert surroundings.custom
-    return {**surroundings.custom.files, **kept}
+    return {**surroundings.custom.files, **settings_files}
 
 
 def _show(console: Console, file: Path, micropython: MicroPython, files: dict[str, bytes]) -> None:
@@ -131,9 +132,10 @@ def _show(console: Console, file: Path, micropython: MicroPython, files: dict[st
             ]
         )
     )
-    then = " All files stored on the board are lost." if files else _STAYS
+    warning = " All files stored on the board are lost." if files else _STAYS
+    todo = f"Hold BOOTSEL while you plug the board in, and drag the file onto {_DRIVES[chip]}."
     console.print(
-        f"Hold BOOTSEL while you plug the board in, and drag the file onto {_DRIVES[chip]}.{then}",
+        todo + warning,
         highlight=False,
         soft_wrap=True,
     )
@@ -143,5 +145,6 @@ def _frozen(micropython: MicroPython, files: dict[str, bytes]) -> list[tuple[str
     """Return a row that says which firmware runs, if one is frozen."""
     if not (frozen := micropython.frozen):
         return []
-    before = "; files on the board take priority" if START in files else ", which runs"
-    return [("frozen", f"build {frozen}{before}")]
+    # With a main.py among its files, a board runs those instead.
+    which = "; files on the board take priority" if START in files else ", which runs"
+    return [("frozen", f"build {frozen}{which}")]

@@ -91,7 +91,16 @@ def command(
             paths.write(save, page_files.page().encode())
             print(f"written: {save}; open it in Chrome or Edge")
             return
-        options = Options(port, baud, sim, board, settings, host, http, browser)
+        options = Options(
+            port=port,
+            baud=baud,
+            sim=sim,
+            board=board,
+            settings=settings,
+            host=host,
+            http=http,
+            browser=browser,
+        )
         _check(options)
         asyncio.run(_serve(options))
     except (SendError, ValueError, OSError) as error:
@@ -157,10 +166,10 @@ def _on_signals() -> asyncio.Event:
 
 
 def _address(host: str, port: int, token: str) -> str:
-    """Return the address to open in a browser."""
-    name = host.strip("[]")
+    """Return the address to open in a browser. host: as given to --host."""
+    name = host.strip("[]")  # an IPv6 address may be in brackets
     try:
-        if ipaddress.ip_address(name).is_unspecified:
+        if ipaddress.ip_address(name).is_unspecified:  # 0.0.0.0: every network
             name = _own_address()
     except ValueError:
         return _url(name, port, token)  # a host name

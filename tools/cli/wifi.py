@@ -22,16 +22,24 @@ def command(
     ] = None,
     open_: Annotated[bool, typer.Option("--open", help="The network has no password.")] = False,
     access_point: Annotated[
-        bool, typer.Option("--access-point", help="The board is the access point of that network.")
+        bool,
+        typer.Option(
+            "--access-point", help="Make the board the access point of a network of that name."
+        ),
     ] = False,
     host: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The board is found as NAME.local.")
+        str | None,
+        typer.Option(metavar="NAME", help="Name of the board in the network: NAME.local."),
     ] = None,
     tcp: Annotated[
         int | None, typer.Option(metavar="PORT", min=1, max=65535, help="TCP port, 23 by default.")
     ] = None,
     new_key: Annotated[
-        bool, typer.Option("--new-key", help="Create a new key; the old one becomes invalid.")
+        bool,
+        typer.Option(
+            "--new-key",
+            help="Create a new key for access over the network; the old one becomes invalid.",
+        ),
     ] = False,
     off: Annotated[bool, typer.Option("--off", help="Forget the network.")] = False,
 ) -> None:
@@ -48,12 +56,13 @@ def command(
     if off and name is not None:
         raise failed("use only one of --off and --name")
     password = _password(open_) if name is not None else None
+    # None leaves a value unchanged.
     wanted = wifi.Wanted(
-        name,
-        password,
-        None if name is None else not access_point,
-        host,
-        tcp,
+        name=name,
+        password=password,
+        is_station=None if name is None else not access_point,
+        host=host,
+        port=tcp,
     )
     try:
         lines = list(wifi.orders(wanted))
@@ -64,13 +73,13 @@ def command(
         if off:
             wifi.switch_off(connection)
         key = wifi.key(connection, new_key)
-        now = wifi.status(connection)
+        network = wifi.status(connection)
     console = Console()
     if lines or off:
         console.print(
             "stored on the board; it takes effect when the board restarts", soft_wrap=True
         )
-    console.print(f"network: {now}", highlight=False, soft_wrap=True)
+    console.print(f"network: {network}", highlight=False, soft_wrap=True)
     console.print(f"key:     {key}", highlight=False, soft_wrap=True)
 
 

@@ -24,12 +24,12 @@ def update(text: str) -> str:
 def words() -> dict[str, dict[str, Any]]:
     """Return the words by kind, then by number: text of errors and alarms; of settings name, text,
     unit, limits, whether the number is the first of one per axis, and default."""
-    rows = {m: list(table) for m, table in settings_file.tables().items()}
+    tables = {module: list(table) for module, table in settings_file.tables().items()}
     found: dict[str, dict[str, Any]] = {
         "errors": {str(number): text for number, text in messages.errors().items()},
         "alarms": {str(number): text for number, text in messages.alarms().items()},
         "settings": {
-            str(row[0]): _words(module, row) for module, table in rows.items() for row in table
+            str(row[0]): _words(module, row) for module, table in tables.items() for row in table
         },
     }
     for tool, module in _TOOLS.items():

@@ -6,30 +6,33 @@ from collections.abc import Iterator
 from .. import paths
 from .markdown import table
 
-# The machine API and its base class. Methods above the line are the extra's, not for handlers.
+# The machine API and its base class, with the comment that begins the methods for handlers.
 _API_MODULES = {"machine_api": "# Motion", "pin_api": "# Pins"}
-_KEEPERS = ("halt",)
+_NOT_FOR_HANDLERS = ("halt",)  # a method, though it is below the line
 
 
 def machine_api_table() -> str:
-    """Return every public method of m, with its docstring."""
+    """Return a table of what a handler may call of its machine, `m`, with the docstrings."""
     rows = [
         (f"`m.{_call(method)}`", " ".join((ast.get_docstring(method) or "").split()))
         for method in machine_api_methods()
     ]
-    kept = "A number or a text that is kept; `in`, `del` and `get(name, default)`."
+    kept = "A number or a text that stays stored without power; also `in`, `del` and "
+    kept += "`get(name, default)`."
     rows.append(("`m.keep[name]`", kept))
     return table(("Call", "What it does"), rows)
 
 
 def machine_api_methods() -> Iterator[ast.FunctionDef]:
     """Yield the methods that a handler may call."""
-    for module, line in _API_MODULES.items():
+    for module, heading in _API_MODULES.items():
         text = (paths.FIRMWARE / "extras" / "custom" / f"{module}.py").read_text(encoding="utf-8")
-        first = text[: text.index(line)].count("\n")
+        heading_line = text[: text.index(heading)].count("\n")
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.FunctionDef) and node.col_offset and node.lineno > first:
-                if node.name[0] != "_" and node.name not in _KEEPERS:
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            if node.col_offset and node.lineno > heading_line:  # indented: a method
+                if node.name[0] != "_" and node.name not in _NOT_FOR_HANDLERS:
                     yield node
 
 
@@ -40,6 +43,6 @@ def _call(method: ast.FunctionDef) -> str:
     names = [argument.arg for argument in method.args.args[1:]]
     defaults = [ast.unparse(default) for default in method.args.defaults]
     required = names[: len(names) - len(defaults)]
-    pairs = zip(names[len(required) :], defaults, strict=True)
-    optional = [f"{name}={default}" for name, default in pairs]
+    with_default = zip(names[len(required) :], defaults, strict=True)
+    optional = [f"{name}={default}" for name, default in with_default]
     return f"{method.name}({', '.join(required + optional)})"

@@ -22,8 +22,8 @@ def settings_table() -> str:
     comments = setting_comments()
     rows = []
     for number, _, kind, default, unit in settings._TABLE:
-        axes = range(3 if kind == settings.AXIS else 1)
-        names = " ".join(f"`${number + axis}`" for axis in axes)
+        count = 3 if kind == settings.AXIS else 1  # one each for X, Y and Z
+        names = " ".join(f"`${number + axis}`" for axis in range(count))
         rows.append((names, f"{default:g}", unit, as_code(comments[number])))
     return table(("Setting", "Default", "Unit", "Meaning"), rows)
 
@@ -72,7 +72,7 @@ def boards_table() -> str:
     for path in _board_files():
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
         if not text:
-            raise ValueError(f"{path} does not say what it is")
+            raise ValueError(f"{path} has no docstring: add one that says what it is")
         rows.append((f"`{path.name}`", text.splitlines()[0]))
     return table(("File", "Machine"), rows)
 
@@ -94,16 +94,17 @@ def pins_table() -> str:
 
 
 def _pins(board: Any, name: str, controls: tuple[str, ...]) -> str:
-    """Return the pins of a connection in a board file; "" if there are none."""
+    """Return the pins of a connection in a board file; "" if there are none. controls: the names
+    of the pins in its tuple CONTROL, in order."""
     if name in controls:
-        wired = getattr(board, "CONTROL", ())
-        place = controls.index(name)
-        held = wired[place] if place < len(wired) else None
+        control_pins = getattr(board, "CONTROL", ())
+        index = controls.index(name)
+        value = control_pins[index] if index < len(control_pins) else None
     else:
-        held = getattr(board, name, None)
-    if held is None:
+        value = getattr(board, name, None)
+    if value is None:
         return ""
-    return ", ".join(map(str, held)) if isinstance(held, tuple) else str(held)
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 # Differences from Grbl

@@ -16,6 +16,7 @@ def as_code(text: str) -> str:
 def table(header: Row, rows: Iterable[Row]) -> str:
     """Return a table in Markdown."""
     lines = [header, ("---",) * len(header), *rows]
+    escaped = "\\|"
     return "\n".join(
-        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines
+        f"| {' | '.join(cell.replace('|', escaped) for cell in line)} |" for line in lines
     )

@@ -14,10 +14,10 @@ from .pages import DOCS, ROOT
 
 FOLDER = DOCS / "pictures"
 MOST_BYTES = 100_000
-_WIDTH = 1200
+_MOST_WIDTH = 1200
 _COLOURS = 64
-_LOOK = (240, 206)  # dots at which two are compared
-_LIKE = 4.0  # of 255
+_COMPARED_SIZE = (240, 206)  # dots to which two pictures are reduced to be compared
+_MOST_DIFFERENCE = 4.0  # mean of a colour, of 255
 
 
 class Picture(NamedTuple):
@@ -79,10 +79,11 @@ def shrink(drawn: Path, file: Path, greys: bool = False) -> None:
 
     method = Image.Quantize.MEDIANCUT if greys else Image.Quantize.MAXCOVERAGE
     with Image.open(drawn) as image:
-        width = min(_WIDTH, image.width)
+        width = min(_MOST_WIDTH, image.width)
         size = (width, image.height * width // image.width)
         small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    few = small.quantize(_COLOURS * (1 + greys), method=method, dither=Image.Dither.NONE)
+    colours = 2 * _COLOURS if greys else _COLOURS
+    few = small.quantize(colours, method=method, dither=Image.Dither.NONE)
     file.parent.mkdir(exist_ok=True)
     few.save(file, optimize=True)
 
@@ -95,8 +96,8 @@ def same(file: Path, other: Path) -> bool:
     pair = []
     for path in (file, other):
         with Image.open(path) as image:
-            pair.append(image.convert("RGB").resize(_LOOK))
-    return max(ImageStat.Stat(ImageChops.difference(*pair)).mean) < _LIKE
+            pair.append(image.convert("RGB").resize(_COMPARED_SIZE))
+    return max(ImageStat.Stat(ImageChops.difference(*pair)).mean) < _MOST_DIFFERENCE
 
 
 def renew(fresh: Path, kept: Path) -> None:

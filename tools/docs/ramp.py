@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 NAME = "ramp.png"
 RECORDING = ROOT.parent / "shared/conformance/motion/04_line_y_20_feed_1000_accel_100.json"
-_AXIS = 1
-_PER_MM = 250
+_AXIS = 1  # Y, the only one that moves
+_STEPS_PER_MM = 250
 
 
 def grbl_ms() -> list[float]:
@@ -36,21 +36,24 @@ def grbl_ms() -> list[float]:
 
 
 def our_ms() -> list[float]:
-    """Return the times of the simulator's steps of the same program."""
+    """Return the times of the simulator's steps of the same program, in ms after the first one."""
     recorded = json.loads(RECORDING.read_text("utf-8"))
     paths.use_firmware()
     from motion.layout import ROW_AXES, ROW_STRIDE
 
     from ..sim.engine import step_tick
 
+    # Sends each line at once (0: no delay), and waits for its answer (None).
     def script(_link: ProgramLink) -> Iterator[tuple[int, bytes] | None]:
         for line in (*recorded["settings"], *recorded["program"]):
             yield 0, line.encode()
             yield None
 
+    # Called for each row of steps that the engine executes. start: its first tick.
     def trace(start: int, row: "array[int]") -> None:
-        base = ROW_AXES + ROW_STRIDE * _AXIS
-        ticks.extend(start + step_tick(row, base, k) for k in range(row[base]))
+        base = ROW_AXES + ROW_STRIDE * _AXIS  # of the axis, in the row: its number of steps
+        steps = row[base]
+        ticks.extend(start + step_tick(row, base, step) for step in range(steps))
 
     ticks: list[int] = []
     rig: "Rig" = machine.build("sim", lambda rig: ProgramLink(rig, script))
@@ -62,7 +65,7 @@ def our_ms() -> list[float]:
 def speeds(times_ms: Sequence[float]) -> tuple[list[float], list[float]]:
     """Return the middles of the intervals between steps, in ms, and their speeds, in mm/s."""
     middles = [(a + b) / 2 for a, b in pairwise(times_ms)]
-    return middles, [1000 / _PER_MM / (b - a) for a, b in pairwise(times_ms)]
+    return middles, [1000 / _STEPS_PER_MM / (b - a) for a, b in pairwise(times_ms)]
 
 
 def draw(file: Path) -> None:

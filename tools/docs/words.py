@@ -23,16 +23,18 @@ def _group_names() -> dict[int, str]:
     return {int(bit, 16): name for bit, name in _GROUP.findall(source("language/block_layout"))}
 
 
-def _taken(word: str, modal: "array[int]") -> "Block | None":
+def _block_of(word: str, modal: "array[int]") -> "Block | None":
     """Return the block that the interpreter makes of a word in that modal state; None if it
     refuses it."""
     from language.block import Block, read
 
     block = Block(b"XYZ", has_mist=True, has_override_control=True)
     line = bytearray(word.encode() + b"\0")
-    span = len(word) << 8  # the line's end, with its start, 0, in the lower byte
-    parts = block.ints, block.singles, block.xyz, block.axes
-    return None if read(line, span, modal, *parts, block.words) else block
+    start, end = 0, len(word)
+    span = end << 8 | start
+    parsed_values = block.ints, block.singles, block.xyz, block.axes  # read() fills them
+    error = read(line, span, modal, *parsed_values, block.words)  # 0: accepted
+    return None if error else block
 
 
 def _at_reset() -> "array[int]":
@@ -46,14 +48,14 @@ def _known(words: "Iterable[str]") -> list[str]:
     """Return those of the words that the interpreter accepts after a reset."""
     paths.use_firmware()
     modal = _at_reset()
-    return [word for word in words if _taken(word, modal)]
+    return [word for word in words if _block_of(word, modal)]
 
 
 def _group(word: str) -> str:
     """Return the modal group of a word, according to the interpreter."""
     from language.block_layout import COMMANDS
 
-    block = _taken(word, _at_reset())
+    block = _block_of(word, _at_reset())
     assert block
     return _group_names()[block.ints[COMMANDS]]
 
@@ -72,14 +74,18 @@ def m_words() -> list[str]:
 
 
 def _at_start(word: str) -> bool:
-    """Return whether a word is a mode that is active after a reset."""
+    """Return whether a word is a mode that is active after a reset: it sets a modal value to the
+    one that is there after a reset."""
     from control.modes import MODAL_LENGTH, MODAL_ROOM, PROGRAM_FLOW
 
-    other = array("i", [99] * MODAL_LENGTH + [0] * (MODAL_ROOM - MODAL_LENGTH))
-    block = _taken(word, other)
+    no_mode = 99  # the value of no mode, so that every change is seen
+    before = array("i", [no_mode] * MODAL_LENGTH + [0] * (MODAL_ROOM - MODAL_LENGTH))
+    block = _block_of(word, before)
     assert block
-    set_to = {i: block.ints[i] for i in range(MODAL_LENGTH) if block.ints[i] != other[i]}
-    return any(i != PROGRAM_FLOW and _at_reset()[i] == value for i, value in set_to.items())
+    # A block's first integers are the modal values after it.
+    set_to = {i: block.ints[i] for i in range(MODAL_LENGTH) if block.ints[i] != before[i]}
+    at_reset = _at_reset()
+    return any(i != PROGRAM_FLOW and at_reset[i] == value for i, value in set_to.items())
 
 
 def _words_table(words: list[str], meanings: dict[str, str]) -> str:
@@ -132,8 +138,9 @@ def realtime_table() -> str:
         overrides._SPINDLE: "Spindle speed",
     }
     for number, (which, change) in overrides._OVERRIDES.items():
-        sets = which == overrides._RAPID or change == 0
-        amount = f"{change or 100} % of normal" if sets else f"{change:+d} %"
+        # Rapids are set to a percentage; the others are changed by it, and by 0 set to 100 %.
+        is_absolute = which == overrides._RAPID or change == 0
+        amount = f"{change or 100} % of normal" if is_absolute else f"{change:+d} %"
         rows.append((_byte(number), f"{names[which]}: {amount}."))
     rows.append((_byte(overrides._SPINDLE_STOP), "Spindle stop, on and off; in a hold only."))
     rows.append((_byte(overrides._FLOOD_TOGGLE), "Flood coolant on and off."))

@@ -5,7 +5,7 @@ import ast
 from .. import paths
 
 # The annotation of tables of settings.
-_KIND = "Rows"
+_TABLE_TYPE = "Rows"  # of a module's tables of settings
 
 
 def source(module: str) -> str:
@@ -14,16 +14,17 @@ def source(module: str) -> str:
 
 
 def above(module: str, line: int, what: str) -> str:
-    """Return the comment that ends above a line; only its part after an empty comment line."""
-    words: list[str] = []
+    """Return the comment that ends above a line (from 1) as one line; only its part after an empty
+    comment line. ValueError if there is none: `what` lacks it."""
+    lines_of_comment: list[str] = []
     for text in reversed(source(module).splitlines()[: line - 1]):
         comment = text.strip()
         if not comment.startswith("# "):
-            break
-        words.insert(0, comment[2:])
-    if not words:
+            break  # no comment, or an empty line of it
+        lines_of_comment.insert(0, comment[2:])
+    if not lines_of_comment:
         raise ValueError(f"{what} has no comment above it in {module}.py")
-    return " ".join(words)
+    return " ".join(lines_of_comment)
 
 
 def setting_comments(module: str = "base/settings") -> dict[int, str]:
@@ -31,7 +32,7 @@ def setting_comments(module: str = "base/settings") -> dict[int, str]:
     missing."""
     found: dict[int, str] = {}
     for node in ast.parse(source(module)).body:
-        if isinstance(node, ast.AnnAssign) and _KIND in ast.unparse(node.annotation):
+        if isinstance(node, ast.AnnAssign) and _TABLE_TYPE in ast.unparse(node.annotation):
             assert isinstance(node.value, ast.Tuple)
             for row in node.value.elts:
                 assert isinstance(row, ast.Tuple)

@@ -32,7 +32,7 @@ class CustomCodes:
     def __init__(self, text: str = "") -> None:
         self.text = text
         self.is_cut = len(text) >= _LONGEST
-        self._names = text.split(", ")[: -1 if self.is_cut else None]
+        self._names = text.split(", ")[: -1 if self.is_cut else None]  # the last one may be cut
 
     @classmethod
     def read(cls, lines: Iterable[str]) -> "CustomCodes":
@@ -42,11 +42,11 @@ class CustomCodes:
 
     def word_in(self, line: bytes) -> str:
         """Return the first of the machine's words on a line, M6 if it changes tools; "" if there
-        is none."""
-        found = _words(line)
+        is none. A word may have parts, "M62 P3", all of which must be on the line."""
+        on_line = _words(line)
         for name in self._names:
             word = "M6" if name == "on.tool_change" else name
-            if word[:1] in "MG" and all(part in found for part in word.split()):
+            if word[:1] in "MG" and all(part in on_line for part in word.split()):
                 return word
         return ""
 
@@ -55,10 +55,11 @@ class CustomCodes:
         known."""
         if word := self.word_in(line):
             return word
-        found = [*_words(line), *(word[0] for word in _words(line)), _code(line)]
+        # What the patterns of events describe: a word, its letter, or the whole line ($H).
+        texts = [*_words(line), *(word[0] for word in _words(line)), _code(line)]
         for name, pattern in _EVENTS.items():
-            if name in self._names or self.is_cut:
-                if any(re.fullmatch(pattern, word) for word in found):
+            if name in self._names or self.is_cut:  # an incomplete list may lack the event
+                if any(re.fullmatch(pattern, text) for text in texts):
                     return name
         return ""
 

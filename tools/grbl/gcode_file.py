@@ -25,7 +25,7 @@ _SHOWN = 120
 # As Grbl reads them: a comment in parentheses may be left open, and ; begins a comment outside of
 # them.
 _COMMENT = re.compile(rb"\([^)]*\)?|;.*", re.DOTALL)
-_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+_UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _DASHES = "\u2212\u2013\u2014\u2010\u2011\uff0d"  # of word processors and web pages
 _ENDS = b"%"  # of a paper tape
 _FOREIGN = re.compile(
@@ -40,8 +40,8 @@ _LANGUAGES = {
         rb"^(?:N\d+)?(?:M(?:8[234]|10[4-9]|117|140|190|20[1-5]|22[01])(?!\d)|G29(?!\d)|G0*[01]\D.*E-?\.?\d)"
     ),
 }
-_MARK = b"\xef\xbb\xbf"  # the mark with which some editors begin a file in UTF-8
-_NAMES = {
+_UTF_8_MARK = b"\xef\xbb\xbf"  # the mark with which some editors begin a file in UTF-8
+_EFFECTS = {
     b"?": "the question mark asks for a status report",
     b"~": "~ is a cycle start",
     b"!": "! is a feed hold",
@@ -80,8 +80,8 @@ def read_utf8(path: Path) -> bytes:
     """Return the content of a file as read_bytes(), but converted to UTF-8 if its first two bytes
     mark UTF-16. ValueError if the encoding is broken."""
     data = read_bytes(path)
-    if data[:2] not in _UTF_16:
-        return data.removeprefix(_MARK)
+    if data[:2] not in _UTF_16_MARKS:
+        return data.removeprefix(_UTF_8_MARK)
     try:
         return data.decode("utf-16").encode()
     except UnicodeDecodeError as error:
@@ -189,19 +189,22 @@ def problems(lines: Iterable[bytes]) -> list[Problem]:
     """Return the lines with bytes that a Grbl would execute at once."""
     found = []
     for number, line in enumerate(lines, 1):
-        if not (act := _REALTIME.search(line)):
+        if not (anywhere := _REALTIME.search(line)):
             continue
-        if code := _REALTIME.search(without_comments(line)):
-            found.append(Problem(number, _what(without_comments(line), code[0]), False))
+        code = without_comments(line)
+        if in_code := _REALTIME.search(code):
+            found.append(Problem(number, _effect(code, in_code[0]), in_comment=False))
         else:
-            found.append(Problem(number, f"{_what(line, act[0])} in a comment", True))
+            effect = f"{_effect(line, anywhere[0])} in a comment"
+            found.append(Problem(number, effect, in_comment=True))
     return found
 
 
-def _what(line: bytes, byte: bytes) -> str:
+def _effect(line: bytes, byte: bytes) -> str:
     """Return in words what a byte of this line would do, if it is sent."""
-    if byte in _NAMES:
-        return _NAMES[byte]
+    if byte in _EFFECTS:
+        return _EFFECTS[byte]
+    # Another byte from 0x80 on, which is a part of a character in UTF-8 or Latin-1.
     sign = next((sign for sign in text(line) if not sign.isascii()), "")
     if sign and sign in _DASHES:
         return f"{sign!r} is no minus sign: write -"

@@ -32,11 +32,12 @@ class Lines(Sequence[bytes]):
 
     def __init__(self, data: bytes) -> None:
         self._data = data
-        ends = (match.end() for match in LINE_END.finditer(data))
-        self._begin = array("Q" if len(data) >> 32 else "I", chain((0,), ends))
-        if self._begin[-1] < len(data):
-            self._begin.append(len(data))
-        self._numbers = range(len(self._begin) - 1)
+        line_ends = (match.end() for match in LINE_END.finditer(data))
+        # Where each line begins in the data, and where the last one ends. Four bytes each.
+        self._starts = array("Q" if len(data) >> 32 else "I", chain((0,), line_ends))
+        if self._starts[-1] < len(data):  # the last line has no line end
+            self._starts.append(len(data))
+        self._numbers = range(len(self._starts) - 1)  # of the lines in this sequence, from 0
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -49,20 +50,21 @@ class Lines(Sequence[bytes]):
         """Return a line without its end; for a slice, Lines of the same data."""
         if isinstance(index, slice):
             part = Lines(b"")
-            part._data, part._begin, part._numbers = self._data, self._begin, self._numbers[index]
+            part._data, part._starts = self._data, self._starts
+            part._numbers = self._numbers[index]
             return part
         number = self._numbers[index]
-        return self._data[self._begin[number] : self._begin[number + 1]].rstrip(b"\r\n")
+        return self._data[self._starts[number] : self._starts[number + 1]].rstrip(b"\r\n")
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield the lines; many at once are split faster than one by one."""
         numbers = self._numbers
-        if numbers.step != 1:
+        if numbers.step != 1:  # a slice with a step: lines that are not in a row
             yield from map(self.__getitem__, range(len(self)))
             return
         for first in range(numbers.start, numbers.stop, _PIECE):
             last = min(first + _PIECE, numbers.stop)
-            yield from split_lines(self._data[self._begin[first] : self._begin[last]])
+            yield from split_lines(self._data[self._starts[first] : self._starts[last]])
 
 
 class Changed(Sequence[bytes]):

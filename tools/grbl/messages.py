@@ -9,28 +9,30 @@ from functools import cache
 from ..paths import FIRMWARE
 from .gcode_file import without_comments
 
-_ROW = re.compile(r"((?:^#.*\n)+)^(ALARM_)?[A-Z_]\w* = const\((\d+)\)", re.MULTILINE)
+# A constant and the comment above it: comment, ALARM_ or "", number.
+_CONSTANT = re.compile(r"((?:^#.*\n)+)^(ALARM_)?[A-Z_]\w* = const\((\d+)\)", re.MULTILINE)
 _REPLY = re.compile(r"(error|ALARM):(\d+)")
 # Grbl reads a number up to its comma, and reports the rest in one of these ways.
-_OF_A_COMMA = ("error:1", "error:2", "error:3")
-_COMMA = re.compile(rb",\d")
+_AFTER_DECIMAL_COMMA = ("error:1", "error:2", "error:3")
+_DECIMAL_COMMA = re.compile(rb",\d")
 _SETTING = re.compile(r"\s*(\$\d+)\s*=")
 # In answer to a line that is not a command, it comes only from a handler of the user's Python.
-_OF_A_COMMAND = "error:3"
+_INVALID_COMMAND = "error:3"
 _REFUSED = " was refused with "
-_OF_A_HANDLER = "the machine's own Python (custom.py) refuses it; its message before says why"
+_HANDLER_REFUSES = "the machine's own Python (custom.py) refuses it; its message before says why"
 
 
 @cache
 def _table() -> dict[tuple[str, int], str]:
-    """Return the meanings by kind (`error` or `ALARM`) and number: the firmware's comments."""
+    """Return the meanings by kind (`error` or `ALARM`) and number: the comments above the
+    constants in base/errors.py, and above the alarms of extras."""
     errors = (FIRMWARE / "base" / "errors.py").read_text(encoding="utf-8")
     found = {
         ("ALARM" if alarm else "error", int(number)): _words(comment)
-        for comment, alarm, number in _ROW.findall(errors)
+        for comment, alarm, number in _CONSTANT.findall(errors)
     }
     for file in sorted((FIRMWARE / "extras").rglob("*.py")):
-        for comment, alarm, number in _ROW.findall(file.read_text(encoding="utf-8")):
+        for comment, alarm, number in _CONSTANT.findall(file.read_text(encoding="utf-8")):
             if alarm:
                 found["ALARM", int(number)] = _words(comment)
     return found
@@ -65,12 +67,13 @@ def refused(words: str) -> str:
 def meaning(reply: str, line: str = "") -> str:
     """Return the meaning of a reply such as `error:20` or `ALARM:1`. line: the line it answers, if
     known."""
-    if reply in _OF_A_COMMA and _COMMA.search(without_comments(line.encode())):
+    if reply in _AFTER_DECIMAL_COMMA and _DECIMAL_COMMA.search(without_comments(line.encode())):
         return "A number is written with a decimal point, not a comma."
-    if reply == _OF_A_COMMAND and (setting := _SETTING.match(line)):
+    if reply == _INVALID_COMMAND and (setting := _SETTING.match(line)):
         return f"There is no setting {setting[1]} here, or more than a number follows the =."
-    if reply == _OF_A_COMMAND and line.strip()[:1] not in ("", "$"):
-        return _OF_A_HANDLER
+    is_command = line.strip()[:1] in ("", "$")  # or the line is not known
+    if reply == _INVALID_COMMAND and not is_command:
+        return _HANDLER_REFUSES
     if ": " in reply:
         return reply.partition(": ")[2]  # Grbl 0.9 sends the meaning itself
     match = _REPLY.fullmatch(reply)

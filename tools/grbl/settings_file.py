@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from base.settings import Row, Rows
 
 AXES = "XYZABC"
-SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
+SIGNED = {*range(170, 180), 780, 781, 782}  # may be negative: squaring offsets, skew
 # Meaning of 0, which Grbl accepts, by the number without the axis.
 _ZEROS = {
     "10": "0 steps/mm for",
     "11": "a highest rate of 0 for",
     "12": "an acceleration of 0 for",
 }
+# $10x to $12x of 0: the number without the axis, and the axis.
 _ZERO = re.compile(r"\$(1[012])([0-5])=(?:0+\.?0*|\.0+)")
 
 # A setting, also with a comment: number and value.
@@ -36,11 +37,10 @@ _IGNORED = re.compile(r"(?:[;(\[#>].*|ok|%|\$\$|\$N\d=)?", re.IGNORECASE)
 _VERSION = re.compile(r"\[(?:VER:)?(\d+\.\d+)(\w*)\.(\d+):([^\]]*)\]")
 _OPTIONS = re.compile(r"\[OPT:([^\]]*)\]")
 # Bytes that act even in a comment are replaced in texts about settings.
-_NO_COMMENT = str.maketrans({"?": ".", "!": ".", "~": "-", "`": None})
+_WITHOUT_REALTIME = str.maketrans({"?": ".", "!": ".", "~": "-", "`": None})
 _MARK = "\ufeff"  # the mark with which some editors begin a file in UTF-8
-# Grbl computes in single precision.
-_SAME = 1e-6
-_SHOWN = 0.0006
+_SAME_RATIO = 1e-6  # a greater difference is one in single precision, in which Grbl computes
+_SAME_DECIMALS = 0.0006  # a greater difference is one in the three decimals that Grbl prints
 
 
 class SettingsError(Exception):
@@ -68,7 +68,7 @@ class Firmware:
 
     @classmethod
     def read(cls, lines: Iterable[str]) -> "Firmware":
-        """Find it in lines, those of $I or of a file."""
+        """Find it in lines, those of $I or of a file; what is not there stays ""."""
         found = cls()
         for line in lines:
             if match := _VERSION.search(line):
@@ -103,7 +103,7 @@ class Settings:
         for number, line in enumerate(text.splitlines(), 1):
             match = SETTING.fullmatch(line.strip())
             if match:
-                _take(settings.values, number, int(match[1]), match[2])
+                _store(settings.values, number, int(match[1]), match[2])
             elif not _IGNORED.fullmatch(line.strip()):
                 raise SettingsError(f"line {number} is no setting: {line.strip()}")
         return settings
@@ -136,7 +136,7 @@ def read_settings(file: Path) -> Settings:
     except SettingsError as error:
         raise SettingsError(f"{name}: {error}") from error
     if not settings.values:
-        raise SettingsError(f"{name}: it holds no settings, lines of $n=v")
+        raise SettingsError(f"{name} has no settings (lines of the form $n=v)")
     return settings
 
 
@@ -153,13 +153,13 @@ class Change(NamedTuple):
         return {**self._asdict(), "name": said.name, "unit": said.unit}
 
 
-def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
-    """Store a setting. SettingsError names its line if it is invalid or repeated."""
+def _store(values: dict[int, str], line: int, number: int, value: str) -> None:
+    """Add a setting to values. SettingsError names its line if it is invalid or repeated."""
     try:
-        good = isfinite(float(value)) and (float(value) >= 0 or number in SIGNED)
+        is_valid = isfinite(float(value)) and (float(value) >= 0 or number in SIGNED)
     except ValueError:
-        good = False
-    if not good:
+        is_valid = False
+    if not is_valid:
         raise SettingsError(f"line {line}: ${number} cannot be {value or 'nothing'}")
     if number in values:
         raise SettingsError(f"line {line}: ${number} is there twice")
@@ -198,10 +198,10 @@ def of_tool(name: str) -> "Rows":
 def row_meaning(module: str, row: "Row") -> Meaning:
     """Return the meaning of a row of a module's table; for all axes if it has a value per axis."""
     number, _, kind, _, unit = row
-    comment = setting_comments(module)[number].translate(_NO_COMMENT)
-    name, _, text = comment.partition(". ")
+    comment = setting_comments(module)[number].translate(_WITHOUT_REALTIME)
+    name, _, text = comment.partition(". ")  # its first sentence, and the rest
     if is_per_axis(row):
-        name, _, more = name.partition(", one value per axis")
+        name, _, more = name.partition(", one value per axis")  # true of the row only
         more = more.strip(",. ").capitalize()  # such as: from the homing switch
         text = " ".join(part for part in (more and f"{more}.", text) if part)
     return Meaning(
@@ -230,12 +230,12 @@ def _table() -> dict[int, Meaning]:
     table = {}
     for module, rows in tables().items():
         for row in rows:
-            text = row_meaning(module, row)
-            if is_per_axis(row):
+            number, text = row[0], row_meaning(module, row)
+            if is_per_axis(row):  # $100 for X, $101 for Y
                 for axis, letter in enumerate(AXES):
-                    table[row[0] + axis] = text._replace(name=f"{text.name} {letter}")
+                    table[number + axis] = text._replace(name=f"{text.name} {letter}")
             else:
-                table[row[0]] = text
+                table[number] = text
     return table
 
 
@@ -258,10 +258,10 @@ def as_line(text: str) -> str:
 def zeros(lines: Iterable[str]) -> list[str]:
     """Return in words which settings are 0, `$100=0`, so that an axis does not move as it
     should."""
-    found = filter(None, map(_ZERO.fullmatch, lines))
+    matches = filter(None, map(_ZERO.fullmatch, lines))
     return [
-        f"{line[0]} means {_ZEROS[line[1]]} {AXES[int(line[2])]}: it will not move as it should"
-        for line in found
+        f"{match[0]} means {_ZEROS[match[1]]} {AXES[int(match[2])]}: it will not move as it should"
+        for match in matches
     ]
 
 
@@ -279,7 +279,7 @@ def same(one: str, other: str) -> bool:
         a, b = float(one), float(other)
     except ValueError:
         return one == other
-    return abs(a - b) <= max(_SHOWN, _SAME * max(abs(a), abs(b)))
+    return abs(a - b) <= max(_SAME_DECIMALS, _SAME_RATIO * max(abs(a), abs(b)))
 
 
 def changes(machine: Mapping[int, str], wanted: Mapping[int, str]) -> list[Change]:
@@ -299,17 +299,20 @@ def check_known(numbers: Iterable[int], known: Iterable[int]) -> None:
 
 
 def check_fit(file: Settings, machine: Settings, any_version: bool, complete: bool) -> None:
-    """Raise SettingsError if a file is not for this machine. complete: it must have all
-    settings."""
-    theirs, ours = file.firmware, machine.firmware
+    """Raise SettingsError if a file is not for this machine. any_version: it may be from another
+    version of Grbl. complete: it must have all settings that the machine has."""
+    of_file, of_machine = file.firmware, machine.firmware
     if not any_version:
-        if not theirs.version:
+        if not of_file.version:
             raise SettingsError(
                 "the file does not say which Grbl it is for; if it fits "
-                f"{ours}, say so with --any-version"
+                f"{of_machine}, say so with --any-version"
             )
-        if theirs.version != ours.version:
-            raise SettingsError(f"the file is for {theirs}, the machine runs {ours}")
+        if of_file.version != of_machine.version:
+            raise SettingsError(
+                f"the file is for {of_file}, but the machine runs {of_machine}; if it fits, say "
+                "so with --any-version"
+            )
     check_known(file.values, machine.values)
     missing = sorted(machine.values.keys() - file.values.keys())
     if complete and missing:

@@ -67,7 +67,7 @@ def _note(
     name; letters: of a word's parameters, "" for an event; sync: see mcode().
     """
     if sync is not True and sync is not False and sync is not None:  # refuses 0 and 1, too
-        raise TypeError("sync is True, False or None, not %r" % (sync,))
+        raise TypeError("sync must be True, False or None, not %r" % (sync,))
 
     def note(function: "Function") -> "Function":
         """Note the function, and return it."""

@@ -140,5 +140,5 @@ class PinApi:
 def _index(names: "list[str]", name: str, kind: str) -> int:
     """Return a pin's index in names. kind: "output" or "input", for the message of ValueError."""
     if name not in names:
-        raise ValueError("the board file names no %s %s" % (kind, name))
+        raise ValueError("the board file has no %s named %s" % (kind, name))
     return names.index(name)

@@ -108,7 +108,7 @@ class Runner:
         slow_ms, self.machine_api.slow_ms = self.machine_api.slow_ms, 0
         if slow_ms >= _SLOW_MS and what not in self._reported_slow:
             self._reported_slow.append(what)
-            self._cnc.message("%s ran for %d ms without calling m" % (what, slow_ms))
+            self._cnc.message("%s ran for %d ms without calling a method of m" % (what, slow_ms))
 
     # Failing
 

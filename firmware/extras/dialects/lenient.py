@@ -42,8 +42,8 @@ _MESSAGES = {
     "G4 S": "taken as a dwell in seconds",
     "G61.1": "ignored",
     "G64": "ignored: $11 sets the speed in corners",
-    "G80": "ignored with a motion on the line",
-    "G98": "cycles return to the Z before the first one",
+    "G80": "ignored, because the line has a motion",
+    "G98": "cycles return to the Z that was before the first cycle",
     "G99": "cycles return to R",
     "M6": "pauses with the spindle off; ~ resumes",
     "M204": "ignored: $120, $121, $122 set the acceleration",
@@ -100,7 +100,9 @@ class Lenient:
 
     def _why_no_entry(self) -> str:
         """Return why a program cannot be entered here, "" if it can. See Cnc.entries."""
-        return "that line is within a drilling cycle" if self._drilling.cycle else ""
+        if self._drilling.cycle:
+            return "the line is inside a drilling cycle: start before it"
+        return ""
 
     def execute(self, line: bytearray, length: int) -> None:
         """Execute a line, as Interpreter.execute().

@@ -172,7 +172,7 @@ class Jobs:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._existing_name(name)
         if in_middle and not self._machine.homing_probing.homed:
-            self._run.report(name, "to start at a line in it, home first ($H)")
+            self._run.report(name, "to start at a line within the job, home first ($H)")
             raise GrblError(errors.INVALID_STATEMENT)
         self._run.request(name, line)
 

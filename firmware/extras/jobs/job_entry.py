@@ -119,7 +119,7 @@ class Entry:
         coords, state = machine.coords, machine.state
         motions = machine.interpreter.motions
         if start[1][MOTION] in motions:
-            raise CannotEnter("the job begins within a canned cycle")
+            raise CannotEnter("a canned cycle is still active where the job begins")
         cycles = [(motion, motion.kept) for motion in motions.values()]
         state_before = in_force(machine)
         offsets_before, self._offsets_at_line = array("f", coords.offsets), systems
@@ -195,7 +195,7 @@ class Entry:
         machine.protocol.pump()
         pending = machine.state.pending
         if pending[st.FEED_HOLD] or pending[st.SAFETY_DOOR] or pending[st.SLEEP_REQUEST]:
-            raise CannotEnter("a hold, the door or sleep interrupted it")
+            raise CannotEnter("the start was interrupted by a hold, door or sleep")
         machine.realtime.handle_events()
 
     def _check_line(self, line: bytearray, length: int, number: int) -> None:
@@ -208,9 +208,10 @@ class Entry:
             if _ZERO <= line[1] <= _NINE:
                 self._check_setting(line, number)
                 return
-            raise CannotEnter("line %d is a $ command: its effect is not known" % number)
+            raise CannotEnter("line %d is a $ command of unknown effect: start before it" % number)
         if self._cnc.has_word(line, length):
-            raise CannotEnter("line %d has a custom word: its effect is not known" % number)
+            text = "line %d has a custom word of unknown effect: start before it"
+            raise CannotEnter(text % number)
         try:
             machine.state.hooks.execute(line, length)
         except GrblError as reason:
@@ -219,7 +220,7 @@ class Entry:
             raise CannotEnter("line %d ends the program" % number)
         modes = machine.modes
         if modes.modal[MOTION] >= PROBE_TOWARD:  # G38.2 to G38.5, the highest modes
-            raise CannotEnter("line %d probes: its end position is not known" % number)
+            raise CannotEnter("line %d probes, so its end is unknown: start before it" % number)
         if modes.position[_Z] > self._highest_z:
             self._highest_z = modes.position[_Z]
 
@@ -229,7 +230,7 @@ class Entry:
         _, value = bare(line, end + 1)
         for known, amount, _ in self._machine.settings.each():
             if known == setting and differs(amount, value):
-                text = "line %d sets $%d, which has another value now"
+                text = "line %d sets $%d, which differs now: set it first"
                 raise CannotEnter(text % (number, known))
 
     def _check_homed(self, here: "list[float]") -> None:
@@ -290,7 +291,7 @@ class Entry:
         position, here = self._state_at_line[0], self._machine.modes.position
         for axis in range(len(position)):
             if self._in_steps(axis, here[axis]) != self._in_steps(axis, position[axis]):
-                raise CannotEnter("the tool is not at the line's position")
+                raise CannotEnter("the tool is not where the start line begins")
         coords = self._machine.coords
         for i in range(len(self._offsets_at_line)):
             if list(coords.systems[i]) != list(self._offsets_at_line[i]):

@@ -340,7 +340,7 @@ class JobRun:
             self._feed.drop()
             if self._file_to_enter:
                 self._close_file_to_enter()
-                self.report(self._name, "stopped on the move to its start")
+                self.report(self._name, "stopped while moving to the start line")
             else:
                 self._store_line(line)
                 self.report(self._name, "stopped at line %d" % line)

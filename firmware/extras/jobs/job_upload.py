@@ -72,7 +72,7 @@ class Upload:
     def _check(self, name: str, size: int) -> None:
         """Refuse a file by a message and GrblError if its name or size (bytes) is impossible."""
         if not self._files.is_name(name):
-            self._refuse("A job name has letters, digits, . _ -, at most 32")
+            self._refuse("A job name may have up to 32 letters, digits, . _ -")
         room_kb = self._files.free_kb()
         if size <= 0 or size > room_kb * 1024:
             text = "%s has %d bytes, but only %d kB are free"

@@ -27,7 +27,7 @@ def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
     positions do not follow from the motors'.
     """
     if len(words) > axes:
-        raise ValueError("MOVES has %d words, but there are %d axes" % (len(words), axes))
+        raise ValueError("MOVES has %d entries, but there are %d axes" % (len(words), axes))
     moves = [_motor(word, axes) for word in words] + [1 << i for i in range(len(words), axes)]
     # The columns of the matrix, one per axis, must be orthogonal: then its transpose inverts it.
     for axis in range(axes):
@@ -37,7 +37,7 @@ def parse_words(words: "Sequence[str]", axes: int) -> "list[int]":
                 raise ValueError("MOVES: no motor moves %s" % LETTERS[axis])
             if axis != other and product_of_columns:
                 pair = LETTERS[other], LETTERS[axis]
-                raise ValueError("MOVES: %s and %s cannot move alone" % pair)
+                raise ValueError("MOVES: %s and %s cannot be moved independently" % pair)
     return moves
 
 

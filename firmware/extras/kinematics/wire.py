@@ -81,7 +81,7 @@ class WireCanon(RotaryCanon):
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Select planner, canon and the letters of axes. ValueError if the board file is wrong."""
     if options.axes != _AXES:
-        raise ValueError("XYUV needs four motors, those of X, Y, U and V, in STEP and DIR")
+        raise ValueError("XYUV needs four pins in STEP and in DIR: for X, Y, U and V")
     for word in _EXCLUDED:
         if board.__dict__.get(word):
             raise ValueError("XYUV and %s are not for the same machine" % word)

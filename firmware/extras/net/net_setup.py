@@ -65,7 +65,7 @@ def _check_host(text: str) -> str:
     """Return "" if the text is a host name, else what it must be."""
     if _has_only(text, _HOST_CHARACTERS) and text[0] != "-" and len(text) <= _LONGEST_HOST:
         return ""
-    return "A host name has letters, digits and -, at most 31"
+    return "A host name may have up to 31 letters, digits and -"
 
 
 def _check_port(text: str) -> str:

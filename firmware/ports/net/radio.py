@@ -61,6 +61,9 @@ class Radio:
         """Return the radio's state as text: kind, address, host name; the network's name and
         password are secret."""
         if self._is_station and not self._wlan.isconnected():
-            return "station, no network yet (%d), %s.local" % (self._wlan.status(), self._host)
+            return "station, not connected yet (status %d), %s.local" % (
+                self._wlan.status(),
+                self._host,
+            )
         kind = "station" if self._is_station else "access point"
         return "%s, %s, %s.local" % (kind, self._wlan.ifconfig()[0], self._host)
