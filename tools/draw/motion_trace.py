@@ -135,7 +135,8 @@ class MotionTrace(Paced):
         # Speed at the end and block of each segment that waits in the engine, by its row's id().
         self._plans: dict[int, tuple[float, int]] = {}
         self._port = rig.port
-        self._add_block(0, False, [0.0 for _ in self._motors])  # block 0, a standstill
+        # Block 0, a standstill.
+        self._add_block(line=0, rapid=False, per_mm=[0.0 for _ in self._motors])
 
     def start_clock(self) -> None:
         """Start the clock at the beginning of the program; segments before, of settings and
@@ -143,7 +144,7 @@ class MotionTrace(Paced):
         super().start_clock()
         self.motion.forget()
         self._start_tick = self._rig.now
-        self._add(0.0, 0.0, 0, self._to_mm(self._place))
+        self._add_standing(0.0, self._to_mm(self._place))
 
     def _attach(self) -> None:
         """Attach to the machine, as Paced._attach(), also to the generator of segments: the engine
@@ -196,16 +197,20 @@ class MotionTrace(Paced):
         after it was executed."""
         if not self.motion.time_s:  # the first one, without start_clock()
             self._start_tick = start
-            self._add(0.0, 0.0, 0, [0.0 for _ in self._axes])
+            self._add_standing(0.0, [0.0 for _ in self._axes])
         hz = self._rig.engine.tick_hz
         speed, block = self._plans.get(id(row), (0.0, 0))
         begin = (start - self._start_tick) / hz
         motion = self.motion
         if len(motion) and begin - motion.time_s[-1] > _REST_S:  # a standstill before it
             place = [column[-1] for column in motion.place]
-            self._add(motion.time_s[-1], 0.0, 0, place)
-            self._add(begin, 0.0, 0, place)
+            self._add_standing(motion.time_s[-1], place)
+            self._add_standing(begin, place)
         self._add(begin + row[self._layout.ROW_TICKS] / hz, speed, block, at)
+
+    def _add_standing(self, time_s: float, at: Sequence[float]) -> None:
+        """Add a row of a standstill: time, position in mm."""
+        self._add(time_s, 0.0, 0, at)
 
     def _add(self, time_s: float, speed: float, block: int, at: Sequence[float]) -> None:
         """Add a row: time, speed in mm/s, block, position in mm; power as it is now."""

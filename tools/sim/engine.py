@@ -105,7 +105,7 @@ class Switch:
         # It changes only between these two positions: try each step between them.
         low, high = self.steps - 2 * self.bounces - 1, self.steps + 2 * self.bounces + 1
         nearer_end = low if sign > 0 else high
-        made = max(0, (nearer_end - start) * sign)
+        made = max(0, (nearer_end - start) * sign)  # steps from start
         most = (high - low) + abs(nearer_end - start)  # after more steps, it has been passed
         while made < abs(end - start):
             made += 1

@@ -61,7 +61,7 @@ class FullSegments:
             row[ROW_TICKS] += flow[SPARE_TICKS] - spare_before
             self._end_with_step(row, is_new_block)
             self._set_step_ticks(row, phases)
-        elif not flow[SPARE_TICKS]:
+        elif not flow[SPARE_TICKS]:  # it ended on a step: no block goes on
             self._spares.clear()
         return has_segment
 

@@ -97,6 +97,7 @@ class SimLink:
         """Deliver to the sender the bytes whose time on the wire has passed."""
         now = self._rig.now
         if self._tx and self._tx_due <= now:
+            # The first byte arrives at _tx_due, each further one _tx_ticks later.
             count = min(len(self._tx), (now - self._tx_due) // self._tx_ticks + 1)
             self.received.extend(self._tx[:count])
             self._tx = self._tx[count:]
@@ -104,7 +105,7 @@ class SimLink:
             self._tx_due += count * self._tx_ticks
 
     def power_off(self) -> None:
-        """Lose the bytes in transit."""
+        """Lose the bytes in transit, in both directions."""
         self._rx = bytearray()
         self._tx = bytearray()
 

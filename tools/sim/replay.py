@@ -109,7 +109,7 @@ class _Case:
             for part, items in (("setup", self.case["setup"]), ("steps", self.case["steps"])):
                 for item in items:
                     step = item
-                    if not isinstance(item, dict):  # the short form: a line and its answer
+                    if not isinstance(item, dict):  # the short form: [line, its answer]
                         step = {"send": item[0] + "\n", "wait": "ok", "t_ms": 0}
                     current = self.begin(part)
                     yield from self.step(step)
@@ -144,7 +144,7 @@ class _Case:
         observed["lines"] = self.sender.take()
         observed["partial"] = self.sender.partial()
         before = list(self.place)
-        self.rig.engine.physical(self.place)
+        self.rig.engine.physical(self.place)  # stores the steps now
         observed["moved"] = [self.place[i] - before[i] for i in range(len(before))]
         # The exact position's distance from the closest whole step of the longest axis, in steps.
         since_step = self.rig.controller.planner.flow[PARTIAL_STEP] / _PARTIAL_STEP

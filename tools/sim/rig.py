@@ -233,10 +233,10 @@ class Rig:
             wake = self._wake
             if not callable(wake) and wake < stop:
                 stop = wake
-            event = engine.next_event()
+            event = engine.next_event()  # ends this turn too, because it may change a condition
             if event > stop >= engine.now:
                 engine.now = stop  # the common case: nothing happens in the engine until then
-            else:
+            else:  # a past `stop` does not turn time back
                 engine.advance(max(min(event, stop), engine.now))
             link.advance()
             self._wake_script()

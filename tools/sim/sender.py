@@ -113,8 +113,8 @@ class Sender:
             lengths.append(len(line))
             unanswered += len(line)
             self.rig.link.send(to_bytes(line))
-        wanted = counted + len(lengths)
-        yield from self.until(lambda: self.answers >= wanted)
+        all_answers = counted + len(lengths)
+        yield from self.until(lambda: self.answers >= all_answers)
 
     def at_rest(self) -> bool:
         """Return whether motion has ended and no more follows by itself, as the recorder
@@ -143,7 +143,7 @@ class Sender:
             since = rig.now
         else:
             since = rig.link.send(to_bytes(text))  # tick at which the last byte arrives
-            wanted = text.count("\n") + text.count("\r")
+            wanted = text.count("\n") + text.count("\r")  # answers: each of both ends a line
             if how.startswith("ms "):
                 yield since + int(float(how[3:]) * rig.ticks_per_ms)
                 return

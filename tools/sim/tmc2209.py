@@ -34,7 +34,7 @@ def crc(data: bytes) -> int:
     first. By long division, as in the definition."""
     bits = [byte >> i & 1 for byte in data for i in range(8)] + [0] * 8
     for i in range(len(bits) - 8):
-        if bits[i]:
+        if bits[i]:  # subtract the polynomial, by its powers of x
             for power in (8, 2, 1, 0):
                 bits[i + 8 - power] ^= 1
     value = 0

@@ -302,7 +302,7 @@ class I2S(io.IOBase):
             raise NotImplementedError("only what our engine uses is modelled")
         if bits not in (16, 32):
             raise ValueError("invalid bits")
-        if bits == 16 or _DMA_FRAMES * 1_000_000 % rate:
+        if bits == 16 or _DMA_FRAMES * 1_000_000 % rate:  # a buffer takes whole us
             raise NotImplementedError("only what our engine uses is modelled")
         clock.work(self.open_us)
         self.rate = rate

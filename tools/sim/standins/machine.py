@@ -123,6 +123,7 @@ class Pin:
         *,
         value: "int | None" = None,
     ) -> None:
+        """Set what is given; -1: it stays the same. __new__() has set the initial values."""
         self.mode: int = self.mode if mode == -1 else mode
         self.pull: "int | None" = self.pull if pull == -1 else pull
         self.driven: "int | None"

@@ -44,9 +44,9 @@ _WORD_LIMIT = 1 << 31
 _SMALL_INT_LIMIT = 1 << 30
 _WORD_BITS = 32
 _VIEWS_KEPT = 1000
-# Registers of the chip's slow peripherals, and its pins' levels: `machine` has them.
-_REGISTERS = range(0x40000000, 0x50000000)
-_LEVELS = 0xD0000004 - (1 << _WORD_BITS)
+# Addresses that `machine` has.
+_REGISTERS = range(0x40000000, 0x50000000)  # of the chip's slow peripherals
+_LEVELS = 0xD0000004 - (1 << _WORD_BITS)  # the register of the pins' levels, as a signed word
 
 
 def const(value: _Value, /) -> _Value:
@@ -140,8 +140,8 @@ kept_views: dict[int, memoryview] = {}
 class _Pointer:
     """ptr8, ptr16 or ptr32. Views of arrays are kept: making one costs more than a kernel."""
 
-    def __init__(self, code: str) -> None:
-        self._code = code
+    def __init__(self, element: str) -> None:
+        self._element = element  # its letter in memoryview.cast()
         self.views: dict[int, memoryview] = {}  # by id; a view keeps its object alive
 
     def __call__(self, memory: Any, /) -> Any:
@@ -150,7 +150,7 @@ class _Pointer:
             return _Registers(memory)
         view = self.views.get(id(memory))
         if view is None:
-            view = memoryview(memory).cast("B").cast(cast(Any, self._code))
+            view = memoryview(memory).cast("B").cast(cast(Any, self._element))
             is_kept_view = kept_views.get(id(memory)) is memory
             if is_kept_view or isinstance(memory, (array, bytearray)):
                 if len(kept_views) >= _VIEWS_KEPT:
@@ -241,7 +241,7 @@ class _Checks(ast.NodeTransformer):
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
-        """Replace casts to pointers, and int(), in which a literal may be large: not visited."""
+        """Replace casts to pointers, and int(), whose argument may be a large literal."""
         name = node.func.id if isinstance(node.func, ast.Name) and node.args else ""
         if name in _POINTERS and isinstance(node.args[0], ast.Name):
             source = _KNOWN_VIEW.format(name, node.args[0].id)
