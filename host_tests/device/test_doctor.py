@@ -15,7 +15,7 @@ from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
 from typer.testing import CliRunner
 from ugrbl.cli import doctor, ports
 from ugrbl.cli.app import app
-from ugrbl.device import board_under_test, checkup, connection
+from ugrbl.device import board_under_test, checkup, connection, settings_check
 from ugrbl.device import settings_sync as sync
 from ugrbl.device.checkup import BAD, NOTE, OK, Finding
 from ugrbl.device.connection import Connection
@@ -246,9 +246,9 @@ def test_board_without_a_stack_figure_gets_no_row() -> None:
 @pytest.mark.parametrize(
     ("told", "verdict", "words"),
     [
-        ("0", OK, "no program was held up"),
-        ("1", NOTE, "motion stopped once for want of lines"),
-        ("12", NOTE, "motion stopped 12 times for want of lines"),
+        ("0", OK, "no program stopped"),
+        ("1", NOTE, "motion stopped once"),
+        ("12", NOTE, "motion stopped 12 times"),
     ],
 )
 def test_underruns_of_programs_are_reported_with_the_next_step(
@@ -385,7 +385,7 @@ def wrong(found: list[Finding]) -> list[tuple[str, str]]:
 
 
 def test_good_settings_have_no_finding() -> None:
-    assert wrong(checkup.settings(GOOD, OURS)) == []
+    assert wrong(settings_check.settings(GOOD, OURS)) == []
 
 
 @pytest.mark.parametrize(
@@ -412,7 +412,7 @@ def test_good_settings_have_no_finding() -> None:
 def test_bad_settings_are_reported_with_the_remedy(
     values: dict[int, float], what: str, verdict: str, says: str
 ) -> None:
-    found = checkup.settings({**GOOD, **values}, OURS)
+    found = settings_check.settings({**GOOD, **values}, OURS)
     hits = [finding for finding in found if (finding.what, finding.verdict) == (what, verdict)]
     assert hits and all(finding.todo for finding in hits)
     assert says in " ".join(finding.text + finding.todo for finding in hits)
@@ -420,8 +420,8 @@ def test_bad_settings_are_reported_with_the_remedy(
 
 def test_real_grbl_has_a_lower_step_limit() -> None:
     fast = {**GOOD, 110: 30000.0}  # 40 kHz
-    assert ("step rate", BAD) in wrong(checkup.settings(fast, GRBL))
-    assert ("step rate", BAD) not in wrong(checkup.settings(fast, OURS))
+    assert ("step rate", BAD) in wrong(settings_check.settings(fast, GRBL))
+    assert ("step rate", BAD) not in wrong(settings_check.settings(fast, OURS))
 
 
 @pytest.mark.parametrize(
@@ -439,14 +439,14 @@ def test_real_grbl_has_a_lower_step_limit() -> None:
 )
 def test_step_limit_depends_on_the_pulse_engine(name: str, most: int) -> None:
     found = Firmware("1.1", "h", "20261121", name, "V,15,128")
-    assert int(checkup.most_hz(found, 10)) == most
+    assert int(settings_check.most_hz(found, 10)) == most
 
 
 def test_short_pulses_allow_the_highest_rate_of_the_engine() -> None:
     names = {"Grbl pio": 250_000, "Grbl sim": 100_000, "Grbl rmt": 5000}
     for name, most in names.items():
-        assert checkup.most_hz(replace(OURS, name=name), 3) == most
-    assert checkup.most_hz(replace(OURS, name="Grbl pio"), 1) == 500_000
+        assert settings_check.most_hz(replace(OURS, name=name), 3) == most
+    assert settings_check.most_hz(replace(OURS, name="Grbl pio"), 1) == 500_000
 
 
 @pytest.mark.parametrize(

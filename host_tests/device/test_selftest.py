@@ -22,6 +22,8 @@ PICO = About(0x1F06, "1.28.0", "Raspberry Pi Pico with RP2040")
 WIRED = Wiring("pio", 8, 16)
 ESP32 = About(0x2B06, "1.28.0", "Generic ESP32 module with ESP32")
 WIRED_ESP = Wiring("rmt", 12, 23, True)
+_LIMIT = "limit: time to the last step edge"
+_LIMIT_IN_COLLECTION = "limit, during a collection: time to the last step edge"
 
 
 def train(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
@@ -171,7 +173,7 @@ def test_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
     assert rows["step period, 50 kHz"]["text"] == "20 us; 20 asked; 24 periods"
     assert rows["direction hold"]["text"] == "2.4 us at least; 2 required; 6 reversals"
     assert rows["direction set-up"]["text"] == "5.6 us at least; 5 required; 6 reversals"
-    assert rows["limit: to the last edge"]["figures"]["worst_us"] == 20
+    assert rows[_LIMIT]["figures"]["worst_us"] == 20
     assert rows["settings save: interrupts off"]["text"].startswith("47.0 ms")
     assert rows["spindle PWM, 50 %"]["text"] == "50.0 % at the pin"
 
@@ -198,9 +200,9 @@ FAULTS = {
     "no start at all": ("starts", {"count": 0}, "starts from rest"),
     "a lost start": ("starts", {"wrong": 1}, "starts from rest"),
     "a start without end": ("starts", {"stuck": 1}, "starts from rest"),
-    "a deaf limit": ("limits", {"missed": 1}, "limit: to the last edge"),
-    "a slow limit": ("limits", {"ticks": [9000]}, "limit, during a collection: to the last edge"),
-    "a limit that lies": ("limits", {"wrong": 2}, "limit: to the last edge"),
+    "a deaf limit": ("limits", {"missed": 1}, _LIMIT),
+    "a slow limit": ("limits", {"ticks": [9000]}, _LIMIT_IN_COLLECTION),
+    "a limit that lies": ("limits", {"wrong": 2}, _LIMIT),
     "light at nothing": ("pwm", {"edges": [0, 1, 2]}, "spindle PWM, 0 %"),
     "half is a third": ("pwm", {"edges": [0, 3, 6, 12, 15, 21]}, "spindle PWM, 50 %"),
     "light after a limit": ("pwm after a limit", {"edges": [1]}, "spindle PWM after a limit"),
@@ -242,7 +244,7 @@ def test_board_that_does_not_return_fails(selftest: "Callable[..., Any]") -> Non
     ("what", "changes", "row"),
     [
         ("watchers", {"seen": [0, 0]}, "watchers see the pins"),
-        ("limits", {"shown": False}, "limit: to the last edge"),
+        ("limits", {"shown": False}, _LIMIT),
         ("pwm after a limit", {"shown": False}, "spindle PWM after a limit"),
         ("save", {"longest_us": 1100}, "settings save: interrupts off"),
     ],
@@ -287,7 +289,7 @@ REFUSED = {
     ),
     "seven motors": (
         {"wired": WIRED._replace(motors=7)},
-        "7 motors, a laser's beam being one, leave",
+        "7 motors (a laser's beam counts as one) leave",
     ),
     "an engine of elsewhere": ({"about_it": ESP32, "wired": WIRED}, "ENGINE 'pio' is none"),
     "no PCNT": (
@@ -328,7 +330,7 @@ def test_ctrl_c_reports_how_to_restart_the_board(selftest: "Callable[..., Any]")
             raise KeyboardInterrupt
 
     code, rows, _ = selftest(Stopped(), "--yes")
-    assert code == 1 and "unplug it" in rows["the board"]["text"]
+    assert code == 1 and "unplug the board" in rows["the board"]["text"]
 
 
 def test_broken_connection_is_reported_and_the_firmware_started(

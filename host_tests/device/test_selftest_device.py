@@ -63,7 +63,7 @@ class Transport:
 def board(transport: Transport) -> PromptBoard:
     """Return a board at that transport."""
     made = PromptBoard.__new__(PromptBoard)
-    made._transport, made._where = transport, "there"
+    made._transport, made._port_name = transport, "there"
     return made
 
 

@@ -119,7 +119,7 @@ def test_good_board_passes_every_check_that_can_be_shown(
     rows = board.run()
     assert board.ended and failed(rows.values()) == []
     assert [row.what for row in rows.values() if row.passed is None] == [
-        "limit, during a collection: to the last edge"
+        "limit, during a collection: time to the last step edge"
     ]
     highest = rows["steps at the highest, all axes"]
     assert highest.text == "1000 on each of 3 axes, there and back, all counted"
@@ -226,10 +226,10 @@ def burn_half(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (lose_pulses, ["steps at the highest, all axes", "starts from rest"]),
         (count_wrong, ["steps at the highest, all axes"]),
-        (stop_late, ["stops at random instants", "limit: to the last edge"]),
+        (stop_late, ["stops at random instants", "limit: time to the last step edge"]),
         (stop_wrong, ["stops at random instants"]),
         (never_rest, ["steps at the highest, all axes", "starts from rest"]),
-        (hear_no_limit, ["limit: to the last edge"]),
+        (hear_no_limit, ["limit: time to the last step edge"]),
         (burn_on, ["spindle PWM after a kill"]),
         (burn_half, ["spindle PWM, 50 %", "spindle PWM, 100 %"]),
     ],
@@ -263,8 +263,8 @@ def test_limit_input_kept_high_by_something_else_is_reported_as_not_shown(
     board = bench("esp32_devkit")
     for pin in board.board.LIMIT:
         esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
-    row = board.run()["limit: to the last edge"]
-    assert row.passed is None and "only a wire to ground" in row.text
+    row = board.run()["limit: time to the last step edge"]
+    assert row.passed is None and "with a wire to ground" in row.text
 
 
 def test_limits_without_pull_ups_are_left_out(
@@ -272,7 +272,7 @@ def test_limits_without_pull_ups_are_left_out(
 ) -> None:
     board = bench("esp32_devkit")
     monkeypatch.setattr(board.board, "NO_PULL_UP", (35, 39, *board.board.LIMIT))
-    row = board.run()["limit: to the last edge"]
+    row = board.run()["limit: time to the last step edge"]
     assert row.passed is None and row.text.startswith("left out")
 
 

@@ -348,7 +348,7 @@ def test_decimal_comma_is_named_when_a_line_is_refused(reply: str, line: str) ->
 
 
 def test_refused_setting_is_called_a_setting() -> None:
-    assert meaning("error:3", "$999=1").startswith("There is no setting $999 here, or")
+    assert meaning("error:3", "$999=1").startswith("This machine has no setting $999, or")
     assert "'$' command" in meaning("error:3", "$H=")
 
 
@@ -440,7 +440,7 @@ def test_underruns_are_reported_with_the_remedy(grbl: FakeGrbl, tmp_path: Path) 
     done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
     words = " ".join(done.output.split())
     assert (
-        "for want of lines during the program: `ugrbl run FILE --board NAME` names lines" in words
+        "because lines came too late: `ugrbl run FILE --board NAME` names lines" in words
     )
 
 

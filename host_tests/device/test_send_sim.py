@@ -212,7 +212,7 @@ def test_only_the_refused_line_is_named_as_the_last_one(
     lines = ["%", "O1000", "(one)", "", "N10 G21 G90", "N20 G1 X1 F900", "N30 T1 M6", "%"]
     code, text = Send(bench, tmp_path, lines, "--no-check", "-y", "--mode", mode).end()
     assert code == 1 and "stopped: line 2 was refused" in text
-    assert ("lines up to 8 were sent before that was known" in text) == (mode == "count")
+    assert ("lines up to 8 had already been sent" in text) == (mode == "count")
     assert ("line 2 was answered last" in text) == (mode == "line")
 
 

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ..device import board_under_test, checkup
+from ..device import board_under_test, checkup, settings_check
 from ..device import settings_sync as sync
 from ..device.checkup import BAD, NOTE, OK, Finding
 from ..device.connection import BAUD, Connection, SendError, way_out
@@ -99,8 +99,8 @@ class Doctor:
         self.add(*checkup.custom(health))
         self._state(connection)
         values = _numbers(settings)
-        self.add(*checkup.settings(values, settings.firmware))
-        board_under_test.report(connection)  # the inputs of the next line are from this report
+        self.add(*settings_check.settings(values, settings.firmware))
+        board_under_test.report(connection)
         self.add(*checkup.pins_at_rest(board_under_test.pins(connection), values))
         axes = sum(_FIRST_STEPS_PER_MM + axis in values for axis in range(len(AXES)))
         if pins_s is None and ask and typer.confirm("Watch the inputs while you press them?"):

@@ -14,7 +14,8 @@ from ..device import checkup, machine_snapshot
 from ..device.connection import Connection, way_out
 from ..device.from_line import Approach, approach
 from ..device.machine_snapshot import MachineSnapshot
-from ..device.send import REFUSED, Line, Ready, Report, Stream, stopping_signals
+from ..device.send import REFUSED, Line, Ready, Report, Stream
+from ..device.stop_signals import stopping_signals
 from ..grbl import gcode_file
 from ..grbl.custom_codes import CustomCodes
 from ..grbl.lines import Changed

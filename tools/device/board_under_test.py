@@ -15,10 +15,10 @@ from .connection import BAUD, Connection, SendError, broke, way_out
 
 _ANSWER_S = 5.0
 _FAULT_S = 2.0
-_REPL_S = 1.0
-_POLL_S = 0.05
-_MOVE_S = 20.0
-_MM = 1.0
+_REPL_S = 1.0  # a read waits so long for the prompt
+_POLL_S = 0.05  # between two reports
+_MOVE_S = 20.0  # time limit for a move
+_MM = 1.0  # length of the move
 _NEAR_MM = 0.006  # deviation allowed for rounding in reports
 _BEYOND_TRAVEL = "error:15"
 _PINS = re.compile(r"\|Pn:([A-Z]+)")
@@ -35,6 +35,7 @@ _ASK_REPL = (
     b"print('|'.join(('',sys.platform,os.uname()[4],os.uname()[2],str(gc.mem_free()),"
     b"str('main.py' in os.listdir()),'')))\r"
 )
+# What _ASK_REPL prints: |platform|name|version|free bytes|has main.py|
 _REPL = re.compile(r"^\|([^|']*)\|([^|']*)\|([^|']*)\|(\d+)\|(True|False)\|", re.MULTILINE)
 
 
@@ -53,7 +54,7 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
     it is not a Grbl."""
     try:
         with serial.Serial(port, baud, timeout=_REPL_S) as wire:
-            wire.write(b"\r\x03\x03\r")
+            wire.write(b"\r\x03\x03\r")  # Ctrl-C, twice: MicroPython shows its prompt
             heard = wire.read(4096).decode("latin-1")
             if ">>>" in heard:
                 wire.write(_ASK_REPL)
@@ -70,6 +71,7 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
         if pattern.search(heard):
             todo = "install the firmware on the board again"
             return [Finding("firmware", BAD, f"no Grbl: this looks like {who}", todo)]
+    # Many bytes beyond ASCII: another baud rate.
     if heard and not heard.isprintable() and sum(c > "\x7f" for c in heard) > len(heard) / 4:
         text = "the board sends bytes that are no text"
         return [Finding("firmware", BAD, text, f"try another baud rate than {baud} (--baud)")]
@@ -82,7 +84,7 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
 
 
 def _idle_board(found: re.Match[str] | None) -> list[Finding]:
-    """Report a MicroPython without a running program."""
+    """Report a MicroPython without a running program. found: the match of _REPL, if any."""
     findings = []
     todo = "put the firmware on it (README, quick start)"
     if found:
@@ -102,7 +104,9 @@ def fault(connection: Connection) -> str:
     messages: list[str] = []
 
     def is_over(line: str) -> bool:
-        messages.extend([line] if checkup.is_fault(line) else [])
+        """Collect the message; return whether it or the answer has come."""
+        if checkup.is_fault(line):
+            messages.append(line)
         return bool(messages) or is_answer(line)
 
     connection.write(b"$\n")
@@ -125,8 +129,8 @@ def report(connection: Connection) -> None:
 def watch_pins(
     connection: Connection, seconds: float, tell: Callable[[str, bool], None]
 ) -> dict[str, int]:
-    """Call tell() for every input that becomes active or inactive. Returns how often each became
-    active."""
+    """Call tell(name, is_active) for every input that changes. Returns how often each became
+    active, by its letter in reports."""
     seen: dict[str, int] = {}
     report(connection)
     before = set(pins(connection))
@@ -134,7 +138,7 @@ def watch_pins(
     while time.monotonic() < until:
         report(connection)
         now = set(pins(connection))
-        for letter in sorted(now ^ before):
+        for letter in sorted(now ^ before):  # those that changed
             tell(PINS.get(letter, letter), letter in now)
             if letter in now:
                 seen[letter] = seen.get(letter, 0) + 1
@@ -145,7 +149,7 @@ def watch_pins(
 
 def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding:
     """Move an axis by 1 mm forth and back, and compare with the position that the firmware
-    reports."""
+    reports. axis: its index; letter: its name. rate: in mm/min."""
     what = f"move {letter}"
     report(connection)
     if connection.state() != "Idle":
@@ -156,8 +160,8 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
         return Finding(what, NOTE, text, "move it with G-code")
     start = connection.place()
     if len(start) <= axis:
-        return Finding(what, NOTE, "not tried: reports have no MPos", "set $10=1")
-    for distance in (_MM, -_MM):  # there and back
+        return Finding(what, NOTE, "not tried: status reports have no MPos", "set $10=1")
+    for distance, expected in ((_MM, _MM), (-_MM, 0.0)):  # expected: from the start
         answer = connection.ask(f"$J=G91 G21 {letter}{distance:g} F{rate:g}")[-1]
         if answer != "ok":
             return Finding(
@@ -167,25 +171,25 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
         if trouble:
             return Finding(what, BAD, trouble, "reset it (Ctrl-X), see why, unlock it ($X)")
         moved = connection.place()[axis] - start[axis]
-        if abs(moved - max(distance, 0)) > _NEAR_MM:
-            text = f"it should have moved {max(distance, 0):g} mm and reports {moved:.3f}"
+        if abs(moved - expected) > _NEAR_MM:
+            text = f"it should have moved {expected:g} mm and reports {moved:.3f}"
             return Finding(what, BAD, text, "report this: steps were lost within the firmware")
     todo = (
-        f"did {letter} really move? If not: enable pin, driver power; other way first: $3; "
-        f"not a millimetre: ${100 + axis}"
+        f"did {letter} really move? If not: check enable pin and driver power; if it went the "
+        f"other way first: change $3; if not by a millimetre: set ${100 + axis}"
     )
-    return Finding(what, OK, "1 mm there and back, as the firmware counts", todo)
+    return Finding(what, OK, "1 mm there and back, by the firmware's step count", todo)
 
 
 def _wait_until_idle(connection: Connection) -> str:
     """Return the cause of a failure, or "" at the end of the move."""
     alarm = ""
-    connection.status = ""
+    connection.status = ""  # it is from before the move
 
     def is_over(line: str) -> bool:
-        """Return whether the motion has ended, after an alarm or in Idle."""
+        """Return whether the motion has ended: by an alarm, which is noted, or in Idle."""
         nonlocal alarm
-        if line.startswith("ALARM:"):  # after some alarms, Grbl accepts only a reset
+        if line.startswith("ALARM:"):  # after some, Grbl reports no state until it is reset
             alarm = f"{line}: {meaning(line)}"
         return alarm != "" or (line.startswith("<") and connection.state() == "Idle")
 

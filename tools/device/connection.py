@@ -21,9 +21,9 @@ BAUD = 115200
 WINDOW = 127  # bytes in Grbl's receive buffer, minus one
 # Blocks in Grbl's planner if it does not report them.
 BLOCKS = 15
-POLL_S = 0.2
-_READ_S = 0.02
-_WRITE_S = 5.0
+POLL_S = 0.2  # between two requests of the status
+_READ_S = 0.02  # a read waits so long for a byte
+_WRITE_S = 5.0  # a write waits so long for space
 # An Arduino that resets when its port is opened is silent for a second or two.
 _START_S = 5.0
 _OPTIONS = re.compile(r"\[OPT:[^,]*,(\d+),(\d+)(?:,.*)?\]")
@@ -67,14 +67,14 @@ class Connection:
         self._port = port
         self._text = ""  # bytes of a line that is not complete
         self.window = WINDOW  # bytes that may be unanswered
-        self.blocks = BLOCKS
+        self.blocks = BLOCKS  # capacity of the planner
         self.status = ""  # the last status report
         # For Grbl 0.9, whose reports have no bars, bytes from 0x80 on are parts of lines.
         self.takes_overrides = False
         self.info: list[str] = []  # replies to $I in start()
         self.heard = time.monotonic()  # time of the last byte received
-        self._offset: list[float] | None = None  # WCO
-        self._rested = ""  # the position in the last report of a held Grbl 0.9
+        self._offset: list[float] | None = None  # WCO: machine minus work position; None: unknown
+        self._held_status = ""  # the last report of a held Grbl 0.9
 
     def close(self) -> None:
         """Close the port."""
@@ -95,8 +95,10 @@ class Connection:
         of the last report yielded."""
         try:
             data = self._serial.read(max(1, self._serial.in_waiting))
-        # pyserial raises TypeError if the port is closed meanwhile
-        except (OSError, TypeError) as error:
+        except (
+            OSError,
+            TypeError,
+        ) as error:  # TypeError: pyserial, if the port is closed meanwhile
             raise SendError(broke(self._port)) from error
         if data:
             self.heard = time.monotonic()
@@ -116,14 +118,15 @@ class Connection:
         found = _PLACE.search(self.status)
         if not found:
             return []
-        place = [float(number) for number in found[2].split(",")]
-        if found[1] == "M":
-            return place
-        offset = self._offset or []
-        return [work + shift for work, shift in zip(place, offset, strict=False)]
+        numbers = [float(number) for number in found[2].split(",")]
+        if found[1] == "M":  # MPos
+            return numbers
+        offset = self._offset or []  # WPos without a known offset says nothing
+        return [work + shift for work, shift in zip(numbers, offset, strict=False)]
 
     def work_place(self) -> list[float]:
-        """Return the work position as last reported, in its own unit."""
+        """Return the work position as last reported, in its own unit; with an offset that is not
+        yet known taken as 0."""
         found = _WORK.search(self.status)
         if found:
             return [float(number) for number in found[1].split(",")]
@@ -151,22 +154,20 @@ class Connection:
         state = self.state()
         if state in ("Hold:0", "Door:0", "Door:1") or state in _AT_REST:
             return True
-        before, self._rested = self._rested, self.status
+        before, self._held_status = self._held_status, self.status
         return state in ("Hold", "Door") and self.status == before
 
     def wait_for(self, done: Callable[[str], bool], seconds: float) -> bool:
         """Poll the status until done(line) is true for a line received. Returns False after
         `seconds`."""
         until = time.monotonic() + seconds
-        asked = 0.0
+        polled_at = 0.0
         while time.monotonic() < until:
-            if time.monotonic() - asked >= POLL_S:
+            if time.monotonic() - polled_at >= POLL_S:
                 self.write(STATUS)
-                asked = time.monotonic()
-            heard = [
-                done(line) for line in self.lines()
-            ]  # every line, because done() may collect them
-            if any(heard):
+                polled_at = time.monotonic()
+            # A list, so that done() gets every line: it may collect them.
+            if any([done(line) for line in self.lines()]):  # noqa: C419
                 return True
         return False
 
@@ -175,7 +176,8 @@ class Connection:
         return self.wait_for(lambda line: line.startswith("<"), _START_S)
 
     def start(self) -> None:
-        """Wait until Grbl is ready for work, and ask for its buffer sizes."""
+        """Wait until Grbl answers, and ask for its buffer sizes. SendError if it is not ready for
+        work."""
         if not self.answers():
             raise SendError(f"no Grbl answers on this port; {ONLY_RESET}")
         state = self.state()
@@ -184,29 +186,30 @@ class Connection:
             raise SendError(f"{text}, with `ugrbl console`")
         if state not in ("Idle", "Check"):
             raise SendError(f"the machine is in {state}: {way_out(state)} first")
-        self.info = self.ask("$I")
+        self.info = self.ask("$I")  # ask() reads the sizes in it
 
     def ask(self, line: str) -> list[str]:
-        """Send a line and return its replies; the answer is the last one."""
+        """Send a line and return its replies; the answer (ok, error) is the last one. SendError
+        without an answer."""
         self.write(line.encode("latin-1") + b"\n")
         replies: list[str] = []
 
-        def answered(reply: str) -> bool:
+        def is_answered(reply: str) -> bool:
             """Collect a reply, and read the options of $I. Returns whether it is the answer.
 
-            Lines after the answer, as a greeting of the port, are not collected.
+            Lines after the answer, such as the greeting of an opened port, are not collected.
             """
             if replies and is_answer(replies[-1]):
                 return True
             options = _OPTIONS.fullmatch(reply)
-            if options:
+            if options:  # blocks in the planner, bytes in the receive buffer
                 self.blocks = int(options[1])
-                self._widen(int(options[2]))
+                self._raise_window(int(options[2]))
             if not reply.startswith("<"):
                 replies.append(reply)
             return is_answer(reply)
 
-        if not self.wait_for(answered, _START_S):
+        if not self.wait_for(is_answered, _START_S):
             raise SendError(self._why_no_answer(line))
         return replies
 
@@ -225,10 +228,10 @@ class Connection:
         if offset:
             self._offset = [float(number) for number in offset[1].split(",")]
         free = _BUFFER.search(line)
-        if free:
-            self._widen(int(free[2]))
+        if free:  # at times all bytes of the buffer are free
+            self._raise_window(int(free[2]))
 
-    def _widen(self, buffer: int) -> None:
+    def _raise_window(self, buffer: int) -> None:
         """Note that Grbl's receive buffer has at least so many bytes."""
         self.window = max(self.window, buffer - 1)
 
@@ -258,27 +261,27 @@ def way_out(state: str) -> str:
 
 
 def is_simulator(port: str) -> bool:
-    """Return whether a port is no device, but a pseudo-terminal, as the simulator's, or was
-    one."""
-    place = os.path.realpath(port)
-    return place.startswith(_PSEUDO_TERMINALS) or (
-        os.name == "posix" and "://" not in port and not place.startswith("/dev/")
+    """Return whether a port is no device, but a pseudo-terminal, such as the simulator's, or was
+    one: a name outside /dev is a link to one that is gone."""
+    path = os.path.realpath(port)
+    return path.startswith(_PSEUDO_TERMINALS) or (
+        os.name == "posix" and "://" not in port and not path.startswith("/dev/")
     )
 
 
 def broke(port: str) -> str:
     """Return a message for a connection that broke, with what to check."""
-    look = "is the cable still plugged in, and does no other program use the port?"
+    question = "is the cable still plugged in, and does no other program use the port?"
     if port.partition("://")[0] in _OF_A_NETWORK:
-        look = "is the machine still on, and in this network?"
+        question = "is the machine still on, and in this network?"
     elif is_simulator(port):
-        look = "has the simulator ended?"
-    return f"the connection broke: {look}"
+        question = "has the simulator ended?"
+    return f"the connection broke: {question}"
 
 
 def _why_not(port: str, baud: int, error: Exception) -> str:
     """Return why a port cannot be opened, and the next step."""
-    kind, is_url, _ = port.partition("://")
+    kind, is_url, _ = port.partition("://")  # is_url: "" for the name of a device
     number = _errno(error)
     if kind in _OF_A_NETWORK and is_url:
         return _why_no_connection(kind, port, number)
@@ -305,8 +308,8 @@ def _why_not(port: str, baud: int, error: Exception) -> str:
 def _why_no_connection(kind: str, port: str, number: int) -> str:
     """Return why a port on the network cannot be opened. kind: socket or rfc2217. number: errno,
     or the number of a failed search for the host."""
-    place = _HOST_AND_PORT.search(port)
-    if not place or not 0 < int(place[1]) <= _MOST_PORTS:
+    found = _HOST_AND_PORT.search(port)
+    if not found or not 0 < int(found[1]) <= _MOST_PORTS:
         return f"{kind}:// needs a host and a port: {kind}://HOST:PORT"
     if number == errno.ECONNREFUSED:
         return "no program listens there; does the firmware or simulator run, and is it this port?"
@@ -316,7 +319,8 @@ def _why_no_connection(kind: str, port: str, number: int) -> str:
 
 
 def _errno(error: BaseException | None) -> int:
-    """Return the system's error number. pyserial has it, or the error that it was raised from."""
+    """Return the system's error number; 0 if there is none. pyserial's exception has it, or the
+    one that it was raised from."""
     while error:
         if isinstance(error, OSError) and error.errno:
             return error.errno

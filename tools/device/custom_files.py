@@ -1,4 +1,6 @@
-"""The user's own Python on a board: write, read and remove it.
+"""The user's own Python on a board, NAME.py or a folder NAME: write, read and remove it.
+
+`shelf` is the board; `names` are the names in its root folder.
 
 A new file is written under another name and renamed over the old one; a board's file system does
 this completely or not at all. A new folder is written as NAME.part and renamed NAME.whole when
@@ -54,11 +56,13 @@ class CustomFiles(Protocol):
 
 
 def name_of(options: Mapping[str, Any]) -> str:
-    """Return the name of the module that the board loads. DeployError if it loads none."""
+    """Return the name of the module that the board loads (CUSTOM). DeployError if it loads none,
+    or if its board file is wrong."""
     name: str = options["CUSTOM"]
     if problem := BY_NAME["CUSTOM"].problem(name):
         raise DeployError(
-            f"the board file there is wrong: {problem}", "correct the board file, and deploy it"
+            f"the board file on the board is wrong: {problem}",
+            "correct the board file, and deploy it",
         )
     if not name:
         raise DeployError(
@@ -72,7 +76,7 @@ def pull(shelf: CustomFiles, name: str) -> dict[str, bytes]:
     """Return the user's files by path: NAME.py, else those of the folder NAME; nothing if neither
     exists."""
     names = shelf.names("")
-    _finish(shelf, name, names)
+    _finish_interrupted_push(shelf, name, names)
     if f"{name}.py" in names:
         return {f"{name}.py": shelf.read(f"{name}.py")}
     paths = [f"{name}/{file}" for file in shelf.names(name) if file.endswith(".py")]
@@ -82,11 +86,12 @@ def pull(shelf: CustomFiles, name: str) -> dict[str, bytes]:
 def push(
     shelf: CustomFiles, name: str, files: Mapping[str, bytes], written: "Callable[[int], None]"
 ) -> None:
-    """Replace the user's files: by NAME.py, or by files of the folder NAME."""
+    """Replace the user's files. files: by path, NAME.py alone or files of the folder NAME.
+    written: called with the number of bytes of every piece."""
     names = shelf.names("")
     _check_folder(shelf, name)
-    _finish(shelf, name, names)
-    _clear(shelf, name, names)
+    _finish_interrupted_push(shelf, name, names)
+    _remove_leftovers(shelf, name, names)
     single = f"{name}.py"
     if single in files:
         shelf.write(f"{single}.new", files[single], written)
@@ -97,8 +102,8 @@ def push(
         for path, content in files.items():
             shelf.write(path.replace(name, f"{name}.part", 1), content, written)
         shelf.rename([(f"{name}.part", f"{name}.whole")])
-        old = [(name, f"{name}.gone")] if name in names else []
-        shelf.rename([*old, (f"{name}.whole", name)])
+        old_away = [(name, f"{name}.gone")] if name in names else []
+        shelf.rename([*old_away, (f"{name}.whole", name)])
         if single in names:
             shelf.remove(single)
         _remove_folder(shelf, f"{name}.gone")
@@ -109,8 +114,8 @@ def remove(shelf: CustomFiles, name: str) -> bool:
     """Remove the user's files. Returns whether there were any."""
     names = shelf.names("")
     _check_folder(shelf, name)
-    _finish(shelf, name, names)
-    _clear(shelf, name, names)
+    _finish_interrupted_push(shelf, name, names)
+    _remove_leftovers(shelf, name, names)
     _remove_folder(shelf, name)  # before the file, which it may hide
     if f"{name}.py" in names:
         shelf.remove(f"{name}.py")
@@ -128,16 +133,16 @@ def _check_folder(shelf: CustomFiles, name: str) -> None:
         )
 
 
-def _finish(shelf: CustomFiles, name: str, names: list[str]) -> None:
+def _finish_interrupted_push(shelf: CustomFiles, name: str, names: list[str]) -> None:
     """Complete a push that was interrupted between its two renamings, as the firmware's next start
-    would. names: those in the root folder, which are updated."""
+    would, and update `names`."""
     if f"{name}.whole" in names and name not in names:
         shelf.rename([(f"{name}.whole", name)])
         names[:] = shelf.names("")
 
 
-def _clear(shelf: CustomFiles, name: str, names: list[str]) -> None:
-    """Remove what an interrupted push has left."""
+def _remove_leftovers(shelf: CustomFiles, name: str, names: list[str]) -> None:
+    """Remove the unfinished files and folders of an interrupted push."""
     if f"{name}.py.new" in names:
         shelf.remove(f"{name}.py.new")
     for ending in ("part", "whole", "gone"):

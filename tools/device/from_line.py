@@ -2,6 +2,9 @@
 
 The simulator has run the lines before, so modes, feed, speed, tool and position are known. The
 approach is safe: first up to a safe height, then across, tool on, then down at feed rate.
+
+here: the machine's state now. there: the state that the program needs at that line. Positions are
+machine positions in mm. Line numbers count from 1.
 """
 
 import re
@@ -13,9 +16,9 @@ from ..run.rehearsal import Forecast
 from .machine_snapshot import SYSTEMS, MachineSnapshot, axis_words, number_word, read
 from .send import Line
 
-_SPIN_UP_S = 4
+_SPIN_UP_S = 4  # wait for the spindle
 _SLOW_MM_MIN = 100.0
-_NEAR_MM = 0.001
+_NEAR_MM = 0.001  # no move is needed for less
 _MOTION = re.compile(rb"G0*[0123](?![\d.])")
 _CYCLE = re.compile(rb"G(?:73|8[1-9])(?!\d)")
 _CYCLE_ENDS = re.compile(rb"G(?:0*[0123]|80|38)(?!\d)|M0*(?:2|30)(?!\d)")
@@ -24,7 +27,7 @@ _ORIGIN = re.compile(rb"G92(?![\d.])|(?=.*G10(?![\d.])).*L20(?![\d.])")
 _STORES = re.compile(rb"G10(?![\d.])|G28\.1|G30\.1")
 _GOES_TO = re.compile(rb"G(28|30)(?![\d.])")
 _SETTING = re.compile(rb"\$(\d+)=([\d.]+)")
-_SAME = 0.0005
+_SAME = 0.0005  # settings are reported with three decimals
 _TOOL = re.compile(rb"T\d|M0*6(?!\d)")
 
 
@@ -44,34 +47,33 @@ class Approach:
 def approach(
     lines: Sequence[bytes], number: int, forecast: Forecast, here: MachineSnapshot
 ) -> Approach:
-    """Return the way from the machine's position to a line of a program, number from 1.
-
-    here: the machine's state now. forecast: the simulator's, after the lines before.
-    """
+    """Return the way from the machine's position to line `number`. forecast: the simulator's,
+    after the lines before. CannotEnter if the program cannot begin there."""
     if forecast.stopped:
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
-    state = read(forecast.at_line)
-    place = forecast.at_place
-    _check_motion(lines[number - 1], number, state.modes, here.laser())
+    before, after = lines[: number - 1], lines[number - 1 :]  # after: from that line on
+    there = read(forecast.at_line)
+    _check_motion(lines[number - 1], number, there.modes, here.laser())
     _check_cycle(lines, number)
-    _check_settings(lines[: number - 1], here)
-    _check_places(lines[number - 1 :], here, state)
-    path = _Way(here, state, place, max(forecast.highest_mm(number), here.place[2]))
-    steps = [(text, description) for text, description in path.steps() if text]
+    _check_settings(before, here)
+    _check_stored_positions(after, here, there)
+    safe_mm = max(forecast.highest_mm(number), here.place[2])
+    all_steps = _Steps(here, there, forecast.at_place, safe_mm).all()
+    steps = [(text, description) for text, description in all_steps if text]
     to_send = [Line(0, text.encode("ascii"), text) for text, _ in steps]
     words = [description for _, description in steps if description]
-    cautions = _cautions(lines[: number - 1])
+    cautions = _cautions(before)
     cautions += _cautions_after(lines, number)
     cautions += [
-        f"{name} is on at that line: make sure that it is" for name in forecast.outputs_on
+        f"{name} has to be on at that line: make sure that it is" for name in forecast.outputs_on
     ]
     return Approach(to_send, words, cautions)
 
 
 def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -> None:
-    """Raise CannotEnter if the line continues an arc of a line before, or a laser's cut in M3. An
-    arc cannot begin without its end, and in M3 a laser burns at standstill as soon as G1 is
-    active."""
+    """Raise CannotEnter if the line continues an arc of a line before, or a laser's cut in M3: an
+    arc's mode cannot be set without an arc, and in M3 a laser burns at standstill as soon as G1 is
+    active. modes: active before the line."""
     refused = ("G1", "G2", "G3") if laser and "M3" in modes else ("G2", "G3")
     motion = next((word for word in modes if word in refused), "")
     if motion and not _MOTION.search(_code(line)):
@@ -80,9 +82,9 @@ def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -
 
 
 def _check_cycle(lines: Sequence[bytes], number: int) -> None:
-    """Raise CannotEnter within a drilling cycle, because its depth, height and retract are in its
-    first line."""
-    begun = 0  # number of the line that began the active cycle
+    """Raise CannotEnter if the line continues a drilling cycle, because the cycle's depth, height
+    and retract are in its first line."""
+    begun = 0  # number of the line that began the active cycle; 0: there is none
     for line_number, line in enumerate(lines[: number - 1], 1):
         code = _code(line)
         if _CYCLE.search(code):
@@ -107,9 +109,11 @@ def _check_settings(before: Sequence[bytes], here: MachineSnapshot) -> None:
             )
 
 
-def _check_places(after: Sequence[bytes], here: MachineSnapshot, there: MachineSnapshot) -> None:
-    """Raise CannotEnter if the program goes to a position that G28.1 or G30.1 stored in the lines
-    before, because these store where the tool is."""
+def _check_stored_positions(
+    after: Sequence[bytes], here: MachineSnapshot, there: MachineSnapshot
+) -> None:
+    """Raise CannotEnter if the lines from there on go to a position (G28, G30) that lines before
+    store (G28.1, G30.1): these store where the tool is, so they cannot be repeated here."""
     for line in after:
         for word in _GOES_TO.findall(_code(line)):
             name = f"G{word.decode()}"
@@ -118,9 +122,10 @@ def _check_places(after: Sequence[bytes], here: MachineSnapshot, there: MachineS
                 raise CannotEnter(f"{text}, and the program moves to it: begin before that line")
 
 
-class _Way:
-    """The lines with descriptions. here: the machine's state now; there: the state that the
-    program needs."""
+class _Steps:
+    """The lines that prepare for a program, each with a description of what it does; "" if there
+    is nothing to say or, as a line, nothing to do. place: position at which the program begins.
+    safe_mm: height at which it is approached."""
 
     def __init__(
         self, here: MachineSnapshot, there: MachineSnapshot, place: Sequence[float], safe_mm: float
@@ -131,25 +136,29 @@ class _Way:
         self._safe_mm = safe_mm
         self._modes = there.modes
 
-    def steps(self) -> list[tuple[str, str]]:
-        """Return all lines with their descriptions, in order."""
+    def all(self) -> list[tuple[str, str]]:
+        """Return all lines with their descriptions, in order. A spindle is switched on before the
+        tool moves across, a laser only at the begin of the program."""
         laser = self._here.laser()
-        across = (f"G53 G0 {axis_words(self._place[:2])}", f"across to {self._words(self._place)}")
+        across = (
+            f"G53 G0 {axis_words(self._place[:2])}",
+            f"across to {self._xy_words(self._place)}",
+        )
         return [
-            ("G21 G90 G94 M5", ""),
-            self._up(),
-            *([] if laser else self._tool()),
+            ("G21 G90 G94 M5", ""),  # mm, absolute, mm/min, tool off
+            self._move_up(),
+            *([] if laser else self._switch_on()),
             across,
-            self._down(),
-            *self._offsets(),
-            *([] if not laser else self._tool()),
+            self._move_down(),
+            *self._set_offsets(),
+            *(self._switch_on() if laser else []),
             (f"F{self._feed()}", f"feed {self._feed()} mm/min"),
-            (self._modal(), f"modes {self._modal()}"),
+            (self._modes_line(), f"modes {self._modes_line()}"),
             # On a line of its own, because with G1 Grbl would require an F.
             ("G93", "G93, a time in each line") if "G93" in self._modes else ("", ""),
         ]
 
-    def _words(self, place: Sequence[float]) -> str:
+    def _xy_words(self, place: Sequence[float]) -> str:
         """Return X and Y of a position as words, in the work coordinates of the program."""
         offset = self._there.work_offset()
         work = [machine - shift for machine, shift in zip(place, offset, strict=False)]
@@ -159,7 +168,7 @@ class _Way:
         """Return a height in machine coordinates as a word in work coordinates."""
         return f"Z{z_mm - self._there.work_offset()[2]:.3f}"
 
-    def _up(self) -> tuple[str, str]:
+    def _move_up(self) -> tuple[str, str]:
         """Return the line up to the safe height with its description; ("", "") if it is there."""
         if self._safe_mm - self._here.place[2] < _NEAR_MM:
             return "", ""
@@ -168,7 +177,7 @@ class _Way:
         )
         return f"G53 G0 Z{self._safe_mm:.3f}", description
 
-    def _down(self) -> tuple[str, str]:
+    def _move_down(self) -> tuple[str, str]:
         """Return the line down to the program's position, at feed rate, with its description."""
         if self._safe_mm - self._place[2] < _NEAR_MM:
             return "", ""
@@ -183,7 +192,7 @@ class _Way:
         """Return the program's S word."""
         return f"S{number_word(self._there.word('S'))}"
 
-    def _tool(self) -> list[tuple[str, str]]:
+    def _switch_on(self) -> list[tuple[str, str]]:
         """Return lines for spindle or laser, and coolant, as the program has them."""
         steps = []
         spin = next((word for word in self._modes if word in ("M3", "M4")), "")
@@ -197,29 +206,30 @@ class _Way:
         steps += [(word, f"coolant on: {word}") for word in self._modes if word in ("M7", "M8")]
         return steps
 
-    def _offsets(self) -> list[tuple[str, str]]:
-        """Return lines for all offsets that the lines before leave different from the
-        machine's."""
+    def _set_offsets(self) -> list[tuple[str, str]]:
+        """Return lines for all offsets that the lines before leave different from the machine's.
+        The machine is at _place when they are executed."""
+        here, there = self._here, self._there
         steps = []
         for number, name in enumerate(SYSTEMS, 1):
-            stored = self._there.offsets.get(name, [])
-            if stored != self._here.offsets.get(name, [0.0] * len(stored)):
+            stored = there.offsets.get(name, [])
+            if stored != here.offsets.get(name, [0.0] * len(stored)):
                 words = axis_words(stored)
                 steps.append((f"G10 L2 P{number} {words}", f"{name} is stored as {words}"))
-        if self._there.tool_length() != self._here.tool_length():
-            length = self._there.tool_length()
+        if there.tool_length() != here.tool_length():
+            length = there.tool_length()
             steps.append((f"G43.1 Z{length:.3f}", f"tool length offset {length:.3f}"))
-        if self._there.offsets.get("G92") != self._here.offsets.get("G92"):
-            there = self._there
-            places = zip(self._place, there.work_offset(), strict=False)
-            work = [machine - shift for machine, shift in places]
-            steps.append((f"{there.system()} G92 {axis_words(work)}", f"G92 {axis_words(work)}"))
+        if there.offsets.get("G92") != here.offsets.get("G92"):
+            # G92 takes the work position that the machine shall have here, in the active system.
+            axes = zip(self._place, there.work_offset(), strict=False)
+            words = axis_words([machine - shift for machine, shift in axes])
+            steps.append((f"{there.system()} G92 {words}", f"G92 {words}"))
         return steps
 
-    def _modal(self) -> str:
+    def _modes_line(self) -> str:
         """Return a line that sets the program's modes and S."""
         wanted: tuple[str, ...] = ("G17", "G18", "G19", "G20", "G21", "G90", "G91", "G94")
-        # else the line itself names its motion
+        # With a laser in M3 the program's line names its motion: see _check_motion().
         if not (self._here.laser() and "M3" in self._modes):
             wanted = ("G0", "G1", "G80", *wanted)
         words = [word for word in self._modes if word in (*wanted, *SYSTEMS)]
@@ -227,21 +237,24 @@ class _Way:
 
 
 def _cautions_after(lines: Sequence[bytes], number: int) -> list[str]:
-    """Return a warning if a line still to come stores offsets and may have been executed
-    before."""
-    for number_of_line, line in enumerate(lines[number - 1 :], number):
+    """Return a warning about the first line from there on that stores offsets: it may have been
+    executed before."""
+    for later_number, line in enumerate(lines[number - 1 :], number):
         if _STORES.search(_code(line)):
-            text = f"line {number_of_line} stores offsets: if it was executed before"
-            return [f"{text}, restore the offsets that were in force then"]
+            text = f"line {later_number} stores offsets: if it has already been executed"
+            return [f"{text}, first restore the offsets that were in force before it"]
     return []
 
 
 def _cautions(before: Sequence[bytes]) -> list[str]:
-    """Return warnings about what only the user can check."""
+    """Return warnings about what only the user can check; each names the last such line before."""
     found = []
     for pattern, text in (
         (_RELATIVE, "moves relatively (G91): the above is right only if the program began here"),
-        (_ORIGIN, "sets the origin where the tool is: right only if it is there again"),
+        (
+            _ORIGIN,
+            "sets the origin where the tool is: right only if the tool is at the same place again",
+        ),
         (_TOOL, "names a tool: make sure that it is in the spindle"),
     ):
         numbers = [number for number, line in enumerate(before, 1) if pattern.search(_code(line))]

@@ -1,4 +1,8 @@
-"""Jobs on a board: sent, listed, shown, started and deleted, over the serial line."""
+"""Jobs on a board: sent, listed, shown, started and deleted, over the serial line.
+
+Upload: $FU=NAME,SIZE,CRC announces a file. The board asks for each piece by [FU:N], N being its
+first byte; a piece is lines of base64, ended by an empty line. At the end the board answers ok.
+"""
 
 import base64
 import re
@@ -14,7 +18,7 @@ from .connection import Connection, SendError, way_out
 # Bytes of a piece, and of a packed line, as firmware/extras/jobs/job_upload.py expects them.
 _PIECE = 2048
 _LINE = 256
-_WINDOW_LOG2 = 10
+_WINDOW_LOG2 = 10  # of the compression: what a board has memory for
 _SILENCE_S = 12.0  # longer than a board takes to find free flash for a piece
 # bytes per second; the board reads the complete file again, and copies it
 _LOOKED_THROUGH_PER_S = 50_000
@@ -25,8 +29,8 @@ _NAME = re.compile(r"[A-Z0-9_-][A-Z0-9._-]{0,31}")
 _FILE = re.compile(r"\[FILE:/(.*)\|SIZE:(\d+)\]")
 _MESSAGE = re.compile(r"\[MSG:(.*)\]")
 NO_JOBS = (
-    "this machine stores no jobs: on a board with ugrbl its file needs the line"
-    ' JOBS = "jobs", and `ugrbl deploy` puts that there'
+    'this machine stores no jobs; if it runs ugrbl, add the line JOBS = "jobs" to its board file, '
+    "then run `ugrbl deploy`"
 )
 
 
@@ -52,18 +56,18 @@ def push(connection: Connection, name: str, data: bytes, progress: Callable[[int
     if not data:
         raise SendError("an empty file is no job")
     connection.write(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n".encode())
-    heard = _Heard(connection)
+    replies = _Replies(connection)
     for start in range(0, len(data), _PIECE):
-        heard.until(f"[FU:{start}]")
+        replies.until(f"[FU:{start}]")
         progress(start)
         connection.write(b"".join(_lines(data[start : start + _PIECE])) + b"\n")
-    heard.until("ok", _SILENCE_S + len(data) / _LOOKED_THROUGH_PER_S)
+    replies.until("ok", _SILENCE_S + len(data) / _LOOKED_THROUGH_PER_S)
     progress(len(data))
 
 
 def _lines(piece: bytes) -> Iterator[bytes]:
     """Yield the lines that carry a piece of a file: compressed (raw deflate), then base64."""
-    packing = zlib.compressobj(9, zlib.DEFLATED, -_WINDOW_LOG2)
+    packing = zlib.compressobj(9, zlib.DEFLATED, -_WINDOW_LOG2)  # negative: without a header
     packed = packing.compress(piece) + packing.flush()
     for start in range(0, len(packed), _LINE):
         yield base64.b64encode(packed[start : start + _LINE]) + b"\n"
@@ -77,10 +81,10 @@ def files(connection: Connection) -> tuple[list[File], str]:
 
 
 def check_there(connection: Connection, name: str) -> None:
-    """Raise SendError if the machine has no jobs, or none of that name. An empty name stands for
-    any."""
-    jobs, _ = files(connection)
-    if name and name not in (one.name.upper() for one in jobs):
+    """Raise SendError if the machine cannot store jobs, or has none of that name ("": any; it need
+    not have one)."""
+    jobs, _ = files(connection)  # raises SendError, too
+    if name and name not in (job.name.upper() for job in jobs):
         raise SendError(f"There is no job {name}: `ugrbl job list` shows what there is")
 
 
@@ -115,7 +119,7 @@ def start(connection: Connection, name: str, line: str = "") -> str:
             match = _MESSAGE.fullmatch(text)
             if match and match[1].startswith("Job "):
                 messages.append(_REFUSED.sub(_with_meaning, match[1]))
-                until = time.monotonic() + _FIRST_S
+                until = time.monotonic() + _FIRST_S  # then wait only for one more
     if not messages:
         raise SendError("the machine does not say that the job has begun")
     text = "\n".join(messages)
@@ -133,41 +137,44 @@ def _ask(connection: Connection, line: str) -> list[str]:
     """Send a line and return its replies, without status reports, which would appear within a
     file."""
     connection.write(line.encode() + b"\n")
-    return _Heard(connection).until("ok")
+    return _Replies(connection).until("ok")
 
 
-class _Heard:
-    """The lines received from the machine."""
+class _Replies:
+    """The lines received from the machine, without status reports."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._lines: list[str] = []
 
     def until(self, wanted: str, silence_s: float = _SILENCE_S) -> list[str]:
-        """Return all lines up to the wanted one. SendError with the machine's message if it
-        refuses, or if it is silent for too long."""
-        since = time.monotonic()
-        seen: list[str] = []
-        while time.monotonic() - since < silence_s:
+        """Return all lines up to the wanted one. SendError with the machine's message if it gives
+        another answer, or if it is silent for too long."""
+        last_received = time.monotonic()
+        replies: list[str] = []
+        while time.monotonic() - last_received < silence_s:
             if more := list(self._connection.lines()):
-                since = time.monotonic()
+                last_received = time.monotonic()
                 self._lines += [line for line in more if not line.startswith("<")]
-            while self._lines:
-                seen.append(self._lines.pop(0))
-                if seen[-1] == wanted:
-                    return seen
-                if is_answer(seen[-1]):
-                    raise SendError(_why(seen))
+            while self._lines:  # what follows the wanted line stays for the next call
+                replies.append(self._lines.pop(0))
+                if replies[-1] == wanted:
+                    return replies
+                if is_answer(replies[-1]):
+                    raise SendError(_why(replies))
         state = self._connection.state()
         raise SendError(f"the machine does not answer in {state}: {way_out(state)}")
 
 
-def _why(seen: list[str]) -> str:
+def _why(replies: list[str]) -> str:
     """Return why the machine has refused: its last message, or the meaning of its answer.
 
-    seen: the lines received, the answer last.
+    replies: the lines received, the answer last.
     """
-    messages = [match[1] for line in seen if (match := _MESSAGE.fullmatch(line))]
+    messages = [match[1] for line in replies if (match := _MESSAGE.fullmatch(line))]
     if messages:
         return messages[-1]
-    return NO_JOBS if seen[-1] in ("error:3", "error:2") else f"{seen[-1]}: {meaning(seen[-1])}"
+    answer = replies[-1]
+    if answer in ("error:3", "error:2"):  # as a Grbl answers that does not know the command
+        return NO_JOBS
+    return f"{answer}: {meaning(answer)}"

@@ -18,8 +18,12 @@ _PLACE_S = 3.0
 # left out.
 _SETTINGS = (11, 12, 30, 31, 32, *range(100, 106), *range(110, 116), *range(120, 126))
 _TRAVEL = range(130, 136)
-_HOMING, _SOFT_LIMITS, _INCHES, _LASER, _STEPS_PER_MM = 22, 20, 13, 32, 100
-_Z = 2
+_HOMING = 22  # numbers of settings
+_SOFT_LIMITS = 20
+_INCHES = 13
+_LASER = 32
+_STEPS_PER_MM = 100
+_Z = 2  # index of the axis
 _SETTING = re.compile(r"\$(\d+)=([\d.]+)")
 _OFFSET = re.compile(r"\[(G5[4-9]|G28|G30|G92|TLO):([-\d.,]+)\]")
 _MODES = re.compile(r"\[(?:GC:)?(G\d[^\]:]*)\]")
@@ -61,12 +65,12 @@ class MachineSnapshot:
         return self.offsets.get("TLO", [0.0])[0]
 
     def commands(self) -> list[str]:
-        """Return the lines for a simulator with factory settings. A line that it refuses can be
-        skipped."""
+        """Return the lines that bring a simulator with factory settings, at position 0, into this
+        state. A line that it refuses can be skipped."""
         wanted = (*_SETTINGS, *_TRAVEL, _HOMING)
         lines = [f"${n}={self.settings[n]}" for n in wanted if n in self.settings]
         for name, number in (("G28", "G28.1"), ("G30", "G30.1")):
-            if any(self._offset(name)):
+            if any(self._offset(name)):  # G28.1 stores where the machine is
                 lines += [f"G53 G0 {axis_words(self._offset(name))}", number]
         if self.place:
             lines.append(f"G53 G0 {axis_words(self.place)}")
@@ -74,18 +78,20 @@ class MachineSnapshot:
             if any(self._offset(name)):
                 lines.append(f"G10 L2 P{index} {axis_words(self._offset(name))}")
         lines += self._modal()
+        # Soft limits last, because the moves above may be outside.
         if float(self.settings.get(_SOFT_LIMITS, "0")):
             lines.append(f"${_SOFT_LIMITS}=1")
         return lines
 
     def _modal(self) -> list[str]:
-        """Return lines that set work coordinates and modes."""
+        """Return lines that set work coordinates and modes, with the machine at its position."""
         lines = [self.system()]
         if self.tool_length():
             lines.append(f"G43.1 Z{self.tool_length():.3f}")
         if any(self._offset("G92")) and self.place:
-            places = zip(self.place, self.work_offset(), strict=False)
-            lines.append(f"G92 {axis_words([machine - shift for machine, shift in places])}")
+            # G92 takes the work position that the machine shall have where it is.
+            axes = zip(self.place, self.work_offset(), strict=False)
+            lines.append(f"G92 {axis_words([machine - shift for machine, shift in axes])}")
         if self.feed_mm_min():
             lines.append(f"F{number_word(self.feed_mm_min())}")
         words = [word for word in self.modes if _KEPT_MODES.fullmatch(word)]
@@ -115,16 +121,16 @@ class MachineSnapshot:
 
 
 def read_machine(connection: Connection) -> MachineSnapshot:
-    """Read the state of an idle machine. Values it does not report stay as in a simulator."""
+    """Read the state of an idle machine. Values it does not report stay as in a new simulator."""
     replies = [reply for line in ("$$", "$#", "$G") for reply in connection.ask(line)]
-    connection.wait_for(lambda line: bool(connection.place()), _PLACE_S)
+    connection.wait_for(lambda _line: bool(connection.place()), _PLACE_S)
     snapshot = read(replies)
     snapshot.place = [number * snapshot.unit_mm() for number in connection.place()]
     return snapshot
 
 
 def read(replies: Iterable[str]) -> MachineSnapshot:
-    """Parse replies to $$, $# and $G."""
+    """Parse replies to $$, $# and $G; lengths are converted to mm."""
     snapshot = MachineSnapshot()
     for reply in replies:
         if match := _SETTING.match(reply):

@@ -4,16 +4,13 @@ Whatever ends it early, the machine is first put on hold, because Grbl would con
 lines it has received.
 """
 
-import os
 import re
 import signal
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from types import FrameType
 from typing import NamedTuple, Protocol, overload
 
 from .. import paths
@@ -32,13 +29,12 @@ from ..grbl.gcode_file import (
 from ..grbl.messages import meaning
 from .connection import POLL_S, Connection, SendError, is_deaf, way_out
 
-_HOLD_S = 15.0
-_RESET_S = 3.0
-_SILENCE_S = 10.0
+_HOLD_S = 15.0  # time limit for the machine to stop
+_RESET_S = 3.0  # time limit for the welcome, and then for a status report
+_SILENCE_S = 10.0  # after so much silence the user is notified
 REFUSED = " was refused"  # end of `stopped` if a refused line was the cause
-_ENDED = ("Idle", "Check", "Sleep")
+_ENDED = ("Idle", "Check", "Sleep")  # states in which nothing is being executed
 _PAUSE = re.compile(rb"M0+(?![\d.])", re.IGNORECASE)
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Line(NamedTuple):
@@ -114,8 +110,9 @@ class Ready(Sequence[Line]):
     def __getitem__(self, index: "int | slice") -> "Line | list[Line]":
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
+        # range() raises IndexError, and counts a negative index from the end.
         offset = range(len(self))[index] - len(self._lead)
-        if offset < 0:  # lines of lead come first; it counts from their end
+        if offset < 0:  # a line of lead: these come first, and -1 is the last of them
             return self._lead[offset]
         number = self._first + offset
         line = self._lines[number - 1]
@@ -141,7 +138,10 @@ class _Mute:
 
 
 class Stream:
-    """Sends one program. by_line: one line at a time. keep_going: also after refused lines."""
+    """Sends one program. by_line: one line at a time. keep_going: also after refused lines.
+
+    In each round it sends what fits, reads, and holds the machine if `_why_hold` says so.
+    """
 
     def __init__(
         self,
@@ -159,19 +159,20 @@ class Stream:
         self._keep_going = keep_going
         self._sent = 0  # number of lines sent
         self._unanswered: deque[int] = deque()  # lengths of the lines sent and not yet answered
-        self._polled = 0.0  # time of the last ?
-        self._drains_before: int | None = None  # underruns before this program
-        self._rests = 0  # status reports in a row, since the last answer, with a state of rest
+        self._polled_at = 0.0  # time of the last ?
+        self._drains_before: int | None = None  # underruns before this program; None: not known
+        # Status reports in a row, since the last answer, with a state of _ENDED.
+        self._ended_reports = 0
         self._why_hold = ""  # why the machine is to be held; "" if it is not
         self._asking = False  # the user is being asked
-        self._told = ""  # the state that the user was last notified of
+        self._notified_state = ""  # the state that the user was last notified of
         self._held_by_key = False
 
     def interrupt(self, number: int = signal.SIGINT) -> None:
         """Hold the machine at once. May be called from a signal handler.
 
-        Ctrl-C asks what to do next. Any other signal ends the program, because there may be no
-        user.
+        Then Ctrl-C asks what to do next; Ctrl-C during that question answers it (_ask). Any other
+        signal ends the program, because there may be no user.
         """
         self._connection.write(FEED_HOLD)
         self._why_hold = "Ctrl-C"
@@ -182,7 +183,8 @@ class Stream:
             raise KeyboardInterrupt
 
     def run(self) -> Report:
-        """Send everything and wait until the machine is idle."""
+        """Send everything and wait until the machine is idle. Never raises SendError: the report
+        then says why it stopped. Any other exception holds the machine."""
         try:
             self._stream()
         except SendError as error:
@@ -194,30 +196,30 @@ class Stream:
         return self.report
 
     def _stream(self) -> None:
-        """Take turns until the program has ended, or something has stopped it."""
+        """Repeat rounds until the program has ended, or something has stopped it."""
         self._connection.status = ""
         self._connection.heard = time.monotonic()  # questions to the user may have taken long
         try:
             while not self.report.stopped and not self._finished():
-                self._turn()
+                self._do_round()
         except OSError as error:  # a full disk, or a closed pipe
             self._connection.write(FEED_HOLD)
-            self._view = _Mute()
+            self._view = _Mute()  # shows nothing, and answers with abort
             self._why_hold = f"the progress cannot be shown ({paths.why(error)})"
             self._hold()
 
-    def _turn(self) -> None:
+    def _do_round(self) -> None:
         """Send as much as fits, process what was received, and hold if that is due."""
         if not self._why_hold:
             self._fill()
         self._poll()
         for line in self._connection.lines():
             self._handle(line)
-        self._press(self._view.keys())
+        self._send_keys(self._view.keys())
         if self._why_hold:
             self._hold()
 
-    def _press(self, keys: bytes) -> None:
+    def _send_keys(self, keys: bytes) -> None:
         """Send real-time commands of the user, those from 0x80 on only to a Grbl that has them."""
         if not self._connection.takes_overrides:
             keys = bytes(byte for byte in keys if byte < 0x80)
@@ -228,7 +230,7 @@ class Stream:
     def _finished(self) -> bool:
         """Return whether all lines are answered and two later status reports say the machine is
         idle. The first of them may be from before the last motion began."""
-        return self._all_answered() and self._rests >= 2
+        return self._all_answered() and self._ended_reports >= 2
 
     def _all_answered(self) -> bool:
         return self._sent == len(self._lines) and not self._unanswered
@@ -239,8 +241,8 @@ class Stream:
             line = self._lines[self._sent].data + b"\n"
             # Lines that prepare for a program are sent one by one, so that none follows a refused
             # one.
-            leads = self._sent > 0 and self._lines[self._sent - 1].number == 0
-            if self._unanswered and (leads or not self._fits(len(line))):
+            is_after_lead = self._sent > 0 and self._lines[self._sent - 1].number == 0
+            if self._unanswered and (is_after_lead or not self._fits(len(line))):
                 return
             self._connection.write(line)
             self._unanswered.append(len(line))
@@ -252,11 +254,11 @@ class Stream:
     def _poll(self) -> None:
         """Request the status from time to time, and report a silent machine to the user."""
         now = time.monotonic()
-        if now - self._polled >= POLL_S:
-            self._polled = now
+        if now - self._polled_at >= POLL_S:
+            self._polled_at = now
             self._connection.write(STATUS)
         if now - self._connection.heard >= _SILENCE_S:
-            self._connection.heard = now
+            self._connection.heard = now  # the next message comes after as long again
             self._view.message(f"the machine has sent nothing for {_SILENCE_S:g} s")
 
     def _handle(self, line: str) -> None:
@@ -270,10 +272,11 @@ class Stream:
         elif is_welcome(line):
             report.stopped = "the controller was reset"
         elif line.startswith("<"):
-            self._rests = self._rests + 1 if self._connection.state() in _ENDED else 0
-            self._note_place()
+            state = self._connection.state()
+            self._ended_reports = self._ended_reports + 1 if state in _ENDED else 0
+            self._note_report()
             self._view.progress(report.answered, line)
-            self._tell_state(self._connection.state())
+            self._explain_state(state)
         elif line:
             self._view.message(line)
 
@@ -281,7 +284,7 @@ class Stream:
         """Count the answer to the oldest line. After a refusal hold, unless keep_going."""
         self._unanswered.popleft()
         self._connection.status = ""  # it may be older than the answer
-        self._rests = 0
+        self._ended_reports = 0
         line = self._lines[self.report.answered]
         self.report.answered += 1
         self.report.line = line.number
@@ -294,7 +297,7 @@ class Stream:
             self._connection.write(FEED_HOLD)
             self._why_hold = f"{name}{REFUSED}"
 
-    def _note_place(self) -> None:
+    def _note_report(self) -> None:
         """Store what the last status report says: state, position, blocks left, underruns."""
         if self._drains_before is None:
             self._drains_before = self._connection.drains()
@@ -305,32 +308,34 @@ class Stream:
             self.report.place_line = self.report.line
             self.report.blocks_left = self._connection.blocks_left()
 
-    def _tell_state(self, state: str) -> None:
-        """Notify the user once why nothing moves."""
+    def _explain_state(self, state: str) -> None:
+        """Notify the user once why nothing moves, if it is not this program that holds."""
         if state == "Sleep" and not self._all_answered():
             self.report.stopped = f"the machine has gone to sleep: {way_out(state)}"
         if not is_deaf(state) or self._why_hold:
-            self._told = ""
+            self._notified_state = ""
             self._held_by_key = False
-        elif state.partition(":")[0] != self._told:
-            self._told = state.partition(":")[0]
-            self._view.message(self._pause() or f"the machine is in {state}: {way_out(state)}")
+        elif state.partition(":")[0] != self._notified_state:
+            self._notified_state = state.partition(":")[0]
+            self._view.message(
+                self._pause_by_m0() or f"the machine is in {state}: {way_out(state)}"
+            )
 
-    def _pause(self) -> str:
+    def _pause_by_m0(self) -> str:
         """Return a message if the program has paused the machine by M0; else ""."""
         if not self._unanswered or self._held_by_key:
             return ""
-        line = self._lines[self.report.answered]
+        line = self._lines[self.report.answered]  # the oldest line without an answer
         if not _PAUSE.search(without_comments(line.data).replace(b" ", b"")):
             return ""
         words = comment(line.text.encode("utf-8"))
-        wish = f": {words}" if words else ""
-        return f"line {line.number}: M0 pauses{wish} (~ or the start button goes on)"
+        reason = f": {words}" if words else ""
+        return f"line {line.number}: M0 pauses{reason} (~ or the start button goes on)"
 
     def _hold(self) -> None:
         """Wait until the machine stands still before anything else, because during motion Grbl
         ignores a cycle start and a reset loses steps. Then ask what to do next."""
-        self._connection.wait_for(self._is_at_rest, _HOLD_S)
+        self._connection.wait_for(self._handle_until_rest, _HOLD_S)
         if self.report.stopped:
             return
         choice = Choice.ABORT if self.report.signal else self._ask(self._why_hold)
@@ -344,7 +349,7 @@ class Stream:
         self._connection.write(CYCLE_START)
 
     def _ask(self, why: str) -> Choice:
-        """Ask the user what to do next. Ctrl-C meanwhile means abort."""
+        """Ask the user what to do next. Ctrl-C meanwhile means abort: interrupt() raises it."""
         self._asking = True
         try:
             return self._view.ask(why)
@@ -358,43 +363,14 @@ class Stream:
         """Reset: the tool is switched off, and Grbl's buffers are cleared."""
         self.report.stopped = self._why_hold
         self._connection.write(RESET)
-        self._connection.status = ""
+        self._connection.status = ""  # it is from before the reset
         self._connection.wait_for(is_welcome, _RESET_S)
         self._connection.wait_for(lambda line: line.startswith("<"), _RESET_S)
         self.report.state = self._connection.state()
 
-    def _is_at_rest(self, line: str) -> bool:
+    def _handle_until_rest(self, line: str) -> bool:
         """Process a line; return whether the machine stands still, or the program has ended."""
         self._handle(line)
         if self.report.stopped:
             return True
         return line.startswith("<") and self._connection.at_rest()
-
-
-@contextmanager
-def stopping_signals(stream: Stream) -> Iterator[None]:
-    """Within this context, Ctrl-C, a closed terminal and SIGTERM first hold the machine."""
-    terminals = [number for number in range(3) if os.isatty(number)]
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        if signal.Signals(number).name == "SIGHUP":
-            _leave(terminals)
-        stream.interrupt(number)
-
-    before = {}
-    for name in _SIGNALS:
-        number = getattr(signal, name, None)  # Windows has no SIGHUP
-        if number and signal.getsignal(number) is not signal.SIG_IGN:  # nohup makes it ignored
-            before[number] = signal.signal(number, stop)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _leave(terminals: Sequence[int]) -> None:
-    """Redirect a closed terminal to /dev/null: an exception must not keep us from stopping."""
-    nothing = os.open(os.devnull, os.O_RDWR)
-    for number in terminals:
-        os.dup2(nothing, number)

@@ -32,8 +32,9 @@ def connect(port: str, baud: int = BAUD) -> Connection:
 
 
 def pull(connection: Connection) -> Settings:
-    """Read all settings. SendError if the machine's state does not allow it."""
-    state = connection.state()
+    """Read all settings, and which firmware has them. SendError if the machine's state does not
+    allow it."""
+    state = connection.state()  # "": not known
     if state and state not in QUIET:
         raise SendError(
             f"the machine is in {state} and does not report its settings: {way_out(state)} first"
@@ -48,28 +49,28 @@ def pull(connection: Connection) -> Settings:
 def push(
     connection: Connection, todo: Sequence[Change], progress: Callable[[Change], None]
 ) -> None:
-    """Write settings and read them back. Refused lists those that were refused; all others are
-    stored.
+    """Write settings and read them back; raises Refused with those that were refused, or that read
+    back differently. All others are stored. progress: called with each that was accepted.
 
     A value may be refused as long as another one is not changed ($20 needs $22, a rate may be too
     high for a resolution), so refused values are tried again after the others.
     """
-    left = sorted(todo, key=lambda change: (change.number == _SOFT_LIMITS, change.number))
-    while left:
+    remaining = sorted(todo, key=lambda change: (change.number == _SOFT_LIMITS, change.number))
+    while remaining:
         refused: list[tuple[Change, str]] = []
-        for change in left:
+        for change in remaining:
             reply = connection.ask(f"${change.number}={change.after}")[-1]
             if reply == "ok":
                 progress(change)
             else:
                 refused.append((change, reply))
-        if len(refused) == len(left):
+        if len(refused) == len(remaining):
             raise Refused(refused)
-        left = [change for change, _ in refused]
+        remaining = [change for change, _ in refused]
     wanted = {change.number: change.after for change in todo}
-    other = changes(pull(connection).values, wanted)
-    if other:
-        raise Refused([(change, f"it says {change.before}") for change in other])
+    unlike = changes(pull(connection).values, wanted)
+    if unlike:
+        raise Refused([(change, f"it says {change.before}") for change in unlike])
 
 
 def factory(connection: Connection) -> None:

@@ -31,7 +31,8 @@ class Wanted:
 
 
 def orders(wanted: Wanted) -> Iterator[str]:
-    """Yield the lines that make these changes. ValueError if a value is not possible.
+    """Yield the lines that make these changes; None: no change. ValueError if a value is not
+    possible.
 
     At no time is there an access point without a password, because the board refuses that.
     """
@@ -40,8 +41,9 @@ def orders(wanted: Wanted) -> Iterator[str]:
     if wanted.name is not None:
         yield "$NET/SSID=" + _hex("the network's name", wanted.name, 1, _LONGEST_NAME)
     if wanted.password is not None:
-        fewest = _SHORTEST_PASSWORD if wanted.password else 0
+        fewest = _SHORTEST_PASSWORD if wanted.password else 0  # "": an open network
         digits = _hex("the password", wanted.password, fewest, _LONGEST_PASSWORD)
+        # A line has space for _PIECE bytes, two digits each; PASS+ adds the others.
         yield "$NET/PASS=" + digits[: 2 * _PIECE]
         if digits[2 * _PIECE :]:
             yield "$NET/PASS+" + digits[2 * _PIECE :]
@@ -49,15 +51,15 @@ def orders(wanted: Wanted) -> Iterator[str]:
         yield "$NET/MODE=AP"
     if wanted.host is not None:
         if not _HOST.fullmatch(wanted.host):
-            raise ValueError("the host's name has letters, digits and -, 31 at the most")
+            raise ValueError("a host name may have letters, digits and -, 31 at the most")
         yield "$NET/HOST=" + wanted.host
     if wanted.port is not None:
         yield f"$NET/PORT={wanted.port}"
 
 
 def _hex(what: str, text: str, fewest: int, most: int) -> str:
-    """Return a text's bytes as hexadecimal digits. ValueError names it (what) if its length is
-    wrong."""
+    """Return a text's bytes as hexadecimal digits. ValueError, which names it (what), if it has
+    not `fewest` to `most` bytes."""
     data = text.encode()
     if not fewest <= len(data) <= most:
         raise ValueError(f"{what} has {len(data)} bytes, and may have {fewest} to {most}")
@@ -89,7 +91,7 @@ def _told(replies: list[str], prefix: str) -> str:
     """Return the text of the message that begins with a prefix; SendError if there is none."""
     for reply in replies:
         if reply.startswith(prefix):
-            return reply[len(prefix) : -1]
+            return reply[len(prefix) : -1]  # without the bracket at its end
     raise SendError("the board's answer is unknown to this version of ugrbl")
 
 

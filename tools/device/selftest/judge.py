@@ -1,6 +1,9 @@
 """Judge what the board has measured: one row per check.
 
 A fact is a name and figures (on_board/say.py). Consecutive facts of one kind are judged together.
+Edges of a pin in a window are a list: the level at first, then the ticks at which it changes. A
+tick of engine and sampler is TICK_US. NOT_SHOWN begins the text of a check that is neither passed
+nor failed.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -11,20 +14,16 @@ from .row import NOT_SHOWN, Fact, Row
 
 TICK_US = 0.08  # one tick of the engine and of the sampler, in us
 _TICK_HZ = 12_500_000
-# Two samples may see the same edge one tick apart.
-_EXACT_TICKS = 1
-_OF_A_PIO = 4
-_LIMIT_US = 300.0
-_HANG_MS = 500
+_EXACT_TICKS = 1  # two samples may see the same edge one tick apart
+_OF_A_PIO = 4  # motors
+_LIMIT_US = 300.0  # from a limit's edge to the last step
+_HANG_MS = 500  # from the hang until motors and spindle are off
 _REPORT_MS = 300  # reports of a hang come at least so often
-_PWM_PERCENT = 2.0
-_STACK_BYTES = 8192
-_STACK_SPARE = 2048
+_PWM_PERCENT = 2.0  # allowed difference of the duty cycle
+_STACK_BYTES = 8192  # size of the C stack
+_STACK_SPARE = 2048  # bytes of it that must stay free
 # No flash erases faster: 4 kB take at least 45 ms.
 _FLASH_US = 5000
-
-
-# Edges: the first level, then the ticks at which the level changes.
 
 
 def highs(edges: Sequence[int]) -> list[int]:
@@ -43,11 +42,12 @@ def falls(edges: Sequence[int]) -> list[int]:
 
 
 def _spans(edges: Sequence[int]) -> Iterator[tuple[int, int, bool]]:
-    """Yield begin, end and level (True: high) between two edges each, in ticks."""
+    """Yield the time between each edge and the next one: begin and end in ticks, and whether the
+    level is high."""
     level = edges[0]
-    for a, b in pairwise(edges[1:]):
+    for begin, end in pairwise(edges[1:]):
         level = 1 - level
-        yield a, b, level == 1
+        yield begin, end, level == 1
 
 
 def _us(ticks: float) -> float:
@@ -74,32 +74,33 @@ def _board(facts: list[Fact]) -> Iterator[Row]:
 
 
 def _watchers(facts: list[Fact]) -> Iterator[Row]:
-    """Judge whether the counters see the pins: they must count steps that software has made."""
+    """Judge whether the counters see the pins: they must count steps that software has made. If
+    they do not, nothing else can be judged."""
     fact = facts[0]
     # levels: of a STEP pin that was set high, then low
-    sees = fact["seen"] == fact["made"] and fact["levels"] == [1, 0]
+    sees_pins = fact["seen"] == fact["made"] and fact["levels"] == [1, 0]
     forward, backward = fact["made"]
-    if sees:
+    if sees_pins:
         text = f"{forward} steps forward and {backward} backward made by hand were counted"
     else:
         counter = fact.get("who", "PIO 1")
         counts = f"{counter} counted {fact['seen']} of {fact['made']}"
-        text = f"{NOT_SHOWN}{counts}: it does not see the pins"
-    yield Row("watchers see the pins", sees or None, text, fact)  # None: not shown
+        text = f"{NOT_SHOWN}{counts}: the counter does not see the pins"
+    yield Row("watchers see the pins", sees_pins or None, text, fact)  # None: not shown
 
 
 def _steps(facts: list[Fact]) -> Iterator[Row]:
-    """Judge runs there and back: position and count of all axes must be as asked for, 0 after the
-    way back."""
+    """Judge runs there and back (a fact each): position and count of all axes must be as asked
+    for, 0 after the way back, and each axis must have been counted."""
     good, total = True, 0
-    for one in facts:
-        due = 0 if one["back"] else one["asked"]
-        total += one["asked"]
-        good &= one["rested"] and set(one["position"]) == {due} == set(one["counted"])
-    axes = {axis for one in facts for axis in one["motors"]}
+    for run in facts:
+        due = 0 if run["back"] else run["asked"]
+        total += run["asked"]
+        good &= run["rested"] and set(run["position"]) == {due} == set(run["counted"])
+    axes = {axis for run in facts for axis in run["motors"]}
     good &= axes == set(range(len(facts[0]["position"])))
-    # each direction was run once per round of watched axes
-    total //= sum(not one["back"] for one in facts)
+    # The runs are repeated until each axis was counted, but each axis is asked for one total.
+    total //= sum(not run["back"] for run in facts)
     text = f"{total} on each of {len(axes)} axes, there and back, all counted"
     if not good:
         last = facts[-1]
@@ -111,15 +112,16 @@ def _steps(facts: list[Fact]) -> Iterator[Row]:
 def _pulses(facts: list[Fact]) -> Iterator[Row]:
     """Judge pulse width, step period and skew, from edges of the step pins in some windows."""
     hz, us = facts[0]["hz"], facts[0]["us"]
-    tracks = [edges for one in facts for edges in one["steps"]]
+    tracks = [edges for window in facts for edges in window["steps"]]  # of each axis
     widths = [ticks for edges in tracks for ticks in highs(edges)]
     gaps = [b - a for edges in tracks for a, b in pairwise(rises(edges))]
-    where = f", {hz / 1000:g} kHz"
+    where = f", {hz / 1000:g} kHz"  # ends the rows' names
     if not widths or not gaps:
         yield Row(f"pulse width{where}", False, "no pulse was seen")
         return
-    slack = _EXACT_TICKS * TICK_US
-    good = us - slack <= min(widths) * TICK_US and max(widths) * TICK_US <= us + 2 * slack
+    slack_us = _EXACT_TICKS * TICK_US
+    least_us, most_us = min(widths) * TICK_US, max(widths) * TICK_US
+    good = us - slack_us <= least_us and most_us <= us + 2 * slack_us  # may be a tick longer
     text = f"{_range(widths)}; {us} asked; {len(widths)} pulses"
     yield Row(f"pulse width{where}", good, text, {"us": [_us(min(widths)), _us(max(widths))]})
     due = _TICK_HZ // hz
@@ -134,30 +136,31 @@ def _skew(facts: list[Fact], due: int, where: str) -> Row:
 
     due: ticks of a period. where: end of the row's name.
     """
+    # Without the first and the last step, whose counterparts may be outside of the window.
     apart = [
         min((abs(a - b) for b in rises(edges)), default=due)
-        for one in facts
-        for edges in one["steps"][1:]
-        for a in rises(one["steps"][0])[1:-1]
+        for window in facts
+        for edges in window["steps"][1:]
+        for a in rises(window["steps"][0])[1:-1]
     ]
     if not apart:
         return Row(f"skew between axes{where}", False, "no steps to compare")
     text = f"{_us(max(apart)):g} us at the most; {len(apart)} pairs of steps"
     # The fifth motor's PIO starts up to a tick after the first's.
-    has_two = len(facts[0]["steps"]) > _OF_A_PIO
-    good = max(apart) <= _EXACT_TICKS + has_two
+    pio_ticks = 1 if len(facts[0]["steps"]) > _OF_A_PIO else 0
+    good = max(apart) <= _EXACT_TICKS + pio_ticks
     return Row(f"skew between axes{where}", good, text, {"us": _us(max(apart))})
 
 
 def _turns(facts: list[Fact]) -> Iterator[Row]:
     """Judge hold and set-up: times from the last pulse to a change of direction, and from that to
     the next pulse."""
-    hold, setup = [], []
-    for fact in facts:
-        for step, direction in zip(fact["steps"], fact["dirs"], strict=True):
-            for turn in direction[1:]:
-                hold += [turn - fall for fall in falls(step) if fall <= turn][-1:]
-                setup += [rise - turn for rise in rises(step) if rise >= turn][:1]
+    hold, setup = [], []  # in ticks
+    for window in facts:
+        for step, direction in zip(window["steps"], window["dirs"], strict=True):
+            for turn in direction[1:]:  # the ticks at which it changes
+                hold += [turn - fall for fall in falls(step) if fall <= turn][-1:]  # the last
+                setup += [rise - turn for rise in rises(step) if rise >= turn][:1]  # the first
     for what, ticks, asked_us in (
         ("direction hold", hold, facts[0]["hold_us"]),
         ("direction set-up", setup, facts[0]["setup_us"]),
@@ -172,59 +175,68 @@ def _turns(facts: list[Fact]) -> Iterator[Row]:
 
 def _stops(facts: list[Fact]) -> Iterator[Row]:
     """Judge stops at random instants: the position must equal the count, and no step follow."""
-    one = facts[0]
-    good = one["wrong"] == 0 == one["late"] and one["count"] > 0
-    text = f"{one['count']} stops, half in an interrupt; position equal to the step count"
+    fact = facts[0]
+    good = fact["wrong"] == 0 == fact["late"] and fact["count"] > 0
+    text = f"{fact['count']} stops, half in an interrupt; position equal to the step count"
     if not good:
-        text = f"{one['wrong']} of {one['count']} stops with a position other than the step count"
-        text += f" (the first: {one['first']}), {one['late']} with steps after the stop"
-    yield Row("stops at random instants", good, text, one)
+        text = (
+            f"{fact['wrong']} of {fact['count']} stops with a position other than the step count"
+        )
+        text += f" (the first: {fact['first']}), {fact['late']} with steps after the stop"
+    yield Row("stops at random instants", good, text, fact)
 
 
 def _starts(facts: list[Fact]) -> Iterator[Row]:
     """Judge short moves from standstill: every step must be made, and each move must end."""
-    one = facts[0]
-    good = one["wrong"] == 0 == one["stuck"] and one["count"] > 0
-    text = f"{one['count']} moves, every step made and counted"
+    fact = facts[0]
+    good = fact["wrong"] == 0 == fact["stuck"] and fact["count"] > 0
+    text = f"{fact['count']} moves, every step made and counted"
     if not good:
-        text = f"{one['wrong']} of {one['count']} moves wrong (the first: {one['first']}), "
-        text += f"{one['stuck']} did not end"
-    yield Row("starts from rest", good, text, one)
+        text = f"{fact['wrong']} of {fact['count']} moves wrong (the first: {fact['first']}), "
+        text += f"{fact['stuck']} did not end"
+    yield Row("starts from rest", good, text, fact)
 
 
 def _limits(facts: list[Fact]) -> Iterator[Row]:
     """Judge limit inputs, undisturbed and during garbage collections."""
     for fact in facts:
-        what = f"limit{', during a collection' if fact['collecting'] else ''}: to the last edge"
+        when = ", during a collection" if fact["collecting"] else ""
+        what = f"limit{when}: time to the last step edge"
         if not fact["inputs"]:
             yield Row(what, None, "left out: the board file names no LIMIT", fact)
         elif not fact["shown"]:
-            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced", fact)
+            yield Row(
+                what, None, NOT_SHOWN + "a pin's interrupt cannot be forced on this chip", fact
+            )
         else:
             yield _limit(what, fact)
 
 
 def _limit(what: str, fact: Fact) -> Row:
-    """Judge the time from an edge at a limit input to the last step of any axis."""
+    """Judge the time from an edge at a limit input to the last step of any axis.
+
+    The fact has: ticks, these times, -1 if no step followed; missed, limits without an event;
+    wrong, stops with a position other than the count; window, ticks that were sampled.
+    """
     delays = [max(ticks, 0) for ticks in fact["ticks"]]
-    worst = _us(max(delays))
-    good = fact["missed"] == 0 == fact["wrong"] and worst <= _LIMIT_US
-    mean = _us(sum(delays) / len(delays))
-    text = f"mean {mean:g} us, worst {worst:g} us; {len(delays)} interrupts forced"
+    worst_us = _us(max(delays))
+    good = fact["missed"] == 0 == fact["wrong"] and worst_us <= _LIMIT_US
+    mean_us = _us(sum(delays) / len(delays))
+    text = f"mean {mean_us:g} us, worst {worst_us:g} us; {len(delays)} interrupts forced"
     if max(delays) > 0.95 * fact["window"]:  # steps to the end of the sampled window
         text = f"more than {_us(fact['window']):g} us; {len(delays)} interrupts forced"
     if fact["missed"] or fact["wrong"]:
         text += f"; {fact['missed']} not detected, {fact['wrong']} positions unlike the step count"
-    return Row(what, good, text, {**fact, "mean_us": mean, "worst_us": worst})
+    return Row(what, good, text, {**fact, "mean_us": mean_us, "worst_us": worst_us})
 
 
 def duty_percent(edges: Sequence[int]) -> float:
     """Return the duty cycle over whole periods; 0 or 100 for a constant level."""
-    begins = rises(edges)
+    begins = rises(edges)  # of the periods
     if len(begins) < 2:
         return 100.0 * edges[0]
-    inside = [b - a for a, b, is_high in _spans(edges) if is_high and a < begins[-1]]
-    return 100 * sum(inside) / (begins[-1] - begins[0])
+    high = [end - begin for begin, end, is_high in _spans(edges) if is_high and begin < begins[-1]]
+    return 100 * sum(high) / (begins[-1] - begins[0])
 
 
 def _pwm(facts: list[Fact]) -> Iterator[Row]:
@@ -237,13 +249,13 @@ def _pwm(facts: list[Fact]) -> Iterator[Row]:
         )
         yield Row("spindle PWM", None, f"left out: {why}")
         return
-    for one in facts:
-        due = 100 * one["power"] / one["full"]
-        percent = duty_percent(one["edges"])
+    for fact in facts:
+        due = 100 * fact["power"] / fact["full"]
+        percent = duty_percent(fact["edges"])
         good = abs(percent - due) <= _PWM_PERCENT
-        if due in (0, 100):
-            good = one["edges"] == [due // 100]
-        yield Row(f"spindle PWM, {due:g} %", good, f"{percent:.1f} % at the pin", one)
+        if due in (0, 100):  # a constant level, without any edge
+            good = fact["edges"] == [due // 100]
+        yield Row(f"spindle PWM, {due:g} %", good, f"{percent:.1f} % at the pin", fact)
 
 
 def _dark(facts: list[Fact]) -> Iterator[Row]:
@@ -251,9 +263,9 @@ def _dark(facts: list[Fact]) -> Iterator[Row]:
     for fact in facts:
         what = fact["what"].replace("pwm", "spindle PWM")
         if fact.get("shown") is False:
-            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced")
+            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced on this chip")
         else:
-            good = fact["edges"] == [0]
+            good = fact["edges"] == [0]  # low, without any edge
             text = (
                 "off, and stays so" if good else f"{duty_percent(fact['edges']):.1f} % at the pin"
             )
@@ -261,7 +273,8 @@ def _dark(facts: list[Fact]) -> Iterator[Row]:
 
 
 def _save(facts: list[Fact]) -> Iterator[Row]:
-    """Judge how long interrupts are off while settings are written to flash."""
+    """Judge how long interrupts are off while settings are written to flash: how much later than
+    due (beat_us) a periodic interrupt came at worst."""
     fact = facts[0]
     off_us = max(fact["longest_us"] - fact["beat_us"], 0)
     what = "settings save: interrupts off"
@@ -281,7 +294,8 @@ def _save(facts: list[Fact]) -> Iterator[Row]:
 def _hang(facts: list[Fact]) -> Iterator[Row]:
     """Judge how soon motors and spindle are off after the main loop hangs, and the use of stack.
 
-    The last report counts; a time close to its end means that they were never off.
+    The last report counts. It has ms, its time since the hang began, and when the last step came
+    and the spindle was last on. A time close to `ms` means that they were never off.
     """
     last = facts[-1]
     moved = last["steps"] > 0
@@ -290,14 +304,14 @@ def _hang(facts: list[Fact]) -> Iterator[Row]:
     if last["last_step_ms"] > last["ms"] - _REPORT_MS:
         text = f"motors turned on for all of {last['ms']} ms"
     yield Row("hang on purpose: steps", good, text if moved else "nothing moved", last)
-    if last["pwm"]:
-        off = last["last_high_ms"]
-        text = f"off {max(off, 0)} ms after the main loop has hung"
-        if off > last["ms"] - _REPORT_MS:
+    if last["pwm"]:  # the spindle was allowed to run
+        off_ms = last["last_high_ms"]
+        text = f"off {max(off_ms, 0)} ms after the main loop has hung"
+        if off_ms > last["ms"] - _REPORT_MS:
             text = f"on for all of {last['ms']} ms"
-        yield Row("hang on purpose: spindle", off <= _HANG_MS, text)
+        yield Row("hang on purpose: spindle", off_ms <= _HANG_MS, text)
     used = last["used_stack"]
-    if used is None:
+    if used is None:  # not measured on this chip
         return
     text = f"{used} bytes of {_STACK_BYTES} in a simple move"
     good = used <= _STACK_BYTES - _STACK_SPARE

@@ -55,7 +55,18 @@ class Amounts:
     pwm_settles_ms: int = 5
 
 
-QUICK = Amounts(20, (20, 10), 8192, 64, 2, 24, 24, 3, 8, 1)
+QUICK = Amounts(
+    run_ms=20,
+    seen=(20, 10),
+    samples=8192,
+    edges=64,
+    windows=2,
+    stops=24,
+    starts=24,
+    limits=3,
+    saves=8,
+    pwm_settles_ms=1,
+)
 
 
 # For an ESP32, whose engine is slower: a stop takes 60 ms.
@@ -89,20 +100,22 @@ def _text(parts: tuple[str, ...], config: dict[str, Any]) -> str:
 
 
 def _part(name: str) -> str:
-    """Return a file without docstrings, comments and the imports that only checkers need."""
+    """Return a file without docstrings, comments and the imports that only checkers need: all
+    files of a program are sent as one text, so each finds the names of the others."""
     tree = ast.parse((_HERE / f"{name}.py").read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-            node.body = [line for line in node.body if not _is_for_us(line)] or [ast.Pass()]
+            statements = [part for part in node.body if not _is_for_checkers(part)]
+            node.body = statements or [ast.Pass()]
     return ast.unparse(tree)
 
 
-def _is_for_us(line: ast.stmt) -> bool:
+def _is_for_checkers(statement: ast.stmt) -> bool:
     """Return whether a statement is a docstring, or an import of another file of on_board/."""
-    if isinstance(line, ast.ImportFrom):
-        return line.level > 0
+    if isinstance(statement, ast.ImportFrom):
+        return statement.level > 0  # from .rows import …
     return (
-        isinstance(line, ast.Expr)
-        and isinstance(line.value, ast.Constant)
-        and isinstance(line.value.value, str)
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
     )

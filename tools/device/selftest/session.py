@@ -10,8 +10,8 @@ from .judge import belongs, judge
 from .program import Amounts, AnyChip, Esp
 from .row import Fact, Row
 
-_OLDEST = (1, 26)
-_MARK = "= "
+_OLDEST = (1, 26)  # MicroPython with all that the tests need
+_MARK = "= "  # begins the lines of on_board/say.py: "= stops {figures in JSON}"
 # Time limits, longer than the slowest parts take.
 _CHECKS_S = 300.0
 _HANG_S = 20.0
@@ -78,7 +78,7 @@ class Hearer:
         self.ended = False
 
     def line(self, text: str) -> None:
-        """Process one line from the board."""
+        """Process one line from the board; all but facts are ignored."""
         if not text.startswith(_MARK):
             return
         what, brace, figures = text[len(_MARK) :].partition(" {")
@@ -98,7 +98,8 @@ class Hearer:
 
 
 def look(board: Board) -> tuple[AnyChip, Wiring]:
-    """Return chip and wiring of the board; DeployError if it cannot be tested."""
+    """Enter the prompt, and return chip and wiring of the board. DeployError if it cannot be
+    tested; the firmware then runs again."""
     board.enter()
     about = board.about()
     try:
@@ -106,7 +107,7 @@ def look(board: Board) -> tuple[AnyChip, Wiring]:
         wiring = board.wiring()
         if wiring is None:
             raise DeployError("the firmware is not on the board", "ugrbl deploy, then test again")
-        _countable(about, wiring, chip)
+        _check_countable(about, wiring, chip)
     except DeployError:
         board.start()
         raise
@@ -115,6 +116,7 @@ def look(board: Board) -> tuple[AnyChip, Wiring]:
 
 def _chip(about: About) -> AnyChip:
     """Return the chip; DeployError if it, or its MicroPython, cannot be tested."""
+    # By a part of the machine's name, the longer ones first. None: it cannot be tested.
     chips: dict[str, AnyChip | None] = {
         "RP2350": program.RP2350,
         "RP2040": program.RP2040,
@@ -127,8 +129,8 @@ def _chip(about: About) -> AnyChip:
     chip = next((chips[key] for key in chips if key in name), None)
     if chip is None:
         raise DeployError(
-            f"{about.machine} is no RP2040, RP2350, ESP32 or ESP32-S3: the firmware has no pulse "
-            "engine for it whose steps could be counted",
+            f"{about.machine} is no RP2040, RP2350, ESP32 or ESP32-S3: the steps of other chips "
+            "cannot be counted",
             "a board with one of these chips can be tested",
         )
     version = tuple(int(part) for part in about.version.split(".")[:2])
@@ -142,7 +144,7 @@ def _chip(about: About) -> AnyChip:
     return chip
 
 
-def _countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
+def _check_countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
     """Raise DeployError if nothing on the board can count the steps of its engine."""
     if isinstance(chip, Esp) and wiring.engine == "i2s":
         raise DeployError(
@@ -154,9 +156,9 @@ def _countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
         raise DeployError(f"ENGINE {wiring.engine!r} is none that can be tested", "")
     if not isinstance(chip, Esp) and wiring.motors > _MOST_MOTORS:
         raise DeployError(
-            f"{wiring.motors} motors, a laser's beam being one, leave no state machine of PIO 1 "
-            "that could count steps",
-            f"a board file with {_MOST_MOTORS} of them can be tested",
+            f"{wiring.motors} motors (a laser's beam counts as one) leave no free state machine "
+            "of PIO 1 to count steps",
+            f"a board file with at most {_MOST_MOTORS} motors can be tested",
         )
     if isinstance(chip, Esp) and not wiring.has_pcnt:
         raise DeployError(
@@ -173,12 +175,16 @@ def check(
     seed: int,
     tell: Callable[[Row], None],
 ) -> None:
-    """Run all checks at a board that look() has accepted. The firmware runs again at the end."""
+    """Run all checks at a board that look() has accepted. The firmware runs again at the end.
+
+    pwm: the spindle's output may be used. seed: of the random times. tell: called with each row.
+    """
     hearer = Hearer(tell)
-    wrong = board.run(program.checks(chip, amounts, pwm, seed), hearer.line, _CHECKS_S)
+    traceback = board.run(program.checks(chip, amounts, pwm, seed), hearer.line, _CHECKS_S)
     hearer.close()
-    if wrong or not hearer.ended:
-        tell(Row("all checks were made", False, wrong.strip().rpartition("\n")[2] or "they ended"))
+    if traceback or not hearer.ended:
+        last_line = traceback.strip().rpartition("\n")[2]
+        tell(Row("all checks were made", False, last_line or "they ended"))
     board.enter()
     is_back = board.until_restart(program.hang(chip, pwm), hearer.line, _HANG_S)
     hearer.close()

@@ -12,8 +12,8 @@ from .rows import AXES, Mover
 # Segments as the firmware makes them: 4 ms. Random motion is at most as fast as the board file
 # allows.
 TICK_HZ = 1_000_000
-LONG = 4096
-SLOWEST_US = 4000
+LONG = 4096  # ticks of a segment
+SLOWEST_US = 4000  # between two steps
 PULSE_US = 10
 # longer than a train of pulses that continues after a stop without being counted
 COUNTS_SEEN_US = 25_000
@@ -38,14 +38,22 @@ class Drive(Mover):
         engine, self.port, _ = make(board, NoLink())
         self.most_hz = highest_hz(engine)
         gaps = (1_000_000 // self.most_hz, SLOWEST_US)
-        super().__init__(engine, TICK_HZ, AXES, LONG, gaps, gaps, 4 * SLOWEST_US)
+        super().__init__(
+            engine,
+            TICK_HZ,
+            AXES,
+            long_ticks=LONG,
+            random_gaps=gaps,
+            start_gaps=gaps,
+            random_ticks=4 * SLOWEST_US,
+        )
         self.pulse(PULSE_US)
         self._counters = [Counter(i, board.STEP[i], board.DIR[i]) for i in range(AXES)]
 
     def count(self, axes):
-        """Count the steps of all axes from now on, whatever `axes` says. The engine must be
-        idle."""
-        self.name_here()
+        """Set the position to 0, and count the steps of all axes from now on, whatever `axes` says
+        (on an RP2 it says how many). The engine must be idle."""
+        self.set_zero()
         for one in self._counters:
             one.reset()
 

@@ -30,12 +30,12 @@ def used_stack():
 
 
 def mem_level(pin):
-    """Return a function that reads whether the pin is on, whatever drives it: bit 17 of its
-    STATUS."""
+    """Return a function that reads whether SPINDLE_PWM, at that pin, is on, whatever drives it:
+    bit 17 of the pin's STATUS."""
     address = CONFIG["io_bank"] + 8 * pin
-    off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
+    off_level = "SPINDLE_PWM" in getattr(board, "INVERT", ())  # 1 if the output is inverted
 
-    def level():
-        return mem32[address] >> 17 & 1 ^ off
+    def is_on():
+        return mem32[address] >> 17 & 1 ^ off_level
 
-    return level
+    return is_on

@@ -26,14 +26,14 @@ def used_stack():
 
 
 def mem_level(pin):
-    """Return a function that reads whether the pin was on since its last call, whatever drives
-    it."""
-    unit = min(len(counters), CONFIG["units"] - 1)
-    del counters[unit:]  # if each axis has a counter, the last axis loses its one
+    """Return a function that reads whether SPINDLE_PWM, at that pin, was on since the function's
+    last call, whatever drives it."""
+    unit = min(len(counters), CONFIG["units"] - 1)  # a counter for the pin's edges
+    del counters[unit:]  # if there is no other one, the last axis loses its counter
     edges = Edges(unit, pin)
-    off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
+    off_level = "SPINDLE_PWM" in getattr(board, "INVERT", ())  # 1 if the output is inverted
 
-    def level():
-        return edges.take() or pad_level(pin) ^ off
+    def was_on():
+        return edges.take() or pad_level(pin) ^ off_level
 
-    return level
+    return was_on

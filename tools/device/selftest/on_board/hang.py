@@ -12,18 +12,18 @@ from control import realtime
 from talk import lines
 
 from .config import CONFIG
-from .drivers import FlashStore, drivers_off, hear_nothing
+from .drivers import FlashStore, drivers_off, ignore_inputs
 from .eyes import count_all, mem_level, used_stack, watch
 from .say import say
 
 BETWEEN_MS = 150  # between lines
 SAY_EVERY_MS = 200  # between reports during the hang
 
-usual_run = realtime.Realtime.run
+usual_run = realtime.Realtime.run  # the main loop calls it to read
 usual_making = lines.LineReader.__init__
-readers = []
-program = list(CONFIG["program"])
-given = [0]
+readers = []  # the machine's line reader, once it is created
+program = list(CONFIG["program"])  # lines still to be fed
+last_fed_ms = [0]  # time of the last one; a list, so that functions can change it
 
 
 def make_reader(self, *rest, **named):
@@ -32,12 +32,12 @@ def make_reader(self, *rest, **named):
     readers.append(self)
 
 
-def run(self):
-    """Replace the main loop's read: feed the lines of a sender one by one, then hang."""
+def read_or_hang(self):
+    """Replace Realtime.run: after it, feed the lines of the program one by one, then hang."""
     usual_run(self)
-    if not readers or time.ticks_diff(time.ticks_ms(), given[0]) < BETWEEN_MS:
+    if not readers or time.ticks_diff(time.ticks_ms(), last_fed_ms[0]) < BETWEEN_MS:
         return
-    given[0] = time.ticks_ms()
+    last_fed_ms[0] = time.ticks_ms()
     if program:
         line = bytearray(program.pop(0).encode())
         readers[0].feed(line, len(line))
@@ -46,40 +46,43 @@ def run(self):
 
 
 def hang():
-    """Watch the pins for ever, without feeding the watchdog."""
-    pwm = getattr(board, "SPINDLE_PWM", None)
-    pin = None if pwm is None else mem_level(pwm)
-    begun = said_ms = time.ticks_ms()
-    before, last_step_ms, last_high_ms, steps = None, -1, -1, 0
+    """Watch the pins for ever, without feeding the watchdog, and report what they did.
+
+    In the report: ms since the hang began; the last step, and the last time at which the spindle's
+    output was on, in ms since then, -1: never; steps of all axes since power-up.
+    """
+    pwm_pin = getattr(board, "SPINDLE_PWM", None)
+    pwm_is_on = None if pwm_pin is None else mem_level(pwm_pin)
+    begun_ms = said_ms = time.ticks_ms()
+    counts_before, last_step_ms, last_high_ms = None, -1, -1
     while True:
-        now = time.ticks_ms()
-        since = time.ticks_diff(now, begun)
+        now_ms = time.ticks_ms()
+        since_ms = time.ticks_diff(now_ms, begun_ms)
         counts = count_all()
-        if counts != before:
-            if before is not None:
-                last_step_ms = since
-            before = counts
-        if pin and pin():
-            last_high_ms = since
-        if time.ticks_diff(now, said_ms) >= SAY_EVERY_MS:
-            said_ms = now
-            steps = sum(counts)
+        if counts != counts_before:
+            if counts_before is not None:
+                last_step_ms = since_ms
+            counts_before = counts
+        if pwm_is_on and pwm_is_on():
+            last_high_ms = since_ms
+        if time.ticks_diff(now_ms, said_ms) >= SAY_EVERY_MS:
+            said_ms = now_ms
             say(
                 "hang",
-                ms=since,
-                steps=steps,
+                ms=since_ms,
+                steps=sum(counts),
                 last_step_ms=last_step_ms,
                 last_high_ms=last_high_ms,
-                pwm=CONFIG["pwm"] and pwm is not None,
+                pwm=CONFIG["pwm"] and pwm_pin is not None,
                 used_stack=used_stack(),
             )
 
 
 drivers_off()
-hear_nothing()
+ignore_inputs()
 FlashStore.load = lambda *_: []  # factory settings; nothing is stored
 FlashStore.save = lambda *_: None
-realtime.Realtime.run = run
+realtime.Realtime.run = read_or_hang
 lines.LineReader.__init__ = make_reader
 parts = power_up.build()
 watch()

@@ -20,14 +20,22 @@ INVERT = 1 << 28  # IRQOVER in CTRL: inverts the interrupt input, so that any le
 TO_PROCESSOR = 26  # bit of STATUS: the interrupt, after override
 BEFORE = 400  # ticks sampled before the edge
 
-# Places in the argument of shoot().
-DMA, WRITE, COUNT, ENABLE, REMAINS_AT, REMAINS, CONTROL, BITS = 0, 1, 2, 3, 4, 5, 6, 7
+# Places in `plan`, the argument of shoot().
+DMA = 0  # address of the DMA channel's registers
+WRITE = 1  # address of the samples
+COUNT = 2  # number of samples
+ENABLE = 3  # address of the register that starts the sampling machine
+REMAINS_AT = 4  # samples still to come when the edge is due
+REMAINS = 5  # result: samples that were still to come at the edge; 0 before it
+CONTROL = 6  # address at which BITS are set in the pin's CTRL
+BITS = 7  # INVERT
 
 
 @micropython.viper
 def shoot(plan: ptr32) -> int:
-    """Start sampling, and BEFORE ticks later invert a pin's interrupt. Stores in REMAINS how many
-    samples the DMA had left then. plan: by the places above, which are numbers here for viper."""
+    """Start sampling, and BEFORE ticks later invert a pin's interrupt input. The places of `plan`
+    are numbers here, because viper looks up names slowly: 0 DMA, 1 WRITE, 2 COUNT, 3 ENABLE,
+    4 REMAINS_AT, 5 REMAINS (the result), 6 CONTROL, 7 BITS."""
     dma = ptr32(plan[0])  # its registers: 1 write address, 2 words left, 7 count, which starts it
     dma[1] = plan[1]
     dma[7] = plan[2]
@@ -45,35 +53,36 @@ def address_of(memory: ptr32) -> int:
     return int(memory)
 
 
-class Shot:
+class ForcedEdge:
     """Forces an edge at a limit input at a random moment, from an interrupt, while all pins are
     sampled."""
 
     def __init__(self):
         self._plan = plan = array("i", [0] * 8)
         length = sampler.length
-        plan[DMA] = 0x50000000 + 0x40 * sampler.dma.channel
+        plan[DMA] = 0x50000000 + 0x40 * sampler.dma.channel  # 0x40 bytes of registers for each
         plan[WRITE] = address_of(sampler.words)
         plan[COUNT] = length
         plan[ENABLE] = PIO1 + SET
         plan[REMAINS_AT] = length - BEFORE
         plan[BITS] = INVERT
         self._timer = Timer()
-        self._act = self._make()
+        self._interrupt = self._make_interrupt()
 
-    def _make(self):
-        """Return a closure for the timer, because an interrupt must not look up names."""
-        act, plan = shoot, self._plan
+    def _make_interrupt(self):
+        """Return a closure for the timer, because an interrupt must not look up global names."""
+        kernel, plan = shoot, self._plan
 
         def interrupt(_timer):
-            act(plan)
+            kernel(plan)
 
         return interrupt
 
     def fire(self, pin, collect):
-        """Force one edge. Returns its tick, or None if the chip does not show the forced
-        interrupt."""
-        status = PINS + 8 * pin
+        """Force one edge at a limit's pin, after 2 to 9 ms. collect: collect garbage meanwhile.
+        Returns the tick of the edge in the samples, or None if the chip's STATUS does not show the
+        forced interrupt."""
+        status = PINS + 8 * pin  # CTRL is 4 bytes after it
         before = mem32[status] >> TO_PROCESSOR
         sampler.ready()
         self._plan[REMAINS] = 0
@@ -82,10 +91,10 @@ class Shot:
             mode=Timer.ONE_SHOT,
             period=random_between(2000, 9000),
             tick_hz=1_000_000,
-            callback=self._act,
+            callback=self._interrupt,
             hard=True,
         )
-        while not self._plan[REMAINS]:
+        while not self._plan[REMAINS]:  # until shoot() has run
             if collect:
                 gc.collect()
         sampler.wait()
@@ -95,26 +104,28 @@ class Shot:
         return self._plan[COUNT] - self._plan[REMAINS] if is_forced else None
 
 
-def last_edge(at):
-    """Return the ticks from `at` to the last edge of any axis; -1 if there was none."""
+def ticks_to_last_edge(tick):
+    """Return the ticks from that tick of the samples to the last edge of any STEP pin; -1 if there
+    was none."""
     last = -1
     for pin in board.STEP:
-        edges = sampler.edges(pin, at)
-        if len(edges) > 1:
-            last = max(last, edges[-1] - at)
+        edges = sampler.edges(pin, tick)
+        if len(edges) > 1:  # the first number is a level
+            last = max(last, edges[-1] - tick)
     return last
 
 
-def hear(drive, port):
-    """Make limits switch off and stop. Returns a list with the number of limit events."""
-    heard = [0]
+def attach_listener(drive, port):
+    """Make a limit switch the outputs off and stop the engine. Returns a list with one number,
+    which counts the limits."""
+    limit_count = [0]
     kill, stop = port.kill, drive.engine.stop
 
     class Listener:
         def on_limits(self):
             kill()
             stop()
-            heard[0] += 1
+            limit_count[0] += 1
 
         def on_controls(self, active):
             pass
@@ -123,29 +134,33 @@ def hear(drive, port):
             stop()
 
     port.attach(Listener())
-    return heard
+    return limit_count
 
 
-def limits_stop(drive, port, heard, shot):
-    """Check each limit input in turn, first undisturbed, then during garbage collections."""
+def check_stops(drive, port, limit_count, forced_edge):
+    """Check each limit input in turn, first undisturbed, then during garbage collections: all axes
+    run as fast as they can, a limit is forced, and the ticks until the last step are reported."""
     pins = [pin for pin in getattr(board, "LIMIT", ()) if pin is not None]
     watched = min(WATCHED, LAST - FIRST)  # the last machine samples
     for collect in (False, True):
         ticks, missed, wrong, shown = [], 0, 0, True
         for index in range(CONFIG["limits"] if pins else 0):
             drive.count(watched)
-            heard[0] = 0
+            limit_count[0] = 0
             port.enable_limits(True)
             port.revive()
-            drive.even(drive.engine.max_step_hz(3), 1 << 20, random_between(0, (1 << AXES) - 1))
+            backward = random_between(0, (1 << AXES) - 1)  # a mask of axes
+            drive.plan_even(
+                drive.engine.max_step_hz(3), 1 << 20, backward
+            )  # more than it can make
             drive.start()
-            at = shot.fire(pins[index % len(pins)], collect)
-            if at is None:
+            edge_tick = forced_edge.fire(pins[index % len(pins)], collect)
+            if edge_tick is None:
                 shown = False
                 drive.stop()
                 break
-            missed += heard[0] == 0
-            ticks.append(last_edge(at))
+            missed += limit_count[0] == 0
+            ticks.append(ticks_to_last_edge(edge_tick))
             drive.stop()
             wrong += drive.of_watched(drive.position()) != drive.counted()
         port.enable_limits(False)
@@ -162,22 +177,24 @@ def limits_stop(drive, port, heard, shot):
 
 
 def measure_pwm(pin):
-    """Return level and edges at the pin, in a window of some periods."""
+    """Return the edges at the pin, in a window of some periods: the first level (1: on), then the
+    ticks at which it changes."""
     time.sleep_ms(CONFIG["pwm_settles_ms"])
     sampler.look()
     edges = sampler.edges(pin)
-    edges[0] ^= "SPINDLE_PWM" in getattr(board, "INVERT", ())
+    edges[0] ^= "SPINDLE_PWM" in getattr(board, "INVERT", ())  # if the output is inverted
     return edges
 
 
-def check_pwm(port, shot):
-    """Record the PWM at zero, half and full power, after a limit, and when commanded after a
-    kill."""
+def check_pwm(port, forced_edge):
+    """Record the spindle's PWM at zero, half and full power, after a limit, and when commanded
+    after a kill, which must have no effect."""
     pin = getattr(board, "SPINDLE_PWM", None)
     if pin is None or not CONFIG["pwm"]:
         say("pwm", asked=CONFIG["pwm"], wired=pin is not None)
         return
     full = getattr(board, "PWM_MAX", 1000)
+    # Eight periods in all samples.
     sampler.hz = min(TICK_HZ, getattr(board, "PWM_HZ", 5000) * (sampler.length // 8))
     port.revive()
     for power in (0, full // 2, full):
@@ -186,9 +203,9 @@ def check_pwm(port, shot):
     inputs = [limit for limit in getattr(board, "LIMIT", ()) if limit is not None]
     if inputs:
         port.enable_limits(True)
-        at = shot.fire(inputs[0], False)
+        edge_tick = forced_edge.fire(inputs[0], collect=False)
         port.enable_limits(False)
-        say("pwm after a limit", shown=at is not None, edges=measure_pwm(pin))
+        say("pwm after a limit", shown=edge_tick is not None, edges=measure_pwm(pin))
     port.kill()
     port.spindle(True, full)
     say("pwm after a kill", edges=measure_pwm(pin))
@@ -199,8 +216,8 @@ def check_limits(drive, port):
     """Run all checks of this file in turn."""
     drive.pulse(3)
     settle()
-    heard = hear(drive, port)
-    shot = Shot()
-    limits_stop(drive, port, heard, shot)
-    check_pwm(port, shot)
+    limit_count = attach_listener(drive, port)
+    forced_edge = ForcedEdge()
+    check_stops(drive, port, limit_count, forced_edge)
+    check_pwm(port, forced_edge)
     port.kill()

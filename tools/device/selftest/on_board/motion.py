@@ -10,17 +10,17 @@ from machine import Pin, Timer
 from .config import CONFIG
 from .drive import WATCHED, sampler
 from .rows import AXES, random_between, settle
-from .runs import any_motion, count_steps, start_from_rest, watch_others
+from .runs import count_steps, plan_random, start_from_rest, watch_others
 from .say import say
 from .watch import FIRST, Counter
 
 
 def see_pads():
-    """Return whether the watchers see the pins. A known number of steps and levels is made by
-    software."""
+    """Return whether counters and sampler see the pins. Software makes a known number of steps,
+    forward and backward, and two levels."""
     step, direction = Pin(board.STEP[0], Pin.OUT, value=0), Pin(board.DIR[0], Pin.OUT, value=0)
     counter = Counter(FIRST, board.STEP[0], board.DIR[0])
-    made = CONFIG["seen"]
+    made = CONFIG["seen"]  # steps forward, backward
     for level, count in ((0, made[0]), (1, made[1])):
         direction.value(level)
         for _ in range(count):
@@ -41,11 +41,12 @@ def see_pads():
 
 
 def sample_pulses(drive, hz, us):
-    """Sample windows of a run at `hz` with pulses of `us` microseconds."""
+    """Report the edges of all step and direction pins in some windows of a run at `hz`, with
+    pulses of `us` microseconds."""
     drive.pulse(us)
-    drive.count(0)
+    drive.count(0)  # no counters: the sampler needs a state machine
     for _ in range(CONFIG["windows"]):
-        drive.even(hz, 1 << 20)
+        drive.plan_even(hz, 1 << 20)  # longer than the window
         drive.start()
         time.sleep_us(random_between(2000, 8000))
         sampler.look()
@@ -60,12 +61,12 @@ def sample_pulses(drive, hz, us):
 
 
 def sample_turns(drive):
-    """Sample windows of axes that reverse sooner than the engine's direction hold and setup times
-    allow."""
+    """Report the edges in some windows while all axes reverse sooner than the times of direction
+    hold and set-up allow, so that the engine must wait."""
     drive.pulse(3)
-    drive.count(0)
+    drive.count(0)  # no counters: the sampler needs a state machine
     for _ in range(CONFIG["windows"]):
-        drive.plan(100, [16] * AXES, 60, 0, (1 << AXES) - 1)
+        drive.plan(gap=100, counts=[16] * AXES, rows=60, flip=(1 << AXES) - 1)
         drive.start()
         time.sleep_us(random_between(2000, 4000))
         sampler.look()
@@ -82,8 +83,8 @@ def sample_turns(drive):
 def stop_at_random(drive):
     """Stop at random instants, every other time in a hard interrupt, as for a limit.
 
-    Counted are stops after which the position is not that of the edges (wrong), and those with a
-    step after the stop (late).
+    wrong: stops after which the engine's position is not what the counters say. late: stops after
+    which another step was counted.
     """
     drive.pulse(3)
     drive.count(WATCHED)
@@ -96,7 +97,7 @@ def stop_at_random(drive):
 
     for index in range(CONFIG["stops"]):
         watch_others(drive, index)
-        any_motion(drive, 1000)
+        plan_random(drive, 1000)
         drive.start()
         delay_us = random_between(300, 9000)
         if index & 1:
@@ -107,7 +108,7 @@ def stop_at_random(drive):
                 callback=interrupt,
                 hard=True,
             )
-            time.sleep_us(delay_us + 300)
+            time.sleep_us(delay_us + 300)  # the interrupt stops it meanwhile
         else:
             time.sleep_us(delay_us)
         drive.stop()
@@ -117,7 +118,7 @@ def stop_at_random(drive):
         if drive.of_watched(position) != counted:
             wrong += 1
             first_wrong = first_wrong or [index, delay_us, position, counted]
-            drive.count(WATCHED)
+            drive.count(WATCHED)  # from 0 again
     timer.deinit()
     say(
         "stops",
@@ -131,12 +132,12 @@ def stop_at_random(drive):
 
 def check_motion(drive):
     """Run all checks of this file in turn."""
-    most = drive.engine.max_step_hz(3)
-    for hz, us, name in ((1000, 10, "1 kHz"), (50_000, 10, "50 kHz"), (most, 3, "the highest")):
+    most_hz = drive.engine.max_step_hz(3)  # with pulses of 3 us
+    for hz, us, name in ((1000, 10, "1 kHz"), (50_000, 10, "50 kHz"), (most_hz, 3, "the highest")):
         drive.pulse(us)
         count_steps(drive, hz, name)
-    sample_pulses(drive, 50_000, 10)
-    sample_pulses(drive, most, 3)
+    sample_pulses(drive, hz=50_000, us=10)
+    sample_pulses(drive, hz=most_hz, us=3)
     sample_turns(drive)
     settle()
     stop_at_random(drive)

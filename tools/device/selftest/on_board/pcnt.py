@@ -35,12 +35,12 @@ def keep_outputs(pins, make_counter):
     make_counter() makes inputs of them. After it, each pin gets its former signal again, and its
     output is enabled.
     """
-    signals = [mem32[signal_at(pin)] for pin in pins]
+    signals = [mem32[signal_at(pin)] for pin in pins]  # which signal each pin outputs
     counter = make_counter()
     for pin, signal in zip(pins, signals):
         mem32[signal_at(pin)] = signal
         address, bit = bit_at(pin, ENABLE_SET, ENABLE_SET_HIGH)
-        mem32[address] = 1 << bit
+        mem32[address] = 1 << bit  # write-1-to-set: enables this output only
     return counter
 
 
@@ -91,7 +91,8 @@ class Edges:
 
     def __init__(self, unit, pin):
         def make_counter():
-            # Without a mode_pin: the unit may have one from counting steps before.
+            # Without a mode_pin, that is, it always counts up, although this unit may have counted
+            # steps, with a direction, before.
             return PCNT(
                 unit, pin=Pin(pin), rising=PCNT.INCREMENT, falling=PCNT.IGNORE, min=-MOST, max=MOST
             )

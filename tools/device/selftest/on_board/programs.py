@@ -4,18 +4,17 @@
 
 from rp2 import PIO, asm_pio
 
-# Steps of one axis. in_base: STEP; jmp_pin: DIR, which gives the direction when STEP rises. X
-# counts down for each step forward, Y for each backward, both from 2**32 - 1.
-
 
 @asm_pio()
 def count_program():
+    """Count steps of one axis. in_base: STEP; jmp_pin: DIR, which gives the direction when STEP
+    rises. X counts down for each step forward, Y for each backward, both from 2**32 - 1."""
     wrap_target()
     label("next")
     wait(0, pin, 0)
-    wait(1, pin, 0)
-    jmp(pin, "back")
-    jmp(x_dec, "next")
+    wait(1, pin, 0)  # STEP rises
+    jmp(pin, "back")  # if DIR is high
+    jmp(x_dec, "next")  # X -= 1
     jmp("next")  # if X was 0
     label("back")
     jmp(y_dec, "next")

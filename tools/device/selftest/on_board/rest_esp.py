@@ -8,8 +8,8 @@ from machine import freq
 
 from .config import CONFIG
 from .drive_esp import Drive
-from .drivers import drivers_off, hear_nothing
-from .motion_esp import check_motion, check_pwm, limits_stop, see_steps
+from .drivers import drivers_off, ignore_inputs
+from .motion_esp import check_limits, check_motion, check_pwm, see_steps
 from .rows import AXES
 from .say import say
 
@@ -17,7 +17,7 @@ from .say import say
 def check_all():
     """Run all checks in turn. Drivers stay off, and outputs are off at the end."""
     wired = drivers_off()
-    hear_nothing()
+    ignore_inputs()
     random.seed(CONFIG["seed"])
     drive = Drive()  # sets the firmware's CPU clock
     say(
@@ -32,7 +32,7 @@ def check_all():
     try:
         if see_steps(drive):
             check_motion(drive)
-            limits_stop(drive, port)
+            check_limits(drive, port)
             check_pwm(port)
     finally:
         try:

@@ -20,17 +20,21 @@ from .programs import count_program, sample_program
 TICK_HZ = 12_500_000
 ALL = 0xFFFFFFFF
 LANES = len(board.STEP) + (getattr(board, "TOOL", "spindle") == "laser")
-FIRST, LAST = max(LANES, 4), 6  # numbers of state machines
+FIRST = max(LANES, 4)  # the first state machine that counts, by its number in both PIOs
+LAST = 6  # the last one, which also samples
 PIO1 = 0x50300000
-# Instructions that are forced into a machine: mov(x, invert(null)), mov(isr, x), push(noblock) …
-FILL_X, FILL_Y = 0xA02B, 0xA04B
-TAKE_X, TAKE_Y, PUSH = 0xA0C1, 0xA0C2, 0x8000
+# Instructions that are forced into a machine.
+FILL_X = 0xA02B  # mov(x, invert(null)): X becomes 2**32 - 1
+FILL_Y = 0xA04B
+TAKE_X = 0xA0C1  # mov(isr, x)
+TAKE_Y = 0xA0C2
+PUSH = 0x8000  # push(noblock)
 SET = 0x2000  # alias of a register: ones set bits; with CLEAR they clear bits
 CLEAR = 0x3000
 
 
 class Counter:
-    """Counts the steps of one axis, from its creation on."""
+    """Counts the steps of one axis, from its creation on. number: of the state machine."""
 
     def __init__(self, number, step, direction):
         self._machine = rp2.StateMachine(
@@ -63,12 +67,15 @@ class Sampler:
         self.words = bytearray(4 * length)
         self.dma = rp2.DMA()
         self._control = self.dma.pack_ctrl(
-            size=2, inc_read=False, inc_write=True, treq_sel=12 + LAST - 4
+            size=2,  # words of four bytes
+            inc_read=False,
+            inc_write=True,
+            treq_sel=12 + LAST - 4,  # paced by that machine's output; 12 is that of machine 4
         )
         self.hz = TICK_HZ
 
     def ready(self):
-        """Discard the old samples and prepare sampling; go() or an interrupt starts it."""
+        """Discard the old samples and prepare sampling; go() or shoot() (limits.py) starts it."""
         self.machine = rp2.StateMachine(LAST, sample_program, freq=self.hz)
         self.dma.active(0)
         self.dma.config(
@@ -99,12 +106,13 @@ class Sampler:
         self.wait()
 
     def edges(self, pin, begin=0):
-        """Return the first level, then the ticks at which the level changes; only the last ones,
-        if there are more than `found` holds."""
-        count = find_edges(self.words, begin, self.length, pin, found, len(found))
-        if count > len(found):
-            begin = found[count % len(found)] - 1  # the oldest one still stored
-        ticks = [found[index % len(found)] for index in range(max(count - len(found), 0), count)]
+        """Return the level at tick `begin`, then the ticks after it at which the level changes. If
+        there are more than `found` holds, only the last ones, and the level before these."""
+        size = len(found)  # a ring
+        count = find_edges(self.words, begin, self.length, pin, found, size)
+        if count > size:
+            begin = found[count % size] - 1  # before the oldest one still stored
+        ticks = [found[index % size] for index in range(max(count - size, 0), count)]
         ticks.insert(0, self.level(pin, begin))
         return ticks
 
