@@ -279,7 +279,7 @@ def _name_of_custom(board: ModuleType) -> Iterator[str]:
     """Check that the user's custom module does not have the name of an extra."""
     name = getattr(board, "CUSTOM", "")
     if name and name in own_modules(board):
-        yield f"CUSTOM is {name!r}: EXTRAS has a module of that name"
+        yield f"CUSTOM is {name!r}: EXTRAS has a module of that name; choose another name"
 
 
 def _imports_of_extras(board: ModuleType) -> Iterator[str]:
@@ -314,7 +314,9 @@ def _wires(board: ModuleType) -> Iterator[str]:
     for bit, name in enumerate(CONTROLS):
         is_missing = controls[bit : bit + 1] in ((), (None,))  # CONTROL is too short, or has None
         if inverted >> bit & 1 and is_missing:
-            yield f"CONTROL_INVERT: there is no pin for {name}, so it would always be pressed"
+            yield (
+                f"CONTROL_INVERT: there is no pin for {name}, so that input would always be active"
+            )
 
 
 def _network(board: ModuleType) -> Iterator[str]:

@@ -48,8 +48,8 @@ def _check_name(name: str) -> None:
     """Raise BoardFileError unless it is the name of a board in boards/."""
     if Path(name).suffix or Path(name).name != name:
         raise BoardFileError(
-            f"{name} is no board file: its name ends in .py; see ugrbl new-board, or name one of "
-            "boards/, sim say"
+            f"{name} is no board file: the name of one ends in .py; create one with "
+            "`ugrbl new-board`, or give a name from boards/, for example sim"
         )
     if name not in boards():
         raise BoardFileError(f"no board {name!r}; there are {', '.join(boards())}")
@@ -103,11 +103,15 @@ def _checked(file: Path, may_be_simulated: bool) -> ModuleType:
     if is_simulated(board):
         if may_be_simulated:
             return board
-        raise BoardFileError(f"{file.stem} is a machine of the simulator: it has no pins")
+        raise BoardFileError(
+            f"{file.stem} is a machine of the simulator and has no pins: choose the file of a "
+            "real board"
+        )
     texts = [f"{file.name}: {problem}" for problem in problems(board)]
     if imported:
         texts.append(
-            f"{file.name}: it imports {imported[0]}, and is alone on the board: copy that"
+            f"{file.name} imports {imported[0]}, but only the board file itself is put on the "
+            "board: copy that code into it"
         )
     if texts:
         raise BoardFileError(*texts)

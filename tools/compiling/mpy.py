@@ -67,7 +67,7 @@ class _Reader:
         elif kind == _VIPER:
             flags = self._number()
             if flags & _VIPER_SECTIONS:
-                raise ValueError("native code that is linked from elsewhere")
+                raise ValueError("native code that links to other code is not supported")
             code, trailer = rewrite(code), number(flags)
         elif kind != _BYTECODE:
             raise ValueError("inline assembler")

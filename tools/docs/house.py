@@ -61,6 +61,6 @@ def _first_sentence(path: Path) -> str:
     """Return the first sentence of a module's docstring."""
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
     if not text:
-        raise ValueError(f"{path} does not say what it is")
+        raise ValueError(f"{path} has no docstring: add one that says what it is")
     words = " ".join(text.partition("\n\n")[0].split())
     return words.partition(". ")[0].rstrip(".") + "."

@@ -7,17 +7,17 @@ G_MEANINGS = {
     "G3": "Arc, counterclockwise, to the target: centre I J K, or radius R.",
     "G4": "Dwell for P seconds.",
     "G10": "L2: set the offset of coordinate system P (1 to 6; 0: the active one). "
-    "L20: set it so that the present position becomes the axis words.",
+    "L20: set it so that the present position gets the values of the axis words.",
     "G17": "Arcs lie in the XY plane.",
     "G18": "Arcs lie in the ZX plane.",
     "G19": "Arcs lie in the YZ plane.",
     "G20": "Lengths are in inches.",
     "G21": "Lengths are in millimetres.",
-    "G28": "Rapid to the position stored by G28.1; with axis words by way of the target, "
-    "and only those axes.",
+    "G28": "Rapid to the position stored by G28.1; with axis words, first to their target, "
+    "and then only those axes move on.",
     "G28.1": "Store the present position for G28.",
-    "G30": "Rapid to the position stored by G30.1; with axis words by way of the target, "
-    "and only those axes.",
+    "G30": "Rapid to the position stored by G30.1; with axis words, first to their target, "
+    "and then only those axes move on.",
     "G30.1": "Store the present position for G30.",
     "G38.2": "Probe towards the workpiece until contact; without contact, ALARM:5.",
     "G38.3": "Probe towards the workpiece until contact; without contact, no alarm.",
@@ -38,7 +38,8 @@ G_MEANINGS = {
     "G90": "Targets are absolute.",
     "G91": "Targets are relative to the present position.",
     "G91.1": "Arc centres are relative to where the arc begins: the only mode there is.",
-    "G92": "Shift all coordinate systems so that the present position becomes the axis words.",
+    "G92": "Shift all coordinate systems so that the present position gets the values of the axis "
+    "words.",
     "G92.1": "Remove the shift of G92.",
     "G93": "F is the inverse of the time a block takes: F2 is half a minute.",
     "G94": "F is in units per minute.",
@@ -76,4 +77,4 @@ EVENTS = {
     0x84: "Safety door: hold, then spindle and coolant off.",
     0x85: "Jog cancel: end the jog and drop those that wait. Ignored otherwise.",
 }
-RESET = "Soft reset: stop at once, start anew. While it moves steps are lost: ALARM:3."
+RESET = "Soft reset: stop at once, start anew. During motion, steps are lost: ALARM:3."

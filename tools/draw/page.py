@@ -79,7 +79,7 @@ def _job(job: Job, drawn: Drawing) -> dict[str, Any]:
     """Return the data of a job for the script (script.py): figures, columns and curves."""
     figures = [
         *drawing.figures(job),
-        ("drawn", f"nowhere more than {drawn.tolerance_mm:g} mm beside the path"),
+        ("drawn", f"at most {drawn.tolerance_mm:g} mm off the path"),
     ]
     columns: dict[str, tuple[Numbers, str]] = {
         # Values with their type in numpy, which the script reads.

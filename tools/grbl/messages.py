@@ -70,7 +70,10 @@ def meaning(reply: str, line: str = "") -> str:
     if reply in _AFTER_DECIMAL_COMMA and _DECIMAL_COMMA.search(without_comments(line.encode())):
         return "A number is written with a decimal point, not a comma."
     if reply == _INVALID_COMMAND and (setting := _SETTING.match(line)):
-        return f"There is no setting {setting[1]} here, or more than a number follows the =."
+        return (
+            f"This machine has no setting {setting[1]}, or there is more than a number after "
+            "the =."
+        )
     is_command = line.strip()[:1] in ("", "$")  # or the line is not known
     if reply == _INVALID_COMMAND and not is_command:
         return _HANDLER_REFUSES

@@ -59,7 +59,7 @@ def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
     if chip not in wanted:
         return f"it is for {chip}; the board file is for {' or '.join(wanted)}"
     if len(release(version)) < 2:
-        return f"its version is not in it: {NEW_MICROPYTHON}"
+        return f"it does not contain its version number: {NEW_MICROPYTHON}"
     why = too_old(engine, chip, version)
     return f"{why}: {NEW_MICROPYTHON}" if why else ""
 
@@ -76,15 +76,15 @@ def _wrong_frozen(frozen: str, build: Build) -> str:
     """Return why the frozen firmware (its id) is not that of this build; "" if it is."""
     if not frozen:
         return (
-            "the firmware is not frozen into it, and would have to go where settings are kept: "
-            "`ugrbl deploy` brings it up to date and keeps them; how to freeze it is told in "
-            "docs/boards.md"
+            "the firmware is not frozen into it, so it would be written where settings are kept: "
+            "update the board with `ugrbl deploy`, which keeps them; docs/boards.md tells how to "
+            "freeze the firmware"
         )
     if frozen == build.id:
         return ""
     return (
-        f"the build {frozen} is frozen into it, and here is {build.id}: "
-        "build MicroPython anew, with this firmware"
+        f"build {frozen} is frozen into it, but this computer has build {build.id}: "
+        "build MicroPython again, with this firmware"
     )
 
 

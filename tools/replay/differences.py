@@ -111,8 +111,9 @@ QUIRKS = (
 # Differences in motion; compare.py recognises them.
 IDLE_DELAY = (
     "idle delay",
-    "Motors are released $1 after motion without stopping the processor for that time; "
-    "the enable pin may change one step of a case later. Not with $1=255.",
+    "Motors are released when the time $1 after motion is over, and the processor goes on "
+    "meanwhile; Grbl's waits. The enable pin may change one step of a case later. Not with "
+    "$1=255.",
 )
 LATE_ALARM = (
     "late alarm",
@@ -121,8 +122,8 @@ LATE_ALARM = (
 )
 HELD_CONTACT = (
     "contact in a hold",
-    "A probe that touches by hand in a hold does not move when motion is resumed; Grbl begins to "
-    "move, sees the contact, and brakes.",
+    "If the probe is touched by hand during a hold, the machine does not move when motion is "
+    "resumed; Grbl begins to move, sees the contact, and brakes.",
 )
 HELD = (
     "held in an alarm",
@@ -148,8 +149,8 @@ SWITCH = (
 )
 IN_MOTION = (
     "in motion",
-    "A report in the middle of a motion may name the step before or after: steps spread out "
-    "evenly over a segment are not where the last rounding of Grbl's timer puts them.",
+    "A position reported in the middle of a motion may differ by one step: our steps are spread "
+    "evenly over a segment, Grbl's are placed by the rounding of its timer.",
 )
 NO_SPEED = (
     "spindle without speed",
@@ -172,7 +173,7 @@ MOTION = (
 DIFFERENCES = (
     Difference(
         "version",
-        "[VER:] names our own build date and may say who we are before the user's $I= text.",
+        "[VER:] has the date of our own build, and may have our name before the user's $I= text.",
         _version,
     ),
     Difference(
@@ -192,7 +193,8 @@ DIFFERENCES = (
     ),
     Difference(
         "refused homing again",
-        "A second refused $Hx is refused as the first was; Grbl is stuck in Home by then.",
+        "A second $Hx that is refused gets the same answer as the first; Grbl is stuck in Home "
+        "after the first.",
         _homing,
     ),
 )

@@ -179,8 +179,8 @@ def _without_listings(_step: Json, lines: list[str]) -> list[str]:
 
 _SLOW = (
     "slow motion",
-    "Grbl makes no less than 30.5 steps/s; a feed below that is made as it was asked for, with "
-    "motors on until it has ended.",
+    "Grbl makes at least 30.5 steps/s; we run slower feeds as commanded, with motors on until the "
+    "motion ends.",
 )
 SLOW = CaseDifference(*_SLOW, _slow_step)
 
@@ -226,8 +226,8 @@ MOTIONS = (
     ),
     MotionDifference(
         "starved planner",
-        "Blocks of a few milliseconds come faster than an AVR plans them, and slower than we do: "
-        "with more blocks to look at the same path is faster.",
+        "Blocks of a few milliseconds arrive faster than an AVR can plan them, but not faster "
+        "than we can: with more blocks planned ahead, the same path is faster.",
         _starved,
         0.2,
     ),

@@ -157,8 +157,8 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
     try:
         if watch.is_late(lambda: machine.run(rig)):
             verdict.problems.append(
-                f"{own.path}: importing it did not end within {watch.LONGEST_S:g} s: what stands "
-                "outside of handlers runs once, at start"
+                f"{own.path}: importing it took longer than {watch.LONGEST_S:g} s: code outside "
+                "of handlers runs once, at start, and must end"
             )
             return ()
     except LackError as error:
@@ -169,7 +169,9 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
             verdict.problems.append(str(error))
         return ()
     if not rig.custom_module.notes:
-        verdict.problems.append(f"{own.path}: no handler in it: @mcode, @gcode, @on…, @every")
+        verdict.problems.append(
+            f"{own.path} has no handler: mark a function with @mcode, @gcode, @on… or @every"
+        )
     return tuple(rig.custom_module.notes)
 
 
@@ -230,7 +232,7 @@ def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
     elif abs(number * 10 - round(number * 10)) > 1e-6:
         yield f"{word}: the number may have one decimal place at most"
     elif cnc.is_taken(letter, word[1:]):
-        yield f"{word} is Grbl's own, or another extra's"
+        yield f"{word} is already used by Grbl or by another extra: choose another"
     if not isinstance(letters, str):
         yield f'{word}: its letters must be a text: "Pq"'
         return
@@ -251,7 +253,7 @@ def _parameters(kind: str, letters: Any, function: "Callable[..., Any]") -> Iter
         return
     parameters = inspect.signature(function).parameters
     if not parameters:
-        yield f"{function.__name__}() has no parameter m: it gets the machine first"
+        yield f"{function.__name__}() has no parameter m: the machine must be its first parameter"
         return
     if kind in "MG":
         yield from _letters(str(letters), parameters, function.__name__)

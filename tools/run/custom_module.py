@@ -166,7 +166,7 @@ class WatchedRunner(Runner):
         try:
             returned = super().run(what, function, may_move, values, given)
             if what == "on.report" and not isinstance(returned, str | None):
-                module.faults.append(f"{what}: it returns {returned!r}, and not a text or None")
+                module.faults.append(f"{what}: it must return a text or None, not {returned!r}")
             return returned
         except KeyboardInterrupt as stop:
             module.interrupted = f"{what}: {module.place(stop)}".removesuffix(": ")

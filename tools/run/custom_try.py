@@ -85,7 +85,7 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
             why = (faults or [stopped or rig.link.result.stopped])[0]
             return why + (_IN_ALARM if lines is _UNLOCKED and kind == "after_reset" else ""), False
         if name not in rig.custom_module.ran:
-            return "not tried: the simulator could not cause it", True
+            return "not tried: the simulator could not cause this event", True
         if refused := [reply for _, reply in rig.link.result.errors]:
             output = [text for _, text in rig.link.result.other_output]
             messages = [m[1] for m in map(_MESSAGE.match, output) if m]

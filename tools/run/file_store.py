@@ -92,7 +92,7 @@ def _read(text: str, firmware: Firmware) -> dict[str, list[str]]:
             raise SettingsError(f"${number} cannot be {value}")
         stored.setdefault(_SETTINGS, []).append(f"${number}={value}")
     if text.strip() and not stored:
-        raise SettingsError("it holds no settings, lines of $n=v")
+        raise SettingsError("it has no settings (lines of the form $n=v)")
     return stored
 
 

@@ -51,7 +51,9 @@ def rule(text: str) -> Rule:
         raise ValueError(f"--input {text}: WHEN is {_WHEN}")
     axis, side, mm = match[1], match[2], float(match[3])
     if not side and not mm:
-        raise ValueError(f"--input {text}: name the side of it: {axis}<0 or {axis}>0")
+        raise ValueError(
+            f"--input {text}: say on which side of it the input closes: {axis}<0 or {axis}>0"
+        )
     # Without < or > it is closed from there on away from 0.
     above = side == ">" if side else mm > 0
     return Rule(name, axis=AXIS_LETTERS.index(axis.upper()), mm=mm, above=above)

@@ -118,7 +118,7 @@ def build(
             file_store = FileStore(settings, store.files, firmware(module))
             _check_values(module, file_store.load("settings") or ())
         except SettingsError as error:
-            raise ValueError(f"{settings} is left as it is: {error}") from error
+            raise ValueError(f"{settings} was not changed: {error}") from error
         store = file_store
     return _with(around, module, lambda board: Rig(board, store, link, coarse))
 

@@ -109,11 +109,12 @@ def read(path: Path, name: str = NAME) -> OwnPython:
             raise OwnPythonError(f"{path}: there is no .py file in this folder")
         if path / "__init__.py" in files:
             raise OwnPythonError(
-                f"{path / '__init__.py'}: a folder of handlers has none, the board reads each file"
+                f"{path / '__init__.py'}: remove it; in a folder of handlers, the board reads "
+                "each file by itself"
             )
         return OwnPython(path, name, {f"{name}.{file.stem}": _module(file) for file in files})
     if path.suffix != ".py":
-        why = "is no Python file: its name ends in .py" if path.exists() else "is not there"
+        why = "is no Python file: the name of one ends in .py" if path.exists() else "is not there"
         raise OwnPythonError(f"{path} {why}")
     return OwnPython(path, name, {name: _module(path)})
 

@@ -292,7 +292,7 @@ class ProgramLink(machine.UntimedLink):
         elif run == state.SLEEP:
             self.stop("asleep ($SLP)")
         elif rig.now - self.news > _STALLED_MS * rig.ticks_per_ms:
-            self.stop("the machine does nothing any more")
+            self.stop("the machine is stuck: nothing happens any more")
         elif rig.custom_module and rig.custom_module.running:
             self._watch_handler(rig.custom_module.running[-1])
         rig.skip()

@@ -33,7 +33,7 @@ def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
     try:
         listening = socket.create_server((host, port), family=family, backlog=backlog)
     except OSError as error:
-        raise OSError(f"{host}:{port} cannot be listened at: {why_not(error)}") from error
+        raise OSError(f"cannot listen at {host}:{port}: {why_not(error)}") from error
     listening.setblocking(False)
     return listening
 
@@ -41,7 +41,7 @@ def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
 def why_not(error: OSError) -> str:
     """Return why listening is not possible, and what to use instead."""
     if error.errno == errno.EADDRINUSE:
-        return "another program does; choose another port"
+        return "another program listens there; choose another port"
     if error.errno == errno.EACCES:
         return "the system reserves such ports; choose one from 1024 on"
     return "this computer has no such address; 0.0.0.0 means all of its own"

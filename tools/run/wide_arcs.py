@@ -28,7 +28,7 @@ def warning(start: Sequence[float], target: Sequence[float], arc: Any) -> str:
     gap = hypot(*end)
     if _SAME_MM < gap < _NEAR * radius and turn > pi:
         circle = f"a whole circle of {radius:g} mm radius between ends that are {gap:.4f} mm apart"
-        return f"{circle}: the other way round it would be short"
+        return f"{circle}: in the other direction the arc would be short"
     return ""
 
 

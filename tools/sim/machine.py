@@ -191,7 +191,9 @@ class Machine:
         self._jobs.put(job)
         result = self._done.get()
         if isinstance(result, TooLong):
-            raise TimeoutError(f"not within {limit_ms:g} ms of the machine's time") from result
+            raise TimeoutError(
+                f"the call did not end within {limit_ms:g} ms of the machine's time"
+            ) from result
         if isinstance(result, BaseException):
             raise result
         return result

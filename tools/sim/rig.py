@@ -76,7 +76,7 @@ class _NoWritesInMotion:
     def before(self) -> None:
         """Check that nothing moves. Called before anything is written, as by a board's store."""
         if not self._idle():
-            raise RuntimeError("something is stored while the motors turn")
+            raise RuntimeError("firmware bug: something is stored while the motors turn")
 
 
 class _Board:

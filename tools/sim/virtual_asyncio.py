@@ -35,7 +35,7 @@ def _install_in_cpython(made: "list[SimHardware]") -> None:
 
         def select(self, timeout: "float | None" = None) -> "Any":
             if timeout is None:  # without a limit
-                raise RuntimeError("every task waits, and nothing will wake one")
+                raise RuntimeError("deadlock: every task waits, and nothing will wake one")
             if timeout > 0:
                 _pass_s(made, timeout)
             return super().select(0)
@@ -74,7 +74,7 @@ def _install_in_micropython(made: "list[SimHardware]") -> None:
 
     def wait(milliseconds: int) -> None:
         if milliseconds < 0:  # without a limit
-            raise RuntimeError("every task waits, and nothing will wake one")
+            raise RuntimeError("deadlock: every task waits, and nothing will wake one")
         if milliseconds:
             waited_ms[0] += milliseconds
             _pass_s(made, milliseconds / 1000)

@@ -195,7 +195,7 @@ class BoardLink:
         except SendError as error:
             if str(error) != self._last_reason:
                 self._last_reason = str(error)
-                self._log(f"{self._last_reason}; it is tried again")
+                self._log(f"{self._last_reason}; trying again")
             return
         with self._queues_changed:
             self._port, self._last_reason = port, ""
@@ -211,7 +211,7 @@ class BoardLink:
             self._lines.clear()
             self._urgent.clear()
         port.close()
-        self._log(f"{self.name}: {broke(self.name)}; it is tried again")
+        self._log(f"{self.name}: {broke(self.name)}; trying again")
         self._changed()
 
 

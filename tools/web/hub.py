@@ -207,8 +207,8 @@ class Hub:
         if stop is None or not self._board.is_open:
             return
         self._board.write_now(stop)
-        effect = "held (!)" if stop == FEED_HOLD else "told to end its jog"
-        self._log(f"{who} {how}, and the machine was in {self._machine.state}: it is {effect}")
+        effect = "the motion is held (!)" if stop == FEED_HOLD else "the jog is cancelled"
+        self._log(f"{who} {how} while the machine was in {self._machine.state}: {effect}")
         self._machine.forget()  # so the command is sent only once
 
     def _drop_input(self) -> None:
@@ -296,6 +296,6 @@ class Hub:
         """Queue a part for browsers; one that has no space for it is disconnected."""
         for browser in tuple(browsers):
             if not browser.put(part) and browser in self._browsers:
-                self._log(f"{browser.who} does not read what comes, and is let go")
+                self._log(f"{browser.who} does not receive data fast enough, and is disconnected")
                 browser.drop()
                 self.leave(browser)

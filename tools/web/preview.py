@@ -77,7 +77,9 @@ def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
     """Return the program's name and lines."""
     name, text = request.get("name", ""), request.get("program")
     if not isinstance(text, str) or not isinstance(name, str):
-        raise Refused('there is no program in it: {"name": …, "program": …} is wanted, as text')
+        raise Refused(
+            'the request has no program: it needs {"name": …, "program": …}, both as text'
+        )
     data = text.encode("utf-8", "replace")
     if len(data) > PROGRAM_BYTES:
         raise Refused(f"{name or 'the program'} is larger than {PROGRAM_BYTES >> 20} MB")
@@ -89,7 +91,7 @@ def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
 def _settings(posted: Any) -> dict[int, str]:
     """Return the valid settings by number; the machine checks their values later."""
     if not isinstance(posted, dict):
-        raise Refused('"settings" are by number: {"110": "500.000"}')
+        raise Refused('"settings" must be given by number: {"110": "500.000"}')
     return {
         int(number): f"{value:.{_DECIMALS}f}"
         for number, text in posted.items()

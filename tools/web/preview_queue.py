@@ -52,7 +52,7 @@ class PreviewQueue:
         if process.returncode == REFUSED:
             return Answer(HTTPStatus.BAD_REQUEST, out.decode())
         if was_replaced:
-            return Answer(HTTPStatus.CONFLICT, "another program is looked at now: ask again")
+            return Answer(HTTPStatus.CONFLICT, "another program is being simulated now: ask again")
         return self._failed(err.decode("utf-8", "replace"))
 
     def close(self) -> None:

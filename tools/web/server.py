@@ -70,7 +70,7 @@ class Server:
         try:
             await web.TCPSite(self._runner, host, port).start()
         except OSError as error:
-            why = f"{host}:{port} cannot be listened at: {why_not(error)} (--host and --http)"
+            why = f"cannot listen at {host}:{port}: {why_not(error)} (--host and --http)"
             raise OSError(why) from error
         await self._loop.run_in_executor(None, self._link.start)
         self._hub.link_changed()  # a browser may have connected before the board was open
@@ -105,7 +105,7 @@ class Server:
         try:
             return await handler(request)
         except web.HTTPRequestEntityTooLarge:
-            return _sentence(413, f"a program has {PROGRAM_BYTES >> 20} MB at the most")
+            return _sentence(413, f"a program may have at most {PROGRAM_BYTES >> 20} MB")
 
     async def _get_page(self, request: web.Request) -> web.StreamResponse:
         """Answer with the page, and with headers that restrict what it may load."""
@@ -140,7 +140,9 @@ class Server:
         """Open the posted program for all browsers."""
         program = program_of(await request.read())
         if program is None:
-            return _sentence(400, 'a program is wanted: {"id", "name", "program"}, each a text')
+            return _sentence(
+                400, 'the request needs a program: {"id", "name", "program"}, each a text'
+            )
         if not self._hub.open_job(program):
             return _sentence(409, "a job is under way: end it first")
         return web.json_response({})
@@ -154,7 +156,7 @@ class Server:
             timeout=_GOODBYE_S,
         )
         if not socket.can_prepare(request).ok:
-            return _sentence(400, "here a websocket is wanted: open / in a browser")
+            return _sentence(400, "this address is for websockets: open / in a browser")
         await socket.prepare(request)
 
         def drop() -> None:
@@ -197,7 +199,7 @@ class Server:
         elif isinstance(fields.get("job"), dict) and isinstance(fields.get("lines"), str):
             await self._hub.tell_job(browser, fields["job"], fields["lines"])
         else:
-            self._log(f"{browser.who} has sent words that mean nothing here: passed over")
+            self._log(f"{browser.who} sent a command that this server does not know; ignored")
 
     async def _close_sockets(self, app: web.Application) -> None:
         """Close all sockets at the same time, so that no slow one delays the others."""

@@ -115,7 +115,7 @@ class Simulator:
         self._process = process
         if "place" not in answer:
             self.close()
-            raise SendError(answer.get("refused", "the simulator ended before it had begun"))
+            raise SendError(answer.get("refused", "the simulator ended while it was starting"))
         self._address = answer["place"]
 
 

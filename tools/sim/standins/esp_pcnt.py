@@ -256,4 +256,4 @@ class PCNT:
             return  # missed, for a test
         self._value += sign
         if not self._range[0] < self._value < self._range[1]:
-            raise OverflowError("it begins at 0 again, and nobody is told")
+            raise OverflowError("the counter begins at 0 again, and no handler is called")
