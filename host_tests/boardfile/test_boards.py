@@ -263,7 +263,7 @@ def test_simulator_accepts_a_users_board_file(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text((BOARDS / "sim.py").read_text("utf-8"), "utf-8")
     assert is_simulated(load_board(str(file)))
-    with pytest.raises(BoardFileError, match="it has no pins"):
+    with pytest.raises(BoardFileError, match="and has no pins"):
         load_for_build(file)
 
 

@@ -154,7 +154,7 @@ def test_questions_are_repeated_until_the_answer_is_valid(file: Path) -> None:
         ((*_PICO, "--pin", "probe=D2"), "D2 is no pin"),
         ((*_PICO, "--pin", "laser=2"), "it must be one of step, dir"),
         ((*_PICO, "--set", "0=1"), "$0=1 is refused"),
-        ((*_PICO, "--set", "999=1"), "$999=1 is refused: There is no setting $999 here"),
+        ((*_PICO, "--set", "999=1"), "$999=1 is refused: This machine has no setting $999"),
         ((*_PICO, "--set", "fast"), "fast is no setting"),
         ((*_PICO, "--title", 'my "best"'), "without quotation marks"),
         (
@@ -237,7 +237,7 @@ def test_place_that_cannot_be_written_is_reported_before_any_file_is_written(
 
 
 def test_name_that_cannot_be_imported_is_refused() -> None:
-    assert "make a name" in ugrbl("my-router", *_PICO).output
+    assert "must not begin with a digit" in ugrbl("my-router", *_PICO).output
 
 
 def test_pins_with_side_effects_are_reported(file: Path) -> None:

@@ -48,9 +48,9 @@ def test_firmware_refuses_to_start_and_names_the_cause(monkeypatch: pytest.Monke
 @pytest.mark.parametrize(
     ("engine", "left_out", "said"),
     [
-        ("steam", (), "ENGINE is i2s, pio or rmt, not steam"),
-        ("pio", ("DIR",), "ENGINE = pio: the board file names no DIR"),
-        ("i2s", ("I2S", "ENABLE"), "ENGINE = i2s: the board file names no ENABLE, I2S"),
+        ("steam", (), "ENGINE must be i2s, pio or rmt, not steam"),
+        ("pio", ("DIR",), "ENGINE = pio requires DIR"),
+        ("i2s", ("I2S", "ENABLE"), "ENGINE = i2s requires ENABLE, I2S"),
     ],
 )
 def test_missing_options_of_the_board_file_are_named(
@@ -61,5 +61,5 @@ def test_missing_options_of_the_board_file_are_named(
 
 
 def test_unknown_link_is_named() -> None:
-    with pytest.raises(ValueError, match="LINK is uart, uart_wifi, usb or wifi, not pigeon"):
+    with pytest.raises(ValueError, match="LINK must be uart, uart_wifi, usb or wifi, not pigeon"):
         parts._link("pigeon")

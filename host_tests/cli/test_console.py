@@ -226,7 +226,7 @@ def test_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> No
         wait_until(lambda: what in text)
         text = text[text.index(what) + len(what) :]
 
-    wait(b"Tab: keys jog")
+    wait(b"Tab: jog with keys")
     os.write(master, b"$X\r$G\r")
     wait(b"[GC:G0 G54")
     os.write(master, b"\t")

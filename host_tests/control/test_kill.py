@@ -281,7 +281,7 @@ def test_fast_inputs_must_be_pins_up_to_31(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(sys.implementation, "_machine", "a board with RP2350", raising=False)
-    with pytest.raises(ValueError, match="pin 33: limits, probe, buttons are pins 0 to 31"):
+    with pytest.raises(ValueError, match="pin 33: limits, probe, buttons must be on pins 0 to 31"):
         gpio.GpioPort(board(LIMIT=(9, 33, None)))
 
 
@@ -366,4 +366,4 @@ def test_failing_stop_does_not_leave_the_interrupt() -> None:
     port.attach(listener(*2 * (lambda *_: 1 // 0,)))
     port.enable_limits(True)
     machine.Pin(9).drive(0)
-    assert port.fault.endswith("and so has stopping")
+    assert port.fault.endswith("the stop after it failed too")

@@ -439,9 +439,7 @@ def test_underruns_are_reported_with_the_remedy(grbl: FakeGrbl, tmp_path: Path) 
     grbl.drains = list(range(1000))
     done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
     words = " ".join(done.output.split())
-    assert (
-        "because lines came too late: `ugrbl run FILE --board NAME` names lines" in words
-    )
+    assert "because lines came too late: `ugrbl run FILE --board NAME` names lines" in words
 
 
 def test_percent_signs_at_the_ends_of_a_file_are_not_sent(grbl: FakeGrbl, tmp_path: Path) -> None:

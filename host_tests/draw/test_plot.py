@@ -466,7 +466,7 @@ def test_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None
     assert not [name for name in seen["requests"] if not name.startswith(("file:", "blob:"))]
     assert "saved" in seen["words"]
     assert "X0.000 to 10.000 mm: 10.000 of 200 ($130)" in seen["tables"]
-    assert "nowhere more than 0.01 mm beside the path" in seen["tables"]
+    assert "at most 0.01 mm off the path" in seen["tables"]
     # The slider ends where the program ends, and a point under the cursor is shown with its line.
     assert "X 5.000   Y 5.000   Z 2.000" in seen["last"]
     assert "line 8: G2 X5 Y5 R5" in seen["hovered"]

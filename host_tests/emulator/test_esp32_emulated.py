@@ -178,4 +178,4 @@ def test_memory_is_free_at_the_prompt(machine: Esp32) -> None:
 
 def test_missing_psram_is_reported_with_the_remedy(image: Path, files: "dict[str, bytes]") -> None:
     board = Esp32(image, files, psram=False).power_on()
-    assert "take a module with PSRAM" in board.wait_for("]\r\n")
+    assert "use a module with PSRAM" in board.wait_for("]\r\n")

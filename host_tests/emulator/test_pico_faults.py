@@ -157,7 +157,7 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
         ({"board.py": _GOOD.replace("4", "40").encode()}, "STEP: there is no pin 40"),
         (
             {"board.py": _GOOD.replace("pio", "steam").encode()},
-            "ENGINE is i2s, pio or rmt, not steam",
+            "ENGINE must be i2s, pio or rmt, not steam",
         ),
         ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'extras"),
     ],

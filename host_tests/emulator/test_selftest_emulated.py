@@ -89,7 +89,7 @@ def test_firmware_passes_all_checks_that_can_be_shown_here(uf2: Path) -> None:
     failed = [row for row in rows.values() if row.passed is False]
     assert not failed
     assert not [row for row in rows.values() if row.passed is None]
-    assert {"stops at random instants", "limit: to the last edge"} <= set(rows)
+    assert {"stops at random instants", "limit: time to the last step edge"} <= set(rows)
     assert rows["settings save: interrupts off"].figures["longest_us"] >= _ERASE_US
     assert machine.status()["state"] in ("Idle", "Alarm")
 
@@ -116,7 +116,8 @@ def test_five_and_six_motors_are_counted_in_turn(
     for rate in ("1 kHz", "50 kHz", "the highest"):
         row = rows[f"steps at {rate}, all axes"]
         assert row.passed and f"on each of {motors} axes" in row.text
-    for what in ("stops at random instants", "starts from rest", "limit: to the last edge"):
+    limit = "limit: time to the last step edge"
+    for what in ("stops at random instants", "starts from rest", limit):
         assert rows[what].passed, what
 
 
@@ -162,7 +163,7 @@ def test_wrong_engine_fails(uf2: Path) -> None:
         "direction set-up",
         "stops at random instants",
         "starts from rest",
-        "limit: to the last edge",
+        "limit: time to the last step edge",
         "hang on purpose: watchdog",
     }
     assert rows["watchers see the pins"].passed and rows["skew between axes, 50 kHz"].passed

@@ -169,7 +169,7 @@ def test_failing_engine_is_reported_with_the_tool_off_and_recovers_by_a_reset(
     talk += [("$X\n", "ok"), ("G91 G0 X1\n", "ok"), ("G4 P0.1\n", "ok"), ("?", ">")]
     said = boot(board, tmp_path, talk)
     assert "duty 65535\n" in said and said.index("duty 0\n") > said.index("failed")
-    words = "[MSG:RuntimeErr: the pulse engine's refill failed: ValueErr an err that is o-k"
+    words = "[MSG:RuntimeErr: refilling the step pulse buffer failed: ValueErr an err that is o-k"
     assert words in said and said.index("ALARM:") < said.index(words)
     assert said.rsplit("<", 1)[1].startswith("Idle|")
 
@@ -194,9 +194,9 @@ _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ('ENGINE = "i2s"', "ENGINE = i2s: the board file names no I2S, I2S_RATE_HZ, I2S_BUFFERS"),
-        ('ENGINE = "steam"', "ENGINE is i2s, pio or rmt, not steam"),
-        ('LINK = "pigeon"', "LINK is uart, uart_wifi, usb or wifi, not pigeon"),
+        ('ENGINE = "i2s"', "ENGINE = i2s requires I2S, I2S_RATE_HZ, I2S_BUFFERS"),
+        ('ENGINE = "steam"', "ENGINE must be i2s, pio or rmt, not steam"),
+        ('LINK = "pigeon"', "LINK must be uart, uart_wifi, usb or wifi, not pigeon"),
         ("PROBE = 13", "PROBE: pin 13 is LIMIT already"),
         ("FLOOD = 34", "pin can only be input"),
         ('TOOL = "punch"', "TOOL = punch: the board file names no pin for PUNCH_DOWN, PUNCH_UP, "),
@@ -344,9 +344,7 @@ def prepared() -> "tuple[int, str]":
 def test_module_without_psram_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     assert prepared() == (240_000_000, "")
     monkeypatch.setattr(esp32, "psram", 0)
-    assert prepared()[1].startswith(
-        "63000 bytes free of the 150000 that the firmware needs: take a module with PSRAM"
-    )
+    assert "63000 bytes of RAM are free, the firmware needs 150000: use a module" in prepared()[1]
 
 
 def test_frozen_firmware_needs_no_memory_for_its_code(monkeypatch: pytest.MonkeyPatch) -> None:

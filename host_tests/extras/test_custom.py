@@ -119,7 +119,7 @@ def g(m):
         ("@gcode(0)\ndef rapid(m): pass", "G0 is already in use"),
         ("@mcode(100)\ndef a(m): pass\n@mcode(100)\ndef b(m): pass", "M100 is already in use"),
         ("@on.nothing\ndef a(m): pass", "there is no event on.nothing"),
-        ('@on.input("door")\ndef a(m, closed): pass', "names no input door"),
+        ('@on.input("door")\ndef a(m, closed): pass', "no input named door"),
         ("@every(0)\ndef a(m): pass", "every: 0 is not a number of milliseconds"),
         ("import nowhere_at_all", "nowhere_at_all"),
     ],
@@ -451,7 +451,7 @@ def slow(m):
     said = made.say(("", "ms 1000"))
     told = made.greeting + said[0]
     assert [line for line in told if "every 100 ran for 60 ms" in line] == [
-        "[MSG:every 100 ran for 60 ms without calling m]"
+        "[MSG:every 100 ran for 60 ms without calling a method of m]"
     ]
 
 

@@ -396,11 +396,11 @@ def test_received_line_cancels_a_pending_jog(bench: Make) -> None:
     ("text", "told"),
     [
         ("@on.after_reset\ndef a(m): m.g('G21')", "refused with 9: G21: in Alarm, after a reset"),
-        ("@on.report\ndef a(m): return 5", "on.report: it returns 5, and not a text or None"),
+        ("@on.report\ndef a(m): return 5", "on.report: it must return a text or None, not 5"),
         ("@mcode(100)\ndef a(m): sys.exit()", "mine.py, line 3: SystemExit"),
         ("sys.exit()", "mine.py, line 2: SystemExit"),
         ("@mcode\ndef a(m): pass", "mine.py, line 2: TypeError: write @mcode(100)"),
-        ("@mcode(100, sync='no')\ndef a(m): pass", "sync is True, False or None, not 'no'"),
+        ("@mcode(100, sync='no')\ndef a(m): pass", "sync must be True, False or None, not 'no'"),
     ],
 )
 def test_check_reports_it_before_it_is_on_a_board(tmp_path: Path, text: str, told: str) -> None:

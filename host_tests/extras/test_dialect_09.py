@@ -83,7 +83,7 @@ def test_default_dialect_is_1_1() -> None:
 
 
 def test_unknown_dialect_is_refused_with_the_reason() -> None:
-    with pytest.raises(ValueError, match=r"DIALECT is 0.9, 0.9i, 0.9j, 1.1 or hal, not 0.8"):
+    with pytest.raises(ValueError, match=r"DIALECT must be 0.9, 0.9i, 0.9j, 1.1 or hal, not 0.8"):
         Options(SimpleNamespace(DIALECT="0.8"))
 
 

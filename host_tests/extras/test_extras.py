@@ -207,7 +207,7 @@ def test_job_cannot_be_entered_in_the_middle_of_a_cycle(monkeypatch: pytest.Monk
 
     bench = Bench(monkeypatch, install)
     bench.say(*lines("M100", "G86X1Z-1R1F9", "M100", "G0X1", "M100"))
-    assert whys == ["", "that line is within a canned cycle", ""]
+    assert whys == ["", "the line is inside a canned cycle: start before it", ""]
 
 
 def test_refused_line_of_a_cycle_changes_nothing(

@@ -24,7 +24,7 @@ _BEHIND = 30  # lines that are compared
 _LONGEST = 3000
 # Reasons for which entry is refused.
 _NO_WAY = (
-    "is within a drilling cycle",
+    "is inside a drilling cycle",
     " probes: ",
     " ends the program",
     "is refused with ",

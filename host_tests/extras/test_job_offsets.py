@@ -126,7 +126,7 @@ def test_entry_is_refused_after_a_setting_whose_value_has_changed(tmp_path: Path
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "$32=1", "G90", "G1 X-5 F1200", "$32=0", "G1 X-3")
     said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
-    assert said[-1] == "[MSG:Job A.NC: line 1 sets $32, which has another value now]"
+    assert said[-1] == "[MSG:Job A.NC: line 1 sets $32, which differs now: set it first]"
 
 
 def test_entry_is_refused_if_the_file_has_other_content_of_the_same_size(

@@ -40,10 +40,10 @@ def test_motors_move_as_the_words_say(lines: "list[tuple[int, int, int]]") -> No
         (("X+Q", "Y"), "MOVES: Q in X+Q is not an axis, or is listed twice"),
         (("X+X", "Y"), "MOVES: X in X+X is not an axis, or is listed twice"),
         (("X+A", "Y"), "MOVES: A in X+A is not an axis, or is listed twice"),
-        (("X+Y", "X+Y"), "MOVES: X and Y cannot move alone"),
-        (("X+Z", "Y", "Z"), "MOVES: X and Z cannot move alone"),
+        (("X+Y", "X+Y"), "MOVES: X and Y cannot be moved independently"),
+        (("X+Z", "Y", "Z"), "MOVES: X and Z cannot be moved independently"),
         (("X", "Y", ""), "MOVES: no motor moves Z"),
-        (("X", "Y", "Z", "X"), "MOVES has 4 words, but there are 3 axes"),
+        (("X", "Y", "Z", "X"), "MOVES has 4 entries, but there are 3 axes"),
     ],
 )
 def test_impossible_words_are_reported(words: Sequence[str], why: str) -> None:

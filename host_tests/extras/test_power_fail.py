@@ -243,7 +243,7 @@ def test_motion_that_does_not_stop_in_time_is_stopped_at_once(power: Power) -> N
     assert before != power.steps[85] != at_end, "it was moving"
     line = max(power.line_at(at_end))
     found = report(power.starts(power.cut(100)))
-    assert found["sure"] == "stopped at speed, position not certain"
+    assert found["sure"] == "stopped without braking, position uncertain"
     assert place(found) == power.at(199)
     assert 0 <= line - int(found["line"]) <= 6
 
@@ -374,11 +374,11 @@ def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> N
 
 def test_time_of_a_stop_is_reported_for_the_settings(power: Power) -> None:
     said = power.bench.run(say(*FAST, "$I", wait_s=0))
-    assert "[MSG:Power fail: stops in 67 ms; supply lasts 100 ms]" in said  # 14 + 50 + 3
+    assert "[MSG:Power fail: a stop takes 67 ms; the supply lasts 100 ms]" in said  # 14 + 50 + 3
     said = power.bench.run(say("$121=200", "$I", wait_s=0))
-    assert "[MSG:Power fail: stops in 517 ms; supply lasts 100 ms]" in said
+    assert "[MSG:Power fail: a stop takes 517 ms; the supply lasts 100 ms]" in said
     said = power.bench.run(say("$121=0", "$I", wait_s=0))
-    assert "[MSG:Power fail: stops in 60000017 ms; supply lasts 100 ms]" in said
+    assert "[MSG:Power fail: a stop takes 60000017 ms; the supply lasts 100 ms]" in said
 
 
 def test_board_whose_flash_has_no_page_says_so(

@@ -438,7 +438,7 @@ def test_board_without_punch_pins_is_refused_with_the_reason() -> None:
     board = SimpleNamespace(TOOL="punch", PUNCH_UP=3, PUNCH_DOWN=0)
     with pytest.raises(ValueError, match="no pin for PUNCH_DOWN_SENSOR, PUNCH_UP_SENSOR"):
         Options(board)
-    with pytest.raises(ValueError, match="TOOL is laser, punch or spindle, not saw"):
+    with pytest.raises(ValueError, match="TOOL must be laser, punch or spindle, not saw"):
         Options(SimpleNamespace(TOOL="saw"))
 
 

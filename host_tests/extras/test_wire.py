@@ -149,7 +149,7 @@ def test_homing_has_the_order_of_the_board_file() -> None:
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"STEP": (0, 1, 2)}, "XYUV needs four motors, those of X, Y, U and V, in STEP and DIR"),
+        ({"STEP": (0, 1, 2)}, "XYUV needs four pins in STEP and in DIR: for X, Y, U and V"),
         ({"ROTARY": "A"}, "XYUV and ROTARY are not for the same machine"),
         ({"JOBS": "jobs"}, "XYUV and JOBS are not for the same machine"),
         ({"PARKING": True}, "XYUV and PARKING are not for the same machine"),

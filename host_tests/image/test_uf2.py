@@ -259,7 +259,7 @@ def test_a_drag_leaves_micropython_and_the_files_of_a_deployment(tmp_path: Path)
         (program(), "armv7emsp", "pio", "is for RP2040; the board file is for RP2350"),
         (program(), "xtensawin", "rmt", "the board file is for ESP32"),
         (program(version="v1.22.2"), "armv6m", "pio", "1.22 is too old: .* needs 1.26"),
-        (program(version=""), "armv6m", "pio", "its version is not in it: put MicroPython"),
+        (program(version=""), "armv6m", "pio", "contain its version number: put MicroPython"),
     ],
 )
 def test_a_micropython_for_another_board_is_reported(

@@ -397,7 +397,7 @@ def test_motion_late_on_its_schedule_is_a_fault(base_us: int) -> None:
             clock.tick(us * 1000)
             assert bed.engine.fault() == ""
         clock.tick(30_000_000)
-        assert "late on" in bed.engine.fault()
+        assert "later than scheduled" in bed.engine.fault()
         bed.engine.stop()
         check_stopped(bed, bed.rises())
 

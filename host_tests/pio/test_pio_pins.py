@@ -295,13 +295,13 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
     ("changes", "said"),
     [
         ({"DIR": (5, 6, 2)}, "DIR: pin 2 is STEP already"),
-        ({"PROBE": 30}, "PROBE: there is no pin 30"),
+        ({"PROBE": 30}, "PROBE: this chip has no pin 30"),
         ({"CONTROL": (13, 9, None, None)}, "CONTROL: pin 9 is LIMIT already"),
-        ({"FLOOD": -1}, "FLOOD: there is no pin -1"),
+        ({"FLOOD": -1}, "FLOOD: this chip has no pin -1"),
         ({"ESTOP": 9}, "ESTOP: pin 9 is LIMIT already"),
         ({"INPUTS": {"door": 9}}, "INPUTS: pin 9 is LIMIT already"),
-        ({"OUTPUTS": {"lamp": 30}}, "OUTPUTS: there is no pin 30"),
-        ({"CONTROL_INVERT": 8}, "CONTROL_INVERT: the input of value 8 is not wired"),
+        ({"OUTPUTS": {"lamp": 30}}, "OUTPUTS: this chip has no pin 30"),
+        ({"CONTROL_INVERT": 8}, "CONTROL_INVERT: 8 stands for an input"),
     ],
 )
 def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:

@@ -243,7 +243,7 @@ def test_a_station_reconnects_only_while_idle_and_not_all_the_time(clock: Simple
     assert network.hostname() == "router"
     assert radio.status() == "station, 192.168.1.7, router.local"
     network.in_reach.clear()
-    assert "no network yet (-2)" in radio.status()
+    assert "not connected yet (status -2)" in radio.status()
     for at_rest, calls in ((False, 1), (True, 5)):
         for _ in range(60):
             clock.ms += 1000

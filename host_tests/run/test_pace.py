@@ -215,7 +215,7 @@ def test_run_reports_where_motion_is_too_fast_and_what_to_do(tmp_path: Path) -> 
     done = ugrbl("run", file, "--board", "rpi_pico2", "--json", told, *settings)
     words = " ".join(done.stdout.split())
     assert done.returncode == 0
-    assert re.search(r"lines \d+ to \d+ come too fast: [23]\d\d\d a second, mostly moves", words)
+    assert re.search(r"lines \d+ to \d+ need [23]\d\d\d lines a second, mostly moves", words)
     assert "fewer pixels per mm" in words and "lines in time │ no, for a Pico" in words
     (one, *_) = json.loads(told.read_text())["too_fast"]
     assert one["kind"] == "power" and one["lost_s"] > 0.05

@@ -116,7 +116,7 @@ def test_address_in_use_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         said = refused("--sim", "--http", str(port))
-    assert f"127.0.0.1:{port} cannot be listened at: another program does" in said
+    assert f"cannot listen at 127.0.0.1:{port}: another program" in said
     assert "--http" in said
 
 
@@ -128,8 +128,8 @@ def test_address_in_use_is_reported() -> None:
         ("--port missing", "cannot open missing: no such port; is its name right"),
         ("--sim --board toaster", "no board 'toaster'"),
         ("--sim --settings FOLDER/photo", "photo"),
-        ("--sim --host 192.0.2.1 --http 0", "192.0.2.1:0 cannot be listened at"),
-        ("--sim --host no.such.invalid --http 0", "no.such.invalid:0 cannot be listened at"),
+        ("--sim --host 192.0.2.1 --http 0", "cannot listen at 192.0.2.1:0"),
+        ("--sim --host no.such.invalid --http 0", "cannot listen at no.such.invalid:0"),
     ],
 )
 def test_unusable_options_are_refused_with_reason(words: str, why: str, tmp_path: Path) -> None:

@@ -193,7 +193,7 @@ def test_motion_that_does_not_continue_is_a_fault(engine: str) -> None:
     made.run(300)
     assert made.engine.fault() == ""
     made.run(400)
-    assert "late on" in made.engine.fault()
+    assert "later than scheduled" in made.engine.fault()
     made.engine.stop()
     assert made.engine.fault() == "" and made.engine.idle()
 
