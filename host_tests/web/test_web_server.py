@@ -304,7 +304,16 @@ async def test_queued_lines_count_as_sent_and_reach_board_after_takeover(
         await board.wait_for(b"G1 X1\nG1 X2\n")
 
 
-@pytest.mark.parametrize("body", [b"", b"[]", b'{"id": "1", "name": "x"}', b'{"id": 1}'])
+@pytest.mark.parametrize(
+    "body",
+    [
+        *(b"", b"[]", b'{"id": "1", "name": "x"}', b'{"id": 1}'),
+        *(
+            b'{"id": 1, "name": "x", "program": "G1"}',
+            b'{"id": "1", "name": null, "program": "G1"}',
+        ),
+    ],
+)
 @played
 async def test_body_without_program_is_not_shared(
     body: bytes, board: FakeBoard, tmp_path: Path

@@ -132,8 +132,8 @@ def _start(text: str) -> str:
 
 def not_frozen(made: Build, frozen: str) -> Build:
     """Return what goes into the file system: only the board's own files if a MicroPython with the
-    firmware of that id has the rest."""
-    if frozen != made.id:
+    firmware of that id ("": without firmware) has the rest."""
+    if not frozen or frozen != made.id:
         return made
     return replace(made, files={path: made.files[path] for path in made.own})
 

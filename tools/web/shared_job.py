@@ -65,10 +65,7 @@ def program_of(body: bytes) -> "dict[str, str] | None":
     """Return the posted program; None if it is invalid."""
     try:
         posted = json.loads(body)
-        return {
-            key: posted[key]
-            for key in ("id", "name", "program")
-            if posted[key] == str(posted[key])  # it is a text
-        }
+        program = {key: posted[key] for key in ("id", "name", "program")}
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
+    return program if all(isinstance(value, str) for value in program.values()) else None
