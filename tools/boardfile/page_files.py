@@ -34,7 +34,7 @@ _NOT_FROM_BOARD = (
 
 @cache
 def page(from_board: bool = False) -> str:
-    """Return the page. OSError if a replacement is missing.
+    """Return the page. OSError if a part is missing.
 
     from_board: as a board serves it, in English only, and without parts that it cannot use.
     """
