@@ -100,7 +100,7 @@ class Doctor:
         self._state(connection)
         values = _numbers(settings)
         self.add(*settings_check.settings(values, settings.firmware))
-        board_under_test.report(connection)
+        board_under_test.report(connection)  # the inputs of the next line are from this report
         self.add(*checkup.pins_at_rest(board_under_test.pins(connection), values))
         axes = sum(_FIRST_STEPS_PER_MM + axis in values for axis in range(len(AXES)))
         if pins_s is None and ask and typer.confirm("Watch the inputs while you press them?"):
