@@ -279,7 +279,7 @@ def test_pins_are_those_of_the_board_file() -> None:
     )
     assert found["switched"] == [[1, "suction", True]], done.output
     code, found, _ = ran("M100 P1\n", VACUUM, "--board", "router.py")
-    assert code == 1 and "names no output vacuum" in found["faults"][0]
+    assert code == 1 and "no output named vacuum" in found["faults"][0]
 
 
 def test_custom_file_in_the_folder_is_not_read_without_the_option() -> None:
@@ -378,13 +378,13 @@ def test_endless_handler_is_reported(
 
 
 WRONG = [
-    ("@mcode(3)\ndef f(m): pass", "M3 is Grbl's own"),
-    ("@mcode(9)\ndef f(m): pass", "M9 is Grbl's own"),
+    ("@mcode(3)\ndef f(m): pass", "M3 is already used by Grbl"),
+    ("@mcode(9)\ndef f(m): pass", "M9 is already used by Grbl"),
     ("@mcode(100)\ndef f(m): 1\n@mcode(100)\ndef g(m): 1", "M100 is defined twice: mine.py"),
     ("@mcode(100.5)\ndef f(m): pass", "M100.5: a whole number must follow M"),
     ("@mcode(-1)\ndef f(m): pass", "M-1: a whole number must follow M"),
     ("@mcode('x')\ndef f(m): pass", "Mx: a whole number must follow M"),
-    ("@gcode('10 L2', 'P')\ndef f(m, P): pass", "G10 L2 is Grbl's own"),
+    ("@gcode('10 L2', 'P')\ndef f(m, P): pass", "G10 L2 is already used by Grbl"),
     ("@gcode('10L1')\ndef f(m): pass", 'or "10 L1", must follow G'),
     ("@gcode(81.15)\ndef f(m): pass", "G81.15: the number may have one decimal"),
     ("@mcode(100, 'M')\ndef f(m, M): pass", "'M' cannot be a parameter"),

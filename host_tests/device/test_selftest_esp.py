@@ -33,7 +33,7 @@ _ASKING_US = 6  # one turn of a loop that reads the time
 
 def _pass(us: int) -> None:
     """Let time pass, with callbacks where they can run."""
-    if clock._inside:
+    if clock._in_callback:
         clock.work(us)
     else:
         clock.advance(clock.us + us)

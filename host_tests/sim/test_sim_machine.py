@@ -51,7 +51,7 @@ def test_settings_returns_the_machines_settings(grbl: Machine) -> None:
 
 def test_a_timeout_and_a_closed_machine_raise() -> None:
     machine = Machine(settings={110: 6000})
-    with pytest.raises(TimeoutError, match="not within 500 ms"):
+    with pytest.raises(TimeoutError, match="not end within 500 ms"):
         machine.ask("G4 P10", 500)
     machine.close()
     machine.close()

@@ -219,7 +219,7 @@ class BusyTime(Time):
 
     @staticmethod
     def sleep_us(us: int) -> None:
-        if clock._inside:
+        if clock._in_callback:
             clock.work(us)
         else:
             clock.advance(clock.us + us)
