@@ -37,9 +37,11 @@ def job(lines: list[str], commands: list[str], **options: Any) -> Job:
 
 
 def forecast(
-    here: machine_snapshot.MachineSnapshot, lines: list[str], ask_at: int = 0
+    here: machine_snapshot.MachineSnapshot, lines: list[str], report_state_before_line: int = 0
 ) -> Forecast:
-    result, found = rehearse(job(lines, here.commands(), ask_at=ask_at))
+    result, found = rehearse(
+        job(lines, here.commands(), report_state_before_line=report_state_before_line)
+    )
     assert not result.errors and not result.stopped, result
     return found
 
@@ -50,7 +52,7 @@ def forecast(
 def test_the_simulator_starts_with_the_machines_state(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
-    found = forecast(here, ["G0 X0", "G91 Y-1"], ask_at=1)
+    found = forecast(here, ["G0 X0", "G91 Y-1"], report_state_before_line=1)
     assert found.start == [-20.0, -20.0, -5.0]
     # G54 and G92 in X; Y in inches, from its former position.
     ends = [-49.0, -20.0, -5.0, -49.0, -45.4, -5.0]
@@ -149,7 +151,7 @@ def test_time_left_falls_from_line_to_line(here: machine_snapshot.MachineSnapsho
 def test_a_rehearsal_in_a_separate_process_gives_the_same_result(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
-    made = job(squares(5), here.commands(), ask_at=3)
+    made = job(squares(5), here.commands(), report_state_before_line=3)
     running = Rehearsal(made)
     assert running.wait() == rehearse(made)[1]
     running.close()
@@ -174,7 +176,7 @@ PART = [
 def way(
     here: machine_snapshot.MachineSnapshot, number: int, lines: list[bytes] = PART
 ) -> list[str]:
-    found = forecast(here, [line.decode() for line in lines], ask_at=number)
+    found = forecast(here, [line.decode() for line in lines], report_state_before_line=number)
     return [line.text for line in approach(lines, number, found, here).lines]
 
 
@@ -226,7 +228,7 @@ def test_entry_at_a_continued_drilling_cycle_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = [b"G21 G90", b"G0 Z10", b"G99 G81 X5 Y5 Z-2 R2 F100", b"X10", b"G80", b"G0 X20"]
-    found = forecast(here, ["G21 G90", "G0 Z10", "G0 X5", "X10"], ask_at=4)
+    found = forecast(here, ["G21 G90", "G0 Z10", "G0 X5", "X10"], report_state_before_line=4)
     with pytest.raises(CannotEnter, match="line 4 continues the drilling cycle of line 3"):
         approach(lines, 4, found, here)
     assert approach(lines, 6, found, here).lines
@@ -236,7 +238,7 @@ def test_conditions_that_only_the_user_knows_are_reported(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
-    found = forecast(here, [line.decode() for line in lines], ask_at=9)
+    found = forecast(here, [line.decode() for line in lines], report_state_before_line=9)
     moves, origin, tool = approach(lines, 9, found, here).cautions
     assert "line 1 moves relatively" in moves and "line 3 sets the origin" in origin
     assert "line 5 names a tool" in tool
@@ -249,7 +251,7 @@ def test_the_entry_stores_offsets_written_by_earlier_lines(
     here.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has run to there
     assert "G10 L2 P2 X-9.000 Y-9.000 Z-9.000" in way(here, 3, lines)
     assert not any("G10" in line for line in way(here, 5, lines))
-    found = forecast(here, [line.decode() for line in lines], ask_at=3)
+    found = forecast(here, [line.decode() for line in lines], report_state_before_line=3)
     assert "line 4 stores offsets" in approach(lines, 3, found, here).cautions[-1]
 
 
@@ -278,7 +280,7 @@ def test_entry_after_a_line_that_cannot_be_simulated_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
     lines = ["G21", "G38.2 Z-30 F100", "G0 X1"]
-    _, found = rehearse(job(lines, here.commands(), ask_at=3))
+    _, found = rehearse(job(lines, here.commands(), report_state_before_line=3))
     with pytest.raises(CannotEnter, match="ALARM"):
         approach([line.encode() for line in lines], 3, found, here)
 
@@ -306,7 +308,13 @@ def own(
 ) -> Job:
     (folder / "mine.py").write_text(OWN)
     commands = here.commands()
-    return job(lines, commands, custom=str(folder / "mine.py"), inputs=[*inputs], ask_at=2)
+    return job(
+        lines,
+        commands,
+        custom=str(folder / "mine.py"),
+        inputs=[*inputs],
+        report_state_before_line=2,
+    )
 
 
 def test_a_custom_probe_ends_at_the_contact(

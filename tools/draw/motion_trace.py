@@ -144,7 +144,7 @@ class MotionTrace(Paced):
         super().start_clock()
         self.motion.forget()
         self._start_tick = self._rig.now
-        self._add_standing(0.0, self._to_mm(self._place))
+        self._add_standing(0.0, self._to_mm(self._motor_steps))
 
     def _attach(self) -> None:
         """Attach to the machine, as Paced._attach(), also to the generator of segments: the engine

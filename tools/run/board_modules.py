@@ -29,12 +29,12 @@ _WHOLE = frozenset(
 _PARTLY = ON_BOARDS.union(*ON_ONE_CHIP.values()) - _WHOLE
 # These are partly modelled, so a name that they do not have may exist on a board.
 _STANDINS = ("machine", "peripherals", "rp2", "esp32")
-_TICKS = 1 << 30
+_TICKS = 1 << 30  # ticks wrap around at this number
 
 
 def is_lacking(fault: "BaseException | None") -> bool:
-    """Return whether a fault is caused by something that boards have and the simulator does
-    not."""
+    """Return whether a fault is caused by something that boards have and the simulator does not: a
+    module, an attribute of one or of its objects, or what a stand-in for one raises."""
     if isinstance(fault, ImportError):
         return (fault.name or "").partition(".")[0] in _PARTLY
     if isinstance(fault, AttributeError) and fault.obj is not None:

@@ -43,7 +43,7 @@ class CheckedLines:
         )
 
     def load(self, lines: Sequence[bytes]) -> bool:
-        """Load the next lines. Returns whether they can be checked here."""
+        """Load the next lines. Returns False if they cannot be checked here: they must be sent."""
         data = b"\n".join(lines) + b"\n"
         if not self._is_checking() or len(data) >= _BYTES or has_realtime(data):
             return False
@@ -60,7 +60,8 @@ class CheckedLines:
             self._begin_at(indices[layout.HEAD])
             return 0
         count = int(self._check_lines(*self._kernel_arguments))
-        # The firmware may have stopped within a line that is too long for it.
+        # TAIL is after the line at which the kernels have stopped; or within it, if it is too long
+        # for the firmware.
         self._begin_at(self._received.find(b"\n", indices[layout.TAIL] - 1) + 1)
         return count
 

@@ -3,6 +3,10 @@
 Static checks come first: names of pins, imports, syntax that MicroPython's compiler refuses. Then
 the code is imported as a board would, and each handler's word and parameters are checked. Faults
 that show only when a handler runs are found by custom_try.py.
+
+own: the user's Python. verdict: the results, to which the checks add. A note is a registered
+handler: kind (M or G for a word, else an event), key (the word's number, …), letters of the word's
+parameters (lower case: optional), sync (when it runs, as in _WHEN), and the function.
 """
 
 import ast
@@ -62,14 +66,14 @@ class Verdict:
         return {**vars(self), "tried": tried, "ok": self.is_good}
 
 
-def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
+def check_statically(own: OwnPython, board: Any, verdict: Verdict) -> None:
     """Check everything that needs no execution."""
     for module in own.modules.values():
         verdict.problems += _syntax(module, verdict)
         verdict.problems += _imports(own, module, board)
         verdict.problems += _prints(module)
-    given = {**vars(board), **machine.assumed_pins(board, own)}
-    verdict.problems += unknown_pins(own, given.get("OUTPUTS", {}), given.get("INPUTS", {}))
+    options = {**vars(board), **machine.assumed_pins(board, own)}
+    verdict.problems += unknown_pins(own, options.get("OUTPUTS", {}), options.get("INPUTS", {}))
 
 
 def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[str]) -> list[str]:
@@ -114,14 +118,14 @@ def _why(module: Module, line: int) -> str:
 def _imports(own: OwnPython, module: Module, board: Any) -> Iterator[str]:
     """Yield imports of modules that a board does not have."""
     engine = getattr(board, "ENGINE", "")
-    chip = ON_ONE_CHIP["esp" if engine in ("rmt", "i2s") else "pio"]
-    if is_simulated(board):
-        chip = frozenset().union(*ON_ONE_CHIP.values())
+    on_chip = ON_ONE_CHIP["esp" if engine in ("rmt", "i2s") else "pio"]
+    if is_simulated(board):  # those of every chip
+        on_chip = frozenset().union(*ON_ONE_CHIP.values())
     for line, name in _imported(module.tree):
         first = name.partition(".")[0]
-        if not first and not own.is_folder:
+        if not first and not own.is_folder:  # a relative import has no name
             yield f"{module.file}, line {line}: relative imports need a folder; this is one file"
-        elif first and first not in ON_BOARDS | chip | {API, own.name}:
+        elif first and first not in ON_BOARDS | on_chip | {API, own.name}:
             yield f"{module.file}, line {line}: no board has a module {name}"
 
 
@@ -149,10 +153,13 @@ def _imported(tree: ast.Module) -> Iterator[tuple[int, str]]:
 # Registered handlers
 
 
-def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Sequence[Any]":
+def import_and_examine(
+    own: OwnPython, board: str, around: Around, verdict: Verdict
+) -> "Sequence[Any]":
     """Import the user's Python in the simulator. Returns its handlers, or () if something is
     wrong."""
-    rig = machine.build(board, lambda rig: ProgramLink(rig, lambda link: iter(())), around=around)
+    # A sender that sends nothing: the machine starts, imports the Python, and is switched off.
+    rig = machine.build(board, lambda rig: ProgramLink(rig, lambda _link: iter(())), around=around)
     rig.custom_module.examine = lambda cnc, notes: _examine(own, cnc, notes, verdict)
     try:
         if watch.is_late(lambda: machine.run(rig)):
@@ -186,7 +193,8 @@ def title(note: Any) -> str:
     """Return the name with parameters: `M100 P [Q]`, `on.tool_change`, `every 50 ms`."""
     kind, _, letters, sync, _ = note
     if kind in "MG":
-        words = [c if c.isupper() else f"[{c.upper()}]" for c in letters]
+        # Optional letters are in brackets.
+        words = [letter if letter.isupper() else f"[{letter.upper()}]" for letter in letters]
         return " ".join([called(note), *words]) + _WHEN[sync]
     return called(note) + (" ms" if kind == "every" else "")
 
@@ -297,6 +305,6 @@ def check(own: OwnPython, board: str, around: Around) -> "tuple[Verdict, Sequenc
     """Run all checks that run no handler. Returns the result and the handlers that can be
     tried."""
     verdict = Verdict()
-    read_off(own, load_board(board), verdict)
-    notes = () if verdict.problems else take_up(own, board, around, verdict)
+    check_statically(own, load_board(board), verdict)
+    notes = () if verdict.problems else import_and_examine(own, board, around, verdict)
     return verdict, notes

@@ -34,7 +34,7 @@ class CustomModule:
     def __init__(self, own: OwnPython) -> None:
         self.own = own
         self.files = {str(module.file): module for module in own.modules.values()}
-        self.notes: list[Any] = []
+        self.notes: list[Any] = []  # the registered handlers
         self.examine: "Callable[[Any, list[Any]], None] | None" = None
         self.running: list[str] = []  # handlers, innermost last
         self.ran: list[str] = []  # handlers that have ended or failed
@@ -61,7 +61,8 @@ class CustomModule:
         return f"{self.place(fault)}{type(fault).__name__}: {fault}".removesuffix(": ")
 
     def place(self, fault: BaseException) -> str:
-        """Return that line, or ""."""
+        """Return the innermost of the user's lines in a fault's traceback as `FILE, line N: `; ""
+        if there is none."""
         place = ""
         for frame in traceback.extract_tb(fault.__traceback__):
             if frame.filename in self.files:
@@ -74,13 +75,13 @@ class CustomModule:
         closed: the level that it waits for. seconds: its time limit, if any. is_so: whether the
         input has that level already.
         """
-        may_come = self.inputs.await_(name, closed)
+        can_change = self.inputs.await_(name, closed)
         if is_so or seconds is not None:
-            return
+            return  # the wait ends
         handler, change = self.running[-1], "close" if closed else "open"
         if self.on_person_wait:
             self.on_person_wait(f"{handler} waits for the input {name} to {change}")
-        elif self.on_endless_wait and not may_come:
+        elif self.on_endless_wait and not can_change:
             level = "on" if closed else "off"
             self.on_endless_wait(
                 f"{handler} waits for the input {name} to {change}, which nothing does here: "
@@ -143,7 +144,7 @@ class WatchedApi(MachineApi):
         try:
             return super().wait_for(name, closed, seconds)
         finally:
-            self.module.inputs.is_satisfied()
+            self.module.inputs.is_satisfied()  # nothing waits any more
 
 
 class WatchedRunner(Runner):
@@ -159,8 +160,8 @@ class WatchedRunner(Runner):
         values: "tuple[Any, ...]" = (),
         given: "dict[str, Any] | None" = None,
     ) -> Any:
-        """Run a handler, and record it. what: its name, such as `M100`. values, given: its
-        arguments. Returns its result."""
+        """Run a handler, and record it. what: its name, such as `M100`. may_move: it may command
+        motion. values, given: its arguments. Returns its result."""
         module = self.module
         module.running.append(what)
         try:
@@ -207,7 +208,7 @@ class WatchedCustom(Custom):
 
     def leave_out(self, fault: BaseException) -> None:
         """Raise OwnPythonError, with the place of the fault if it is known."""
-        handlers.take_notes()
+        handlers.take_notes()  # drops what it has registered
         if isinstance(fault, OwnPythonError):
             raise fault
         text = self._module.describe(fault)
@@ -224,7 +225,8 @@ _usual_customs = select_extras.custom_modules
 
 
 def _customs(board: ModuleType) -> "tuple[str, ...]":
-    """Replace select_extras.custom_modules: the files are on this computer, and are watched."""
+    """Replace select_extras.custom_modules: return the names of the user's modules for a board.
+    Those of load_custom() are on this computer, and are watched."""
     module: "CustomModule | None" = board.__dict__.get(_MODULE)
     _importer.module = module
     names = ("Custom", "MachineApi", "Runner")
@@ -232,7 +234,7 @@ def _customs(board: ModuleType) -> "tuple[str, ...]":
     if module is None:
         return _usual_customs(board)
     for name in (module.own.name, *module.own.modules):
-        sys.modules.pop(name, None)
+        sys.modules.pop(name, None)  # so that they are imported again for each machine
     return tuple(module.own.modules)
 
 

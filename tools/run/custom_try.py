@@ -23,12 +23,12 @@ _WAIT_MS = 200  # an input changes after being waited for so long
 _MOVE = b"G21 G91 G1 X1 F600"
 _PROBE = b"G21 G91 G38.2 Z-5 F200"
 _HOMING = (b"$22=1", b"$H")
-# more moves than the planner holds, so the machine moves at the reset
+# More moves than the planner holds, so the machine moves at the reset, which causes an alarm.
 _BROKEN_OFF = (*(_MOVE,) * 20, b"\x18")
-_SHORT = b"G4 P0.2"
+_SHORT = b"G4 P0.2"  # a short wait, in which events are handled
 _PERIODS = 3  # a program for a periodic handler lasts so many periods
 _MESSAGE = re.compile(r"\[MSG:(.*)\]")  # a message to the sender
-_UNLOCKED = (*_BROKEN_OFF, b"$X", _SHORT)
+_UNLOCKED = (*_BROKEN_OFF, b"$X", _SHORT)  # a reset during motion, then unlocked
 _IN_ALARM = ": in Alarm, after a reset during motion; check m.state before m.g"
 # Lines that trigger an event.
 LINES: dict[str, tuple[bytes, ...]] = {
@@ -67,11 +67,14 @@ def try_all(notes: Sequence[Any], board: str, around: Around, verdict: Verdict) 
 
 
 def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
-    """Return the result in words, and whether it is a success."""
+    """Return the result in words, and whether it is a success; that a handler could not be tried
+    is one. note: a registered handler: its kind, the key that triggers it, and letters."""
     kind, key, letters, _, _ = note
     name = called(note)
-    programs = _words(name, letters) if kind in "MG" else _events(kind, key)
-    refusal = ""
+    programs = (
+        _programs_for_word(name, letters) if kind in "MG" else _programs_for_event(kind, key)
+    )
+    refusal = ""  # the handler refuses its line, which may be right
     for lines in programs:
         rig = _rig(lines, kind, key, board, around)
         try:
@@ -81,28 +84,29 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
         faults = [fault for fault in rig.custom_module.faults if fault.startswith(f"{name}: ")]
         if lacks := [fault for fault in faults if fault in rig.custom_module.lacks]:
             return f"not tried: {lacks[0]}: boards have it, the simulator does not", True
-        if stopped or faults or rig.link.result.stopped:
-            why = (faults or [stopped or rig.link.result.stopped])[0]
-            return why + (_IN_ALARM if lines is _UNLOCKED and kind == "after_reset" else ""), False
+        stopped = stopped or rig.link.result.stopped
+        if stopped or faults:
+            is_in_alarm = lines is _UNLOCKED and kind == "after_reset"
+            return (faults or [stopped])[0] + (_IN_ALARM if is_in_alarm else ""), False
         if name not in rig.custom_module.ran:
             return "not tried: the simulator could not cause this event", True
         if refused := [reply for _, reply in rig.link.result.errors]:
             output = [text for _, text in rig.link.result.other_output]
-            messages = [m[1] for m in map(_MESSAGE.match, output) if m]
+            messages = [match[1] for match in map(_MESSAGE.match, output) if match]
             refusal = f"refuses its line: {messages[-1] if messages else refused[0]}"
     return refusal or "runs", True
 
 
-def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:
+def _programs_for_word(word: str, letters: str) -> list[tuple[bytes, ...]]:
     """Return programs for a word: with the required letters, and with all."""
     required = "".join(f" {letter}1" for letter in letters if letter.isupper())
     all_letters = "".join(f" {letter.upper()}1" for letter in letters)
-    both = dict.fromkeys((required, all_letters))  # one of them if they are the same
-    lines = [f"{word}{parameters}".encode() for parameters in both]
+    different = dict.fromkeys((required, all_letters))  # one if they are the same
+    lines = [f"{word}{parameters}".encode() for parameters in different]
     return [(line, _SHORT) for line in lines]
 
 
-def _events(kind: str, key: Any) -> list[tuple[bytes, ...]]:
+def _programs_for_event(kind: str, key: Any) -> list[tuple[bytes, ...]]:
     """Return programs for an event. One for a reset also runs after a reset that causes an
     alarm."""
     if kind == "every":  # key: its period in ms
@@ -113,15 +117,15 @@ def _events(kind: str, key: Any) -> list[tuple[bytes, ...]]:
 
 def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around) -> "Rig":
     """Return a machine whose sender sends the lines. kind, key: of the handler, because some
-    events need inputs that change."""
+    events need inputs that change; key is the input's name then."""
 
     def script(link: ProgramLink) -> Iterator[Step]:
-        """Unlock the machine, then send the lines."""
+        """Unlock the machine, send the lines, and change an input if the handler is for one."""
         from base import state
 
         if link.rig.controller.state.run == state.ALARM:
             yield 0, b"$X"
-        link.rig.inputs.push("probe", kind == "alarm")  # see LINES
+        link.rig.inputs.push("probe", kind == "alarm")  # closed only then: see LINES
         for number, line in enumerate(lines, 1):
             yield number, line
         yield None
@@ -135,7 +139,7 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
     rig.custom_module.on_endless_wait = rig.link.stop
     from ..sim import motor_names, switches
 
-    if kind == "after_homing" and not motor_names.shared(rig.board):
+    if kind == "after_homing" and not motor_names.shared(rig.board):  # homing needs them
         switches.fit(rig)
     return rig
 

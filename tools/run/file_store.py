@@ -35,31 +35,33 @@ class FileStore:
         self._path = Path(os.path.realpath(path))  # a link stays a link
         self._firmware = firmware or Firmware()
         self.damaged: dict[str, bool] = {}  # always empty, because a damaged file is refused
-        self._text = self._there()  # the file as last read or written, to notice other changes
-        self._kept = {name: list(lines) for name, lines in (factory or {}).items()}
+        self._text = self._read_file()  # the file as last read or written, to notice other changes
+        self._stored = {name: list(lines) for name, lines in (factory or {}).items()}
         if self._text is None:
             _check_folder(self._path)
         else:
-            self._kept.update(_read(_decoded(self._text), self._firmware))
+            self._stored.update(_read(_decoded(self._text), self._firmware))
 
     def load(self, name: str) -> list[str] | None:
         """Return the lines last saved under a name; None if there are none."""
-        lines = self._kept.get(_SETTINGS if name.startswith(_SETTINGS) else name)
+        lines = self._stored.get(_SETTINGS if name.startswith(_SETTINGS) else name)
         return None if lines is None else list(lines)
 
     def save(self, name: str, lines: Iterable[str]) -> None:
-        """Replace the file completely, or leave it unchanged. OSError if it cannot be replaced."""
-        kept = {**self._kept, _SETTINGS if name.startswith(_SETTINGS) else name: list(lines)}
-        if self._there() != self._text:
+        """Store lines under a name: replace the file completely, or leave it unchanged. OSError if
+        it cannot be replaced."""
+        key = _SETTINGS if name.startswith(_SETTINGS) else name  # whatever the tool
+        stored = {**self._stored, key: list(lines)}
+        if self._read_file() != self._text:
             raise OSError(
                 f"{self._path} has been changed by another program: it is not overwritten"
             )
         before = "" if self._text is None else _decoded(self._text)
-        text = "".join(f"{line}\n" for line in _written(before, kept, self._firmware)).encode()
+        text = "".join(f"{line}\n" for line in _new_lines(before, stored, self._firmware)).encode()
         paths.write(self._path, text)
-        self._kept, self._text = kept, text
+        self._stored, self._text = stored, text
 
-    def _there(self) -> bytes | None:
+    def _read_file(self) -> bytes | None:
         """Return the file's content now; None if there is no file."""
         try:
             return self._path.read_bytes()
@@ -101,26 +103,30 @@ def _other(line: str) -> re.Match[str] | None:
     return _OTHER.fullmatch(line)
 
 
-def _written(before: str, kept: Mapping[str, Sequence[str]], firmware: Firmware) -> Iterator[str]:
-    """Yield the lines of the new file: those of the old one, with new values where they differ."""
-    values = Settings.read("\n".join(kept.get(_SETTINGS, ()))).values
+def _new_lines(
+    before: str, stored: Mapping[str, Sequence[str]], firmware: Firmware
+) -> Iterator[str]:
+    """Yield the lines of the new file: those of the old one (before: its text), with new values
+    where they differ, then new settings, then all other stored lines."""
+    values = Settings.read("\n".join(stored.get(_SETTINGS, ()))).values
     if before:
-        yield from _renewed(before, values)
+        yield from _updated_lines(before, values)
         yield from (f"${number}={value}" for number, value in values.items())
     else:
         yield from Settings(firmware, values).text("kept by ugrbl sim").splitlines()
-    for name, lines in kept.items():
+    for name, lines in stored.items():
         if name != _SETTINGS:
             yield from (f";[{name}] {line}".rstrip() for line in lines)
 
 
-def _renewed(before: str, values: dict[int, str]) -> Iterator[str]:
-    """Yield the old lines with their new values, and remove these from `values`."""
+def _updated_lines(before: str, values: dict[int, str]) -> Iterator[str]:
+    """Yield the old lines with their new values, and remove these from `values`. A setting that
+    has none is left out."""
     for line in before.splitlines():
-        if _other(line):
+        if _other(line):  # a stored value in a comment: written anew
             continue
         match = SETTING.fullmatch(line.strip())
-        if match is None:
+        if match is None:  # a comment, or a line by others
             yield line
         elif (number := int(match[1])) in values:
             value, indent = values.pop(number), len(line) - len(line.lstrip())

@@ -1,7 +1,8 @@
 """Inputs of a simulated machine: their names, and rules that close and open them.
 
 `--input NAME=WHEN`: on, or off; Z-30: closed while the machine is at Z-30 or beyond; 2s: it
-changes when a handler, or a probing motion, has waited for it for so long.
+changes when a handler, or a probing motion, has waited for it for so long. closed: the input is
+active.
 """
 
 import re
@@ -55,12 +56,12 @@ def rule(text: str) -> Rule:
             f"--input {text}: say on which side of it the input closes: {axis}<0 or {axis}>0"
         )
     # Without < or > it is closed from there on away from 0.
-    above = side == ">" if side else mm > 0
+    above = side == ">" if side else mm > 0  # closed above the position
     return Rule(name, axis=AXIS_LETTERS.index(axis.upper()), mm=mm, above=above)
 
 
 def names(rig: "Rig") -> dict[str, str]:
-    """Return the names of the inputs that can be pushed, and the simulator's names of them."""
+    """Return the names of the inputs that can be pushed, each with the simulator's own name."""
     from ..sim import port
 
     found = {name: f"pin_{pin}" for name, pin in getattr(rig.board, "INPUTS", {}).items()}
@@ -89,13 +90,14 @@ class Inputs:
         if others_ms is not None:
             self._wait_ms = dict.fromkeys(self.names, others_ms)
         self._ruled: set[str] = set(self._wait_ms)  # names of inputs that may change
-        self._awaited: "tuple[str, bool, int] | None" = None  # name, closed, since when in ms
+        # What a handler waits for: name, level (closed), and since when in ms; None: nothing.
+        self._awaited: "tuple[str, bool, int] | None" = None
         self._probing_since: "int | None" = None  # in ms; None: no probing motion
         # Rules with a position last (the others have axis -1), because they need a machine.
         for rule in sorted(rules, key=lambda rule: rule.axis):
-            self._add(rule)
+            self._apply(rule)
 
-    def _add(self, added: Rule) -> None:
+    def _apply(self, added: Rule) -> None:
         """Apply a rule. It replaces the general rule for inputs without one."""
         if added.name not in self.names:
             raise ValueError(f"there is no input {added.name}; there are {', '.join(self.names)}")
@@ -149,13 +151,13 @@ class Inputs:
             if name in self._wait_ms and port.elapsed_ms(since) >= self._wait_ms[name]:
                 self.push(name, closed)
         if PROBE in self._wait_ms:
-            self._turn_probe()
+            self._advance_probe()
 
-    def _turn_probe(self) -> None:
-        """Give the probe the level that a motion seeks, after its waiting time, and open it after
-        the motion."""
+    def _advance_probe(self) -> None:
+        """Give the probe the level that a probing motion seeks, when this has lasted for the
+        probe's waiting time, and open it after the motion."""
         port = self._rig.port
-        level = port.awaits_probe()
+        level = port.awaits_probe()  # None: no probing motion
         if level is None or not self._rig.moving():
             if self._probing_since is not None:
                 self._probing_since = None

@@ -61,11 +61,11 @@ def find() -> Path | None:
     if os.name != "posix" or not compiler:
         return None
     library = _folder() / f"{_digest(compiler)}.so"
-    failed = library.with_suffix(".log")
-    if not library.exists() and not failed.exists() and shutil.which(compiler[0]):
+    failure_log = library.with_suffix(".log")
+    if not library.exists() and not failure_log.exists() and shutil.which(compiler[0]):
         library.parent.mkdir(parents=True, exist_ok=True)
         if why := _make(compiler, library):
-            failed.write_text(why, encoding="utf-8")  # do not try again
+            failure_log.write_text(why, encoding="utf-8")  # so that it is not tried again
         _tidy(library.parent)
     return library if library.exists() else None
 
@@ -83,12 +83,13 @@ def _tidy(folder: Path) -> None:
 
 
 def _digest(compiler: list[str]) -> str:
+    """Return the library's name: a digest of all that its content depends on."""
     digest = hashlib.sha256(f"{compiler} {_FLAGS} {platform.machine()} {sys.version}".encode())
-    for ours in _TRANSLATOR:
-        digest.update((paths.TOOLS / f"{ours}.py").read_bytes())
+    for name in _TRANSLATOR:
+        digest.update((paths.TOOLS / f"{name}.py").read_bytes())
     for source in build.sources():
         digest.update((paths.FIRMWARE / source).read_bytes())
-    digest.update(_ours().read_bytes())
+    digest.update(_ours().read_bytes())  # the simulator's own kernels
     return digest.hexdigest()[:16]
 
 
@@ -99,21 +100,21 @@ def _ours() -> Path:
 def _make(compiler: list[str], library: Path) -> str:
     """Compile the library. Returns "" or the cause of the failure."""
     with TemporaryDirectory(dir=library.parent) as folder:
-        text, made = Path(folder, "kernels.c"), Path(folder, "kernels.so")
+        source, made = Path(folder, "kernels.c"), Path(folder, "kernels.so")
         try:
             texts = {**build.texts(), _OURS: _ours().read_text(encoding="utf-8")}
-            text.write_text(native.in_c(texts), encoding="utf-8")
+            source.write_text(native.in_c(texts), encoding="utf-8")
         except c_text.NotForC as form:
             return f"the translator does not know {form}\n"
         flags = (*_FLAGS, *(_ON_A_MAC if sys.platform == "darwin" else ()))
-        command = [*compiler, *flags, "-o", str(made), str(text)]
+        command = [*compiler, *flags, "-o", str(made), str(source)]
         try:
             done = subprocess.run(command, capture_output=True, timeout=_PATIENCE_S, check=False)
         except (OSError, subprocess.SubprocessError) as error:
             return f"{shlex.join(command)}\n{error}\n"
         if done.returncode or not made.exists():
             return f"{shlex.join(command)}\n{done.stderr.decode(errors='replace')}"
-        made.replace(library)
+        made.replace(library)  # at once, because others may look for it
         return ""
 
 
@@ -122,9 +123,9 @@ def _bound(library: Path) -> dict[tuple[str, str], Kernel]:
     """Return the kernels, by module and name, as Python callables."""
     # PyDLL keeps Python's lock, and raises the exception that a kernel has set.
     handle = ctypes.PyDLL(str(library))
-    listed = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(handle, "kernels"))).decode()
+    table = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(handle, "kernels"))).decode()
     found = {}
-    for line in listed.splitlines():
+    for line in table.splitlines():
         module, name, *types = line.split()
         function = getattr(handle, f"use_{c_text.c_name(module, name)}")
         found[module, name] = _kernel(function, types)
@@ -147,24 +148,26 @@ class _Pointer:
         self._before: list[object] = []
 
     def __call__(self, memory: Any) -> Any:
-        """Return the argument for a buffer that is not in `known`."""
+        """Return the argument for a buffer that is not in `known`: the address of its pointer, by
+        the id of the buffer. Only buffers that are kept alive get into it."""
         from micropython import kept_views
 
-        length = memoryview(memory).nbytes
+        bytes_long = memoryview(memory).nbytes
         try:
             start = ctypes.c_char.from_buffer(memory)
         except TypeError:  # read-only memory: a copy serves as well
             start = ctypes.c_char.from_buffer(bytearray(memory))
-        at = _Memory(ctypes.addressof(start), length // self._size)
-        at.start = start  # keeps the buffer alive; a copy has no other reference
+        pointer = _Memory(ctypes.addressof(start), bytes_long // self._size)
+        pointer.start = start  # keeps the buffer alive; a copy has no other reference
+        # Other views are made for one call, and their id is used again.
         if not isinstance(memory, memoryview) or kept_views.get(id(memory)) is memory:
             if len(self._kept) >= _MOST_KEPT:
                 # Keep the old ones for this call: another argument may be one of them.
                 self._before, self._kept = self._kept, []
                 self.known.clear()
-            self._kept.append((memory, start, at))
-            self.known[id(memory)] = ctypes.addressof(at)
-        return ctypes.byref(at)
+            self._kept.append((memory, start, pointer))
+            self.known[id(memory)] = ctypes.addressof(pointer)
+        return ctypes.byref(pointer)
 
 
 _POINTERS = {"ptr8": _Pointer(1), "ptr16": _Pointer(2), "ptr32": _Pointer(4)}
@@ -172,16 +175,20 @@ _TYPES = {"object": ctypes.py_object, **dict.fromkeys(_POINTERS, ctypes.c_void_p
 
 
 def _kernel(function: Any, types: list[str]) -> Kernel:
-    """Return the callable for Python. It converts buffers to pointers."""
+    """Return the callable for Python. It converts buffers to pointers. types: of the parameters.
+
+    For `a0: ptr32, a1: int` it is, without a loop because it is called very often:
+    lambda a0, a1: function(known_ptr32(id(a0)) or ptr32(a0), a1)
+    """
     function.restype = ctypes.c_int64
     function.argtypes = [_TYPES.get(type, ctypes.c_int64) for type in types]
     names = [f"a{i}" for i in range(len(types))]
-    handed = ", ".join(
+    arguments = ", ".join(
         f"known_{type}(id({name})) or {type}({name})" if type in _POINTERS else name
         for name, type in zip(names, types, strict=True)
     )
     helpers: dict[str, Any] = {"function": function, "id": id, **_POINTERS}
     helpers.update({f"known_{type}": pointer.known.get for type, pointer in _POINTERS.items()})
-    text = f"lambda {', '.join(helpers)}: lambda {', '.join(names)}: function({handed})"
+    text = f"lambda {', '.join(helpers)}: lambda {', '.join(names)}: function({arguments})"
     made: Kernel = eval(text)(**helpers)
     return made

@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 # Reads without data before the firmware is assumed to wait for the machine. It reads the line more
 # than once between two blocks, and these reads take no time.
-_LOOKS = 3
+_IDLE_READS = 3
 _RESET = 0x18  # the reset itself causes a welcome
 # Bytes and number of pieces to drop: enough to hold all that a board would have received.
 _PIECE = 64
 _PIECES = 16
 # How long the machine waits, in wall time, for a sender that could keep it busy.
 _PATIENCE_S = 0.01
-_AT_REST_S = 0.02
-_MOVING_S = 0.001
+_AT_REST_S = 0.02  # wait for the sender while the machine is idle
+_MOVING_S = 0.001  # and while it works
 # Between two turns of the firmware's loop motion never advances further, however long the computer
 # was busy: homing finds its switches where a board does.
-_UNSEEN_S = 0.002
+_LONGEST_ADVANCE_S = 0.002
 
 
 def _nothing() -> None:
@@ -63,14 +63,15 @@ class LiveLink(UntimedLink):
         self._fast = fast
         self.turn: Callable[[], None] = _nothing  # called whenever the firmware reads
         self.stopping = False  # set, also by a signal handler, to end the simulation
-        self._greeted = False  # the first banner is out; nothing is read before
-        self._has_opened = False  # a sender has connected and has not been greeted
+        self._greeted = False  # the first banner was sent; nothing is read before
+        self._is_new_sender = False  # a sender has connected and has not been greeted
         wire.on_open = self._open
-        self._looks = 0  # reads without data since the last byte
+        self._idle_reads = 0  # reads without data since the last byte
         self._open_lines = 0  # received lines that have not been answered
-        self._heard = monotonic()  # time of the last byte in either direction
-        self._wall = self._heard  # wall time up to which the machine's time has passed
-        self._late = False  # motion lags behind wall time
+        # Wall time of the last byte in either direction, and up to which the machine has followed.
+        self._last_byte_s = monotonic()
+        self._followed_s = self._last_byte_s
+        self._lags = False  # motion is later than wall time
 
     # The Link interface
 
@@ -84,9 +85,10 @@ class LiveLink(UntimedLink):
         if not self._fast:
             self._follow_wall()
         data = self._wire.read(len(buf)) if self._greeted else b""
-        if self._has_opened and _RESET not in data:
-            self._has_opened = False
-            # of the sender before, because no reset has dropped them
+        if self._is_new_sender and _RESET not in data:
+            self._is_new_sender = False
+            # The lines of the sender before are still to be answered, because this is no reset;
+            # but write() forgets them when it sends a welcome.
             open_lines = self._open_lines
             self._rig.controller.welcome()
             self._open_lines = open_lines
@@ -110,14 +112,14 @@ class LiveLink(UntimedLink):
         out = bytes(data)
         answers = out.count(b"ok\r\n") + out.count(b"error:")
         self._open_lines = max(self._open_lines - answers, 0)
-        if b"\nGrbl" in out:
-            self._greeted, self._has_opened = True, False
+        if b"\nGrbl" in out:  # the welcome
+            self._greeted, self._is_new_sender = True, False
             self._open_lines = 0
         self._wire.write(out)
         self._touch()
 
     def _open(self) -> None:
-        self._has_opened = True
+        self._is_new_sender = True
 
     # Time
 
@@ -128,20 +130,20 @@ class LiveLink(UntimedLink):
 
         if self._rig.moving():
             return True
-        present = self._rig.controller.state
-        if present.run & (state.HOLD | state.DOOR | state.ALARM | state.SLEEP):
+        machine = self._rig.controller.state
+        if machine.run & (state.HOLD | state.DOOR | state.ALARM | state.SLEEP):
             return False
         return self._open_lines > 0 or not self._rig.controller.planner.empty()
 
     def _touch(self) -> None:
         """Note that bytes were sent or received now."""
-        self._looks = 0
-        self._heard = monotonic()
+        self._idle_reads = 0
+        self._last_byte_s = monotonic()
 
     def _pass_time(self) -> None:
         """Wait for the sender, or let virtual time jump ahead."""
-        if self._late:
-            return  # no time to wait
+        if self._lags:
+            return  # there is no time to wait
         busy = self.busy()
         if not self._fast:
             self._wire.wait(_MOVING_S if busy else _AT_REST_S)
@@ -149,29 +151,31 @@ class LiveLink(UntimedLink):
             self._wire.wait(_AT_REST_S)
             self._follow_wall()
         else:
-            self._leap()
+            self._jump_ahead()
 
-    def _leap(self) -> None:
-        """Let motion continue, after the firmware's reads and a chance for the sender."""
-        self._looks += 1
-        if self._looks <= _LOOKS:
+    def _jump_ahead(self) -> None:
+        """Let virtual time jump to the next event of motion, after some reads of the firmware and
+        a chance for the sender to send."""
+        self._idle_reads += 1
+        if self._idle_reads <= _IDLE_READS:
             return
-        patience_s = self._heard + _PATIENCE_S - monotonic()
+        patience_s = self._last_byte_s + _PATIENCE_S - monotonic()
         if self._open_lines == 0 and not self._wire.closed and patience_s > 0:
             self._wire.wait(patience_s)
             return
         self._rig.skip()
-        self._wall = monotonic()
+        self._followed_s = monotonic()
 
     def _follow_wall(self) -> None:
-        """Advance the machine's time to wall time; motion by one short piece at most."""
+        """Advance the machine's time to wall time; during motion by _LONGEST_ADVANCE_S at most,
+        and then it lags."""
         now = monotonic()
         if self._rig.moving():
-            passed_s = min(now - self._wall, _UNSEEN_S)
-            self._wall += passed_s
-            self._late = self._wall < now
+            passed_s = min(now - self._followed_s, _LONGEST_ADVANCE_S)
+            self._followed_s += passed_s
+            self._lags = self._followed_s < now
         else:  # motion that lags behind does not catch up
-            passed_s = 0.0 if self._late else now - self._wall
-            self._wall = now
-            self._late = False
+            passed_s = 0.0 if self._lags else now - self._followed_s
+            self._followed_s = now
+            self._lags = False
         self._rig.engine.advance(self._rig.ms(passed_s * 1000))

@@ -98,7 +98,7 @@ def build(
     from ..sim.replay import factory_store
     from ..sim.rig import MemoryStore, Rig
 
-    module = _like(load_board(board), letters, axes)
+    module = _imitate(load_board(board), letters, axes)
     if getattr(module, "CUSTOM", ""):  # do not import a custom.py that happens to be on the path
         module = _copy(module, module.__name__, CUSTOM="")
     if getattr(module, "JOBS", "") and not keeps_jobs:
@@ -120,7 +120,7 @@ def build(
         except SettingsError as error:
             raise ValueError(f"{settings} was not changed: {error}") from error
         store = file_store
-    return _with(around, module, lambda board: Rig(board, store, link, coarse))
+    return _make_rig(around, module, lambda board: Rig(board, store, link, coarse))
 
 
 def _serve(texts: bytes) -> None:
@@ -130,8 +130,9 @@ def _serve(texts: bytes) -> None:
     dialect_hal.texts = lambda: BytesIO(texts)
 
 
-def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
-    """Return a rig with these surroundings, made by `make` for the board or a copy of it."""
+def _make_rig(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
+    """Return a rig with these surroundings, made by make(board), which gets a copy of the board if
+    that must be changed."""
     if around.custom is None:
         rig = make(board)
         rig.inputs = Inputs(rig, around.rules, around.others_ms)
@@ -159,7 +160,7 @@ def assumed_pins(board: Any, custom: OwnPython) -> dict[str, dict[str, int]]:
     }
 
 
-def _like(board: Any, letters: str, axes: int) -> Any:
+def _imitate(board: Any, letters: str, axes: int) -> Any:
     """Return a board with options of another machine, by their letters in $I, and as many axes."""
     options = {name: True for letter, name in _OPTIONS.items() if letter in letters}
     if not options and axes == DEFAULT_AXES:
@@ -182,23 +183,23 @@ def _check_values(board: Any, lines: Iterable[str]) -> None:
     The machine does not check what it reads from its own memory. Settings that it does not have
     are kept.
     """
-    _take(_controller(board)[0].settings, lines)
+    _set_all(_controller(board)[0].settings, lines)
 
 
 def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
-    """Return what the machine of that board stores if its settings are those of a file: name and
-    lines. SettingsError for a file that is no settings file, or has values that the machine
-    refuses."""
+    """Return what the machine of that board stores if its settings are those of a file: the name
+    under which they are stored, and lines. SettingsError for a file that is no settings file, or
+    has values that the machine refuses."""
     paths.use_firmware()
     values = read_settings(file).values
     controller, store = _controller(_copy(load_board(board), board, CUSTOM=""))
     lines = {number: f"${number}={value}" for number, value in values.items()}
     try:
-        accepted = _take(controller.settings, lines.values())
+        accepted = _set_all(controller.settings, lines.values())
         check_known(values, [number for number, line in lines.items() if line in accepted])
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from error
-    controller.saves.write_due()
+    controller.saves.write_due()  # into its memory
     return controller.settings.file, store.files[controller.settings.file]
 
 
@@ -222,7 +223,7 @@ def taken(board: str, lines: Iterable[str]) -> list[str]:
     return _set(controller.settings, lines)[0]
 
 
-def _take(settings: "Settings", lines: Iterable[str]) -> list[str]:
+def _set_all(settings: "Settings", lines: Iterable[str]) -> list[str]:
     """Set the lines, in any order that works. SettingsError if some are refused. Returns those
     that the machine has."""
     accepted, refused = _set(settings, lines)
@@ -250,9 +251,9 @@ def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tu
                 settings.set(int(number), float(value))
                 accepted.append(line)
             except GrblError as error:
-                if error.args[0] != errors.INVALID_STATEMENT:
+                if error.args[0] != errors.INVALID_STATEMENT:  # that: there is no such setting
                     refused.append((line, f"error:{error.args[0]}"))
-        if len(refused) == len(remaining):
+        if len(refused) == len(remaining):  # nothing has become possible
             return accepted, refused
         remaining = [line for line, _ in refused]
     return accepted, []

@@ -135,11 +135,12 @@ class _Function(Function):
         return " ".join([self._module.name, self._function.name, *self.parameters.values()])
 
     def outer(self) -> str:
-        """Return the function that ctypes calls. It takes pointers to pointer structures."""
-        listed, handed = [], []
+        """Return the function that ctypes calls. Where the kernel takes a pointer structure, it
+        takes the address of one."""
+        parameters, arguments = [], []
         for name, type in self.parameters.items():
-            star = "*" if type in BITS else ""
-            listed.append(f"{self.c_type(type)} {star}{name}_")
-            handed.append(f"{star}{name}_")
-        outer = f"int64_t use_{self.name}({', '.join(listed)})"
-        return f"{outer} {{ return {self.name}({', '.join(handed)}); }}\n"
+            star = "*" if type in BITS else ""  # a pointer
+            parameters.append(f"{self.c_type(type)} {star}{name}_")
+            arguments.append(f"{star}{name}_")
+        head = f"int64_t use_{self.name}({', '.join(parameters)})"
+        return f"{head} {{ return {self.name}({', '.join(arguments)}); }}\n"

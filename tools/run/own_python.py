@@ -76,7 +76,8 @@ class OwnPython:
         yield from self._strings_in(INPUT_NAMES)
 
     def _strings_in(self, name: str) -> "Iterator[tuple[Module, int, str]]":
-        """Yield the strings in a tuple of that name: `OUTPUTS = ("air", "lamp")`."""
+        """Yield the strings, with module and line, in a tuple of that name at the top of a module:
+        `OUTPUTS = ("air", "lamp")`."""
         for module in self.modules.values():
             for node in module.tree.body:
                 if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
@@ -86,8 +87,8 @@ class OwnPython:
                                 yield module, each.lineno, each.value
 
     def _strings_given_to(self, *methods: str) -> "Iterator[tuple[Module, int, str]]":
-        """Yield the strings that are first argument in calls of these methods: `m.out("vacuum",
-        1)`."""
+        """Yield the strings, with module and line, that are the first argument in calls of these
+        methods: `m.out("vacuum", 1)`."""
         for module in self.modules.values():
             for node in ast.walk(module.tree):
                 if (

@@ -2,6 +2,8 @@
 
 The simulator's sender is never late, so its motion is the motion as planned. The time of each line
 in this motion is compared with the time that a board needs to process it (boardfile/rates.py).
+Lines count from 1; entry 0 is of lines that are not in the program. The kind of a line is how the
+firmware processes it: the name of a field of Rates.
 """
 
 import re
@@ -34,11 +36,9 @@ _GROUPS = [
 ]
 # A move-only line may contain these words, because kernels read them too.
 _MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91 G93 G94".split())
-_AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
-# Shortest wait that is reported, and how many lines in time may be between two late ones of the
-# same stretch.
-_LEAST_S = 0.05
-_APART = 100
+_AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())  # active at power-up
+_LEAST_S = 0.05  # the shortest wait that is reported
+_APART = 100  # so many lines in time may be between two late ones of a stretch
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Paced(Recorder):
         self.from_rest: set[int] = set()  # lines before which motion had ended
         self._line_of_block: dict[int, int] = {}  # by row in the planner's ring
         self._line_of_row: dict[int, int] = {}  # by id of the engine's row
-        self._end = -1  # tick at which the last segment ended
+        self._segment_end = -1  # tick at which the last segment ended
 
     def _attach(self) -> None:
         super()._attach()
@@ -96,14 +96,14 @@ class Paced(Recorder):
             self._line_of_row[id(row)] = self._line_of_block.get(block, 0)
         return has_segment
 
-    def _segment(self, start: int, row: "array[int]") -> None:
+    def _record_segment(self, start: int, row: "array[int]") -> None:
         """Record a segment, add its time to its line, and note a start from rest."""
-        super()._segment(start, row)
+        super()._record_segment(start, row)
         line = self._line_of_row.get(id(row), 0)
         self.ticks[line] += row[self._layout.ROW_TICKS]
-        if start != self._end:
+        if start != self._segment_end:
             self.from_rest.add(line)
-        self._end = start + row[self._layout.ROW_TICKS]
+        self._segment_end = start + row[self._layout.ROW_TICKS]
 
     def intake(self) -> Intake:
         """Return the intake of this machine's board."""
@@ -125,12 +125,13 @@ class Paced(Recorder):
     def _late(
         self, lines: Sequence[bytes], kinds: Sequence[str], board_intake: Intake
     ) -> dict[int, float]:
-        """Return the time in s that motion would wait for each late line.
+        """Return the time in s that motion would wait for each late line, by its number.
 
         The board processes one line after the other, at the speed of its intake. It is ahead of
         its motors by at most as many blocks as its ring has.
         """
         hz = self._rig.engine.tick_hz
+        # Of the motion of the blocks in the ring, in s.
         ends: deque[float] = deque(maxlen=self._planner.flow[self._layout.ROWS] - 1)
         chord_s = 1 / board_intake.rates.chords
         late: dict[int, float] = {}
@@ -163,7 +164,7 @@ class Paced(Recorder):
         costs most."""
         numbers = range(part[0], part[1] + 1)
         moved_s = sum(self.ticks[number] for number in numbers) / self._rig.engine.tick_hz
-        costs: defaultdict[str, float] = defaultdict(float)
+        costs: defaultdict[str, float] = defaultdict(float)  # in s, by kind
         for number in numbers:
             kind = kinds[number - 1]
             costs[kind] += _cost_s(lines[number - 1], kind, board_intake)
@@ -171,12 +172,13 @@ class Paced(Recorder):
                 costs[_CHORDS] += (self.blocks[number] - 1) / board_intake.rates.chords
         needed_s = sum(costs.values())
         return Stretch(
-            *part,
-            round(len(numbers) / max(moved_s, 1e-6), 1),
-            round(len(numbers) / needed_s, 1),
-            round(sum(late.get(number, 0.0) for number in numbers), 3),
-            max(costs, key=lambda kind: costs[kind]),
-            int(100 * moved_s / needed_s),
+            first=part[0],
+            last=part[1],
+            needed=round(len(numbers) / max(moved_s, 1e-6), 1),
+            taken=round(len(numbers) / needed_s, 1),
+            lost_s=round(sum(late.get(number, 0.0) for number in numbers), 3),
+            kind=max(costs, key=lambda kind: costs[kind]),
+            feed=int(100 * moved_s / needed_s),
         )
 
 
@@ -189,7 +191,7 @@ def _cost_s(line: bytes, kind: str, board_intake: Intake) -> float:
 
 def _parts(late: dict[int, float]) -> Iterator[tuple[int, int]]:
     """Yield first and last line of each stretch with late lines."""
-    first = last = 0
+    first = last = 0  # first 0: no stretch has begun
     for number in late:
         if first and number > last + _APART:
             yield first, last
@@ -202,18 +204,19 @@ def _parts(late: dict[int, float]) -> Iterator[tuple[int, int]]:
 
 def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
     """Yield for each line how the firmware processes it: kernels process most lines
-    (language/line.py)."""
-    motion = b""
-    in_force = set(_AT_FIRST)
+    (language/line.py). laser: laser mode is on, so that kernels read S, too."""
+    motion = b""  # number of the active G word: 0 to 3
+    active = set(_AT_FIRST)
     for line in lines:
         text = without_comments(line).upper().replace(b" ", b"").replace(b"\t", b"")
-        words = _take_new(_WORD.findall(text), in_force)
+        words = _activate_new(_WORD.findall(text), active)
         words = [word for word in words if b"".join(word) not in _MEANINGS]
         letters = {letter[0] for letter, _ in words}
-        wanted = [value.lstrip(b"0") or b"0" for letter, value in words if letter == b"G"]
-        motion = next((value for value in wanted if value in _STRAIGHT + _ARCS), motion)
+        g_numbers = [value.lstrip(b"0") or b"0" for letter, value in words if letter == b"G"]
+        motion = next((value for value in g_numbers if value in _STRAIGHT + _ARCS), motion)
         moves = letters & _AXES
-        if letters - _LETTERS or set(wanted) - {motion} or (moves and motion not in _STRAIGHT):
+        has_other_words = letters - _LETTERS or set(g_numbers) - {motion}
+        if has_other_words or (moves and motion not in _STRAIGHT):
             yield _IN_PYTHON
         elif b"S"[0] in letters:
             yield (_POWER if moves else _NO_WORDS) if laser else _IN_PYTHON
@@ -221,17 +224,18 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
             yield _PLAIN if moves else _NO_WORDS
 
 
-def _take_new(
-    words: "list[tuple[bytes, bytes]]", in_force: set[bytes]
+def _activate_new(
+    words: "list[tuple[bytes, bytes]]", active: set[bytes]
 ) -> "list[tuple[bytes, bytes]]":
-    """Return the words that are not yet active, and make them active."""
+    """Return the words (letter and value) that are not active yet. A modal word becomes active in
+    place of those of its group."""
     new = []
     for letter, value in words:
         word = letter + (value.lstrip(b"0") or b"0")
-        if word not in in_force:
+        if word not in active:
             new.append((letter, value))
         for group in _GROUPS:
             if word in group:
-                in_force -= group
-                in_force.add(word)
+                active -= group
+                active.add(word)
     return new

@@ -22,7 +22,7 @@ _WINDOW = 127
 # A longer line is passed in pieces, so that the firmware can make space.
 _PIECE = 64
 # Reads without data before the firmware is assumed to wait for the machine.
-_LOOKS = 3
+_IDLE_READS = 3
 # A held machine gets another cycle start after this time.
 _RESUME_MS = 500
 _PROGRESS_LINES = 100
@@ -72,6 +72,7 @@ class Result:
 # The sender's next action: send a line (number from 1; 0 is not in the program), or wait until the
 # machine is idle (None).
 Step = tuple[int, bytes] | None
+_NOT_OF_PROGRAM = 0  # as a line number
 
 
 class ProgramLink(machine.UntimedLink):
@@ -87,17 +88,18 @@ class ProgramLink(machine.UntimedLink):
         self.replies: list[str] = []  # to lines that are not in the program
         self._greeted = False  # the banner has come; nothing is sent before
         self._script = script(self)
-        self._step: Step = None  # the next one
+        self._next_step: Step = None  # the next one
         self._sent = 0  # number of lines of the program
         self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
         self._unanswered_bytes = 0
-        self._alone = False  # the last line must be answered before another is sent
-        self._full = False  # the next line does not fit until another is answered
-        self._last = 0  # the last line answered
-        self._out = bytearray()  # sent, and not yet read by the firmware
-        self._in = ""  # the beginning of an output line
-        self._looks = 0  # reads without data since the last byte
-        self.news: int = rig.now  # tick of the last event
+        # The last line has a real-time command, so it must be answered before another is sent.
+        self._holds_back = False
+        self._buffer_is_full = False  # the next line does not fit until another is answered
+        self._answered_line = _NOT_OF_PROGRAM  # the last line answered
+        self._to_firmware = bytearray()  # sent, and not yet read by the firmware
+        self._begun_output = ""  # the beginning of an output line
+        self._idle_reads = 0  # reads without data since the last byte
+        self.last_event: int = rig.now  # tick of the last event
         self._resume_at = 0  # tick of the next cycle start for a held machine
 
     def program(
@@ -108,18 +110,18 @@ class ProgramLink(machine.UntimedLink):
     ) -> Iterator[Step]:
         """Yield the steps that send a program, or its next part.
 
-        plain: move-only lines go directly to the firmware's kernels, which check mode uses for
-        many lines at once.
+        progress: called at times with the number of lines sent. plain: in check mode, move-only
+        lines go directly to the firmware's kernels, many at a time.
         """
-        checked = CheckedLines(self.rig) if plain else None
+        checked_lines = CheckedLines(self.rig) if plain else None
         for begin in range(0, len(lines), _BATCH_LINES):
             batch = list(lines[begin : begin + _BATCH_LINES])
-            quick = checked if checked and checked.load(batch) else None
+            kernels = checked_lines if checked_lines and checked_lines.load(batch) else None
             index = 0
             while index < len(batch):
-                if quick:
-                    yield None
-                    index += self._count(quick.check())
+                if kernels:
+                    yield None  # until all lines that were sent are done
+                    index += self._count_checked(kernels.check())
                 if index < len(batch):
                     self._sent += 1
                     yield self._sent, batch[index]
@@ -127,35 +129,38 @@ class ProgramLink(machine.UntimedLink):
                 if progress and (index == len(batch) or index % _PROGRESS_LINES == 0):
                     progress(self._sent)
 
-    def _count(self, checked: int) -> int:
-        """Count lines that were accepted without having been sent."""
+    def _count_checked(self, checked: int) -> int:
+        """Count lines that were accepted without having been sent. Returns their number."""
         self._sent += checked
         self.result.lines += checked
-        self._last = self._sent
+        self._answered_line = self._sent
         return checked
 
     # The Link interface
 
     def read_into(self, buf: bytearray) -> int:
-        """Return the next bytes of the program; time passes if the firmware cannot use any."""
-        if self._greeted and not self._out and not self._full:
-            self._fetch()
-        if not self._out:
-            self._looks += 1
-            if self._looks > _LOOKS or self._waits_for_room():
+        """Put the next bytes of the program into buf, and return how many; if there are none, time
+        passes."""
+        if self._greeted and not self._to_firmware and not self._buffer_is_full:
+            self._fill_buffer()
+        if not self._to_firmware:
+            self._idle_reads += 1
+            # The firmware reads some times before it waits for the machine.
+            if self._idle_reads > _IDLE_READS or self._waits_for_motors():
                 self._pass_time()
             return 0
-        self._looks = 0
-        count = min(len(buf), len(self._out), _PIECE if len(self._out) > _WINDOW else _WINDOW)
-        buf[:count] = self._out[:count]
-        del self._out[:count]
+        self._idle_reads = 0
+        piece = _PIECE if len(self._to_firmware) > _WINDOW else _WINDOW
+        count = min(len(buf), len(self._to_firmware), piece)
+        buf[:count] = self._to_firmware[:count]
+        del self._to_firmware[:count]
         return count
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         """Receive the firmware's output."""
-        self._looks = 0
-        self._in += bytes(data).decode("latin-1")
-        *lines, self._in = self._in.split("\r\n")
+        self._idle_reads = 0
+        self._begun_output += bytes(data).decode("latin-1")
+        *lines, self._begun_output = self._begun_output.split("\r\n")
         for line in lines:
             self._receive(line)
 
@@ -163,15 +168,15 @@ class ProgramLink(machine.UntimedLink):
 
     def _receive(self, line: str) -> None:
         """Process a line of the firmware's output."""
-        self.news = self.rig.now
+        self.last_event = self.rig.now
         if self.result.stopped:
-            return  # lines already passed are refused in alarm; this is no news
+            return  # lines already passed are refused in alarm; this is no event
         if is_answer(line):
             if self._unanswered:
                 self._answer(line)
         elif is_welcome(line):
             self._greeted = True
-            self._full = False
+            self._buffer_is_full = False
             self._unanswered.clear()
             self._unanswered_bytes = 0
         elif line:
@@ -179,19 +184,19 @@ class ProgramLink(machine.UntimedLink):
 
     def _answer(self, line: str) -> None:
         """Process the answer to the oldest line that has none."""
-        self._last, length = self._unanswered.popleft()
+        self._answered_line, length = self._unanswered.popleft()
         self._unanswered_bytes -= length
-        self._full = False
-        if self._last == 0:
+        self._buffer_is_full = False
+        if self._answered_line == _NOT_OF_PROGRAM:
             self.replies.append(line)
             return
         self.result.lines += 1
         if line != "ok":
-            self.result.errors.append((self._last, line))
+            self.result.errors.append((self._answered_line, line))
 
     def _other(self, line: str) -> None:
         """Process output that is no answer. An alarm stops the program."""
-        if self.now_at() == 0:
+        if self.now_at() == _NOT_OF_PROGRAM:
             self.replies.append(line)
         else:
             self.result.other_output.append((self.now_at(), line))
@@ -199,15 +204,15 @@ class ProgramLink(machine.UntimedLink):
             self.stop(line)
 
     def now_at(self) -> int:
-        """Return the line of the program that is being interpreted; 0 if it is none of the
-        program."""
+        """Return the line of the program that is being interpreted; _NOT_OF_PROGRAM if it is
+        another one."""
         from language.block_layout import LINES_LEFT
 
-        # The number of lines interpreted and not yet answered: 0 or 1.
+        # The number of lines interpreted and not yet answered: 0 or 1. The next line follows it.
         interpreted = self.rig.controller.interpreter.machine[LINES_LEFT] & 1
         if interpreted < len(self._unanswered):
             return self._unanswered[interpreted][0]
-        return self._unanswered[-1][0] if self._unanswered else self._last
+        return self._unanswered[-1][0] if self._unanswered else self._answered_line
 
     def note_output(self, name: str, on: bool) -> None:
         """Note that a handler has switched an output."""
@@ -215,18 +220,19 @@ class ProgramLink(machine.UntimedLink):
 
     # Output
 
-    def _fetch(self) -> None:
-        """Put as many lines into _out as the firmware can take."""
+    def _fill_buffer(self) -> None:
+        """Put as many lines into _to_firmware as the firmware can take. Switch the machine off
+        when the script has ended, or was stopped."""
         if self.result.stopped:
             self.rig.power_off()
-        while self._step is not None or self.at_rest():
-            if self._step is not None:
-                if not self._fits(self._step[1]):
-                    self._full = True
+        while self._next_step is not None or self.at_rest():
+            if self._next_step is not None:
+                if not self._fits(self._next_step[1]):
+                    self._buffer_is_full = True
                     return
-                self._send(*self._step)
+                self._send(*self._next_step)
             try:
-                self._step = next(self._script)
+                self._next_step = next(self._script)
             except StopIteration:
                 self.rig.power_off()
 
@@ -234,22 +240,22 @@ class ProgramLink(machine.UntimedLink):
         """Return whether a line can be sent now."""
         if not self._unanswered:
             return True
-        if self._alone or has_realtime(line):
+        if self._holds_back or has_realtime(line):
             return False
         return self._unanswered_bytes + len(line) < _WINDOW
 
     def _send(self, number: int, line: bytes) -> None:
         """Send a line, and expect an answer to it."""
-        self._out += line + b"\n"
+        self._to_firmware += line + b"\n"
         self._unanswered.append((number, len(line) + 1))
         self._unanswered_bytes += len(line) + 1
-        self._alone = has_realtime(line)
+        self._holds_back = has_realtime(line)
         if RESET in line and number:
             self.result.resets.append(number)
 
     def stop(self, why: str) -> None:
         """Send no more lines."""
-        self._full = False
+        self._buffer_is_full = False
         if not self.result.stopped:
             self.result.stopped = why
 
@@ -264,34 +270,37 @@ class ProgramLink(machine.UntimedLink):
 
     # Time
 
-    def _waits_for_room(self) -> bool:
-        """Return whether nothing can happen before the motors have finished a block."""
+    def _waits_for_motors(self) -> bool:
+        """Return whether nothing can happen before the motors have finished a block: the planner
+        is full, and the machine runs undisturbed."""
         from base import state
         from motion.layout import HEAD, ROWS, TAIL
 
         controller = self.rig.controller
         flow, machine = controller.planner.flow, controller.state
+        is_planner_full = (flow[HEAD] + 1 - flow[TAIL]) % flow[ROWS] == 0
         return (
-            (flow[HEAD] + 1 - flow[TAIL]) % flow[ROWS] == 0
+            is_planner_full
             and machine.run == state.RUN
             and not (machine.suspend or machine.pending[state.ANY])
             and self.rig.moving()
         )
 
     def _pass_time(self) -> None:
-        """Let motion continue, resume a held machine, or stop if nothing can happen any more."""
+        """Let motion continue, resume a held machine, or stop if nothing can happen any more.
+        Called when the firmware waits for the machine."""
         from base import state
 
         rig = self.rig
         run = rig.controller.state.run
         if rig.moving():
-            self.news = rig.now
+            self.last_event = rig.now
         elif run & (state.HOLD | state.DOOR) and rig.now >= self._resume_at:
             self._resume()
             return
         elif run == state.SLEEP:
             self.stop("asleep ($SLP)")
-        elif rig.now - self.news > _STALLED_MS * rig.ticks_per_ms:
+        elif rig.now - self.last_event > _STALLED_MS * rig.ticks_per_ms:
             self.stop("the machine is stuck: nothing happens any more")
         elif rig.custom_module and rig.custom_module.running:
             self._watch_handler(rig.custom_module.running[-1])
@@ -300,8 +309,8 @@ class ProgramLink(machine.UntimedLink):
             rig.inputs.advance()
 
     def _watch_handler(self, name: str) -> None:
-        """Stop if a handler waits too long without motion."""
-        if self.rig.now - self.news > _WAITING_MS * self.rig.ticks_per_ms:
+        """Stop if a handler of custom.py waits too long without motion."""
+        if self.rig.now - self.last_event > _WAITING_MS * self.rig.ticks_per_ms:
             minutes = _WAITING_MS // 60_000
             time = f"{minutes} minute{'s' * (minutes > 1)}"
             self.stop(
@@ -310,9 +319,9 @@ class ProgramLink(machine.UntimedLink):
 
     def _resume(self) -> None:
         """Send a cycle start, and note the pause."""
-        self._out += CYCLE_START
+        self._to_firmware += CYCLE_START
         self._resume_at = self.rig.ms(_RESUME_MS)
-        if self.now_at() not in self.result.pauses[-1:]:
+        if self.now_at() not in self.result.pauses[-1:]:  # each line once
             self.result.pauses.append(self.now_at())
 
 
@@ -348,24 +357,23 @@ def watch_program(
     """
 
     def script(link: ProgramLink) -> Iterator[Step]:
+        """Send commands, then the program with the clock running, then ask for the modes."""
         if not (yield from _prepare(link, commands)):
             return
         watching.start_clock()
         yield from link.program(lines, progress, watching.is_plain)
         yield None
-        watching.stop_clock(link.news)
+        watching.stop_clock(link.last_event)
         link.replies.clear()
         yield 0, b"$G"
         yield None
-        states = [reply for reply in link.replies if reply.startswith("[G")]
-        link.result.final_state = states[0] if states else ""
+        modes = [reply for reply in link.replies if reply.startswith("[G")]
+        link.result.final_state = modes[0] if modes else ""
 
     rig = machine.build(board, lambda rig: ProgramLink(rig, script), coarse=coarse, around=around)
     if rig.custom_module:
-        rig.custom_module.on_endless_wait, rig.custom_module.on_switched = (
-            rig.link.stop,
-            rig.link.note_output,
-        )
+        rig.custom_module.on_endless_wait = rig.link.stop
+        rig.custom_module.on_switched = rig.link.note_output
     watching = watcher(rig)
     machine.run(rig)
     result: Result = rig.link.result

@@ -13,7 +13,7 @@ from .. import paths
 from .wire import Wire
 
 # Prefix of a terminal's path in our links only, so that a leftover link can be recognised as ours.
-_OURS = "/dev/./"
+_OURS = "/dev/./"  # a link's target begins so, to be recognised
 
 
 class Pty(Wire):
@@ -21,7 +21,7 @@ class Pty(Wire):
 
     def __init__(self) -> None:
         super().__init__()
-        self._master, slave = os.openpty()
+        self._master, slave = os.openpty()  # our end, the senders' end
         tty.setraw(slave)
         self.name = os.ttyname(slave)
         os.close(slave)
@@ -69,6 +69,7 @@ class Pty(Wire):
         return self.name.replace("/dev/", _OURS, 1)
 
     def _take(self, limit: int) -> bytes | None:
+        """Return received bytes; None if no sender is connected."""
         try:
             return os.read(self._master, limit)
         except BlockingIOError:

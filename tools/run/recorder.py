@@ -55,18 +55,20 @@ class Recorder:
         self._axes = range(motor_names.axes_of(rig.board))
         self._rotary: str = getattr(rig.board, "ROTARY", "")
         self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
-        self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: one motor per axis
+        # Per motor: bits of the axes that move it forward and, from REVERSE on, backward, as in
+        # motion/kinematics.py; empty: one motor per axis.
+        self._axes_of_motor: Sequence[int] = ()
         # Kinematics whose motors deviate from their axes: backlash.py and skew.py of extras.
-        self._beside: Any = None
+        self._deviating: Any = None
         self._nonlinear: Any = None  # or of the user's own: extras/kinematics/nonlinear.py
         # Steps of each motor, in both directions together.
         self._planned = [0 for _ in self._motors]
-        self._made = [0 for _ in self._motors]
+        self._executed = [0 for _ in self._motors]
         self._probed = [0 for _ in self._motors]  # planned, but not made after a probe's contact
         self._before_probe: list[int] | None = None  # planned and not made, for other reasons
         self._is_probing = False
         self._distance_mm = 0.0
-        self._place = [0 for _ in self._motors]  # steps per motor, as the firmware counts
+        self._motor_steps = [0 for _ in self._motors]  # steps per motor, as the firmware counts
         self._mm_per_step = [0.0 for _ in self._axes]
         # The lowest and the highest position of each axis, in mm.
         self._low = [0.0 for _ in self._axes]
@@ -79,9 +81,9 @@ class Recorder:
         if hasattr(rig.port, "on_hole"):
             rig.port.on_hole = self._mark
         rig.on_built = self._attach
-        rig.engine.trace = self._segment
+        rig.engine.trace = self._record_segment
         self._is_on = True  # the machine's power
-        self._set_position = replace_method(rig.engine, "set_position", self._rename)
+        self._set_position = replace_method(rig.engine, "set_position", self._renumber)
         self._power_off = replace_method(rig.engine, "power_off", self._switch_off)
 
     def start_clock(self) -> None:
@@ -97,14 +99,14 @@ class Recorder:
         bounds = list(zip(self._low, self._high, strict=True))
         ticks = 0 if self._begun is None else self._ended - self._begun
         return Totals(
-            ticks / self._rig.engine.tick_hz,
-            round(self._distance_mm, 4),
-            self._by_letter(self._planned),
-            self._by_letter(self._made),
-            self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
-            self._by_letter([round(mm, 4) for mm in self._at()]),
-            self._by_letter(self._probed),
-            self._rotary,
+            time_s=ticks / self._rig.engine.tick_hz,
+            distance_mm=round(self._distance_mm, 4),
+            steps_planned=self._by_letter(self._planned),
+            steps_made=self._by_letter(self._executed),
+            bounds_mm=self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
+            final_position_mm=self._by_letter([round(mm, 4) for mm in self._position()]),
+            steps_probed=self._by_letter(self._probed),
+            rotary=self._rotary,
         )
 
     def _attach(self) -> None:
@@ -115,31 +117,35 @@ class Recorder:
         self._planner = controller.planner
         self._settings = controller.settings
         kinematics = controller.planner.kinematics
-        self._moves = kinematics.moves if kinematics else ()
+        self._axes_of_motor = kinematics.moves if kinematics else ()
         self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
-        self._beside = kinematics if hasattr(kinematics, "motor_of") else None
+        self._deviating = kinematics if hasattr(kinematics, "motor_of") else None
         interpreter, planner = controller.interpreter, self._planner
-        is_usual = not (planner.move_hook or interpreter.watches() or self._rig.custom_module)
-        self.is_plain = is_usual and not controller.protocol._echoes
-        self._plan = planner.move_hook or planner.plan
+        is_intercepted = planner.move_hook or interpreter.watches() or self._rig.custom_module
+        self.is_plain = not is_intercepted and not controller.protocol._echoes
+        self._plan = planner.move_hook or planner.plan  # plans a line, as it would without us
         planner.move_hook = self._plan_line
         if self._nonlinear:  # it does not use move_hook
-            self._line = replace_method(planner, "line", self._cut)
-        self._chords = replace_method(self._planner, "chords", self._follow_arc)
+            self._line = replace_method(planner, "line", self._plan_nonlinear_line)
+        self._chords = replace_method(self._planner, "chords", self._note_arc)
         if hasattr(self._planner, "take_up"):
-            self._take_up = replace_method(self._planner, "take_up", self._turn)
+            self._take_up = replace_method(self._planner, "take_up", self._note_take_up)
         self._probe = replace_method(controller.state.hooks, "probe", self._watch_probe)
-        self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
+        self._plan_arc = replace_method(controller.canon, "arc", self._check_arc)
         interpreter.watch(NOT_STRAIGHT)  # else kernels would plan some arcs by themselves
 
-    def _look_at_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
+    def _check_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
         """Replace Canon.arc."""
         if text := wide_arcs.warning(start, target, arc):
             self.wide_arcs.append((self._rig.link.now_at(), text))
         self._plan_arc(start, target, arc, move)
 
     def _watch_probe(self, *asked: Any) -> bool:
-        """Replace Seek.probe, which waits for standstill before it plans its motion."""
+        """Replace Seek.probe: count the steps that a contact has cancelled.
+
+        Seek.probe waits for standstill before it plans its motion. _note() then sets
+        _before_probe.
+        """
         self._is_probing, self._before_probe = True, None
         done: bool = self._probe(*asked)
         self._is_probing = False
@@ -150,7 +156,9 @@ class Recorder:
 
     def _not_made(self) -> list[int]:
         """Return how many steps of each motor are planned and not made."""
-        return [planned - made for planned, made in zip(self._planned, self._made, strict=True)]
+        return [
+            planned - made for planned, made in zip(self._planned, self._executed, strict=True)
+        ]
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
         """Return values of motors or axes by their names."""
@@ -158,15 +166,15 @@ class Recorder:
 
     def _plan_line(self, target: Any, flags: int, *asked: int) -> int:
         """Replace Planner.move_hook: all steps added to the ring will be made."""
-        row = self._row(flags)
+        row = self._row(flags)  # where it will be planned
         planned: int = self._plan(target, flags, *asked)
         if planned:
             self._note(row)
         return planned
 
-    def _cut(self, target: Any, move: Any, power: int) -> bool:
-        """Replace NonlinearPlanner.line."""
-        row = self._row(move.flags)
+    def _plan_nonlinear_line(self, target: Any, move: Any, power: int) -> bool:
+        """Replace NonlinearPlanner.line: note what it plans."""
+        row = self._row(move.flags)  # where it will be planned
         planned: bool = self._line(target, move, power)
         if planned:
             self._note(row)
@@ -177,20 +185,21 @@ class Recorder:
         layout, flow = self._layout, self._planner.flow
         return int(flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD])
 
-    def _turn(self, *asked: Any) -> bool:
-        """Replace BacklashPlanner.take_up."""
+    def _note_take_up(self, *asked: Any) -> bool:
+        """Replace BacklashPlanner.take_up: note the motors' steps that it plans."""
         done: bool = self._take_up(*asked)
         distance = self._distance_mm
-        if done:
-            self._note(self._planner.flow[self._layout.ROWS])
+        if done:  # it plans them in the spare row, which follows the ring
+            spare_row = self._planner.flow[self._layout.ROWS]
+            self._note(spare_row)
         self._distance_mm = distance  # the tool does not move
         return done
 
-    def _follow_arc(self, *asked: Any) -> int:
-        """Replace Planner.chords."""
-        row = self._planner.flow[self._layout.HEAD]
+    def _note_arc(self, *asked: Any) -> int:
+        """Replace Planner.chords, which plans the chords of an arc: note these."""
+        first_row = self._planner.flow[self._layout.HEAD]
         returned: int = self._chords(*asked)
-        self._note_from(row)
+        self._note_from(first_row)
         return returned
 
     def _note_from(self, row: int) -> None:
@@ -201,49 +210,50 @@ class Recorder:
             row = (row + 1) % flow[layout.ROWS]
 
     def _note(self, row: int) -> None:
-        """Note a row of the ring that has been planned."""
+        """Note a row of the ring that has been planned: its steps and the tool's distance."""
         from motion import minifloat
 
         layout, ring = self._layout, self._planner.ring
         first = row * self._planner.flow[layout.ROW_SIZE]  # index of the row's first word
         steps = ring[first + layout.STEPS : first + layout.STEPS + len(self._motors)]
-        if self._is_probing and self._before_probe is None:
+        if self._is_probing and self._before_probe is None:  # the first row of the probing
             self._before_probe = self._not_made()
         dirs = ring[first + layout.DIRS]  # bit i set: motor i moves backward
         planned = self._planned
         for motor, count in enumerate(steps):
             planned[motor] += count
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
-        if self._nonlinear:
+        if self._nonlinear:  # the row has the length of the tool's path
             self._distance_mm += minifloat.value(ring[first + layout.LENGTH])
             return
         moved = [-count if dirs >> motor & 1 else count for motor, count in enumerate(steps)]
         displacement = self._to_mm(moved)
-        if hasattr(self._beside, "skew"):
-            self._lean(displacement)
+        if hasattr(self._deviating, "skew"):
+            self._correct_skew(displacement)
         self._distance_mm += hypot(*[displacement[axis] for axis in self._linear])
 
-    def _lean(self, displacement: list[float]) -> None:
+    def _correct_skew(self, displacement: list[float]) -> None:
         """Correct the tool's displacement, in mm, for axes that are not at right angles."""
-        skew: Any = self._settings  # in mm per m
+        skew: Any = self._settings  # its skew_xy and so on, in mm per m
         _, y, z = displacement[:3]
         displacement[0] += (skew.skew_xy * y + skew.skew_xz * z) / 1000
         displacement[1] += skew.skew_yz * z / 1000
 
-    def _segment(self, start: int, row: "array[int]") -> None:
-        """Record a segment. Called by the engine for each one played, with the steps really
-        made."""
+    def _record_segment(self, start: int, row: "array[int]") -> None:
+        """Record a segment. Called by the engine for each one played: its first tick, and its row
+        with the steps really made."""
         layout = self._layout
         if self._begun is None:
             self._begun = start
         self._ended = start + row[layout.ROW_TICKS]
-        dirs = row[layout.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware counts
-        made, place = self._made, self._place
+        # Bit i set: motor i moves backward, as the firmware counts.
+        dirs = row[layout.ROW_DIRS] ^ self._rig.engine.dir_invert
+        executed, motor_steps = self._executed, self._motor_steps
         for motor, count in enumerate(row[layout.ROW_AXES :: layout.ROW_STRIDE]):
-            made[motor] += count
-            place[motor] += -count if dirs >> motor & 1 else count
-        position = self._at()
-        self._extend(position)
+            executed[motor] += count
+            motor_steps[motor] += -count if dirs >> motor & 1 else count
+        position = self._position()
+        self._extend_bounds(position)
         self._moved(start, row, position)
 
     def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
@@ -251,14 +261,14 @@ class Recorder:
 
     def _mark(self) -> None:
         """Note a hole: the punch is down."""
-        self.marks.append(self._at())
+        self.marks.append(self._position())
 
-    def _rename(self, steps: "array[int]") -> None:
-        """Replace StepEngine.set_position: the same position gets new numbers."""
+    def _renumber(self, steps: "array[int]") -> None:
+        """Replace StepEngine.set_position: the same place gets new numbers, in steps."""
         self._set_position(steps)
         if self._is_on:
-            self._place = list(steps)
-            self._extend(self._at())
+            self._motor_steps = list(steps)
+            self._extend_bounds(self._position())
 
     def _switch_off(self) -> None:
         """Replace SimEngine.power_off: a count that restarts at 0 is no motion."""
@@ -266,7 +276,7 @@ class Recorder:
         self._power_off()
         self._is_on = True
 
-    def _extend(self, position: Sequence[float]) -> None:
+    def _extend_bounds(self, position: Sequence[float]) -> None:
         """Extend the bounds to a position of the axes, in mm."""
         low, high = self._low, self._high
         for axis, mm in enumerate(position):
@@ -275,22 +285,24 @@ class Recorder:
             elif mm > high[axis]:
                 high[axis] = mm
 
-    def _at(self) -> list[float]:
+    def _position(self) -> list[float]:
         """Return the position of the axes in mm, without the deviation of their motors."""
-        if not self._beside:
-            return self._to_mm(self._place)
-        steps = array("i", self._place)
-        mm_per_step = enumerate(self._mm_per_step)
-        return [self._beside.axis_steps(steps, axis) * mm for axis, mm in mm_per_step]
+        if not self._deviating:
+            return self._to_mm(self._motor_steps)
+        steps = array("i", self._motor_steps)
+        return [
+            self._deviating.axis_steps(steps, axis) * mm
+            for axis, mm in enumerate(self._mm_per_step)
+        ]
 
     def _to_mm(self, motors: Sequence[float]) -> list[float]:
         """Convert steps of motors to mm of axes."""
         if self._nonlinear:
-            place = array("f", bytes(4 * len(self._axes)))
-            self._nonlinear.place_of(motors, place)
-            return list(place)
+            position = array("f", bytes(4 * len(self._axes)))
+            self._nonlinear.place_of(motors, position)  # fills it
+            return list(position)
         steps: Sequence[float] = motors
-        if self._moves:
+        if self._axes_of_motor:
             steps = [self._axis_steps(motors, axis) for axis in range(len(self._mm_per_step))]
         return [count * mm for count, mm in zip(steps, self._mm_per_step, strict=False)]
 
@@ -298,10 +310,12 @@ class Recorder:
         """Return the steps of an axis, as in motion/kinematics.py, but as a float."""
         from motion.layout import REVERSE
 
-        if self._moves[axis] == 1 << axis:
+        if self._axes_of_motor[axis] == 1 << axis:  # the motor moves this axis alone
             return motors[axis]  # a second motor of an axis adds no displacement
         # Of each motor: 1 if the axis moves it forward, -1 backward, 0 if it does not move it.
-        signs = [(moves >> axis & 1) - (moves >> axis + REVERSE & 1) for moves in self._moves]
+        signs = [
+            (moves >> axis & 1) - (moves >> axis + REVERSE & 1) for moves in self._axes_of_motor
+        ]
         total = sum(sign * steps for sign, steps in zip(signs, motors, strict=True))
         return total / sum(map(abs, signs))
 

@@ -46,12 +46,13 @@ class Forecast:
     start: list[float] = field(default_factory=list)
     total_s: float = 0.0
     stopped: str = ""  # why the forecast ends early; "" if it does not
-    # replies to $G and $# before the line `ask_at`
+    # replies to $G and $# before the line Job.report_state_before_line
     at_line: list[str] = field(default_factory=list)
     at_place: list[float] = field(default_factory=list)  # machine position there
     refused: list[int] = field(default_factory=list)  # line numbers
     own: str = ""  # handlers of custom.py, as $I names them
-    outputs_on: list[str] = field(default_factory=list)  # by custom.py, before the line `ask_at`
+    # outputs that custom.py has on there
+    outputs_on: list[str] = field(default_factory=list)
 
     def seconds_left(self, line: int) -> float | None:
         """Return the time from the answer to a line until the end; None if it is not known."""
@@ -64,18 +65,20 @@ class Forecast:
     ) -> int | None:
         """Return the line that was executed when the machine stopped; None if that is not clear.
 
-        answered: the last line answered. planned: capacity of the planner in blocks. left: blocks
-        in the planner, if the machine reports them. Where the path crosses itself, the earlier
-        line is returned, because it is better to repeat a part than to leave one out.
+        answered: the last line answered. place: where it stopped. planned: capacity of the planner
+        in blocks. left: blocks in the planner; None if the machine does not report them. Where the
+        path crosses itself, the earlier line is returned, because it is better to repeat a part
+        than to leave one out.
         """
         end = bisect_right(self.block_line, answered)  # number of blocks of the lines answered
-        # With one block in the next line at most, the blocks in the planner are the last ones.
-        if left is not None and bisect_right(self.block_line, answered + 1) <= end + 1:
+        # The line after that may have put blocks into the planner before it is answered.
+        end_with_next = bisect_right(self.block_line, answered + 1)
+        # If these are one at most, the blocks in the planner are the last ones.
+        if left is not None and end_with_next <= end + 1:
             return self.block_line[max(0, end - left)] if left and end else answered
         first = max(0, end - planned - 1)
-        last = bisect_right(self.block_line, answered + 1)
         least_mm, nearest = inf, None
-        for block in range(first, last):
+        for block in range(first, end_with_next):
             mm = _distance(place[:_XYZ], self._begin(block), self.block_end(block))
             if mm < least_mm - _ON_PATH_MM:
                 least_mm, nearest = mm, block
@@ -114,7 +117,8 @@ def _distance(place: Sequence[float], begin: Sequence[float], end: Sequence[floa
 
 @dataclass
 class Job:
-    """A program to rehearse. ask_at: the line before which modes and offsets are read.
+    """A program to rehearse. check: in check mode. report_state_before_line: the line before which
+    position, modes and offsets are put into the forecast; 0: never.
 
     letters, axes: of the real machine, from $I and $$, if no board is named. custom: path of the
     user's own Python. inputs: rules for its inputs, as for --input.
@@ -123,7 +127,7 @@ class Job:
     lines: Sequence[bytes]
     commands: list[str]
     board: str = machine.DEFAULT_BOARD
-    ask_at: int = 0
+    report_state_before_line: int = 0
     check: bool = False
     letters: str = ""
     axes: int = machine.DEFAULT_AXES
@@ -153,7 +157,8 @@ class _Watcher(Recorder):
     def _note(self, row: int) -> None:
         """Note a planned block, with its end and its line."""
         super()._note(row)
-        if self._watching and row != self._planner.flow[self._layout.ROWS]:
+        is_spare_row = row == self._planner.flow[self._layout.ROWS]  # takes up backlash only
+        if self._watching and not is_spare_row:
             self.forecast.block_line.append(self._rig.link.now_at())
             self.forecast.block_ends.extend(self._planned_place())
 
@@ -168,11 +173,11 @@ class _Watcher(Recorder):
         from motion.steps import motor_steps
 
         planner = self._rig.controller.planner
-        steps = [position - planners._BIAS for position in planner.position]
-        if hasattr(self._beside, "skew"):  # its planner has positions of motors, not of axes
+        steps = [position - planners._BIAS for position in planner.position]  # stored with a bias
+        if hasattr(self._deviating, "skew"):  # its planner has positions of motors, not of axes
             places = array("i", steps + [0 for _ in steps])
-            motors = [motor_steps(places, 0, planner.axes, moves) for moves in self._moves]
-            steps = [self._beside.axis_steps(motors, axis) for axis in range(planner.axes)]
+            motors = [motor_steps(places, 0, planner.axes, moves) for moves in self._axes_of_motor]
+            steps = [self._deviating.axis_steps(motors, axis) for axis in range(planner.axes)]
         resolutions = planner.steps_per_mm
         return [round(n / per_mm, 4) for n, per_mm in zip(steps[:_XYZ], resolutions, strict=False)]
 
@@ -187,7 +192,7 @@ class _Link(ProgramLink):
     def _answer(self, line: str) -> None:
         """Process an answer, and note its time."""
         super()._answer(line)
-        if self._last:  # a line of the program
+        if self._answered_line:  # a line of the program
             self.answered.append(self.rig.now)
 
 
@@ -198,6 +203,7 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
     """
 
     def script(link: ProgramLink) -> Iterator[Step]:
+        """Set the initial state, then send the program with the clock running."""
         from base import state
 
         if link.rig.controller.state.run == state.ALARM:
@@ -206,13 +212,13 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
             yield 0, command.encode("latin-1")
             yield None
         watcher.begin()
-        before = max(job.ask_at - 1, 0)
-        yield from link.program(job.lines[:before], progress, watcher.is_plain)
-        if job.ask_at:
-            yield from _ask(link, watcher)
-        yield from link.program(job.lines[before:], progress, watcher.is_plain)
+        lines_before = max(job.report_state_before_line - 1, 0)
+        yield from link.program(job.lines[:lines_before], progress, watcher.is_plain)
+        if job.report_state_before_line:
+            yield from _ask_state(link, watcher)
+        yield from link.program(job.lines[lines_before:], progress, watcher.is_plain)
         yield None
-        watcher.stop_clock(link.news)
+        watcher.stop_clock(link.last_event)
 
     rig = machine.build(
         job.board,
@@ -222,24 +228,20 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
         around=job.around(),
     )
     if rig.custom_module:
-        rig.custom_module.on_endless_wait, rig.custom_module.on_switched = (
-            rig.link.stop,
-            rig.link.note_output,
-        )
+        rig.custom_module.on_endless_wait = rig.link.stop
+        rig.custom_module.on_switched = rig.link.note_output
     watcher = _Watcher(rig)
     begun = rig.now
     machine.run(rig)
     link: _Link = rig.link
     link.result.wide_arcs = watcher.wide_arcs
     if rig.custom_module:
-        link.result.faults, link.result.own = (
-            rig.custom_module.faults,
-            rig.custom_module.handler_names(),
-        )
+        link.result.faults = rig.custom_module.faults
+        link.result.own = rig.custom_module.handler_names()
     return link.result, _forecast(watcher, link, begun)
 
 
-def _ask(link: ProgramLink, watcher: _Watcher) -> Iterator[Step]:
+def _ask_state(link: ProgramLink, watcher: _Watcher) -> Iterator[Step]:
     """Yield the steps that put position, outputs, modes and offsets into the forecast."""
     yield None
     forecast = watcher.forecast
@@ -254,7 +256,7 @@ def _ask(link: ProgramLink, watcher: _Watcher) -> Iterator[Step]:
 
 
 def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
-    """Return the complete forecast. begun: the tick of its start if nothing was recorded."""
+    """Return the complete forecast. begun: the tick of its start if the program did not begin."""
     forecast = watcher.forecast
     begun = watcher._begun or begun
     hz = link.rig.engine.tick_hz
@@ -262,17 +264,21 @@ def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
     forecast.total_s = round(watcher.totals().time_s, 3)
     forecast.own = link.result.own
     forecast.refused = [line for line, _ in link.result.errors]
-    forecast.stopped = link.result.stopped and (link.result.faults or [link.result.stopped])[-1]
+    if link.result.stopped:  # a handler's fault, if there is one, is the cause
+        forecast.stopped = (link.result.faults or [link.result.stopped])[-1]
     return forecast
 
 
 def check(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Result, int]:
-    """Return the refused lines, and the line at which the check stopped; 0 if it did not.
+    """Check a program in check mode. Returns the result, with the refused lines, and the line at
+    which the check stopped; 0 if it did not.
 
     Lines that begin with $ are left out, because check mode does not allow them.
     """
     lines = Changed(job.lines, _without_dollar)
-    result, _ = rehearse(replace(job, lines=lines, ask_at=0, check=True), progress)
+    result, _ = rehearse(
+        replace(job, lines=lines, report_state_before_line=0, check=True), progress
+    )
     if not result.stopped or not result.other_output:
         return result, 0
     stopped_at, _ = result.other_output[-1]  # the last message is that of the stop
@@ -331,15 +337,15 @@ def main() -> None:
         os.nice(10)
     parent = os.getppid()
 
-    def needed(line: int) -> None:
-        """Stop if the process that waits for the forecast has ended."""
+    def stop_if_orphan(_line: int) -> None:
+        """Stop if the process that waits for the forecast has ended. Called as progress."""
         if os.getppid() != parent:
             raise KeyboardInterrupt("who has asked for it is gone")
 
     out = sys.stdout.buffer
     sys.stdout = sys.stderr  # for output of handlers
     try:
-        _, forecast = rehearse(Job(**pickle.load(sys.stdin.buffer)), needed)
+        _, forecast = rehearse(Job(**pickle.load(sys.stdin.buffer)), stop_if_orphan)
     except OwnPythonError as error:
         forecast = Forecast(stopped=str(error))
     pickle.dump(vars(forecast), out)

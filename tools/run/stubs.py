@@ -4,6 +4,7 @@
     typings/ugrbl/           what custom.py imports, and m
 
 Both are put in the folder `typings`, where Pyright and Pylance look without being configured.
+kept: the names that a stub has; an annotation with another name of the firmware becomes Any.
 """
 
 import ast
@@ -66,6 +67,7 @@ def custom() -> dict[str, str]:
     parts = [_stub(texts[module], names, kept, ()) for module, names in _OF_CUSTOM.items()]
     body = "\n".join(part.removeprefix(_TYPING) for part in parts)
     events = "".join(_events(texts["handlers"]))
+    # into the class On, before its first method
     body = body.replace("    def input(self", events + "\n    def input(self", 1)
     body = body.replace("MachineApi", "Machine") + "\non: On\n"
     doc = '"""What custom.py imports as ugrbl. `def vacuum(m: Machine, P): …` completes m."""\n\n'
@@ -99,7 +101,8 @@ def _events(handlers: str) -> Iterator[str]:
 
 
 def _stub(text: str, names: Iterable[str], kept: Iterable[str], imports: Iterable[str]) -> str:
-    """Return the stub of a module's public classes and functions of these names."""
+    """Return the stub of a module's (text) public classes and functions of these names. imports:
+    lines to begin with."""
     tree = ast.parse(text)
     aliases = {
         node.targets[0].id: node.value
@@ -113,7 +116,7 @@ def _stub(text: str, names: Iterable[str], kept: Iterable[str], imports: Iterabl
         elif isinstance(node, ast.FunctionDef) and node.name in names:
             body.append(_function(node))
     made = ast.Module(body, [])
-    for part in ast.walk(made):
+    for part in ast.walk(made):  # replace the annotations
         for field in ("annotation", "returns"):
             if getattr(part, field, None):
                 setattr(part, field, _Annotation(kept, aliases).visit(getattr(part, field)))
@@ -121,7 +124,8 @@ def _stub(text: str, names: Iterable[str], kept: Iterable[str], imports: Iterabl
 
 
 class _Annotation(ast.NodeTransformer):
-    """Replaces what a program has not by Any: types of the firmware."""
+    """Replaces names of the firmware's types, which a program does not have, by Any, and aliases
+    by what they stand for."""
 
     def __init__(self, kept: Iterable[str], aliases: "dict[str, ast.expr]") -> None:
         self._kept = (*kept, *_TYPES)

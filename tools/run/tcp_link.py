@@ -77,20 +77,20 @@ class Tcp(Wire):
         except BlockingIOError:
             return b""
         except OSError:
-            data = b""  # as at the end
-        if not data:
+            data = b""
+        if not data:  # the sender has disconnected
             self._hang_up()
             return None
         return data
 
     def _accept(self) -> None:
-        """Take the next sender that waits, if any."""
+        """Accept the next sender that waits, if any."""
         with suppress(BlockingIOError):
-            caller, _ = self._listener.accept()
-            caller.setblocking(False)
-            caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            caller.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            self._sender = caller
+            sender, _ = self._listener.accept()
+            sender.setblocking(False)
+            sender.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sender.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            self._sender = sender
 
     def _hang_up(self) -> None:
         """Disconnect the sender, if any."""
@@ -124,11 +124,11 @@ class Rfc2217(Tcp):
     _port: PortManager | None = None
 
     def _accept(self) -> None:
-        """Take the next sender, with a serial port that takes its settings."""
+        """Accept the next sender, with a serial port that takes its settings."""
         super()._accept()
         if self._sender is not None:
-            dummy_port: Any = serial_for_url("loop://")
-            answers: Any = SimpleNamespace(write=self._negotiate)
+            dummy_port: Any = serial_for_url("loop://")  # takes the settings
+            answers: Any = SimpleNamespace(write=self._negotiate)  # gets the protocol's answers
             self._port = PortManager(dummy_port, answers)
 
     def _receive(self, limit: int) -> bytes | None:

@@ -16,22 +16,24 @@ def is_late(run: Callable[[], None]) -> bool:
     A KeyboardInterrupt by the user is passed on. For the main thread only.
     """
     late = threading.Event()
-    usual = signal.getsignal(signal.SIGINT)
+    handler_before = signal.getsignal(signal.SIGINT)
 
     def interrupt() -> None:
+        """Interrupt the main thread. Called by the timer, in its own thread."""
         late.set()
         _thread.interrupt_main()
 
-    def on_interrupt(number: int, frame: Any) -> None:
-        if late.is_set() or usual is not signal.SIG_IGN:
+    def on_interrupt(_number: int, _frame: Any) -> None:
+        """Raise for our interrupt, and for the user's unless it was ignored before."""
+        if late.is_set() or handler_before is not signal.SIG_IGN:
             raise KeyboardInterrupt
 
     # Python installs no handler in a process that a shell started in the background, so an
     # interrupt would have no effect.
     signal.signal(signal.SIGINT, on_interrupt)
-    watch = threading.Timer(LONGEST_S, interrupt)
-    watch.daemon = True
-    watch.start()
+    timer = threading.Timer(LONGEST_S, interrupt)
+    timer.daemon = True
+    timer.start()
     try:
         run()
     except KeyboardInterrupt:
@@ -41,6 +43,6 @@ def is_late(run: Callable[[], None]) -> bool:
         if not late.is_set():  # else it is a consequence of the interruption
             raise
     finally:
-        watch.cancel()
-        signal.signal(signal.SIGINT, usual)
+        timer.cancel()
+        signal.signal(signal.SIGINT, handler_before)
     return late.is_set()

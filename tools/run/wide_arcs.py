@@ -6,8 +6,8 @@ from typing import Any
 
 # An arc that reaches further beyond its two ends is reported. So is an arc that goes round almost
 # completely although its ends differ, if they are closer than this part of its radius.
-_REACH_MM = 1000.0
-_NEAR = 0.01
+_REACH_MM = 1000.0  # an arc may go so far beyond its ends
+_NEAR = 0.01  # ends that are closer, relative to the radius, may be meant to be the same
 _SAME_MM = 0.00005  # as in motion/arc_geometry.py
 
 
@@ -21,7 +21,8 @@ def warning(start: Sequence[float], target: Sequence[float], arc: Any) -> str:
     radius = hypot(*centre)
     end = target[axis_0] - start[axis_0], target[axis_1] - start[axis_1]
     turn = arc.sweep(start, target)  # radians
-    begin = atan2(-centre[1], -centre[0])
+    begin = atan2(-centre[1], -centre[0])  # angle of the start, as seen from the centre
+    # Clockwise, the arc is the counterclockwise one that begins at its end.
     reach = _reach(centre, end, begin - turn if is_clockwise else begin, turn)
     if reach > _REACH_MM:
         return f"an arc of {radius:.0f} mm radius, which goes {reach:.0f} mm beyond its ends"

@@ -22,10 +22,10 @@ class Wire(ABC):
 
     def __init__(self) -> None:
         self._connected = False
-        self._since = 0.0  # when the sender connected
+        self._connected_at = 0.0  # when the sender connected
         self._welcomed = False  # the sender has got its banner
         self._early: bytes | None = b""  # kept for the first sender; None after it was sent
-        self._deaf = False  # the sender did not read in time
+        self._is_deaf = False  # the sender did not read in time
 
     @abstractmethod
     def _take(self, limit: int) -> bytes | None:
@@ -45,7 +45,7 @@ class Wire(ABC):
 
     def _left(self) -> None:
         """Note that the sender has disconnected."""
-        self._connected = self._welcomed = self._deaf = False
+        self._connected = self._welcomed = self._is_deaf = False
 
     def read(self, limit: int) -> bytes:
         """Return the bytes received from the sender."""
@@ -54,10 +54,10 @@ class Wire(ABC):
             if self._connected:
                 self._left()
             return b""
-        if not self._connected:
+        if not self._connected:  # a new sender
             self._connected = True
-            self._since = time.monotonic()
-        if not self._welcomed and (data or time.monotonic() >= self._since + _WELCOME_S):
+            self._connected_at = time.monotonic()
+        if not self._welcomed and (data or time.monotonic() >= self._connected_at + _WELCOME_S):
             self._welcome()
         return data
 
@@ -86,15 +86,15 @@ class Wire(ABC):
 
     def _send(self, data: bytes) -> None:
         """Send bytes; those that the sender does not accept in time are lost."""
-        deadline = time.monotonic() + (0 if self._deaf else _DEAF_S)
+        deadline = time.monotonic() + (0 if self._is_deaf else _DEAF_S)  # no second wait
         while data:
             try:
                 data = data[self._put(data) :]
-                self._deaf = False
+                self._is_deaf = False
             except BlockingIOError:
                 self._wait_to_put(max(0.0, deadline - time.monotonic()))
                 if time.monotonic() >= deadline:
-                    self._deaf = True
+                    self._is_deaf = True
                     return
-            except OSError:
+            except OSError:  # the sender has disconnected
                 return
