@@ -291,6 +291,7 @@ class Stream:
         if answer == "ok":
             return
         self.report.errors.append((line.number, answer))
+        # Number 0: a line that prepares for the program.
         name = f"line {line.number}" if line.number else "on the way there"
         self._view.message(f"{name}: {line.text}: {answer}: {meaning(answer, line.text)}")
         if not self._keep_going and not self._why_hold:

@@ -144,7 +144,7 @@ class WatchedApi(MachineApi):
         try:
             return super().wait_for(name, closed, seconds)
         finally:
-            self.module.inputs.is_satisfied()  # nothing waits any more
+            self.module.inputs.end_wait()
 
 
 class WatchedRunner(Runner):

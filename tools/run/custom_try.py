@@ -3,6 +3,9 @@
 Words get the value 1 for each letter, once for the required letters and once for all. An input
 that a handler waits for changes after a moment, and so does the probe. Nothing else is like the
 real machine: a handler that depends on more may fail here, and the message says where.
+
+A script yields what its sender does next: a line with its number (0: it is not in the program), or
+None: it waits until the machine is idle.
 """
 
 import re

@@ -139,7 +139,7 @@ class Inputs:
         self._awaited = name, closed, self._rig.port.ticks_ms()
         return name in self._ruled or name not in self.names
 
-    def is_satisfied(self) -> None:
+    def end_wait(self) -> None:
         """Note that the wait has ended."""
         self._awaited = None
 

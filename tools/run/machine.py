@@ -89,41 +89,41 @@ def build(
     """Build a rig with that board, and the settings that a new machine has after its first start.
 
     link: makes the Link. settings: the file that stores them, if any. blank: start with erased
-    memory instead. coarse: see Rig. letters, axes: of a real machine to imitate. keeps_jobs: store
-    jobs in the folder that the board names; otherwise they are lost. ValueError for a settings
-    file that cannot be used.
+    memory instead. coarse: factor by which the engine's ticks are longer, which is faster and less
+    exact. letters, axes: of a real machine to imitate. keeps_jobs: store jobs in the folder that
+    the board names; otherwise they are lost. ValueError for a settings file that cannot be used.
     """
     paths.use_firmware()
     kernels.use()
     from ..sim.replay import factory_store
     from ..sim.rig import MemoryStore, Rig
 
-    module = _imitate(load_board(board), letters, axes)
-    if getattr(module, "CUSTOM", ""):  # do not import a custom.py that happens to be on the path
-        module = _copy(module, module.__name__, CUSTOM="")
-    if getattr(module, "JOBS", "") and not keeps_jobs:
+    adapted = _imitate(load_board(board), letters, axes)
+    if getattr(adapted, "CUSTOM", ""):  # do not import a custom.py that is on the path by chance
+        adapted = _copy(adapted, adapted.__name__, CUSTOM="")
+    if getattr(adapted, "JOBS", "") and not keeps_jobs:
         from .job_memory import keep_in_memory
 
-        module = _copy(module, module.__name__)
-        keep_in_memory(module)
-    if getattr(module, "POWER_FAIL", None) is not None:  # nothing here closes that contact
-        module = _copy(module, module.__name__, POWER_FAIL=None)
+        adapted = _copy(adapted, adapted.__name__)
+        keep_in_memory(adapted)
+    if getattr(adapted, "POWER_FAIL", None) is not None:  # nothing here closes that contact
+        adapted = _copy(adapted, adapted.__name__, POWER_FAIL=None)
     if around.lenient:
-        module = _copy(module, module.__name__, LENIENT=True)
-    for content in hal_texts.made(module).values():
-        _serve(content)
-    store: Any = MemoryStore() if blank else factory_store(module)
+        adapted = _copy(adapted, adapted.__name__, LENIENT=True)
+    for content in hal_texts.made(adapted).values():  # none, or one
+        _provide_hal_texts(content)
+    store: Any = MemoryStore() if blank else factory_store(adapted)
     if settings is not None:
         try:
-            file_store = FileStore(settings, store.files, firmware(module))
-            _check_values(module, file_store.load("settings") or ())
+            file_store = FileStore(settings, store.files, firmware(adapted))
+            _check_values(adapted, file_store.load("settings") or ())
         except SettingsError as error:
             raise ValueError(f"{settings} was not changed: {error}") from error
         store = file_store
-    return _make_rig(around, module, lambda board: Rig(board, store, link, coarse))
+    return _make_rig(around, adapted, lambda board: Rig(board, store, link, coarse))
 
 
-def _serve(texts: bytes) -> None:
+def _provide_hal_texts(texts: bytes) -> None:
     """Give a machine with the grblHAL dialect its texts, which a deployment stores on a board."""
     from extras.dialects import dialect_hal
 
@@ -220,7 +220,8 @@ def taken(board: str, lines: Iterable[str]) -> list[str]:
     an order in which it accepts them."""
     paths.use_firmware()
     controller, _ = _controller(_copy(load_board(board), board, CUSTOM=""))
-    return _set(controller.settings, lines)[0]
+    accepted, _refused = _set(controller.settings, lines)
+    return accepted
 
 
 def _set_all(settings: "Settings", lines: Iterable[str]) -> list[str]:

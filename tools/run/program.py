@@ -69,9 +69,8 @@ class Result:
         }
 
 
-# The sender's next action: send a line (number from 1; 0 is not in the program), or wait until the
-# machine is idle (None).
-Step = tuple[int, bytes] | None
+# The sender's next action.
+Step = tuple[int, bytes] | None  # number (0: not in the program) and line; None: wait until idle
 _NOT_OF_PROGRAM = 0  # as a line number
 
 

@@ -86,9 +86,9 @@ class Pty(Wire):
     def _wait_to_take(self, seconds: float) -> None:
         select.select([self._master], [], [], seconds)
 
-    def _left(self) -> None:
+    def _note_disconnect(self) -> None:
         """Discard what the last sender did not read, so that the next one does not get it."""
-        super()._left()
+        super()._note_disconnect()
         slave = os.open(self.name, os.O_RDWR | os.O_NOCTTY)
         termios.tcflush(slave, termios.TCIOFLUSH)
         os.close(slave)

@@ -4,6 +4,9 @@ check() is quick: it uses check mode, to find lines that will be refused. Rehear
 step, in a process of its own while the program is already being sent; its result gives the total
 time and the machine's position at each time. Run as a program, this module is that process: it
 reads a pickled Job from stdin and writes a pickled Forecast to stdout.
+
+A script yields what its sender does next: a line with its number (0: it is not in the program), or
+None: it waits until the machine is idle.
 """
 
 import os

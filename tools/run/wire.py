@@ -43,7 +43,7 @@ class Wire(ABC):
     def _wait_to_take(self, seconds: float) -> None:
         """Wait until bytes have arrived, at most for that time."""
 
-    def _left(self) -> None:
+    def _note_disconnect(self) -> None:
         """Note that the sender has disconnected."""
         self._connected = self._welcomed = self._is_deaf = False
 
@@ -52,7 +52,7 @@ class Wire(ABC):
         data = self._take(limit)
         if data is None:
             if self._connected:
-                self._left()
+                self._note_disconnect()
             return b""
         if not self._connected:  # a new sender
             self._connected = True
@@ -71,7 +71,8 @@ class Wire(ABC):
             self._send(early)
 
     def write(self, data: bytes) -> None:
-        """Send bytes. Without a sender, or to one that does not read, they are lost."""
+        """Send bytes. Before the first sender they are kept for it, the last _KEPT of them. Later,
+        without a sender or to one that does not read, they are lost."""
         if self._early is not None:
             self._early = (self._early + data)[-_KEPT:]
         elif self._connected:

@@ -99,7 +99,7 @@ def _steps(facts: list[Fact]) -> Iterator[Row]:
         good &= run["rested"] and set(run["position"]) == {due} == set(run["counted"])
     axes = {axis for run in facts for axis in run["motors"]}
     good &= axes == set(range(len(facts[0]["position"])))
-    # The runs are repeated until each axis was counted, but each axis is asked for one total.
+    # Each round asks for the same: report the steps of one, there and back.
     total //= sum(not run["back"] for run in facts)
     text = f"{total} on each of {len(axes)} axes, there and back, all counted"
     if not good:

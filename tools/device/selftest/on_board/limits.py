@@ -139,7 +139,12 @@ def attach_listener(drive, port):
 
 def check_stops(drive, port, limit_count, forced_edge):
     """Check each limit input in turn, first undisturbed, then during garbage collections: all axes
-    run as fast as they can, a limit is forced, and the ticks until the last step are reported."""
+    run as fast as they can, and a limit is forced.
+
+    Reported: ticks from each limit to the last step, -1 if there was none; missed, limits without
+    an event; wrong, stops with a position other than the count; shown, whether the chip shows
+    forced interrupts.
+    """
     pins = [pin for pin in getattr(board, "LIMIT", ()) if pin is not None]
     watched = min(WATCHED, LAST - FIRST)  # the last machine samples
     for collect in (False, True):
@@ -148,11 +153,10 @@ def check_stops(drive, port, limit_count, forced_edge):
             drive.count(watched)
             limit_count[0] = 0
             port.enable_limits(True)
-            port.revive()
+            port.revive()  # outputs work again after the last limit's kill()
             backward = random_between(0, (1 << AXES) - 1)  # a mask of axes
-            drive.plan_even(
-                drive.engine.max_step_hz(3), 1 << 20, backward
-            )  # more than it can make
+            # More steps than it can make until the limit.
+            drive.plan_even(drive.engine.max_step_hz(3), 1 << 20, backward)
             drive.start()
             edge_tick = forced_edge.fire(pins[index % len(pins)], collect)
             if edge_tick is None:
