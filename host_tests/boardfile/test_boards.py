@@ -133,7 +133,7 @@ def test_board_is_data_only(name: str) -> None:
         ({"INVERT": ("FLOOD",)}, "INVERT: there is no pin for FLOOD"),
         ({"INVERT": ("FLOOD",), "FLOOD": 18}, ""),
         ({"CONTROL_INVERT": 2}, ""),
-        ({"CONTROL_INVERT": 1}, "CONTROL_INVERT: there is no pin for RESET, so that"),
+        ({"CONTROL_INVERT": 1}, "CONTROL_INVERT: there is no pin for RESET, so it"),
         ({"CONTROL_INVERT": 16}, "CONTROL_INVERT is 16: it is 15 at the most"),
         ({"CONTROL_INVERT": "2"}, "CONTROL_INVERT is '2': it must be a whole number"),
         ({"LIMIT_DEBOUNCE_MS": 6}, "LIMIT_DEBOUNCE_MS is 6: it is 5 at the most"),

@@ -50,7 +50,7 @@ WRONG = [
     ("run good.nc --settings missing", "missing cannot be read: there is no such file"),
     ("plot good.nc --settings folder", "folder cannot be read: it is a folder; name a file"),
     ("run good.nc --settings photo", "photo cannot be read: it is no text"),
-    ("run good.nc --settings empty", "empty: it has no settings"),
+    ("run good.nc --settings empty", "empty has no settings"),
     ("run good.nc --set 0=1", "error:6: The step pulse"),
     ("run good.nc --set 100=0", "$100=0 means 0 steps/mm for X"),
     ("plot good.nc --set $111=0.0", "$111=0.0 means a highest rate of 0 for Y"),
@@ -65,7 +65,7 @@ WRONG = [
     ("plot good.nc -o - --json -", "- is named twice"),
     ("settings diff missing --port x", "missing cannot be read: there is no such file"),
     ("settings push photo --port x", "photo cannot be read: it is no text"),
-    ("settings push empty --port x", "empty: it holds no settings"),
+    ("settings push empty --port x", "empty has no settings"),
     ("settings diff good.settings --port x --json folder", "folder is a folder"),
     ("sim --stdio --settings folder", "folder cannot be read: it is a folder; name a file"),
     ("sim --port nowhere/link", "nowhere/link cannot be made: there is no folder nowhere"),
@@ -76,7 +76,7 @@ WRONG = [
     ("sim --stdio --board good.nc", "good.nc is no board file"),
     ("run good.nc --board nowhere/mine", "nowhere/mine is no board file"),
     ("run good.nc --board mine", "no board 'mine'; there are "),
-    ("new-board class --chip pico --no-ask", "class is a word of Python's"),
+    ("new-board class --chip pico --no-ask", "class is a reserved word"),
     (
         "conformance RECORDINGS --port missing",
         "cannot open missing: no such port; is its name right",
@@ -415,7 +415,8 @@ def test_impossible_output_file_is_reported_before_the_work(
     done = ugrbl(*words.format(place).split())
     said = " ".join(done.output.split())
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit), done.output
-    assert re.search("cannot be written: |good.nc is no folder|what should be|too long", said)
+    why = "cannot be written: |good.nc is no folder|what should be|too long|a folder in its path"
+    assert re.search(why, said), said
     assert not re.search("no such file|nowhere|Errno|errors|bytes in all|Drawing", said), said
     assert files_in(folder) == before
 

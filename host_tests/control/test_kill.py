@@ -52,7 +52,8 @@ class Bench:
         if self.chip == "sim":
             names = ("spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
             # The punch is down while the simulator's spindle has a speed.
-            return {**{name: int(getattr(port, name)) for name in names}, "down": port._direction > 0}
+            found = {name: int(getattr(port, name)) for name in names}
+            return {**found, "down": port._direction > 0}
         found = {}
         for name, pin in {**OUTPUTS, "PUNCH_DOWN": 21}.items():
             found[name] = self.level(pin) ^ (0xFFFF if name in self.inverted else 0)

@@ -314,9 +314,7 @@ def _wires(board: ModuleType) -> Iterator[str]:
     for bit, name in enumerate(CONTROLS):
         is_missing = controls[bit : bit + 1] in ((), (None,))  # CONTROL is too short, or has None
         if inverted >> bit & 1 and is_missing:
-            yield (
-                f"CONTROL_INVERT: there is no pin for {name}, so that input would always be active"
-            )
+            yield f"CONTROL_INVERT: there is no pin for {name}, so it would always be active"
 
 
 def _network(board: ModuleType) -> Iterator[str]:

@@ -218,18 +218,15 @@ OPTIONS = (
     Option("CONTROL_DEBOUNCE_MS", COUNT, 0, "For so many ms a button's contacts may bounce."),
     Option(
         *("ESTOP", PIN, None),
-        "Emergency stop: a contact to ground that opens when it is pressed, or when its cable is "
-        "cut.",
+        "Emergency stop: a contact to ground that opens when pressed, or when its cable is cut.",
     ),
     Option(
         *("NO_PULL_UP", PINS, ()),
-        "Input-only pins, which have no pull-ups inside the chip; the board has resistors for "
-        "them.",
+        "Input-only pins without pull-ups inside the chip; the board has resistors for them.",
     ),
     Option(
         *("REPL_PIN", PIN, None),
-        "Pin that, held to ground at power-up, starts MicroPython's prompt instead of the "
-        "machine.",
+        "Pin that, held to ground at power-up, starts MicroPython's prompt, not the machine.",
     ),
     # Outputs.
     Option("SPINDLE_PWM", PIN, None, "Pin for the power of spindle or laser (PWM)."),
@@ -243,8 +240,7 @@ OPTIONS = (
     Option("SPINDLE_ON", PIN, None, "Pin that switches the spindle on and off."),
     Option(
         *("SPINDLE_DIR", PIN, None),
-        "Spindle direction pin: high means counterclockwise; with SPINDLE_ENABLE_PIN, high means "
-        "spindle on.",
+        "Spindle direction pin: high is counterclockwise; with SPINDLE_ENABLE_PIN, high is on.",
     ),
     Option(
         *("SPINDLE_ENABLE_PIN", SWITCH, False),
@@ -340,9 +336,7 @@ OPTIONS = (
         "A contact to ground that opens when the supply fails: see docs/jobs.md.",
     ),
     Option("POWER_FAIL_MS", COUNT, 100, "Milliseconds from POWER_FAIL to loss of power.", low=20),
-    Option(
-        "POWER_FAIL_UP_MM", COUNT, 0, "Distance in mm by which Z moves up at POWER_FAIL, if homed."
-    ),
+    Option("POWER_FAIL_UP_MM", COUNT, 0, "Distance in mm that Z rises at POWER_FAIL, if homed."),
     Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
