@@ -1,4 +1,7 @@
-"""Programs on a card: FAT cannot replace one file by another in a single step."""
+"""Programs on a card: FAT cannot replace one file by another in a single step.
+
+The script runs under MicroPython on FAT images in memory, whose blocks fail or vanish at every
+possible block access while a file is replaced."""
 
 from micropython_runner import needs_micropython, run_micropython
 from ugrbl.paths import FIRMWARE
@@ -18,6 +21,7 @@ OTHER = b"G0Y1 " * 900
 
 
 class Card:
+    # A card in memory, with the interface that JobFiles uses.
     folder = "/card"
     shared = None
 
@@ -56,6 +60,7 @@ def files_on(card):
 
 
 def put(files, name, data):
+    # Receive a program in pieces of 2048 bytes, as from a sender.
     files.mount()
     file = files.begin(name)
     for at in range(0, len(data), 2048):
@@ -69,7 +74,8 @@ def content(files, name):
 
 
 def card_with(called, others):
-    # Make a card as a computer does, with an umlaut in one name.
+    # Return the image of a card as a computer makes it, with an umlaut in one name. called: name
+    # of the file that is replaced later; others: numbers of further, empty files.
     image = bytearray(4096 * BLOCK)
     vfs.VfsFat.mkfs(Blocks(image))
     card = Card(image)
@@ -78,6 +84,7 @@ def card_with(called, others):
         with open("/card/" + name, "wb") as file:
             file.write(data)
     card.unmount()
+    # MicroPython cannot write the umlaut: put it into the stored UTF-16 name, for the X.
     image[image.find(b"n\\0a\\0X\\0e") + 4] = 0xF6
     return image
 
@@ -96,7 +103,8 @@ def count(image):
 
 
 def after_fault(image, fault_at, is_cut):
-    # Return the file after power-up, or after the card is mounted again; then write other files.
+    # Return the content of PART.NC after a fault at block access number fault_at; then check that
+    # files can be written. is_cut: power is cut there, else the card is pulled and put back.
     card = Card(bytearray(image))
     files = files_on(card)
     card.blocks.done, card.blocks.fault_at = 0, fault_at
@@ -112,15 +120,15 @@ def after_fault(image, fault_at, is_cut):
         card.blocks = Blocks(card.image)
         vfs.mount(card.blocks, "/card")
     files.mount()
-    there = content(files, "PART.NC")
+    content_after_fault = content(files, "PART.NC")
     put(files, "OTHER.NC", OTHER)
-    assert content(files, "PART.NC") == there
+    assert content(files, "PART.NC") == content_after_fault
     put(files, "PART.NC", NEW)
     assert content(files, "PART.NC") == NEW and content(files, "OTHER.NC") == OTHER
     names = [name.decode() for name in os.listdir(b"/card") if b"~" not in name and name < b"a"]
     assert len(names) == len(image_names) + 1, names
     vfs.umount("/card")
-    return there
+    return content_after_fault
 
 
 for called, others in (("part.nc", range(0)), ("PART.NC", range(14))):
@@ -130,8 +138,8 @@ for called, others in (("part.nc", range(0)), ("PART.NC", range(14))):
     card.unmount()
     blocks = count(image)
     for is_cut in (True, False):
-        found = {after_fault(image, fault_at, is_cut) for fault_at in range(blocks)}
-        assert found == {OLD, NEW}, found
+        contents = {after_fault(image, fault_at, is_cut) for fault_at in range(blocks)}
+        assert contents == {OLD, NEW}, contents
     print(blocks)
 """
 

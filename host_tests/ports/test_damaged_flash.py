@@ -1,8 +1,9 @@
 """Stored files are damaged in flash: the machine starts, uses the older copy, and reports it.
 
-Power cuts are not damage: see test_flash_store.py. UGRBL_TORTURE starts a machine with every bit
-of every file flipped, and with every file cut at every byte.
-"""
+Each name is stored as NAME.txt with the copy before it as NAME.old; NAME.new exists only while a
+file is written. The last line of a file is its checksum. Power cuts are not damage: see
+test_flash_store.py. UGRBL_TORTURE starts a machine with every bit of every file flipped, and with
+every file cut at every byte; otherwise a random sample of damages is tried."""
 
 import os
 import shutil
@@ -59,54 +60,63 @@ def test_a_machine_starts_with_the_older_copy_of_any_damaged_file(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_damage_is_always_detected(name: str, filled: Path, tmp_path: Path) -> None:
+    """Whatever is damaged in the newest file, the store returns the lines of the older copy and
+    notes that one was there."""
     files = kept_in(str(filled))
-    now, old = files[f"{name}.txt"], files[f"{name}.old"]
+    newest, old = files[f"{name}.txt"], files[f"{name}.old"]
     (tmp_path / f"{name}.old").write_bytes(old)
-    for spoilt in damages(now, Dice(2), None if _EVERY else 100):
-        (tmp_path / f"{name}.txt").write_bytes(spoilt)
+    for damaged_file in damages(newest, Dice(2), None if _EVERY else 100):
+        (tmp_path / f"{name}.txt").write_bytes(damaged_file)
         store = FlashStore(f"{tmp_path}/")
-        found = store.load(name)
-        assert found is not None and store.damaged == {name: True}
-        assert [*map(str.encode, found)] == old.split(b"\n")[:-2]
+        lines = store.load(name)
+        # True: an older copy was used
+        assert lines is not None and store.damaged == {name: True}
+        # All lines of the copy except its checksum; after it the text ends with a line end.
+        assert [*map(str.encode, lines)] == old.split(b"\n")[:-2]
 
 
 @pytest.mark.parametrize("kind", [".old", ".new"])
 def test_damage_to_unused_copies_does_nothing(kind: str, filled: Path, tmp_path: Path) -> None:
+    """With a valid .txt, the .old and .new files are not used."""
     files = kept_in(str(filled))
     (tmp_path / "settings.txt").write_bytes(files["settings.txt"])
-    whole = FlashStore(f"{tmp_path}/").load("settings")
-    for spoilt in damages(files["settings.old"], Dice(3), 20):
-        (tmp_path / f"settings{kind}").write_bytes(spoilt)
+    undamaged = FlashStore(f"{tmp_path}/").load("settings")
+    for damaged_file in damages(files["settings.old"], Dice(3), 20):
+        (tmp_path / f"settings{kind}").write_bytes(damaged_file)
         store = FlashStore(f"{tmp_path}/")
-        assert store.load("settings") == whole and not store.damaged
+        assert store.load("settings") == undamaged and not store.damaged
 
 
 def test_a_file_with_a_right_checksum_is_damaged_if_it_is_not_text(
     tmp_path: Path,
 ) -> None:
+    """The byte 0xFF never occurs in UTF-8."""
     text = b"$0=\xff\n"
     (tmp_path / "settings.txt").write_bytes(text + b"#crc32=%08x\n" % zlib.crc32(text))
     store = FlashStore(f"{tmp_path}/")
+    # False: there is no older copy
     assert store.load("settings") is None and store.damaged == {"settings": False}
 
 
 def test_damage_is_reported_when_the_port_is_opened_later(
     filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The report at power-up is lost if no program has the port open yet; the welcome when it is
+    opened repeats it."""
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
-    (folder / "flash" / "settings.txt").write_bytes(b"\x80")
-    said: list[bytes] = []
+    (folder / "flash" / "settings.txt").write_bytes(b"\x80")  # not text: the older copy is used
+    output: list[bytes] = []
 
     def script(bench: Bench) -> Iterator[Any]:
-        yield bench.rig.ms(100)
+        yield bench.rig.ms(100)  # the start is over
         machine = bench.rig.controller
-        machine.report._link = SimpleNamespace(write=said.append)
-        machine.welcome()
+        machine.report._link = SimpleNamespace(write=output.append)
+        machine.welcome()  # as the link does when its port is opened
 
     Bench("plain", str(folder)).run(script)
-    assert b"[MSG:Damaged in flash: settings (older copy)]\r\n" in said
+    assert b"[MSG:Damaged in flash: settings (older copy)]\r\n" in output
 
 
 def test_the_machine_works_with_a_damaged_custom_py(
@@ -117,12 +127,14 @@ def test_the_machine_works_with_a_damaged_custom_py(
     monkeypatch.setattr("sys.dont_write_bytecode", True)  # or the older bytecode would run
     folder = str(tmp_path / "board")
     furnish(folder)
-    start_with_damaged_custom(folder, Dice(4), 6)
+    # Dice(4): random seed; six damages of the file are tried
+    start_with_damaged_custom(folder, Dice(4), flips=6)
 
 
 @pytest.mark.thorough
 @needs_micropython
 def test_micropython_starts_with_the_older_copy(filled: Path, tmp_path: Path) -> None:
+    """The script damages each name's file in turn and counts the reports."""
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
     said = run_micropython(_BENCH, "damage", folder, paths=PATHS)

@@ -1,4 +1,7 @@
-"""The escape to the MicroPython prompt, among the bytes of a sender."""
+"""The escape to the MicroPython prompt, among the bytes of a sender.
+
+Three times Ctrl-C (\\x03) in a row, or Ctrl-C and then Ctrl-A (\\x01) as mpremote sends them, lead
+to the prompt. A CR between them does not matter."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -16,10 +19,12 @@ class Dupterm:
         self._stream: Any = None
 
     def dupterm(self, stream: Any) -> Any:
+        """Set the stream; return the one before, as os.dupterm() does."""
         before, self._stream = self._stream, stream
         return before
 
     def dupterm_notify(self, _: object) -> None:
+        """Read all bytes that the stream has."""
         byte = bytearray(1)
         while self._stream.readinto(byte):
             self.arrived += byte
@@ -27,10 +32,13 @@ class Dupterm:
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Dupterm:
-    found = Dupterm()
-    stand_in = SimpleNamespace(dupterm=found.dupterm, dupterm_notify=found.dupterm_notify)
-    monkeypatch.setattr(escape, "os", stand_in)
-    return found
+    """Replace the os module that the escape uses; return what the prompt receives."""
+    second_terminal = Dupterm()
+    replacement_os = SimpleNamespace(
+        dupterm=second_terminal.dupterm, dupterm_notify=second_terminal.dupterm_notify
+    )
+    monkeypatch.setattr(escape, "os", replacement_os)
+    return second_terminal
 
 
 def escapes(*pieces: bytes, at_rest: bool = True) -> bool:
@@ -40,6 +48,7 @@ def escapes(*pieces: bytes, at_rest: bool = True) -> bool:
     escape.at_rest = lambda: at_rest
     try:
         for piece in pieces:
+            # the buffer is longer than the bytes received
             escape.listen(bytearray(piece) + bytearray(9), len(piece))
     except KeyboardInterrupt:
         assert closed == [True]
@@ -88,5 +97,6 @@ def test_escape_is_ignored_while_the_machine_moves(terminal: Dupterm) -> None:
 
 
 def test_the_prompt_reads_the_bytes_after_the_escape(terminal: Dupterm) -> None:
+    """The Ctrl-A itself is passed on: it switches the prompt to the raw REPL."""
     assert escapes(b"\r\x03\r\x01print(1)\r\x04")
     assert terminal.arrived == b"\x01print(1)\r\x04"

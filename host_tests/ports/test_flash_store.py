@@ -1,4 +1,8 @@
-"""The board's store on a real littlefs image, with a power cut at every write to flash."""
+"""The board's store on a real littlefs image, with a power cut at every write to flash.
+
+Flash.log lists the operations that changed the chip. cut(image, log, whole, torn) returns the chip
+as it is if power fails after `whole` complete operations and `torn` bytes of the next one. load()
+returns [] if the name was never saved, None if it is lost."""
 
 from __future__ import annotations
 
@@ -14,6 +18,7 @@ OLD, NEW = ["$0=10", "$110=500.5"], ["$0=3", "$110=1000", "$999=1"]
 
 
 def attach(monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False) -> FlashStore:
+    """Return a store on that chip. fresh: format the chip first."""
     files = Files(flash, fresh)
     monkeypatch.setattr(flash_store, "open", files.open, raising=False)
     monkeypatch.setattr(flash_store, "os", files)
@@ -23,12 +28,13 @@ def attach(monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False) -
 def test_saved_text_is_loaded_and_the_older_copy_is_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """If the newest file is cut short, the copy before it is loaded."""
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
     store.save("settings", NEW)
     assert store.load("settings") == NEW
     with flash_store.open(f"/{SAVED}/settings.txt", "wb") as file:  # type: ignore[attr-defined]
-        file.write(b"$0=")
+        file.write(b"$0=")  # cut short: no checksum
     assert store.load("settings") == OLD
 
 
@@ -39,7 +45,7 @@ def test_a_file_never_saved_differs_from_a_lost_file(
     assert store.load("settings") == []
     store.save("settings", OLD)
     with flash_store.open(f"/{SAVED}/settings.txt", "wb") as file:  # type: ignore[attr-defined]
-        file.write(b"$0=")
+        file.write(b"$0=")  # cut short: no checksum
     assert store.load("settings") is None
     assert store.load("startup") == []
 
@@ -52,51 +58,59 @@ def test_a_power_cut_in_the_first_write_leaves_a_new_board_or_the_settings(
     image = bytes(blank.buffer)
     chip = Flash(image)
     attach(monkeypatch, chip).save("settings", OLD)
-    found = []
-    for whole, (_, data) in enumerate([*chip.log, (0, b"")]):
+    loaded = []
+    for complete, (_, data) in enumerate([*chip.log, (0, b"")]):
+        # Cut the next operation after none, one, half, and all but one of its bytes.
         for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
-            left = Flash(cut(image, chip.log, whole, torn))
-            found.append(attach(monkeypatch, left).load("settings"))
-    assert [] in found and OLD in found
-    assert all(lines in ([], OLD) for lines in found)
+            chip_after_cut = Flash(cut(image, chip.log, complete, torn))
+            loaded.append(attach(monkeypatch, chip_after_cut).load("settings"))
+    assert [] in loaded and OLD in loaded
+    assert all(lines in ([], OLD) for lines in loaded)
 
 
 def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_text(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    first = Flash()
-    attach(monkeypatch, first, fresh=True).save("settings", OLD)
-    image = bytes(first.buffer)
+    chip_with_old = Flash()
+    attach(monkeypatch, chip_with_old, fresh=True).save("settings", OLD)
+    image = bytes(chip_with_old.buffer)
     chip = Flash(image)
     attach(monkeypatch, chip).save("settings", NEW)
-    found = set()
-    for whole, (_, data) in enumerate([*chip.log, (0, b"")]):
+    loaded = set()
+    for complete, (_, data) in enumerate([*chip.log, (0, b"")]):
+        # Cut the next operation after none, one, half, and all but one of its bytes.
         for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
-            left = Flash(cut(image, chip.log, whole, torn))
-            lines = attach(monkeypatch, left).load("settings")
-            assert lines in (OLD, NEW), f"after {whole} operations and {torn} bytes"
-            found.add(tuple(lines))
-    assert len(found) == 2, "cuts must fall on both sides of the change"
+            chip_after_cut = Flash(cut(image, chip.log, complete, torn))
+            lines = attach(monkeypatch, chip_after_cut).load("settings")
+            assert lines in (OLD, NEW), f"after {complete} operations and {torn} bytes"
+            loaded.add(tuple(lines))
+    assert len(loaded) == 2, "cuts must fall on both sides of the change"
 
 
 def test_a_second_power_cut_leaves_the_text_read_before_or_the_new_text(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A valid copy is never overwritten."""
-    first, third = Flash(), ["$0=5"]
-    attach(monkeypatch, first, fresh=True).save("settings", OLD)
-    chip = Flash(bytes(first.buffer))
+    """Power fails while NEW replaces OLD, and again while a third text is saved: a valid copy is
+    never overwritten."""
+    chip_with_old, third_text = Flash(), ["$0=5"]
+    attach(monkeypatch, chip_with_old, fresh=True).save("settings", OLD)
+    chip = Flash(bytes(chip_with_old.buffer))
     attach(monkeypatch, chip).save("settings", NEW)
-    for whole in range(len(chip.log) + 1):
-        image = cut(bytes(first.buffer), chip.log, whole, 0)
-        again = Flash(image)
-        store = attach(monkeypatch, again)
-        there = store.load("settings")
-        store.save("settings", third)
-        for later in range(len(again.log) + 1):
-            left = attach(monkeypatch, Flash(cut(image, again.log, later, 0)))
-            assert left.load("settings") in (there, third), (whole, later)
-            assert not left.damaged, "a power cut is not damage"
+    for complete in range(len(chip.log) + 1):
+        image = cut(bytes(chip_with_old.buffer), chip.log, complete, 0)
+        chip_after_cut = Flash(image)
+        store = attach(monkeypatch, chip_after_cut)
+        text_after_cut = store.load("settings")
+        store.save("settings", third_text)
+        for complete_later in range(len(chip_after_cut.log) + 1):
+            store_after_second_cut = attach(
+                monkeypatch, Flash(cut(image, chip_after_cut.log, complete_later, 0))
+            )
+            assert store_after_second_cut.load("settings") in (text_after_cut, third_text), (
+                complete,
+                complete_later,
+            )
+            assert not store_after_second_cut.damaged, "a power cut is not damage"
 
 
 class FullFile:
@@ -107,10 +121,11 @@ class FullFile:
         pass
 
     def write(self, _: bytes) -> int:
-        raise OSError(28)
+        raise OSError(28)  # ENOSPC
 
 
 def test_a_full_flash_is_reported_and_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every file opened for writing raises ENOSPC (28)."""
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
     working = flash_store.open  # type: ignore[attr-defined]
@@ -128,7 +143,8 @@ def test_a_full_flash_is_reported_and_loses_nothing(monkeypatch: pytest.MonkeyPa
 def test_full_memory_is_reported_like_full_flash(
     turn: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While a file is written, while it is read back, while the older one is read."""
+    """Opening file number `turn` of a save fails: the one written, the same read back, the older
+    one read. The error becomes ENOMEM (12), and the settings stay."""
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
     working = flash_store.open  # type: ignore[attr-defined]
@@ -150,11 +166,12 @@ def test_full_memory_is_reported_like_full_flash(
 def test_a_write_calls_both_hooks_even_if_it_fails(
     full: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """before() and after() enclose a save, not a load. full: the save fails."""
     attach(monkeypatch, Flash(), fresh=True)
-    told: list[str] = []
+    calls: list[str] = []
     store = FlashStore()
-    store.before, store.after = lambda: told.append("before"), lambda: told.append("after")
-    assert store.load("settings") == [] and told == []
+    store.before, store.after = lambda: calls.append("before"), lambda: calls.append("after")
+    assert store.load("settings") == [] and calls == []
     if full:
         monkeypatch.setattr(FullFile, "read", lambda _: b"", raising=False)
         monkeypatch.setattr(flash_store, "open", lambda *_: FullFile(), raising=False)
@@ -162,4 +179,4 @@ def test_a_write_calls_both_hooks_even_if_it_fails(
             store.save("settings", NEW)
     else:
         store.save("settings", NEW)
-    assert told == ["before", "after"]
+    assert calls == ["before", "after"]

@@ -29,20 +29,24 @@ pytestmark = [needs_micropython, pytest.mark.thorough]
 
 _SECONDS = float(os.environ.get("UGRBL_ATTACK", "6"))
 _ROOT = Path(__file__).parents[2]
-_PATIENCE_S = 120.0
-_EACH_S = 0.004
+_PATIENCE_S = 120.0  # for the machine to end
+_EACH_S = 0.004  # between two acts of an attacker
 _LONGEST_US = 1_000_000  # lwIP would wait up to ten seconds
-_LWIP_BYTES = 8000
+_LWIP_BYTES = 8000  # all memory that the board's network stack has for output
 _OPEN = 10  # sockets of each attacker
 _GREETED = b"for help]"
 
 
-def _reset(made: socket.socket) -> None:
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+def _reset(connection: socket.socket) -> None:
+    """Let close() reset the connection (TCP RST) instead of ending it."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
 
 
 class Attacker(threading.Thread):
-    """Connect from its own address, send its kind of data, read nothing, and disconnect."""
+    """Connect from its own address, send its kind of data, read nothing, and disconnect.
+
+    number: of the address, and seed; says: pieces of data, without end; acts: pieces sent so far;
+    over: set to end the thread."""
 
     def __init__(self, number: int, port: int, says: "Iterator[bytes]") -> None:
         super().__init__(daemon=True)
@@ -60,20 +64,22 @@ class Attacker(threading.Thread):
                 self._chance.choice(self._open).send(next(self._says))
                 self.acts += 1
             if len(self._open) >= _OPEN and self._chance.random() < 0.1:
-                gone = self._open.pop(self._chance.randrange(len(self._open)))
-                if self._chance.random() < 0.5:
-                    _reset(gone)
-                gone.close()
-        for made in self._open:
-            made.close()
+                closing = self._open.pop(self._chance.randrange(len(self._open)))
+                if self._chance.random() < 0.5:  # else an orderly end
+                    _reset(closing)
+                closing.close()
+        for connection in self._open:
+            connection.close()
 
     def _connect(self) -> None:
-        made = socket.socket()
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
-        made.bind((self._from, 0))
-        made.setblocking(False)
-        made.connect_ex(("127.0.0.1", self._port))
-        self._open.append(made)
+        """Connect without waiting: the board may accept it later or never."""
+        connection = socket.socket()
+        # bytes: soon full, as it reads nothing
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+        connection.bind((self._from, 0))
+        connection.setblocking(False)
+        connection.connect_ex(("127.0.0.1", self._port))
+        self._open.append(connection)
 
 
 def _bytes_of(data: bytes) -> "Iterator[bytes]":
@@ -129,8 +135,10 @@ _BY_HTTP: "tuple[Iterator[bytes], ...]" = (
 
 class Client(threading.Thread):
     """A client with the key: it polls reports, reconnects now and then, and holds the machine at
-    the
-    end."""
+    the end.
+
+    stop: set to hold the machine with the next report; over: set to end the thread. visits: its
+    connections that the machine answered; longest_s: longest time until a report came."""
 
     def __init__(self, port: int) -> None:
         super().__init__(daemon=True)
@@ -141,34 +149,42 @@ class Client(threading.Thread):
 
     def run(self) -> None:
         while not self.over.is_set():
-            with suppress(OSError), socket.create_connection(("127.0.0.1", self._port), 2) as made:
-                made.settimeout(2)
-                made.sendall(f"$NET/KEY={KEY}\n".encode())
-                self._visit(made)
+            with (
+                suppress(OSError),
+                socket.create_connection(("127.0.0.1", self._port), 2) as connection,
+            ):
+                connection.settimeout(2)
+                connection.sendall(f"$NET/KEY={KEY}\n".encode())
+                self._visit(connection)
 
-    def _visit(self, made: socket.socket) -> None:
-        if b"ok\r\n" not in self._until(made, b"ok\r\n"):
+    def _visit(self, connection: socket.socket) -> None:
+        """Poll 20 reports on a connection on which the key was sent; "!" is a feed hold."""
+        if b"ok\r\n" not in self._until(connection, b"ok\r\n"):
             return
         self.visits += 1
         for _ in range(20):
             if self.over.is_set():
                 return
-            begun = time.monotonic()
-            made.sendall(b"!?" if self.stop.is_set() else b"?")
-            if b">" not in self._until(made, b">"):
+            asked_at_s = time.monotonic()
+            connection.sendall(b"!?" if self.stop.is_set() else b"?")
+            if b">" not in self._until(connection, b">"):
                 return
             self.reports += 1
-            self.longest_s = max(self.longest_s, time.monotonic() - begun)
+            self.longest_s = max(self.longest_s, time.monotonic() - asked_at_s)
             time.sleep(0.05)
 
-    def _until(self, made: socket.socket, end: bytes) -> bytes:
-        heard = b""
-        while end not in heard and (data := made.recv(999)):
-            heard += data
-        return heard
+    def _until(self, connection: socket.socket, end: bytes) -> bytes:
+        """Return the bytes received until `end` is among them or the machine has closed."""
+        received = b""
+        while end not in received and (data := connection.recv(999)):
+            received += data
+        return received
 
 
 def _machine(ports: "list[int]", folder: Path, seconds: float) -> "subprocess.Popen[str]":
+    """Start attacked_machine.py, which runs jobs for some seconds and then one last job.
+
+    ports: TCP, HTTP; folder: gets the page that is served."""
     page_files.save(folder)
     firmware = str(placed_firmware())
     paths = [firmware, str(_ROOT), str(TOOLS), ".frozen"]
@@ -199,35 +215,44 @@ def _has_said_last(machine: "subprocess.Popen[str]") -> None:
 
 
 def _ended(machine: "subprocess.Popen[str]") -> "tuple[list[str], int, int, bool]":
+    """Wait for the machine's end; return the digest of each job's segments, the longest turn of
+    its network link in us, the most bytes that lwIP would have held, and whether a client has held
+    the last job."""
     try:
         out, _ = machine.communicate(timeout=_PATIENCE_S)
     finally:
         machine.kill()
     assert machine.returncode == 0, out
-    digests, longest_us, most, held = json.loads(out.splitlines()[-1])
-    print(f"{len(digests)} jobs, the longest turn {longest_us} us, {most} bytes held at the most")
-    return digests, longest_us, most, held
+    digests, longest_us, most_bytes, held = json.loads(out.splitlines()[-1])
+    print(
+        f"{len(digests)} jobs, the longest turn {longest_us} us,"
+        f" {most_bytes} bytes held at the most"
+    )
+    return digests, longest_us, most_bytes, held
 
 
 @pytest.mark.timeout(_SECONDS + 3 * _PATIENCE_S)
 def test_attacks_change_no_segment_and_a_client_with_the_key_stops_the_machine(
     tmp_path: Path,
 ) -> None:
-    usual = _quiet(tmp_path)
+    """All attackers of both ports act at once while a client with the key polls and finally
+    holds."""
+    expected_digests = _quiet(tmp_path)  # without attackers
     tcp, http = ports = [free_port(), free_port()]
     machine = _machine(ports, tmp_path, _SECONDS)
     client = Client(tcp)
     attackers = [
         Attacker(number, port, says)
         for port, kinds in ((tcp, _BY_TCP), (http, _BY_HTTP))
+        # each attacker has a number, and so an address, of its own
         for number, says in enumerate(kinds, 1 + (port == http) * len(_BY_TCP))
     ]
     client.start()
     for attacker in attackers:
         attacker.start()
     _has_said_last(machine)
-    client.stop.set()
-    digests, longest_us, most, held = _ended(machine)
+    client.stop.set()  # hold the last job
+    digests, longest_us, most_bytes, held = _ended(machine)
     for thread in (client, *attackers):
         thread.over.set()
     for thread in (client, *attackers):
@@ -236,10 +261,10 @@ def test_attacks_change_no_segment_and_a_client_with_the_key_stops_the_machine(
         f"{client.reports} reports, {client.visits} visits, {client.longest_s:.3f} s at the most"
     )
     print("acts:", [attacker.acts for attacker in attackers])
-    assert set(digests) == usual and digests
+    assert set(digests) == expected_digests and digests
     assert held, "the machine did not hear the client with the key"
-    assert longest_us < _LONGEST_US and most < _LWIP_BYTES
-    assert client.reports > 5 * client.visits > 0
+    assert longest_us < _LONGEST_US and most_bytes < _LWIP_BYTES
+    assert client.reports > 5 * client.visits > 0  # few connections are lost early
     assert all(attacker.acts > 10 for attacker in attackers)
 
 

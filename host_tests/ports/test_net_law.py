@@ -3,7 +3,12 @@
 All segments are the same, to the tick, whatever clients without the key do, and whatever clients
 with the key do that are not in control, except stops. Lines that a controlling client sent before
 its connection was lost are executed as if it were still there.
-"""
+
+The simulated machine counts time in ticks of its step timer; rig.ms(n) is the time n ms from now,
+and a script yields the time at which it is resumed. bench.rows: (start, segment) of each segment
+executed; the first number of a segment is its length in ticks. bench.call() connects a client by
+TCP, bench.visit() one by HTTP; both from this computer, which needs no key, unless an address is
+given."""
 
 import os
 import random
@@ -40,7 +45,7 @@ PROGRAM = [
     *(f"G1X-{0.2 * (i % 4):.2f}Z0.1" for i in range(40)),
     "M5",
 ]
-_WINDOW = 120
+_WINDOW = 120  # bytes sent and not yet answered, at the most
 _LATE_TICKS = 13_107  # one millisecond, a turn of the simulated loop
 _RUBBISH = (
     b"\xff\xfb\x18\xff\xfd\x03",
@@ -75,10 +80,10 @@ _STRANGERS = range(2, 9)  # last numbers of addresses
 
 class Storm:
     """Perform random acts of clients and page visitors without the key, at real sockets and in
-    memory,
-    and of one client with the key that stops nothing.
+    memory, and of one client with the key that stops nothing.
 
-    ports: TCP, HTTP."""
+    ports: TCP, HTTP. open: connections, real sockets or Pipes (in memory). Pipe.room: bytes that
+    it accepts from the machine before it is full."""
 
     def __init__(self, bench: NetBench, ports: "tuple[int, int]", seed: int) -> None:
         self.random = random.Random(seed)
@@ -90,39 +95,42 @@ class Storm:
         self.acts = 0
 
     def act(self) -> None:
+        """Perform one random act; some are more frequent."""
         self.acts += 1
         often = (self.connect, self.say, self.go, self.call, self.visit)
         self.random.choice((*often, self.connect, self.say, self.watch))()
 
     def connect(self) -> None:
         """Reconnect and never read: half-open, as far as the machine knows."""
-        made = socket.socket()
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
-        made.setblocking(False)
-        made.bind((f"127.0.0.{self.random.choice(_STRANGERS)}", 0))
+        connection = socket.socket()
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+        connection.setblocking(False)
+        connection.bind((f"127.0.0.{self.random.choice(_STRANGERS)}", 0))
         # Mostly TCP, so that HTTP is reached in time although many wait there.
         tcp, http = self.ports
-        made.connect_ex(("127.0.0.1", self.random.choice((tcp, tcp, tcp, http))))
-        self.add(made)
+        connection.connect_ex(("127.0.0.1", self.random.choice((tcp, tcp, tcp, http))))
+        self.add(connection)
 
-    def add(self, caller: Any) -> None:
-        self.open.append(caller)
+    def add(self, connection: Any) -> None:
+        """Keep at most 12 connections open."""
+        self.open.append(connection)
         if len(self.open) > 12:
             self.go()
 
     def call(self) -> None:
+        """Connect a client in memory that reads nothing, a little, or all."""
         if self.bench.door.waiting:  # else the clients at sockets would never be accepted
             self.go()
             return
         pipe = self.bench.call(f"10.0.0.{self.random.choice(_STRANGERS)}")
-        pipe.room = self.random.choice((0, 50, 5000))
+        pipe.room = self.random.choice((0, 50, 5000))  # bytes; it never reads more
         self.add(pipe)
 
     def watch(self) -> None:
         """Connect one client with the key; its place is never taken by another."""
         if self.watcher not in self.open and not self.bench.door.waiting:
             self.watcher = self.bench.call()
-            self.watcher.room = self.random.choice((50, 5000, 50_000))
+            self.watcher.room = self.random.choice((50, 5000, 50_000))  # bytes
             self.add(self.watcher)
 
     def visit(self) -> None:
@@ -137,29 +145,35 @@ class Storm:
         self.add(pipe)
 
     def say(self) -> None:
+        """Send rubbish or a browser's data on any connection; the one with the key sends no
+        stop."""
         if not self.open:
             return
-        caller = self.random.choice(self.open)
+        connection = self.random.choice(self.open)
         text = self.random.choice((*_RUBBISH, *_OF_BROWSERS))
-        if caller is self.watcher:
-            text = text.translate(None, _STOPS)
+        if connection is self.watcher:
+            text = text.translate(None, _STOPS)  # without these bytes
         try:
-            caller.send(text)
+            connection.send(text)
         except OSError:
-            self.open.remove(caller)
+            self.open.remove(connection)
 
     def go(self) -> None:
+        """Close a random connection: a reset, an orderly end, or neither (its client is just
+        lost)."""
         if not self.open:
             return
-        caller = self.open.pop(self.random.randrange(len(self.open)))
-        if isinstance(caller, Pipe):
+        connection = self.open.pop(self.random.randrange(len(self.open)))
+        if isinstance(connection, Pipe):
             # Memory of visitors that end in other ways stays reserved for ten seconds.
-            ways = ((1, 0),) if caller in self.visitors else ((1, 0), (0, 1), (0, 0))
-            caller.is_broken, caller.has_hung_up = self.random.choice(ways)
+            broken_or_hung_up = (
+                ((1, 0),) if connection in self.visitors else ((1, 0), (0, 1), (0, 0))
+            )
+            connection.is_broken, connection.has_hung_up = self.random.choice(broken_or_hung_up)
             return
         if self.random.random() < 0.5:  # a reset, not a normal end
-            caller.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-        caller.close()
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        connection.close()
 
     def end(self) -> None:
         for caller in self.open:
@@ -180,15 +194,17 @@ class Reloads:
         self._pipe.send(request("/"))
 
     def act(self) -> None:
+        """Continue as far as answers have arrived: request the next piece, open the websocket
+        after the last one, and begin again after its welcome."""
         head, _, body = bytes(self._pipe.got).partition(b"\r\n\r\n")
-        if head.startswith(b"HTTP/1.1 101 "):
+        if head.startswith(b"HTTP/1.1 101 "):  # the websocket is open
             self._pipe.has_hung_up = self._pipe.got.count(b"Grbl") > 0
             if self._pipe.is_closed:
                 self.loads += 1
                 self._begin()
         elif head and len(body) == int(head.partition(b"Length: ")[2].split(b"\r")[0]):
             self._next = self.bench.next(head, body)
-            if b"close" in head:
+            if b"close" in head:  # the last piece
                 self._pipe = self.bench.visit()
                 self._pipe.send(request("/ws", **WS_UPGRADE))
                 return
@@ -203,26 +219,32 @@ def stream(
     events: "dict[int, str]",
     program: "list[str]" = PROGRAM,
 ) -> Iterator[Any]:
-    """Stream with character counting; events: bytes by their ms. End when the program is done."""
-    left, sent = list(program), []
-    begun, done = bench.rig.now, 0
-    due = [(bench.rig.ms(ms), what) for ms, what in sorted(events.items())]
-    while left or sent or due:
+    """Stream the program with character counting, and end when it is done.
+
+    put: sends a text; answers: returns the number of ok and error answers so far. events: what
+    happens at that time, in ms from the start: the bytes to send, or "limit" for a closing limit
+    switch. A reset (\\x18) or the limit switch ends the stream."""
+    lines_left, lengths_sent = list(program), []
+    begun, answered = bench.rig.now, 0
+    due = [(bench.rig.ms(ms), event) for ms, event in sorted(events.items())]
+    while lines_left or lengths_sent or due:
         while due and due[0][0] <= bench.rig.now:
-            what = due.pop(0)[1]
-            if what == "limit":
+            event = due.pop(0)[1]
+            if event == "limit":
                 bench.rig.port.push({"limit_x": True})
                 return
-            put(what)
-            if what == "\x18":
+            put(event)
+            if event == "\x18":
                 return
         total = answers()
-        sent = sent[total - done :]
-        done = total
-        while left and sum(sent) + len(left[0]) + 1 <= _WINDOW:
-            line = left.pop(0) + "\n"
+        # those answered since the last turn are removed
+        lengths_sent = lengths_sent[total - answered :]
+        answered = total
+        # 1: the line end
+        while lines_left and sum(lengths_sent) + len(lines_left[0]) + 1 <= _WINDOW:
+            line = lines_left.pop(0) + "\n"
             put(line)
-            sent.append(len(line))
+            lengths_sent.append(len(line))
         assert bench.rig.now < begun + 60_000 * bench.rig.ticks_per_ms, "the program does not end"
         yield min(bench.rig.ms(1), due[0][0]) if due else bench.rig.ms(1)
 
@@ -236,14 +258,15 @@ def record(
     each_ms: int = 2,
     reloads: bool = False,
 ) -> "tuple[Any, ...]":
-    """Return all segments of the program, and the final state and motor positions.
+    """Return all segments of the program, with their start in ticks, and the final state and motor
+    positions.
 
-    seed: of the storm, None without a storm. by: the controlling client's connection. reloads:
-    load
-    the page all the time."""
-    real, visits, folder = HostCalls(), HostCalls(), TemporaryDirectory()
-    bench = PageBench(monkeypatch, Path(folder.name), FAST, real, visits)
-    storm = Storm(bench, (real.port, visits.port), seed or 0)
+    by: connection of the controlling client, "cable", "network" or "page". seed: of the storm,
+    None without a storm. each_ms: time between two acts of the storm. reloads: load the page all
+    the time."""
+    tcp_sockets, http_sockets, folder = HostCalls(), HostCalls(), TemporaryDirectory()
+    bench = PageBench(monkeypatch, Path(folder.name), FAST, tcp_sockets, http_sockets)
+    storm = Storm(bench, (tcp_sockets.port, http_sockets.port), seed or 0)
 
     def script(bench: NetBench) -> Iterator[Any]:
         bench.rig.port.push({"limit_x": False})
@@ -251,6 +274,7 @@ def record(
             driver = bench.call()
             yield from bench.until(lambda: b"Grbl" in driver.got)
             yield from bench.ask(driver, "G21\n")
+            # its bytes wake the simulated machine, as the cable's do
             bench.rig.link.driver = driver
             got = driver.got
             put, answers = driver.send, lambda: got.count(b"ok\r\n") + got.count(b"error:")
@@ -276,7 +300,7 @@ def record(
             def put(text: str) -> None:
                 bench.rig.link.cable.send(text.encode("latin-1"))
 
-        yield bench.rig.ms(100)
+        yield bench.rig.ms(100)  # all answers so far have arrived
         bench.rows.clear()
         begun = bench.rig.now
         running = stream(bench, put, answers, events)
@@ -287,8 +311,8 @@ def record(
             if seed is not None and int(bench.rig.now / bench.rig.ticks_per_ms) % each_ms == 0:
                 storm.act()
             yield wake
-        assert not pages or pages[0].loads > 1
-        for ms in range(3000):
+        assert not pages or pages[0].loads > 1  # at least two loads, or nothing was tested
+        for ms in range(3000):  # the rest of the motion, without lines
             if seed is not None and ms % each_ms == 0:
                 storm.act()
             if ms % 500 == 0:
@@ -310,27 +334,29 @@ def record(
     return rows, state
 
 
-def ended(found: "tuple[Any, ...]") -> int:
-    """Return the end of the last segment, or where it was cut short."""
-    start, row = found[0][-1]
+def ended(recorded: "tuple[Any, ...]") -> int:
+    """Return the end in ticks of the last segment that record() returned."""
+    start, row = recorded[0][-1]
     return int(start + row[0])
 
 
-def stretches(found: "tuple[Any, ...]") -> "tuple[Any, ...]":
-    """Remove the length of pauses between motions, as for M3.
+def stretches(recorded: "tuple[Any, ...]") -> "tuple[Any, ...]":
+    """Replace the start of each segment by whether it follows the one before without a pause.
 
-    After a pause, network data is read a turn of the main loop earlier or later."""
+    The length of a pause, as for M3, varies: after it, network data is read a turn of the main
+    loop earlier or later."""
     rows, end = [], 0
-    for start, row in found[0]:
+    for start, row in recorded[0]:
         rows.append((start == end, row))
         end = start + row[0]
-    return rows, found[1]
+    return rows, recorded[1]
 
 
 QUIET: "dict[Any, Any]" = {}
 
 
 def quiet(monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by: str) -> Any:
+    """Return what is recorded without a storm; the same call is recorded once."""
     key = (*events.items(), by)
     if key not in QUIET:
         QUIET[key] = record(monkeypatch, events, by=by, seed=None)
@@ -353,20 +379,22 @@ EVENTS = [
 def test_a_storm_of_clients_changes_no_segment(
     monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by: str, seed: int
 ) -> None:
-    usual = quiet(monkeypatch, events, by)
-    assert len(usual[0]) > 20
-    found = record(monkeypatch, events, by=by, seed=seed, each_ms=seed)
+    """The controlling client streams a program; in a storm its segments are those without one."""
+    expected = quiet(monkeypatch, events, by)
+    assert len(expected[0]) > 20
+    in_storm = record(monkeypatch, events, by=by, seed=seed, each_ms=seed)
     if "\x18" not in events.values():
         if by == "cable":  # each motion from rest begins in the same turn of the main loop
-            starts = zip(found[0], usual[0], strict=True)
+            starts = zip(in_storm[0], expected[0], strict=True)
             assert max(abs(one - other) for (one, _), (other, _) in starts) < _LATE_TICKS
-        assert stretches(found) == stretches(usual)
-        assert abs(ended(found) - ended(usual)) < 5 * _LATE_TICKS
+        assert stretches(in_storm) == stretches(expected)
+        assert abs(ended(in_storm) - ended(expected)) < 5 * _LATE_TICKS
         return
-    # The reset comes after lines on the wire; when those were sent depends on the sender.
-    cut = min(len(found[0]), len(usual[0])) - 2
-    assert cut > 100 and found[0][:cut] == usual[0][:cut]
-    assert abs(ended(found) - ended(usual)) < _LATE_TICKS
+    # The reset comes after lines on the wire; when those were sent depends on the sender. So the
+    # last two segments, which the reset cuts short, may differ.
+    cut = min(len(in_storm[0]), len(expected[0])) - 2
+    assert cut > 100 and in_storm[0][:cut] == expected[0][:cut]
+    assert abs(ended(in_storm) - ended(expected)) < _LATE_TICKS
 
 
 @pytest.mark.parametrize("by", ["cable", "network", "page"])
@@ -374,8 +402,8 @@ def test_a_storm_of_clients_changes_no_segment(
 def test_loading_pages_changes_no_segment(
     monkeypatch: pytest.MonkeyPatch, by: str, events: "dict[int, str]"
 ) -> None:
-    found = record(monkeypatch, events, by=by, seed=None, reloads=True)
-    assert stretches(found) == stretches(quiet(monkeypatch, events, by))
+    while_loading = record(monkeypatch, events, by=by, seed=None, reloads=True)
+    assert stretches(while_loading) == stretches(quiet(monkeypatch, events, by))
 
 
 @pytest.mark.sampled(2, 12)
@@ -384,9 +412,13 @@ def test_loading_pages_changes_no_segment(
 def test_all_complete_lines_of_a_lost_client_are_executed(
     monkeypatch: pytest.MonkeyPatch, lost_ms: int, how: str
 ) -> None:
-    """The same result as if the client had sent exactly the lines up to then."""
+    """The client is lost lost_ms after it began. The result is as if it had sent exactly the lines
+    up to then.
+
+    how: it is lost silently, by a reset, or by an orderly end."""
 
     def run(lost: bool) -> "tuple[Any, ...]":
+        """Return segments and motor steps. lost: else the client stays and sends no more."""
         bench = NetBench(monkeypatch, FAST)
 
         def script(bench: NetBench) -> Iterator[Any]:
@@ -407,7 +439,7 @@ def test_all_complete_lines_of_a_lost_client_are_executed(
                 driver.is_broken, driver.has_hung_up = how == "reset", how == "end"
             else:
                 yield bench.rig.ms(12)
-            yield bench.rig.ms(20_000)
+            yield bench.rig.ms(20_000)  # all motion has ended
             out.append(([(at - begun, row) for at, row in bench.rows], bench.steps()))
 
         out: list[Any] = []
@@ -420,7 +452,7 @@ def test_all_complete_lines_of_a_lost_client_are_executed(
 # The program from zero and back to it, so that each round has the same segments; the dwell is
 # answered after all motion.
 _ROUND = [*PROGRAM, "G90G1X0Y0Z0F3000", "G4P0.01"]
-_ACT_MS = 50
+_ACT_MS = 50  # between two acts of the storm
 
 
 @pytest.mark.thorough
@@ -428,9 +460,9 @@ _ACT_MS = 50
 def test_a_soak_of_clients_changes_no_segment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rounds of one program for UGRBL_SOAK_HOURS of the machine's time, or for a minute."""
     limit_ms = float(os.environ.get("UGRBL_SOAK_HOURS", "0")) * 3_600_000 or 60_000
-    real, visits, folder = HostCalls(), HostCalls(), TemporaryDirectory()
-    bench = PageBench(monkeypatch, Path(folder.name), FAST, real, visits)
-    storm = Storm(bench, (real.port, visits.port), 1)
+    tcp_sockets, http_sockets, folder = HostCalls(), HostCalls(), TemporaryDirectory()
+    bench = PageBench(monkeypatch, Path(folder.name), FAST, tcp_sockets, http_sockets)
+    storm = Storm(bench, (tcp_sockets.port, http_sockets.port), 1)
     rounds = 0
 
     def script(bench: NetBench) -> Iterator[Any]:
@@ -450,13 +482,14 @@ def test_a_soak_of_clients_changes_no_segment(monkeypatch: pytest.MonkeyPatch) -
             bench.rows.clear()
             heard.clear()
             for wake in stream(bench, put, answers, {}, _ROUND):
+                # the first two rounds are without clients
                 if rounds > 1 and int(bench.rig.now / bench.rig.ticks_per_ms) % _ACT_MS == 0:
                     storm.act()
                 yield wake
-            found = stretches((bench.rows, bench.steps()))
+            this_round = stretches((bench.rows, bench.steps()))
             if rounds == 1:  # rows of the first round lack old times of axes at rest
-                quiet_round = found
-            assert rounds < 2 or found == quiet_round, f"round {rounds}"
+                quiet_round = this_round
+            assert rounds < 2 or this_round == quiet_round, f"round {rounds}"
             rounds += 1
 
     bench.run(script)

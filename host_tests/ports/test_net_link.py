@@ -1,5 +1,13 @@
 """The network link: which client controls, which only reads, what each receives, which is
-dropped."""
+dropped.
+
+A script is a generator that runs at a simulated machine; wait() and until() take ms of its time.
+bench.call(address) connects a client; without an address it is this computer, which needs no key.
+joined(bench) does that and waits for the welcome, connected(bench, pipe) waits for it. ask() sends
+a line and returns its answers; take() returns the text received since the last call.
+bench.sender is at the cable. bench.steps(): motor steps, 250 per mm. bench.rows: the segments
+executed. A client with the key that sends a command has control; after 5 s without commands, while
+the machine is idle, another may take it."""
 
 from types import ModuleType
 
@@ -26,7 +34,7 @@ def test_a_client_is_welcomed_and_takes_control_with_its_first_line(bench) -> No
         assert bench.sender.take() == []  # the cable's sender has asked nothing
 
     bench.run(script)
-    assert bench.steps() == [500, 0, 0]
+    assert bench.steps() == [500, 0, 0]  # X2
 
 
 def test_the_cable_sender_gets_its_answers_while_clients_are_connected(bench) -> None:
@@ -45,14 +53,14 @@ def test_the_cable_sender_gets_its_answers_while_clients_are_connected(bench) ->
 
 def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
     def script(bench):
-        one, two = bench.call(), bench.call()
-        yield from connected(bench, one)
-        yield from connected(bench, two)
-        two.send("?")
-        yield from bench.until(lambda: two.got.count(b"<") == 1)
+        silent, asking = bench.call(), bench.call()
+        yield from connected(bench, silent)
+        yield from connected(bench, asking)
+        asking.send("?")
+        yield from bench.until(lambda: asking.got.count(b"<") == 1)
         yield from bench.wait(50)
-        assert one.take() == "" and bench.sender.take() == []
-        assert two.take().startswith("<Idle|")
+        assert silent.take() == "" and bench.sender.take() == []
+        assert asking.take().startswith("<Idle|")
 
     bench.run(script)
 
@@ -60,14 +68,14 @@ def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
 @pytest.mark.parametrize("line", ["$G\n", "$#\n", "$I\n", "$N\n", "$$\n"])
 def test_an_answer_goes_only_to_the_client_that_asked(bench, line: str) -> None:
     def script(bench):
-        one = yield from joined(bench)
-        two = bench.call()
-        yield from connected(bench, two)
-        one.take()
-        assert len((yield from bench.ask(one, line))) > len("ok\r\n")
-        assert two.take() == "" and bench.sender.take() == []
-        yield from bench.ask(one, "M30\n")
-        assert two.take() == "[MSG:Pgm End]\r\n"
+        asking = yield from joined(bench)
+        silent = bench.call()
+        yield from connected(bench, silent)
+        asking.take()
+        assert len((yield from bench.ask(asking, line))) > len("ok\r\n")
+        assert silent.take() == "" and bench.sender.take() == []
+        yield from bench.ask(asking, "M30\n")  # ends a program; its message goes to all
+        assert silent.take() == "[MSG:Pgm End]\r\n"
 
     bench.run(script)
 
@@ -80,9 +88,9 @@ def test_without_the_key_no_command_is_executed(bench, line: str) -> None:
         before = list(bench.store.files["settings"])
         answer = yield from bench.ask(pipe, line)
         assert answer.startswith("[MSG:Read only: ") and answer.endswith("error:9\r\n")
-        pipe.send("!\x18~\x84\x90")
+        pipe.send("!\x18~\x84\x90")  # hold, reset, start, door, feed override 100 %
         yield from bench.wait(100)
-        assert bench.rig.controller.state.run == 0
+        assert bench.rig.controller.state.run == 0  # idle: no hold, no door
         assert bench.store.files["settings"] == before
 
     bench.run(script)
@@ -97,7 +105,7 @@ def test_without_the_key_a_sender_completes_its_start_queries(bench) -> None:
         for line in ("\n", "$I\n", "$$\n", "$G\n", "$#\n", "$N\n", "$\n"):
             answers[line] = yield from bench.ask(pipe, line)
             assert answers[line].endswith("ok\r\n"), (line, answers[line])
-        assert answers["$$\n"].count("$") == 34
+        assert answers["$$\n"].count("$") == 34  # the number of Grbl's settings
         assert "[VER:1.1h" in answers["$I\n"]
 
     bench.run(script)
@@ -110,15 +118,15 @@ def test_with_the_key_commands_are_executed_and_each_connection_must_send_it(ben
         assert (yield from bench.ask(pipe, f"$net/key={KEY.lower()}\n")) == "ok\r\n"
         assert (yield from bench.ask(pipe, "G1X1F600\n")) == "ok\r\n"
         pipe.has_hung_up = True
-        again = bench.call("10.0.0.1")
-        yield from connected(bench, again)
-        assert (yield from bench.ask(again, "G1X2\n")).endswith("error:9\r\n")
-        assert (yield from bench.ask(again, f"$NET/KEY={KEY}\n")) == "ok\r\n"
-        assert (yield from bench.ask(again, "G1X2\n")) == "ok\r\n"
+        second_connection = bench.call("10.0.0.1")
+        yield from connected(bench, second_connection)
+        assert (yield from bench.ask(second_connection, "G1X2\n")).endswith("error:9\r\n")
+        assert (yield from bench.ask(second_connection, f"$NET/KEY={KEY}\n")) == "ok\r\n"
+        assert (yield from bench.ask(second_connection, "G1X2\n")) == "ok\r\n"
         yield from bench.wait(2000)
 
     bench.run(script)
-    assert bench.steps() == [500, 0, 0]
+    assert bench.steps() == [500, 0, 0]  # X2
 
 
 def test_a_machine_without_a_key_trusts_no_client(bench) -> None:
@@ -132,6 +140,8 @@ def test_a_machine_without_a_key_trusts_no_client(bench) -> None:
 
 
 def test_lines_of_two_clients_are_never_mixed(bench) -> None:
+    """While one client controls, lines of another and of the cable are refused."""
+
     def script(bench):
         one, two = bench.call(), bench.call()
         yield from connected(bench, one)
@@ -145,27 +155,27 @@ def test_lines_of_two_clients_are_never_mixed(bench) -> None:
         yield from bench.wait(3000)
 
     bench.run(script)
-    assert bench.steps() == [1250, 0, 0]
+    assert bench.steps() == [1250, 0, 0]  # only X5
 
 
 def test_another_client_may_take_control_if_the_first_is_silent_and_the_machine_idle(
     bench,
 ) -> None:
     def script(bench):
-        one, two = bench.call(), bench.call()
-        yield from connected(bench, one)
-        yield from connected(bench, two)
-        assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
+        first, second = bench.call(), bench.call()
+        yield from connected(bench, first)
+        yield from connected(bench, second)
+        assert (yield from bench.ask(first, "G1X1F600\n")) == "ok\r\n"
         for _ in range(6):
-            one.send("?")  # a status request is not a line
+            first.send("?")  # a status request is not a line
             yield from bench.wait(1000)
-        one.take()
-        assert (yield from bench.ask(two, "G1X2\n")) == "ok\r\n"
-        assert "[MSG:Somebody else drives]" in one.take()
+        first.take()
+        assert (yield from bench.ask(second, "G1X2\n")) == "ok\r\n"
+        assert "[MSG:Somebody else drives]" in first.take()
         yield from bench.wait(1000)
 
     bench.run(script)
-    assert bench.steps() == [500, 0, 0]
+    assert bench.steps() == [500, 0, 0]  # X2
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84", "\x85"])
@@ -173,23 +183,26 @@ def test_another_client_may_take_control_if_the_first_is_silent_and_the_machine_
 def test_stops_act_from_any_trusted_client_during_anothers_control(
     bench, byte: str, by: str
 ) -> None:
+    """byte: feed hold, reset, door, jog cancel (\\x85 acts on jogs only). by: who sends it, the
+    cable or another client with the key. A client without the key (stranger) stops nothing."""
+
     def script(bench):
         stranger = bench.call("10.0.0.1")
         yield from connected(bench, stranger)
         yield from bench.ask(stranger, "$$\n")  # reading does not give it control
-        pipe, other = (yield from joined(bench)), (yield from joined(bench))
+        controlling, other_trusted = (yield from joined(bench)), (yield from joined(bench))
         line = "$J=G91X50F300\n" if byte == "\x85" else "G1X50F300\n"
-        assert (yield from bench.ask(pipe, line)) == "ok\r\n"
+        assert (yield from bench.ask(controlling, line)) == "ok\r\n"
         yield from bench.wait(500)
         stranger.send(byte + "~")
         yield from bench.wait(500)
         assert bench.rig.moving()
-        (bench.rig.link.cable if by == "cable" else other).send(byte.encode("latin-1"))
+        (bench.rig.link.cable if by == "cable" else other_trusted).send(byte.encode("latin-1"))
         yield from bench.wait(1500)
         assert not bench.rig.moving()
 
     bench.run(script)
-    assert 0 < bench.steps()[0] < 12500
+    assert 0 < bench.steps()[0] < 12500  # 250 steps/mm * 50 mm would be the end of the move
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84"])
@@ -197,42 +210,44 @@ def test_stops_act_while_another_client_floods_its_connection(bench, byte: str) 
     """The flooding client is the one in control."""
 
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
-        assert (yield from bench.ask(one, "G1X50F300\n")) == "ok\r\n"
-        one.send("?" * 100_000)
-        two.send(byte)
+        flooding, stopping = (yield from joined(bench)), (yield from joined(bench))
+        assert (yield from bench.ask(flooding, "G1X50F300\n")) == "ok\r\n"
+        flooding.send("?" * 100_000)
+        stopping.send(byte)
         yield from bench.wait(1000)
         assert not bench.rig.moving()
-        one.is_broken = True
+        flooding.is_broken = True  # the connection is reset: the flood ends
 
     bench.run(script)
 
 
 def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
+    """Neither while nobody is in control, nor after the controlling client was silent."""
+
     def script(bench):
         stranger = bench.call("10.0.0.1")
         yield from connected(bench, stranger)
         for _ in range(3):
             assert (yield from bench.ask(stranger, "$G\n")).endswith("ok\r\n")
             assert bench.rig.link.control.driver is None
-        one = yield from joined(bench)
-        assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
+        controlling = yield from joined(bench)
+        assert (yield from bench.ask(controlling, "G1X1F600\n")) == "ok\r\n"
         yield from bench.wait(7000)  # idle, and silent
         assert (yield from bench.ask(stranger, "$G\n")).endswith("error:9\r\n")
-        assert "Somebody else" not in one.take()
+        assert "Somebody else" not in controlling.take()
 
     bench.run(script)
 
 
 def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
     def script(bench):
-        one = yield from joined(bench)
-        assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
-        one.send("G1X2\nG1X9")
+        closed = yield from joined(bench)
+        assert (yield from bench.ask(closed, "G1X1F600\n")) == "ok\r\n"
+        closed.send("G1X2\nG1X9")
         yield from bench.wait(30)
-        one.has_hung_up = True
-        two = yield from joined(bench)
-        assert (yield from bench.ask(two, "Y1\n")) == "ok\r\n"
+        closed.has_hung_up = True
+        next_client = yield from joined(bench)
+        assert (yield from bench.ask(next_client, "Y1\n")) == "ok\r\n"
         yield from bench.wait(3000)
 
     bench.run(script)
@@ -241,52 +256,53 @@ def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
 
 def test_answers_to_a_closed_connection_go_to_no_other_client(bench) -> None:
     def script(bench):
-        one = yield from joined(bench)
-        one.send("G4P2\nG1X1F600\nG1X2\n")
+        closed = yield from joined(bench)
+        closed.send("G4P2\nG1X1F600\nG1X2\n")  # a dwell of 2 s: no answer before it closes
         yield from bench.wait(100)
-        one.has_hung_up = True
+        closed.has_hung_up = True
         yield from bench.wait(50)
-        two = yield from joined(bench)
-        two.send("G1X3\nG1X4\n?")
-        yield from bench.until(lambda: b"<" in two.got)  # at once
+        next_client = yield from joined(bench)
+        next_client.send("G1X3\nG1X4\n?")
+        yield from bench.until(lambda: b"<" in next_client.got)  # the report comes at once
         yield from bench.wait(4000)
-        assert two.take().count("ok\r\n") == 2
+        assert next_client.take().count("ok\r\n") == 2  # of its own two lines only
 
     bench.run(script)
-    assert bench.steps() == [1000, 0, 0]
+    assert bench.steps() == [1000, 0, 0]  # X4: the lines of both are executed
 
 
 def test_a_jog_ends_when_its_client_disconnects_and_a_program_continues(bench) -> None:
     def script(bench):
-        one = yield from joined(bench)
-        assert (yield from bench.ask(one, "$J=G91X50F300\n")) == "ok\r\n"
+        jogging = yield from joined(bench)
+        assert (yield from bench.ask(jogging, "$J=G91X50F300\n")) == "ok\r\n"
         yield from bench.wait(500)
-        one.is_broken = True
+        jogging.is_broken = True
         yield from bench.wait(1500)
         assert not bench.rig.moving()
-        stopped = bench.steps()[0]
-        assert 0 < stopped < 5000
-        two = yield from joined(bench)
-        assert (yield from bench.ask(two, "G91G1X4F600\n")) == "ok\r\n"
-        two.is_broken = True
+        steps_at_stop = bench.steps()[0]
+        assert 0 < steps_at_stop < 5000  # 12500 would be the whole jog of 50 mm
+        programming = yield from joined(bench)
+        assert (yield from bench.ask(programming, "G91G1X4F600\n")) == "ok\r\n"
+        programming.is_broken = True
         yield from bench.wait(3000)
-        assert bench.steps()[0] == stopped + 1000
+        assert bench.steps()[0] == steps_at_stop + 1000  # 250 steps/mm * 4 mm, all of the program
 
     bench.run(script)
 
 
 def test_jogs_that_wait_end_with_their_client(bench) -> None:
-    """The planner is full of them, one waits for space there, and more in the receive buffer."""
+    """25 jogs fill the planner, one waits for space there, and more are in the receive buffer."""
 
     def script(bench):
-        one = yield from joined(bench)
-        one.send("$J=G91X5F600\n" * 25)
+        jogging = yield from joined(bench)
+        jogging.send("$J=G91X5F600\n" * 25)
         yield from bench.wait(1000)
-        one.is_broken = True
+        jogging.is_broken = True
         yield from bench.wait(1500)
-        stopped = bench.steps()
+        steps_at_stop = bench.steps()
         yield from bench.wait(3000)
-        assert bench.steps() == stopped and 1000 < stopped[0] < 5000
+        # at F600 about 2500 steps/s
+        assert bench.steps() == steps_at_stop and 1000 < steps_at_stop[0] < 5000
 
     bench.run(script)
 
@@ -301,24 +317,27 @@ def with_job(monkeypatch, tmp_path):
     return NetBench(monkeypatch, {110: 3000, 111: 3000, 120: 500, 121: 500}, board=board)
 
 
-_JOB_STEPS = [57 * 25, 57 * 50, 0]
+_JOB_STEPS = [57 * 25, 57 * 50, 0]  # 57 moves of 0.1 and 0.2 mm
 
 
 @pytest.mark.parametrize("lost_ms", range(100, 2300, 157))
-@pytest.mark.parametrize("half", ["", "G1X9"])
+@pytest.mark.parametrize("partial_line", ["", "G1X9"])
 def test_lines_of_a_job_are_executed_whole_whoever_comes_and_goes(
-    with_job, lost_ms: int, half: str
+    with_job, lost_ms: int, partial_line: str
 ) -> None:
+    """The client that started a job ($F=) is lost lost_ms later, after a part of a line, while
+    a client without the key connects and leaves."""
+
     def script(bench):
-        one = yield from joined(bench)
-        assert (yield from bench.ask(one, "$F=A.NC\n")).startswith("ok")
+        starter = yield from joined(bench)
+        assert (yield from bench.ask(starter, "$F=A.NC\n")).startswith("ok")
         yield from bench.wait(lost_ms)
-        one.send(half)
+        starter.send(partial_line)
         stranger = bench.call("10.0.0.66")
         yield from bench.wait(20)
         stranger.send("$G\n")
         yield from bench.wait(20)
-        one.is_broken = stranger.has_hung_up = True
+        starter.is_broken = stranger.has_hung_up = True
         yield from bench.wait(6000)
 
     with_job.run(script)
@@ -327,41 +346,46 @@ def test_lines_of_a_job_are_executed_whole_whoever_comes_and_goes(
 
 def test_line_of_a_client_that_takes_control_during_a_job_is_refused(with_job) -> None:
     def script(bench):
-        one = yield from joined(bench)
-        assert (yield from bench.ask(one, "$F=A.NC\n")).startswith("ok")
+        starter = yield from joined(bench)
+        assert (yield from bench.ask(starter, "$F=A.NC\n")).startswith("ok")
         yield from bench.wait(1500)  # in the dwell
-        one.has_hung_up = True
+        starter.has_hung_up = True
         yield from bench.wait(100)
-        two = yield from joined(bench)
-        two.send("G1X20F3000\n")
+        next_client = yield from joined(bench)
+        next_client.send("G1X20F3000\n")
         yield from bench.wait(6000)
-        assert "error:9\r\n" in two.take()
+        assert "error:9\r\n" in next_client.take()
 
     with_job.run(script)
     assert with_job.steps() == _JOB_STEPS
 
 
 def test_a_reconnected_client_can_resume_a_moving_machine(bench) -> None:
+    """A new connection may hold ("!") at once, but resume ("~") only once the controlling one
+    has been silent for 3 s."""
+
     def script(bench):
-        one = yield from joined(bench)
-        assert (yield from bench.ask(one, "G1X5F600\n")) == "ok\r\n"
+        first_connection = yield from joined(bench)
+        assert (yield from bench.ask(first_connection, "G1X5F600\n")) == "ok\r\n"
         yield from bench.wait(100)
         # Wi-Fi is lost: no bytes come, and the machine is not notified.
-        two = yield from joined(bench)
-        two.send("!")
+        second_connection = yield from joined(bench)
+        second_connection.send("!")
         yield from bench.wait(100)
-        two.send("~")
+        second_connection.send("~")
         yield from bench.wait(100)
-        assert bench.rig.controller.state.run == 16  # the first client may still be there
+        assert bench.rig.controller.state.run == 16  # HOLD: the first client may be there
         yield from bench.wait(3000)
-        two.send("~")
+        second_connection.send("~")
         yield from bench.wait(2000)
 
     bench.run(script)
-    assert bench.steps() == [1250, 0, 0]
+    assert bench.steps() == [1250, 0, 0]  # X5, all of the move
 
 
 def test_a_client_that_does_not_read_is_dropped_without_blocking_others(bench) -> None:
+    """Its connection takes 100 bytes of output, as if the client never read."""
+
     def script(bench):
         pipe = yield from joined(bench)
         pipe.room = 100
@@ -370,13 +394,15 @@ def test_a_client_that_does_not_read_is_dropped_without_blocking_others(bench) -
             pipe.send("$$\n")
             yield from bench.wait(10)
         yield from bench.until(lambda: pipe.is_closed, 5000)
-        assert bench.rig.now - before < bench.rig.ticks_per_ms * 3000
+        assert bench.rig.now - before < bench.rig.ticks_per_ms * 3000  # dropped within 3 s
         yield from bench.sender.wait("ok", "\n")
 
     bench.run(script)
 
 
 def test_output_to_a_silent_client_stays_within_memory(bench) -> None:
+    """A client that sends nothing does not prove that it has read; the output to it is limited."""
+
     def script(bench):
         pipe = yield from joined(bench)
         for _ in range(100):
@@ -392,6 +418,7 @@ def test_random_bytes_without_the_key_do_nothing(bench) -> None:
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
         pipe.send(bytes(range(256)) * 40)
+        # telnet options, and a line much too long
         pipe.send(b"\xff\xfb\x18\xff\xfd\x03" * 50 + b"G" * 5000 + b"\n")
         yield from bench.wait(3000)
         assert bench.rig.controller.state.run == 0
@@ -409,6 +436,8 @@ def test_ctrl_c_over_the_network_never_leads_to_the_prompt(bench) -> None:
 
 
 def test_the_cable_is_read_directly_after_the_last_client_has_gone(bench) -> None:
+    """_is_plain: there is no client, so the bytes of the cable need no check of who controls."""
+
     def script(bench):
         link = bench.rig.link
         assert link._is_plain
@@ -426,18 +455,19 @@ def test_the_cable_is_read_directly_after_the_last_client_has_gone(bench) -> Non
 
 def test_only_the_cable_is_greeted_when_its_port_is_opened(bench) -> None:
     """The cable's own link reports the opening and asks for the welcome
-    (ports/usb/usb_link.py)."""
+    (ports/usb/usb_link.py). Here the next read of the cable does that, by the callback that
+    attach() was passed."""
 
     def script(bench):
         pipe = yield from joined(bench)
         machine, link = bench.rig.controller, bench.rig.link
         NetLink.attach(link, machine.at_rest, machine.welcome)
-        usual = link._read_cable
+        read_cable = link._read_cable
 
         def read(buf: bytearray) -> int:
-            link._read_cable = usual
-            link.cable.attached[1]()
-            return usual(buf)
+            link._read_cable = read_cable
+            link.cable.attached[1]()  # the callback that asks for the welcome
+            return read_cable(buf)
 
         link._read_cable = read
         yield from bench.wait(50)
@@ -450,37 +480,39 @@ def test_only_the_cable_is_greeted_when_its_port_is_opened(bench) -> None:
 
 def test_a_client_dropped_in_the_middle_of_its_lines_loses_control(bench) -> None:
     def script(bench):
-        one, two = bench.call(), bench.call()
-        yield from connected(bench, one)
-        yield from connected(bench, two)
-        assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
+        first, dropped = bench.call(), bench.call()
+        yield from connected(bench, first)
+        yield from connected(bench, dropped)
+        assert (yield from bench.ask(first, "G1X1F600\n")) == "ok\r\n"
         for _ in range(6):
-            one.send("?")  # no line: another client may take control
+            first.send("?")  # no line: another client may take control
             yield from bench.wait(1000)
-        two.room = 0
-        two.send("$NETKEY=\n" * 17 + "M9\n")  # refused, as long as there is space for answers
-        yield from bench.until(lambda: two.is_closed)
-        assert (yield from bench.ask(one, "G1X2\n")) == "ok\r\n"
+        dropped.room = 0  # it accepts no output
+        dropped.send("$NETKEY=\n" * 17 + "M9\n")  # refused, as long as there is space for answers
+        yield from bench.until(lambda: dropped.is_closed)
+        assert (yield from bench.ask(first, "G1X2\n")) == "ok\r\n"
 
     bench.run(script)
 
 
 def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -> None:
     def script(bench):
-        one = yield from joined(bench)
-        one.send("G4P1.5\n")
+        last_client = yield from joined(bench)
+        last_client.send("G4P1.5\n")  # a dwell of 1.5 s
         yield from bench.wait(100)
-        one.has_hung_up = True
-        two = yield from joined(bench)
-        two.send("G91\n" + "G1X0.1F600\n" * 11)  # 125 bytes, as with character counting
+        last_client.has_hung_up = True
+        new_client = yield from joined(bench)
+        new_client.send("G91\n" + "G1X0.1F600\n" * 11)  # 125 bytes, as with character counting
         yield from bench.wait(5000)
-        assert two.take().count("ok\r\n") == 12
+        assert new_client.take().count("ok\r\n") == 12  # G91 and 11 moves
 
     bench.run(script)
-    assert bench.steps() == [275, 0, 0]
+    assert bench.steps() == [275, 0, 0]  # 250 steps/mm * 11 * 0.1 mm
 
 
 def test_a_line_begun_at_the_cable_is_not_broken_by_a_connection(bench) -> None:
+    """ "G91 " and the rest that comes later are one line: the move is relative."""
+
     def script(bench):
         bench.rig.link.cable.send(b"G91 ")
         yield from bench.wait(6000)  # control is free for a sender that is silent so long
@@ -495,12 +527,15 @@ def test_a_line_begun_at_the_cable_is_not_broken_by_a_connection(bench) -> None:
 
 
 def test_network_settings_of_a_client_that_hung_up_are_not_the_cables(bench) -> None:
+    """A command for a new key waits after a dwell when its client leaves. It is not executed as
+    a line of the cable, which alone may set the key."""
+
     def script(bench):
-        one = yield from joined(bench)
-        yield from bench.ask(one, f"$NET/KEY={KEY}\n")
-        one.send("G4P1\n$NET/KEY=NEW\n")
+        closed = yield from joined(bench)
+        yield from bench.ask(closed, f"$NET/KEY={KEY}\n")
+        closed.send("G4P1\n$NET/KEY=NEW\n")
         yield from bench.wait(200)
-        one.has_hung_up = True
+        closed.has_hung_up = True
         yield from bench.wait(200)
         bench.rig.link.cable.send(b"G0X1\n")
         yield from bench.wait(3000)
@@ -510,13 +545,15 @@ def test_network_settings_of_a_client_that_hung_up_are_not_the_cables(bench) -> 
 
 
 def test_a_long_answer_arrives_complete(bench) -> None:
+    """The settings three times, more than is queued at once."""
+
     def script(bench):
         pipe = yield from joined(bench)
         machine = bench.rig.controller
-        usual = machine.commands.show_settings
-        machine.commands.show_settings = lambda: [usual() for _ in range(3)]
+        show_once = machine.commands.show_settings
+        machine.commands.show_settings = lambda: [show_once() for _ in range(3)]
         answer = yield from bench.ask(pipe, "$$\n")
-        assert answer.count("$") == 3 * 34 and answer.endswith("ok\r\n")
+        assert answer.count("$") == 3 * 34 and answer.endswith("ok\r\n")  # 34 settings
         assert not pipe.is_closed
 
     bench.run(script)
@@ -524,35 +561,35 @@ def test_a_long_answer_arrives_complete(bench) -> None:
 
 def silent_owner_and_other(bench, sends=""):
     """Return a client in control that is silent for 6 s after `sends`, and another client."""
-    one, two = (yield from joined(bench)), (yield from joined(bench))
-    yield from bench.ask(one, "G91G1X1F60000\n")
-    one.send(sends)
+    owner, other = (yield from joined(bench)), (yield from joined(bench))
+    yield from bench.ask(owner, "G91G1X1F60000\n")
+    owner.send(sends)
     yield from bench.wait(6000)
-    return one, two
+    return owner, other
 
 
 def test_a_polling_client_neither_takes_nor_loses_control(bench) -> None:
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
+        owner, polling = (yield from joined(bench)), (yield from joined(bench))
         for k in range(4):
-            assert (yield from bench.ask(one, f"G91G1X{k + 1}F60000\n")) == "ok\r\n"
-            yield from bench.wait(6000)
+            assert (yield from bench.ask(owner, f"G91G1X{k + 1}F60000\n")) == "ok\r\n"
+            yield from bench.wait(6000)  # the owner is silent so long that control is free
             for line in ("$G\n", "$#\n", "$$\n", "$G\n$G\n"):
-                heard = yield from bench.ask(two, line)
-                assert "error" not in heard and heard.count("ok\r\n") == line.count("\n")
-            assert one.take() == ""
+                answers = yield from bench.ask(polling, line)
+                assert "error" not in answers and answers.count("ok\r\n") == line.count("\n")
+            assert owner.take() == ""
         # The polling client executed nothing: it does not own the machine.
-        assert bench.rig.link.control.owner.conn is one
+        assert bench.rig.link.control.owner.conn is owner
 
     bench.run(script)
 
 
 def test_a_command_after_a_query_takes_control_and_loses_no_answer(bench) -> None:
     def script(bench):
-        one, two = yield from silent_owner_and_other(bench)
-        two.send("$G\nG91G1X1\n")
-        yield from bench.until(lambda: two.got.count(b"ok\r\n") == 2)
-        assert "[GC:" in two.take() and "Somebody else" in one.take()
+        owner, other = yield from silent_owner_and_other(bench)
+        other.send("$G\nG91G1X1\n")
+        yield from bench.until(lambda: other.got.count(b"ok\r\n") == 2)
+        assert "[GC:" in other.take() and "Somebody else" in owner.take()
 
     bench.run(script)
 
@@ -561,61 +598,66 @@ def test_lines_of_the_controlling_client_wait_while_another_reads(bench) -> None
     """At any delay: all lines are executed, and answered to the client that sent them."""
 
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
+        owner, reading = (yield from joined(bench)), (yield from joined(bench))
         for delay_ms in range(0, 60, 4):
-            yield from bench.ask(one, "G91G1X1F60000\n")
-            yield from bench.wait(6000)
-            one.take(), two.take()
-            two.send("$$\n$G\n")
+            yield from bench.ask(owner, "G91G1X1F60000\n")
+            yield from bench.wait(6000)  # the owner is silent so long that control is free
+            owner.take(), reading.take()
+            reading.send("$$\n$G\n")
             yield from bench.wait(delay_ms / 4)
-            one.send("G91G1X1F60000\n" * 3)
-            yield from bench.until(lambda: one.got.count(b"ok\r\n") == 3)
+            owner.send("G91G1X1F60000\n" * 3)
+            yield from bench.until(lambda: owner.got.count(b"ok\r\n") == 3)
             yield from bench.wait(200)
-            assert one.take() == "ok\r\n" * 3
-            heard = two.take()
-            assert heard.count("ok\r\n") + heard.count("error:9") == 2
+            assert owner.take() == "ok\r\n" * 3
+            answers = reading.take()
+            # each line is answered, by ok or a refusal
+            assert answers.count("ok\r\n") + answers.count("error:9") == 2
 
     bench.run(script)
 
 
 def test_a_reader_that_disconnects_does_not_change_control(bench) -> None:
     def script(bench):
-        one, two = yield from silent_owner_and_other(bench)
-        two.send("$$\n")
+        owner, other = yield from silent_owner_and_other(bench)
+        other.send("$$\n")
         yield from bench.wait(1)
-        two.has_hung_up = True
+        other.has_hung_up = True
         yield from bench.wait(50)
-        assert (yield from bench.ask(one, "G1X1\n")) == "ok\r\n"
+        assert (yield from bench.ask(owner, "G1X1\n")) == "ok\r\n"
 
     bench.run(script)
 
 
 def test_a_late_answer_goes_to_the_owner_although_another_reads(bench) -> None:
+    """The owner waits 7 s for the answer to a dwell."""
+
     def script(bench):
-        one, two = yield from silent_owner_and_other(bench, "G4P7\n")
-        two.send("$G\n")
-        yield from bench.until(lambda: b"ok\r\n" in two.got and b"ok\r\n" in one.got)
-        assert one.take() == "ok\r\n" and "[GC:" in two.take()
+        owner, other = yield from silent_owner_and_other(bench, "G4P7\n")
+        other.send("$G\n")
+        yield from bench.until(lambda: b"ok\r\n" in other.got and b"ok\r\n" in owner.got)
+        assert owner.take() == "ok\r\n" and "[GC:" in other.take()
 
     bench.run(script)
 
 
 def test_a_begun_line_is_not_broken_by_a_reading_client(bench) -> None:
+    """Other lines are refused while a line of the owner is incomplete."""
+
     def script(bench):
-        one, two = yield from silent_owner_and_other(bench, "G1 X")
-        assert "error:9" in (yield from bench.ask(two, "$G\n"))
-        assert (yield from bench.ask(one, "1\n")) == "ok\r\n"
+        owner, other = yield from silent_owner_and_other(bench, "G1 X")
+        assert "error:9" in (yield from bench.ask(other, "$G\n"))
+        assert (yield from bench.ask(owner, "1\n")) == "ok\r\n"
 
     bench.run(script)
 
 
 def test_a_jog_ends_when_its_client_disconnects_while_another_reads(bench) -> None:
     def script(bench):
-        one, two = yield from silent_owner_and_other(bench)
-        two.send("$$\n")
+        owner, other = yield from silent_owner_and_other(bench)
+        other.send("$$\n")
         yield from bench.wait(1)
-        one.send("$J=X200F600\n")
-        one.has_hung_up = True
+        owner.send("$J=X200F600\n")
+        owner.has_hung_up = True
         yield from bench.wait(3000)
         assert bench.rig.controller.at_rest()
 
@@ -623,18 +665,18 @@ def test_a_jog_ends_when_its_client_disconnects_while_another_reads(bench) -> No
 
 
 def test_a_client_without_the_key_blocks_no_other_client(bench) -> None:
-    """However often it reads."""
+    """It reads the settings at varying times; each of 20 clients with the key takes control."""
 
     def script(bench):
-        stranger, one = bench.call("10.0.0.9"), (yield from joined(bench))
+        stranger, controlling = bench.call("10.0.0.9"), (yield from joined(bench))
         yield from bench.wait(20)
         for k in range(20):
             stranger.send("$$\n")
             yield from bench.wait(k % 5)
-            one.take()
-            assert (yield from bench.ask(one, "G91G1X1F60000\n")) == "ok\r\n"
-            one.has_hung_up = True
+            controlling.take()
+            assert (yield from bench.ask(controlling, "G91G1X1F60000\n")) == "ok\r\n"
+            controlling.has_hung_up = True
             yield from bench.wait(2000)
-            one = yield from joined(bench)
+            controlling = yield from joined(bench)
 
     bench.run(script)
