@@ -22,22 +22,25 @@ _SETTINGS = {
 
 
 def highest(line: str, limited: bool, settings: "dict[int, float] | None" = None) -> float:
-    """Return the highest speed of a machine in a line, in mm/s."""
+    """Return the highest speed, in mm/s, at which a machine executes the line.
+
+    limited: the board's ARC_ACCELERATION. settings: values by $-number, added to _SETTINGS.
+    """
     board = ModuleType("board")
     vars(board).update(vars(load_board("sim")), ARC_ACCELERATION=limited)
     machine = Machine({**_SETTINGS, **(settings or {})}, board)
     machine.play([line])
-    check_segments(machine.watch)
-    return max(piece.mean for piece in machine.watch.pieces)
+    check_segments(machine.watch)  # rate, acceleration and junctions are within the settings
+    return max(piece.mean for piece in machine.watch.pieces)  # mean speed of each segment
 
 
 @pytest.mark.parametrize("radius", [0.5, 2.0, 9.0])
 @pytest.mark.parametrize("words", ["G2", "G3", "G2Z-1", "G93G2"])
 def test_arc_keeps_the_acceleration_of_its_axes(radius: float, words: str) -> None:
-    way = f"{words}X{2 * radius}I{radius}F9000"
-    allowed = (200 * radius) ** 0.5
-    assert highest(way, False) > 1.4 * allowed
-    assert highest(way, True) == pytest.approx(allowed, rel=0.02)
+    half_circle = f"{words}X{2 * radius}I{radius}F9000"
+    allowed = (200 * radius) ** 0.5  # v**2 / r = 200 mm/s2, the acceleration of X ($120)
+    assert highest(half_circle, limited=False) > 1.4 * allowed
+    assert highest(half_circle, limited=True) == pytest.approx(allowed, rel=0.02)
 
 
 def test_weaker_axis_of_the_plane_limits_the_arc() -> None:

@@ -51,23 +51,26 @@ def machine(settings: "dict[int, float] | None" = None, **options: Any) -> Machi
 class Table:
     """A table on a screw with backlash: it moves after its motor has taken up the slack.
 
-    It starts at the lower end of its slack, as if pushed up. at: steps.
+    It starts at the lower end of its slack, as if pushed up. motors, at: position of the motors
+    and of the table, in steps; places: the table's positions so far; slack: steps per axis.
     """
 
     def __init__(self, made: Machine, slack: Sequence[int] = _SLACK) -> None:
+        """Follow the steps of this machine: the engine calls trace() for each row of steps."""
         self.slack = slack
         self.motors = [0, 0, 0]
         self.at = [0, 0, 0]
         self.places = [(0, 0, 0)]
-        usual: Any = made.rig.engine.trace
+        machine_trace: Any = made.rig.engine.trace
 
         def trace(start: int, row: Any) -> None:
-            usual(start, row)
+            machine_trace(start, row)
             self._move(row)
 
         made.rig.engine.trace = trace
 
     def _move(self, row: Any) -> None:
+        """Move motors and table by a row: number of steps of each axis, and a direction bit."""
         for i in range(3):
             count = row[ROW_AXES + ROW_STRIDE * i]
             self.motors[i] += -count if row[ROW_DIRS] >> i & 1 else count
@@ -89,7 +92,10 @@ def played(
     events: "Sequence[tuple[int, str]]" = (),
     **options: Any,
 ) -> Machine:
-    """Return a machine after these lines."""
+    """Return a machine after these lines.
+
+    settings: by $-number; events: (ms, real-time byte); options: of the board file.
+    """
     made = machine(settings, **options)
     made.play(lines, events)
     return made
@@ -106,6 +112,7 @@ def reported(made: Machine) -> "list[list[float]]":
 
 
 def test_table_reaches_the_target_from_either_side() -> None:
+    """The table model is where the reports say, with the last direction up or down."""
     for end in ("X0.5", "X2", "X0.5Y0.2", "X0.5Y3Z-1", "X-3Y-3Z-3"):
         made = played([_UP, f"G1{end}F600"])
         assert table(made) == made.reported(), end
@@ -114,7 +121,9 @@ def test_table_reaches_the_target_from_either_side() -> None:
 
 
 def test_motors_differ_from_the_target_by_the_slack_of_the_last_direction() -> None:
+    """60 random moves: the motors are at the commanded position, less the slack if moved down."""
     rng = random.Random(5)
+    # last: direction of the last move of each axis, 1 up, -1 down; at: position in mm.
     lines, last, at = [_UP], [1, 1, 1], [1.0, 1.0, 1.0]
     for _ in range(60):
         word = "G1" if rng.random() < 0.8 else "G0"
@@ -128,52 +137,64 @@ def test_motors_differ_from_the_target_by_the_slack_of_the_last_direction() -> N
         lines.append(word + "F3000")
     made = played(lines)
     commanded = [round(mm * _PER_MM) for mm in at]
-    taken = [0 if way > 0 else -slack for way, slack in zip(last, _SLACK, strict=True)]
-    assert made.physical() == [n + more for n, more in zip(commanded, taken, strict=True)]
+    slack_steps = [0 if sign > 0 else -slack for sign, slack in zip(last, _SLACK, strict=True)]
+    assert made.physical() == [n + m for n, m in zip(commanded, slack_steps, strict=True)]
     assert table(made) == pytest.approx(at, abs=0.003)
     assert made.reported() == pytest.approx(table(made), abs=0.0005)
 
 
 def test_zero_backlash_moves_step_for_step_like_a_machine_without_the_module() -> None:
     lines = [_UP, "G1X-2Y3F900", "G2X0Y0I3J-1", "G1Z-3", "$J=G91X3F900", "G0X0"]
-    off = dict.fromkeys((160, 161, 162), 0.0)
-    with_it = played(lines, off).rows
+    off = dict.fromkeys((160, 161, 162), 0.0)  # $160 to $162: backlash of X, Y, Z in mm
+    rows = played(lines, off).rows
     plain = Machine({k: v for k, v in _SETTINGS.items() if k not in off}, "sim", watched=False)
     plain.play(lines)
-    assert [(start, list(row)) for start, row in with_it] == [
+    assert [(start, list(row)) for start, row in rows] == [
         (start, list(row)) for start, row in plain.rows
     ]
 
 
 def test_arc_stops_for_the_slack_where_an_axis_reverses() -> None:
+    """Without stops for the slack, the table would leave the circle after each quadrant."""
+    # Two full circles about X5 Y5 with a radius of 5 mm.
     made = played([_UP, "G1X10Y5F1500", "G2X10Y5I-5J0", "G3X10Y5I-5J0"])
     assert made.reported() == [10, 5, 1]
     assert table(made) == [10, 5, 1]
-    on_arc = [place for place in made.table.places if place[1] != _PER_MM]  # type: ignore[attr-defined]
-    away = [
-        abs(((x / _PER_MM - 5) ** 2 + (y / _PER_MM - 5) ** 2) ** 0.5 - 5) for x, y, _ in on_arc
+    places = [place for place in made.table.places if place[1] != _PER_MM]  # type: ignore[attr-defined]
+    off_circle_mm = [
+        abs(((x / _PER_MM - 5) ** 2 + (y / _PER_MM - 5) ** 2) ** 0.5 - 5) for x, y, _ in places
     ]
-    inside = [n for n, (x, y, _) in zip(away, on_arc, strict=True) if x != y]
-    assert max(inside[len(inside) // 4 :]) < 0.02
+    # Not on the circle are the first move, whose X equals Y, and the line to X10 Y5, which is
+    # within the first quarter of the places.
+    later_mm = [mm for mm, (x, y, _) in zip(off_circle_mm, places, strict=True) if x != y]
+    assert max(later_mm[len(later_mm) // 4 :]) < 0.02
 
 
 def test_slack_is_taken_up_alone_within_rate_and_acceleration() -> None:
+    """The first steps down move X through its 2 mm of slack, from standstill to standstill."""
+    # Slack 2 mm, rate 900 mm/min (15 mm/s), acceleration 100 mm/s2.
     made = played([_UP, "G1X-5F3000"], {160: 2.0, 110: 900, 120: 100})
-    steps = []
+    steps = []  # of X: tick, direction
     for start, row in made.rows:
-        way = -1 if row[ROW_DIRS] & 1 else 1
-        steps += [(start + step_tick(row, ROW_AXES, k), way) for k in range(row[ROW_AXES])]
-    back = [tick / _TICK_HZ for tick, way in steps if way < 0]
-    assert len(back) == round((6 + 2) * _PER_MM)
-    slack = back[: 2 * _PER_MM]
-    assert (slack[100] - slack[0]) == pytest.approx((2 * 100 / _PER_MM / 100) ** 0.5, rel=0.1)
-    gaps = [b - a for a, b in pairwise(slack)]
-    assert min(gaps) >= 1 / (15 * _PER_MM) * 0.98
-    assert slack[-1] - slack[-100] > 0.08  # it stops at the end of the slack
+        sign = -1 if row[ROW_DIRS] & 1 else 1
+        steps += [(start + step_tick(row, ROW_AXES, k), sign) for k in range(row[ROW_AXES])]
+    down_s = [tick / _TICK_HZ for tick, sign in steps if sign < 0]
+    assert len(down_s) == round((6 + 2) * _PER_MM)  # 6 mm from X1 to X-5, 2 mm of slack
+    slack_s = down_s[: 2 * _PER_MM]  # times of the steps within the slack
+    # 100 steps from standstill take sqrt(2 * distance / acceleration).
+    assert slack_s[100] - slack_s[0] == pytest.approx((2 * 100 / _PER_MM / 100) ** 0.5, rel=0.1)
+    gaps_s = [b - a for a, b in pairwise(slack_s)]
+    assert min(gaps_s) >= 1 / (15 * _PER_MM) * 0.98
+    # It stops at the end of the slack: the last 0.4 mm take 0.089 s, as the first do.
+    assert slack_s[-1] - slack_s[-100] > 0.08
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "?", "\x84"])
 def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> None:
+    """Hold, reset, status query or door, at each time of a Z move that reverses.
+
+    Z takes up 2 mm of slack first, slowly (50 mm/s2), so that many times are within the slack.
+    """
     settings = {162: 2.0, 122: 50}
     for ms in range(0, 900, 37):
         made = machine(settings)
@@ -181,42 +202,43 @@ def test_position_stays_right_after_any_interruption_of_the_slack(byte: str) -> 
 
         def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
             yield from made.start()
-            yield from made.sender.wait("idle", f"{_UP}\n", 1)
-            made.take()
+            yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
+            made.take()  # empties the list of replies
             made.rig.link.send(b"G1Z-1F1500\n")
             yield made.rig.ms(ms)
             made.rig.link.send(byte.encode("latin-1"))
-            yield made.rig.ms(300)
+            yield made.rig.ms(300)  # a hold has stopped the motors
             made.rig.link.send(b"?")
             yield made.rig.ms(20)
-            yield from made.rest()
+            yield from made.rest()  # resumes a hold
 
         made.run(script())
         assert table(made) == pytest.approx(made.reported(), abs=0.0005), ms
-        for places in reported(made):
-            assert places[:2] in ([0, 0], [1, 1]) or places[2] <= 1, ms
-            assert -1 <= places[2] <= 1, ms
-        if byte != "\x18":
+        for x, y, z in reported(made):  # none includes motor steps in the slack
+            assert [x, y] in ([0, 0], [1, 1]) or z <= 1, ms
+            assert -1 <= z <= 1, ms
+        if byte != "\x18":  # all except a reset: the move was completed
             assert made.reported() == [1, 1, -1], ms
 
 
 @pytest.mark.thorough
 def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
+    """A reset within 2 mm of slack; then lines in both directions: table and report agree."""
     for ms in range(20, 900, 79):
         made = machine({162: 2.0, 122: 50})
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
         def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
             yield from made.start()
-            yield from made.sender.wait("idle", f"{_UP}\n", 1)
-            made.take()
+            yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
+            made.take()  # empties the list of replies
             made.rig.link.send(b"G1Z-1F1500\n")
             yield made.rig.ms(ms)
             made.rig.link.send(b"\x18")
             yield from made.rest()
             made.take()
             for line in ("$X", "G1Z-2F1500", "Z3", "Z-0.5", "Z2"):
-                yield from made.sender.wait("idle", line + "\n", 1)
+                yield from made.sender.wait("idle", line + "\n", settle=1)
                 made.take()
                 yield from made.rest()
                 assert table(made) == pytest.approx(made.reported(), abs=0.0005), (ms, line)
@@ -225,22 +247,23 @@ def test_rest_of_the_slack_is_taken_up_after_a_reset_in_the_middle() -> None:
 
 
 def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
+    """Jog cancel (0x85) at each time of a jog down, which begins with 2 mm of slack."""
     for ms in range(30, 800, 59):
         made = machine({162: 2.0, 122: 50})
         made.table.slack = (*_SLACK[:2], 2 * _PER_MM)  # type: ignore[attr-defined]
 
         def script(made: Machine = made, ms: int = ms) -> Iterator[Any]:
             yield from made.start()
-            yield from made.sender.wait("idle", f"{_UP}\n", 1)
-            made.take()
+            yield from made.sender.wait("idle", f"{_UP}\n", settle=1)
+            made.take()  # empties the list of replies
             made.rig.link.send(b"$J=G91Z-30F900\n")
             yield made.rig.ms(ms)
             made.rig.link.send(b"\x85")
             yield from made.rest()
             assert table(made) == pytest.approx(made.reported(), abs=0.0005), ms
-            assert made.reported()[2] > -12
+            assert made.reported()[2] > -12  # it was cancelled: 15 mm/s in < 0.8 s
             made.take()
-            yield from made.sender.wait("idle", "G0Z0\n", 1)
+            yield from made.sender.wait("idle", "G0Z0\n", settle=1)
             yield from made.rest()
             assert table(made) == pytest.approx([1, 1, 0])
 
@@ -249,21 +272,25 @@ def test_jog_cancelled_in_the_slack_moves_the_table_no_further() -> None:
 
 @pytest.mark.parametrize("inverted", [0, 7])
 def test_slack_after_homing_is_on_the_side_of_the_pull_off(inverted: int) -> None:
+    """The table's distance from its report is the same after homing and after moves.
+
+    inverted: $23, axes that home in negative direction.
+    """
     made = machine({22: 1, 23: inverted})
     above = not inverted
     for i, letter in enumerate("xyz"):
-        at = 700 if above else -700
+        at = 700 if above else -700  # steps
         made.rig.engine.switches.append(Switch(f"limit_{letter}", i, above, at))
-    origins: list[list[float]] = []
+    origins: list[list[float]] = []  # table less report after each line, mm
 
     def script() -> Iterator[Any]:
         yield from made.start()
         for line in ("$H", "G53G0X-3Y-3Z-3", "G53G0X-2Y-2Z-2", "G53G1X-4Y-4Z-4F900"):
-            yield from made.sender.wait("idle", line + "\n", 1)
+            yield from made.sender.wait("idle", line + "\n", settle=1)
             made.take()
             yield from made.rest()
             pairs = zip(table(made), made.reported(), strict=True)
-            origins.append([here - there for here, there in pairs])
+            origins.append([at - reported_mm for at, reported_mm in pairs])
 
     made.run(script())
     assert made.reported() == [-4, -4, -4]
@@ -272,41 +299,45 @@ def test_slack_after_homing_is_on_the_side_of_the_pull_off(inverted: int) -> Non
 
 
 def test_probe_reports_the_tables_position_and_stays_right_after_a_reversal() -> None:
+    """The probe closes at Z-2 of the table. No later reversal changes the stored position."""
     made = machine()
 
-    def look() -> None:
+    def update_probe() -> None:
         made.rig.port.push({"probe": made.table.at[2] <= -2 * _PER_MM})  # type: ignore[attr-defined]
 
-    usual: Any = made.rig.engine.trace
+    machine_trace: Any = made.rig.engine.trace  # called for each row of steps
 
     def trace(start: int, row: Any) -> None:
-        usual(start, row)
-        look()
+        machine_trace(start, row)
+        update_probe()
 
     made.rig.engine.trace = trace
     made.play([_UP, "G38.2Z-10F100", "$#", "G1Z0F900", "$#", "G1Z-1", "$#"])
-    told = [line for line in made.received if line.startswith("[PRB:")]
-    assert len(set(told)) == 1 and len(told) == 4
-    assert float(told[0][5:].split(":")[0].split(",")[2]) == pytest.approx(-2, abs=0.05)
+    reports = [line for line in made.received if line.startswith("[PRB:")]
+    assert len(set(reports)) == 1 and len(reports) == 4  # one of G38.2, three of $#
+    z_mm = float(reports[0][5:].split(":")[0].split(",")[2])  # of [PRB:x,y,z:1]
+    assert z_mm == pytest.approx(-2, abs=0.05)
     assert table(made) == pytest.approx([1, 1, -1])
 
 
 def test_laser_is_dark_in_the_slack_and_a_spindle_stays_on() -> None:
-    for laser, kept in ((1, False), (0, True)):
-        made = machine({32: laser, 30: 1000, 160: 0.4})
-        powers: list[int] = []
-        usual: Any = made.rig.engine.trace
+    for laser, stays_on in ((1, False), (0, True)):
+        made = machine({32: laser, 30: 1000, 160: 0.4})  # laser mode, largest S, backlash of X
+        powers: list[int] = []  # PWM at each row of steps within the slack
+        machine_trace: Any = made.rig.engine.trace
 
         def trace(
-            start: int, row: Any, usual: Any = usual, powers: Any = powers, m: Any = made
+            start: int, row: Any, before: Any = machine_trace, powers: Any = powers, m: Any = made
         ) -> None:
-            usual(start, row)
+            before(start, row)
+            # While the slack is taken up, the axes stand and only motors move.
             if m.rig.controller.planner.kinematics.standing:
                 powers.append(m.rig.port.spindle_pwm)
 
         made.rig.engine.trace = trace
         made.play(["M3S800", _UP, "G1X2F900", "G1X-2F900"])
-        assert powers and all(bool(power) == kept for power in powers[1:-1]), (laser, powers)
+        # The first and last row may also have steps of the moves around the slack.
+        assert powers and all(bool(power) == stays_on for power in powers[1:-1]), (laser, powers)
 
 
 def test_second_motors_take_up_the_slack() -> None:
@@ -317,9 +348,12 @@ def test_second_motors_take_up_the_slack() -> None:
 
 
 def test_soft_limits_and_check_mode_act_before_the_slack() -> None:
+    """A refused or only checked line moves no motor, also not through the slack."""
+    # Soft limits, homing, 50 mm of travel: X is allowed from -50 to 0. The reset after 4 s ends
+    # the alarm, which answers no more lines.
     made = played(["$X", "G0X-1", "G4P0.1", "G0X0.5"], {20: 1, 22: 1, 130: 50}, [(4000, "\x18")])
     assert "ALARM:2" in made.received
-    assert made.physical()[0] == -250
+    assert made.physical()[0] == -250  # still at X-1
     made = played([_UP, "G4P0.5", "$C", "G1X0F900", "$C"])
     assert made.physical() == [250, 250, 250]
 
@@ -342,6 +376,7 @@ def test_run_reports_axes_and_counts_motor_steps(tmp_path: Path) -> None:
     asked = ["run", str(file), "--board", "sim_backlash", "--set", "160=0.1"]
     said = CliRunner().invoke(app, asked)
     assert said.exit_code == 0, said.output
+    # Steps: (1 + 3 + 2) mm * 250, and 25 of slack at each of two reversals. Reports have no slack.
     assert "1550 commanded = 1550 made" in said.output
     assert "-2.000 to 1.000 mm" in said.output and "6.0 mm" in said.output
 

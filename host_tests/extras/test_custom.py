@@ -32,6 +32,7 @@ class Bench:
     """
 
     def __init__(self, folder: Path, name: str, text: str) -> None:
+        """Write the module `name` with this text; a board on the simulator has it as CUSTOM."""
         (folder / f"{name}.py").write_text(text)
         board = ModuleType("board")
         vars(board).update(vars(load_board("sim")), CUSTOM=name, **_PINS)
@@ -39,25 +40,30 @@ class Bench:
         self.rig = Rig(board, self.store)
         self._name = name
         self.sender = Sender(self.rig)
-        self.sender.allow(3_600_000)
+        self.sender.allow(3_600_000)  # ms
 
     @property
     def heard(self) -> "list[Any]":
         return list(sys.modules[self._name].heard)
 
     def say(self, *talk: "tuple[str, str] | Callable[[], object]") -> "list[list[str]]":
-        """Send texts given as (text, what to wait for), or call functions; return the replies."""
+        """Send texts given as (text, what to wait for), or call functions; return the replies.
+
+        What to wait for is as in Sender.wait(): "ok", "idle", "banner", or "ms 100" for 100 ms.
+        There is one list of replies per text, and none for a function.
+        """
         said: list[list[str]] = []
 
         def script() -> Iterator[Any]:
             yield from self.sender.wait("banner", "")
             yield self.rig.ms(100)
-            self.greeting = self.sender.take()
+            self.greeting = self.sender.take()  # lines received at power-up
             for each in talk:
                 if callable(each):
                     each()
                     continue
-                yield from self.sender.wait(each[1], each[0])
+                text, how = each
+                yield from self.sender.wait(how, text)
                 said.append(self.sender.take())
             steps = self.rig.scratch
             self.rig.engine.position(steps)
@@ -96,6 +102,7 @@ Make = Callable[[str], Bench]
 
 
 def test_words_get_their_numbers_by_name_after_motion_has_ended(bench: Make) -> None:
+    """An upper-case letter in "Pq" is required, a lower-case one optional."""
     made = bench(
         """
 @mcode(100, "Pq")
@@ -127,13 +134,16 @@ def g(m):
 def test_unreadable_file_is_left_out_and_reported_with_the_cause(
     bench: Make, text: str, reason: str
 ) -> None:
+    """A faulty file adds no word, not even the sound M199 before the fault. The machine works."""
     made = bench("@mcode(199)\ndef first(m): heard.append(1)\n" + text)
     said = made.say(("G0X1\n", "idle"), *lines("M199", "$I"))
-    told = [line for line in made.greeting if line.startswith("[MSG:Custom left out: ")]
-    assert len(told) == 1 and reason in told[0].replace("line 5", "line 3")
+    messages = [line for line in made.greeting if line.startswith("[MSG:Custom left out: ")]
+    # The text begins in line 5 of the file, after two lines of the fixture and two of M199.
+    assert len(messages) == 1 and reason in messages[0].replace("line 5", "line 3")
     assert said[:2] == [["ok"], [f"error:{errors.GCODE_UNSUPPORTED_COMMAND}"]]
-    assert told[0] in said[2]
-    assert "ok" not in told[0] and "error" not in told[0].lower()
+    assert messages[0] in said[2]  # $I repeats it
+    # A sender must not take the message for an answer.
+    assert "ok" not in messages[0] and "error" not in messages[0].lower()
 
 
 def test_check_mode_checks_words_and_runs_nothing(bench: Make) -> None:
@@ -161,10 +171,11 @@ def test_pulses_have_the_given_width_and_end_with_a_reset(bench: Make) -> None:
         "@mcode(102, 'P')\ndef switch(m, P): m.out('vacuum', P)\n"
     )
     port = made.rig.port
-    seen: list[Any] = []
+    # Each time: number of the output (0 vacuum, 1 air) -> (Hz, duty with 65535 for 1).
+    pulses: list[Any] = []
 
     def see() -> None:
-        seen.append(dict(port.own_pulses))
+        pulses.append(dict(port.own_pulses))
 
     said = made.say(
         *lines("M100P0.5", "M101P1500"),
@@ -177,14 +188,16 @@ def test_pulses_have_the_given_width_and_end_with_a_reset(bench: Make) -> None:
         *lines("$X", "M102P1"),
         see,
     )
-    assert seen[0] == {0: (500, 32768), 1: (50, 4915)} and made.heard == [True, False]
-    assert seen[1] == {0: (500, 65535), 1: (50, 0)}
-    assert seen[2] == {}, "a failure leaves no output on"
-    assert "duty must be 0 to 1" in "".join(said[5]) and said[5][1] == "ALARM:34"
-    assert seen[3] == {0: (500, 65535)} and made.outputs == 1
+    # Servo pulses of 1500 us in periods of 20 ms: 0.075 * 65535 = 4915.
+    assert pulses[0] == {0: (500, 32768), 1: (50, 4915)} and made.heard == [True, False]
+    assert pulses[1] == {0: (500, 65535), 1: (50, 0)}
+    assert pulses[2] == {}, "a failure leaves no output on"
+    assert "duty must be 0 to 1" in "".join(said[5]) and said[5][1] == "ALARM:34"  # M100P1.5
+    assert pulses[3] == {0: (500, 65535)} and made.outputs == 1  # only vacuum, bit 0
 
 
 def test_t_of_a_custom_word_selects_no_tool(bench: Make) -> None:
+    """T7 of M100 T7 is an argument of the custom word: T5 stays the selected tool."""
     made = bench(
         '@mcode(100, "T")\ndef word(m, T): heard.append(("word", m.tool, T))\n'
         "@on.tool_select\ndef select(m, tool): heard.append(tool)\n"
@@ -195,6 +208,7 @@ def test_t_of_a_custom_word_selects_no_tool(bench: Make) -> None:
 
 
 def test_every_event_has_its_values(bench: Make) -> None:
+    """One handler per event records the event's name and values; the talk causes all of them."""
     names = (
         "startup after_reset after_unlock after_homing state_change tool_select tool_change "
         "probe_done spindle coolant program_paused program_done alarm"
@@ -213,11 +227,12 @@ def test_every_event_has_its_values(bench: Make) -> None:
         ("M30\n", "ok"),
         ("\x18", "idle"),
         ("$22=1\n", "ok"),
-        ("G38.2X-1F500\n", "ms 2000"),
+        ("G38.2X-1F500\n", "ms 2000"),  # nothing touched: alarm 5
         ("$X\n", "ok"),
     )
-    moving = [one for one in made.heard if one[0] not in ("state_change", "alarm")]
-    assert moving == [
+    # state_change and alarm occur many times: they are tested by samples below.
+    events = [event for event in made.heard if event[0] not in ("state_change", "alarm")]
+    assert events == [
         ("startup",),
         ("tool_select", "4"),
         ("tool_select", "5"),
@@ -240,6 +255,7 @@ def test_every_event_has_its_values(bench: Make) -> None:
 
 
 def test_handlers_may_use_custom_words_and_fire_events(bench: Make) -> None:
+    """m.g() runs other custom words and fires events, whose handlers run before it returns."""
     made = bench(
         """
 @mcode(100, "P")
@@ -263,13 +279,15 @@ def homed(m): heard.append("homed")
 """
     )
     for motor, axis in enumerate("xyz"):
+        # A limit switch that closes above 500 steps (2 mm), for m.home().
         made.rig.engine.switches.append(Switch(f"limit_{axis}", motor, True, 500))
-    said = made.say(*lines("$22=1", "$X", "M101", "$N0=M100P7"))
+    said = made.say(*lines("$22=1", "$X", "M101", "$N0=M100P7"))  # $N0 runs its line at once
     assert said[2] == said[3] == ["ok"]
     assert made.heard == [3.0, ("T", 2), 2, "M3", "behind", "homed", "home", 7.0]
 
 
 def test_line_waits_for_the_handlers_of_the_line_before(bench: Make) -> None:
+    """X is still 1 after 0.5 s in the handler of M3: G0X2 has not begun."""
     made = bench(
         """
 @on.spindle
@@ -283,6 +301,7 @@ def delay(m, word, rpm):
 
 
 def test_word_may_run_with_the_motion_before_it(bench: Make) -> None:
+    """With sync=False the word runs where motion reaches it, without a stop."""
     made = bench(
         """
 @mcode(62, "P", sync=False)
@@ -293,11 +312,13 @@ def on_(m, P):
     )
     moves = "".join(f"G1X{x}F500\n" for x in (1, 2))
     made.say(("G91\n", "ok"), (moves + "M62P1\n" + "G1X3\nG1X1\n", "idle"))
-    ((at, _),) = made.heard
-    assert abs(at - 3) < 0.5 and made.mm[0] == 7 and made.outputs == 1
+    ((x_mm, _),) = made.heard
+    # G91: M62 is after 1 + 2 mm of 1 + 2 + 3 + 1 mm. Output bit 0 is vacuum.
+    assert abs(x_mm - 3) < 0.5 and made.mm[0] == 7 and made.outputs == 1
 
 
 def test_inputs_and_timers_call_handlers_and_a_report_gets_a_field(bench: Make) -> None:
+    """The sensor is pin 22. A report has a field with the number of timer ticks."""
     made = bench(
         """
 @on.input("sensor")
@@ -323,6 +344,7 @@ def field(m):
         ("?", "ms 20"),
     )
     assert made.heard == [True, False]
+    # One tick per 50 ms: of about 1.3 s there are 26.
     assert 18 <= int(said[-1][0].partition("Tk:")[2].rstrip(">")) <= 40
 
 
@@ -330,6 +352,10 @@ def field(m):
 
 
 def failing(kind: str) -> str:
+    """Return custom.py whose M100 fails with this statement, after a move by X3.
+
+    With tool 9 selected, its timer fails in the same way as soon as Y is above 2 mm.
+    """
     return f"""
 calls = [0]
 @mcode(100)
@@ -350,28 +376,31 @@ def beside(m):
 def test_failing_word_lets_motion_end_and_alarms_with_file_and_line(
     bench: Make, kind: str
 ) -> None:
+    """Its move G0 X3 is completed, and the spindle is off afterwards."""
     made = bench(failing(kind))
     made.say(("M3S100\n", "ok"), ("M100\n", "ms 3000"), ("?", "ms 20"))
     assert made.mm[0] == 3 and not made.power
-    text = "\n".join(map(str, made.sender.take()))
-    assert not text
+    assert not made.sender.take()  # nothing is sent after the replies that say() has returned
 
 
 def test_failure_message_is_no_answer_and_names_the_line(bench: Make) -> None:
+    """The message has no "ok" or "error", although the exception's text does."""
     made = bench(failing("raise ValueError('ok error')"))
     (said,) = made.say(("M100\n", "ms 3000"))
     (message,) = [line for line in said if line.startswith("[MSG:M100: custom_")]
     assert "line 8, in word" in message and "ok" not in message and "error" not in message
     assert said.index(message) < said.index("ALARM:34") < said.index("[MSG:'$H'|'$X' to unlock]")
+    # The traceback is stored in a file of its own.
     assert "custom" in made.rig.store.files and "ValueError" in made.rig.store.files["custom"][-1]
 
 
 def test_failure_during_motion_stops_smoothly_and_loses_no_step(bench: Make) -> None:
+    """The timer fails at Y2: Y stops with its acceleration; the report is what the motors did."""
     made = bench(failing("1 / 0"))
     said = made.say(("T9\n", "ok"), ("G1Y9F500\n", "ms 5000"), ("$X\n", "ok"), ("?", "ms 20"))
     assert "ALARM:34" in said[1] and 2 < made.mm[1] < 2 + _STOPPING_MM
-    told = said[3][0].partition("MPos:")[2].split("|")[0].split(",")
-    assert [float(mm) for mm in told] == pytest.approx(made.mm, abs=0.001)
+    reported = said[3][0].partition("MPos:")[2].split("|")[0].split(",")
+    assert [float(mm) for mm in reported] == pytest.approx(made.mm, abs=0.001)
 
 
 @pytest.mark.parametrize("call", ['m.g("G0X1")', "m.wait(1)", 'm.ask("?")', "m.wait_motion()"])
@@ -388,7 +417,8 @@ def test_refusal_refuses_only_its_line(bench: Make) -> None:
 
 
 def test_question_in_an_alarm_ends_its_handler(bench: Make) -> None:
-    """Nothing would hold there, and what follows the question would be done unasked."""
+    """m.ask() waits in a hold, which an alarm does not allow. Without an answer, the statements
+    after it must not run."""
     made = bench(
         "@on.after_reset\ndef r(m):\n    if m.state == 'Alarm':\n"
         "        m.ask('hands away?')\n        m.out('vacuum', 1)"
@@ -398,6 +428,7 @@ def test_question_in_an_alarm_ends_its_handler(bench: Make) -> None:
 
 
 def test_refused_tool_change_keeps_the_tool(bench: Make) -> None:
+    """T5 M6 is refused by the handler: afterwards m.tool is still 2."""
     made = bench(
         """
 @on.tool_change
@@ -423,8 +454,12 @@ def tell(m): m.message("tool %d" % m.tool)
 def test_laser_is_what_the_modes_say_after_saved(
     bench: Make, program: str, handler: str, power: int, modes: str
 ) -> None:
+    """m.saved() restores F and motion mode, not S. power: PWM; G0 has the laser off.
+
+    program: motion mode before M100; handler: line that M100 executes; modes: of $G afterwards.
+    """
     made = bench(f'@mcode(100)\ndef a(m):\n    with m.saved():\n        m.g("{handler}")')
-    made.store.files["settings"].append("$32=1")
+    made.store.files["settings"].append("$32=1")  # laser mode
     said = made.say(*lines(f"F900 {program}", "M3S500", "M100", "G4P0.1", "$G"))
     assert made.power == power and f"[GC:{modes}]" in said[-1]
 
@@ -436,6 +471,7 @@ def test_handler_during_motion_has_no_line_to_refuse(bench: Make) -> None:
 
 
 def test_slow_handler_is_reported_once(bench: Make) -> None:
+    """A timer handler takes 60 ms each time, of a simulated second; there is one message."""
     made = bench(
         """
 @every(100)
@@ -444,13 +480,13 @@ def slow(m):
 """
     )
 
-    def give() -> None:
+    def pass_rig_to_module() -> None:
         sys.modules[made._name].rig = made.rig  # type: ignore[attr-defined]
 
-    made.rig.on_built = give
+    made.rig.on_built = pass_rig_to_module
     said = made.say(("", "ms 1000"))
-    told = made.greeting + said[0]
-    assert [line for line in told if "every 100 ran for 60 ms" in line] == [
+    received = made.greeting + said[0]
+    assert [line for line in received if "every 100 ran for 60 ms" in line] == [
         "[MSG:every 100 ran for 60 ms without calling a method of m]"
     ]
 
@@ -460,6 +496,7 @@ def slow(m):
 
 @pytest.mark.parametrize("after_ms", [*range(0, 1500, 70)])
 def test_reset_ends_a_handler_anywhere(bench: Make, after_ms: int) -> None:
+    """M100 moves, waits, catches exceptions, and asks: a reset must end it at any of these."""
     made = bench(
         """
 @mcode(100)
@@ -485,14 +522,15 @@ def long(m):
     )
     assert "Grbl 1.1h" in str(said[1]) and made.heard == []
     assert made.outputs == 0, "a reset sets outputs to rest"
-    report = made.mm[0]
-    assert said[3] == ["ok"] and -0.1 < report - 2 < 1.1
+    # The last line moves X by 2 mm from where the reset has stopped it, at 0 to 1 mm.
+    assert said[3] == ["ok"] and -0.1 < made.mm[0] - 2 < 1.1
 
 
 # Persistent values
 
 
 def test_values_are_written_while_idle_and_survive_a_power_cut(bench: Make) -> None:
+    """m.keep is not written to flash during motion, which a write would delay."""
     made = bench(
         """
 @mcode(100, "P")
@@ -506,6 +544,7 @@ def tell(m):
     )
     made.say(("M100P3\nG1X9F500\n", "ms 300"))
     assert "keep" not in made.rig.store.files, "it moves"
+    # The second say() powers up a new machine with the same store.
     made.say(("M100P4\n", "ok"), ("", "ms 50"), made.rig.cycle_power)
     made.say(*lines("M101"))
     assert made.heard[-1] == (4.0, "a b", False, 5)

@@ -51,9 +51,12 @@ def test_code_of_the_page_is_accepted(
 def test_first_word_does_what_the_page_says(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    """The page's first custom.py (M100 P1/P0 switches the vacuum) runs the page's G-code."""
     made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[0])
     lines = blocks("gcode")[0].splitlines()
+    # The page says that P must be 0 or 1 (error 3), and is required (error 28).
     assert made.say(*lines, "M100 P3", "M100") == ["ok"] * len(lines) + ["error:3", "error:28"]
+    # The record of outputs: name, level, and X in mm where it changed.
     assert [(name, on, place[0]) for name, on, place in made.book] == [
         ("vacuum", True, 0),
         ("vacuum", False, 50),
@@ -62,13 +65,14 @@ def test_first_word_does_what_the_page_says(
 
 
 def test_tool_change_of_the_page_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """T3 M6 moves to the change position in mm, also with G20, and asks for the tool."""
     made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[1])
 
     def script() -> Any:
         yield from made.send("G20")
-        yield from made.start("T3 M6")
-        assert made.place() == (3, 139, -1)
-        yield from made.start("~", "Idle")
+        yield from made.start("T3 M6")  # waits for the hold
+        assert made.place() == (3, 139, -1)  # mm
+        yield from made.start("~", "Idle")  # cycle start; waits for idle
 
     made.run(script())
     assert made.messages == ["Put in tool 3, then cycle start"] and made.answers == ["ok"] * 2
@@ -77,6 +81,7 @@ def test_tool_change_of_the_page_works(monkeypatch: pytest.MonkeyPatch, tmp_path
 def test_failure_is_reported_as_the_page_quotes_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    """Line 7 of this custom.py fails, after a move that is completed."""
     head = "from ugrbl import mcode\n\n\n@mcode(100)\ndef fail(m):\n"
     text = head + "    m.g('G1 X1 F1000')\n    1 / 0\n"
     made = shop(monkeypatch, tmp_path, text)
@@ -87,10 +92,11 @@ def test_failure_is_reported_as_the_page_quotes_it(
 
 
 def test_page_lists_every_event_and_if_it_may_move() -> None:
-    told = dict(_EVENT.findall(_PAGE))
-    moving = dict.fromkeys(handlers.MOVING, "yes")
-    beside = dict.fromkeys((*handlers.DURING_MOTION, handlers.REPORT, handlers.INPUT), "no")
-    assert told == {**moving, **beside}
+    """The table of the page has every event of the firmware, with "yes" if it may move."""
+    listed = dict(_EVENT.findall(_PAGE))
+    may_move = dict.fromkeys(handlers.MOVING, "yes")
+    may_not = dict.fromkeys((*handlers.DURING_MOTION, handlers.REPORT, handlers.INPUT), "no")
+    assert listed == {**may_move, **may_not}
 
 
 def test_page_lists_every_example() -> None:
@@ -104,9 +110,10 @@ def test_page_lists_every_example() -> None:
 def test_every_example_passes_the_command_at_its_head(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Run "ugrbl custom check FILE", with the options that "Checked by:" in the file adds."""
     monkeypatch.chdir(file.parent)
-    said = re.search(r"^Checked by: ugrbl (.*)$", file.read_text(), re.MULTILINE)
-    words = said[1].split() if said else ["custom", "check", file.name]
+    checked_by = re.search(r"^Checked by: ugrbl (.*)$", file.read_text(), re.MULTILINE)
+    words = checked_by[1].split() if checked_by else ["custom", "check", file.name]
     assert words[:3] == ["custom", "check", file.name]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
@@ -132,14 +139,16 @@ def test_every_call_has_a_docstring() -> None:
 def test_failure_during_motion_stops_within_a_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """The loop then waits for space in the planner, within a line."""
+    """Thirty lines of 100 mm fill the planner: the main loop waits within a line for space. A
+    failing handler must stop the motion there too, not only between lines."""
     text = "from ugrbl import on\n\n\n@on.input('part')\ndef fail(m, closed):\n    1 / 0\n"
     made = shop(monkeypatch, tmp_path, text)
 
     def script() -> Any:
         yield from made.send("G1 X200 F1000\n" + "Y100\nY0\n" * 15, "ms 1000")
-        made.close("part")
+        made.close("part")  # the input whose handler fails
         yield from made.until("Alarm")
 
     made.run(script())
+    # After 1 s at 1000 mm/min (16.7 mm) and the way to stop.
     assert "ALARM:34" in made.answers and made.place()[0] < 19

@@ -49,6 +49,8 @@ class Shop:
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str, **options: Any) -> None:
+        """Power up a board with this example as CUSTOM. options: of the board file; `settings`
+        are by $-number."""
         monkeypatch.chdir(_EXAMPLES)
         monkeypatch.syspath_prepend(str(_EXAMPLES))
         monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -58,7 +60,7 @@ class Shop:
         self.board = ModuleType("board")
         vars(self.board).update(vars(plain), CUSTOM=name, **options)
         self.outputs = list(getattr(self.board, "OUTPUTS", {}))
-        self.book: "list[tuple[Any, ...]]" = []
+        self.book: "list[tuple[Any, ...]]" = []  # of outputs: name, level, place in mm
         self.messages: "list[str]" = []
         self.answers: "list[str]" = []  # all of them
         self.power_up(factory_store(plain))
@@ -67,10 +69,12 @@ class Shop:
         """Start a machine with this store."""
         self.rig = Rig(self.board, store)
         self.sender = Sender(self.rig)
-        self.sender.allow(600_000)
+        self.sender.allow(600_000)  # ms
         self.rig.port.drive = self._watched(self.rig.port.drive)  # type: ignore[method-assign]
 
     def _watched(self, drive: "Callable[[int], None]") -> "Callable[[int], None]":
+        """Return the port's drive(levels), which also records changed outputs; a bit each."""
+
         def driven(levels: int) -> None:
             was = self.rig.port.own_outputs
             drive(levels)
@@ -94,7 +98,7 @@ class Shop:
         self.rig.port.push({"pin_%d" % self.board.INPUTS[name]: closed})
 
     def switch(self, axis: int, above: bool, mm: float) -> Switch:
-        """Let the probe touch when an axis has reached a place."""
+        """Let the probe touch above (or below) a place of an axis; 0 is X."""
         made = Switch("probe", axis, above, round(mm * _STEPS))
         self.rig.engine.switches.append(made)
         return made
@@ -130,10 +134,11 @@ class Shop:
         yield from self.until(how)
 
     def heard(self) -> "list[str]":
-        told = self.sender.take()
-        self.messages += [line[5:-1] for line in told if line.startswith("[MSG:")]
-        self.answers += [line for line in told if is_answer(line) or line.startswith("ALARM")]
-        return [line for line in told if line and not line.startswith(("[MSG:", "Grbl "))]
+        """Return the lines received since the last call; store messages, answers and alarms."""
+        received = self.sender.take()
+        self.messages += [line[5:-1] for line in received if line.startswith("[MSG:")]
+        self.answers += [line for line in received if is_answer(line) or line.startswith("ALARM")]
+        return [line for line in received if line and not line.startswith(("[MSG:", "Grbl "))]
 
     def state(self) -> str:
         """Return the state as in a status report."""
@@ -141,7 +146,7 @@ class Shop:
 
     def until(self, state: str) -> "Iterator[Any]":
         """Wait until the machine stays in a state; in a hold it must have stopped."""
-        since = self.rig.now
+        since = self.rig.now  # tick; it has stayed after 100 ms
         while self.rig.now - since < self.rig.ticks_per_ms * 100:
             is_so = self.state() == state and (state != "Hold" or self.sender.at_rest())
             if not is_so:
@@ -157,18 +162,18 @@ class Shop:
             self.heard()
 
     def reports(self) -> "Iterator[Any]":
-        told = yield from self.send("?", "report")
-        return [line for line in told if line.startswith("<")]
+        replies = yield from self.send("?", "report")
+        return [line for line in replies if line.startswith("<")]
 
     def told(self, line: str) -> "list[str]":
         """Return the reply to a line."""
-        told: "list[str]" = []
+        replies: "list[str]" = []
 
         def script() -> "Iterator[Any]":
-            told.extend((yield from self.send(line)))
+            replies.extend((yield from self.send(line)))
 
         self.run(script())
-        return told
+        return replies
 
     def say(self, *lines: str) -> "list[str]":
         """Power up, send lines, wait until the machine stops, and return their answers."""
@@ -176,8 +181,8 @@ class Shop:
 
         def script() -> "Iterator[Any]":
             for line in lines:
-                told = yield from self.send(line)
-                answers.extend([text for text in told if is_answer(text)])
+                replies = yield from self.send(line)
+                answers.extend([text for text in replies if is_answer(text)])
             yield from self.sender.until(self.sender.at_rest)
 
         self.run(script())
@@ -185,7 +190,7 @@ class Shop:
 
 
 def offset(shop: Shop, name: str) -> "tuple[float, ...]":
-    """Return the stored offset of a coordinate system."""
+    """Return the stored offset of a coordinate system, such as "G54", in mm."""
     for line in shop.rig.store.files["coords"]:
         if line.startswith(name + "="):
             return tuple(float(mm) for mm in line.partition("=")[2].split(","))
@@ -201,6 +206,7 @@ Make = Callable[..., Shop]
 
 
 def test_every_example_is_short_and_has_its_test() -> None:
+    """At most 40 lines of code each, or as _LONGEST says; this module uses each of them."""
     here = Path(__file__).read_text(encoding="utf-8")
     for file in _EXAMPLES.glob("*.py"):
         code = file.read_text(encoding="utf-8").split('"""', 2)[2]  # after its docstring
@@ -220,15 +226,19 @@ def changed(shop: Make, **more: Any) -> Shop:
 
 
 def test_tool_is_changed_with_everything_off_and_measured(shop: Make) -> None:
+    """M6 T2 moves to X3 Y60 for the user's hands, then measures at X3 Y139.
+
+    Inches and relative distances (G20 G91) of the program do not affect it, and stay.
+    """
     made = changed(shop)
     seen: dict[str, Any] = {}
 
     def script() -> "Iterator[Any]":
         yield from made.send("G20 G91 M3 S1000 M8")
-        yield from made.start("T2 M6")
+        yield from made.start("T2 M6")  # waits for the hold
         port = made.rig.port
         seen["off"] = (port.spindle_on, port.flood, made.place())
-        yield from made.start("~", "Idle")
+        yield from made.start("~", "Idle")  # cycle start: it measures
         seen["modes"] = yield from made.send("$G")
         seen["offsets"] = yield from made.send("$#")
 
@@ -241,12 +251,13 @@ def test_tool_is_changed_with_everything_off_and_measured(shop: Make) -> None:
 
 
 def test_length_is_restored_after_a_reset_and_power_off(shop: Make) -> None:
+    """The length of -35 mm (see changed()) is in $# after both."""
     made = changed(shop)
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         yield from made.start("T2 M6")
-        yield from made.start("~", "Idle")
+        yield from made.start("~", "Idle")  # the tool is in; it is measured
         yield from made.send("\x18", "banner")
         seen.extend((yield from made.send("$#")))
         yield from made.sender.silence(made.rig.now, 500)
@@ -266,6 +277,7 @@ def test_pressed_sensor_is_reported_and_nothing_moves(shop: Make) -> None:
 
 
 def test_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
+    """Without a sensor the measurement fails (alarm 5) at Z-60; the old length of -20 is gone."""
     made = shop("tool_length")
     seen: list[Any] = []
 
@@ -282,6 +294,7 @@ def test_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
 
 
 def test_tool_selected_long_before_is_requested(shop: Make) -> None:
+    """M6 without T, some lines after T7."""
     made = changed(shop)
 
     def script() -> "Iterator[Any]":
@@ -294,13 +307,14 @@ def test_tool_selected_long_before_is_requested(shop: Make) -> None:
 
 
 def test_reset_during_the_measurement_stops_and_leaves_no_length(shop: Make) -> None:
+    """The machine is on its way to the sensor: alarm 3, because a moving one may lose steps."""
     made = changed(shop)
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
         yield from made.start("T2 M6")
         yield from made.start("~", "Run")
-        yield made.rig.ms(1500)
+        yield made.rig.ms(1500)  # it has left the place of the change, X3 Y60
         yield from made.send("\x18", "banner")
         seen.append(made.place())
         yield made.rig.ms(500)
@@ -329,14 +343,17 @@ def _on_plate(x: float, y: float, z: float) -> bool:
 
 
 def test_touch_plate_finds_the_top_of_the_work(shop: Make) -> None:
+    """M110 touches the plate, at Z-3 with its 12 mm on the work at Z-15. G20 must not matter."""
     made = plate(shop)
     assert made.say("G20", "M110") == ["ok", "ok"]
     assert offset(made, "G54") == pytest.approx((0, 0, -15), abs=0.02)
-    assert made.place()[2] == pytest.approx(-3 + 3, abs=0.2)
+    assert made.place()[2] == pytest.approx(-3 + 3, abs=0.2)  # 3 mm above the plate
 
 
 @pytest.mark.parametrize("lines", [("M110 D6",), ("G20 G91", "M110 D0.23622")])
 def test_touch_plate_finds_the_corner(shop: Make, lines: "tuple[str, ...]") -> None:
+    """The corner is at X-10 Y-5, for D of 6 mm or 0.23622 inches. A tool length of 0.5 mm is
+    active, which Z includes."""
     made = plate(shop)
     assert set(made.say("G43.1 Z0.5", *lines)) == {"ok"}, made.messages
     assert offset(made, "G54")[:2] == pytest.approx((-10, -5), abs=0.02)
@@ -344,6 +361,7 @@ def test_touch_plate_finds_the_corner(shop: Make, lines: "tuple[str, ...]") -> N
 
 
 def test_touch_plate_stops_at_an_obstacle_on_the_way(shop: Make) -> None:
+    """A clamp at X-24 is in the way of the 30 mm that the tool moves to the plate's left side."""
     made = plate(shop)
     clamp = Solid(made, lambda x, y, z: x <= -24)
     made.rig.engine.switches.append(clamp)
@@ -376,6 +394,7 @@ def test_missing_touch_plate_is_an_alarm_and_changes_no_offset(shop: Make) -> No
 
 
 def test_middle_of_a_pocket_is_found_and_reported(shop: Make) -> None:
+    """The pocket is 32 by 24 mm about X4 Y-4, R1.5 in inches. Its middle becomes zero of G55."""
     made = shop("pocket")
     made.rig.engine.switches.append(
         Solid(made, lambda x, y, z: not (-12 < x < 20 and -16 < y < 8))
@@ -388,6 +407,7 @@ def test_middle_of_a_pocket_is_found_and_reported(shop: Make) -> None:
 
 
 def test_middle_of_a_hole_is_found_from_its_edge(shop: Make) -> None:
+    """A hole with a diameter of 30 mm about X5 Y-9; the probe begins at X0 Y0, near its edge."""
     made = shop("pocket")
     made.rig.engine.switches.append(
         Solid(made, lambda x, y, z: (x - 5) ** 2 + (y + 9) ** 2 >= 15**2)
@@ -419,10 +439,15 @@ _VACUUM = {"OUTPUTS": {"vacuum": 20, "air": 21}}
 
 
 def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
+    """M3 switches both on and takes 2 s, for the spindle.
+
+    M5 ends the air; the vacuum runs for another 5 s.
+    """
     made = shop("vacuum", **_VACUUM)
     seen: list[Any] = []
 
     def look(ms: int) -> "Iterator[Any]":
+        """After so many ms, note whether vacuum and air are on."""
         yield made.rig.ms(ms)
         seen.append((made.is_on("vacuum"), made.is_on("air")))
 
@@ -430,7 +455,7 @@ def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
         yield from made.send("G1 X5 F1500")
         since = made.rig.now
         yield from made.send("M3 S1000")
-        seen.append((made.rig.now - since) / made.rig.ticks_per_ms > 2000)
+        seen.append((made.rig.now - since) / made.rig.ticks_per_ms > 2000)  # ms
         yield from look(0)
         yield from made.send("G1 X10")
         yield from made.send("M5")
@@ -440,11 +465,13 @@ def test_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
 
     made.run(script())
     assert seen == [True, (True, True), (True, False), (True, False), (False, False)]
-    assert [entry[2][0] for entry in made.book] == [5, 5, 10, 10]
+    # X in mm where an output changed: both on, air off, vacuum off.
+    assert [place[0] for _, _, place in made.book] == [5, 5, 10, 10]
 
 
 @pytest.mark.parametrize("end", ["M2", "\x18"])
 def test_end_of_a_program_ends_the_air_blast(shop: Make, end: str) -> None:
+    """After M2 the vacuum runs on; a reset stops both at once."""
     made = shop("vacuum", **_VACUUM)
     seen: list[bool] = []
 
@@ -471,20 +498,25 @@ _LIGHT = {"OUTPUTS": {"green": 18, "yellow": 19, "well": 20, "buzzer": 21}}
 
 
 def test_stack_light_shows_the_state(shop: Make) -> None:
+    """seen: first letters of the lamps that are on.
+
+    They are green (it moves), yellow (it waits), and "well" (no alarm).
+    """
     made = shop("stack_light", **_LIGHT)
     seen: list[Any] = []
 
     def look(text: str, how: str) -> "Iterator[Any]":
+        """Send a text and wait as given, then note the lamps."""
         yield from made.send(text, how)
         yield made.rig.ms(100)
         seen.append("".join([n[0] for n in made.outputs[:3] if made.is_on(n)]))
 
     def script() -> "Iterator[Any]":
-        yield from look("", "ms 1")
+        yield from look("", "ms 1")  # idle
         yield from look("G1 X50 F600\n", "ms 500")
         yield from look("!", "ms 500")
         yield from look("~", "ms 100")
-        yield from look("\x18", "banner")
+        yield from look("\x18", "banner")  # during motion: alarm
         yield from look("$X\n", "ms 50")
 
     made.run(script())
@@ -492,16 +524,18 @@ def test_stack_light_shows_the_state(shop: Make) -> None:
 
 
 def test_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
+    """With homing ($22=1) the machine is in alarm from power-up; $X ends it."""
     made = shop("stack_light", settings={22: 1}, **_LIGHT)
 
     def script() -> "Iterator[Any]":
         yield made.rig.ms(21_000)
         assert not made.is_on("well")
         yield from made.send("$X")
-        yield made.rig.ms(11_000)
+        yield made.rig.ms(11_000)  # longer than the 10 s between beeps
 
     made.run(script())
     beeps = [on for name, on, _ in made.book if name == "buzzer"]
+    # Two at 0, 10 and 20 s.
     assert beeps.count(True) == 6 and not made.is_on("buzzer")
 
 
@@ -509,6 +543,10 @@ def test_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
 
 
 def test_parts_are_counted_over_power_off(shop: Make) -> None:
+    """Two of three parts are made before power-off. The third M2 asks the user to empty the box.
+
+    Reports have |Pn:made,wanted; M120 sets the number wanted, M121 starts again at 0.
+    """
     made = shop("counter")
 
     def script() -> "Iterator[Any]":
@@ -516,18 +554,18 @@ def test_parts_are_counted_over_power_off(shop: Make) -> None:
         for _ in range(2):
             yield from made.send("G1 X1 F1000")
             yield from made.send("M30")
-        yield made.rig.ms(100)
+        yield made.rig.ms(100)  # the numbers are written while the machine is idle
 
     made.run(script())
     made.power_up(made.rig.store)
     seen: list[str] = []
 
     def next_day() -> "Iterator[Any]":
-        yield from made.reports()
+        yield from made.reports()  # only a second report is sure to have the field
         seen.extend((yield from made.reports()))
         yield from made.start("M2")
         seen.append(made.messages[-1])
-        yield from made.start("~", "Idle")
+        yield from made.start("~", "Idle")  # the box is empty
         yield from made.send("M121")
         yield from made.reports()
         seen.extend((yield from made.reports()))
@@ -548,6 +586,10 @@ def test_fractional_number_of_parts_is_refused(shop: Make) -> None:
 
 @pytest.mark.parametrize("line", ["G0 X50", "G1 X50 F1500", "$J=G91 X50 F1500"])
 def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
+    """M114 P1 switches the guard on. The probe touches at X20: alarm 34; no step is lost.
+
+    seen: place after the stop, 2 s later, a report, place after a jog by -30 mm.
+    """
     made = shop("guard", settings={110: 1500})
     made.switch(0, True, 20)
     seen: list[Any] = []
@@ -576,6 +618,10 @@ def test_guarded_probe_stops_at_an_obstacle(shop: Make, line: str) -> None:
 
 
 def test_guarded_probe_can_probe_and_be_pulled_back(shop: Make) -> None:
+    """Probing moves may touch, and so may the moves away from the contact at X20.
+
+    M114 P0 switches the guard off: then X30 is reached.
+    """
     made = shop("guard")
     made.switch(0, True, 20)
     lines = ("M114 P1", "G0 X10", "G38.2 X50 F300", "G0 X5", "G38.2 X50 F300", "G0 X0", "M114 P0")
@@ -610,12 +656,13 @@ _FEEDER = {"OUTPUTS": {"feeder": 20}, "INPUTS": {"part": 21, "jam": 22}}
 
 
 def test_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
+    """M115 runs the feeder at X10, until the sensor "part" is closed. Then the job goes on."""
     made = shop("feeder", **_FEEDER)
     seen: list[bool] = []
 
     def script() -> "Iterator[Any]":
         yield from made.send("G1 X10 F1000")
-        yield from made.send("M115\nG1 X20\n", "ms 2000")
+        yield from made.send("M115\nG1 X20\n", "ms 2000")  # X10 is reached, no part has come
         seen.append(made.is_on("feeder"))
         made.close("part")
         yield made.rig.ms(100)
@@ -625,14 +672,15 @@ def test_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
 
     made.run(script())
     assert seen == [True, False] and made.place()[0] == 20
-    assert [place[0] for _, _, place in made.book] == [10, 10]
+    assert [place[0] for _, _, place in made.book] == [10, 10]  # X where it switched on and off
 
 
 def test_job_holds_without_a_part_until_the_user_resumes(shop: Make) -> None:
+    """M115 Q2 waits 2 s for a part, then holds. M115 is answered after a part has come."""
     made = shop("feeder", **_FEEDER)
 
     def script() -> "Iterator[Any]":
-        yield from made.start("M115 Q2")
+        yield from made.start("M115 Q2")  # waits for the hold
         assert not made.is_on("feeder") and made.answers == []
         made.close("part")
         yield from made.start("~", "Idle")
@@ -664,17 +712,19 @@ _PICK = {"OUTPUTS": {"vacuum": 20, "blow": 21}, "INPUTS": {"gripped": 22}}
 
 
 def test_part_is_picked_and_placed(shop: Make) -> None:
+    """M116 picks at Z-0.5 inches, M117 places at Z-0.25; both return to the height before."""
     made = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
         yield from made.send("G20 G0 X1")
+        # 12.7 mm down at 600 mm/min take 1.3 s. Then it waits 0.8 s for the vacuum sensor.
         yield from made.send("M116 Z-0.5\n", "ms 1900")
         assert made.place()[2] == pytest.approx(-12.7, abs=0.01)
         made.close("gripped")
-        yield from made.answered(2)
+        yield from made.answered(2)  # G0 and M116
         assert made.place()[2] == 0
         yield from made.send("G0 X2")
-        yield from made.send("M117 Z-0.25\n", "ms 1500")
+        yield from made.send("M117 Z-0.25\n", "ms 1500")  # long enough for the part's release
         made.close("gripped", False)
         yield from made.answered(4)
 
@@ -686,22 +736,24 @@ def test_part_is_picked_and_placed(shop: Make) -> None:
         ("blow", True),
         ("blow", False),
     ]
-    assert made.book[1][2] == pytest.approx((50.8, 0, -6.35), abs=0.01)
+    release_place = made.book[1][2]
+    assert release_place == pytest.approx((50.8, 0, -6.35), abs=0.01)  # 2 and -0.25 inches
     assert made.place() == pytest.approx((50.8, 0, 0), abs=0.01) and made.messages == []
 
 
 def test_missing_and_lost_parts_hold_the_job(shop: Make) -> None:
+    """M116 holds without a part; a part that the vacuum sensor loses holds the next move."""
     made = shop("pick", **_PICK)
 
     def script() -> "Iterator[Any]":
-        yield from made.start("M116 Z-5")
+        yield from made.start("M116 Z-5")  # waits for the hold
         assert made.place() == (0, 0, 0) and made.messages[0].startswith("No part at the sucker")
         made.close("gripped")
         yield from made.start("~", "Idle")
         yield from made.send("G1 X50 F1000\n", "ms 1000")
         made.close("gripped", False)
         yield from made.until("Hold")
-        assert 0 < made.place()[0] < 25
+        assert 0 < made.place()[0] < 25  # 1 s at 1000 mm/min, and the way to stop
         made.close("gripped")
         yield from made.start("~", "Idle")
 
@@ -714,12 +766,17 @@ def test_missing_and_lost_parts_hold_the_job(shop: Make) -> None:
 
 
 def test_pen_is_down_before_the_machine_moves(shop: Make) -> None:
+    """M3 is answered after the servo's travel time of 150 ms. A reset lifts the pen.
+
+    seen: width of the servo's pulses, 1000 us up and 1600 us down.
+    """
     from machine import PWM
 
     made = shop("pen")
     seen: list[Any] = []
 
     def us() -> int:
+        # Pin 15: periods of 20000 us; duty 65535 is all of it.
         return round(PWM.outputs[15].duty * 20000 / 65535)
 
     def script() -> "Iterator[Any]":
@@ -743,7 +800,10 @@ _PENDANT = {"INPUTS": {**_WHEEL, "z": 12, "y": 13, "plus": 14, "minus": 15, "coa
 
 
 def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
-    """Switch both contacts of the wheel as an encoder does, with edges of wheel_a."""
+    """Switch both contacts of the wheel as an encoder does, with edges of wheel_a.
+
+    Negative edges turn it the other way. A contact changes every 3 ms.
+    """
     a = b = False
     for _ in range(abs(edges)):
         for _ in range(2):
@@ -759,6 +819,7 @@ def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
 @pytest.mark.usefixtures("each_ms")
 @pytest.mark.parametrize(("edges", "coarse", "mm"), [(10, False, 0.1), (-10, True, -1.0)])
 def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float) -> None:
+    """0.01 mm per edge, or 0.1 mm with the switch "coarse"; the switch "y" chooses the axis."""
     made = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
@@ -773,8 +834,9 @@ def test_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float
 
 
 def test_button_jogs_while_it_is_held(shop: Make) -> None:
+    """3 s at 1200 mm/min are 60 mm; after the release it stops within 2.5 mm."""
     made = shop("pendant", **_PENDANT)
-    seen: list[Any] = []
+    seen: list[Any] = []  # X after 3 s, a report, X at the end
 
     def script() -> "Iterator[Any]":
         made.close("minus")
@@ -791,6 +853,7 @@ def test_button_jogs_while_it_is_held(shop: Make) -> None:
 
 
 def test_pendant_does_not_disturb_a_program(shop: Make) -> None:
+    """A button and the wheel are used within a move, whose end must not change."""
     made = shop("pendant", **_PENDANT)
 
     def script() -> "Iterator[Any]":
@@ -815,7 +878,7 @@ class Wire:
 
     def __init__(self, number: int, baudrate: int, tx: Any, rx: Any) -> None:
         assert (number, baudrate) == (1, 115200)
-        self.sent = b""
+        self.sent = b""  # by the pendant, not yet read by the example
         Wire.last = self
 
     def read(self) -> "bytes | None":
@@ -824,7 +887,8 @@ class Wire:
 
 
 def frame(axis: int = 0, clicks: int = 0, percent: int = 100, buttons: int = 1) -> bytes:
-    data = bytes((0xA5, axis, clicks & 255, 10, percent, buttons))
+    """Return a frame of the pendant. buttons: bits 1 enabling, 2 plus, 4 minus, 8 hold."""
+    data = bytes((0xA5, axis, clicks & 255, 10, percent, buttons))  # 10: 0.1 mm per click
     return data + bytes((sum(data) & 255,))
 
 
@@ -837,22 +901,25 @@ def pendant(monkeypatch: pytest.MonkeyPatch, shop: Make) -> Shop:
 
 
 def repeated(made: Shop, data: bytes, times: int) -> "Iterator[Any]":
+    """Send data so many times, every 20 ms."""
     for _ in range(times):
         Wire.last.sent += data
         yield made.rig.ms(20)
 
 
 def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop) -> None:
-    wrong = bytearray(frame(0, 50))
-    wrong[2] ^= 4
+    """Of all frames sent, only -12 clicks of Y and 5 of X count, 0.1 mm each."""
+    wrong = bytearray(frame(axis=0, clicks=50))
+    wrong[2] ^= 4  # the checksum no longer fits the clicks
 
     def script() -> "Iterator[Any]":
-        yield from repeated(pendant, frame(1, -3), 4)
+        yield from repeated(pendant, frame(axis=1, clicks=-3), 4)
         yield from repeated(pendant, bytes(wrong), 3)
-        yield from repeated(pendant, frame(2, -2)[3:] + frame(0, 5), 1)  # it begins in the middle
+        # The first of these two begins in its middle.
+        yield from repeated(pendant, frame(axis=2, clicks=-2)[3:] + frame(axis=0, clicks=5), 1)
         yield pendant.rig.ms(150)
-        yield from repeated(pendant, frame(0, 9, buttons=0), 3)
-        yield from repeated(pendant, frame(7, 9), 1)
+        yield from repeated(pendant, frame(axis=0, clicks=9, buttons=0), 3)  # not enabled
+        yield from repeated(pendant, frame(axis=7, clicks=9), 1)  # there is no such axis
         yield from pendant.until("Idle")
 
     pendant.run(script())
@@ -861,6 +928,10 @@ def test_clicks_of_the_serial_pendant_jog_and_wrong_frames_do_not(pendant: Shop)
 
 @pytest.mark.parametrize("end", ["the line is cut", "enabling button released", "button released"])
 def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
+    """The button plus is held for 2 s at 50 % of 3000 mm/min: 50 mm. Then the jog must end.
+
+    seen: X after 2 s, a report, X 0.8 s after the end of all frames.
+    """
     seen: list[Any] = []
 
     def script() -> "Iterator[Any]":
@@ -876,14 +947,17 @@ def test_jog_of_the_serial_pendant_ends(pendant: Shop, end: str) -> None:
 
     pendant.run(script())
     assert seen[0] == pytest.approx(50, abs=3) and "<Jog" in seen[1]
+    # mm; a cut line is noticed only after 0.24 s, which are 6 mm.
     assert 0 < pendant.place()[0] - seen[0] < (8 if end == "the line is cut" else 2.5)
     assert pendant.place()[0] == seen[2]
 
 
 def test_hold_of_the_serial_pendant_acts_once_in_a_program(pendant: Shop) -> None:
+    """Wheel and plus do nothing in a program. The held hold button must not hold it again."""
+
     def script() -> "Iterator[Any]":
         yield from pendant.send("G1 X20 F1000\n", "ms 100")
-        yield from repeated(pendant, frame(1, 9, buttons=1 | 2), 5)
+        yield from repeated(pendant, frame(1, clicks=9, buttons=1 | 2), 5)
         yield from repeated(pendant, frame(buttons=1 | 8), 20)
         assert "<Hold" in (yield from pendant.reports())[0]
         yield from pendant.send("~", "ms 100")
@@ -909,13 +983,14 @@ class Rack:
     """
 
     def __init__(self, shop: Shop) -> None:
+        """Fill all pockets; follow each change of the outputs."""
         self.shop = shop
-        self.pockets = set(range(1, 9))
-        self.tool = 0
+        self.pockets = set(range(1, 9))  # that have their tool
+        self.tool = 0  # in the cone; 0: none
         self.stuck = False
         self.lengths = {tool: -30.0 - tool for tool in range(1, 9)}
-        self.changes: "list[str]" = []
-        shop.close("air")
+        self.changes: "list[str]" = []  # "+3": tool 3 was taken, "-3": put away
+        shop.close("air")  # the input "air": there is pressure
         shop.rig.engine.switches.append(Solid(shop, self._touches))
         shop.rig.port.drive = self._around(shop.rig.port.drive)  # type: ignore[method-assign]
 
@@ -923,6 +998,8 @@ class Rack:
         return bool(self.tool) and (x, y) == (360, 300) and z <= self.lengths[self.tool]
 
     def _around(self, drive: "Callable[[int], None]") -> "Callable[[int], None]":
+        """Return the port's drive(levels), which also updates the tool."""
+
         def driven(levels: int) -> None:
             drive(levels)
             self.look()
@@ -935,7 +1012,7 @@ class Rack:
         return round((x - 20) / 40) + 1 if y == 300 and z == -80 else 0
 
     def look(self) -> None:
-        """Update the tool by the drawbar."""
+        """Update tool, pockets and sensors from the drawbar and the place of the cone."""
         is_open = self.shop.is_on("drawbar") and not self.stuck
         pocket = self.pocket()
         if is_open and self.tool and pocket:
@@ -956,6 +1033,10 @@ class Rack:
 
 
 def test_tools_return_to_their_pockets_and_are_measured(shop: Make) -> None:
+    """T3, T8 (a line before M6, and M6 twice), and T0, which puts the tool away.
+
+    The program has inches and relative distances, which stay.
+    """
     made = shop("rack", **_RACK)
     rack = Rack(made)
     seen: list[Any] = []
@@ -971,11 +1052,13 @@ def test_tools_return_to_their_pockets_and_are_measured(shop: Make) -> None:
     made.run(script())
     assert made.messages == [] and set(made.answers) == {"ok"}
     assert rack.changes == ["+3", "-3", "+8", "-8"] and rack.pockets == set(range(1, 9))
-    assert seen[0] == (False, -1) and "G20 G91" in seen[-1]
-    assert [entry[0] for entry in made.book].count("drawbar") == 8
+    assert seen[0] == (False, -1) and "G20 G91" in seen[-1]  # spindle off, Z-1 after M6
+    # It opened and closed for each of the four changes.
+    assert [name for name, _, _ in made.book].count("drawbar") == 8
 
 
 def test_impossible_tool_change_is_refused_before_anything_moves(shop: Make) -> None:
+    """Each line has one reason for its refusal; `words` are from the messages, in this order."""
     made = shop("rack", **_RACK)
     Rack(made)
 
@@ -992,7 +1075,7 @@ def test_impossible_tool_change_is_refused_before_anything_moves(shop: Make) -> 
         yield from made.send("M61 Q9")
         yield from made.send("M61 Q0")
         made.rig.port.push({"probe": True})
-        yield from made.send("M61 Q4")
+        yield from made.send("M61 Q4")  # right: a tool is in the cone
         yield from made.send("T1 M6")
 
     made.run(script())
@@ -1003,6 +1086,7 @@ def test_impossible_tool_change_is_refused_before_anything_moves(shop: Make) -> 
 
 
 def test_stuck_drawbar_stops_the_change(shop: Make) -> None:
+    """The change T2 to T5 stops in pocket 2 (Z-80); the tool is still in the cone."""
     made = shop("rack", **_RACK)
     rack = Rack(made)
 
@@ -1019,6 +1103,7 @@ def test_stuck_drawbar_stops_the_change(shop: Make) -> None:
 
 
 def test_empty_pocket_and_broken_tool_are_reported(shop: Make) -> None:
+    """Tool 2 breaks by 3 mm between two changes. Tool 7 is missing in its pocket."""
     made = shop("rack", **_RACK)
     rack = Rack(made)
 
@@ -1026,7 +1111,7 @@ def test_empty_pocket_and_broken_tool_are_reported(shop: Make) -> None:
         yield from made.send("T2 M6")
         yield from made.send("T0 M6")
         rack.lengths[2] -= 3
-        yield from made.start("T2 M6")
+        yield from made.start("T2 M6")  # waits for the hold
         yield from made.start("~", "Idle")
         yield from made.send("T0 M6")
         rack.pockets.remove(7)
@@ -1040,6 +1125,7 @@ def test_empty_pocket_and_broken_tool_are_reported(shop: Make) -> None:
 
 @pytest.mark.thorough
 def test_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
+    """After each reset M61 says which tool is in the cone, and the next change succeeds."""
     for ms in range(200, 17_000, 1200):
         made = shop("rack", **_RACK)
         rack = Rack(made)
@@ -1050,7 +1136,7 @@ def test_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
             yield from made.send("\x18", "banner")
             rack.look()
             assert not made.is_on("drawbar") and not made.rig.port.own_outputs
-            yield made.rig.ms(700)
+            yield made.rig.ms(700)  # until the motors have stopped and handlers have ended
             yield from made.send("$X")
             yield from made.send("M61 Q%d" % rack.tool)
             yield from made.send("$J=G91 Z20 F3000")  # off the sensor, if it is there
@@ -1083,10 +1169,10 @@ class Inverter:
 
     def __init__(self, number: int, baudrate: int, tx: Any, rx: Any) -> None:
         assert (number, baudrate) == (1, 19200)
-        self.answer: "bytes | None" = None
-        self.hz = 0.0
+        self.answer: "bytes | None" = None  # to the last telegram
+        self.hz = 0.0  # of the motor with two poles: rpm / 60
         self.asked_hz = 0.0
-        self.word = 1
+        self.word = 1  # last command: 0x12 M3, 0x22 M4, 1 stop
         Inverter.last = self
 
     last: "Inverter"
@@ -1096,6 +1182,10 @@ class Inverter:
         return answer
 
     def write(self, frame: bytes) -> None:
+        """Execute a Modbus telegram: address, function (3 read, 6 write), register, value, CRC.
+
+        Register 0x2000 is the command, 0x2001 the wanted frequency in 0.01 Hz.
+        """
         assert crc(frame[:-2]) == frame[-2:] and frame[0] == 1
         function, register, value = frame[1], frame[2] << 8 | frame[3], frame[4] << 8 | frame[5]
         if (function, register) == (6, 0x2000):
@@ -1103,11 +1193,12 @@ class Inverter:
         elif (function, register) == (6, 0x2001):
             self.asked_hz = value / 100
         target = self.asked_hz if self.word != 1 else 0
-        way = min(max(target - self.hz, -4), 4)
-        self.hz += 0 if Inverter.slow and way > 0 else way
+        change_hz = min(max(target - self.hz, -4), 4)
+        self.hz += 0 if Inverter.slow and change_hz > 0 else change_hz
         if not Inverter.dumb:
-            number = round(self.hz * 100)
-            body = frame[:6] if function == 6 else bytes((1, 3, 2, number >> 8, number & 255))
+            # A write is answered by its repetition, a read by the motor's frequency.
+            value = round(self.hz * 100)
+            body = frame[:6] if function == 6 else bytes((1, 3, 2, value >> 8, value & 255))
             self.answer = body + crc(body)
 
 
@@ -1123,6 +1214,7 @@ def crc(frame: bytes) -> bytes:
 
 @pytest.fixture
 def inverter(monkeypatch: pytest.MonkeyPatch, shop: Make) -> Shop:
+    """Return a machine with the example and a sound inverter; 24000 is the largest S."""
     import machine
 
     assert crc(bytes.fromhex("010300000001")) == bytes.fromhex("840a")  # the standard's example
@@ -1133,6 +1225,7 @@ def inverter(monkeypatch: pytest.MonkeyPatch, shop: Make) -> Shop:
 
 
 def test_machine_waits_for_the_inverters_speed(inverter: Shop) -> None:
+    """Each word is answered only at its speed. seen: command and rpm after each line."""
     seen: list[float] = []
 
     def script() -> "Iterator[Any]":
@@ -1147,6 +1240,8 @@ def test_machine_waits_for_the_inverters_speed(inverter: Shop) -> None:
 
 
 def test_silent_inverter_stops_the_machine(inverter: Shop) -> None:
+    """It no longer answers during a move: alarm 34 within some telegrams, and a stop command."""
+
     def script() -> "Iterator[Any]":
         yield from inverter.send("M3 S12000")
         yield from inverter.send("G1 X100 F1000\n", "ms 500")
@@ -1190,10 +1285,10 @@ _TURNING: "dict[str, Any]" = {"STEP": (0, 1, 2, 3), "settings": {113: 6000, 123:
 
 def cut(made: Shop, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
     """Run lines; return the machine and its position at the end of each segment."""
-    way: "list[tuple[float, ...]]" = []
-    made.rig.engine.trace = lambda start, row: way.append(made.place())
+    places: "list[tuple[float, ...]]" = []
+    made.rig.engine.trace = lambda start, row: places.append(made.place())
     assert made.say(*lines) == ["ok"] * len(lines), made.messages
-    return made, way
+    return made, places
 
 
 def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
@@ -1201,22 +1296,29 @@ def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
 
 
 def test_blade_turns_along_its_cut_and_lifts_at_corners(shop: Make) -> None:
-    _, way = knife(shop, "G0 Z5", "G101 X20 Y0", "G101 Y20", "G101 X0", "G100")
-    down = [place for place in way if place[2] < 1.9]
+    """Three sides of a square, at Z-1.5. A: 0 degrees along X, 90 along Y, 180 back along X.
+
+    Between the sides the blade turns at Z2 or above.
+    """
+    _, places = knife(shop, "G0 Z5", "G101 X20 Y0", "G101 Y20", "G101 X0", "G100")
+    down = [place for place in places if place[2] < 1.9]
     for (x, y, z, a), (x1, y1, z1, a1) in itertools.pairwise(down):
         if (x, y) != (x1, y1) and z == z1 == -1.5:
             assert a == a1 and a == pytest.approx(0 if y1 == y == 0 else 90 if x1 == x else 180)
     assert {round(place[3]) for place in down} == {0, 90, 180}
-    assert way[-1] == pytest.approx((0, 20, 2, 180), abs=0.01)
-    turning = [p for p, q in itertools.pairwise(way) if p[3] != q[3]]
+    assert places[-1] == pytest.approx((0, 20, 2, 180), abs=0.01)
+    turning = [p for p, q in itertools.pairwise(places) if p[3] != q[3]]
     assert turning and all(place[2] >= 1.9 for place in turning)
 
 
 def test_curve_is_cut_without_stops_and_lifts(shop: Make) -> None:
+    """Eight lines along a parabola, with small angles between them."""
     lines = ["G101 X%d Y%.3f" % (10 * i, i * i / 4) for i in range(1, 9)]
-    made, way = knife(shop, "G0 Z5", *lines)
-    cutting = way[next(i for i, place in enumerate(way) if place[2] == -1.5) :]
+    made, places = knife(shop, "G0 Z5", *lines)
+    cutting = places[next(i for i, place in enumerate(places) if place[2] == -1.5) :]
+    # The step engine started for the moves before the cut, and once for all of the cut.
     assert all(place[2] == -1.5 for place in cutting) and made.rig.engine.starts <= 3
+    # Direction of the last line: atan((64 - 49) / 4 / 10) in degrees.
     assert made.place()[3] == pytest.approx(20.56, abs=0.01)
 
 
@@ -1234,23 +1336,29 @@ def swinging(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
 
 
 def test_blade_cuts_corners_completely_and_is_out_while_it_turns(shop: Make) -> None:
-    made, way = swinging(shop, "G0 Z5", "G0 X5 Y5", "G111 X25", "G111 Y15", "G110")
-    down = [place for place in way if place[2] == -4]
-    first = [x for x, y, z, a in down if a == 0]
-    second = [y for x, y, z, a in down if round(a) == 90]
-    assert (min(first), max(first)) == pytest.approx((4.4, 25.6), abs=0.01)
-    assert (min(second), max(second)) == pytest.approx((4.4, 15.6), abs=0.01)
-    turning = [p for p, q in itertools.pairwise(way) if p[3] != q[3]]
+    """From X5 Y5 to X25, then to Y15, at Z-4; the blade turns at Z3 or above.
+
+    Each cut begins 0.6 mm before its line and ends 0.6 mm after it.
+    """
+    made, places = swinging(shop, "G0 Z5", "G0 X5 Y5", "G111 X25", "G111 Y15", "G110")
+    down = [place for place in places if place[2] == -4]
+    first_x = [x for x, y, z, a in down if a == 0]
+    second_y = [y for x, y, z, a in down if round(a) == 90]
+    assert (min(first_x), max(first_x)) == pytest.approx((4.4, 25.6), abs=0.01)
+    assert (min(second_y), max(second_y)) == pytest.approx((4.4, 15.6), abs=0.01)
+    turning = [p for p, q in itertools.pairwise(places) if p[3] != q[3]]
     assert turning and all(place[2] >= 2.99 for place in turning)
-    assert way[-1] == pytest.approx((25, 15.6, 3, 90), abs=0.01)
-    (_, is_on, at), (_, is_off, out) = made.book
-    assert (is_on, is_off) == (True, False) and at[2] == 5 and out[2] == 3
+    assert places[-1] == pytest.approx((25, 15.6, 3, 90), abs=0.01)
+    # The output of the blade: on at Z5, before it goes in; off at Z3.
+    (_, first_level, on_place), (_, second_level, off_place) = made.book
+    assert (first_level, second_level) == (True, False)
+    assert on_place[2] == 5 and off_place[2] == 3
 
 
 def test_straight_sequence_of_lines_lifts_no_blade(shop: Make) -> None:
     lines = ["G111 X%d Y%.2f" % (10 * i, 0.2 * i) for i in range(1, 6)]
-    made, way = swinging(shop, "G0 Z5", *lines)
-    cutting = way[next(i for i, place in enumerate(way) if place[2] == -4) :]
+    made, places = swinging(shop, "G0 Z5", *lines)
+    cutting = places[next(i for i, place in enumerate(places) if place[2] == -4) :]
     assert all(place[2] == -4 for place in cutting) and made.is_on("blade")
     assert made.say("\x18", "$X") and not made.is_on("blade")
 
@@ -1269,6 +1377,7 @@ _NUMBERED = {
 
 
 def test_outputs_switch_with_or_after_the_motion_before_them(shop: Make) -> None:
+    """M62 and M63 switch output P during motion, M64 and M65 after it has ended."""
     made = shop("digital_io", **_NUMBERED)
     lines = ("G1 X5 F1500", "M62 P0", "X10", "M63 P0", "X15", "M64 P1", "X20", "M65 P1")
     assert made.say(*lines) == ["ok"] * 8
@@ -1278,10 +1387,11 @@ def test_outputs_switch_with_or_after_the_motion_before_them(shop: Make) -> None
         ("lamp", True),
         ("lamp", False),
     ]
-    places = [at[0] for _, _, at in made.book]
-    assert places[2:] == [15, 20], "they wait"
-    late = [at - place for place, at in zip((5, 10), places)]
-    assert all(0 <= mm <= 0.01 * 25 for mm in late), "motion goes on"
+    x_mm = [place[0] for _, _, place in made.book]
+    assert x_mm[2:] == [15, 20], "they wait"
+    late_mm = [x - wanted for wanted, x in zip((5, 10), x_mm)]
+    # Up to 10 ms late, at 1500 mm/min = 25 mm/s.
+    assert all(0 <= mm <= 0.01 * 25 for mm in late_mm), "motion goes on"
 
 
 def test_input_is_waited_for_by_its_number(shop: Make) -> None:
@@ -1310,8 +1420,9 @@ def test_input_is_waited_for_by_its_number(shop: Make) -> None:
 
 
 def test_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """M66 E1 reads an ADC, a fake here, at a quarter of its range of 65536."""
     made = shop("digital_io", **_NUMBERED)
-    read: list[object] = []
+    read: list[object] = []  # pins of the ADCs used
 
     class Adc:
         def __init__(self, pin: object) -> None:
@@ -1328,6 +1439,7 @@ def test_analog_input_is_reported(shop: Make, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_pulse_widths_are_set_and_unknown_numbers_refused(shop: Make) -> None:
+    """M68 E2 Q0.25 sets output 2 to a duty of 0.25: 16384 of 65536, at 1000 Hz."""
     made = shop("digital_io", **_NUMBERED)
     assert made.say("M68 E2 Q0.25") == ["ok"]
     assert made.rig.port.own_pulses == {2: (1000, 16384)}
@@ -1339,6 +1451,7 @@ def test_pulse_widths_are_set_and_unknown_numbers_refused(shop: Make) -> None:
 
 
 def test_tool_lengths_are_entered_used_and_stored(shop: Make) -> None:
+    """G10 L1 enters -12.5 mm and -1 inch. They are valid after power-off; G43 H applies them."""
     made = shop("tool_table")
     assert made.say("G10 L1 P2 Z-12.5", "G20", "G10 L1 P3 Z-1", "G21", "G4 P0.1") == ["ok"] * 5
     made.power_up(made.rig.store)
@@ -1353,27 +1466,30 @@ def test_tool_lengths_are_entered_used_and_stored(shop: Make) -> None:
 
 
 def test_tool_is_changed_once_and_its_length_is_used(shop: Make) -> None:
+    """T2 M6 twice asks once. T3 has no length: its change is refused, and tool 2 stays."""
     made = shop("tool_table")
-    told: "list[str]" = []
+    offsets: "list[str]" = []  # replies to $#
 
     def script() -> "Iterator[Any]":
         yield from made.send("G10 L1 P2 Z-12.5")
         yield from made.send("M3 S100")
         yield from made.start("T2 M6")
+        # It holds at the place of the change, with the spindle off.
         assert made.place() == (3, 3, -1) and made.rig.port.spindle_pwm == 0
         yield from made.send("~", "ms 100")
         yield from made.send("T2 M6")  # it is in the spindle already
         yield from made.send("G53 G0 Z-3")
         yield from made.send("T3 M6")
-        told.extend((yield from made.send("$#")))
+        offsets.extend((yield from made.send("$#")))
 
     made.run(script())
+    # Answers to both T2 M6, G53, T3 M6 and $#.
     assert made.answers[-5:] == ["ok"] * 3 + ["error:3", "ok"] and made.place()[2] == -3
     assert made.messages == [
         "put in tool 2",
         "tool 3 has no length: G10 L1 P3 Z and the length",
     ]
-    assert "[TLO:-12.500]" in told
+    assert "[TLO:-12.500]" in offsets
 
 
 # A height map
@@ -1385,15 +1501,16 @@ def wavy(x: float, y: float) -> float:
 
 
 def test_cut_follows_the_map_even_after_power_off(shop: Make) -> None:
+    """M118 probes 40 by 20 mm every 10 mm, in inches here. G102 then cuts 0.1 mm into the work."""
     made = shop("height_map")
     made.rig.engine.switches.append(Solid(made, lambda x, y, z: z <= wavy(x, y)))
     assert made.say("G20", "M118 X1.5748 Y0.7874 Q0.3937") == ["ok", "ok"], made.messages
     assert offset(made, "G54")[2] == pytest.approx(-6, abs=0.03)
     made.power_up(made.rig.store)
-    way: "list[tuple[float, ...]]" = []
-    made.rig.engine.trace = lambda start, row: way.append(made.place())
+    places: "list[tuple[float, ...]]" = []  # at the end of each segment
+    made.rig.engine.trace = lambda start, row: places.append(made.place())
     assert made.say("G102 Z-0.1 F300", "G102 X40 Y20 F3000", "G102 X0 F3000") == ["ok"] * 3
-    cutting = way[next(i for i, place in enumerate(way) if place[0] > 0.1) :]
+    cutting = places[next(i for i, place in enumerate(places) if place[0] > 0.1) :]
     assert len(cutting) > 50 and made.place()[:2] == (0, 20)
     for x, y, z in cutting:
         assert z == pytest.approx(wavy(x, y) - 0.1, abs=0.06)

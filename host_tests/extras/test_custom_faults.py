@@ -39,7 +39,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
 
 
 def length(said: "list[str]") -> str:
-    """Return the tool length in the answer to $#."""
+    """Return the line with the tool length, such as [TLO:12.500], of the replies to $#."""
     return next(line for line in said if line.startswith("[TLO:"))
 
 
@@ -55,6 +55,7 @@ def restore(m): m.set_length(12.5); heard.append(m.state)
 
 @pytest.mark.parametrize("leave", ["$C\n", "\x18"])
 def test_tool_length_is_restored_after_check_mode(bench: Make, leave: str) -> None:
+    """Check mode ends with a reset, which clears the length; on.after_reset sets it again."""
     made = bench(_LENGTH)
     said = made.say(*lines("M99", "$C", "G1X1F500"), (leave, "ms 300"), *lines("$#", "G0X1"))
     assert length(said[4]) == "[TLO:12.500]" and said[5] == ["ok"]
@@ -68,6 +69,7 @@ def test_tool_length_is_valid_for_the_first_line_after_check_mode(bench: Make) -
 
 
 def test_no_handler_runs_in_check_mode(bench: Make) -> None:
+    """Timers, inputs, states, reports, T and M words: all wait until check mode has ended."""
     made = bench(
         """
 @every(20)
@@ -85,13 +87,13 @@ def tool(m): heard.append(m.tool)
 """
     )
     module: Any = sys.modules
-    seen: list[Any] = []
+    in_check_mode: list[Any] = []
 
     def forget() -> None:
         module[made._name].heard.clear()
 
     def see() -> None:
-        seen.extend(made.heard)
+        in_check_mode.extend(made.heard)
 
     def close() -> None:
         made.rig.port.push({"pin_22": True})
@@ -106,7 +108,7 @@ def tool(m): heard.append(m.tool)
         ("$C\n", "ms 300"),
         *lines("M100"),
     )
-    assert seen == [], "within check mode"
+    assert in_check_mode == []
     assert True in made.heard, "changes are reported after check mode"
     assert made.heard[-1] != 7 and 0 in made.heard, "no tool has been selected"
 
@@ -121,6 +123,10 @@ def tool(m): heard.append(m.tool)
 def test_failure_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
     bench: Make, body: str, events: str
 ) -> None:
+    """The handler fails at power-up, and again after a reset during motion.
+
+    body: statement of the handler; events: those that call it.
+    """
     made = bench(f"{events}\ndef a(m): {body}")
     said = made.say(
         ("", "ms 2000"),
@@ -130,22 +136,25 @@ def test_failure_after_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
         ("?", "ms 50"),
         *lines("$X", "G0X0"),
     )
-    at_start, behind = (made.greeting + said[0]).count("ALARM:34"), said[4].count("ALARM:34")
+    at_start = (made.greeting + said[0]).count("ALARM:34")
+    after_reset = said[4].count("ALARM:34")
+    # after_reset is not called at power-up. m.g() works there, but not in the alarm of a reset.
     assert at_start == ("startup" in events and "m.g" not in body)
-    assert behind == ("stop" not in body), "m.stop() does no more in alarm"
+    assert after_reset == ("stop" not in body), "m.stop() does no more in alarm"
     assert said[5][0].startswith("<Alarm") and said[6][-1] == said[7][0] == "ok"
 
 
 def test_failing_homing_after_a_reset_is_not_repeated(bench: Make) -> None:
+    """No limit switch closes: homing fails with one alarm, and $X makes the machine idle."""
     made = bench("@on.after_reset\ndef a(m): heard.append(1); m.home()")
     said = made.say(
         *lines("$22=1", "$X"),
-        ("\x18", "ms 120000"),
+        ("\x18", "ms 120000"),  # enough for homing to search all its travel
         ("?", "ms 50"),
         ("$X\n", "ok"),
         ("?", "ms 50"),
     )
-    assert len([line for line in said[2] if line.startswith("ALARM")]) == 1
+    assert len([line for line in said[2] if line.startswith("ALARM")]) == 1  # after the reset
     assert said[3][0].startswith("<Alarm") and said[5][0].startswith("<Idle")
     assert made.heard == [1]
 
@@ -179,10 +188,14 @@ def test_second_reset_during_an_after_reset_handler_runs_it_again(bench: Make) -
 @pytest.mark.parametrize("way", ["sys.exit()", "raise SystemExit", "raise BaseException('x')"])
 @pytest.mark.parametrize("event", ["@mcode(100)", "@every(20)", "@mcode(100, '', False)"])
 def test_sys_exit_in_a_handler_is_a_failure_like_others(bench: Make, way: str, event: str) -> None:
+    """Alarm with the file's name, everything off; the machine works after $X.
+
+    way: statement that raises; event: decorator of its handler.
+    """
     made = bench(f"@mcode(1000)\ndef on_(m): m.out('vacuum', 1)\n{event}\ndef a(m):\n    {way}")
     said = made.say(("M3S500\nM100\n", "ms 3000"), *lines("$X"), ("G0X1\n", "idle"))
-    told = made.greeting + said[0]
-    assert "ALARM:34" in told and any("custom_faults" in line for line in told)
+    received = made.greeting + said[0]
+    assert "ALARM:34" in received and any("custom_faults" in line for line in received)
     assert not made.power and made.outputs == 0 and said[-1] == ["ok"] and made.mm[0] == 1
 
 
@@ -195,19 +208,24 @@ def test_sys_exit_at_import_leaves_the_machine_without_custom_words(bench: Make,
 
 
 def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
-    did: list[str] = []
-    fates: Iterator[BaseException] = iter([SystemExit(), KeyboardInterrupt()])
+    """power_up.run_machine() with fakes that record calls: the main loop raises SystemExit.
+
+    The outputs must be safe and the motors stopped before the alarm is sent.
+    """
+    calls: list[str] = []
+    # The second one ends run_machine(), which would otherwise run the main loop for ever.
+    raised: Iterator[BaseException] = iter([SystemExit(), KeyboardInterrupt()])
 
     def run() -> None:
-        raise next(fates)
+        raise next(raised)
 
     def note(what: str) -> "Callable[..., None]":
-        return lambda *_: did.append(what)
+        return lambda *_: calls.append(what)
 
     wire = SimpleNamespace(
-        write=lambda data: did.append(bytes(data).decode().split(" ")[0]),
+        write=lambda data: calls.append(bytes(data).decode().split(" ")[0]),
         close=note("close"),
-        read_into=lambda buf: buf.__setitem__(0, 0x18) or 1,
+        read_into=lambda buf: buf.__setitem__(0, 0x18) or 1,  # one byte: a reset
     )
     machine = SimpleNamespace(
         power_up=note("up"),
@@ -219,8 +237,9 @@ def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
     watch = SimpleNamespace(end_absence=lambda: False, close=note("unwatch"))
     parts: Any = (machine, wire, port, SimpleNamespace(stop=note("stop")), watch, [])
     power_up.run_machine(parts)
-    assert did[:3] == ["up", "safe", "stop"]
-    assert did[3] == f"ALARM:{errors.ALARM_INTERNAL}\r\n" and did[4] == "[MSG:SystemExit"
+    assert calls[:3] == ["up", "safe", "stop"]
+    # write() has recorded the first word of each text sent.
+    assert calls[3] == f"ALARM:{errors.ALARM_INTERNAL}\r\n" and calls[4] == "[MSG:SystemExit"
 
 
 # Reports
@@ -241,9 +260,14 @@ def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
 def test_report_stays_one_line_for_any_returned_value(
     bench: Make, returned: str, field: str
 ) -> None:
+    """Characters that would end the report or look like an answer are replaced.
+
+    field: the end of the report; "": no field is added.
+    """
     made = bench(f"@on.report\ndef r(m): return {returned}")
     said = made.say(("?", "ms 50"), ("?", "ms 50"), *lines("G0X1"))
     assert len(said[1]) == 1 and said[1][0].endswith(field or ">") and said[2] == ["ok"]
+    # Without a field, at most three | are there; |Ov: is a further one, in some reports only.
     assert ("|Ov:" in said[1][0]) or field or said[1][0].count("|") <= 3
 
 
@@ -272,6 +296,7 @@ def c(m): heard.append((m.keep.get("a"), m.keep.get("v")))
 def test_value_that_could_not_be_read_back_is_not_stored(
     bench: Make, name: str, value: str, reason: str
 ) -> None:
+    """M101 stores the bad value and fails. M102 reads both values: only M100's is there."""
     made = bench(_KEEP.format(name=name, value=value))
     said = made.say(*lines("M100"), ("M101\n", "ms 2000"), *lines("$X", "M102"))
     assert any(reason in line for line in said[1]) and made.heard == [(1, None)]
@@ -285,6 +310,7 @@ def test_true_is_stored_as_1(bench: Make) -> None:
 
 
 def test_damaged_stored_value_does_not_affect_others(bench: Make) -> None:
+    """Of six stored lines two are sound. They are read, and the others are dropped at a write."""
     made = bench(_KEEP.format(name="'v'", value="2"))
     damaged = ['["v", nan]', "5", '[["x"], 3]', '["u"', '["a", 8]', '["w", 9]']
     made.rig.store.files["keep"] = damaged
@@ -297,6 +323,10 @@ def test_damaged_stored_value_does_not_affect_others(bench: Make) -> None:
 
 
 def test_word_during_motion_that_was_left_out_is_refused(bench: Make) -> None:
+    """A word with sync=False runs during motion, where a handler that has failed is disabled.
+
+    A later M62 is refused, because its sender would take "ok" for done.
+    """
     made = bench(
         "@mcode(62, 'P', sync=False)\ndef a(m, P):\n    if P == 5: 1 / 0\n    m.out('vacuum', P)\n"
     )
@@ -306,6 +336,7 @@ def test_word_during_motion_that_was_left_out_is_refused(bench: Make) -> None:
 
 
 def test_word_whose_timer_failed_still_works(bench: Make) -> None:
+    """One function is both timer and M100. As a timer it fails: a timer may not move."""
     made = bench(
         "@every(20)\n@mcode(100)\n"
         "def a(m):\n    m.g('G91 G0 X3')\n    heard.append(m.target().x)\n"
@@ -332,6 +363,7 @@ def test_word_whose_timer_failed_still_works(bench: Make) -> None:
     ],
 )
 def test_file_with_one_mistake_is_left_out_completely(bench: Make, text: str) -> None:
+    """None of the file's words and events is active, not even those without a mistake."""
     others = (
         "@on.spindle\ndef s(m, *_): heard.append('s')\n@every(20)\ndef e(m): heard.append(1)\n"
     )
@@ -366,6 +398,10 @@ def sensor(m, closed):
 
 @pytest.mark.parametrize("at_ms", [*range(0, 600, 60), 440, 460, 485, 499])
 def test_no_line_is_lost_to_a_jog(bench: Make, at_ms: int) -> None:
+    """The sensor closes at some time of a program: m.jog() is refused (False), the program ends.
+
+    The first 500 ms are a dwell, in which nothing moves.
+    """
     made = bench(_JOG)
 
     def close() -> None:
@@ -393,7 +429,7 @@ def test_received_line_cancels_a_pending_jog(bench: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "finding"),
     [
         ("@on.after_reset\ndef a(m): m.g('G21')", "refused with 9: G21: in Alarm, after a reset"),
         ("@on.report\ndef a(m): return 5", "on.report: it must return a text or None, not 5"),
@@ -403,17 +439,18 @@ def test_received_line_cancels_a_pending_jog(bench: Make) -> None:
         ("@mcode(100, sync='no')\ndef a(m): pass", "sync must be True, False or None, not 'no'"),
     ],
 )
-def test_check_reports_it_before_it_is_on_a_board(tmp_path: Path, text: str, told: str) -> None:
+def test_check_reports_it_before_it_is_on_a_board(tmp_path: Path, text: str, finding: str) -> None:
+    """Run `ugrbl custom check` on a file; COLUMNS keeps each finding on one line."""
     file = tmp_path / "mine.py"
     file.write_text("import sys; from ugrbl import mcode, on\n" + text)
     done = CliRunner().invoke(app, ["custom", "check", str(file)], env={"COLUMNS": "500"})
-    assert done.exit_code == 1 and "BAD" in done.output and told in done.output
+    assert done.exit_code == 1 and "BAD" in done.output and finding in done.output
 
 
 def test_check_accepts_a_handler_that_reads_the_state_after_a_reset(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
-    look = "if m.state == 'Idle': m.set_length(3)"
-    file.write_text(f"from ugrbl import on\n@on.after_reset\ndef a(m):\n    {look}\n")
+    body = "if m.state == 'Idle': m.set_length(3)"
+    file.write_text(f"from ugrbl import on\n@on.after_reset\ndef a(m):\n    {body}\n")
     assert CliRunner().invoke(app, ["custom", "check", str(file)]).exit_code == 0
 
 
@@ -438,6 +475,7 @@ keep.write()
 
 @needs_micropython
 def test_stored_values_can_be_read_back_by_micropython() -> None:
+    """Infinite numbers and names that are no text are refused; damaged lines are dropped."""
     assert run_micropython(_ON_MICROPYTHON, paths=[placed_firmware()]).splitlines() == [
         "m.keep: n is not finite",
         "m.keep: i is not finite",
