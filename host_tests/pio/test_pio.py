@@ -64,11 +64,15 @@ def ticks(us: int) -> int:
 
 
 def row(count: int, dirs: int, *axes: "tuple[int, int, int]") -> "array[int]":
-    """Return a segment; per axis: steps, tick of the first, tick of the last."""
+    """Return a segment of count ticks without a change of power.
+
+    dirs: a bit per axis, 1 for negative; per axis: steps, tick of the first, tick of the last.
+    """
     return array("i", [count, dirs, KEEP_POWER, *(n for axis in axes for n in axis)])
 
 
 def word(direction: int, steps: int, delay: int) -> int:
+    """Return a word of the program; delay: ticks before each step, besides the program's own."""
     return direction | steps << 1 | delay << 13
 
 
@@ -91,10 +95,13 @@ class Driver:
 
 
 def driver(edges: "Iterable[tuple[int, int, int]]", axis: int) -> Driver:
-    """Turn a chip's edges into a driver's view. DIR must not change while STEP is high."""
+    """Turn a chip's edges (tick, pin, level) into a driver's view.
+
+    DIR must not change while STEP is high.
+    """
     seen = Driver()
-    direction = step = 0
-    fell = turned = -HZ
+    direction = step = 0  # levels
+    fell = turned = -HZ  # ticks of STEP's last falling edge and of DIR's last change
     for tick, pin, level in edges:
         if pin == _DIR[axis]:
             assert not step, "DIR changes during a pulse"
@@ -115,7 +122,7 @@ def driver(edges: "Iterable[tuple[int, int, int]]", axis: int) -> Driver:
 def check_times(seen: Driver, timing: Timing) -> None:
     """Check the times a driver may demand: pulse length, hold and setup of DIR."""
     pulse_us, hold_us, setup_us = timing
-    assert seen.pulses <= {ticks(pulse_us)}
+    assert seen.pulses <= {ticks(pulse_us)}  # or no pulses
     assert seen.hold >= ticks(hold_us)
     assert seen.setup >= ticks(setup_us)
 
@@ -135,10 +142,11 @@ class Words:
         self.ring = array("i", [0] * (AXES << pulses.RING_LOG2))
         self.words: list[list[int]] = [[] for _ in range(AXES)]
         self.due: list[list[tuple[int, int]]] = [[] for _ in range(AXES)]  # steps: tick, DIR
-        self.late: list[int] = []
-        self.end = 0
+        self.late: list[int] = []  # ticks by which each piece is delayed, by DIR or the rate
+        self.end = 0  # tick at which the last segment ends
 
     def lane(self, axis: int, what: int) -> int:
+        """Return a field of the axis' state, such as pulses.HEAD."""
         return self.lanes[pulses.LANE * axis + what]
 
     def add(self, whole: "array[int]") -> None:
@@ -156,6 +164,7 @@ class Words:
         self.end = start + whole[ROW_TICKS]
 
     def _convert(self, piece: "array[int]") -> None:
+        """Let the engine write the piece's words into its rings; copy them to self.words."""
         heads = [self.lane(i, pulses.HEAD) for i in range(AXES)]
         self.late.append(pulses.convert(piece, self.lanes, self.ring, self.timing))
         for i, words in enumerate(self.words):
@@ -169,7 +178,7 @@ class Words:
         """Return a PIO block that is ready to play the words."""
         model = pio_model.PioModel(programs.stepper, list(zip(STEP, DIR, strict=True)))
         for i, words in enumerate(self.words):
-            model.load_isr(i, self.pulse - 3)
+            model.load_isr(i, self.pulse - 3)  # the program itself takes 3 ticks of each pulse
             model.waiting[i] += words
         model.start()
         return model
@@ -199,11 +208,12 @@ def cut(whole: "array[int]") -> "Iterator[array[int]]":
 
 def reckon(words: "Iterable[int]", pulse: int) -> "tuple[list[tuple[int, int]], int]":
     """Compute the steps of words from the timing in programs.py, and the tick the machine is
-    ready."""
-    steps = []
+    ready for the next one. pulse: ticks of a pulse."""
+    steps = []  # tick of the rising edge, DIR
     ready = 0
     for w in words:
         count, delay = w >> 1 & MOST_STEPS, w >> 13
+        # The program takes 6 ticks to fetch a word, 9 between pulses and 3 after the last one.
         edge = ready + 6 + delay
         ready = edge
         for k in range(count):
@@ -216,10 +226,11 @@ def reckon(words: "Iterable[int]", pulse: int) -> "tuple[list[tuple[int, int]], 
 def segmented(
     targets: "Sequence[tuple[float, ...]]", feed: float, limits: Limits
 ) -> "list[array[int]]":
-    """Return the segments that planner and kernels make of lines at feed mm/s."""
-    bench = Bench(limits, 64, HZ, LOG2)
+    """Return the segments that planner and kernels make of lines to these targets, in mm, at feed
+    mm/s."""
+    bench = Bench(limits, 64, HZ, LOG2)  # 64 blocks; segments of up to 1 << LOG2 ticks
     for target in targets:
-        bench.line(target, feed * 60)
+        bench.line(target, feed * 60)  # mm/min
     made = []
     while bench.segments.next(bench._row):
         made.append(bench._row[:])
@@ -232,9 +243,11 @@ def at_rate(
     """Return segments of one line whose longest axis makes this many steps at hz, from a flying
     start.
 
-    step_hz: the engine's highest rate; a higher rate would make full segments shorter than a
-    board's.
+    ratio: steps of each axis relative to the first. step_hz: the engine's highest rate; a higher
+    rate would make full segments shorter than a board's.
     """
+    # hz / 100 steps/mm: the first axis makes hz steps/s at 100 mm/s. Rates and accelerations are
+    # too high to limit anything.
     limits = Limits((hz / 100,) * AXES, (6e6,) * AXES, (1e7,) * AXES, step_hz=step_hz)
     target = tuple(steps * 100 / hz * part for part in ratio)
     length = sum(mm * mm for mm in target) ** 0.5
@@ -255,6 +268,7 @@ MOVES: "dict[str, tuple[Limits, float, list[tuple[float, ...]]]]" = {
 
 
 def move(name: str) -> "list[array[int]]":
+    """Return the segments of one of the MOVES."""
     limits, feed, targets = MOVES[name]
     return segmented(targets, feed, limits)
 
@@ -263,11 +277,11 @@ def move(name: str) -> "list[array[int]]":
 def segments(draw: Any, gap: int, most: int = 8, motors: int = AXES) -> "list[array[int]]":
     """Draw segments that no planner makes: steps on their edges, reversals at full speed.
 
-    gap: the least ticks from step to step within a segment.
+    gap: the least ticks from step to step within a segment; most: of segments.
     """
     rows = []
     for _ in range(draw(st.integers(1, most))):
-        count = draw(st.integers(1, 5000) | st.integers(1, 8))
+        count = draw(st.integers(1, 5000) | st.integers(1, 8))  # ticks
         axes = []
         for _ in range(motors):
             steps = draw(st.integers(0, min(count // gap + 1, 30)))
@@ -289,6 +303,7 @@ def timed_segments(
 
 
 def fed(rows: "Iterable[array[int]]", timing: Timing = TIMINGS["usual"]) -> Words:
+    """Return the words of these segments."""
     words = Words(timing)
     for made in rows:
         words.add(made)
@@ -299,9 +314,12 @@ def fed(rows: "Iterable[array[int]]", timing: Timing = TIMINGS["usual"]) -> Word
 
 
 def play(words: "list[int]", pulse: int, count: int) -> "list[tuple[int, int, int]]":
-    """Return the edges of one machine that plays these words for count ticks."""
+    """Return the edges (tick, pin, level) of one machine that plays these words for count ticks.
+
+    pulse: ticks of a pulse.
+    """
     model = pio_model.PioModel(programs.stepper, [(STEP[0], DIR[0])])
-    model.load_isr(0, pulse - 3)
+    model.load_isr(0, pulse - 3)  # the program itself takes 3 ticks of each pulse
     model.waiting[0] += words
     model.start()
     model.run(count)
@@ -314,6 +332,7 @@ def test_a_pulse_has_the_requested_length(pulse_us: int) -> None:
     seen = driver(play([word(0, 3, 0), word(1, 2, 7)], pulse, 3000), 0)
     assert len(seen.steps) == 5
     assert seen.pulses == {pulse}
+    # In ns: a tick has 80. Rounded up, so that no pulse is shorter than requested.
     assert pulse_us * 1000 <= pulse * 80 < pulse_us * 1000 + 80
 
 
@@ -322,6 +341,7 @@ def test_a_pulse_has_the_requested_length(pulse_us: int) -> None:
 def test_edges_follow_the_timing_of_programs(pulse: int, delay: int) -> None:
     """The second word's DIR changes one tick after the machine is ready for the word."""
     edges = play([word(0, 2, delay), word(1, 0, 0)], pulse, 4000)
+    # Ticks of the program: 6 to fetch a word, 9 between two pulses, 3 after the last.
     first = 6 + delay
     second = first + pulse + 9 + delay
     ready = second + pulse + 3
@@ -336,12 +356,14 @@ def test_edges_follow_the_timing_of_programs(pulse: int, delay: int) -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 1000, LONGEST_DELAY])
 def test_a_word_without_steps_is_a_delay(delay: int) -> None:
+    """The second word turns DIR one tick after the first has taken 6 ticks and its delay."""
     edges = play([word(0, 0, delay), word(1, 0, 0)], 38, delay + 100)
     assert edges == [(6 + delay + 1, DIR[0], 1)]
 
 
 def test_a_word_has_up_to_4095_steps() -> None:
     seen = driver(play([word(1, MOST_STEPS, 3)], 38, MOST_STEPS * 50 + 100), 0)
+    # First step: 6 ticks + delay 3. Interval: pulse 38 + 9 ticks of the program + delay 3.
     assert seen.steps == [(9 + 50 * k, 1) for k in range(MOST_STEPS)]
 
 
@@ -350,6 +372,7 @@ _ANY_WORD = st.builds(word, st.integers(0, 1), st.integers(0, 6), st.integers(0,
 
 @given(st.lists(_ANY_WORD, max_size=20), st.integers(4, 150))
 def test_model_and_computation_agree_on_random_words(words: "list[int]", pulse: int) -> None:
+    """Two words that turn DIR up and down are added: they show when the machine was ready."""
     steps, ready = reckon(words, pulse)
     edges = play([*words, word(1, 0, 0), word(0, 0, 0)], pulse, ready + 20)
     assert driver(edges, 0).steps == steps
@@ -359,17 +382,19 @@ def test_model_and_computation_agree_on_random_words(words: "list[int]", pulse: 
 
 @pytest.mark.parametrize("name", ["reversals", "one step"])
 def test_model_and_test_engines_agree_on_moves(name: str) -> None:
+    """_play_words() of test_engines computes the steps; the model runs the programs."""
     rows = move(name)
     waiting = iter(rows)
 
     def next_segment(into: "array[int]") -> int:
+        """Copy the next row; return 0 if there is none."""
         made = next(waiting, None)
         into[:] = made or into
         return int(made is not None)
 
     planner = SimpleNamespace(motors=AXES)
     stand_in: Any = SimpleNamespace(planner=planner, segments=SimpleNamespace(next=next_segment))
-    by_arithmetic = _play_words(stand_in, 1)
+    by_arithmetic = _play_words(stand_in, 1)  # tick, axis, sign
     played = fed(rows).played()
     by_model = [
         (tick, i, -1 if level else 1) for i in range(AXES) for tick, level in played[i].steps
@@ -385,7 +410,10 @@ def test_model_and_test_engines_agree_on_moves(name: str) -> None:
 def test_every_step_comes_in_its_planned_tick(
     case: "tuple[Timing, list[array[int]]]",
 ) -> None:
-    """Count, direction and time; a segment delayed by one axis is delayed as a whole."""
+    """Count, direction and time; a segment delayed by one axis is delayed as a whole.
+
+    The steps expected (words.due) are computed from the segments, not from the words.
+    """
     timing, rows = case
     words = fed(rows, timing)
     assert [seen.steps for seen in words.played()] == words.due
@@ -396,7 +424,7 @@ def test_drivers_get_the_times_they_need(case: "tuple[Timing, list[array[int]]]"
     timing, rows = case
     for seen in fed(rows, timing).played():
         check_times(seen, timing)
-        assert seen.pause >= 9
+        assert seen.pause >= 9  # ticks of the program between two pulses
 
 
 @pytest.mark.parametrize("timing", TIMINGS.values(), ids=TIMINGS)
@@ -405,9 +433,11 @@ def test_a_reversal_takes_the_shortest_allowed_time(timing: Timing) -> None:
     time."""
     pulse, hold, setup = (ticks(us) for us in timing)
     gap = pulses.shortest_gap(pulse)
-    rows = [row(4 * gap, way % 2 * 7, *[(4, gap, 4 * gap)] * AXES) for way in range(4)]
+    # Four segments of four steps; every second one turns all three axes (7).
+    rows = [row(4 * gap, k % 2 * 7, *[(4, gap, 4 * gap)] * AXES) for k in range(4)]
     for seen in fed(rows, timing).played():
         check_times(seen, timing)
+        # Ticks from the last step before a turn to the first after it.
         turns = [b[0] - a[0] for a, b in pairwise(seen.steps) if a[1] != b[1]]
         # The program needs at least 10 and 5 ticks for a turn; the rate is never exceeded.
         assert turns == [max(pulse + max(hold, 10) + max(setup, 5), gap)] * 3
@@ -415,13 +445,14 @@ def test_a_reversal_takes_the_shortest_allowed_time(timing: Timing) -> None:
 
 @given(timed_segments())
 def test_machines_stay_synchronous_to_the_tick(case: "tuple[Timing, list[array[int]]]") -> None:
-    """One word uses up the carried ticks, the next turns DIR: on all axes in the same tick."""
+    """At the end, each axis carries ticks that its words have not used up. One more word uses them
+    up, the next turns DIR: on all axes in the same tick."""
     timing, rows = case
     words = fed(rows, timing)
-    later = 1000
+    later = 1000  # ticks after the last segment
     for i in range(AXES):
         level = words.lane(i, pulses.DIR)
-        delay = words.lane(i, pulses.CARRY) + later - 6
+        delay = words.lane(i, pulses.CARRY) + later - 6  # a word takes 6 ticks itself
         words.words[i] += [word(level, 0, delay), word(1 - level, 0, 0)]
     model = words.model()
     model.run(words.end + later + 20)
@@ -436,6 +467,7 @@ def test_steps_requested_too_fast_come_late_and_complete(rows: "list[array[int]]
     for i, seen in enumerate(words.played()):
         assert [level for _, level in seen.steps] == [level for _, level in words.due[i]]
         check_times(seen, TIMINGS["usual"])
+    # Ready after the last word, plus the ticks not yet used up: the end, on every axis.
     ready = {
         reckon(words.words[i], words.pulse)[1] + words.lane(i, pulses.CARRY) for i in range(AXES)
     }
@@ -458,17 +490,18 @@ def test_the_longest_segment_fits_into_words() -> None:
     rows += [row(long, 1, (2, 0, long), none, (1, long, long))]
     rows += [row(1000, 1, (1, 900, 900), (1, 900, 900), (1, 900, 900))]
     words = fed(rows)
-    assert words.late[1] > 6
+    assert words.late[1] > 6  # the turn of the first axis delays the long segment
     assert max(w >> 13 for axis in words.words for w in axis) >= long
     assert [seen.steps for seen in words.played()] == words.due
 
 
 def test_a_long_segment_is_cut_without_changing_its_steps() -> None:
-    """Pieces have 131072 ticks; some steps fall on the first or the last tick of a piece."""
+    """Pieces have 131,072 ticks; some steps fall on the first or the last tick of a piece."""
     edges = [(1, 700_000, 700_000), (7, 131_072, 655_360), (3, 0, 262_143)]
     words = fed([row(700_000, 2, *edges), row(300_000, 5, *[(2, 1, 299_999)] * 3)])
     assert [seen.steps for seen in words.played()] == words.due
-    assert len(words.late) == 7  # pieces but each row's first: 6 and 3, without 2
+    # Pieces: 5 of the first segment and 2 of the second; the last one of each is longer.
+    assert len(words.late) == 7
 
 
 # Rates
@@ -479,7 +512,8 @@ _ROUNDING = 1.1
 
 
 def cruise(words: Words, rows: "list[array[int]]") -> "list[list[int]]":
-    """Return the steps' ticks of each axis at a constant rate, without the ends of the move."""
+    """Return the steps' ticks of each axis at a constant rate, without the ends of the move: two
+    full segments at each end."""
     begin = 2 << LOG2
     end = words.end - begin
     return [[tick for tick, _ in axis if begin < tick < end] for axis in words.reckoned()]
@@ -507,6 +541,7 @@ def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
 
     Slow moves are computed, not played: an interval at 1 Hz has 12.5 million ticks.
     """
+    # A twelfth of a second, or 12 steps if that is more.
     rows = at_rate(hz, max(hz // 12, 12), (1.0, 1.0, 1.0), _engine_hz(hz))
     words = fed(rows, _shortest(hz))
     assert not any(words.late)
@@ -516,7 +551,7 @@ def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
         assert len(steps) >= 6
         mean, worst = unevenness(steps)
         assert mean == pytest.approx(HZ / hz, rel=0.02)
-        assert worst <= max(1.01, mean / 100)  # rounding of the mean itself
+        assert worst <= max(1.01, mean / 100)  # a tick, and 0.01 for rounding of the mean itself
 
 
 @pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.383), (1.0, 0.999, 0.05)])
@@ -526,6 +561,8 @@ def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
 def test_fast_axes_are_even_to_three_ticks_at_any_rate(
     hz: int, ratio: "tuple[float, ...]"
 ) -> None:
+    """Intervals differ from their mean by 1.1 ticks, so from each other by less than three, or by
+    1 %; the slower axes of the same line, too."""
     rows = at_rate(hz, hz // 4, ratio, _engine_hz(hz))
     words = fed(rows, _shortest(hz))
     assert not any(words.late)
@@ -548,20 +585,21 @@ def test_three_axes_make_the_highest_rate(pulse_us: int, hz: int) -> None:
     assert [seen.steps for seen in played] == words.due
     assert {tick for tick, _ in played[0].steps} == {tick for tick, _ in played[2].steps}
     assert not any(words.late[1:]), "except for the turn of the third axis at the start"
-    assert max(len(w) for w in words.words) <= 4 * len(rows)
+    assert max(len(w) for w in words.words) <= 4 * len(rows)  # not a word per step
     fastest = [tick for tick, _ in played[0].steps][5000:20_000]
     assert (fastest[-1] - fastest[0]) / (len(fastest) - 1) == pytest.approx(HZ / hz, rel=1e-3)
-    assert min(seen.pause for seen in played) >= 9
+    assert min(seen.pause for seen in played) >= 9  # ticks of the program between two pulses
 
 
 def test_pulse_plus_nine_ticks_is_the_programs_limit() -> None:
     """Within a segment and from one to the next; steps requested sooner come at that time."""
     for pulse_us in (1, 3, 10):
         pulse = ticks(pulse_us)
-        for gap, made in ((pulse + 9, pulse + 9), (pulse + 8, pulse + 9)):
-            rows = [row(5 * gap, 0, *[(5, gap, 5 * gap)] * AXES) for _ in range(4)]
+        for requested, played in ((pulse + 9, pulse + 9), (pulse + 8, pulse + 9)):
+            steps = (5, requested, 5 * requested)
+            rows = [row(5 * requested, 0, *[steps] * AXES) for _ in range(4)]
             for seen in fed(rows, (pulse_us, 2, 5)).played():
-                assert {b[0] - a[0] for a, b in pairwise(seen.steps)} == {made}
+                assert {b[0] - a[0] for a, b in pairwise(seen.steps)} == {played}
 
 
 @pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.083), (1.0, 0.999, 0.5)])
@@ -571,7 +609,7 @@ def test_the_stated_rate_includes_a_margin_for_rounding(
 ) -> None:
     """No segment waits for another, although rounding makes gaps up to a tick shorter."""
     gap = pulses.shortest_gap(ticks(pulse_us))
-    assert gap > ticks(pulse_us) + 9
+    assert gap > ticks(pulse_us) + 9  # the program's limit
     rows = at_rate(HZ // gap, 20_000, ratio, 600_000)
     assert not any(fed(rows, (pulse_us, 2, 5)).late)
     # Faster than the program allows.
@@ -587,15 +625,19 @@ def test_the_stated_rate_includes_a_margin_for_rounding(
 def test_machines_wait_for_late_words(
     case: "tuple[Timing, list[array[int]]]", gaps: "list[int]"
 ) -> None:
-    """No step is lost or repeated, no pulse is cut short, and no pin moves between words."""
+    """No step is lost or repeated, no pulse is cut short, and no pin moves between words.
+
+    gaps: ticks that the machines wait for the words of the next segment.
+    """
     timing, rows = case
     words = Words(timing)
     model = words.model()
     for made, gap in zip(rows, gaps, strict=False):
-        had = [len(w) for w in words.words]
+        sent = [len(w) for w in words.words]  # words of each axis
         words.add(made)
-        for i, count in enumerate(had):
+        for i, count in enumerate(sent):
             model.waiting[i] += words.words[i][count:]
+        # Long enough to play the segment and to end its last pulse.
         model.run(words.late[-1] + made[ROW_TICKS] + 2 * words.pulse + 400)
         edges = len(model.edges)
         model.run(gap)
@@ -608,12 +650,12 @@ def test_machines_wait_for_late_words(
 
 
 def check_undone(words: Words, model: Any) -> None:
-    """Check pulses.undone(): a machine's state gives the number of steps not yet made."""
+    """Check pulses.undone(): a machine's state gives the number of steps not yet made, signed."""
     for i in range(AXES):
-        sent = words.lane(i, pulses.HEAD)
+        sent = words.lane(i, pulses.HEAD)  # words written
         undone = pulses.undone(words.ring, i, sent, model.unread(i), model.at(i), model.x(i))
-        whole = sum(-1 if level else 1 for _, level in words.due[i])
-        assert driver(model.edges, i).place == whole - undone
+        position_at_end = sum(-1 if level else 1 for _, level in words.due[i])
+        assert driver(model.edges, i).place == position_at_end - undone
 
 
 def test_undone_steps_are_known_in_every_tick() -> None:
@@ -622,12 +664,12 @@ def test_undone_steps_are_known_in_every_tick() -> None:
     for dirs in (2, 5, 5, 0):
         words.add(row(400, dirs, (4, 0, 200), (3, 60, 399), (1, 400, 400)))
     model = words.model()
-    stood = set()
+    addresses = set()  # of the instructions at which a machine was checked
     for _ in range(words.end + 100):
         check_undone(words, model)
-        stood.update(model.at(i) for i in range(AXES))
+        addresses.update(model.at(i) for i in range(AXES))
         model.run(1)
-    assert stood == set(range(len(programs.stepper[0])))
+    assert addresses == set(range(len(programs.stepper[0])))  # all
     check_undone(words, model)
 
 
@@ -636,6 +678,7 @@ def test_undone_steps_are_known_in_every_tick() -> None:
 def test_a_stop_in_any_tick_leaves_a_known_position(
     case: "tuple[Timing, list[array[int]]]", data: Any
 ) -> None:
+    """The position follows from the state of the stopped machines; no pin changes any more."""
     timing, rows = case
     words = fed(rows, timing)
     model = words.model()
@@ -652,10 +695,12 @@ def test_a_stop_in_any_tick_leaves_a_known_position(
 
 @given(st.lists(st.integers(4, 4000), min_size=1, max_size=20))
 def test_the_clock_interrupts_at_segment_boundaries(lengths: "list[int]") -> None:
+    """lengths: ticks of each segment. The clock's program takes 4 ticks per word itself."""
     model = pio_model.PioModel(programs.clock, [None])
     model.waiting[0] += [length - 4 for length in lengths]
     model.start()
     model.run(sum(lengths) + 100)
+    # The first interrupt comes one tick after the start.
     assert model.interrupts == [1 + tick for tick in accumulate([0, *lengths])]
 
 
@@ -681,10 +726,11 @@ class Bed:
             lambda: self.rests.append(self.chip.now),
         )
         self.engine.on_fault = lambda: self.faults.append(self.chip.now)
-        self.engine.configure(timing[0], 0, 0)
+        self.engine.configure(timing[0], 0, 0)  # no pin is inverted
         self.engine.arm()
 
     def _next(self, into: Any) -> int:
+        """Write the next segment to the engine's row; return 0 if there is none."""
         if not self.waiting:
             return 0
         self.asked.append(self.chip.now)
@@ -712,7 +758,7 @@ class Bed:
         """Run to the end with these interrupt latencies in turn, in ticks."""
         for latency in cycle(latencies):
             self.chip.latency = latency
-            self.chip.run(1500)
+            self.chip.run(1500)  # ticks
             if self.engine.idle() and not self.waiting:
                 break
         self.finish()
@@ -720,8 +766,8 @@ class Bed:
     def drivers(self) -> "list[Driver]":
         """Return the drivers' views. Motors of PIO 1 appear a tick late: pio_model.PioChip says
         why."""
-        late = [(tick - 1, *edge) for tick, *edge in self.chip.edges]
-        edges: list[Any] = [self.chip.edges, late]
+        of_pio_1 = [(tick - 1, *edge) for tick, *edge in self.chip.edges]
+        edges: list[Any] = [self.chip.edges, of_pio_1]
         return [driver(edges[i >= _OF_PIO_0], i) for i in range(self.motors)]
 
     def places(self) -> "list[int]":
@@ -747,8 +793,11 @@ def a_bed(
     flight: int = 1,
     motors: int = AXES,
 ) -> "Iterator[Bed]":
-    """Yield a bed; no word may ever be lost. counted, flight: how DMA is read
-    (pio_model.Channel)."""
+    """Yield a bed; no word may be lost without a fault.
+
+    latency: of interrupts, in ticks. counted, flight: how DMA detects free space, and ticks of a
+    word from it to a FIFO (pio_model.Channel).
+    """
     with pytest.MonkeyPatch.context() as patch:
         bed = Bed(patch, timing, motors)
         bed.chip.latency = latency
@@ -767,39 +816,43 @@ def begins(rows: "Iterable[array[int]]", drivers: "list[Driver]") -> "list[int |
     It follows from every step of every axis; all must agree.
     """
     steps = [iter(seen.steps) for seen in drivers]
-    found: list[int | None] = []
+    first_ticks: list[int | None] = []
     for made in rows:
-        said = set()
+        begin_ticks = set()  # of this segment, from each of its steps
         for axis, track in enumerate(steps):
             base = ROW_AXES + ROW_STRIDE * axis
             for k in range(made[base]):
                 tick, level = next(track)
                 assert level == made[ROW_DIRS] >> axis & 1
-                said.add(tick - step_tick(made, base, k))
-        assert len(said) <= 1, "the axes' steps disagree"
-        found.append(said.pop() if said else None)
+                begin_ticks.add(tick - step_tick(made, base, k))
+        assert len(begin_ticks) <= 1, "the axes' steps disagree"
+        first_ticks.append(begin_ticks.pop() if begin_ticks else None)
     assert not [step for track in steps for step in track], "steps that were not requested"
-    return found
+    return first_ticks
 
 
 def rush(
     ways: "Sequence[int]", timing: Timing = TIMINGS["usual"], motors: int = AXES
 ) -> "list[array[int]]":
-    """Return segments at the highest rate with the given directions; motors after the third repeat
-    the steps of the first ones."""
+    """Return a segment at the highest rate for each mask of directions (1: negative).
+
+    X and Y make 30 steps in each, Z 7, the first at once; motors after the third repeat these.
+    """
     gap = pulses.shortest_gap(ticks(timing[0]))
     edges = [(30, gap, 30 * gap), (30, gap, 30 * gap), (7, 0, 25 * gap)]
     return [row(30 * gap, dirs, *(edges * 3)[:motors]) for dirs in ways]
 
 
 def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
-    """Return the ticks between the clock's interrupts; a long segment has one before its end,
-    too."""
-    found = []
+    """Return the ticks between the clock's interrupts.
+
+    A segment of 80,000 ticks or more has one 40,000 ticks before its end, too.
+    """
+    intervals = []
     for late, made in zip(words.late, rows, strict=True):
         whole = late + made[ROW_TICKS]
-        found += [whole - 40_000, 40_000] if made[ROW_TICKS] >= 80_000 else [whole]
-    return found
+        intervals += [whole - 40_000, 40_000] if made[ROW_TICKS] >= 80_000 else [whole]
+    return intervals
 
 
 @pytest.mark.sampled(1)
@@ -815,8 +868,11 @@ def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
     ],
 )
 def test_the_engine_makes_all_steps_at_their_ticks(name: str, latency: int) -> None:
-    """Through DMA and interrupts, which come as rows begin, and may be 2.8 ms late, and 1.0 ms
-    where rows are slices of segments."""
+    """Through DMA and interrupts, which come as rows begin.
+
+    They may be 2.8 ms late (35,000 ticks), or 1.0 ms (13,000) if rows are shorter than segments of
+    full length.
+    """
     hz = 500_000 if name == "500 kHz" else 250_000
     timing = _shortest(hz)
     rows = move(name) if name in MOVES else at_rate(hz, 15_000, (1.0, 1.0, -1.0), _engine_hz(hz))
@@ -827,7 +883,7 @@ def test_the_engine_makes_all_steps_at_their_ticks(name: str, latency: int) -> N
     words = fed(rows, timing)
     with a_bed(timing, latency) as bed:
         bed.start(rows).finish()
-        shift = {
+        shift = {  # ticks from start() to the first row: the same for every step
             tick - due
             for seen, track in zip(bed.drivers(), words.due, strict=True)
             for (tick, _), (due, _) in zip(seen.steps, track, strict=True)
@@ -840,10 +896,11 @@ def test_the_engine_makes_all_steps_at_their_ticks(name: str, latency: int) -> N
 
 
 def test_the_clock_waits_for_a_turn_like_the_machines() -> None:
-    """Also in a segment that is shorter than the clock's own loop."""
+    """A turn delays its segment, and with it the clock's interrupt; here in a segment of 3 ticks,
+    which is shorter than the clock's own loop."""
     rows = [*rush([0] * 5), row(3, 7, *[(1, 2, 2)] * AXES), *rush([7] * 2)]
     words = fed(rows)
-    assert words.late[5] > 100
+    assert words.late[5] > 100  # the segment that turns all axes
     with a_bed() as bed:
         bed.start(rows).finish()
         assert [b - a for a, b in pairwise(bed.chip.interrupts[1:])] == clocked(words, rows)
@@ -851,6 +908,7 @@ def test_the_clock_waits_for_a_turn_like_the_machines() -> None:
 
 @pytest.mark.thorough
 def test_the_engine_knows_its_position_in_motion() -> None:
+    """Asked often at the start, then at irregular times until the end."""
     rows = move("fast")
     with a_bed() as bed:
         bed.start(rows)
@@ -861,6 +919,7 @@ def test_the_engine_knows_its_position_in_motion() -> None:
             # Its timer counts microseconds; a step may come in between.
             off = [abs(a - b) for a, b in zip(bed.position(), bed.places(), strict=True)]
             assert max(off) <= 1
+        # The last target of the move: (8.0, -6.5, 0.0) mm at 400 steps/mm.
         assert bed.position() == bed.places() == [3200, -2600, 0]
 
 
@@ -870,7 +929,10 @@ def test_the_engine_knows_its_position_in_motion() -> None:
 def test_a_stop_of_the_engine_is_immediate_and_leaves_the_true_position(
     motors: int, latency: int, dma: "tuple[bool, int]", data: Any
 ) -> None:
-    """Whichever words were made, handed over, fetched, or in transit from DMA to a FIFO."""
+    """Whichever words were made, handed over, fetched, or in transit from DMA to a FIFO.
+
+    dma: arguments counted and flight of a_bed().
+    """
     timing, rows = data.draw(timed_segments(14, motors))
     with a_bed(timing, latency, *dma, motors) as bed:
         bed.start(rows)
@@ -890,7 +952,11 @@ def test_a_stop_of_the_engine_is_immediate_and_leaves_the_true_position(
 @some(30)
 def test_motion_after_a_stop_keeps_the_drivers_times(motors: int, data: Any) -> None:
     """The stop comes anywhere; the segments after it turn or not, with their first step at
-    once."""
+    once.
+
+    The motors' pulses, and the waits before and after a change of DIR, are never shorter than
+    set.
+    """
     timing = data.draw(st.sampled_from(sorted(TIMINGS.values())))
     ways = st.lists(st.integers(0, (1 << motors) - 1), min_size=3, max_size=3)
     with a_bed(timing, 0, *data.draw(DMA_READINGS), motors) as bed:
@@ -898,7 +964,7 @@ def test_motion_after_a_stop_keeps_the_drivers_times(motors: int, data: Any) -> 
         bed.start(rows)
         bed.chip.run(data.draw(st.integers(0, sum(made[ROW_TICKS] for made in rows))))
         bed.engine.stop()
-        stopped, before = bed.chip.now, bed.places()
+        stop_tick, before = bed.chip.now, bed.places()
         bed.engine.set_position(array("i", [0] * motors))
         rows = rush(data.draw(ways), timing, motors)
         bed.again(rows).finish()
@@ -909,19 +975,22 @@ def test_motion_after_a_stop_keeps_the_drivers_times(motors: int, data: Any) -> 
             assert all(length >= ticks(timing[0]) for length in seen.pulses)
             assert seen.hold >= ticks(timing[1])
             assert seen.setup >= ticks(timing[2])
-            seen.steps = [step for step in seen.steps if step[0] >= stopped]
-        begins(rows, drivers)
+            seen.steps = [step for step in seen.steps if step[0] >= stop_tick]
+        begins(rows, drivers)  # checks that exactly the steps of these rows were made
 
 
 @pytest.mark.parametrize("motors", MOTORS)
 def test_a_turn_cut_off_by_a_stop_is_repeated(motors: int) -> None:
-    """The words had turned DIR already; the pin had not. Z's first step comes at once. After a
-    stop at
-    rest only the last motor turns back: its setup time must not depend on the others' delay."""
-    back = (1 << motors) - 1
+    """At the first stop the words that turn DIR were written already; the pin had not changed. The
+    new words must turn it again, before Z's first step, which comes at once.
+
+    After a stop while idle only the last motor turns back: its setup time must not depend on the
+    others' delay.
+    """
+    back = (1 << motors) - 1  # all motors
     with a_bed(motors=motors) as bed:
         bed.start(rush([0, back], motors=motors))
-        bed.chip.run(2000)
+        bed.chip.run(2000)  # ticks: in the second segment
         bed.engine.stop()
         bed.again(rush([back], motors=motors)).finish()
         bed.engine.stop()
@@ -938,7 +1007,7 @@ def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) 
     first ring after every 4 times as many."""
     rows = rush([0, 255, 5], motors=motors)
     with a_bed(motors=motors) as bed:
-        total = bed.start(rows).finish().chip.accesses
+        total = bed.start(rows).finish().chip.accesses  # to memory and registers
     assert total > 1000
     for after in range(1, total, 4 * each if rings.is_first() else each):
         with a_bed(motors=motors) as bed:
@@ -960,7 +1029,11 @@ def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) 
 @pytest.mark.parametrize("motors", [3, 6, 8])
 @pytest.mark.parametrize("work", ["stop", "lock", "position"])
 def test_a_stop_may_interrupt_the_main_loops_calls(work: str, motors: int) -> None:
-    """At any access, with an axis locked, and in motion; the reported position is true."""
+    """At any access to memory during the call, in motion, with an axis locked; the reported
+    position is true.
+
+    Each round stops one or a few accesses later, until the call ends before the stop.
+    """
     for after in range(1, 1000, 2 if motors == AXES else 5):
         with a_bed(motors=motors) as bed:
             steps = array("i", [0] * motors)
@@ -970,20 +1043,20 @@ def test_a_stop_may_interrupt_the_main_loops_calls(work: str, motors: int) -> No
                 "position": lambda bed=bed, steps=steps: bed.engine.position(steps),
             }
             bed.start(rush([0, 0], motors=motors))
-            bed.chip.run(2500)
-            bed.engine.lock(0b010)
+            bed.chip.run(2500)  # ticks: during the motion
+            bed.engine.lock(0b010)  # Y
             bed.chip.run(1100)
             before = bed.chip.accesses
             bed.chip.preempt(after, bed.engine.stop)
             bed.chip.interruptible(calls[work])
             if bed.chip.accesses - before < after:
-                break
+                break  # the call ended before the stop: every access was tried
             assert bed.position() == bed.places()
             if work == "position":
                 off = [abs(a - b) for a, b in zip(steps, bed.places(), strict=True)]
                 assert max(off) <= 1
     else:
-        raise AssertionError("it has never come to an end")
+        raise AssertionError("the call never ended before the stop")
     assert after > 10
 
 
@@ -991,8 +1064,11 @@ def test_a_stop_may_interrupt_the_main_loops_calls(work: str, motors: int) -> No
 @given(st.data(), st.lists(st.integers(0, 9000), min_size=1, max_size=9))
 @some(20)
 def test_late_interrupts_lose_no_step(motors: int, data: Any, latencies: "list[int]") -> None:
-    """Motion pauses between segments, with all axes together, and continues."""
-    rows = data.draw(segments(160, 12, motors))
+    """Motion pauses between segments, with all axes together, and continues.
+
+    latencies: ticks of the interrupts in turn; 9000 are 0.7 ms.
+    """
+    rows = data.draw(segments(gap=160, most=12, motors=motors))
     with a_bed(motors=motors) as bed:
         bed.start(rows).late_by(latencies)
         begins(rows, bed.drivers())
@@ -1009,22 +1085,26 @@ def test_late_interrupts_lose_no_step(motors: int, data: Any, latencies: "list[i
 def test_a_locked_axis_stands_still_and_the_others_continue(
     motors: int, one: int, latency: int
 ) -> None:
-    """Also if motion pauses meanwhile and all machines are started again."""
+    """Also if motion pauses meanwhile (late interrupts) and all machines are started again.
+
+    one: the axis that is locked. After a stop it moves again.
+    """
     each = ([30, 30, 7] * 3)[:motors]  # steps of a row
     with a_bed(motors=motors) as bed:
         bed.start(rush([0] * 8 + [255] * 12, motors=motors))
-        bed.chip.run(6000)
+        bed.chip.run(6000)  # ticks: in the first rows
         bed.chip.latency = latency
         bed.engine.lock(1 << one)
         locked = bed.places()[one]
         assert bed.position()[one] == locked > 0
         bed.finish()
-        ends = [-4 * steps for steps in each]
+        ends = [-4 * steps for steps in each]  # 8 rows forwards, 12 backwards
         ends[one] = locked
         assert bed.places() == bed.position() == ends
         bed.chip.latency = 0
         bed.engine.stop()
         assert bed.position() == bed.places()
+        # One more row: backwards, except the axis that was locked.
         bed.again(rush([255 - (1 << one)], motors=motors)).finish()
         ends = [at - steps for at, steps in zip(ends, each, strict=True)]
         ends[one] = locked + each[one]
@@ -1033,32 +1113,38 @@ def test_a_locked_axis_stands_still_and_the_others_continue(
 
 @pytest.mark.parametrize("count", [4000, 60_000, 131_072])
 def test_segments_are_requested_shortly_before_they_begin(count: int) -> None:
-    """So that a hold acts soon: 3.2 ms before, or one or two segments if that is more."""
+    """So that a hold acts soon: 3.2 ms before (40,000 ticks), or one or two segments if that is
+    more.
+
+    count: ticks of a segment.
+    """
     rows = [row(count, 0, *[(9, 400, count)] * AXES) for _ in range(240_000 // count + 3)]
     with a_bed() as bed:
         bed.start(rows).finish()
-        found = [start or 0 for start in begins(rows, bed.drivers())]
-        ahead = [start - asked for start, asked in zip(found, bed.asked, strict=True)]
+        starts = [start or 0 for start in begins(rows, bed.drivers())]
+        ahead = [start - asked for start, asked in zip(starts, bed.asked, strict=True)]  # ticks
         assert max(ahead) <= 40_000 + (2 * count if count < 80_000 else 0)
-        assert min(ahead[len(rows) // 2 :]) >= 39_000
+        assert min(ahead[len(rows) // 2 :]) >= 39_000  # without the first ones: nothing ran yet
 
 
 @pytest.mark.parametrize("latency", [0, 700])
 def test_power_is_reported_when_its_segment_begins(latency: int) -> None:
+    """Only changes are reported; KEEP_POWER is none."""
     rows = rush([0] * 12)
     powers = [5, 5, 9, KEEP_POWER, 9, 0, 300, 300, 300, KEEP_POWER, 1, 1]
     for made, power in zip(rows, powers, strict=True):
         made[ROW_POWER] = power
     with a_bed(latency=latency) as bed:
         bed.start(rows).finish()
-        found = begins(rows, bed.drivers())
+        starts = begins(rows, bed.drivers())
         assert [power for _, power in bed.powers] == [5, 9, 0, 300, 1]
+        # k: the row that brings the change.
         for (tick, _), k in zip(bed.powers, (0, 2, 5, 6, 10), strict=True):
             # The first step may have to wait some ticks; the interrupt takes a tick per register.
-            assert -16 <= tick - (found[k] or 0) <= latency + 50
+            assert -16 <= tick - (starts[k] or 0) <= latency + 50
 
 
-@given(segments(160, 12), st.lists(st.integers(0, 9000), min_size=1, max_size=5))
+@given(segments(gap=160, most=12), st.lists(st.integers(0, 9000), min_size=1, max_size=5))
 @some(20)
 def test_power_after_motion_is_that_of_the_last_segment(
     rows: "list[array[int]]", latencies: "list[int]"
@@ -1066,16 +1152,17 @@ def test_power_after_motion_is_that_of_the_last_segment(
     """However late interrupts come: power of some segments may be skipped, never the last
     one's."""
     for k, made in enumerate(rows):
-        made[ROW_POWER] = 900 - k
+        made[ROW_POWER] = 900 - k  # falls from row to row: shows the order
     with a_bed() as bed:
         bed.start(rows).late_by(latencies)
-        told = [power for _, power in bed.powers]
-        assert told == sorted(set(told), reverse=True)
-        assert told[-1] == rows[-1][ROW_POWER]
+        reported = [power for _, power in bed.powers]
+        assert reported == sorted(set(reported), reverse=True)
+        assert reported[-1] == rows[-1][ROW_POWER]
 
 
 @pytest.mark.parametrize("after", range(300, 8000, 700))
 def test_no_power_is_reported_after_a_stop(after: int) -> None:
+    """after: ticks from the start to the stop; the interrupts are 450 ticks late."""
     rows = rush([0] * 7)
     for k, made in enumerate(rows):
         made[ROW_POWER] = k
@@ -1083,9 +1170,9 @@ def test_no_power_is_reported_after_a_stop(after: int) -> None:
         bed.start(rows)
         bed.chip.run(after)
         bed.engine.stop()
-        told = len(bed.powers)
+        reports = len(bed.powers)
         bed.chip.run(3000)
-        assert len(bed.powers) == told
+        assert len(bed.powers) == reports
 
 
 def test_a_long_segment_is_played_in_pieces() -> None:
@@ -1095,25 +1182,28 @@ def test_a_long_segment_is_played_in_pieces() -> None:
     with a_bed() as bed:
         bed.start(rows).finish()
         starts = [start or 0 for start in begins(rows, bed.drivers())]
+        # The row after the long one turns X and Y back or forth, which delays it.
         assert starts[3] - starts[2] == long[ROW_TICKS] + fed(rows).late[-1]
         assert bed.position() == bed.places()
 
 
 def test_pins_are_inverted_on_request() -> None:
-    """Levels at the pins, also at rest: STEP of the second motor, DIR of the first and third."""
+    """Levels at the pins, also while idle: STEP of the second motor, DIR of the first and
+    third."""
     with a_bed() as bed:
-        bed.engine.configure(10, 0b010, 0b101)
+        bed.engine.configure(10, 0b010, 0b101)  # pulse in us, inversion of STEP and of DIR
         pins = [bed.chip.mcu.gpio[pin] for pin in (*STEP, *DIR)]
         assert [pin.value.name for pin in pins] == ["LOW", "HIGH", "LOW", "HIGH", "LOW", "HIGH"]
         bed.chip.edges.clear()
-        bed.start(rush([0b001])).finish()
+        bed.start(rush([0b001])).finish()  # X backwards, 30 steps of Y
         assert sum(pin == STEP[1] and not level for _, pin, level in bed.chip.edges) == 30
         assert [level for _, pin, level in bed.chip.edges if pin == DIR[0]] == [0]
-        bed.engine.configure(10, 0, 0)
+        bed.engine.configure(10, 0, 0)  # X's DIR is high now: backwards, not inverted
         assert [pin.value.name for pin in pins] == ["LOW", "LOW", "LOW", "HIGH", "LOW", "LOW"]
 
 
 def test_the_highest_rate_depends_on_the_pulse_length() -> None:
+    """12 ticks between two pulses: the program's 9, and 3 as a margin for rounding."""
     with a_bed() as bed:
         stated = [bed.engine.max_step_hz(us) for us in (1, 3, 5, 10, 255)]
         assert stated == [HZ // (ticks(us) + 12) for us in (1, 3, 5, 10, 255)]
@@ -1124,6 +1214,7 @@ def test_the_highest_rate_depends_on_the_pulse_length() -> None:
 def test_a_processor_clock_of_whole_ticks_is_required(
     hz: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A tick is 80 ns: a machine's clock divider must be a whole number."""
     monkeypatch.setattr(machine, "freq", lambda: hz)
     if hz % HZ:
         with pytest.raises(ValueError, match=r"12\.5 MHz"), a_bed():
@@ -1132,25 +1223,26 @@ def test_a_processor_clock_of_whole_ticks_is_required(
         with a_bed() as bed:
             assert bed.engine.tick_hz == HZ
             machines = rp2.StateMachine.machines.values()
-            assert [one.freq for one in machines] == [HZ] * (AXES + 1)
+            assert [one.freq for one in machines] == [HZ] * (AXES + 1)  # axes and the clock
 
 
 def test_rp2350_registers_match_its_data_sheet() -> None:
-    """Addresses only: the model is the RP2040's with these moved. PIO 0 and 1 have equal
-    addresses."""
+    """Addresses only: the model is the RP2040's with these moved. PIO 0 and 1 have the same
+    addresses on both chips."""
     with a_bed(), pytest.MonkeyPatch.context() as patch:
-        there = memory.Memory(AXES, True).state
-        timer, rivals, busy = state_layout.TIMER, state_layout.MASKED_IRQS, state_layout.BUSY
-        assert there[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
+        state = memory.Memory(AXES, True).state  # True: of an RP2350
+        timer, masked, busy = state_layout.TIMER, state_layout.MASKED_IRQS, state_layout.BUSY
+        assert state[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
         # IO_IRQ_BANK0, PIO1_IRQ_0, TIMER0_IRQ_0 to 3
-        assert there[rivals] == 1 << 21 | 1 << 17 | 0b1111
-        assert there[busy] == 1 << 26  # CH0_CTRL_TRIG
+        assert state[masked] == 1 << 21 | 1 << 17 | 0b1111
+        assert state[busy] == 1 << 26  # CH0_CTRL_TRIG
         patch.setattr(sys.implementation, "_machine", "Raspberry Pi Pico2 with RP2350")
         pins = (*_STEP[:6], *_DIR[:6])
+        # GPIOn_CTRL of IO_BANK0; 6: the function PIO 0.
         registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in pins}
         patch.setattr(machine, "mem32", registers)
         made = PioEngine(_STEP[:6], _DIR[:6])
-        made.configure(10, 0b100001, 0b000100)
+        made.configure(10, 0b100001, 0b000100)  # pulse in us, inversion of STEP and of DIR
         inverted = {STEP[0], _STEP[5], DIR[2]}
         for pin in pins:  # GPIOn_CTRL, OUTOVER in bits 13:12
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
@@ -1162,7 +1254,7 @@ def test_rp2350_registers_match_its_data_sheet() -> None:
         eighth = made._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
         assert eighth == 0x50300000 + 0x110  # PIO 1, SM3_CLKDIV
         assert made._engine_state[state_layout.CLOCK_PIO] == 0x50400000  # PIO 2
-        assert made._engine_state[rivals] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
+        assert made._engine_state[masked] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
         with pytest.raises(ValueError, match="only pins 0 to 31 make pulses"):
             PioEngine((2, 4, 6), (3, 5, 32))
 
@@ -1182,7 +1274,11 @@ def test_rp2350_registers_match_its_data_sheet() -> None:
 def test_the_laser_program_plays_words_at_the_times_of_steps(
     words: "list[tuple[int, int, int]]", pulse: int
 ) -> None:
-    """A change of power comes one tick after the step's rising edge, for all words."""
+    """A change of power comes one tick after the step's rising edge, for all words.
+
+    The same words are played by the program of a motor and by that of the laser, which puts a word
+    into its FIFO for each step. words: DIR, steps, delay; pulse: ticks.
+    """
     motor = pio_model.PioModel(programs.stepper, [(2, 3)])
     beam = pio_model.PioModel(beam_program.beam, [None])
     fifo = beam._pio.machines[0].rx_fifo
@@ -1199,7 +1295,9 @@ def test_the_laser_program_plays_words_at_the_times_of_steps(
             changes.append(beam.now - 1)  # edges are recorded before their tick is counted
             fifo.pull()
     assert [tick - 1 for tick in changes] == [
-        tick for tick, pin, level in motor.edges if (pin, level) == (2, 1)
+        tick
+        for tick, pin, level in motor.edges
+        if (pin, level) == (2, 1)  # STEP rises
     ]
     assert len(changes) == sum(steps for _, steps, _ in words)
     assert motor.unread(0) == beam.unread(0) == 0

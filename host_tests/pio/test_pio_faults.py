@@ -37,15 +37,19 @@ _FIRMWARE = str(Path(engine_state.__file__).parent)
 
 
 def check_stopped(bed: Bed, made: int) -> None:
-    """Check that no further step is made until arm(), and that motion works after it."""
+    """Check that no further step is made until arm(), and that motion works after it.
+
+    made: steps of all motors before the stop.
+    """
     bed.chip.run(1000)
     assert bed.rises() == made
-    bed.engine.start()
+    bed.engine.start()  # without arm()
     bed.chip.run(700)
     assert bed.rises() == made, "a stopped engine has been started"
     assert bed.engine.idle()
     assert bed.position() == bed.places()
     before = bed.places()
+    # 400 ticks; 3 steps of every motor, from tick 0 to 300; every second motor forwards.
     bed.again([array("i", [400, 0b01010101, 0, *(3, 0, 300) * bed.motors])]).finish()
     moved = [b - a for a, b in zip(before, bed.places(), strict=True)]
     assert moved == [-3, 3, -3, 3, -3, 3, -3, 3][: bed.motors]
@@ -62,6 +66,7 @@ def check_stopped(bed: Bed, made: int) -> None:
 def test_a_stop_at_any_instant_is_exact(
     motors: int, after: int, latency: int, dma: "tuple[bool, int]"
 ) -> None:
+    """after: ticks from the start to the stop; latency: of interrupts, in ticks."""
     with a_bed(latency=latency, counted=dma[0], flight=dma[1], motors=motors) as bed:
         bed.start(rush([0, 63, 37, 26], motors=motors))
         bed.chip.run(after)
@@ -72,7 +77,10 @@ def test_a_stop_at_any_instant_is_exact(
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("counted", [True, False])
 def test_repeated_stops_lose_no_word(counted: bool, motors: int) -> None:
-    """Each stop leaves words in FIFOs, in DMA and between them; they must not accumulate."""
+    """Each stop leaves words in FIFOs, in DMA and between them; they must not accumulate.
+
+    Register 0x800 of a channel is its count of free places in a FIFO: there are four.
+    """
     with a_bed(counted=counted, flight=2, motors=motors) as bed:
         for k in range(40):
             bed.again(rush([0, 63, 5], motors=motors)).chip.run(137 * k % 4001)
@@ -97,6 +105,10 @@ class Injector:
         self._due = False
 
     def trace(self, frame: FrameType, event: str, _: Any) -> Any:
+        """Count the lines of the engine's code; stop the engine at the chosen one.
+
+        Where it has masked the pins' interrupts, the stop waits for the end of that part.
+        """
         code = frame.f_code
         if not code.co_filename.startswith(_FIRMWARE) or self.made >= 0:
             return None
@@ -121,7 +133,8 @@ class Injector:
 def injected(
     opcodes: bool, motors: int, at: "tuple[tuple[str, int], int] | None"
 ) -> "Iterator[Any]":
-    """Yield a bed in motion with a stop at that point; without `at`, record all points."""
+    """Yield a bed and its injector, after motion with a stop at that point (function, line or
+    bytecode, and occurrence); without `at`, there is no stop and all points are recorded."""
     with a_bed(latency=300, motors=motors) as bed:
         injector = Injector(bed, opcodes)
         injector.at = at
@@ -129,7 +142,7 @@ def injected(
         sys.settrace(injector.trace)
         try:
             bed.start(rush([0, 63, 5], motors=motors))
-            bed.chip.run(7000)
+            bed.chip.run(7000)  # ticks
         finally:
             sys.settrace(before)
         yield bed, injector
@@ -138,7 +151,8 @@ def injected(
 def places(
     opcodes: bool, motors: int, names: "Iterable[str]"
 ) -> "Iterator[tuple[tuple[str, int], int]]":
-    """Yield every point in these functions, at its first and its last occurrence."""
+    """Yield every point in these functions (name, line or bytecode), with 1 for its first
+    occurrence and the number of its last one."""
     with injected(opcodes, motors, None) as (bed, injector):
         assert bed.finish().position() == bed.places()
     wanted = {key: count for key, count in injector.seen.items() if key[0] in names}
@@ -173,20 +187,25 @@ def test_a_stop_at_any_line_is_final(name: str, motors: int) -> None:
 
 
 def _check_injection(opcodes: bool, motors: int, name: str) -> None:
-    found = 0
+    """Stop the engine at each line, or bytecode (opcodes), of the function of this name."""
+    stops = 0
     for at in places(opcodes, motors, [name]):
         with injected(opcodes, motors, at) as (bed, injector):
             assert injector.made >= 0, f"no stop at {at}"
             check_stopped(bed, injector.made)
-            found += 1
-    assert found > 3
+            stops += 1
+    assert stops > 3
 
 
 @pytest.mark.sampled(0, 2)
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("work", ["stop", "lock"])
 def test_the_engines_interrupt_may_come_during_a_stop(work: str, motors: int) -> None:
-    """It comes before the main loop, and motion has just run empty: nothing is started again."""
+    """Motion has just run out of segments, and the interrupt that would start it again is late: it
+    comes during stop() or lock(), after some accesses to memory. stop() must win.
+
+    Each round has it two accesses later, until the call ends before it.
+    """
     for after in range(1, 600, 2):
         with a_bed(latency=10_000, motors=motors) as bed:
             bed.start(rush([0, 0, 0, 0], motors=motors))
@@ -197,16 +216,16 @@ def test_the_engines_interrupt_may_come_during_a_stop(work: str, motors: int) ->
             bed.chip.preempt(after, _interrupt(bed))
             bed.chip.interruptible(bed.engine.stop if work == "stop" else _lock_y(bed))
             bed.chip._preempt = None
-            done = bed.chip.accesses - before < after
+            ended_before = bed.chip.accesses - before < after
             if work == "stop":
                 check_stopped(bed, made)
             else:
                 y = bed.places()[1]
                 bed.finish()
                 assert bed.places()[1] == y and bed.position() == bed.places()
-            if done:
+            if ended_before:
                 break
-    assert done and after > 10
+    assert ended_before and after > 10
 
 
 def _interrupt(bed: Bed) -> "Callable[[], None]":
@@ -227,6 +246,8 @@ def _lock_y(bed: Bed) -> "Callable[[], None]":
 
 
 def test_rest_is_reported_whenever_the_machines_stand_still() -> None:
+    """Once after each motion, not before its last pulse (10 us) has begun, and not after
+    stop()."""
     rows = rush([0] * 6)
     with a_bed(latency=40) as bed:
         bed.start(rows).finish()
@@ -235,17 +256,18 @@ def test_rest_is_reported_whenever_the_machines_stand_still() -> None:
         bed.start(rush([0])).finish()
         assert len(bed.rests) == 2
         bed.start(rush([0]))
-        bed.chip.run(500)
+        bed.chip.run(500)  # ticks: in motion
         bed.engine.stop()
         bed.chip.run(5000)
         assert len(bed.rests) == 2, "the caller of stop() has switched the tool off"
 
 
 def test_power_is_reported_again_after_a_rest() -> None:
+    """Even if it is the same: the tool was switched off in between."""
     with a_bed() as bed:
         for _ in range(2):
             rows = rush([0])
-            rows[0][2] = 77
+            rows[0][2] = 77  # power
             bed.start(rows).finish()
         assert [power for _, power in bed.powers] == [77, 77]
 
@@ -254,7 +276,7 @@ def test_a_pause_resumed_at_once_is_not_reported_as_rest() -> None:
     """The interrupt was late; it makes the next segment and starts it at once."""
     with a_bed(latency=20_000) as bed:
         bed.start(rush([0] * 8)).finish()
-        assert bed.position() == bed.places() == [240, 240, 56]
+        assert bed.position() == bed.places() == [240, 240, 56]  # 8 * 30, 8 * 30, 8 * 7 steps
         assert len(bed.rests) == 1
 
 
@@ -269,15 +291,18 @@ def _fail(*_: object) -> int:
 @pytest.mark.parametrize("who", ["_next_segment", "_on_power", "_on_rest"])
 @pytest.mark.parametrize("deaf", [False, True])
 def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool, motors: int) -> None:
-    """deaf: the stack does not suffice even for the callback that switches the tool off."""
+    """One of the callbacks that the interrupt calls (who) fails.
+
+    deaf: the stack does not suffice even for on_fault, which switches the tool off.
+    """
     rows = rush([0] * 9, motors=motors)
     for k, made in enumerate(rows):
-        made[2] = k
+        made[2] = k  # power: a change in each row calls _on_power
     with a_bed(motors=motors) as bed:
         bed.start(rows)
         bed.chip.run(3500)
         assert bed.engine.fault() == ""
-        usual = getattr(bed.engine, who), bed.engine.on_fault
+        callbacks = getattr(bed.engine, who), bed.engine.on_fault
         setattr(bed.engine, who, _fail)
         if deaf:
             bed.engine.on_fault = _fail
@@ -287,8 +312,8 @@ def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool, mo
                 break
         assert "interrupt has failed" in bed.engine.fault()
         assert len(bed.faults) == (not deaf)
-        setattr(bed.engine, who, usual[0])
-        bed.engine.on_fault = usual[1]
+        setattr(bed.engine, who, callbacks[0])
+        bed.engine.on_fault = callbacks[1]
         bed.engine.stop()
         check_stopped(bed, bed.rises())
 
@@ -297,7 +322,8 @@ def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool, mo
 def test_machines_stop_even_if_the_stop_fails(
     monkeypatch: pytest.MonkeyPatch, motors: int
 ) -> None:
-    """No stack for any call: the machines are off at once, their position is found later."""
+    """As if the stack sufficed for no call: the next segment, halt() and on_fault() fail. The
+    machines are off at once, their position is found by stop() later."""
     with a_bed(motors=motors) as bed:
         bed.start(rush([0] * 9, motors=motors))
         bed.chip.run(1200)
@@ -318,12 +344,16 @@ def test_machines_stop_even_if_the_stop_fails(
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
 def test_an_extra_word_is_noticed_before_anything_moves(motors: int, lane: int) -> None:
-    """Put and pulled by hand, as an earlier engine did: DMA counts five free places."""
+    """A word put into the FIFO and pulled out by hand, as an earlier engine did. DMA then counts
+    five free places in a FIFO of four, and sends a word too many.
+
+    lane: the motor, the first one of its PIO.
+    """
     with a_bed(motors=motors) as bed:
         for register, value in ((_TXF, 122), (_INSTR, _PULL)):
             bed.chip.write(register + _BLOCK * (lane // 4), value)
         bed.chip.run(10)
-        assert bed.chip.channels[lane].read(0x800) == 5
+        assert bed.chip.channels[lane].read(0x800) == 5  # register of the free places
         bed.start(rush([0, 63, 0, 63], motors=motors))
         bed.chip.run(9000)
         assert bed.chip.lost() == 1 << lane
@@ -335,11 +365,15 @@ def test_an_extra_word_is_noticed_before_anything_moves(motors: int, lane: int) 
         assert bed.rises() == made
         bed.engine.arm()
         assert bed.engine.fault() == ""
-        bed.faults.append(0)
+        bed.faults.append(0)  # a_bed() accepts a lost word only with a fault
 
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
 def test_a_lost_word_stops_the_engine_before_its_next_start(motors: int, lane: int) -> None:
+    """Five words are put into a FIFO of four by hand.
+
+    lane: the motor, the first one of its PIO.
+    """
     with a_bed(motors=motors) as bed:
         for _ in range(5):
             bed.chip.write(_TXF + _BLOCK * (lane // 4), 0)
@@ -356,7 +390,7 @@ def test_a_lost_word_stops_the_engine_before_its_next_start(motors: int, lane: i
 
 @pytest.mark.parametrize(("motors", "lane"), [(3, 2), (6, 5)])
 def test_a_stuck_dma_channel_is_a_fault(motors: int, lane: int) -> None:
-    """No interrupt waits for it forever."""
+    """With words left to send, it does not advance; no interrupt waits for it forever."""
     with a_bed(motors=motors) as bed:
         bed.start(rush([0, 63, 5], motors=motors))
         bed.chip.run(2000)
@@ -370,7 +404,8 @@ def test_a_stuck_dma_channel_is_a_fault(motors: int, lane: int) -> None:
 
 
 def test_a_missing_interrupt_is_a_fault_until_the_engine_is_armed() -> None:
-    """MicroPython disables a handler for good once it has raised."""
+    """MicroPython disables a handler for good once it has raised. Here a handler that does nothing
+    takes its place."""
     with a_bed() as bed:
         rp2.PIO.handlers[1] = (lambda _: 0, 0, True)
         bed.start(rush([0]))
@@ -382,21 +417,25 @@ def test_a_missing_interrupt_is_a_fault_until_the_engine_is_armed() -> None:
 
 @pytest.mark.parametrize("base_us", [0, (1 << 30) - 30_000, (1 << 30) - 1_000])
 def test_motion_late_on_its_schedule_is_a_fault(base_us: int) -> None:
-    """The clock wraps after 18 minutes; the machine may rest for longer."""
+    """The clock of microseconds wraps after 18 minutes (1 << 30); the machine may be idle for
+    longer without a fault.
+
+    base_us: the clock at the start, also shortly before it wraps.
+    """
     with a_bed() as bed:
         clock = bed.chip.mcu.clock
-        clock.tick(base_us * 1000)
+        clock.tick(base_us * 1000)  # ns
         bed.start(rush([0])).finish()
-        for _ in range(4):
+        for _ in range(4):  # 20 minutes
             assert bed.engine.fault() == ""
             clock.tick(300_000_000_000)
         bed.start(rush([0] * 4))
         bed.chip.run(1000)
-        rp2.PIO.handlers[1] = (lambda _: 0, 0, True)
+        rp2.PIO.handlers[1] = (lambda _: 0, 0, True)  # the interrupt does nothing from now on
         for us in (20_000, 20_000):
             clock.tick(us * 1000)
             assert bed.engine.fault() == ""
-        clock.tick(30_000_000)
+        clock.tick(30_000_000)  # 70 ms in all
         assert "later than scheduled" in bed.engine.fault()
         bed.engine.stop()
         check_stopped(bed, bed.rises())
@@ -409,9 +448,11 @@ def test_fault_messages_contain_no_answer_words() -> None:
 
 
 def test_the_pulse_length_is_loaded_without_the_fifo() -> None:
+    """A word put there for it would make DMA lose one of the first words."""
     for us in (3, 10, 255):
         with a_bed((us, 2, 5)) as bed:
-            gap = ticks(us) + 12
+            gap = ticks(us) + 12  # the highest rate
+            # 3 steps of each axis, from tick 0 to 2 * gap.
             bed.start([array("i", [4 * gap, 0, 0, *(3, 0, 2 * gap) * AXES])]).finish()
             assert all(seen.pulses == {ticks(us)} for seen in bed.drivers())
             assert bed.chip.lost() == 0
@@ -419,18 +460,18 @@ def test_the_pulse_length_is_loaded_without_the_fifo() -> None:
 
 @pytest.mark.parametrize(("motors", "pio"), [(3, _PIO1), (6, _PIO1), (7, _PIO2), (8, _PIO2)])
 def test_other_users_of_a_pio_are_left_alone(motors: int, pio: int) -> None:
-    """A radio's machine keeps running through stops, faults and starts; its words and its FIFO
-    overflow
-    flag stay."""
+    """A radio's machine, the third of its PIO, keeps running through stops, faults and starts; its
+    words and its FIFO overflow flag stay."""
     with a_bed(motors=motors) as bed:
         loop = 31  # last address of the PIO: an instruction that jumps to itself
         bed.chip.write(pio + _INSTR_MEM + 4 * loop, loop)
         bed.chip.write(pio + _SM2_INSTR, loop)
-        for _ in range(5):
+        for _ in range(5):  # one more than its FIFO holds
             bed.chip.write(pio + _SM2_TXF, 7)
-        bed.chip.write(pio + _TO_SET, 1 << 2)
+        bed.chip.write(pio + _TO_SET, 1 << 2)  # CTRL: enable machine 2
 
         def left_alone() -> bool:
+            """Return whether machine 2 runs its loop, with four words and the overflow flag."""
             runs = bed.chip.read(pio) >> 2 & 1
             full = bed.chip.read(pio + _FLEVEL) >> 16 & 15
             over = bed.chip.read(pio + _FDEBUG) >> 18 & 1
@@ -452,10 +493,11 @@ def test_other_users_of_a_pio_are_left_alone(motors: int, pio: int) -> None:
 
 
 def test_more_motors_than_machines_are_refused() -> None:
+    """An RP2350 has machines for 8 motors, an RP2040 for 6."""
     with pytest.raises(ValueError, match="8 motors at most"), a_bed(motors=9):
         pass
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pio_model, "MOST_OF_RP2040", 7)
+        patch.setattr(pio_model, "MOST_OF_RP2040", 7)  # the model is an RP2040 for 7 motors, too
         with pytest.raises(ValueError, match="6 motors at most"), a_bed(motors=7):
             pass
 
@@ -485,24 +527,26 @@ _WORD = st.builds(word, st.integers(0, 1), st.integers(0, 5), st.integers(0, 90)
 def test_another_emulator_agrees_on_random_words(words: "list[int]", pulse: int) -> None:
     """Every edge of STEP, up and down, in the exact tick that programs.py states."""
     steps, ready = reckon(words, pulse)
-    isr = pioemu.ShiftRegister(pulse - 3, 32)
+    isr = pioemu.ShiftRegister(pulse - 3, 32)  # the program takes 3 ticks of each pulse itself
     state = pioemu.State(transmit_fifo=deque(words), input_shift_register=isr)
     edges: list[tuple[int, int]] = []
     level = 0
     for after in _emulated(programs.stepper[0], state, ready + 20):
-        if after.pin_values >> 1 & 1 != level:
+        if after.pin_values >> 1 & 1 != level:  # STEP has changed
             level = 1 - level
-            edges.append((after.clock, after.pin_values & 1))
+            edges.append((after.clock, after.pin_values & 1))  # tick, DIR
     # This emulator reports the state after an instruction; our model the state before it.
-    assert [(tick - 1, way) for tick, way in edges[::2]] == steps
+    assert [(tick - 1, direction) for tick, direction in edges[::2]] == steps
+    # All pulses, if there are any, have the same length.
     assert {down[0] - up[0] for up, down in zip(edges[::2], edges[1::2], strict=True)} <= {pulse}
 
 
 def test_another_emulator_agrees_on_the_clock() -> None:
+    """lengths: ticks of each segment; the clock's program takes 4 ticks of each itself."""
     lengths = [4, 5, 700, 4, 91]
     state = pioemu.State(transmit_fifo=deque(length - 4 for length in lengths))
     program = list(programs.clock[0])
-    assert program[0] >> 13 == 6
+    assert program[0] >> 13 == 6  # IRQ
     program[0] = 0xA042  # no interrupts in this emulator: mov(y, y) takes a tick too
     pulled = [
         after.clock
@@ -516,6 +560,10 @@ def test_another_emulator_agrees_on_the_clock() -> None:
 
 @pytest.mark.parametrize("pulse", [4, 125, 3185])
 def test_another_emulator_agrees_on_values_forced_into_isr(pulse: int) -> None:
+    """The engine loads ISR without the FIFO, by instructions that it makes a machine execute.
+
+    They clear ISR, then shift in 15 bits of the pulse's length, 5 at a time.
+    """
     forced = [engine_state._CLEAR_ISR]
     for shift in (10, 5, 0):
         forced += [engine_state._SET_X | pulse >> shift & 31, engine_state._SHIFT_IN]

@@ -30,6 +30,7 @@ MOTORS = engines()["pio"].pins
 
 
 def board(**changes: Any) -> ModuleType:
+    """Return a board file with BOARD's pins and these changes."""
     made = ModuleType("board")
     vars(made).update({**BOARD, **changes})
     return made
@@ -37,6 +38,7 @@ def board(**changes: Any) -> ModuleType:
 
 @pytest.fixture(autouse=True)
 def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Reset the stand-ins for pins, PWM outputs and registers."""
     # The chip's interpreter names the chip; CPython's does not.
     monkeypatch.setattr(gpio.sys, "implementation", SimpleNamespace(_machine="with RP2040"))
     Pin.pins.clear()
@@ -66,6 +68,7 @@ class Heard:
 
 
 def made(**changes: Any) -> "tuple[GpioPort, Heard]":
+    """Return the port of a changed board, limits enabled, and the counter of its callbacks."""
     port, heard = GpioPort(board(**changes)), Heard()
     port.attach(heard)
     port.enable_limits(True)
@@ -75,8 +78,9 @@ def made(**changes: Any) -> "tuple[GpioPort, Heard]":
 def test_inputs_are_closed_when_pulled_to_ground() -> None:
     port, _ = made()
     assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
-    for pin in (10, 13, 12):
+    for pin in (10, 13, 12):  # limit of Y, first control input, probe
         Pin(pin).drive(0)
+    # A mask of axes, a mask of inputs, a level.
     assert (port.limits(), port.controls(), port.probe()) == (2, 1, True)
 
 
@@ -86,20 +90,22 @@ def test_unwired_inputs_are_never_closed() -> None:
 
 
 def test_a_switch_is_reported_at_once_in_a_hard_interrupt() -> None:
+    """Of the pins: all inputs have a hard interrupt."""
     _, heard = made()
-    Pin(9).drive(0)
-    Pin(14).drive(0)
+    Pin(9).drive(0)  # limit of X
+    Pin(14).drive(0)  # a control input
     assert (heard.limits, heard.controls) == (1, 1)
     assert all(Pin(pin).hard for pin in (9, 10, 11, 12, 13, 14, 15))
 
 
 def test_a_shared_input_reports_each_axis_and_interrupts_once() -> None:
+    """X and Y use one pin, which the check of pins allows."""
     port, heard = made(LIMIT=(9, 9, 11))
     pin_check.check(board(LIMIT=(9, 9, 11)), MOTORS)
     Pin(9).drive(0)
     assert (port.limits(), heard.limits, Pin(9).calls) == (3, 1, 1)
     Pin(9).drive(1)
-    port._look_timer.expire()
+    port._look_timer.expire()  # after an interrupt, the timer looks at the pin again
     assert (port.limits(), heard.limits) == (0, 2)
 
 
@@ -114,12 +120,13 @@ def test_limits_interrupt_only_while_enabled() -> None:
 
 
 def test_interference_interrupts_rarely_and_blocks_no_other_input() -> None:
+    """A pin that has interrupted does not do so again until a timer has looked at it."""
     port, heard = made()
-    for _ in range(1000):
+    for _ in range(1000):  # interference at the limit of X
         Pin(9).drive(0)
         Pin(9).drive(1)
     assert (Pin(9).calls, heard.limits) == (1, 1)
-    Pin(10).drive(0)
+    Pin(10).drive(0)  # limit of Y
     assert heard.limits == 2
     port._look_timer.expire()  # same level as at the last reported edge
     assert heard.limits == 2
@@ -131,8 +138,9 @@ def test_interference_interrupts_rarely_and_blocks_no_other_input() -> None:
 
 
 def test_nothing_is_reported_after_limits_are_disabled() -> None:
+    """Neither by the timer that looks at a pin after its interrupt, nor by another pin."""
     port, heard = made()
-    Pin(9).drive(0)
+    Pin(9).drive(0)  # reported
     port.enable_limits(False)
     Pin(9).drive(1)
     port._look_timer.expire()
@@ -142,18 +150,22 @@ def test_nothing_is_reported_after_limits_are_disabled() -> None:
 
 @pytest.mark.parametrize("invert", [0, 7])
 def test_a_debounced_limit_counts_if_it_is_closed_at_the_end(invert: int) -> None:
+    """At the end of LIMIT_DEBOUNCE_MS, which begins with the first edge.
+
+    invert: $5, a mask of the three axes.
+    """
     port, heard = made(LIMIT_DEBOUNCE_MS=3)
     port.limit_invert = invert
-    at_rest, hit = (0, 1) if invert else (1, 0)
+    open_level, closed_level = (0, 1) if invert else (1, 0)
     for pin in (9, 10, 11):
-        Pin(pin).drive(at_rest)
+        Pin(pin).drive(open_level)
     port._look_timer.expire()
-    Pin(9).drive(hit)
-    Pin(9).drive(at_rest)
+    Pin(9).drive(closed_level)
+    Pin(9).drive(open_level)
     assert (port._look_timer.period, heard.limits) == (3, 0)
     port._look_timer.expire()
     assert heard.limits == 0
-    Pin(9).drive(hit)
+    Pin(9).drive(closed_level)
     port._look_timer.expire()
     assert heard.limits == 1
 
@@ -165,22 +177,25 @@ def test_pins_interrupt_before_all_others() -> None:
 
 
 def test_a_button_is_reported_at_once_and_a_storm_is_not() -> None:
+    """A storm: many edges, of which only the first and the last are reported; another button is
+    reported at once meanwhile."""
     port, heard = made()
     for _ in range(1000):
         Pin(13).drive(0)
         Pin(13).drive(1)
     Pin(14).drive(0)
-    assert (Pin(13).calls, heard.controls) == (1, 2)
+    assert (Pin(13).calls, heard.controls) == (1, 2)  # one report of each button
     Pin(13).drive(0)
     port._control_timer.expire()
     assert heard.controls == 3  # the last edge is not lost
-    port._control_timer.expire()
+    port._control_timer.expire()  # nothing has changed: the timer ends
     assert (heard.controls, port._control_timer.callback) == (3, None)
     Pin(13).drive(1)
     assert heard.controls == 4
 
 
 def test_an_input_is_active_when_open_if_the_board_says_so() -> None:
+    """CONTROL_INVERT: a mask of the inputs at pins 13, 14 and 15."""
     port, _ = made(CONTROL_INVERT=0b011)
     assert port.controls() == 0b011
     for pin in (13, 14, 15):
@@ -189,13 +204,14 @@ def test_an_input_is_active_when_open_if_the_board_says_so() -> None:
 
 
 def test_an_open_emergency_stop_is_reported_also_during_debounce() -> None:
+    """The emergency stop at pin 22 opens its contact when pressed: estop() is true."""
     port, heard = made(ESTOP=22, CONTROL_DEBOUNCE_MS=20)
     assert port.estop is not None and port.estop()
     Pin(22).drive(0)
     assert not port.estop()
     port._control_timer.expire()
     before = heard.controls
-    Pin(13).drive(0)
+    Pin(13).drive(0)  # a button
     Pin(22).drive(1)  # while a button bounces
     assert heard.controls == before + 2
     port._control_timer.expire()
@@ -213,7 +229,7 @@ def test_a_bouncing_button_is_reported_once_and_again_after_a_change() -> None:
     for level in (0, 1, 0, 1, 0):
         Pin(13).drive(level)
     assert heard.controls == 1
-    port._control_timer.expire()
+    port._control_timer.expire()  # the time of debouncing is over
     assert heard.controls == 1
     Pin(13).drive(1)
     Pin(14).drive(0)  # while the contacts of the other still bounce
@@ -226,6 +242,7 @@ def test_a_bouncing_button_is_reported_once_and_again_after_a_change() -> None:
 
 @pytest.mark.parametrize("closed", [True, False])
 def test_the_probe_is_reported_once(closed: bool) -> None:
+    """closed: wait until it closes (level 0), otherwise until it opens."""
     port, heard = made()
     Pin(12).drive(1 if closed else 0)
     port.watch_probe(heard.on_contact, closed)
@@ -238,8 +255,8 @@ def test_the_probe_is_reported_once(closed: bool) -> None:
 def test_a_probe_interrupts_only_while_it_is_watched() -> None:
     port, heard = made()
     Pin(12).drive(0)
-    port.watch_probe(heard.on_contact, False)
-    port.watch_probe(None, False)
+    port.watch_probe(heard.on_contact, False)  # until it opens
+    port.watch_probe(None, False)  # not any more
     Pin(12).drive(1)
     assert (Pin(12).calls, heard.probe) == (0, 0)
 
@@ -252,6 +269,7 @@ def test_an_already_touching_probe_is_reported_at_once() -> None:
 
 
 def test_spindle_power_sets_the_duty_cycle() -> None:
+    """In proportion, 65535 at PWM_MAX; SPINDLE_ON (pin 19) is on at any power but 0."""
     port, _ = made(PWM_MAX=1000)
     for power, duty in ((0, 0), (1, 65), (500, 32767), (1000, 65535)):
         port.spindle(power > 0, power)
@@ -261,7 +279,7 @@ def test_spindle_power_sets_the_duty_cycle() -> None:
 def test_safe_switches_off_all_dangerous_outputs() -> None:
     port, _ = made(MIST_PIN=20)
     port.spindle(True, 1000)
-    port.coolant(3)
+    port.coolant(3)  # flood and mist
     port.safe()
     assert [Pin(pin).value() for pin in (18, 19, 20)] == [0, 0, 0]
     assert PWM.outputs[16].duty == 0
@@ -275,9 +293,10 @@ def test_motors_are_off_until_the_machine_enables_them() -> None:
 
 
 def test_an_extra_can_add_pins() -> None:
+    """Outputs 20 and 21 and inputs 22 and 26, which drive() and sense() address by masks."""
     port, heard = made()
     port.add_pins((20, 21), (22, 26))
-    port.watch_pins(heard.on_contact)
+    port.watch_pins(heard.on_contact)  # counts in heard.probe
     port.drive(1)
     assert (Pin(20).value(), Pin(21).value(), port.sense()) == (1, 0, 3)
     Pin(26).drive(0)
@@ -310,6 +329,7 @@ def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:
 
 
 def test_outputs_of_shift_registers_are_not_pins() -> None:
+    """STEP and LIMIT may have the same numbers; I2S itself uses pins of the chip."""
     pins = engines()["i2s"].pins
     pin_check.check(board(STEP=(2, 3, 101), LIMIT=(2, 3, 4), I2S=(20, 21, 22)), pins)
     with pytest.raises(ValueError, match="PROBE: pin 21 is I2S already"):
@@ -317,6 +337,7 @@ def test_outputs_of_shift_registers_are_not_pins() -> None:
 
 
 def test_a_fault_message_cannot_be_taken_for_an_answer() -> None:
+    """Senders look for "ok" and "error" anywhere in a line, and for its end."""
     try:
         raise ValueError("token: Error in [book], ok")
     except ValueError as fault:
