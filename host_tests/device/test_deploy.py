@@ -1,4 +1,9 @@
-"""Test `ugrbl build` and `ugrbl deploy`: the files of each board, and every failure."""
+"""Test `ugrbl build` and `ugrbl deploy`: the files of each board, and every failure.
+
+A build holds the files for a board: modules compiled by mpy-cross (.mpy), main.py and board.py.
+deploy() copies what has changed. LIST is a file on the board that names the deployed files with
+their digests; files with other content are the user's and stay. main.py is removed first and
+copied last, so that an incomplete deployment does not start."""
 
 import ast
 import contextlib
@@ -42,11 +47,13 @@ SETTINGS = {
 
 
 def ugrbl(*words: object) -> Result:
+    """Run the command; return its exit code and output."""
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
 @pytest.fixture(scope="module")
 def made() -> build.Build:
+    """Return the build for a Raspberry Pi Pico."""
     return build.for_board(files.board_file("rpi_pico"))
 
 
@@ -67,11 +74,12 @@ class FakeBoard:
         return self._about
 
     def files(self, folders: Iterable[str]) -> dict[str, str]:
-        seen = set(folders)
+        """Return the digests of files in these folders, as deploy_device.py finds them."""
+        wanted = set(folders)
         return {
             path: build.digest(content)
             for path, content in self.disk.items()
-            if path.rpartition("/")[0] in seen and path.endswith(_LOOKED_AT)
+            if path.rpartition("/")[0] in wanted and path.endswith(_LOOKED_AT)
         }
 
     def read(self, path: str) -> bytes:
@@ -99,6 +107,7 @@ class FakeBoard:
         pass
 
     def writes(self) -> list[str]:
+        """Return the paths of the files written, in order."""
         return [line.removeprefix("write ") for line in self.log if line.startswith("write")]
 
 
@@ -119,14 +128,15 @@ class Silent:
 
 
 def put(board: FakeBoard, made: build.Build, **options: Any) -> Any:
+    """Deploy; return the result. The log begins anew."""
     board.log.clear()
     return deploy(board, made, Silent(), **options)
 
 
 def changed(made: build.Build, *paths: str) -> build.Build:
     """Return the same build with these files changed or added."""
-    other = {path: _OTHER + path.encode() for path in paths}
-    return build.Build(made.arch, {**made.files, **other})
+    changed_files = {path: _OTHER + path.encode() for path in paths}
+    return build.Build(made.arch, {**made.files, **changed_files})
 
 
 # Files of a board
@@ -144,15 +154,16 @@ def test_board_gets_every_module_that_its_modules_import(
     name: str, texts: "dict[str, str]"
 ) -> None:
     """Only imports at top level: those inside functions may not be needed by the board."""
-    there = set(build.modules_of(load_board(name)))
-    for each in there:
+    modules_on_board = set(build.modules_of(load_board(name)))
+    for each in modules_on_board:
         for node in ast.parse(texts[each]).body:
             if isinstance(node, ast.Import | ast.ImportFrom):
                 for module in build.imported(ast.unparse(node)):
-                    assert module in there or module not in texts, f"{each}: {module}"
+                    assert module in modules_on_board or module not in texts, f"{each}: {module}"
 
 
 def needed(**words: "str | bool") -> set[str]:
+    """Return the sources that a Pico needs whose board file has these options."""
     board = load_board("rpi_pico")
     made = type(board)("made")
     vars(made).update({**vars(board), "CUSTOM": "", **words})
@@ -160,6 +171,7 @@ def needed(**words: "str | bool") -> set[str]:
 
 
 def test_board_gets_only_modules_that_it_can_use() -> None:
+    """Each option adds its own modules to those of a plain Pico, and no others."""
     pico, i2s, rmt = needed(), needed(ENGINE="i2s", LINK="uart"), needed(ENGINE="rmt")
     assert {"main.py", "pio/pins.py", "ports/usb/usb_link.py", "pio/engine.py"} < pico
     assert not any(name.startswith(("esp", "ports/uart", "extras")) for name in pico)
@@ -180,6 +192,7 @@ def test_board_gets_only_modules_that_it_can_use() -> None:
         "esp_chip/trains.py",
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
+    # All extras need these.
     api = {"extras/api.py", "extras/cycles.py", "extras/custom_codes.py"}
     assert needed(TOOL="punch") - pico == {"extras/tools/punch.py", *api}
     custom = needed(CUSTOM="custom") - pico  # the default
@@ -208,22 +221,25 @@ def test_board_gets_only_modules_that_it_can_use() -> None:
 
 
 def test_every_choice_is_an_existing_module_and_used_by_some_board() -> None:
+    """All options at once, with each engine, link and tool: every module is needed by one of
+    these boards, except modules that none imports."""
     assert {*build._SWITCHED, *build._PARTS} <= {build.module(one) for one in build.sources()}
-    every: set[str] = set()
+    used: set[str] = set()
     for engine in engines.engines():
         for link in engines.links():
             for tool in ("punch", "laser"):
-                words = {"TOOL": tool, "DIALECT": "0.9", "COREXY": True, "CLUSTERS": True}
-                words |= {"JERK": True, "CUSTOM": "custom", "LENIENT": True, "JOBS": "jobs"}
-                words |= {"SD_CARD": (10, 11, 12, 13), "MOTORS": "XYZZ", "HOMING": ("XY",)}
-                words |= {"ROTARY": "A", "TMC2209": (0, 2, 1), "BACKLASH": True}
-                words |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11), "SKEW": True, "PAGE": True}
-                words |= {"POWER_FAIL": 20}
-                every |= needed(ENGINE=engine, LINK=link, **words)
-    left = {build.module(source) for source in set(build.sources()) - every}
+                options = {"TOOL": tool, "DIALECT": "0.9", "COREXY": True, "CLUSTERS": True}
+                options |= {"JERK": True, "CUSTOM": "custom", "LENIENT": True, "JOBS": "jobs"}
+                options |= {"SD_CARD": (10, 11, 12, 13), "MOTORS": "XYZZ", "HOMING": ("XY",)}
+                options |= {"ROTARY": "A", "TMC2209": (0, 2, 1), "BACKLASH": True}
+                options |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11), "SKEW": True, "PAGE": True}
+                options |= {"POWER_FAIL": 20}
+                used |= needed(ENGINE=engine, LINK=link, **options)
+    unused = {build.module(source) for source in set(build.sources()) - used}
     trees = [ast.parse(text) for text in pruned(inline(build.texts())).values()]
-    assert not any(left.intersection(build._imported(tree, ())) for tree in trees)
-    assert "pio.state_layout" in left  # it has only constants
+    assert not any(unused.intersection(build._imported(tree, ())) for tree in trees)
+    # It has only constants, which are inlined.
+    assert "pio.state_layout" in unused
 
 
 def test_main_and_board_file_are_not_compiled(made: build.Build) -> None:
@@ -231,7 +247,8 @@ def test_main_and_board_file_are_not_compiled(made: build.Build) -> None:
     assert made.files["board.py"] == files.board_file("rpi_pico").read_bytes()
     others = set(made.files) - {"main.py", "board.py"}
     assert all(name.endswith(".mpy") for name in others)
-    assert build.signature(made) & 0xFF == 6 and build.signature(made) >> 10 == 4  # armv6m
+    # The .mpy version is in the low byte, the processor from bit 10 on: 4 is armv6m.
+    assert build.signature(made) & 0xFF == 6 and build.signature(made) >> 10 == 4
 
 
 # The command build
@@ -256,6 +273,7 @@ def test_build_without_a_board_compiles_everything(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("options", [(), ("--frozen",)])
 def test_build_writes_over_no_files_of_others(tmp_path: Path, options: "tuple[str, ...]") -> None:
+    """The folder has files that no build has written."""
     (tmp_path / "main.py").write_text("# mine")
     (tmp_path / "mine.mpy").write_bytes(b"M")
     done = ugrbl("build", "--board", "rpi_pico", "--out", tmp_path, *options)
@@ -265,15 +283,21 @@ def test_build_writes_over_no_files_of_others(tmp_path: Path, options: "tuple[st
 
 
 def test_files_of_an_earlier_build_are_removed(tmp_path: Path) -> None:
+    """A .mpy file in a folder of the build is removed; a .py file of the user stays."""
     ugrbl("build", "--board", "rpi_pico", "-o", tmp_path)
-    gone, mine = tmp_path / "pio" / "gone.mpy", tmp_path / "mine.py"
-    gone.write_bytes(b"M")
-    mine.write_bytes(b"")
+    earlier_module, user_file = tmp_path / "pio" / "gone.mpy", tmp_path / "mine.py"
+    earlier_module.write_bytes(b"M")
+    user_file.write_bytes(b"")
     ugrbl("build", "--board", "rpi_pico", "-o", tmp_path)
-    assert not gone.exists() and mine.exists() and (tmp_path / "language/words.mpy").exists()
+    assert (
+        not earlier_module.exists()
+        and user_file.exists()
+        and (tmp_path / "language/words.mpy").exists()
+    )
 
 
 def board_file(folder: Path, more: str, name: str = "mine") -> Path:
+    """Write a Pico's board file with these lines added; return its path."""
     file = folder / f"{name}.py"
     file.write_text(files.board_file("rpi_pico").read_text() + more)
     return file
@@ -325,6 +349,7 @@ def test_board_file_that_imports_another_is_refused(tmp_path: Path) -> None:
 
 
 def test_unknown_board_name_is_answered_with_the_known_ones() -> None:
+    """Also: an output folder that is a file, and a board file that does not exist."""
     file = Path(__file__)
     done = ugrbl("build", "--board", "rpi_pico", "-o", file)
     assert done.exit_code == 1 and "is no folder" in done.output.replace("\n", " ")
@@ -337,6 +362,7 @@ def test_unknown_board_name_is_answered_with_the_known_ones() -> None:
 
 
 def test_new_board_gets_all_files_and_main_last(made: build.Build) -> None:
+    """view.total: bytes announced; view.done: bytes written."""
     board, view = FakeBoard(), Silent()
     result = deploy(board, made, view)
     assert sorted(result.copied) == sorted(made.files) and result.removed == []
@@ -359,6 +385,7 @@ def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(made: build
     board = FakeBoard()
     put(board, made)
     result = put(board, changed(made, "language/words.mpy"))
+    # changed() writes _OTHER and the path, which has 18 characters.
     assert result.copied == ["language/words.mpy"] and result.bytes == len(_OTHER) + 18
     assert board.log == [
         *("enter", "remove main.py", "folder language", "write language/words.mpy"),
@@ -368,15 +395,16 @@ def test_only_changed_files_are_copied_and_main_is_removed_meanwhile(made: build
 
 def test_settings_and_user_files_stay(made: build.Build) -> None:
     board = FakeBoard()
-    mine = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
-    board.disk.update(mine)
+    user_files = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
+    board.disk.update(user_files)
     put(board, made)
     put(board, changed(made, "language/words.mpy"))
-    assert {**SETTINGS, **mine}.items() <= board.disk.items()
+    assert {**SETTINGS, **user_files}.items() <= board.disk.items()
 
 
 def test_sources_that_would_hide_compiled_files_are_removed(made: build.Build) -> None:
-    """`mpremote cp -r firmware/. :/` leaves such sources."""
+    """`mpremote cp -r firmware/. :/` leaves such sources; MicroPython imports a .py rather than
+    the .mpy of the same name."""
     board = FakeBoard()
     for source in build.sources():
         board.disk[source] = (build.paths.FIRMWARE / source).read_bytes()
@@ -386,12 +414,14 @@ def test_sources_that_would_hide_compiled_files_are_removed(made: build.Build) -
 
 
 def test_package_file_of_another_board_is_removed(made: build.Build) -> None:
+    """A Pico has no modules of an ESP32."""
     board = FakeBoard()
     board.disk["esp_chip/__init__.mpy"] = b"M"
     assert put(board, made).removed == ["esp_chip/__init__.mpy"]
 
 
 def test_kernels_of_another_board_are_removed_without_a_list(made: build.Build) -> None:
+    """All files in the folder kernels are ours, even if LIST is missing."""
     board = FakeBoard()
     others = ["kernels/__init__.mpy", "kernels/extras_motors_jerk_kernel.mpy"]
     board.disk.update(dict.fromkeys(others, b"M"))
@@ -405,6 +435,8 @@ def test_files_of_another_board_are_removed(made: build.Build) -> None:
 
 
 def test_module_of_older_firmware_is_removed_unless_it_was_changed(made: build.Build) -> None:
+    """Both were deployed before, and are not in the new build; the content of one is not ours
+    any more."""
     board = FakeBoard()
     put(board, changed(made, "once.mpy", "twice.mpy"))
     board.disk["twice.mpy"] = b"mine now"
@@ -442,21 +474,24 @@ def test_only_a_board_that_serves_the_page_has_its_files(
 def test_changed_page_is_updated_and_removed_when_not_served(
     with_page: build.Build, tmp_path: Path
 ) -> None:
+    """Three deployments: with the page, with the page changed on the board, without the page."""
     file = tmp_path / "board.py"
     text = files.board_file("pico2_w_page").read_text()
     file.write_text(text.replace("PAGE = True", ""))
-    without = build.for_board(file)
+    build_without_page = build.for_board(file)
     board = FakeBoard(PICO2_W)
     put(board, with_page)
     assert {*page_files.names()} <= set(board.disk)
     board.disk["page.gz"] = b"older"
     put(board, with_page)
     assert board.writes() == ["page.gz", LIST, "main.py"]
-    gone = {*with_page.files} - {*without.files}
-    assert {*put(board, without).removed} == gone > {*page_files.names()}
+    files_of_page = {*with_page.files} - {*build_without_page.files}
+    assert {*put(board, build_without_page).removed} == files_of_page > {*page_files.names()}
 
 
 def test_page_is_copied_next_to_frozen_firmware(with_page: build.Build) -> None:
+    """The modules are in the image of MicroPython (frozen): only the files that cannot be are
+    copied."""
     frozen = with_page.id
     board = FakeBoard(PICO2_W._replace(frozen=frozen))
     put(board, with_page)
@@ -464,11 +499,12 @@ def test_page_is_copied_next_to_frozen_firmware(with_page: build.Build) -> None:
 
 
 def test_uf2_file_contains_the_page(with_page: build.Build) -> None:
-    found = contents.files(with_page, {})
-    assert page_files.made().items() <= found.items()
+    """With all modules as files, and with the modules frozen into the image."""
+    all_files = contents.files(with_page, {})
+    assert page_files.made().items() <= all_files.items()
     frozen = with_page.id
-    beside = contents.files(with_page, {}, frozen)
-    assert {*beside} == {"board.py", LIST, *page_files.names()}
+    files_next_to_frozen = contents.files(with_page, {}, frozen)
+    assert {*files_next_to_frozen} == {"board.py", LIST, *page_files.names()}
 
 
 # The board's own board.py
@@ -485,6 +521,7 @@ def test_board_file_changed_on_the_board_is_not_lost(made: build.Build) -> None:
 
 
 def test_foreign_main_is_not_lost(made: build.Build) -> None:
+    """A main.py that deploy has not written is replaced only on request (--replace)."""
     board = FakeBoard()
     board.disk["main.py"] = b"print('blink')"
     with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
@@ -518,6 +555,8 @@ def test_deployed_board_file_is_replaced_by_another(
 def test_board_that_cannot_run_the_build_is_not_touched(
     made: build.Build, about: About, said: str, todo: str
 ) -> None:
+    """mpy: what the board reports of the compiled files it loads: version in the low bits,
+    processor from bit 10 on."""
     board = FakeBoard(about)
     with pytest.raises(DeployError, match=said) as refused:
         put(board, made)
@@ -532,6 +571,7 @@ def test_matching_board_is_accepted(made: build.Build) -> None:
 def test_old_micropython_is_refused_before_anything_is_copied(
     made: build.Build,
 ) -> None:
+    """The check at the end accepts the oldest version that is new enough."""
     board = FakeBoard(PICO._replace(version="1.25.0"))
     why = "MicroPython 1.25 is too old: ENGINE pio on RP2040 needs 1.26 or newer, for hard timer"
     with pytest.raises(DeployError, match=why) as refused:
@@ -542,6 +582,7 @@ def test_old_micropython_is_refused_before_anything_is_copied(
 
 
 def test_full_board_is_reported_and_not_started(made: build.Build) -> None:
+    """The flash has space for half of the build."""
     board = FakeBoard(room=made.bytes // 2)
     with pytest.raises(DeployError, match=r"flash is full, at \w+") as refused:
         put(board, made)
@@ -550,6 +591,7 @@ def test_full_board_is_reported_and_not_started(made: build.Build) -> None:
 
 
 def test_incomplete_deployment_is_completed(made: build.Build) -> None:
+    """The first one ends because flash is full; then there is space."""
     board = FakeBoard(room=made.bytes // 2)
     with pytest.raises(DeployError):
         put(board, made)
@@ -574,26 +616,26 @@ def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
 
 
 def test_deploy_reports_what_it_has_done(plugged: FakeBoard) -> None:
-    said = " ".join(ugrbl("deploy", "--board", "rpi_pico").output.replace("│", " ").split())
+    output = " ".join(ugrbl("deploy", "--board", "rpi_pico").output.replace("│", " ").split())
     for part in ("at /dev/ttyACM7", "Grbl 1.1h ['$' for help]", "1.1h.20261121", "60000 bytes"):
-        assert part in said
-    again = " ".join(ugrbl("deploy", "--board", "rpi_pico").output.split())
-    assert "copied │ 0 files, 0 bytes" in again
+        assert part in output
+    second_output = " ".join(ugrbl("deploy", "--board", "rpi_pico").output.split())
+    assert "copied │ 0 files, 0 bytes" in second_output
 
 
 def test_deploy_is_reported_as_json(plugged: FakeBoard) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", "COM3", "--json", "-")
-    found = json.loads(done.stdout)
-    assert (found["board"], found["port"], found["free_bytes"]) == ("rpi_pico", "COM3", 60_000)
-    assert "language/words.mpy" in found["copied"] and found["unchanged"] == 0
+    result = json.loads(done.stdout)
+    assert (result["board"], result["port"], result["free_bytes"]) == ("rpi_pico", "COM3", 60_000)
+    assert "language/words.mpy" in result["copied"] and result["unchanged"] == 0
 
 
 def test_failure_is_reported_as_json(plugged: FakeBoard) -> None:
-    plugged._about = PICO._replace(mpy=0x1F06)
+    plugged._about = PICO._replace(mpy=0x1F06)  # an RP2350, not the RP2040 of the build
     done = ugrbl("deploy", "--board", "rpi_pico", "--json", "-")
     assert done.exit_code == 1
-    found = json.loads(done.stdout)
-    assert "RP2350" in found["problems"][0] and "--board" in found["todo"]
+    result = json.loads(done.stdout)
+    assert "RP2350" in result["problems"][0] and "--board" in result["todo"]
     assert "RP2350" in done.stderr and "->" in done.stderr
 
 
@@ -631,11 +673,14 @@ def test_help_has_examples(command: str) -> None:
 
 @pytest.fixture
 def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., str]]:
-    """Deploy to a port that answers bytes by a table; None closes it. Return the message."""
+    """Return a function that deploys to a port which answers bytes by a table, and returns the
+    output.
+
+    A value None closes the port."""
     from ugrbl.device import deploy_device
 
     for name in ("_STATUS_S", "_PROMPT_S", "_RAW_S"):
-        monkeypatch.setattr(deploy_device, name, 0.3)
+        monkeypatch.setattr(deploy_device, name, 0.3)  # seconds to wait for an answer
     master, slave = os.openpty()
     tty.setraw(slave)
     port = tmp_path / "port"
@@ -681,7 +726,7 @@ def test_simulator_is_reported(talk: Callable[..., str]) -> None:
 
 def test_other_grbl_is_reported(talk: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ugrbl.device.deploy_device.is_simulator", lambda port: False)
-    assert "does not open MicroPython's prompt -> is it ugrbl?" in talk(_IDLE)
+    assert "does not open MicroPython's prompt -> is it ugrbl?" in talk(_IDLE)  # it ignores Ctrl-C
 
 
 def test_silent_port_is_reported(talk: Callable[..., str]) -> None:
@@ -697,8 +742,9 @@ def test_unplugged_cable_is_reported(talk: Callable[..., str]) -> None:
 
 
 def test_package_json_lists_every_file_of_a_build_and_its_path(tmp_path: Path) -> None:
+    """Each entry of urls: the path on the board, and the file next to package.json."""
     made = build.for_board(build.paths.BOARDS / "rpi_pico.py")
     save(made, tmp_path)
     listed = json.loads((tmp_path / "package.json").read_text())["urls"]
     assert {path for path, _ in listed} == set(made.files) and listed[-1][0] == "main.py"
-    assert all((tmp_path / beside).read_bytes() == made.files[path] for path, beside in listed)
+    assert all((tmp_path / source).read_bytes() == made.files[path] for path, source in listed)

@@ -1,4 +1,8 @@
-"""Test `ugrbl doctor`: at the simulator, at ports with other devices, and its judgement."""
+"""Test `ugrbl doctor`: at the simulator, at ports with other devices, and its judgement.
+
+A finding has a subject (what), a verdict (OK, NOTE or BAD), a text, and what to do (todo). The
+command fails if one is BAD. Bench is a simulator as a process on a pseudo-terminal: bench.push()
+presses a switch, bench.wire(">") returns the bytes sent to it, bench.stop() its motor steps."""
 
 import json
 import os
@@ -46,15 +50,16 @@ def examine(port: object, *words: str) -> Any:
     """Run the doctor; return exit code, findings by subject, and the verdict."""
     command = ["doctor", "--port", str(port), "--json", "-", *words]
     done = CliRunner().invoke(app, command)
-    found = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     by_name: dict[str, list[dict[str, str]]] = {}
-    for row in found["findings"]:
+    for row in report["findings"]:
         by_name.setdefault(row["what"], []).append(row)
-    return done.exit_code, by_name, found["verdict"]
+    return done.exit_code, by_name, report["verdict"]
 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
+    """Return a running simulator with factory settings, as fast as possible."""
     running = Bench(tmp_path, "--speed", "max")
     yield running
     running.kill()
@@ -64,6 +69,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 
 def test_machine_with_factory_settings_can_move_and_needs_settings(bench: Bench) -> None:
+    """--move: move each axis a little; --pins 0: do not wait for switches to be pressed."""
     code, found, verdict = examine(bench.port, "--move", "--pins", "0")
     assert code == 0
     assert found["port"][0]["verdict"] == OK
@@ -84,26 +90,29 @@ def test_nothing_moves_without_consent(bench: Bench) -> None:
 
 @pytest.mark.thorough
 def test_pressed_switches_are_seen(bench: Bench) -> None:
+    """--pins 5: the doctor watches the inputs for 5 s."""
+
     def press() -> None:
         for pin in ("limit_x", "probe"):
-            time.sleep(1.2)
+            time.sleep(1.2)  # s: the doctor reads settings first, and sees each press once
             bench.push(pin)
             time.sleep(0.5)
             bench.push(pin, False)
 
-    finger = threading.Thread(target=press)
-    finger.start()
+    presser = threading.Thread(target=press)
+    presser.start()
     code, found, _ = examine(bench.port, "--pins", "5", "--no-move")
-    finger.join()
+    presser.join()
     assert code == 0
     assert found["switches"][0]["text"] == "seen: limit switch X (1×), probe (1×)"
 
 
 def test_input_active_while_idle_is_named_with_its_setting(tmp_path: Path) -> None:
+    """The remedy inverts the input: $5 for limits, $6 for the probe."""
     bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
     bench.push("limit_y")
     bench.push("probe")
-    time.sleep(0.3)
+    time.sleep(0.3)  # s: the simulator has read both
     code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
     bench.kill()
     assert code == 1
@@ -112,6 +121,7 @@ def test_input_active_while_idle_is_named_with_its_setting(tmp_path: Path) -> No
 
 
 def test_locked_machine_is_reported_with_the_remedy_and_does_not_move(tmp_path: Path) -> None:
+    """With stored settings but no stored offsets the simulator starts in an alarm."""
     bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
     code, found, _ = examine(bench.port, "--move", "--pins", "0")
     bench.kill()
@@ -121,11 +131,12 @@ def test_locked_machine_is_reported_with_the_remedy_and_does_not_move(tmp_path: 
 
 
 def test_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
+    """Hard limits are on; X is moved to half a millimetre before its switch."""
     connection = sync.connect(str(bench.port))
-    near = SWITCH_STEPS / STEPS_PER_MM - 0.5
-    for line in ("$21=1", f"$J=G91 X{near} F500"):
+    near_mm = SWITCH_STEPS / STEPS_PER_MM - 0.5
+    for line in ("$21=1", f"$J=G91 X{near_mm} F500"):
         assert connection.ask(line)[-1] == "ok"
-    connection.wait_for(lambda line: f"<Idle|MPos:{near:.3f}" in line, 20)
+    connection.wait_for(lambda line: f"<Idle|MPos:{near_mm:.3f}" in line, 20)
     connection.close()
     code, found, _ = examine(bench.port, "--move", "--pins", "0")
     assert code == 1
@@ -137,7 +148,9 @@ def test_move_into_a_switch_is_reported_with_its_alarm(bench: Bench) -> None:
 
 
 class Impostor(threading.Thread):
-    """A device that answers everything with texts of its own."""
+    """A device that is not our firmware.
+
+    answers: what it sends if these bytes are received; always: what it sends every 20 ms."""
 
     def __init__(self, answers: dict[bytes, bytes], always: bytes = b"") -> None:
         super().__init__(daemon=True)
@@ -163,6 +176,7 @@ class Impostor(threading.Thread):
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do not wait long for a prompt."""
     monkeypatch.setattr(board_under_test, "_REPL_S", 0.3)
 
 
@@ -198,7 +212,10 @@ def test_other_device_is_reported(
     what: str,
     text: str,
 ) -> None:
-    monkeypatch.setattr(connection, "_START_S", 0.5)
+    """The device sends `always` all the time, and answers after Ctrl-C (the prompt >>>) or to
+    the doctor's `import` line (chip, name, version, free bytes, whether main.py has ended). The
+    finding `what` contains the text."""
+    monkeypatch.setattr(connection, "_START_S", 0.5)  # s to wait for a Grbl
     impostor = Impostor(answers, always)
     impostor.start()
     code, found, _ = examine(impostor.port)
@@ -219,11 +236,12 @@ def test_board_at_its_prompt_is_reported_with_its_free_memory(
     _, found, _ = examine(impostor.port)
     impostor.over.set()
     impostor.join()
-    assert found["memory"][0]["text"] == "178 kB are free"
+    assert found["memory"][0]["text"] == "178 kB are free"  # 183000 / 1024
     assert "main.py has ended" in found["firmware"][0]["todo"]
 
 
 def test_slow_ctrl_x_is_reported() -> None:
+    """The name in the build information says slow-reset; another Grbl's name means nothing."""
     (finding,) = checkup.link(replace(OURS, name="Grbl pio 100000Hz slow-reset SHED"))
     assert finding.verdict == NOTE and "Ctrl-X" in finding.text and "1.28" in finding.todo
     assert checkup.link(replace(OURS, name="Grbl pio 100000Hz SHED")) == []
@@ -232,6 +250,7 @@ def test_slow_ctrl_x_is_reported() -> None:
 
 @pytest.mark.parametrize(("used", "verdict"), [(4704, OK), (7168, OK), (7169, NOTE), (8192, NOTE)])
 def test_nearly_full_c_stack_is_reported_with_the_next_step(used: int, verdict: str) -> None:
+    """7168 is 7/8 of 8192 bytes."""
     replies = ["[VER:1.1h.20261121:]", f"[MSG:Stack: {used} of 8192 bytes used]", "ok"]
     (finding,) = checkup.stack(replies)
     assert finding.verdict == verdict and f"{used} of 8192 bytes" in finding.text
@@ -244,7 +263,7 @@ def test_board_without_a_stack_figure_gets_no_row() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "verdict", "words"),
+    ("count", "verdict", "words"),
     [
         ("0", OK, "no program stopped"),
         ("1", NOTE, "motion stopped once"),
@@ -252,9 +271,9 @@ def test_board_without_a_stack_figure_gets_no_row() -> None:
     ],
 )
 def test_underruns_of_programs_are_reported_with_the_next_step(
-    told: str, verdict: str, words: str
+    count: str, verdict: str, words: str
 ) -> None:
-    (finding,) = checkup.drains(["[VER:1.1h.20261121:]", f"[MSG:Drains: {told}]", "ok"])
+    (finding,) = checkup.drains(["[VER:1.1h.20261121:]", f"[MSG:Drains: {count}]", "ok"])
     assert finding.verdict == verdict and words in finding.text
     assert ("ugrbl run" in finding.todo) == (verdict == NOTE)
     assert checkup.drains(["[VER:1.1h.20261121:]", "ok"]) == []
@@ -273,20 +292,22 @@ class Asked:
 
 
 def test_only_our_firmware_is_asked_for_its_stack() -> None:
-    told = ["[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
-    ours, other = Asked(*told), Asked("error:3")
-    assert doctor._health(cast("Any", ours), OURS) == told and ours.lines == ["$I+"]
+    """$I+ is our own request; another Grbl would refuse it."""
+    replies = ["[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
+    ours, other = Asked(*replies), Asked("error:3")
+    assert doctor._health(cast("Any", ours), OURS) == replies and ours.lines == ["$I+"]
     assert doctor._health(cast("Any", other), GRBL) == [] and other.lines == []
 
 
 def test_stack_figure_of_a_board_gets_a_row(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The simulator has no such figure; then $I+ is answered as by a board."""
     code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
     assert code == 0 and "C stack" not in found
     ask = Connection.ask
 
     def with_stack(self: Connection, line: str) -> list[str]:
-        told = ["[MSG:Stack: 7700 of 8192 bytes used]", "ok"]
-        return told if line == "$I+" else ask(self, line)
+        replies = ["[MSG:Stack: 7700 of 8192 bytes used]", "ok"]
+        return replies if line == "$I+" else ask(self, line)
 
     monkeypatch.setattr(Connection, "ask", with_stack)
     code, found, verdict = examine(bench.port, "--no-move", "--pins", "0")
@@ -306,6 +327,7 @@ _REPORT = b"<Alarm|MPos:0.000,0.000,0.000|FS:0,0>\r\n"
 
 
 def test_board_in_a_fault_alarm_is_asked_for_the_fault(fault: str) -> None:
+    """It answers only reports and "$"."""
     impostor = Impostor({b"?": _REPORT, b"$": fault.encode() + b"\r\n"})
     impostor.start()
     code, found, _ = examine(impostor.port)
@@ -332,11 +354,12 @@ def judged(impostor: Impostor) -> "list[Finding]":
 def test_last_fault_is_reported_after_the_machine_works_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
+    """The firmware keeps its last fault, and reports it in the answer to $I+."""
     ask = Connection.ask
 
     def with_fault(self: Connection, line: str) -> list[str]:
-        told = [fault.replace("[MSG:", "[MSG:Last fault: "), "ok"]
-        return told if line == "$I+" else ask(self, line)
+        replies = [fault.replace("[MSG:", "[MSG:Last fault: "), "ok"]
+        return replies if line == "$I+" else ask(self, line)
 
     monkeypatch.setattr(Connection, "ask", with_fault)
     code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
@@ -361,6 +384,8 @@ def test_missing_port_is_named() -> None:
 def test_only_port_is_chosen_and_none_of_several(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Ports without USB numbers are not controllers."""
+
     class Usb:
         def __init__(self, device: str, vid: int | None, pid: int | None) -> None:
             self.device, self.vid, self.pid = device, vid, pid
@@ -381,6 +406,7 @@ def test_only_port_is_chosen_and_none_of_several(
 
 
 def wrong(found: list[Finding]) -> list[tuple[str, str]]:
+    """Return subject and verdict of all findings that are not OK."""
     return [(finding.what, finding.verdict) for finding in found if finding.verdict != OK]
 
 
@@ -412,20 +438,21 @@ def test_good_settings_have_no_finding() -> None:
 def test_bad_settings_are_reported_with_the_remedy(
     values: dict[int, float], what: str, verdict: str, says: str
 ) -> None:
+    """values: settings that differ from the good ones."""
     found = settings_check.settings({**GOOD, **values}, OURS)
-    hits = [finding for finding in found if (finding.what, finding.verdict) == (what, verdict)]
-    assert hits and all(finding.todo for finding in hits)
-    assert says in " ".join(finding.text + finding.todo for finding in hits)
+    matching = [finding for finding in found if (finding.what, finding.verdict) == (what, verdict)]
+    assert matching and all(finding.todo for finding in matching)
+    assert says in " ".join(finding.text + finding.todo for finding in matching)
 
 
 def test_real_grbl_has_a_lower_step_limit() -> None:
-    fast = {**GOOD, 110: 30000.0}  # 40 kHz
+    fast = {**GOOD, 110: 30000.0}  # mm/min * 80 steps/mm: 40 kHz
     assert ("step rate", BAD) in wrong(settings_check.settings(fast, GRBL))
     assert ("step rate", BAD) not in wrong(settings_check.settings(fast, OURS))
 
 
 @pytest.mark.parametrize(
-    ("name", "most"),
+    ("name", "most_hz"),
     [
         ("Grbl", 90_909),
         ("Grbl pio", 90_909),
@@ -437,15 +464,18 @@ def test_real_grbl_has_a_lower_step_limit() -> None:
         ("my mill", 30_000),
     ],
 )
-def test_step_limit_depends_on_the_pulse_engine(name: str, most: int) -> None:
-    found = Firmware("1.1", "h", "20261121", name, "V,15,128")
-    assert int(settings_check.most_hz(found, 10)) == most
+def test_step_limit_depends_on_the_pulse_engine(name: str, most_hz: int) -> None:
+    """The name in the build information begins with the engine and its rate. Pulses last 10 us:
+    10 us high and 1 us low are 90909 Hz."""
+    firmware = Firmware("1.1", "h", "20261121", name, "V,15,128")
+    assert int(settings_check.most_hz(firmware, 10)) == most_hz
 
 
 def test_short_pulses_allow_the_highest_rate_of_the_engine() -> None:
+    """Pulses of 3 us, at the end of 1 us."""
     names = {"Grbl pio": 250_000, "Grbl sim": 100_000, "Grbl rmt": 5000}
-    for name, most in names.items():
-        assert settings_check.most_hz(replace(OURS, name=name), 3) == most
+    for name, most_hz in names.items():
+        assert settings_check.most_hz(replace(OURS, name=name), 3) == most_hz
     assert settings_check.most_hz(replace(OURS, name="Grbl pio"), 1) == 500_000
 
 
@@ -465,6 +495,7 @@ def test_versions_are_judged(found: Firmware, verdict: str) -> None:
 
 
 def test_switch_needed_for_homing_but_never_seen_is_reported() -> None:
+    """Changes seen at each switch of a machine with 3 axes."""
     found = checkup.pins_pressed({"X": 1, "Y": 12}, GOOD, 3)
     assert [finding.text for finding in found[1:]] == [
         "never seen, though homing ($22) needs them: Z",

@@ -31,6 +31,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    """Start a machine that stores no jobs."""
     running = Bench(tmp_path_factory.mktemp("sim"), "--speed", "max")
     yield running
     running.kill()
@@ -38,12 +39,13 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    made = tmp_path / "part.nc"
-    made.write_text(_PROGRAM)
-    return made
+    program_file = tmp_path / "part.nc"
+    program_file.write_text(_PROGRAM)
+    return program_file
 
 
 def ugrbl(bench: Bench, *words: object, answer: str = "") -> Result:
+    """Run `ugrbl job` at this machine; answer: what the user types."""
     command = ["job", *map(str, words), "--port", str(bench.port)]
     return CliRunner().invoke(app, command, input=answer)
 
@@ -55,16 +57,16 @@ def test_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path) 
     assert ugrbl(bench, "show", "part.nc").output == _PROGRAM
     done = ugrbl(bench, "run", "PART.NC")
     assert done.exit_code == 0 and done.output.startswith("Job PART.NC: begins\n")
-    until = time.monotonic() + 10
+    end_s = time.monotonic() + 10
     while ugrbl(bench, "list").exit_code:  # refused as long as the job runs
-        assert time.monotonic() < until
+        assert time.monotonic() < end_s
     assert "nothing has been changed" in ugrbl(bench, "delete", "PART.NC", answer="n\n").output
     assert ugrbl(bench, "delete", "PART.NC", "--yes").exit_code == 0
     assert "PART.NC" not in ugrbl(bench, "list").output
 
 
 def test_program_refused_at_once_is_reported(bench: Bench, tmp_path: Path) -> None:
-    (tmp_path / "bad.nc").write_text("G21\nG5 X1\n")
+    (tmp_path / "bad.nc").write_text("G21\nG5 X1\n")  # G5 is not supported
     assert ugrbl(bench, "push", tmp_path / "bad.nc").exit_code == 0
     done = ugrbl(bench, "run", "BAD.NC")
     assert done.exit_code == 1
@@ -72,6 +74,7 @@ def test_program_refused_at_once_is_reported(bench: Bench, tmp_path: Path) -> No
 
 
 def test_file_that_is_not_a_program_is_not_sent(bench: Bench, tmp_path: Path) -> None:
+    """Random bytes are refused; a program in UTF-16, as Windows writes it, is converted."""
     (tmp_path / "a.nc").write_bytes(os.urandom(5000))
     done = ugrbl(bench, "push", tmp_path / "a.nc")
     assert done.exit_code == 1 and "a.nc is no G-code" in done.output
@@ -80,23 +83,27 @@ def test_file_that_is_not_a_program_is_not_sent(bench: Bench, tmp_path: Path) ->
     assert ugrbl(bench, "show", "b.nc").output == "G0 X1\n"
 
 
-@pytest.mark.parametrize(("end", "there"), [(b"\r", "\n"), (b"\r\r\n", "\n"), (b"\r\n", "\r\n")])
+@pytest.mark.parametrize(
+    ("end", "stored_end"), [(b"\r", "\n"), (b"\r\r\n", "\n"), (b"\r\n", "\r\n")]
+)
 def test_program_with_any_line_ends_keeps_its_lines(
-    bench: Bench, tmp_path: Path, end: bytes, there: str
+    bench: Bench, tmp_path: Path, end: bytes, stored_end: str
 ) -> None:
+    """A CR, or CR CR LF, is stored as LF; CR LF stays."""
     (tmp_path / "mac.nc").write_bytes(end.join([b"G21", b"(one)", b"", b"G0 X0", b""]))
     assert ugrbl(bench, "push", tmp_path / "mac.nc").exit_code == 0
-    text = there.join(["G21", "(one)", "", "G0 X0", ""])
+    text = stored_end.join(["G21", "(one)", "", "G0 X0", ""])
     assert f"MAC.NC  {len(text)} " in ugrbl(bench, "list").output
     assert ugrbl(bench, "show", "MAC.NC").stdout_bytes.decode() == text
     done = ugrbl(bench, "run", "MAC.NC")
     assert done.exit_code == 0 and "refused" not in done.output
-    until = time.monotonic() + 10
-    while ugrbl(bench, "list").exit_code:
-        assert time.monotonic() < until
+    end_s = time.monotonic() + 10
+    while ugrbl(bench, "list").exit_code:  # refused as long as the job runs
+        assert time.monotonic() < end_s
 
 
 def test_big_program_is_sent_completely(bench: Bench, tmp_path: Path) -> None:
+    """One comment of 9000 random characters, and 1000 moves after it."""
     big = tmp_path / "big.nc"
     big.write_bytes(b"(" + os.urandom(4500).hex().encode() + b")\nG0X1\n" * 1000)
     assert ugrbl(bench, "push", big, "--name", "b-1.nc").exit_code == 0

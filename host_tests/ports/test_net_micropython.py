@@ -22,9 +22,9 @@ from ugrbl.paths import FIRMWARE
 
 pytestmark = [needs_micropython, pytest.mark.thorough]
 
-_LINES = 120
+_LINES = 120  # sent by the client with the key
 _LONGEST_US = 100_000  # one turn, on a computer that also does other things
-_STEP_S = 0.003
+_STEP_S = 0.003  # between two connections of a storm
 
 # A machine that answers each line, and a "?" with a report; it ends after a line END.
 _MACHINE = """
@@ -95,15 +95,17 @@ class Board:
             time.sleep(0.05)
 
     def _listens(self, port: int) -> bool:
-        with socket.socket() as caller:
-            return caller.connect_ex(("127.0.0.1", port)) == 0
+        """Return whether a connection to this port of the board is accepted."""
+        with socket.socket() as connection:
+            return connection.connect_ex(("127.0.0.1", port)) == 0
 
     def check(self, answers: list[str]) -> None:
-        """Check that every line came once, in order, was answered, and that no turn took long."""
-        longest, turns, lines = json.loads(self.ended.result(60))
+        """Check the machine's result: every line came once, in order, was answered (answers:
+        the client's), and that no turn of its loop took long."""
+        longest_us, turns, lines = json.loads(self.ended.result(60))
         assert lines == [*(f"G1X{number}" for number in range(_LINES)), "END"]
-        assert answers.count("ok") >= _LINES + 1 and "error:9" not in answers
-        assert turns > _LINES and longest < _LONGEST_US
+        assert answers.count("ok") >= _LINES + 1 and "error:9" not in answers  # 1: the key
+        assert turns > _LINES and longest_us < _LONGEST_US
 
 
 @pytest.fixture
@@ -117,49 +119,51 @@ _RUBBISH = (b"?" * 99, b"G1X9\n", bytes(range(256)))
 def storm(port: int, over: threading.Event, rubbish: "tuple[bytes, ...]" = _RUBBISH) -> None:
     """Connect, send rubbish, read nothing, hang up or reset, again and again."""
     chance = random.Random(port)
-    there: list[socket.socket] = []
+    connections: list[socket.socket] = []
     while not over.is_set():
         time.sleep(_STEP_S)
-        made = socket.socket()
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
-        made.setblocking(False)
-        made.connect_ex(("127.0.0.1", port))
-        there.append(made)
+        connection = socket.socket()
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+        connection.setblocking(False)
+        connection.connect_ex(("127.0.0.1", port))
+        connections.append(connection)
         try:
-            chance.choice(there).send(chance.choice(rubbish))
+            chance.choice(connections).send(chance.choice(rubbish))
         except OSError:
             pass  # the board has closed the connection, as it should
-        while len(there) > 8:
-            gone = there.pop(chance.randrange(len(there)))
-            if chance.random() < 0.5:
-                gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-            gone.close()
+        while len(connections) > 8:
+            closing = connections.pop(chance.randrange(len(connections)))
+            if chance.random() < 0.5:  # a reset, not an orderly end
+                closing.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+            closing.close()
 
 
 def drive(port: int, out: list[str]) -> None:
     """Send the key, then lines, each after the answer to the one before, with "?" in between."""
-    caller = connected(port)
-    answers = lines_of(caller)
+    connection = connected(port)
+    answers = lines_of(connection)
     for line in ["$NET/KEY=23456789", *(f"G1X{number}" for number in range(_LINES)), "END"]:
-        caller.sendall(b"?" + line.encode() + b"\n")
+        connection.sendall(b"?" + line.encode() + b"\n")
         for answer in answers:
             if answer == "ok" or answer.startswith("error:"):
                 out.append(answer)
                 break
-    caller.close()
+    connection.close()
 
 
-def lines_of(caller: socket.socket) -> Iterator[str]:
-    text = ""
-    while data := caller.recv(999):
-        text += data.decode("latin-1")
-        *lines, text = text.split("\r\n")
+def lines_of(connection: socket.socket) -> Iterator[str]:
+    """Yield the lines received, without their ends, until the board closes the connection."""
+    incomplete = ""
+    while data := connection.recv(999):
+        incomplete += data.decode("latin-1")
+        *lines, incomplete = incomplete.split("\r\n")
         yield from lines
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("stormy", [False, True], ids=["quiet", "storm"])
 def test_lines_arrive_complete_and_in_order_and_no_turn_blocks(port: int, stormy: bool) -> None:
+    """A client with the key drives the machine by TCP; stormy: while others send rubbish."""
     board = Board(port, port)
     over, answers = threading.Event(), list[str]()
     threads = [threading.Thread(target=drive, args=(port, answers))]
@@ -196,10 +200,11 @@ def _get(connection: http.client.HTTPConnection, path: str) -> "tuple[bytes, str
 
 
 def whole_page(port: int) -> bytes:
-    """Fetch all pieces as the first page does."""
+    """Fetch all pieces as the first page does; return the HTML. Each answer names the next
+    piece."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     first, _ = _get(connection, "/")
-    path = first[first.index(b"/0?") :][:7].decode()
+    path = first[first.index(b"/0?") :][:7].decode()  # "/0?" and four random digits
     pieces = list[bytes]()
     while path:
         piece, path = _get(connection, path)
@@ -211,40 +216,43 @@ def connected(port: int) -> socket.socket:
     return socket.create_connection(("127.0.0.1", port), 20)
 
 
-def heard_by_browser(made: socket.socket) -> bytes:
+def heard_by_browser(connection: socket.socket) -> bytes:
     """Return the bytes received; answer each ping. The board sends each frame in one piece."""
-    heard = made.recv(999)
-    for ping in re.findall(b"\x89\x04(....)", heard, re.DOTALL):
-        made.sendall(frame(ping, PONG))
-    return heard
+    received = connection.recv(999)
+    for ping in re.findall(b"\x89\x04(....)", received, re.DOTALL):
+        connection.sendall(frame(ping, PONG))
+    return received
 
 
 def drive_by_page(port: int, out: list[str]) -> None:
     """Do the same as drive(), with some messages in several frames."""
-    made, chance = connected(port), random.Random(port)
-    here = f"127.0.0.1:{port}"
-    made.sendall(request("/ws", **{**WS_UPGRADE, "Host": here, "Origin": f"http://{here}"}))
+    connection, chance = connected(port), random.Random(port)
+    host = f"127.0.0.1:{port}"
+    connection.sendall(request("/ws", **{**WS_UPGRADE, "Host": host, "Origin": f"http://{host}"}))
     text = ""
     while "Grbl 1.1h" not in text:
-        text += heard_by_browser(made).decode("latin-1")
+        text += heard_by_browser(connection).decode("latin-1")
     assert text.startswith("HTTP/1.1 101 ")
     for line in ["$NET/KEY=23456789", *(f"G1X{number}" for number in range(_LINES)), "END"]:
         data = f"?{line}\n".encode()
         cut = chance.randrange(len(data))
         parts = frame(data[:cut], last=False) + frame(b"", PING) + frame(data[cut:], 0)
-        made.sendall(parts if cut % 2 else frame(data))
+        # parts: two frames with a ping between them
+        connection.sendall(parts if cut % 2 else frame(data))
         text = ""
         while not re.search("ok\r\n|error:", text):
-            heard = heard_by_browser(made)
-            if not heard:
+            received = heard_by_browser(connection)
+            if not received:
                 return  # the machine has ended
-            text += heard.decode("latin-1")
+            text += received.decode("latin-1")
         out.append("ok" if "error:" not in text else text)
-    made.close()
+    connection.close()
 
 
 @pytest.mark.parametrize("stormy", [False, True], ids=["quiet", "storm"])
 def test_a_page_is_loaded_and_drives_and_no_turn_blocks(stormy: bool, tmp_path: Path) -> None:
+    """The page is loaded by HTTP, and a browser drives by its websocket; stormy: while others
+    send rubbish to both ports."""
     page_files.save(tmp_path)
     by_tcp, by_http = free_port(), free_port()
     board = Board(by_http, by_tcp, by_http, f"{tmp_path}/")
@@ -253,7 +261,7 @@ def test_a_page_is_loaded_and_drives_and_no_turn_blocks(stormy: bool, tmp_path: 
     over, answers = threading.Event(), list[str]()
     driver = threading.Thread(target=drive_by_page, args=(by_http, answers))
     driver.start()
-    time.sleep(0.5)
+    time.sleep(0.5)  # connect before the storm takes all places
     storms = [
         threading.Thread(target=storm, args=asked)
         for asked in ((by_tcp, over), (by_http, over, _OF_VISITORS))

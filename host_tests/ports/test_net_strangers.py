@@ -1,4 +1,10 @@
-"""Clients without the key: what they receive, what they cost, and that they displace nobody."""
+"""Clients without the key: what they receive, what they cost, and that they displace nobody.
+
+The machine has places for 3 clients, and 7200 bytes of output may wait in the network stack
+(lwIP): a third of them, 2400, for all clients without the key together. A client without the key
+keeps its place for 250 ms if another needs it; the one with the key for 10 minutes of silence.
+bench.call(address) connects a client; without an address it is this computer, which needs no key.
+Times of wait() and until() are ms of simulated time."""
 
 import pytest
 from net_bench import KEY, WELCOME, NetBench, Pipe, connected, joined
@@ -39,42 +45,46 @@ def test_wrong_keys_close_their_connection_and_lock_nobody_out(bench) -> None:
 
 
 def test_clients_without_the_key_make_place_for_others(bench) -> None:
+    """A fourth client is refused at once, but after 250 ms takes the place of one of them."""
+
     def script(bench):
-        first = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
-        for pipe in first:
+        first_clients = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
+        for pipe in first_clients:
             yield from connected(bench, pipe)
         late = bench.call("10.0.0.4")
         yield from bench.until(lambda: late.is_closed)
         assert late.take() == ""
-        yield from bench.wait(300)
-        for pipe in first:
+        yield from bench.wait(300)  # they have had their places for 250 ms
+        for pipe in first_clients:
             pipe.send("?$G\n")  # their queries do not protect them
         yield from bench.wait(50)
         late = bench.call("10.0.0.4")
         yield from connected(bench, late)
-        assert [pipe.is_closed for pipe in first].count(True) == 1
+        assert [pipe.is_closed for pipe in first_clients].count(True) == 1
 
     bench.run(script)
 
 
 def test_a_computer_that_reconnects_again_and_again_takes_only_its_own_place(bench) -> None:
     def script(bench):
-        first = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
-        for pipe in first:
+        first_clients = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
+        for pipe in first_clients:
             yield from connected(bench, pipe)
         for _ in range(20):
-            yield from bench.wait(300)
+            yield from bench.wait(300)  # the other two could be replaced, too
             bench.call("10.0.0.1")
         yield from bench.wait(50)
-        assert [pipe.is_closed for pipe in first] == [True, False, False]
+        assert [pipe.is_closed for pipe in first_clients] == [True, False, False]
 
     bench.run(script)
 
 
 def test_a_client_waiting_for_a_long_move_keeps_its_place(bench) -> None:
+    """All three places have clients with the key; 150 others call meanwhile."""
+
     def script(bench):
         waiting, watching, third = yield from three(bench)
-        waiting.send("G1X20F60\nG4P0\n")  # 20 s
+        waiting.send("G1X20F60\nG4P0\n")  # 20 mm at 1 mm/s, then the answer
         for number in range(150):
             bench.call(f"10.0.{number % 7}.{number % 3}").send("?")
             yield from bench.wait(100)
@@ -85,19 +95,25 @@ def test_a_client_waiting_for_a_long_move_keeps_its_place(bench) -> None:
 
 
 def test_a_lost_client_with_the_key_keeps_its_place_for_ten_minutes() -> None:
+    """The places were taken 0, 1 and 2 ms after the start; the first one is free 600 s after
+    that, while the machine is idle."""
     places = [Client(Memory()) for _ in range(3)]
     for started_ms, place in enumerate(places):
         place.begin(Pipe(), "10.0.0.1", started_ms)
         place.trusted = True
-    assert slot_for("10.0.0.1", places, True, 600_000) is None
-    assert slot_for("10.0.0.1", places, False, 600_001) is None, "while the machine works"
-    assert slot_for("10.0.0.1", places, True, 600_001) is places[0]
+    assert slot_for("10.0.0.1", places, at_rest=True, now_ms=600_000) is None
+    assert slot_for("10.0.0.1", places, at_rest=False, now_ms=600_001) is None, (
+        "while the machine works"
+    )
+    assert slot_for("10.0.0.1", places, at_rest=True, now_ms=600_001) is places[0]
 
 
 # Memory
 
 
 def test_a_client_without_the_key_gets_a_limited_number_of_bytes(bench) -> None:
+    """After these bytes only the key is answered."""
+
     def script(bench):
         pipes = [bench.call(f"10.0.0.{n}") for n in (1, 2)]
         for pipe in pipes:
@@ -106,7 +122,7 @@ def test_a_client_without_the_key_gets_a_limited_number_of_bytes(bench) -> None:
             for pipe in pipes:
                 pipe.send("?\n$$\nG1X1\n")
             yield from bench.wait(20)
-        assert 1000 < sum(len(pipe.got) for pipe in pipes) <= 2400
+        assert 1000 < sum(len(pipe.got) for pipe in pipes) <= 2400  # bytes for both together
         assert (yield from bench.ask(pipes[0], f"$NET/KEY={KEY}\n")).endswith("ok\r\n")
         assert (yield from bench.ask(pipes[0], "G1X1F600\n")).endswith("ok\r\n")
 
@@ -115,19 +131,21 @@ def test_a_client_without_the_key_gets_a_limited_number_of_bytes(bench) -> None:
 
 @pytest.mark.parametrize("how", ["has_hung_up", "is_broken"])
 def test_memory_of_closed_connections_counts_for_ten_seconds(bench, how: str) -> None:
-    """Not for connections that were reset: lwIP has freed their memory."""
+    """60 clients connect and close one after another. After an orderly end lwIP keeps the
+    output, so that together they receive 2400 bytes. After a reset (is_broken) it has freed the
+    memory."""
 
     def script(bench):
-        got = 0
+        total_bytes = 0
         for number in range(60):
             pipe = bench.call(f"10.0.0.{number}")
             pipe.send("?\n\n?")
             yield from bench.wait(100)
             setattr(pipe, how, True)
             yield from bench.until(lambda pipe=pipe: pipe.is_closed)
-            got += len(pipe.got)
-        assert got > 4000 if how == "is_broken" else got <= 2400
-        yield from bench.wait(10_000)
+            total_bytes += len(pipe.got)
+        assert total_bytes > 4000 if how == "is_broken" else total_bytes <= 2400
+        yield from bench.wait(10_000)  # then nothing counts any more
         late = bench.call("10.0.0.1")
         yield from connected(bench, late)
 
@@ -135,13 +153,16 @@ def test_memory_of_closed_connections_counts_for_ten_seconds(bench, how: str) ->
 
 
 def test_no_lwip_memory_is_counted_after_a_day_of_clients(bench) -> None:
+    """50 clients with and without the key, browsers and silent ones, close or reset: no byte
+    stays counted by mistake."""
+
     def script(bench):
         for number in range(50):
             pipe = bench.call(f"10.0.0.{number}")
             pipe.send(("?$$\n", f"$NET/KEY={KEY}\n$$\n", "GET / HTTP/1.1\r\n", "")[number % 4])
             yield from bench.wait(70 * (number % 5))
             setattr(pipe, ("has_hung_up", "is_broken")[number % 2], True)
-        yield from bench.wait(12_000)
+        yield from bench.wait(12_000)  # more than 10 s: lwIP has freed all of it
         assert bench.rig.link._memory.held == 0
 
     bench.run(script)
@@ -170,6 +191,9 @@ def test_no_lwip_memory_is_counted_after_a_day_of_clients(bench) -> None:
 def test_browser_requests_are_closed_before_anything_acts(
     bench, method: str, address: str
 ) -> None:
+    """A web page may make a browser connect to the port for senders. A connection that begins
+    with an HTTP method, or a TLS handshake (\\x16\\x03), is closed although stops and lines
+    follow."""
     body = f"$NET/KEY={KEY}\n$J=G91X9F900\n"
 
     def script(bench):

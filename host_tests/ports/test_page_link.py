@@ -1,4 +1,12 @@
-"""The page served by the board: HTTP and websockets, with valid and with invalid requests."""
+"""The page served by the board: HTTP and websockets, with valid and with invalid requests.
+
+The page is sent compressed, in pieces of PIECE bytes: "/" is a short first page, "/0" the first
+piece. Each answer's head names the next piece by a path with a random number ("/1?3f2a"), which
+only a reader can know; one is proof of reading. bench.visit() connects a browser, bench.get() also
+sends a request, bench.open() opens a page's websocket, bench.say() sends a line on it. A page
+receives the machine's answers, page.said(), and JSON about the connection, page.news(). Clients
+are on this computer, which needs no key, unless an address is given. Times are ms of simulated
+time; bench.steps(): motor steps, 250 per mm."""
 
 import gzip
 from pathlib import Path
@@ -25,11 +33,13 @@ def test_the_first_page_fits_into_one_piece() -> None:
 
 
 def test_a_request_for_the_next_piece_proves_that_the_last_was_read(bench) -> None:
+    """All pieces arrive without a wait, each after the request for it."""
+
     def script(bench):
         pipe, head, first = yield from bench.get(request("/"))
         assert head.startswith(b"HTTP/1.1 200 OK\r\n") and b"frame-ancestors 'none'" in head
         assert b"connect-src 'self' ws://ugrbl.local;" in head and b"page" in first
-        found, path = b"", bench.next(head, first)
+        compressed, path = b"", bench.next(head, first)
         while True:
             pipe.send(request(path))
             head, body = yield from bench.answer(pipe)
@@ -37,8 +47,8 @@ def test_a_request_for_the_next_piece_proves_that_the_last_was_read(bench) -> No
             if not body:
                 break
             assert len(head) + len(body) + 4 <= 800, "fits a TCP segment"
-            found += body
-        assert gzip.decompress(found) == WHOLE
+            compressed += body
+        assert gzip.decompress(compressed) == WHOLE
         assert b"Connection: close" in head and pipe.is_closed
 
     bench.run(script)
@@ -83,12 +93,14 @@ def test_a_request_for_the_next_piece_proves_that_the_last_was_read(bench) -> No
     ],
 )
 def test_an_invalid_request_is_refused_with_a_sentence(bench, status: int, data: bytes) -> None:
+    """The body explains the status; the connection is closed, and nothing moves."""
+
     def script(bench):
         pipe, head, body = yield from bench.get(data)
         assert head.startswith(f"HTTP/1.1 {status} ".encode()), head
         assert len(body) > 10 and body.endswith(b"\n")
         yield from bench.until(lambda: pipe.is_closed)
-        assert bench.rig.link.client_count() == 0
+        assert bench.rig.link.client_count() == 0  # none of them takes a place of a client
 
     bench.run(script)
     assert bench.rows == []
@@ -117,11 +129,13 @@ def test_a_missing_page_is_reported(bench, tmp_path: Path) -> None:
 def test_a_slow_request_is_served_and_an_endless_one_is_dropped(
     bench,
 ) -> None:
+    """Two requests arrive in small parts; one of them never ends and is dropped after 2 s."""
+
     def script(bench):
         slow, endless = bench.visit(), bench.visit()
-        whole = request("/3")
-        for at in range(0, len(whole), 4):
-            slow.send(whole[at : at + 4])
+        complete_request = request("/3")
+        for start in range(0, len(complete_request), 4):
+            slow.send(complete_request[start : start + 4])
             endless.send("x: y\r\n")
             yield from bench.wait(10)
         _, body = yield from bench.answer(slow)
@@ -137,28 +151,31 @@ def test_a_slow_request_is_served_and_an_endless_one_is_dropped(
 
 
 def test_visitors_without_proof_of_reading_get_three_pieces_in_ten_seconds(bench) -> None:
-    """Whether they request more without reading, say nothing, hang up, or guess."""
+    """Whether they request more without reading, say nothing, hang up, or guess the random
+    number. Three pieces are 2400 bytes with their heads."""
 
     def script(bench):
-        lost = []
+        visitors = []
         for number in range(40):
-            lost.append(bench.visit())
+            visitors.append(bench.visit())
             for path in ("/", "/0", "/1", "/2?0000", "/favicon.ico"):
-                lost[-1].send(request(path))
+                visitors[-1].send(request(path))
                 yield from bench.wait(30)
-            lost[-1].has_hung_up = number % 2 == 1
+            visitors[-1].has_hung_up = number % 2 == 1
             yield from bench.wait(50)
-        assert sum(len(pipe.got) for pipe in lost) <= 2 * 2400
+        assert sum(len(pipe.got) for pipe in visitors) <= 2 * 2400
 
     bench.run(script)
 
 
 def test_a_visitor_with_proof_of_reading_is_served_whatever_others_do(bench) -> None:
+    """Another visitor has used all memory that visitors without proof may use."""
+
     def script(bench):
         pipe, head, _ = yield from bench.get(request("/0"))
-        lost = bench.visit()
+        unproved = bench.visit()
         for path in ("/", "/0", "/1", "/2"):
-            lost.send(request(path))
+            unproved.send(request(path))
             yield from bench.wait(30)
         for _ in range(20):
             pipe.send(request(bench.next(head, b"")))
@@ -169,6 +186,8 @@ def test_a_visitor_with_proof_of_reading_is_served_whatever_others_do(bench) -> 
 
 
 def test_memory_of_a_reset_connection_is_free_at_once(bench) -> None:
+    """Ten pieces are sent within less than 10 s; without the resets only three would be."""
+
     def script(bench):
         for _ in range(10):
             pipe = bench.visit()
@@ -184,6 +203,9 @@ def test_memory_of_a_reset_connection_is_free_at_once(bench) -> None:
 
 
 def test_a_page_controls_like_a_sender_over_tcp(bench) -> None:
+    """ "driver": this page controls; "drivers" and "watchers": how many clients do, and only
+    read."""
+
     def script(bench):
         page = yield from bench.open()
         assert page.news() == (
@@ -199,51 +221,58 @@ def test_a_page_controls_like_a_sender_over_tcp(bench) -> None:
         assert answer.count("$") >= 34 and answer.endswith("ok\r\n")
 
     bench.run(script)
-    assert bench.steps() == [500, 0, 0]
+    assert bench.steps() == [500, 0, 0]  # X2
 
 
 def test_one_of_two_pages_controls_and_both_are_notified(bench) -> None:
+    """The second page takes control once the first has sent no command for 5 s."""
+
     def script(bench):
-        one, two = (yield from bench.open()), (yield from bench.open())
-        assert (yield from bench.say(one, "G1X1F600")) == "ok\r\n"
+        first, second = (yield from bench.open()), (yield from bench.open())
+        assert (yield from bench.say(first, "G1X1F600")) == "ok\r\n"
         yield from bench.wait(50)
-        assert '"driver":false,"drivers":1,"watchers":1' in two.news()
-        assert (yield from bench.say(two, "G1X2")).endswith("error:9\r\n")
+        assert '"driver":false,"drivers":1,"watchers":1' in second.news()
+        assert (yield from bench.say(second, "G1X2")).endswith("error:9\r\n")
         for _ in range(6):
-            one.pipe.send(frame("?"))
+            first.pipe.send(frame("?"))  # not a command
             yield from bench.wait(1000)
-        assert (yield from bench.say(two, "$NET")).endswith("ok\r\n")
-        assert (yield from bench.say(two, "G4P0.01")).endswith("ok\r\n")
+        assert (yield from bench.say(second, "$NET")).endswith("ok\r\n")
+        assert (yield from bench.say(second, "G4P0.01")).endswith("ok\r\n")
         yield from bench.wait(50)
-        assert '"driver":true' in two.news() and '"driver":false' in one.news()
-        one.pipe.send(frame("", CLOSE))
-        yield from bench.until(lambda: one.pipe.is_closed)
+        assert '"driver":true' in second.news() and '"driver":false' in first.news()
+        first.pipe.send(frame("", CLOSE))
+        yield from bench.until(lambda: first.pipe.is_closed)
         yield from bench.wait(50)
-        assert '"driver":true,"drivers":1,"watchers":0' in two.news()
+        assert '"driver":true,"drivers":1,"watchers":0' in second.news()
 
     bench.run(script)
 
 
 def test_a_page_without_the_key_may_only_read(bench) -> None:
+    """ "key":true in the state message: the page must ask for the key."""
+
     def script(bench):
         page = yield from bench.open("10.0.0.1")
         assert '"key":true' in page.news()
         assert (yield from bench.say(page, "$$")).endswith("ok\r\n")
         assert (yield from bench.say(page, "G1X1F600")).endswith("error:9\r\n")
-        page.pipe.send(frame("!\x18~\x84\x90"))
+        page.pipe.send(frame("!\x18~\x84\x90"))  # hold, reset, start, door, override: ignored
         assert (yield from bench.say(page, "$NET/KEY=22222222")).endswith("error:9\r\n")
         assert (yield from bench.say(page, f"$NET/KEY={KEY}")) == "ok\r\n"
         yield from bench.wait(50)
         assert '"key":false' in page.news()
         assert (yield from bench.say(page, "G1X1F600")) == "ok\r\n"
         yield from bench.wait(1000)
-        assert KEY not in "".join(map(repr, page.messages))
+        assert KEY not in "".join(map(repr, page.messages))  # the machine never sends it
 
     bench.run(script)
     assert bench.steps() == [250, 0, 0]
 
 
 def test_a_message_may_come_in_any_parts(bench) -> None:
+    """One message in four frames, with a ping and a pong between them, arrives byte by byte:
+    "G9" "1" "" "G1X1F600". The second, "X2", is relative as well."""
+
     def script(bench):
         page = yield from bench.open()
         parts = frame("G9", last=False) + frame("hello", PING) + frame("1", 0, last=False)
@@ -258,7 +287,7 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
         assert page.all(PONG) == [b"hello"]
 
     bench.run(script)
-    assert bench.steps() == [750, 0, 0]
+    assert bench.steps() == [750, 0, 0]  # X1 and X2, relative
 
 
 @pytest.mark.parametrize(
@@ -284,6 +313,8 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
 def test_an_invalid_frame_closes_the_connection_and_moves_nothing(
     bench, code: int, data: bytes
 ) -> None:
+    """code: the status in the close frame that the machine sends (RFC 6455, 7.4.1)."""
+
     def script(bench):
         page = yield from bench.open()
         page.pipe.send(data + frame("G1X9F900\n"))
@@ -297,6 +328,8 @@ def test_an_invalid_frame_closes_the_connection_and_moves_nothing(
 
 
 def test_a_page_that_does_not_read_is_dropped_without_blocking_others(bench) -> None:
+    """Its connection takes 100 bytes of output."""
+
     def script(bench):
         page = yield from bench.open()
         page.pipe.room = 100
@@ -305,7 +338,7 @@ def test_a_page_that_does_not_read_is_dropped_without_blocking_others(bench) -> 
             page.pipe.send(frame("$$\n") + frame("x" * 99, PING))
             yield from bench.wait(10)
         yield from bench.until(lambda: page.pipe.is_closed, 5000)
-        assert bench.rig.now - before < bench.rig.ticks_per_ms * 3000
+        assert bench.rig.now - before < bench.rig.ticks_per_ms * 3000  # dropped within 3 s
         yield from bench.sender.wait("ok", "\n")
 
     bench.run(script)
@@ -315,9 +348,12 @@ def test_a_page_that_does_not_read_is_dropped_without_blocking_others(bench) -> 
 def test_output_to_a_silent_page_stays_within_memory(
     bench,
 ) -> None:
+    """The page stops answering the machine's pings, which prove that it reads. It is dropped
+    after at most 2000 bytes."""
+
     def script(bench):
         page = yield from bench.open()
-        page.look()
+        page.look()  # read what has arrived so far
         page.reads = False
         others = []
         for _ in range(12):  # up to ten seconds: handshakes wait for memory
@@ -335,20 +371,20 @@ def test_output_to_a_silent_page_stays_within_memory(
 def test_a_page_of_the_board_gives_the_same_motion_as_the_cable(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A long program, in messages as the page sends them."""
+    """A long program, streamed with character counting in messages as the page sends them."""
     bench = PageBench(monkeypatch, tmp_path, {110: 6000, 111: 6000, 120: 2000, 121: 2000})
     lines = [f"G1X{i % 7}Y{i % 3}F3000" for i in range(200)]
 
     def script(bench):
         page = yield from bench.open()
-        left, sent, done = list(lines), [], 0
-        while left or sent:
+        lines_left, lengths_sent, answered = list(lines), [], 0
+        while lines_left or lengths_sent:
             total = page.said().count("ok\r\n")
-            sent, done = sent[total - done :], total
+            lengths_sent, answered = lengths_sent[total - answered :], total
             batch = ""
-            while left and sum(sent) + len(left[0]) + 1 <= 127:
-                sent.append(len(left[0]) + 1)
-                batch += left.pop(0) + "\n"
+            while lines_left and sum(lengths_sent) + len(lines_left[0]) + 1 <= 127:
+                lengths_sent.append(len(lines_left[0]) + 1)
+                batch += lines_left.pop(0) + "\n"
             if batch:
                 page.pipe.send(frame(batch))
             yield bench.rig.ms(1)
@@ -356,7 +392,7 @@ def test_a_page_of_the_board_gives_the_same_motion_as_the_cable(
         assert "error" not in page.said()
 
     bench.run(script)
-    assert bench.steps() == [250 * (199 % 7), 250 * (199 % 3), 0]
+    assert bench.steps() == [250 * (199 % 7), 250 * (199 % 3), 0]  # the target of the last line
 
 
 def test_the_prompt_closes_all_network_connections(bench) -> None:

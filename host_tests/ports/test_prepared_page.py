@@ -1,4 +1,10 @@
-"""Prepared pages on a real littlefs image: erased in advance, written without the file system."""
+"""Prepared pages on a real littlefs image: erased in advance, written without the file system.
+
+The file /pages is one block of flash (4096 bytes, 16 pages of 256). Its first page has a mark by
+which the block is found in the chip; each other page takes one record: 6 bytes of length and
+checksum, then the data. is_fresh(): all pages are blank. Flash.log lists the operations that
+changed the chip; cut(image, log, whole, torn) returns the chip if power fails after `whole`
+complete operations and `torn` bytes of the next one."""
 
 from typing import Any
 
@@ -33,15 +39,16 @@ def test_record_is_one_page_without_an_erasure_and_survives_a_start(
 ) -> None:
     flash = Flash()
     pages, files = attach(monkeypatch, flash, fresh=True)
-    assert not pages.is_fresh() and not pages.write(_RECORD)
+    assert not pages.is_fresh() and not pages.write(_RECORD)  # nothing is prepared yet
     assert pages.erase()
     files.fs.open("/settings.txt", "wb").close()  # the file system goes on
     before = len(flash.log)
     assert pages.write(_RECORD) and pages.write(b"second")
+    # two pages programmed, no block erased
     assert [len(data) for _, data in flash.log[before:]] == [PAGE, PAGE]
-    again, files = attach(monkeypatch, Flash(bytes(flash.buffer)))
-    assert list(again.records()) == [b"second", _RECORD] and not again.is_fresh()
-    assert again.erase() and list(again.records()) == []
+    after_start, files = attach(monkeypatch, Flash(bytes(flash.buffer)))
+    assert list(after_start.records()) == [b"second", _RECORD] and not after_start.is_fresh()
+    assert after_start.erase() and list(after_start.records()) == []
     assert files.fs.stat("/pages").size == BLOCK
 
 
@@ -57,8 +64,8 @@ def test_pages_stay_where_they_are_while_other_files_are_written(
             file.write(bytes([number]) * (number * 97 % 9000))
     for _ in range(13):
         assert pages.write(b"more")
-    again, _ = attach(monkeypatch, Flash(bytes(flash.buffer)))
-    assert list(again.records()) == [*[b"more"] * 13, _RECORD]
+    after_start, _ = attach(monkeypatch, Flash(bytes(flash.buffer)))
+    assert list(after_start.records()) == [*[b"more"] * 13, _RECORD]
 
 
 def test_last_page_is_used_and_no_other_block(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,7 +73,7 @@ def test_last_page_is_used_and_no_other_block(monkeypatch: pytest.MonkeyPatch) -
     pages, _ = attach(monkeypatch, flash, fresh=True)
     pages.erase()
     before = bytes(flash.buffer)
-    written = [pages.write(b"%d" % i) for i in range(20)]
+    written = [pages.write(b"%d" % i) for i in range(20)]  # 15 pages for records
     assert written == [True] * 15 + [False] * 5
     changed = {i // BLOCK for i in range(len(before)) if before[i] != flash.buffer[i]}
     assert len(changed) == 1
@@ -81,9 +88,9 @@ def test_record_that_a_power_cut_has_torn_is_none(monkeypatch: pytest.MonkeyPatc
     flash.log.clear()
     pages.write(_RECORD)
     for torn in range(PAGE + 1):
-        left, _ = attach(monkeypatch, Flash(cut(image, flash.log, 0, torn)))
-        expected = [_RECORD, b"first"] if torn >= 46 else [b"first"]
-        assert list(left.records()) == expected, torn
+        pages_after_cut, _ = attach(monkeypatch, Flash(cut(image, flash.log, 0, torn)))
+        expected = [_RECORD, b"first"] if torn >= 46 else [b"first"]  # 6 bytes of head, 40 of data
+        assert list(pages_after_cut.records()) == expected, torn
 
 
 def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
@@ -97,41 +104,46 @@ def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
     flash.log.clear()
     pages.erase()
     assert erased(flash, 0)
-    found = set()
-    for whole, (_, data) in enumerate([*flash.log, (0, b"")]):
+    outcomes = set()
+    for complete, (_, data) in enumerate([*flash.log, (0, b"")]):
+        # Cut the next operation after none, one, half, and all but one of its bytes.
         for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
-            left, _ = attach(monkeypatch, Flash(cut(image, flash.log, whole, torn)))
-            records = tuple(left.records())
-            assert records in ((), (_RECORD,)), (whole, torn)
-            assert left.is_fresh() == (not records)
-            found.add(records)
-    assert len(found) == 2, "cuts must fall on both sides of the change"
+            pages_after_cut, _ = attach(monkeypatch, Flash(cut(image, flash.log, complete, torn)))
+            records = tuple(pages_after_cut.records())
+            assert records in ((), (_RECORD,)), (complete, torn)
+            assert pages_after_cut.is_fresh() == (not records)
+            outcomes.add(records)
+    assert len(outcomes) == 2, "cuts must fall on both sides of the change"
 
 
 def test_page_that_does_not_keep_it_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bit of the first page for records can no longer be 1: the record is written again, into
+    the next page."""
     flash = Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
     pages.erase()
     flash.buffer[BLOCK * pages._block + PAGE + 8] = 0  # a worn cell
     before = len(flash.log)
     assert pages.write(_RECORD)
+    # two pages were programmed
     assert len(flash.log) - before == 2 and list(pages.records()) == [_RECORD]
 
 
 def test_file_system_that_keeps_files_elsewhere_is_left_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """For example a FAT. The file is made once, not at each start."""
-    flash, other = Flash(), Flash()
+    """The mark is not found in the chip (other), for example because the file system is a FAT.
+    Nothing is written to the chip; the file is made once, not at each start."""
+    flash, chip = Flash(), Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
-    monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: BlockDevice(other))
+    monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: BlockDevice(chip))
     for _ in range(3):
         pages = PreparedPages()
         pages.find()
         assert not pages.erase() and not pages.write(_RECORD)
         before = len(flash.log)
     assert before and len(flash.log) == before
-    assert not any(other.buffer.strip(b"\xff"))
+    assert not any(chip.buffer.strip(b"\xff"))
 
 
 def test_desktop_has_no_pages(monkeypatch: pytest.MonkeyPatch) -> None:

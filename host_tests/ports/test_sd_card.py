@@ -25,7 +25,11 @@ _LOOP_MS = 250  # the supervisor's limit for the main loop in motion
 
 
 class Bench:
-    """A card on a bus whose bytes take time. out_at: the card is removed at that byte."""
+    """A card on a bus whose bytes take time.
+
+    us: the time; hz: bus clock set by the driver; bytes: exchanged so far; out_at: the card is
+    removed at that byte (-1: never). pin, bus: stand for MicroPython's Pin and SPI. The card's
+    `read` and `written` count blocks; card.damage changes a block on its way to the reader."""
 
     def __init__(self, is_large: bool = True) -> None:
         content = Random(1).randbytes(_BLOCKS * BLOCK)
@@ -67,6 +71,7 @@ class Bench:
         self.pin, self.bus = Pin, Bus
 
     def exchange(self, byte: int) -> int:
+        """Send a byte and return the one received; it takes 8 bits, and 1 us more."""
         self.us += 8e6 / self.hz + 1
         self.bytes += 1
         if self.bytes == self.out_at:
@@ -90,6 +95,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 
 def _wired(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    """Let the driver use this bench's bus and clock."""
     monkeypatch.setattr(sd_blocks, "SPI", bench.bus)
     monkeypatch.setattr(sd_blocks, "Pin", bench.pin)
     monkeypatch.setattr(sd_blocks.time, "ticks_ms", lambda: int(bench.us / 1000), raising=False)
@@ -103,19 +109,22 @@ def block_of(bench: Bench, number: int, count: int = 1) -> bytes:
 
 @pytest.mark.parametrize("kind", ["bench", "small"])
 def test_written_blocks_are_read_back(kind: str, request: pytest.FixtureRequest) -> None:
+    """small: an old card, whose addresses count bytes, not blocks."""
     bench: Bench = request.getfixturevalue(kind)
     driver = bench.driver()
+    # 4: number of blocks, 5: their size
     assert driver.ioctl(4, 0) == _BLOCKS and driver.ioctl(5, 0) == BLOCK
     data = Random(2).randbytes(3 * BLOCK)
     driver.writeblocks(7, data)
     assert block_of(bench, 7, 3) == data
-    into = bytearray(5 * BLOCK)
-    driver.readblocks(6, into)
-    assert into == block_of(bench, 6, 5)
+    buffer = bytearray(5 * BLOCK)
+    driver.readblocks(6, buffer)  # the three written, and one on each side
+    assert buffer == block_of(bench, 6, 5)
     assert bench.card.written == 3
 
 
 def test_the_bus_starts_slowly_and_continues_fast(bench: Bench) -> None:
+    """The specification allows 400 kHz until the card is identified."""
     speeds: list[int] = []
     exchange = bench.exchange
     bench.exchange = lambda byte: speeds.append(bench.hz) or exchange(byte)  # type: ignore
@@ -126,25 +135,27 @@ def test_the_bus_starts_slowly_and_continues_fast(bench: Bench) -> None:
     assert set(speeds) == {12_000_000}
 
 
-@given(where=st.integers(0, BLOCK * 8 - 1), number=st.integers(0, _BLOCKS - 1))
+@given(bit=st.integers(0, BLOCK * 8 - 1), number=st.integers(0, _BLOCKS - 1))
 @some(50)
-def test_a_block_with_a_wrong_bit_is_read_again(where: int, number: int) -> None:
+def test_a_block_with_a_wrong_bit_is_read_again(bit: int, number: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         for bench in _wired(Bench(), patch):
             driver = bench.driver()
-            bench.card.damage = once(bench, where)
-            into = bytearray(BLOCK)
-            driver.readblocks(number, into)
-            assert into == block_of(bench, number)
+            bench.card.damage = once(bench, bit)
+            buffer = bytearray(BLOCK)
+            driver.readblocks(number, buffer)
+            assert buffer == block_of(bench, number)
             assert bench.card.read == 2
 
 
-def once(bench: Bench, where: int) -> Any:
+def once(bench: Bench, bit: int) -> Any:
+    """Return a function that inverts this bit of the next block read, and of no other."""
+
     def damage(block: bytes) -> bytes:
-        bench.card.damage = lambda whole: whole
-        wrong = bytearray(block)
-        wrong[where >> 3] ^= 1 << (where & 7)
-        return bytes(wrong)
+        bench.card.damage = lambda block_read: block_read
+        damaged = bytearray(block)
+        damaged[bit >> 3] ^= 1 << (bit & 7)
+        return bytes(damaged)
 
     return damage
 
@@ -163,8 +174,9 @@ def test_a_block_that_is_always_read_wrong_is_a_fault(bench: Bench) -> None:
 
 
 def test_a_refused_block_is_written_again(bench: Bench) -> None:
+    """Three times in all; then it is a fault."""
     driver = bench.driver()
-    bench.card.refuse = 2
+    bench.card.refuse = 2  # how many blocks the card refuses as damaged
     driver.writeblocks(3, bytes(BLOCK))
     assert block_of(bench, 3) == bytes(BLOCK)
     bench.card.refuse = 3
@@ -176,19 +188,20 @@ def test_a_block_after_the_last_is_a_fault(bench: Bench) -> None:
 
 
 def test_an_ignored_command_is_repeated(bench: Bench) -> None:
-    """For example a restarted board finds the card in the middle of a block."""
-    exchange, heard = bench.exchange, 0
+    """For example a restarted board finds the card in the middle of a block. The card seems to
+    ignore bytes 11 to 29 of the start."""
+    exchange, byte_count = bench.exchange, 0
 
-    def deaf_at_first(byte: int) -> int:
-        nonlocal heard
-        heard += 1
-        return exchange(byte) if not 10 < heard < 30 else bench_silence(exchange, byte)
+    def silent_at_first(byte: int) -> int:
+        nonlocal byte_count
+        byte_count += 1
+        return exchange(byte) if not 10 < byte_count < 30 else ignored(exchange, byte)
 
-    def bench_silence(exchange: Any, byte: int) -> int:
-        exchange(0xFF)
+    def ignored(exchange: Any, byte: int) -> int:
+        exchange(0xFF)  # the card does not get the byte
         return 0xFF
 
-    bench.exchange = deaf_at_first  # type: ignore[method-assign]
+    bench.exchange = silent_at_first  # type: ignore[method-assign]
     assert bench.driver().is_there()
 
 
@@ -209,18 +222,20 @@ def test_an_empty_holder_is_reported_in_time(bench: Bench) -> None:
 def test_a_card_removed_at_any_byte_is_a_fault_and_gives_no_wrong_block(
     bench: Bench, out_at: int
 ) -> None:
+    """It is removed out_at bytes after the start of a read."""
     driver = bench.driver()
     bench.bytes, bench.out_at = 0, out_at + 1
-    since = bench.us
-    into = bytearray(BLOCK)
-    if driver.readblocks(9, into) == 0:  # it was finished already
-        assert into == block_of(bench, 9) and bench.bytes < out_at + 20
-    assert bench.us - since < _LOOP_MS * 1000
+    begun_us = bench.us
+    buffer = bytearray(BLOCK)
+    if driver.readblocks(9, buffer) == 0:  # the read had ended already
+        assert buffer == block_of(bench, 9) and bench.bytes < out_at + 20
+    assert bench.us - begun_us < _LOOP_MS * 1000
     bench.card.is_in = False
     assert not driver.is_there()
 
 
 def test_another_card_is_not_taken_for_the_one_before(bench: Bench) -> None:
+    """A card that was without power is not initialised: the driver must begin again."""
     driver = bench.driver()
     assert driver.is_there()
     bench.card.power_off()
@@ -233,10 +248,10 @@ def test_after_end_nothing_is_written_or_raised(bench: Bench) -> None:
     """An open file writes when it is collected: it must not write to another card."""
     driver = bench.driver()
     driver.end()
-    before, count = bytes(bench.card.image), bench.bytes
+    image_before, count = bytes(bench.card.image), bench.bytes
     driver.writeblocks(0, bytes(BLOCK))
     driver.readblocks(0, bytearray(BLOCK))
-    assert bytes(bench.card.image) == before and bench.bytes == count
+    assert bytes(bench.card.image) == image_before and bench.bytes == count
     driver.begin()
     driver.writeblocks(0, bytes(BLOCK))
     assert block_of(bench, 0) == bytes(BLOCK)
@@ -245,22 +260,22 @@ def test_after_end_nothing_is_written_or_raised(bench: Bench) -> None:
 def test_a_missing_block_takes_a_tenth_of_a_second(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.damage = lambda block: None
-    since = bench.us
+    begun_us = bench.us
     assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
-    assert 100_000 <= bench.us - since < 150_000
+    assert 100_000 <= bench.us - begun_us < 150_000
 
 
 def test_a_card_that_holds_the_line_low_takes_a_tenth_of_a_second(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.exchange = lambda byte: 0  # type: ignore[method-assign]
-    since = bench.us
+    begun_us = bench.us
     assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
-    assert bench.us - since < 150_000
+    assert bench.us - begun_us < 150_000
 
 
 def test_a_card_that_stays_busy_is_a_fault(bench: Bench) -> None:
     driver = bench.driver()
-    bench.card.busy = 1_000_000
-    since = bench.us
+    bench.card.busy = 1_000_000  # bytes: much longer than the driver waits
+    begun_us = bench.us
     assert driver.writeblocks(0, bytes(BLOCK)) == -errno.EIO
-    assert 500_000 <= bench.us - since < 600_000
+    assert 500_000 <= bench.us - begun_us < 600_000  # it waits for half a second

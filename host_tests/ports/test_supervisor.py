@@ -1,4 +1,8 @@
-"""The supervisor alone: when it stops the machine, in which order; it never raises."""
+"""The supervisor alone: when it stops the machine, in which order; it never raises.
+
+At each beat of a timer it checks whether the main loop has read the link since the last one. If
+so, it feeds the watchdog; if not for _LIMIT_MS, it stops the machine: kill (the tool), then stop
+(the motors). At each beat it polls the link for Ctrl-X, which resets."""
 
 from array import array
 from types import SimpleNamespace
@@ -12,7 +16,10 @@ _LIMIT_MS = 250
 
 
 class Machine:
-    """Link, engine and port in one, which log their calls. fails: the call that raises."""
+    """Link, engine and port in one, which log their calls. fails: the call that raises; hears: the
+    link has received Ctrl-X; ms: the time. shared: [0] 1 if the loop has read the link, [1] why
+    the machine was stopped (0: it was not), [2] ms since the loop read, [3] not of the
+    supervisor."""
 
     def __init__(self, fails: str = "") -> None:
         self.shared = array("i", (0, 0, 0, 7))
@@ -70,13 +77,14 @@ class Machine:
 def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     """Return a machine on an RP2040."""
     monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="rp2"))
-    made = Machine()
-    made.read()
-    made.beats(_BEAT_MS)
-    return made
+    machine_on_rp2040 = Machine()
+    machine_on_rp2040.read()
+    machine_on_rp2040.beats(_BEAT_MS)
+    return machine_on_rp2040
 
 
 def test_the_watchdog_is_fed_only_while_the_link_is_read(machine: Machine) -> None:
+    """10 ms are two beats."""
     for _ in range(20):
         machine.read()
         assert machine.beats(_BEAT_MS) == ["feed", "poll"]
@@ -84,6 +92,7 @@ def test_the_watchdog_is_fed_only_while_the_link_is_read(machine: Machine) -> No
 
 
 def test_a_hanging_main_loop_is_stopped_tool_first_at_every_beat(machine: Machine) -> None:
+    """250 ms are 50 beats; the one that reaches the limit stops the machine."""
     assert machine.beats(_LIMIT_MS) == ["poll"] * 49 + ["kill", "stop"]
     assert machine.beats(10) == ["kill", "stop"] * 2
     with pytest.raises(RuntimeError, match="the main loop was blocked for 260 ms"):
@@ -93,18 +102,20 @@ def test_a_hanging_main_loop_is_stopped_tool_first_at_every_beat(machine: Machin
 
 
 def test_an_announced_longer_task_is_stopped_after_its_time(machine: Machine) -> None:
+    """allow(1000): the main loop may be away 1000 ms more than the limit."""
     machine.watch.allow(1000)
     assert set(machine.beats(1000 + _LIMIT_MS - _BEAT_MS)) == {"poll"}
     assert machine.beats(_BEAT_MS) == ["kill", "stop"]
 
 
 def test_several_delayed_soft_beats_count_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on an ESP32, where eight may wait until flash is written."""
+    """As on an ESP32, whose timer interrupts wait while flash is written: eight of them then
+    come at once. After that, beats 50 ms apart count again."""
     monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="esp32"))
     timer = supervisor.Timer(-1)
     monkeypatch.setattr(supervisor, "Timer", lambda number: timer)
     machine = Machine()
-    machine.watch.allow(2500)
+    machine.watch.allow(2500)  # before flash is written
     machine.ms = 1000
     machine.watch.allow(0)  # flash is written
     for _ in range(8):
@@ -120,6 +131,7 @@ def test_several_delayed_soft_beats_count_as_one(monkeypatch: pytest.MonkeyPatch
 def test_a_failing_interrupt_stops_the_machine_and_is_reported(
     machine: Machine, fails: str
 ) -> None:
+    """What the interrupt calls raises; hears: so that reset is called, too."""
     machine.fails = fails
     machine.hears = True
     machine.read()

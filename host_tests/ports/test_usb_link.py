@@ -1,6 +1,5 @@
 """The USB link without MicroPython's ring, as on other ports: answers go out complete and in
-order,
-at any length. The emulated Pico tests it with the ring (emulator/)."""
+order, at any length. The emulated Pico tests it with the ring (emulator/)."""
 
 from micropython_runner import needs_micropython, run_micropython
 from ugrbl.paths import FIRMWARE
@@ -13,7 +12,7 @@ buf = bytearray(64)
 for text in (b"ok", b"<Idle|MPos:0.000>", b"x" * 700, b"ok", b"y" * 90):
     link.write(text + b"\\r\\n")
 for _ in range(8):
-    link.read_into(buf)
+    link.read_into(buf)  # sends answers that wait
 """
 
 

@@ -22,44 +22,47 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
 
 
 def asked(bench: NetBench, *lines: str) -> list[str]:
-    """Return the machine's answers at the cable."""
-    said: list[str] = []
+    """Send lines at the cable; return the machine's answers."""
+    answers: list[str] = []
 
     def script(bench: NetBench) -> Iterator[Any]:
         for line in lines:
             yield from bench.sender.wait("ok", line + "\n")
-            said.extend(bench.sender.take())
+            answers.extend(bench.sender.take())
 
     bench.run(script)
-    return said
+    return answers
 
 
 def kept(bench: NetBench) -> dict[str, str]:
+    """Return the stored network settings by name."""
     rows = (line.partition("=") for line in bench.store.files["network"])
     return {name: value for name, _, value in rows}
 
 
 def test_the_machine_stores_what_the_tool_sends(bench: NetBench) -> None:
     name, password = "Werk stätte/2,4", "a-Passw0rd!" * 5 + "öhm;("
-    wanted = wifi.Wanted(name, password, True, "Router-1", 2300)
+    wanted = wifi.Wanted(name, password, is_station=True, host="Router-1", port=2300)
     lines = list(wifi.orders(wanted))
-    assert max(map(len, lines)) <= 79
-    said = asked(bench, *lines)
-    assert said.count("ok") == len(lines)
-    found = kept(bench)
-    assert binascii.unhexlify(found["SSID"]).decode() == name
-    assert binascii.unhexlify(found["PASS"]).decode() == password
-    assert (found["HOST"], found["PORT"], found["MODE"]) == ("router-1", "2300", "station")
-    assert found["KEY"] == KEY
+    assert max(map(len, lines)) <= 79  # the longest line that Grbl accepts
+    answers = asked(bench, *lines)
+    assert answers.count("ok") == len(lines)
+    stored = kept(bench)
+    assert binascii.unhexlify(stored["SSID"]).decode() == name
+    assert binascii.unhexlify(stored["PASS"]).decode() == password
+    assert (stored["HOST"], stored["PORT"], stored["MODE"]) == ("router-1", "2300", "station")
+    assert stored["KEY"] == KEY
 
 
 def test_no_answer_contains_the_network_name_or_password(bench: NetBench) -> None:
+    """secrets: both also as hexadecimal digits, as they are stored."""
     secrets = ("Workshop", "Workshop".encode().hex().upper(), "hunter22", "68756E74")
-    lines = wifi.orders(wifi.Wanted("Workshop", "hunter22", True))
-    said = asked(bench, *lines, "$NET", "$$", "$I", "$I+", "$#", "$G", "$N", "$NET/PASS=1")
-    assert not [line for line in said for word in secrets if word in line]
-    assert KEY not in "".join(said)
-    for line in said:
+    lines = wifi.orders(wifi.Wanted("Workshop", "hunter22", is_station=True))
+    answers = asked(bench, *lines, "$NET", "$$", "$I", "$I+", "$#", "$G", "$N", "$NET/PASS=1")
+    assert not [line for line in answers for word in secrets if word in line]
+    assert KEY not in "".join(answers)
+    # Senders that look for "ok" in a line must find it in answers only.
+    for line in answers:
         assert line == "ok" or line.startswith("error:") or "ok" not in line.lower()
 
 
@@ -87,21 +90,24 @@ def test_no_answer_contains_the_network_name_or_password(bench: NetBench) -> Non
 )
 def test_an_invalid_setting_changes_nothing(bench: NetBench, line: str) -> None:
     before = list(bench.store.files["network"])
-    said = asked(bench, line)
-    assert said[-1] == "error:3" and said[0].startswith("[MSG:")
+    answers = asked(bench, line)
+    assert answers[-1] == "error:3" and answers[0].startswith("[MSG:")
     assert bench.store.files["network"] == before
 
 
 @pytest.mark.parametrize("line", ["$NET/PASS=", "$NET/PASS=41", "$NET/MODE+AP"])
 def test_an_access_point_never_loses_its_password(bench: NetBench, line: str) -> None:
+    """Names and passwords are sent as hexadecimal digits; a password shorter than 8 bytes is
+    refused."""
     asked(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP")
     before = list(bench.store.files["network"])
-    said = asked(bench, line)
-    assert said[-1] == "error:3" and said[0].startswith("[MSG:")
+    answers = asked(bench, line)
+    assert answers[-1] == "error:3" and answers[0].startswith("[MSG:")
     assert bench.store.files["network"] == before
 
 
 def test_after_off_the_next_network_is_joined_and_not_made(bench: NetBench) -> None:
+    """An access point is set up and removed by OFF; a later name is that of a network to join."""
     asked(bench, "$NET/SSID=41", "$NET/PASS=" + "41" * 8, "$NET/MODE=AP", "$NET/OFF")
     assert asked(bench, "$NET/SSID=42")[-1] == "ok"
     assert "MODE" not in kept(bench)
@@ -109,10 +115,11 @@ def test_after_off_the_next_network_is_joined_and_not_made(bench: NetBench) -> N
 
 @pytest.mark.parametrize("password", ["", "hunter22"])
 def test_an_access_point_becomes_a_station_by_the_tool(bench: NetBench, password: str) -> None:
-    asked(bench, *wifi.orders(wifi.Wanted("Mine", "hunter22" * 2, False)))
+    """A station may join an open network, with an empty password."""
+    asked(bench, *wifi.orders(wifi.Wanted("Mine", "hunter22" * 2, is_station=False)))
     assert kept(bench)["MODE"] == "ap"
-    said = asked(bench, *wifi.orders(wifi.Wanted("Ours", password, True)))
-    assert not [line for line in said if line.startswith("error:")]
+    answers = asked(bench, *wifi.orders(wifi.Wanted("Ours", password, is_station=True)))
+    assert not [line for line in answers if line.startswith("error:")]
     assert (kept(bench)["MODE"], kept(bench)["PASS"]) == (
         "station",
         password.encode().hex().upper(),
@@ -120,6 +127,7 @@ def test_an_access_point_becomes_a_station_by_the_tool(bench: NetBench, password
 
 
 def test_the_network_is_set_up_only_while_idle_and_only_at_the_cable(bench: NetBench) -> None:
+    """A trusted client may read the state of the network ($NET), but not set it up."""
     before = list(bench.store.files["network"])
 
     def script(bench: NetBench) -> Iterator[Any]:
@@ -131,46 +139,52 @@ def test_the_network_is_set_up_only_while_idle_and_only_at_the_cable(bench: NetB
         assert (yield from bench.ask(pipe, f"$NET/KEY={KEY}\n")) == "ok\r\n"
         assert (yield from bench.ask(pipe, "G1X2F60\n")) == "ok\r\n"
         answer = yield from bench.ask(pipe, "$NET/KEY=NEW\n")
-        assert answer.endswith("error:8\r\n")
+        assert answer.endswith("error:8\r\n")  # not while a move is executed
 
     bench.run(script)
     assert bench.store.files["network"] == before
 
 
 def test_a_new_machine_makes_a_key_and_shows_it_once_at_the_cable(bench: NetBench) -> None:
-    del bench.store.files["network"]
+    """All output at the cable is collected (output); a client on the network does not receive
+    the key, and a reset does not show it again."""
+    del bench.store.files["network"]  # as on a new machine
     heard: list[str] = []
 
     def script(bench: NetBench) -> Iterator[Any]:
         pipe = bench.call()
         yield from bench.until(lambda: b"Grbl" in pipe.got)
         pipe.send("\n")
-        bench.rig.link.cable.send(b"\x18")
+        bench.rig.link.cable.send(b"\x18")  # reset
         yield from bench.wait(500)
         heard.extend(bench.sender.take())
         assert "key" not in pipe.take()
 
-    first = bench.sender.take
-    said: list[str] = []
-    bench.sender.take = lambda: said.extend(lines := first()) or lines  # type: ignore[method-assign, func-returns-value]
+    take = bench.sender.take
+    output: list[str] = []
+    bench.sender.take = lambda: output.extend(lines := take()) or lines  # type: ignore[method-assign, func-returns-value]
     bench.run(script)
     key = kept(bench)["KEY"]
     assert len(key) == 8 and len(set(key)) > 2
-    assert [line for line in said if key in line] == [f"[MSG:Network key: {key}]"]
+    assert [line for line in output if key in line] == [f"[MSG:Network key: {key}]"]
 
 
 def test_a_new_key_ends_the_rights_of_the_old_one(bench: NetBench) -> None:
+    """Its client is disconnected, and the old key is refused."""
+
     def script(bench: NetBench) -> Iterator[Any]:
         pipe = bench.call("10.0.0.1")
         yield from bench.until(lambda: b"Grbl" in pipe.got)
         assert (yield from bench.ask(pipe, f"$NET/KEY={KEY}\n")) == "ok\r\n"
         yield from bench.sender.wait("ok", "$NET/KEY=NEW\n")
-        said = bench.sender.take()
-        assert said[0].startswith("[MSG:Network key: ") and KEY not in said[0]
+        answers = bench.sender.take()
+        assert answers[0].startswith("[MSG:Network key: ") and KEY not in answers[0]
         assert pipe.is_closed
-        again = bench.call("10.0.0.1")
-        yield from bench.until(lambda: b"Grbl" in again.got)
-        assert (yield from bench.ask(again, f"$NET/KEY={KEY}\n")).endswith("error:9\r\n")
+        second_connection = bench.call("10.0.0.1")
+        yield from bench.until(lambda: b"Grbl" in second_connection.got)
+        assert (yield from bench.ask(second_connection, f"$NET/KEY={KEY}\n")).endswith(
+            "error:9\r\n"
+        )
 
     bench.run(script)
 
@@ -191,6 +205,8 @@ class Board:
 
 
 def test_a_board_without_a_network_is_reported(bench: NetBench) -> None:
+    """An unknown command ($NET) means that the board has no network; otherwise the board's own
+    message is shown."""
     board: Any = Board("error:3")
     with pytest.raises(SendError, match='LINK = "wifi"'):
         wifi.status(board)
@@ -232,6 +248,7 @@ def test_contradicting_options_are_refused(words: list[str], why: str) -> None:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Return the clock that the radio uses; the network "Shop" is in reach."""
     clock = SimpleNamespace(ms=0)
     monkeypatch.setattr("time.ticks_ms", lambda: clock.ms)
     monkeypatch.setattr(network, "in_reach", {b"Shop": b"secret12"})
@@ -239,11 +256,14 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 
 def test_a_station_reconnects_only_while_idle_and_not_all_the_time(clock: SimpleNamespace) -> None:
-    radio = Radio(b"Shop", b"secret12", "router", True)
+    """The network is lost for two minutes; calls: how many times the radio has tried to join,
+    the first time at the start."""
+    radio = Radio(b"Shop", b"secret12", "router", is_station=True)
     assert network.hostname() == "router"
     assert radio.status() == "station, 192.168.1.7, router.local"
     network.in_reach.clear()
     assert "not connected yet (status -2)" in radio.status()
+    # 60 s in motion: no more tries; 60 s idle: one every 15 s
     for at_rest, calls in ((False, 1), (True, 5)):
         for _ in range(60):
             clock.ms += 1000
@@ -257,10 +277,10 @@ def test_a_station_reconnects_only_while_idle_and_not_all_the_time(clock: Simple
 
 
 def test_an_access_point_has_a_name_and_a_password(clock: SimpleNamespace) -> None:
-    radio = Radio(b"Own", b"secret12", "router", False)
-    told = radio._wlan.asked
-    assert (told["ssid"], told["key"]) == (b"Own", b"secret12")
-    assert told["security"] == network.WLAN.SEC_WPA_WPA2
+    radio = Radio(b"Own", b"secret12", "router", is_station=False)
+    configured = radio._wlan.asked
+    assert (configured["ssid"], configured["key"]) == (b"Own", b"secret12")
+    assert configured["security"] == network.WLAN.SEC_WPA_WPA2
     radio.poll_radio(True)
     assert radio.status() == "access point, 192.168.4.1, router.local" and not radio._wlan.calls
 
@@ -268,6 +288,8 @@ def test_an_access_point_has_a_name_and_a_password(clock: SimpleNamespace) -> No
 def test_the_cable_works_without_a_network_or_with_a_failing_radio(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """First nothing is stored for the network, then a port that is not a number, which raises
+    at the start."""
     lines: list[str] = []
     store = SimpleNamespace(load=lambda name: lines)
     monkeypatch.setattr(air, "FlashStore", lambda: store)
