@@ -1,4 +1,12 @@
-"""Test the page served by the board itself in a real browser: `ugrbl sim --page`."""
+"""Test the page served by the board itself in a real browser: `ugrbl sim --page`.
+
+A `Visitor` is a person at the page in one browser tab. reads(selector, text) and sees(state) wait
+until the page shows it; waits(script) waits until the JavaScript holds in the page. There `grbl`
+is the page's model of the machine (grbl.machine and grbl.work: position in mm) and `job` is the
+program being sent. rests_at() waits until the machine is idle at that work position in mm;
+pauses() takes seconds; loads() opens a program; types() sends a line in the console; evaluate()
+runs JavaScript and returns its value.
+"""
 
 import re
 import subprocess
@@ -22,6 +30,7 @@ class Board:
     """Run a simulated board with its network; stdin and stdout stand for its USB cable."""
 
     def __init__(self, settings: Path) -> None:
+        """Start the simulator; wait for its page's address and its network key."""
         command = [sys.executable, "-m", "ugrbl.cli", "sim", "--board", "sim_page", "--stdio"]
         command += ["--settings", str(settings), "--network", "0", "--page", "0"]
         self.process = subprocess.Popen(
@@ -69,10 +78,12 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Board]:
 
 @pytest.fixture
 def visit(opened: Any, board: Board, tmp_path: Path) -> Iterator[Callable[..., Visitor]]:
+    """Return a function that opens the board's page in a new tab, with the key not yet entered."""
     contexts: list[Any] = []
     visitors: list[Visitor] = []
 
     def come() -> Visitor:
+        """Open the page in a new browser context; wait until it is drawn."""
         contexts.append(opened.new_context(viewport={"width": 1200, "height": 800}))
         visitors.append(Visitor(contexts[-1].new_page(), tmp_path))
         visitors[-1].page.goto(board.address)
@@ -88,28 +99,29 @@ def visit(opened: Any, board: Board, tmp_path: Path) -> Iterator[Callable[..., V
 def test_page_served_by_board_reads_at_once_and_controls_with_key(
     board: Board, visit: Callable[..., Visitor]
 ) -> None:
+    """Without the key the page only reads; a wrong key is refused; the right one gives control."""
     person = visit()
     person.sees("Idle")
     person.reads("#link-name", "ugrbl")
     person.reads("#link-words", "This page watches")
     person.reads("#notice-key", "Only reading is open here")
     assert not person.page.is_enabled("#stop")
-    person.page.fill("#notice-key input", "22222222")
+    person.page.fill("#notice-key input", "22222222")  # a wrong key
     person.page.keyboard.press("Enter")
     person.reads("#log", "[MSG:Wrong network key]")
     person.page.fill("#notice-key input", board.key)
     person.page.keyboard.press("Enter")
     person.waits("!document.getElementById('notice-key')")
-    person.waits("grbl.settings.size > 30 && grbl.modes.length")
+    person.waits("grbl.settings.size > 30 && grbl.modes.length")  # the answers to $$ and $G
     person.reads("#link-words", "This page drives")
     person.click("[data-jog='X+']")
     person.waits("grbl.state === 'Idle' && grbl.work[0] > 0")
-    assert board.key not in person.page.content()
+    assert board.key not in person.page.content()  # the page shows the key nowhere
     assert board.key not in person.page.url
 
 
 def unlocked(board: Board, person: Visitor) -> Visitor:
-    """Enter the key and wait for the machine's answers."""
+    """Enter the key, wait for the machine's answers, and return the same person."""
     person.page.fill("#notice-key input", board.key)
     person.page.keyboard.press("Enter")
     person.knows_all()
@@ -117,19 +129,22 @@ def unlocked(board: Board, person: Visitor) -> Visitor:
 
 
 def test_key_typed_in_console_is_not_shown(board: Board, visit: Callable[..., Visitor]) -> None:
+    """The log masks the key, and the console's history does not keep the line."""
     person = unlocked(board, visit())
     person.types(f"$NET/KEY={board.key}")
     person.reads("#log", "> $NET/KEY=…")
     assert board.key not in person.page.content()
-    person.page.press("#line", "ArrowUp")
+    person.page.press("#line", "ArrowUp")  # would recall the last line from the history
     assert person.page.input_value("#line") == ""
 
 
 def test_job_is_run_held_and_ended_from_page(board: Board, visit: Callable[..., Visitor]) -> None:
     person = unlocked(board, visit())
     person.types("G92 X0 Y0")
+    # 14 lines, the last one to X10 Y1.
     person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(14)))
     person.click("#tabs [data-tab=job]")
+    # The board itself estimates no times.
     person.reads("#job-words", "How long it takes is not known")
     person.click("#run")
     person.sees("Run")
@@ -150,11 +165,11 @@ def test_second_page_watches_and_takes_over_after_first_was_silent(
     two.reads("#notice-watch", "Somebody else drives this machine")
     two.reads("#notice-watch", "STOP works here, too.")
     assert two.page.is_enabled("#stop") and one.page.is_enabled("#stop")
-    one.types("G4 P0.1")
+    one.types("G4 P0.1")  # `one` is active now, so `two` may take over only after 5 s
     two.click("#take")
     two.reads("#notice-trouble", "nobody has sent a line for 5 seconds")
     two.waits("grbl.state === 'Idle'")  # it reads the machine's state all the same
-    two.pauses(5.5)
+    two.pauses(5.5)  # seconds in which `one` sends no line
     two.click("#take")
     two.waits("grbl.drives && grbl.settled")
     one.reads("#notice-watch", "Somebody else drives this machine")
@@ -165,8 +180,8 @@ def test_page_reloaded_while_machine_moves_changes_nothing(
 ) -> None:
     person = unlocked(board, visit())
     person.waits("grbl.work.length")
-    before = person.place()[0]
-    person.types("G91 G1 X20 F300")  # four seconds
+    start_x_mm = person.place()[0]
+    person.types("G91 G1 X20 F300")  # 20 mm at 300 mm/min: four seconds
     person.sees("Run")
     for _ in range(2):
         person.page.reload()
@@ -174,8 +189,8 @@ def test_page_reloaded_while_machine_moves_changes_nothing(
     person.sees("Idle")
     unlocked(board, person)
     person.waits("grbl.work.length")
-    assert person.place()[0] == pytest.approx(before + 20, abs=0.01)
-    person.types("G90")
+    assert person.place()[0] == pytest.approx(start_x_mm + 20, abs=0.01)
+    person.types("G90")  # the board serves later tests, too
 
 
 def test_lost_board_is_reported(board: Board, visit: Callable[..., Visitor]) -> None:

@@ -1,4 +1,10 @@
-"""Test the page without a mouse, with a screen reader, and enlarged."""
+"""Test the page without a mouse, with a screen reader, and enlarged.
+
+A `person` uses the page in a browser that is connected to a simulated machine. pauses() takes
+seconds; evaluate() runs JavaScript and returns its value; CUT_OFF finds controls beyond the right
+edge, _UNNAMED controls without a name, _USABLE the names of all enabled controls, and _FOCUSED
+name and outline of the focused one.
+"""
 
 import pytest
 from browser import CUT_OFF
@@ -31,6 +37,7 @@ _UNNAMED = """() => [...document.querySelectorAll("button, input, select, textar
 
 
 def test_every_control_has_name_for_screen_reader(person):
+    """Parts that are hidden at first are included: the macro editor and the tool change."""
     person.click("#macros-edit")
     person.click("#macro-add")
     for tab in TABS:
@@ -38,7 +45,7 @@ def test_every_control_has_name_for_screen_reader(person):
         person.pauses(0.2)
         assert not person.page.evaluate(_UNNAMED), tab
     person.click("#tabs [data-tab=job]")
-    person.loads("M6\n")
+    person.loads("M6\n")  # opens the dialog of a tool change
     person.click("#run")
     person.waits("!document.getElementById('tool-change').hidden")
     assert not person.page.evaluate(_UNNAMED)
@@ -59,12 +66,14 @@ _FOCUSED = """() => {
 def test_tab_key_reaches_every_control_and_shows_where_it_is(person, tab):
     person.click(f"#tabs [data-tab={tab}]")
     person.pauses(0.3)
-    wanted = person.page.evaluate(_USABLE)
+    wanted_names = person.page.evaluate(_USABLE)
     person.page.evaluate("document.activeElement.blur(); scrollTo(0, 0)")
-    reached = {}
-    for _ in range(len(wanted) + 40):
+    outlines = {}
+    # Some stops, such as those of the browser itself, are not in wanted_names.
+    for _ in range(len(wanted_names) + 40):
         person.page.keyboard.press("Tab")
         name, outline = person.page.evaluate(_FOCUSED)
-        reached[name] = outline
-    assert set(wanted) <= set(reached)
-    assert {reached[name] for name in wanted} == {"solid"}
+        outlines[name] = outline
+    assert set(wanted_names) <= set(outlines)
+    # Each focused control is outlined.
+    assert {outlines[name] for name in wanted_names} == {"solid"}

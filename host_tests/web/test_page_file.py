@@ -1,4 +1,8 @@
-"""Test the page as a file: small, self-contained, with the firmware's words. Needs no browser."""
+"""Test the page as a file: small, self-contained, with the firmware's words. Needs no browser.
+
+TEXT is the file of the page; WORDS are the texts in it: for each module with settings, {number:
+[name, ..., unit, limits, ...]}.
+"""
 
 import gzip
 import json
@@ -47,6 +51,7 @@ def test_every_setting_of_firmware_has_words():
         if module == "extras/dialects/dialect_09":
             continue  # words of Grbl 0.9, a dialect that the page does not use
         for number in setting_comments(module):
-            tool = WORDS.get(module.removeprefix("extras/tools/"), WORDS["settings"])
-            name, _, unit, limits, *_ = tool[str(number)]
+            # A tool has its own table; all other modules share that of "settings".
+            module_words = WORDS.get(module.removeprefix("extras/tools/"), WORDS["settings"])
+            name, _, unit, limits, *_ = module_words[str(number)]
             assert name and unit and limits, f"{module} ${number}"

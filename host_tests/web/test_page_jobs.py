@@ -1,4 +1,16 @@
-"""Test programs in the page: sent from it, or stored on the board."""
+"""Test programs in the page: sent from it, or stored on the board.
+
+A `person` uses the page in a browser that is connected to a simulated machine. reads(selector,
+text) and sees(state) wait until the page shows it; waits(script) waits until the JavaScript holds
+in the page. There `grbl` is the page's model of the machine (grbl.machine and grbl.work: position
+in mm) and `job` is the program being sent. rests_at() waits until the machine is idle at that work
+position in mm; pauses() takes seconds; loads() opens a program; types() sends a line in the
+console; evaluate() runs JavaScript and returns its value. `person.machine` is the machine's end of
+the wire: lines() and `sent` are what the page has sent, say() sends bytes to the page, `hears =
+False` lets the machine receive nothing, report() asks the machine itself for (state, position,
+feed), and unplug() cuts the wire. sent_at_once() returns the realtime bytes sent except `?` (!
+hold, ~ resume, 0x18 reset, 0x85 jog cancel).
+"""
 
 import pytest
 from browser import FAR, sent_at_once
@@ -25,6 +37,7 @@ def test_job_with_hold_and_override_ends_at_its_end_point(person):
 
 
 def test_modes_are_updated_while_job_runs(person):
+    """The page queries $G during a job and shows the modes of the lines executed."""
     person.loads("G21 G91\nM3 S500\nG1 X40 F600\n")
     person.click("#run")
     person.sees("Run")
@@ -33,14 +46,19 @@ def test_modes_are_updated_while_job_runs(person):
 
 
 def test_refused_line_holds_machine_and_is_named(person):
-    later = "".join(f"G1 X{i}\n" for i in range(20, 4, -1))
-    person.loads(f"G21 G90\nG1 X20 F2400\nG999\n{later}{later}G1 X5\n")
+    """A refused line ends the sending and holds the machine.
+
+    The person decides whether the job goes on.
+    """
+    later_lines = "".join(f"G1 X{i}\n" for i in range(20, 4, -1))
+    person.loads(f"G21 G90\nG1 X20 F2400\nG999\n{later_lines}{later_lines}G1 X5\n")
     person.click("#run")
     person.reads("#job-words", "Line 3 was refused. error:20: The block has a word")
     person.sees("Hold")
-    sent = person.machine.lines()
+    sent_lines = person.machine.lines()
     person.pauses(0.5)
-    assert person.machine.lines() == sent and len(sent) < 30
+    # No further line is sent, and most of the program's 36 lines were not yet sent.
+    assert person.machine.lines() == sent_lines and len(sent_lines) < 30
     assert not person.page.is_enabled("#resume"), "how to go on is asked"
     person.click("#go-on")
     person.reads("#job-words", "Job done: 1 line refused")
@@ -49,7 +67,7 @@ def test_refused_line_holds_machine_and_is_named(person):
 
 def test_refused_line_is_skipped_only_after_machine_has_stopped(person_at):
     """Grbl ignores a resume while it brakes for a hold."""
-    person = person_at({120: "10"})
+    person = person_at({120: "10"})  # X brakes with only 10 mm/s²
     person.open_from_disk()
     person.connect()
     person.loads("G21 G91 F2000\n" + "G1 X5\n" * 30 + "G999\nG1 X5\n")
@@ -58,7 +76,7 @@ def test_refused_line_is_skipped_only_after_machine_has_stopped(person_at):
     assert not person.page.is_enabled("#go-on"), "seconds of braking lie ahead"
     person.click("#go-on")  # waits until it is enabled
     person.reads("#job-words", "Job done: 1 line refused")
-    person.rests_at(155, 0, 0)
+    person.rests_at(155, 0, 0)  # 31 moves of 5 mm
 
 
 @pytest.mark.parametrize(
@@ -73,7 +91,7 @@ def test_refused_line_is_skipped_only_after_machine_has_stopped(person_at):
     ],
 )
 def test_file_that_is_no_program_is_refused_with_reason(person, name, content, words):
-    """The open program stays."""
+    """A refused file leaves the open program as it was; a valid file removes the message."""
     person.loads("G0 X1\n")
     (person.folder / name).write_bytes(content)
     person.page.set_input_files("#job-file", str(person.folder / name))
@@ -95,16 +113,20 @@ def test_ended_job_keeps_position(person):
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
-    person.pauses(1)
+    person.pauses(1)  # some motion
     person.click("#end")
     person.reads("#job-words", "it was ended; the position is kept")
     person.sees("Idle")
     assert person.shown_place()[0] > 1
+    # Hold first, and a reset at rest: no step is lost.
     assert sent_at_once(person.machine) == b"!\x18"
 
 
 def test_ended_job_names_line_in_execution(person):
-    """Lines are answered long before they are executed: fifteen of these are queued."""
+    """The line named at the end is the one executed, not the last one answered.
+
+    Fifteen of these lines are queued in the machine.
+    """
     stairs = [f"G1 {'XY'[k % 2]}{4 * (k // 2 + 1)}" for k in range(60)]
     person.loads("G21 G90 F900\n" + "\n".join(stairs) + "\n")
     person.click("#run")
@@ -114,21 +136,29 @@ def test_ended_job_names_line_in_execution(person):
     person.reads("#job-words", "it was ended; the position is kept")
     person.sees("Idle")
     x, y, _ = person.shown_place()
-    made = int(person.page.input_value("#from"))
-    assert f"Job stopped in line {made}: " in person.text("#job-words")
-    assert _is_in(stairs[: made - 2], stairs[made - 2], x, y)
+    line_number = int(person.page.input_value("#from"))
+    assert f"Job stopped in line {line_number}: " in person.text("#job-words")
+    # File lines count from 1, and line 1 is the header: line 2 is stairs[0].
+    assert _is_in(stairs[: line_number - 2], stairs[line_number - 2], x, y)
 
 
 def _is_in(before: list[str], line: str, x: float, y: float) -> bool:
-    """Return whether a position is on a line of the stairs, within 0.05 mm."""
-    at = {"X": 0.0, "Y": 0.0}
-    at.update({word[3]: float(word[4:]) for word in before})
-    axis, end = line[3], float(line[4:])
-    here, beside, other = (x, y, "Y") if axis == "X" else (y, x, "X")
-    return at[axis] - 0.05 < here < end + 0.05 and abs(beside - at[other]) < 0.05
+    """Return whether (x, y), in mm, is on `line` of the stairs, within 0.05 mm.
+
+    `before` are the lines before it, each `G1 X<mm>` or `G1 Y<mm>`.
+    """
+    start_mm = {"X": 0.0, "Y": 0.0}
+    start_mm.update({word[3]: float(word[4:]) for word in before})
+    axis, end_mm = line[3], float(line[4:])
+    along_mm, across_mm, other_axis = (x, y, "Y") if axis == "X" else (y, x, "X")
+    return (
+        start_mm[axis] - 0.05 < along_mm < end_mm + 0.05
+        and abs(across_mm - start_mm[other_axis]) < 0.05
+    )
 
 
 def test_realtime_characters_in_comments_are_not_sent(person):
+    """`!`, `~` and `?` in a comment would be commands to Grbl, so comments are removed."""
     person.loads("G21 (wait! ~ really?)\n; what? ~!\nG0 X1 (ümlaut)\n")
     person.click("#run")
     person.reads("#job-words", "Job done: nothing refused")
@@ -155,7 +185,7 @@ def test_thousands_of_lines_stream_without_stalling(person_at):
     )
     assert person.text("#job-words").startswith("Job done: nothing refused")
     assert sum(line.startswith("G1") for line in person.machine.lines()) == 3_000
-    person.rests_at(9.9, 5.9, 0)
+    person.rests_at(9.9, 5.9, 0)  # the last line: 2999 % 100 / 10, 2999 % 70 / 10
 
 
 def test_check_mode_checks_program_without_motion(person):
@@ -164,10 +194,15 @@ def test_check_mode_checks_program_without_motion(person):
     person.reads("#problems", "Line 3 error:20")
     person.sees("Idle")
     assert person.shown_place() == [0, 0, 0]
-    assert person.machine.lines().count("$C") == 2
+    assert person.machine.lines().count("$C") == 2  # check mode on and off
 
 
 def test_start_from_line_lists_its_first_moves_and_asks(person):
+    """A job is started at line 6.
+
+    First the page sends what restores modes, spindle, position and depth as the lines before would
+    have left them.
+    """
     person.loads("G21 G90\nM3 S500\nG0 Z5\nG1 X20 F2400\nG1 Z-2\nG1 Y10\nG1 X0\nG0 Z5\nM5\n")
     person.page.fill("#from", "6")
     person.click("#run")
@@ -178,6 +213,7 @@ def test_start_from_line_lists_its_first_moves_and_asks(person):
     person.click("#dialog-yes")
     person.reads("#job-words", "Job done: nothing refused")
     lines = [line for line in person.machine.lines() if line != "$G"]
+    # The first line of the restoration; then Z goes up, the spindle starts (4 s wait), and so on.
     first = lines.index("G21 G90 G94 M5")
     assert lines[first + 1 : first + 7] == [
         "G0 Z5",
@@ -187,7 +223,7 @@ def test_start_from_line_lists_its_first_moves_and_asks(person):
         "G1 Z-2 F2400",
         "G1 G17 G21 G90 S500",
     ]
-    assert lines[first + 7] == "G1 Y10"
+    assert lines[first + 7] == "G1 Y10"  # line 6 of the program
     person.rests_at(0, 10, 5)
 
 
@@ -205,6 +241,7 @@ def test_line_that_cannot_be_start_is_refused_with_reason(person, program, line,
     person.page.fill("#from", str(line))
     person.click("#run")
     person.reads("#notice-trouble", words)
+    # Nothing of the restoration is sent.
     assert "G21 G90 G94 M5" not in person.machine.lines()
 
 
@@ -213,7 +250,10 @@ def test_line_that_cannot_be_start_is_refused_with_reason(person, program, line,
 
 @pytest.fixture
 def keeper(person_at, tmp_path):
-    """A person at a board that stores jobs."""
+    """A person at a board that stores jobs.
+
+    A folder of the computer stands for its flash memory.
+    """
     board = tmp_path / "my.py"
     jobs = tmp_path / "jobs"
     board.write_text((BOARDS / "rpi_pico.py").read_text() + f'\nJOBS = "{jobs}"\n')
@@ -227,21 +267,21 @@ PART = "G21 G91\n\n; done? not yet!\n(ok)\nG1 X3 F1200\nG1 X-1\n"
 
 
 def test_program_is_sent_to_board_opened_run_and_deleted(keeper):
-    long = PART + "".join(f"(line {n} {'x' * (n % 50)})\n" for n in range(200))
-    keeper.loads(long, "my part.nc")
+    program_text = PART + "".join(f"(line {n} {'x' * (n % 50)})\n" for n in range(200))
+    keeper.loads(program_text, "my part.nc")
     keeper.click("#board-files")
     keeper.reads("#files-words", "kB")
     keeper.click("#upload")
     keeper.reads("#files-words", "MY_PART.NC is on the board.")
-    assert (keeper.folder / "jobs" / "MY_PART.NC").read_text() == long
-    keeper.loads("G0 X1\n")
+    assert (keeper.folder / "jobs" / "MY_PART.NC").read_text() == program_text
+    keeper.loads("G0 X1\n")  # another program, which opening the stored one replaces
     keeper.click("[aria-label='Open MY_PART.NC']")
     keeper.reads("#job-name", "MY_PART.NC")
-    assert keeper.page.evaluate("program.lines") == long.splitlines()
+    assert keeper.page.evaluate("program.lines") == program_text.splitlines()
     keeper.click("[aria-label='Run MY_PART.NC on the board']")
     keeper.reads("#dialog", "The board runs it by itself")
     keeper.click("#dialog-yes")
-    keeper.rests_at(2, 0, 0)
+    keeper.rests_at(2, 0, 0)  # PART's moves: +3 mm, -1 mm
     keeper.click("[aria-label='Delete MY_PART.NC']")
     keeper.click("#dialog-yes")
     keeper.reads("#files-words", "MY_PART.NC is deleted.")

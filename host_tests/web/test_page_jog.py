@@ -1,4 +1,19 @@
-"""Test jogs in two axes, Z with its own step and feed, and jogs by dragging in the drawing."""
+"""Test jogs in two axes, Z with its own step and feed, and jogs by dragging in the drawing.
+
+A `person` uses the page in a browser that is connected to a simulated machine. A `homer` is one at
+a machine with limit switches and 30 mm of travel, locked until it is homed; it then stands at -1
+mm on each axis. reads(selector, text) and sees(state) wait until the page shows it; waits(script)
+waits until the JavaScript holds in the page. There `grbl` is the page's model of the machine
+(grbl.machine and grbl.work: position in mm) and `job` is the program being sent. rests_at() waits
+until the machine is idle at that work position in mm; pauses() takes seconds; loads() opens a
+program; types() sends a line in the console; evaluate() runs JavaScript and returns its value.
+`person.machine` is the machine's end of the wire: lines() and `sent` are what the page has sent,
+say() sends bytes to the page, `hears = False` lets the machine receive nothing, report() asks the
+machine itself for (state, position, feed), and unplug() cuts the wire. sent_at_once() returns the
+realtime bytes sent except `?` (! hold, ~ resume, 0x18 reset, 0x85 jog cancel). `said` are the
+bytes that the machine has sent; jogs() returns the jog lines ($J) of the page. The machine
+accelerates with 500 mm/s².
+"""
 
 import pytest
 from browser import sent_at_once
@@ -24,23 +39,26 @@ def test_held_diagonal_moves_both_axes_equally_and_stops_on_release(person):
     person.page.fill("#jog-feed", "1200")
     person.press("[data-jog='X+Y-']")
     person.waits("grbl.machine[0] > 4")
-    begun = len(person.machine.said)
+    first_byte = len(person.machine.said)
     person.waits("grbl.machine[0] > 30")
-    feeds = [feed for _, _, feed in person.machine.reports(begun)]
+    feeds_mm_min = [feed for _, _, feed in person.machine.reports(first_byte)]
     # A loaded computer may send a piece late now and then.
-    assert len(feeds) > 4 and sorted(feeds)[len(feeds) // 3] > 0.95 * 1200, "along the diagonal"
+    # Two thirds of the reports show at least 95 % of the feed.
+    assert len(feeds_mm_min) > 4 and sorted(feeds_mm_min)[len(feeds_mm_min) // 3] > 0.95 * 1200, (
+        "along the diagonal"
+    )
     person.page.mouse.up()
-    x, y, _ = person.machine.report("Idle")[1]
+    x, y, _ = person.machine.report("Idle")[1]  # machine position, mm
     assert 30 < x < 55 and y == pytest.approx(-x, abs=0.01)
-    assert set(sent_at_once(person.machine)) == {0x85}
+    assert set(sent_at_once(person.machine)) == {0x85}  # a jog cancel
     person.pauses(0.3)
     assert person.machine.report()[1][:2] == [x, y]
 
 
 def test_held_diagonal_ends_at_first_soft_limit(homer):
     homer.homes()
-    homer.types("$20=1")
-    homer.types("$131=10")
+    homer.types("$20=1")  # soft limits on
+    homer.types("$131=10")  # Y travels from 0 to -10 mm
     homer.types("$$")
     homer.waits("grbl.setting(20) === 1 && grbl.setting(131) === 10")
     homer.page.fill("#jog-feed", "1200")
@@ -48,11 +66,13 @@ def test_held_diagonal_ends_at_first_soft_limit(homer):
     homer.waits("grbl.machine[1] < -9 && grbl.state === 'Idle'")
     homer.page.mouse.up()
     x, y, _ = homer.machine.report("Idle")[1]
+    # The page stops 0.01 mm before the limit; both axes began at -1 mm.
     assert y == pytest.approx(-9.99, abs=0.01) and x == pytest.approx(y, abs=0.02)
     assert b"error" not in homer.machine.said and b"ALARM" not in homer.machine.said
 
 
 def test_two_arrow_keys_jog_diagonally_until_one_is_released(person):
+    """Releasing one of two arrow keys stops the jog; the other key starts no new one."""
     person.page.fill("#jog-feed", "1200")
     person.click("#keys")
     person.page.keyboard.down("ArrowRight")
@@ -72,7 +92,7 @@ def test_two_arrow_keys_jog_diagonally_until_one_is_released(person):
 def test_z_has_its_own_step_and_feed(person):
     person.page.select_option("#z-step", "0.1")
     person.page.fill("#z-feed", "60")
-    person.click("#steps >> text='10'")
+    person.click("#steps >> text='10'")  # mm, of X and Y
     person.click("[data-jog='Z-']")
     person.rests_at(0, 0, -0.1)
     person.click("[data-jog='X+']")
@@ -81,7 +101,7 @@ def test_z_has_its_own_step_and_feed(person):
     person.rests_at(10, 0, 0)
     assert jogs(person) == [
         "$J=G21 G91 Z-0.1 F60",
-        "$J=G21 G91 X10 F500",
+        "$J=G21 G91 X10 F500",  # X and Y have their own feed, 500 mm/min by default
         "$J=G21 G90 Z0 F60",
     ]
 
@@ -97,15 +117,16 @@ def tool_on_screen(person):
 
 
 def px_per_mm(person):
+    """Return the scale of the drawing."""
     return person.page.evaluate("plot.pixel([1, 0, 0])[0] - plot.pixel([0, 0, 0])[0]")
 
 
-def drags_tool(person, x, y):
-    """Press on the tool and drag it by x and y mm; the button stays down."""
-    at, scale = tool_on_screen(person), px_per_mm(person)
-    person.page.mouse.move(*at)
+def drags_tool(person, x_mm, y_mm):
+    """Press on the tool in the drawing and drag it by x_mm and y_mm; the button stays down."""
+    start_px, scale = tool_on_screen(person), px_per_mm(person)
+    person.page.mouse.move(*start_px)
     person.page.mouse.down()
-    person.page.mouse.move(at[0] + x * scale, at[1] - y * scale, steps=5)
+    person.page.mouse.move(start_px[0] + x_mm * scale, start_px[1] - y_mm * scale, steps=5)
 
 
 def test_machine_follows_dragged_tool_and_stays_there(person):
@@ -113,14 +134,17 @@ def test_machine_follows_dragged_tool_and_stays_there(person):
     person.click("#drag")
     drags_tool(person, 12, 9)
     person.waits("Math.hypot(grbl.machine[0] - 12, grbl.machine[1] - 9) < 0.5")
-    drawn = person.page.evaluate("plot.target")
+    target_mm = person.page.evaluate("plot.target")
     person.waits("grbl.state === 'Idle'")
-    assert person.machine.report()[1][:2] == pytest.approx(drawn, abs=0.02)
-    person.page.mouse.move(*tool_on_screen(person))  # back, without letting go
-    drags = len(jogs(person))
+    assert person.machine.report()[1][:2] == pytest.approx(target_mm, abs=0.02)
+    person.page.mouse.move(
+        *tool_on_screen(person)
+    )  # the pointer goes back to the tool, still pressed
+    jogs_before = len(jogs(person))
+    # 5 mm to the right and down: Y decreases.
     person.page.mouse.move(*[px + 5 * px_per_mm(person) for px in tool_on_screen(person)])
     person.waits("grbl.machine[1] < 5.5 && grbl.state === 'Idle'")
-    assert len(jogs(person)) > drags
+    assert len(jogs(person)) > jogs_before
     person.page.mouse.up()
     assert person.page.evaluate("plot.target") is None
 
@@ -139,6 +163,10 @@ def test_release_of_dragged_tool_stops_jog(person):
 
 
 def test_jog_to_dragged_tool_stops_by_itself_when_page_sends_no_more(person):
+    """The tab crashes during a drag, so no jog cancel is sent.
+
+    The machine executes the jogs that it has received and stops.
+    """
     person.page.fill("#jog-feed", "1200")
     person.click("#drag")
     drags_tool(person, 45, 20)
@@ -146,8 +174,9 @@ def test_jog_to_dragged_tool_stops_by_itself_when_page_sends_no_more(person):
     person.crash()
     x, y, _ = person.machine.report()[1]
     end_x, end_y, _ = person.machine.report("Idle")[1]
-    moved = ((end_x - x) ** 2 + (end_y - y) ** 2) ** 0.5
-    assert moved < 20**2 / 2 / 500 + 20 * 0.5, "the distance that docs/web.md states"
+    moved_mm = ((end_x - x) ** 2 + (end_y - y) ** 2) ** 0.5
+    # Braking from 20 mm/s with 500 mm/s², and 0.5 s of motion that may be queued.
+    assert moved_mm < 20**2 / 2 / 500 + 20 * 0.5, "the distance that docs/web.md states"
     assert b"\x85" not in person.machine.sent
 
 
@@ -156,7 +185,7 @@ def test_stop_ends_dragged_jog(person):
     person.click("#drag")
     drags_tool(person, 40, 0)
     person.sees("Jog")
-    person.page.keyboard.press("Escape")
+    person.page.keyboard.press("Escape")  # STOP
     person.sees("Alarm")
     person.page.mouse.up()
     sent = jogs(person)
@@ -165,10 +194,15 @@ def test_stop_ends_dragged_jog(person):
 
 
 def test_drawing_is_panned_without_motion_until_dragging_is_switched_on(person):
+    """Dragging pans the drawing.
+
+    After #drag is switched on, dragging the tool, and only the tool, moves the machine.
+    """
     before = person.page.evaluate("plot.pixel([0, 0, 0])")
     drags_tool(person, 10, 0)
     person.page.mouse.up()
     person.pauses(0.3)
+    # Work zero is drawn elsewhere now.
     assert person.page.evaluate("plot.pixel([0, 0, 0])") != before and not jogs(person)
     person.click("#drag")
     x, y = tool_on_screen(person)
@@ -182,13 +216,13 @@ def test_drawing_is_panned_without_motion_until_dragging_is_switched_on(person):
 
 def test_dragged_point_stays_within_soft_limits(homer):
     homer.homes()
-    homer.types("$20=1")
+    homer.types("$20=1")  # soft limits on
     homer.types("$$")
     homer.waits("grbl.setting(20) === 1")
     homer.click("#tabs [data-tab=job]")
     homer.page.fill("#jog-feed", "2000")
     homer.click("#drag")
-    drags_tool(homer, 30, -5)  # X would leave the travel at once
+    drags_tool(homer, 30, -5)  # mm; X is at -1 and would leave the travel at 0
     homer.waits("grbl.machine[1] < -5.9 && grbl.state === 'Idle'")
     homer.page.mouse.up()
     x, y, _ = homer.machine.report("Idle")[1]
@@ -197,6 +231,10 @@ def test_dragged_point_stays_within_soft_limits(homer):
 
 
 def test_keys_move_point_and_enter_goes_there_while_held(person):
+    """With the focus on the drawing, arrow keys move a target.
+
+    The machine jogs there while Enter is held.
+    """
     person.page.fill("#jog-feed", "600")
     person.click("#keys")  # arrows would jog elsewhere
     person.click("#steps >> text='10'")
@@ -212,6 +250,7 @@ def test_keys_move_point_and_enter_goes_there_while_held(person):
     person.page.keyboard.up("Enter")
     x, y, _ = person.machine.report("Idle")[1]
     assert 2 < x < 15 and y == pytest.approx(x / 2, abs=0.01)
+    # The target is moved from where the machine stopped.
     person.waits(f"Math.abs(grbl.machine[0] - {x}) < 0.001 && grbl.state === 'Idle'")
     person.page.keyboard.press("ArrowLeft")
     person.page.keyboard.down("Enter")

@@ -1,4 +1,18 @@
-"""Test the page's controls that move the machine by hand, and those that stop it."""
+"""Test the page's controls that move the machine by hand, and those that stop it.
+
+A `person` uses the page in a browser that is connected to a simulated machine. A `homer` is one at
+a machine with limit switches and 30 mm of travel, locked until it is homed; it then stands at -1
+mm on each axis. reads(selector, text) and sees(state) wait until the page shows it; waits(script)
+waits until the JavaScript holds in the page. There `grbl` is the page's model of the machine
+(grbl.machine and grbl.work: position in mm) and `job` is the program being sent. rests_at() waits
+until the machine is idle at that work position in mm; pauses() takes seconds; loads() opens a
+program; types() sends a line in the console; evaluate() runs JavaScript and returns its value.
+`person.machine` is the machine's end of the wire: lines() and `sent` are what the page has sent,
+say() sends bytes to the page, `hears = False` lets the machine receive nothing, report() asks the
+machine itself for (state, position, feed), and unplug() cuts the wire. sent_at_once() returns the
+realtime bytes sent except `?` (! hold, ~ resume, 0x18 reset, 0x85 jog cancel). `said` are the
+bytes that the machine has sent.
+"""
 
 import pytest
 from browser import FAR, sent_at_once
@@ -17,12 +31,14 @@ def test_locked_machine_is_unlocked(homer):
 
 
 def test_homing_ends_at_pull_off(homer):
+    """After homing the machine stands 1 mm ($27) off its switches."""
+    # Every state that the page learns is recorded, because Home is reported only once.
     homer.page.evaluate("window.states = []; grbl.on('status', () => states.push(grbl.state))")
     homer.click("#home")
     homer.reads("#state-words", "Homing")  # although the machine answers nothing meanwhile
     homer.homes()
     assert "Home" in homer.page.evaluate("states")
-    homer.page.click("#frame-machine")
+    homer.page.click("#frame-machine")  # shows machine coordinates
     homer.waits("document.querySelector('#axes .value').textContent === '-1.000'")
     assert homer.place() == [-1, -1, -1]
 
@@ -31,7 +47,7 @@ def test_reset_in_motion_ends_in_explained_alarm(person):
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
-    person.page.keyboard.press("Escape")
+    person.page.keyboard.press("Escape")  # STOP
     person.sees("Alarm")
     person.reads("#notice-alarm", "ALARM:3: Reset while moving: steps may have been lost.")
     person.reads("#notice-alarm", "What to do:")
@@ -42,12 +58,17 @@ def test_reset_in_motion_ends_in_explained_alarm(person):
 
 
 def test_alarm_is_shown_at_once_and_disables_run(homer):
-    """This holds without a status report, too, as after ALARM:2."""
+    """The state Alarm is displayed from the line ALARM:2 alone.
+
+    The machine sends no status report after it.
+    """
     homer.homes()
-    homer.types("$20=1")
+    homer.types("$20=1")  # soft limits on
     homer.click("#tabs [data-tab=job]")
-    homer.loads("G0 X-50\n")
+    homer.loads("G0 X-50\n")  # beyond the travel of 30 mm
     homer.waits("!document.querySelector('#run').disabled && grbl.setting(20) === 1")
+    # Name and colour of the displayed state; recorded two frames after the alarm, with two
+    # buttons.
     state = "$('state-name').textContent, $('state').dataset.tone"
     homer.page.evaluate(
         "grbl.on('alarm', () => requestAnimationFrame(() => requestAnimationFrame(() => {"
@@ -58,7 +79,7 @@ def test_alarm_is_shown_at_once_and_disables_run(homer):
     homer.waits("window.seen")
     assert homer.page.evaluate("seen") == ["Alarm", "bad", True, True]
     homer.reads("#state-words", "ALARM:2: only STOP works")
-    homer.waits("grbl.silent")
+    homer.waits("grbl.silent")  # no report for a while
     assert homer.text("#state-name") == "Alarm"
     homer.click("#stop")
     homer.waits("!document.querySelector('#unlock').disabled")
@@ -67,6 +88,7 @@ def test_alarm_is_shown_at_once_and_disables_run(homer):
 
 
 def test_stop_works_while_button_is_still_down(person):
+    """STOP acts when the button goes down, not on release."""
     person.loads(FAR)
     person.click("#run")
     person.sees("Run")
@@ -88,6 +110,7 @@ def test_escape_in_field_stops_nothing(person):
 
 
 def test_tap_jogs_one_step_each_time(person):
+    """A short press moves by one step, without a cancel."""
     person.page.fill("#jog-feed", "3000")
     person.click("#steps >> text='10'")
     person.click("[data-jog='X+']")
@@ -105,32 +128,40 @@ ASKED_MM = BRAKE_MM + JOG_MM_S * 0.5
 
 
 def assert_jog_was_cancelled(person):
-    """Check that only cancels were sent, until the machine obeyed, and no jog line after them."""
+    """Check that a jog was cancelled.
+
+    The cancel may be repeated; no other realtime byte and no later jog line was sent.
+    """
     assert set(sent_at_once(person.machine)) == {0x85}
     assert b"$J" not in person.machine.sent.partition(b"\x85")[2]
 
 
 def hold_to_jog(person, button):
-    """Press it and wait until it moves at its full speed."""
+    """Press the button, keep it down, and wait until the machine moves at 20 mm/s."""
     person.page.fill("#jog-feed", f"{60 * JOG_MM_S:g}")
     person.press(button)
     person.waits(f"grbl.feed === {60 * JOG_MM_S:g}")
 
 
 def test_held_button_moves_without_slowing_until_released(person):
+    """A held jog is sent as many short jogs, which must join without slowing down."""
     hold_to_jog(person, "[data-jog='Y-']")
-    begun = len(person.machine.said)
+    first_byte = len(person.machine.said)
     person.waits("grbl.machine[1] < -40")
-    feeds = [feed for _, _, feed in person.machine.reports(begun)]
+    feeds_mm_min = [feed for _, _, feed in person.machine.reports(first_byte)]
     # A loaded computer may send a piece late now and then.
-    assert len(feeds) > 4 and sorted(feeds)[len(feeds) // 3] > 0.95 * 60 * JOG_MM_S
-    at = person.machine.report()[1][1]
+    # Two thirds of the reports show at least 95 % of the feed in mm/min.
+    assert (
+        len(feeds_mm_min) > 4
+        and sorted(feeds_mm_min)[len(feeds_mm_min) // 3] > 0.95 * 60 * JOG_MM_S
+    )
+    y_before_mm = person.machine.report()[1][1]
     person.page.mouse.up()
     state, (x, y, _), _ = person.machine.report("Idle")
-    assert x == 0 and y <= at
+    assert x == 0 and y <= y_before_mm
     assert_jog_was_cancelled(person)
-    pieces = [line for line in person.machine.lines() if line.startswith("$J")]
-    assert len(pieces) > 10
+    jog_lines = [line for line in person.machine.lines() if line.startswith("$J")]
+    assert len(jog_lines) > 10
     person.pauses(0.3)
     assert person.machine.report() == (state, [x, y, 0], 0)
 
@@ -142,21 +173,24 @@ LOSSES = {
 }
 
 
-@pytest.mark.parametrize("lost", LOSSES.values(), ids=LOSSES)
-def test_jog_stops_by_itself_when_page_sends_no_more(person, lost):
+@pytest.mark.parametrize("lose_page", LOSSES.values(), ids=LOSSES)
+def test_jog_stops_by_itself_when_page_sends_no_more(person, lose_page):
     """It stops within the distance that docs/web.md states, whatever happened to the page."""
     hold_to_jog(person, "[data-jog='X+']")
     person.waits("grbl.machine[0] > 10")
-    lost(person)
-    at = person.machine.report()[1][0]
-    _, (x, _, _), _ = person.machine.report("Idle")
-    assert at <= x < at + ASKED_MM
+    lose_page(person)
+    x_before_mm = person.machine.report()[1][0]
+    _, (x_end_mm, _, _), _ = person.machine.report("Idle")
+    assert x_before_mm <= x_end_mm < x_before_mm + ASKED_MM
     assert b"\x85" not in person.machine.sent, "no cancel has ended it"
 
 
 def test_jog_faster_than_axis_is_not_sent_ahead(person_at):
-    """A jog on an axis with a slow acceleration is not sent ahead either."""
-    person = person_at({110: "600", 120: "25"})
+    """The page queues jogs by what the slow axis can do.
+
+    Neither its rate nor its acceleration allows the feed that was asked.
+    """
+    person = person_at({110: "600", 120: "25"})  # X: 600 mm/min, 25 mm/s²
     person.open_from_disk()
     person.connect()
     person.page.fill("#jog-feed", "9000")
@@ -164,12 +198,14 @@ def test_jog_faster_than_axis_is_not_sent_ahead(person_at):
     person.waits("grbl.feed === 600")
     person.waits("grbl.machine[0] > 15")
     person.crash()
-    at = person.machine.report()[1][0]
-    _, (x, _, _), _ = person.machine.report("Idle")
-    assert at <= x < at + 10.0**2 / 2 / 25 + 10.0 * 0.5
+    x_before_mm = person.machine.report()[1][0]
+    _, (x_end_mm, _, _), _ = person.machine.report("Idle")
+    # Braking from 10 mm/s with 25 mm/s², and 0.5 s of motion that may be queued.
+    assert x_before_mm <= x_end_mm < x_before_mm + 10.0**2 / 2 / 25 + 10.0 * 0.5
 
 
 def test_opposite_jog_begins_after_first_has_ended(person):
+    """The second button is pressed while the first jog still brakes; its jog is not lost."""
     hold_to_jog(person, "[data-jog='X+']")
     person.page.mouse.up()
     person.press("[data-jog='X-']")
@@ -179,6 +215,7 @@ def test_opposite_jog_begins_after_first_has_ended(person):
 
 
 def test_refused_held_jog_is_reported_once(homer):
+    """The page ends a held jog when its first line is refused."""
     homer.homes()
     homer.types("$20=1")
     homer.waits("grbl.setting(20) === 1")
@@ -196,9 +233,10 @@ def test_refused_held_jog_is_reported_once(homer):
 def test_leaving_page_stops_jog(person, event):
     person.press("[data-jog='X+']")
     person.sees("Jog")
+    # The page loses the focus, or is left.
     person.page.evaluate(f"dispatchEvent(new Event('{event}'))")
-    there = person.shown_place()
-    assert 0 < there[0] < 40
+    stopped_at_mm = person.shown_place()
+    assert 0 < stopped_at_mm[0] < 40
 
 
 def test_lost_pointer_stops_jog(person):
@@ -223,6 +261,7 @@ def test_arrow_keys_jog_only_when_enabled(person):
 
 def test_cancel_before_jog_has_begun_is_repeated(person):
     """Grbl ignores a cancel that arrives before the jog line is read; the jog must still end."""
+    # Released 1 ms after the press counts as held, so the first jog line is hardly sent.
     person.page.evaluate("""{
         jogger.press([1, 0, 0]);
         setTimeout(() => jogger.release(), Jogger.HOLD_MS + 1);
@@ -241,6 +280,7 @@ def test_jog_ends_before_soft_limits(homer):
     homer.waits("grbl.machine[0] < -28 && grbl.state === 'Idle'")  # still held
     homer.page.mouse.up()
     homer.page.click("#frame-machine")
+    # The travel is 30 mm; the page stops 0.01 mm before its end.
     assert homer.shown_place()[0] == pytest.approx(-29.99, abs=0.02)
     assert not homer.page.query_selector("#notice-trouble")
 
@@ -257,12 +297,13 @@ def test_zero_is_set_and_returned_to(person):
     person.rests_at(10, 10, 0)
     person.click("#go-zero")
     person.rests_at(0, 0, 0)
-    person.page.click("#frame-machine")
+    person.page.click("#frame-machine")  # shows machine coordinates
+    # In machine coordinates: work zero was set at X10.
     person.waits("document.querySelector('#axes .value').textContent === '10.000'")
 
 
 def test_reports_in_inches_are_shown_and_jogged_in_inches(person_at):
-    person = person_at({13: "1"})
+    person = person_at({13: "1"})  # $13=1: the machine reports in inches
     person.open_from_disk()
     person.connect()
     person.reads("#steps", "in")
@@ -273,6 +314,7 @@ def test_reports_in_inches_are_shown_and_jogged_in_inches(person_at):
 
 
 def test_keyboard_alone_jogs_and_stops(person):
+    """Buttons work by key: Space is a tap, held Enter a held button, and arrows change tabs."""
     person.page.fill("#jog-feed", "1200")
     person.page.focus("[data-jog='X+']")
     person.page.keyboard.press("Space")
@@ -284,4 +326,4 @@ def test_keyboard_alone_jogs_and_stops(person):
     assert_jog_was_cancelled(person)
     person.page.focus("#tabs [data-tab=job]")
     person.page.keyboard.press("ArrowRight")
-    assert person.page.is_visible("#log")
+    assert person.page.is_visible("#log")  # the console, the tab after the job

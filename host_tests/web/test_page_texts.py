@@ -1,4 +1,9 @@
-"""Test the page in other languages: complete tables, and no English left where a person reads."""
+"""Test the page in other languages: complete tables, and no English left where a person reads.
+
+TABLES[code] has for each English text of the page its translation into a language. SHOWN are the
+English texts that the page can show. A `Reader` is a person at the page in another language:
+looks() adds each English word that is visible to its set `left`.
+"""
 
 import json
 import re
@@ -45,22 +50,34 @@ def test_every_text_has_a_translation_and_none_is_unused(code: str) -> None:
 
 @pytest.mark.parametrize("code", TABLES)
 def test_translations_keep_values_numbers_names_and_spaces(code: str) -> None:
-    for text, said in TABLES[code].items():
-        if text == page_texts.NAME:
+    for text, translation in TABLES[code].items():
+        if text == page_texts.NAME:  # the entry with the language's own name
             continue
-        assert sorted(_KEPT.findall(text)) == sorted(_KEPT.findall(said)), (text, said)
-        assert re.findall(r"^\s*|\s*$", text) == re.findall(r"^\s*|\s*$", said), (text, said)
+        # Values, numbers, and names of options, each as often as in the English text.
+        assert sorted(_KEPT.findall(text)) == sorted(_KEPT.findall(translation)), (
+            text,
+            translation,
+        )
+        # The same blanks at start and end.
+        assert re.findall(r"^\s*|\s*$", text) == re.findall(r"^\s*|\s*$", translation), (
+            text,
+            translation,
+        )
 
 
 def test_every_sentence_in_scripts_is_tagged() -> None:
-    found = [
+    """A text shown by a script is written as t`...`, which looks up its translation.
+
+    Strings that no person reads, listed as exceptions here, need no tag.
+    """
+    untagged = [
         where
         for where in shown_texts.untagged()
         if (text := where.partition(": ")[2]) not in _NOT_SHOWN
         and not _IN_BOARD_FILE.match(text)
         and not re.match(r'\n|"""', text)  # Python
     ]
-    assert not found, "write t`…`"
+    assert not untagged, "write t`…`"
 
 
 def test_no_two_texts_have_one_number() -> None:
@@ -76,6 +93,10 @@ def test_another_multiplier_is_chosen_if_two_texts_have_one_number() -> None:
 
 
 def test_script_is_lean_and_means_the_same() -> None:
+    """lean() removes comments and blanks, but none within strings, patterns and templates.
+
+    pieces() splits a script without losing a character.
+    """
     script = """// a comment
 const a = { b : "x // y" }; // another
   /** one
@@ -109,16 +130,25 @@ def test_page_from_board_is_in_english() -> None:
 
 
 def test_browser_and_python_compute_same_numbers(opened: Any) -> None:
+    """Texts are stored under a hash.
+
+    Both sides compute it, so each must find the same number for every text.
+    """
     page = opened.new_page()
     page.goto(PAGE.as_uri())
     texts = sorted(SHOWN)
-    found = page.evaluate("texts => texts.map(numberOf)", texts)
-    chosen = page_texts.multiplier(SHOWN)
-    assert found == [page_texts.number(text, chosen) for text in texts]
+    numbers_in_browser = page.evaluate("texts => texts.map(numberOf)", texts)
+    # The multiplier of the hash, chosen so that no two texts have the same number.
+    multiplier = page_texts.multiplier(SHOWN)
+    assert numbers_in_browser == [page_texts.number(text, multiplier) for text in texts]
     page.close()
 
 
 def test_selected_language_is_remembered(opened: Any) -> None:
+    """A selected language survives a reload.
+
+    The page starts in English even in a German browser.
+    """
     with opened.new_context(locale="de-DE") as context:
         page = context.new_page()
         page.goto(PAGE.as_uri())
@@ -169,7 +199,7 @@ def words(text: str) -> "set[str]":
 
 
 def sets_up(reader: Reader) -> None:
-    """Read all steps of the setup, with each chip and board."""
+    """Read each part of the setup, with each chip and board."""
     page = reader.page
     reader.click("#tabs [data-tab=setup]")
     page.evaluate(
@@ -182,6 +212,7 @@ def sets_up(reader: Reader) -> None:
         reader.looks()
         reader.click("#board-cards button.main")
         reader.looks()
+    # As if pin 0 were selected for the first step output.
     page.evaluate("() => givePin(0, 'STEP 0')")
     page.fill("#own-name", "vacuum")
     reader.click("#own-pins button[value=outputs]")
@@ -206,10 +237,14 @@ def sets_up(reader: Reader) -> None:
 
 
 def jobs(reader: Reader) -> None:
-    """Read a job, its questions, its end, and what a refused line brings."""
+    """Read what the page shows of jobs.
+
+    These are the questions, the end, a refused line, a tool change, and the stored files.
+    """
     reader.loads("G21 G90\nG0 X1\nG1 X2 F300\nM3 S100\nG1 Y2\n")
     reader.looks()
     reader.page.fill("#from", "5")
+    # Both ask before they start: line 5 is not the first line.
     for button in ("#run", "#outline"):
         reader.click(button)
         reader.looks()
@@ -242,9 +277,15 @@ def jobs(reader: Reader) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("code", TABLES)
 def test_no_english_is_left(person_at: Callable[..., Person], code: str) -> None:
+    """Each part of the page is opened in a language.
+
+    No word may be visible that only the English texts have.
+    """
     person = person_at(on={"locale": code})
     reader = Reader(person.page, person.machine, person.bridge, person.folder)
+    # Texts that are the same in both languages are left out.
     table = {text: said for text, said in TABLES[code].items() if text != said}
+    # Words of the English texts that no translation uses.
     reader.english = set().union(*map(words, table)) - set().union(*map(words, table.values()))
     reader.english -= _TERMS
     reader.left = set()
@@ -267,6 +308,7 @@ def test_no_english_is_left(person_at: Callable[..., Person], code: str) -> None
     reader.click("#tabs [data-tab=job]")
     reader.looks()
     for number in reader.page.evaluate("() => Object.keys(WORDS.alarms)"):
+        # Each alarm, as if the machine had sent it.
         reader.page.evaluate("number => grbl.tell('alarm', Number(number))", number)
         reader.looks()
     assert not reader.left

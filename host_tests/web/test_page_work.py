@@ -1,4 +1,17 @@
-"""Test outline, coordinate systems, macros, jobs on the board, and the search for settings."""
+"""Test outline, coordinate systems, macros, jobs on the board, and the search for settings.
+
+A `person` uses the page in a browser that is connected to a simulated machine. reads(selector,
+text) and sees(state) wait until the page shows it; waits(script) waits until the JavaScript holds
+in the page. There `grbl` is the page's model of the machine (grbl.machine and grbl.work: position
+in mm) and `job` is the program being sent. rests_at() waits until the machine is idle at that work
+position in mm; pauses() takes seconds; loads() opens a program; types() sends a line in the
+console; evaluate() runs JavaScript and returns its value. `person.machine` is the machine's end of
+the wire: lines() and `sent` are what the page has sent, say() sends bytes to the page, `hears =
+False` lets the machine receive nothing, report() asks the machine itself for (state, position,
+feed), and unplug() cuts the wire. sent_at_once() returns the realtime bytes sent except `?` (!
+hold, ~ resume, 0x18 reset, 0x85 jog cancel). jogs() returns the jog lines ($J) of the page. _JOB
+cuts from (10, 5) to (40, 25): its arc bulges 10 mm beyond X30.
+"""
 
 import json
 from pathlib import Path
@@ -18,6 +31,10 @@ def jogs(person):
 
 
 def test_outline_goes_round_cuts_with_tool_up(person):
+    """The outline is a rectangle round all cuts.
+
+    It is jogged with Z at the highest position of the program.
+    """
     person.loads(_JOB)
     person.page.fill("#jog-feed", "2000")
     person.click("#outline")
@@ -39,18 +56,18 @@ def test_nothing_moves_when_outline_is_declined(person):
 
 
 def test_laser_outline_runs_at_1_percent_and_ends_off(person_at):
-    person = person_at({32: "1", 30: "1000"})
+    person = person_at({32: "1", 30: "1000"})  # $32=1: laser mode; S1000 is full power
     person.open_from_disk()
     person.connect()
     person.loads(_JOB)
     person.page.fill("#jog-feed", "2000")
     person.click("#outline")
-    person.reads("#dialog-words", "The laser is on at S10")
+    person.reads("#dialog-words", "The laser is on at S10")  # 1 % of 1000
     person.click("#dialog-yes")
     person.sees("Run")
     person.waits("!grbl.linesUnderWay && grbl.state === 'Idle' && grbl.modes.includes('M5')")
     assert "G1 X40 Y5 F2000 M3 S10" in person.machine.lines()
-    assert person.machine.lines().index("M5 G0") > 0
+    assert person.machine.lines().index("M5 G0") > 0  # the laser is switched off, and G1 is left
 
 
 # Coordinate systems
@@ -63,12 +80,13 @@ def test_coordinate_system_is_chosen_and_typed(person):
     person.waits("grbl.offsets.get('G55') === '12.500,0.000,0.000'")
     person.click("[aria-label='Use G55']")
     person.waits("grbl.modes.includes('G55')")
-    person.rests_at(-12.5, 0, 0)
+    person.rests_at(-12.5, 0, 0)  # the same place by G55
     person.reads("#offsets", "in force")
 
 
 def test_typed_offset_is_in_displayed_units(person):
-    person.types("G20")
+    """The machine is in inches (G20), but the page shows mm, so 25.4 is typed and means mm."""
+    person.types("G20")  # inches in programs; reports stay in mm ($13=0)
     person.waits("grbl.modes.includes('G20')")
     person.click("#tabs [data-tab=offsets]")
     person.page.fill("[aria-label='G56 Y']", "25.4")
@@ -83,6 +101,7 @@ def test_macro_asks_for_numbers_and_runs_line_by_line(person):
     person.click("#macros-edit")
     person.click("#macro-add")
     person.page.fill("[aria-label='Name of macro 1']", "Down")
+    # {depth=2} is asked for at each run; 2 is proposed.
     person.page.fill("#macros-rows textarea", "G91 (relative)\nG0 Z-{depth=2}\nG90\n")
     person.page.keyboard.press("Tab")
     person.click("#macros button:has-text('Down')")
@@ -92,10 +111,14 @@ def test_macro_asks_for_numbers_and_runs_line_by_line(person):
     lines = person.machine.lines()
     assert lines.index("G91") < lines.index("G0 Z-3.5") < lines.index("G90")
     person.page.reload()
-    assert person.text("#macros").strip() == "Down"
+    assert person.text("#macros").strip() == "Down"  # macros are stored in the browser
 
 
 def test_macro_ends_at_refused_line(person, tmp_path):
+    """G1 X5 has no feed and is refused, so the line after it is not sent.
+
+    Macros are loaded from a file and saved to one.
+    """
     macros = [{"name": "Bad", "lines": "G91\nG1 X5\nG0 Y9\n"}]
     file = tmp_path / "macros.json"
     file.write_text(json.dumps(macros))
@@ -126,7 +149,7 @@ def test_settings_are_grouped_and_found_by_words(person):
     person.reads("#settings", "Limits and homing")
     person.page.fill("#settings-find", "accel")
     rows = person.page.locator("#settings tr[id]")
-    assert rows.count() == 3 and person.page.is_visible("#setting-120")
+    assert rows.count() == 3 and person.page.is_visible("#setting-120")  # $120 to $122
     assert "Limits and homing" not in person.text("#settings")
     person.page.fill("#settings-find", "$22")
     assert rows.count() == 1 and person.page.is_visible("#setting-22")
@@ -137,6 +160,7 @@ def test_settings_that_differ_from_defaults_are_found_and_reset(person):
     person.reads("#setting-110", "Default: 500")
     person.page.check("#settings-changed")
     numbers = [row.get_attribute("id") for row in person.page.locator("#settings tr[id]").all()]
+    # The settings that the machine of this test starts with.
     assert numbers == [f"setting-{n}" for n in (110, 111, 112, 120, 121, 122)]
     person.click("[aria-label='Set $121 to its default, 10']")
     person.waits("grbl.settings.get(121) === '10.000' && !document.getElementById('setting-121')")
@@ -145,6 +169,7 @@ def test_settings_that_differ_from_defaults_are_found_and_reset(person):
 
 
 def test_changed_settings_are_undone_from_last_to_first(person):
+    """Each press of Undo restores the value before the last accepted change."""
     person.click("#tabs [data-tab=settings]")
     assert not person.page.is_visible("#undo-setting")
     for value in ("2000", "1000"):
@@ -164,19 +189,25 @@ def test_changed_settings_are_undone_from_last_to_first(person):
 
 
 def test_masks_of_directions_and_switches_have_pictures(person):
+    """Drawings show the bits of $3 (motor directions) and $23 (corner of the switches).
+
+    They follow a change.
+    """
     person.click("#tabs [data-tab=settings]")
     person.page.wait_for_selector("[aria-label='X as wired, Y as wired, Z as wired']")
     person.page.check("[aria-label='$3 Step direction invert, Y']")
     person.reads("#setting-3", "2 is kept")
     person.page.wait_for_selector("#setting-3 [aria-label='X as wired, Y inverted, Z as wired']")
     assert person.page.locator("#setting-3 path.on").count() == 1
-    dots = "[...document.querySelectorAll('#setting-23 circle')]"
-    corner = f"{dots}.map((dot) => [dot.cx.baseVal.value, dot.cy.baseVal.value])"
+    # Positions of the switches in the drawing; [0] is that of X, [1] that of Y.
+    switches = "[...document.querySelectorAll('#setting-23 circle')]"
+    corner = f"{switches}.map((dot) => [dot.cx.baseVal.value, dot.cy.baseVal.value])"
     before = person.page.evaluate(corner)
     assert person.page.is_visible("#setting-23 [aria-label='Switches: right, back, top']")
     person.page.check("[aria-label='$23 Homing direction invert, X']")
     person.page.wait_for_selector("#setting-23 [aria-label='Switches: left, back, top']")
     after = person.page.evaluate(corner)
+    # The switch of X has moved to the left; that of Y has not moved.
     assert after[0][0] < before[0][0] and after[0][1] == before[0][1] and after[1] == before[1]
 
 
@@ -184,6 +215,11 @@ def test_masks_of_directions_and_switches_have_pictures(person):
 
 
 def test_job_on_board_continues_at_line(person):
+    """`$F=NAME@LINE` continues a stored job at a line.
+
+    Without a line it continues where it was interrupted.
+    """
+    # Replaces the sending: the board is scripted and stores one job.
     person.page.evaluate("""
       grbl.send = (line, quiet, said) => {
         (window.sentThere ||= []).push(line);

@@ -1,4 +1,18 @@
-"""Test probing and height maps in the page, on a machine with a tilted table."""
+"""Test probing and height maps in the page, on a machine with a tilted table.
+
+A `prober` is a person in the page at a simulated machine whose table carries solids that the probe
+touches. _HEIGHT is the top of the work at X0 Y0, -4 mm, and surface(x, y) that at another place.
+The machine starts in mid-travel, where all positions are 0. reads(selector, text) and sees(state)
+wait until the page shows it; waits(script) waits until the JavaScript holds in the page. There
+`grbl` is the page's model of the machine (grbl.machine and grbl.work: position in mm) and `job` is
+the program being sent. rests_at() waits until the machine is idle at that work position in mm;
+pauses() takes seconds; loads() opens a program; types() sends a line in the console; evaluate()
+runs JavaScript and returns its value. `person.machine` is the machine's end of the wire: lines()
+and `sent` are what the page has sent, say() sends bytes to the page, `hears = False` lets the
+machine receive nothing, report() asks the machine itself for (state, position, feed), and unplug()
+cuts the wire. sent_at_once() returns the realtime bytes sent except `?` (! hold, ~ resume, 0x18
+reset, 0x85 jog cancel).
+"""
 
 import json
 import re
@@ -24,10 +38,15 @@ _JOB = f"G21 G90\nM3 S1000\nG0 Z5\nG0 X2 Y1\n{_CUTS}G0 Z5\nM2\n"
 
 @pytest.fixture
 def prober_at(person_at: Callable[..., Person], tmp_path: Path) -> Iterator[Callable[..., Person]]:
-    """Return a maker of persons at a machine with these solids on its table, in mid-travel."""
+    """Return a function that opens the page at a machine with solids on its table."""
     machines: "list[Machine]" = []
 
-    def make(things: "dict[str, list[float]]") -> Person:
+    def make(solids: "dict[str, list[float]]") -> Person:
+        """Start the machine and connect the page to it.
+
+        solids: "surface" (height in mm, slopes along X and Y), "block" (x and y of its corner) or
+        "hole" (x and y of its centre, radius).
+        """
         person = person_at()
         person.machine.close()
         settings = {100 + axis: f"{steps:g}" for axis, steps in enumerate(_PER_MM)}
@@ -35,9 +54,9 @@ def prober_at(person_at: Callable[..., Person], tmp_path: Path) -> Iterator[Call
             "settings": str(settings_file(tmp_path, settings)),
             "steps_per_mm": _PER_MM,
             "travel_mm": [100.0, 100.0, 60.0],
-            "swapped": "",
-            "ruler": str(tmp_path / "ruler.json"),
-            **things,
+            "swapped": "",  # no motor turns the wrong way
+            "ruler": str(tmp_path / "ruler.json"),  # a file for the real position
+            **solids,
         }
         command = [sys.executable, body_machine.__file__, json.dumps(body)]
         machines.append(Machine(Path(), command=command))
@@ -64,6 +83,10 @@ def choose(person: Person, kind: str) -> None:
 
 
 def test_plate_sets_z_and_keeps_modes(prober):
+    """A touch plate of 1.5 mm sets Z: its top is at Z1.5.
+
+    The lines shown before are those that were sent.
+    """
     choose(prober, "Plate")
     prober.page.fill("#probe-plate", "1.5")
     prober.page.fill("#probe-feed", "400")
@@ -72,11 +95,13 @@ def test_plate_sets_z_and_keeps_modes(prober):
     prober.reads("#probe-says", "Done")
     prober.waits("grbl.modes.includes('G90')")
     prober.waits("!grbl.offsets.get('G54').endsWith(',0.000')")
-    offset = prober.page.evaluate("Number(grbl.offsets.get('G54').split(',')[2])")
-    assert offset == pytest.approx(_HEIGHT - 1.5, abs=2 / 400)
-    shown = [re.escape(line) for line in prober.text("#probe-lines").split("\n")]
-    found = "\n".join(shown).replace(re.escape("(where it touched)"), r"-\d(\.\d+)?")
-    assert re.search(found, "\n".join(prober.machine.lines()))
+    offset_mm = prober.page.evaluate("Number(grbl.offsets.get('G54').split(',')[2])")
+    # Contact, at -4 mm, is Z1.5 now: work zero is 1.5 mm below.
+    assert offset_mm == pytest.approx(_HEIGHT - 1.5, abs=2 / 400)  # two steps
+    # (where it touched) stands for a number that is known only after the contact.
+    shown_lines = [re.escape(line) for line in prober.text("#probe-lines").split("\n")]
+    pattern = "\n".join(shown_lines).replace(re.escape("(where it touched)"), r"-\d(\.\d+)?")
+    assert re.search(pattern, "\n".join(prober.machine.lines()))
 
 
 def work_zero(person: Person) -> "list[float]":
@@ -87,9 +112,9 @@ def work_zero(person: Person) -> "list[float]":
     return [float(mm) for mm in text.split(",")]
 
 
-@pytest.mark.parametrize(("side", "axis", "place"), [("left", 0, 8), ("front", 1, 6)])
-def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, place):
-    # The block's left front corner: one side is at `place`, the other one 20 mm away.
+@pytest.mark.parametrize(("side", "axis", "edge_mm"), [("left", 0, 8), ("front", 1, 6)])
+def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, edge_mm):
+    # The block's left front corner: one side is at `edge_mm`, the other one 20 mm away.
     prober = prober_at({"block": [8, -20] if axis == 0 else [-20, 6]})
     choose(prober, "Edge")
     prober.page.select_option("#probe-side", side)
@@ -97,12 +122,12 @@ def test_edge_accounts_for_tool_and_plate(prober_at, side, axis, place):
         prober.page.fill(f"#probe-{name}", value)
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
-    # Contact is at `place`. The page adds half the tool's diameter, 2, and the plate, 1.
-    assert work_zero(prober)[axis] == pytest.approx(place + 2 + 1, abs=2 * _STEP_MM)
+    # Contact is at `edge_mm`. The page adds half the tool's diameter, 2, and the plate, 1.
+    assert work_zero(prober)[axis] == pytest.approx(edge_mm + 2 + 1, abs=2 * _STEP_MM)
 
 
 def test_corner_is_found_from_two_sides(prober_at):
-    prober = prober_at({"block": [5, -4]})
+    prober = prober_at({"block": [5, -4]})  # mm, its left front corner
     choose(prober, "Corner")
     for name, value in (("tool", "2"), ("plate", "0"), ("far", "12"), ("feed", "900")):
         prober.page.fill(f"#probe-{name}", value)
@@ -114,7 +139,7 @@ def test_corner_is_found_from_two_sides(prober_at):
 
 
 def test_centre_of_hole_is_found_and_approached(prober_at):
-    prober = prober_at({"hole": [3, -2, 8]})
+    prober = prober_at({"hole": [3, -2, 8]})  # mm: centre and radius
     choose(prober, "Hole")
     prober.page.fill("#probe-feed", "900")
     prober.click("#probe-run")
@@ -125,7 +150,7 @@ def test_centre_of_hole_is_found_and_approached(prober_at):
 
 def test_probe_without_contact_says_what_to_do(prober):
     choose(prober, "Plate")
-    prober.page.fill("#probe-far", "2")
+    prober.page.fill("#probe-far", "2")  # mm, but the work is 4 mm away
     prober.page.fill("#probe-feed", "400")
     prober.click("#probe-run")
     prober.reads("#probe-says", "ALARM:5")
@@ -134,7 +159,7 @@ def test_probe_without_contact_says_what_to_do(prober):
 
 
 def test_triggered_probe_moves_nothing(prober):
-    prober.types("G0 Z-5")
+    prober.types("G0 Z-5")  # mm: into the work at -4, so the probe is closed
     prober.waits("grbl.pins.includes('P')")
     choose(prober, "Plate")
     prober.reads("#probe-state", "touches")
@@ -151,13 +176,18 @@ def test_contact_of_an_older_status_does_not_refuse_next_probing(prober):
 
 
 def test_later_tool_gets_difference_to_first(prober):
+    """The first tool measured is the reference.
+
+    A later one gets the difference as its length offset.
+    """
     choose(prober, "Tool length")
     prober.page.fill("#probe-feed", "400")
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
     reference = prober.page.evaluate("probeSet.reference")
     assert reference == pytest.approx(_HEIGHT, abs=2 / 400)
-    prober.page.evaluate("probeSet.reference = probeSet.reference - 2.5")  # it was shorter
+    # The stored reference is changed instead of the tool: the new tool is 2.5 mm longer.
+    prober.page.evaluate("probeSet.reference = probeSet.reference - 2.5")
     prober.click("#probe-run")
     prober.reads("#probe-says", "Done")
     prober.waits("Math.abs(Number(grbl.offsets.get('TLO')) - 2.5) < 0.01")
@@ -168,39 +198,52 @@ def surface(x: float, y: float) -> float:
 
 
 def test_height_map_is_probed_drawn_saved_and_applied_to_program(prober, tmp_path):
+    """3 times 3 points are probed.
+
+    The program then follows the surface, and the map can be saved and survives a reload.
+    """
     prober.loads(_JOB)
     choose(prober, "Height map")
     prober.page.fill("#probe-columns", "3")
     prober.page.fill("#probe-rows", "3")
     prober.page.fill("#probe-feed", "600")
     prober.page.fill("#probe-up", "1")
+    # The extent of the cuts in _JOB.
     prober.reads("#probe-lines", "3 times 3 points: X 2 … 16, Y 1 … 9")
     prober.click("#probe-run")
     prober.reads("#probe-says", "9 points")
-    made = prober.page.evaluate("heightMap")
-    assert made["x"] == [2, 9, 16] and made["y"] == [1, 5, 9]
-    for y, row in zip(made["y"], made["z"], strict=True):
-        for x, z in zip(made["x"], row, strict=True):
+    height_map = prober.page.evaluate("heightMap")
+    assert height_map["x"] == [2, 9, 16] and height_map["y"] == [1, 5, 9]
+    for y, row in zip(height_map["y"], height_map["z"], strict=True):
+        for x, z in zip(height_map["x"], row, strict=True):
             assert z == pytest.approx(surface(x, y), abs=0.02)
     assert prober.page.is_visible("#height-plot")
 
     prober.click("#height-use")
     prober.reads("#job-name", "job_level.nc")
-    text = prober.page.evaluate("program.text")
+    levelled = prober.page.evaluate("program.text")
+    # Each cut is split into short lines that follow the surface.
     cuts = [
-        tuple(map(float, found))
-        for found in re.findall(r"^G1 X(\S+) Y(\S+) Z(\S+) F600$", text, re.MULTILINE)
+        tuple(map(float, words))
+        for words in re.findall(r"^G1 X(\S+) Y(\S+) Z(\S+) F600$", levelled, re.MULTILINE)
     ]
-    assert len(cuts) > 20
+    assert len(cuts) > 20  # 6 lines before
     for x, y, z in cuts:
+        # The program cuts at Z-0.5.
         assert z == pytest.approx(-0.5 + surface(x, y), abs=0.03)
-    assert text.index("M3 S1000") < text.index("G1 ") < text.index("G4 P0.1") < text.index("M2")
+    # Lines without motion stay in their places.
+    assert (
+        levelled.index("M3 S1000")
+        < levelled.index("G1 ")
+        < levelled.index("G4 P0.1")
+        < levelled.index("M2")
+    )
     with prober.page.expect_download() as saved:
         prober.click("#tabs [data-tab=offsets]")
         prober.click("#height-save")
-    assert json.loads(Path(saved.value.path()).read_text()) == made
+    assert json.loads(Path(saved.value.path()).read_text()) == height_map
     prober.page.reload()
-    assert prober.page.evaluate("heightMap") == made
+    assert prober.page.evaluate("heightMap") == height_map
 
 
 @pytest.mark.parametrize(
@@ -212,12 +255,13 @@ def test_height_map_is_probed_drawn_saved_and_applied_to_program(prober, tmp_pat
     ],
 )
 def test_program_that_cannot_follow_map_is_reported(person, program, why):
+    """withHeights() refuses probing, cycles, and relative moves."""
     person.loads(program)
-    found = person.page.evaluate(
+    message = person.page.evaluate(
         """() => {
           try {
             return withHeights(program, { x: [0, 9], y: [0, 9], z: [[0, 1], [0, 1]] });
           } catch (error) { return error.message; }
         }"""
     )
-    assert why in found
+    assert why in message

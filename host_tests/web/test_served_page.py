@@ -2,6 +2,15 @@
 
 With UGRBL_PICTURES=1 (`make pictures`) the pictures of the page in docs/pictures are written
 again.
+
+The server `web` and its simulated mill serve all tests of this file. A visit() opens its page in a
+new browser, as a `Visitor`. The mill has 150 mm of travel on each axis; homed, it stands at -1 mm
+on each. reads(selector, text) and sees(state) wait until the page shows it; waits(script) waits
+until the JavaScript holds in the page. There `grbl` is the page's model of the machine
+(grbl.machine and grbl.work: position in mm) and `job` is the program being sent. rests_at() waits
+until the machine is idle at that work position in mm; pauses() takes seconds; loads() opens a
+program; types() sends a line in the console; evaluate() runs JavaScript and returns its value.
+job.made is the number of lines executed.
 """
 
 import os
@@ -35,7 +44,10 @@ Visit = Callable[..., Visitor]
 
 @pytest.fixture(scope="module")
 def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    """A mill with switches, for all tests here; each finds the state that the one before left."""
+    """Start the server with a simulated mill, once for all tests.
+
+    Each test finds the state that the one before left.
+    """
     file = settings_file(tmp_path_factory.mktemp("mill"), MILL)
     running = Web("--sim", "--no-browser", "--settings", str(file))
     yield running
@@ -44,7 +56,10 @@ def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
 
 @pytest.fixture
 def visit(opened: Any, web: Web, tmp_path: Path) -> Iterator[Visit]:
-    """Open the page in a new browser context."""
+    """Return a function that opens the page in a new browser.
+
+    At the end the fixture checks that no script has failed.
+    """
     contexts: list[Any] = []
     visitors: list[Visitor] = []
 
@@ -63,8 +78,9 @@ def visit(opened: Any, web: Web, tmp_path: Path) -> Iterator[Visit]:
 def free(visitor: Visitor) -> Visitor:
     """Bring the machine from any state to Idle; its position is then undefined."""
     visitor.waits("grbl.drives && grbl.state")
-    anew = "grbl.on('welcome', () => grbl.on('status', done)); grbl.reset()"
-    visitor.page.evaluate(f"new Promise((done) => {{ {anew} }}).then(() => 0)")
+    # Resets the machine and waits for its welcome and a status report.
+    reset_and_wait = "grbl.on('welcome', () => grbl.on('status', done)); grbl.reset()"
+    visitor.page.evaluate(f"new Promise((done) => {{ {reset_and_wait} }}).then(() => 0)")
     if visitor.page.evaluate("grbl.state") == "Alarm":
         visitor.click("#unlock")
     visitor.sees("Idle")
@@ -78,20 +94,24 @@ def opens_example(visitor: Visitor) -> None:
 
 
 def keep(visitor: Visitor, name: str) -> None:
-    """Save a screenshot under that name, if it differs from the saved picture."""
-    drawn = visitor.folder / name
-    visitor.page.screenshot(path=drawn)
-    fresh = visitor.folder / f"small-{name}"
-    pictures.shrink(drawn, fresh, greys=True)
-    assert fresh.stat().st_size < pictures.MOST_BYTES
+    """Compare a screenshot with the saved picture of that name.
+
+    With UGRBL_PICTURES set, the picture is replaced first.
+    """
+    screenshot = visitor.folder / name
+    visitor.page.screenshot(path=screenshot)
+    small = visitor.folder / f"small-{name}"
+    pictures.shrink(screenshot, small, greys=True)
+    assert small.stat().st_size < pictures.MOST_BYTES
     if os.environ.get("UGRBL_PICTURES"):
-        pictures.renew(fresh, pictures.FOLDER / name)
-    assert pictures.same(fresh, pictures.FOLDER / name), "make pictures"
+        pictures.renew(small, pictures.FOLDER / name)
+    assert pictures.same(small, pictures.FOLDER / name), "make pictures"
 
 
 def jog_to_the_corner(person: Visitor) -> None:
     """Jog by taps from the switches to a corner of the stock and set zero there."""
     person.page.fill("#jog-feed", "6000")
+    # From -1 mm: X and Y by 2 * 50 + 3 * 10 mm, Z by 2 * 10 mm.
     for step, axes, times in ((50, "XY", 2), (10, "XY", 3), (10, "Z", 2)):
         person.click(f"#steps >> text='{step}'")
         for axis in axes * times:
@@ -103,19 +123,25 @@ def jog_to_the_corner(person: Visitor) -> None:
 
 
 def test_pins_are_chosen_in_drawing_without_board(visit: Visit) -> None:
+    """The setup needs no board at the computer: pins of a known board are shown in the drawing."""
     person = visit(viewport={"width": 1200, "height": 1000})
     person.click("#tabs [data-tab=setup]")
     person.click("#setup-steps [data-step=board]")
     person.click("#board-cards b:text-is('pico_gantry')")
     person.reads("#pins-says", "No rule is broken")
+    # The step output of motor 3, counted from 0.
     assert person.page.input_value("#pin-19") == "STEP 3"
     keep(person, "page_pins.png")
 
 
 def test_example_runs_from_first_click_to_last(visit: Visit, web: Web) -> None:
+    """A whole session, from homing to the end.
+
+    The simulator is killed during the job, which is then continued from a line.
+    """
     person = visit()
     person.sees("Alarm")
-    person.reads("#state-words", "Locked")
+    person.reads("#state-words", "Locked")  # until it is homed
     person.knows_all()
     person.homes()
     jog_to_the_corner(person)
@@ -127,9 +153,9 @@ def test_example_runs_from_first_click_to_last(visit: Visit, web: Web) -> None:
     person.waits("job?.line > 20")
     person.click("#hold")
     person.reads("#state-words", "At rest")
-    held = person.place()
+    held_mm = person.place()
     person.reads("#job-words", "Held: line ")
-    assert person.place() == held
+    assert person.place() == held_mm
     person.click("#resume")
     person.click("[aria-label='Feed +10 %']")
     person.reads("#ov-feed", "110 %")
@@ -161,18 +187,22 @@ SLOW = "G21 G91\nG1 X-40 F600\nG1 X20\nG1 X20\n"
 
 
 def test_travel_violation_is_shown_before_run(visit: Visit) -> None:
-    """It is no longer shown after zero has been moved so that the program fits."""
+    """The preview names lines that would leave the travel.
+
+    They are no longer named once zero or the travel is changed so that the program fits.
+    """
     person = free(visit())
     person.homes()
     person.click("#zero-all")
     person.rests_at(0, 0, 0)
     person.loads("G21 G90\nG0 X-10\nX-20 Y30\n")
+    # Zero is at -1 mm, so Y30 is +29 mm, beyond the end at 0.
     person.reads("#problems", "Line 3 ALARM:2 - Y would go to 29.000 mm in machine coordinates")
     person.reads("#job-words", "1 problem.")
     person.types("G10 L20 P1 Y50")
     person.click("#tabs [data-tab=job]")
     person.reads("#job-words", "No problems.")
-    person.types("$130=5")  # the page knows it at once
+    person.types("$130=5")  # 5 mm of travel: the page knows it at once
     person.click("#tabs [data-tab=job]")
     person.reads("#problems", "Line 2 ALARM:2 - X would go to")
     person.types("$130=150")
@@ -190,8 +220,8 @@ def test_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
     assert not phone.page.is_enabled("[data-jog='X-']")
     first.reads("#link-words", "1 watching")
     first.click("[data-jog='X-']")
-    phone.waits("grbl.machine[0] === -2 && grbl.state === 'Idle'")
-    phone.click("#take")
+    phone.waits("grbl.machine[0] === -2 && grbl.state === 'Idle'")  # -1 mm and a step of 1 mm
+    phone.click("#take")  # takes control
     phone.knows_all()
     first.reads("#notice-watch", "Another browser drives this machine")
     assert not first.page.is_enabled("#hold")
@@ -207,6 +237,10 @@ def long_job() -> str:
 
 
 def test_page_reloaded_in_job_finds_it_held_and_continues(visit: Visit) -> None:
+    """The server holds the machine when the browser that sends a job is lost, here by a reload.
+
+    The job, stored on the server, can be continued.
+    """
     person = free(visit())
     person.homes()
     person.loads(long_job())
@@ -220,15 +254,17 @@ def test_page_reloaded_in_job_finds_it_held_and_continues(visit: Visit) -> None:
     person.reads("#job-name", "job.nc, 42 lines")
     person.reads("#job-words", "the browser that sent it has gone")
     assert not person.page.is_enabled("#resume") and not person.page.is_enabled("#run")
-    made = person.page.evaluate("job.made")
-    assert 8 < made < 42
+    lines_made = person.page.evaluate("job.made")
+    assert 8 < lines_made < 42
     person.click("#go-on")
-    person.waits(f"job.made > {made}")
+    person.waits(f"job.made > {lines_made}")
     person.reads("#job-words", "Job done: nothing refused")
+    # -1 mm, less 20 mm in X and 3 mm in Y.
     person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-21,-4,-1'")
 
 
 def test_job_is_visible_to_all_and_continued_after_takeover(visit: Visit) -> None:
+    """A second browser sees the job of the first, takes control, and continues it."""
     first, second = free(visit()), visit()
     first.homes()
     first.loads(long_job(), "other.nc")
@@ -243,21 +279,27 @@ def test_job_is_visible_to_all_and_continued_after_takeover(visit: Visit) -> Non
     assert not first.page.is_enabled("#go-on")
     second.click("#go-on")
     second.reads("#job-words", "Job done: nothing refused")
+    # -1 mm, less 20 mm in X and 3 mm in Y.
     second.waits("grbl.state === 'Idle' && String(grbl.machine) === '-21,-4,-1'")
     first.reads("#job-words", "Job done: nothing refused")
 
 
 def test_line_refused_before_takeover_is_shown_to_next_client(visit: Visit) -> None:
+    """A page reloaded in a job is shown a line that was refused meanwhile.
+
+    The answer itself went to the page before.
+    """
     person = free(visit())
     person.homes()
     person.loads("G21 G91 F300\n" + "G1 X-2\nG1 X2\n" * 12 + "G999\nG1 Y-3\n")
     person.reads("#problems", "Line 26 error:20")
     person.click("#run")
-    person.click("#dialog-yes")
+    person.click("#dialog-yes")  # runs it in spite of the problem
     person.sees("Run")
     person.page.on("dialog", lambda dialog: dialog.accept())
     person.page.reload()
     person.sees("Hold")
+    # Line 26, which is refused, is not reached yet.
     person.waits("grbl.drives && job?.state === 'left' && job.line < 26")
     person.click("#go-on")
     person.reads("#job-words", "was refused. error:20")
@@ -267,20 +309,22 @@ def test_line_refused_before_takeover_is_shown_to_next_client(visit: Visit) -> N
 
 
 def test_page_closed_in_jog_ends_jog(visit: Visit) -> None:
-    person, other = free(visit()), visit()
+    """The server cancels a held jog when its browser is closed."""
+    person, watcher = free(visit()), visit()
     person.homes()
     person.press("[data-jog='X-']")
-    other.waits("grbl.state === 'Jog' && grbl.machine[0] < -3")
+    watcher.waits("grbl.state === 'Jog' && grbl.machine[0] < -3")
     person.page.close()
-    other.sees("Idle")
-    assert -20 < other.page.evaluate("grbl.machine[0]") < -3
+    watcher.sees("Idle")
+    assert -20 < watcher.page.evaluate("grbl.machine[0]") < -3
 
 
 def test_browser_from_network_needs_token(visit: Visit) -> None:
+    """A server open to the network requires the token of the address that it has printed."""
     guarded = Web("--sim", "--no-browser", "--host", "0.0.0.0")
     try:
         port = guarded.address.partition("?")[0].rstrip("/").rpartition(":")[2]
-        token = guarded.address.partition("?")[2]
+        token = guarded.address.partition("?")[2]  # "token=..."
         stranger = visit(f"http://127.0.0.1:{port}/?token=guessed")
         assert "the token is missing or wrong" in stranger.text("body")
         owner = visit(f"http://127.0.0.1:{port}/?{token}")
@@ -298,6 +342,7 @@ def test_browser_from_network_needs_token(visit: Visit) -> None:
 
 
 def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
+    """A page reloaded during a tool change offers the job again, and asks for the tool again."""
     person = free(visit())
     person.homes()
     person.click("#zero-all")
@@ -308,7 +353,7 @@ def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     person.click("#run")
     person.reads("#tool-title", "tool 4")
     person.waits("!document.getElementById('tool-change').hidden")
-    person.reads("#tool-sends", "G1 G17 G21 G91")
+    person.reads("#tool-sends", "G1 G17 G21 G91")  # the modes that are restored after the change
     person.pauses(0.5)
     keep(person, "page_tool_change.png")
     person.page.on("dialog", lambda dialog: dialog.accept())
@@ -317,6 +362,7 @@ def test_page_reloaded_in_tool_change_pauses_again(visit: Visit) -> None:
     person.waits("document.getElementById('tool-change').hidden && grbl.drives")
     person.click("#go-on")
     person.waits("!document.getElementById('tool-change').hidden")
+    # -1 mm, less 3 mm; the move after the change is not made yet.
     assert person.page.evaluate("grbl.machine[0]") == -4
     person.click("#tool-go")
     person.reads("#job-words", "Job done: nothing refused")
@@ -344,34 +390,38 @@ def with_zigzag(person: Visitor) -> Visitor:
 
 
 def test_estimated_and_real_time_are_shown_side_by_side(visit: Visit) -> None:
+    """The page shows the time so far, the estimated total, and the real duration at the end."""
     person = with_zigzag(visit())
     person.click("#run")
     person.waits("job?.made > 10")
-    here, all_s = seconds(person.text("#time-here")), seconds(person.text("#time-all"))
-    assert 1 <= here < all_s == round(person.page.evaluate("program.look.seconds"))
+    so_far_s, all_s = seconds(person.text("#time-here")), seconds(person.text("#time-all"))
+    assert 1 <= so_far_s < all_s == round(person.page.evaluate("program.look.seconds"))
     person.reads("#job-words", "Job done")
     assert person.text("#time-here") == person.text("#time-all")
     assert all_s - 1 <= seconds(person.text("#time-real")) <= all_s + 4, "the machine is exact"
 
 
 def test_what_if_estimates_with_other_settings_and_leaves_machine_alone(visit: Visit) -> None:
+    """'What if' estimates the program with other settings, and sends nothing to the machine."""
     person = with_zigzag(visit())
     before = person.page.evaluate("[...grbl.settings]")
-    slow = person.page.evaluate("program.look.seconds")
+    estimate_s = person.page.evaluate("program.look.seconds")
     person.click("#what-if summary")
     person.click("#what-if-go")
     person.reads("#what-if-says", "Change a number first.")
+    # Every line that the page sends from now on.
     person.page.evaluate("window.sent = []; grbl.on('sent', ({ text }) => sent.push(text))")
     person.page.fill("[aria-label^='What if $120,']", "4000")
     person.page.keyboard.press("Enter")
     person.reads("#what-if-says", "$120=4000: ")
-    first = person.page.text_content("#what-if-says li")
-    assert seconds(first.split(": ")[1].split(",")[0]) < slow - 1 and "less" in first
+    answer = person.page.text_content("#what-if-says li")
+    # A higher acceleration saves more than 1 s.
+    assert seconds(answer.split(": ")[1].split(",")[0]) < estimate_s - 1 and "less" in answer
     person.page.fill("[aria-label^='What if $110,']", "600")
     person.page.keyboard.press("Enter")
     person.reads("#what-if-says", "$110=600 $120=4000: ")
     assert "more" in person.page.text_content("#what-if-says li")
-    assert person.page.locator("#what-if-says li").count() == 3
+    assert person.page.locator("#what-if-says li").count() == 3  # the message and two answers
     person.page.fill("[aria-label^='What if $110,']", "0")
     person.page.keyboard.press("Enter")
     person.reads("#what-if-says", "$110 wants a number of more than 0.")

@@ -1,4 +1,13 @@
-"""Test the setup guide on a machine that does not match its settings."""
+"""Test the setup guide on a machine that does not match its settings.
+
+A `Mechanic` is a person with a ruler at a simulated machine: really_at() is the real position in
+mm, sets_up_motor() and sets_up_homing() do tasks of the guide. reads(selector, text) and
+sees(state) wait until the page shows it; waits(script) waits until the JavaScript holds in the
+page. There `grbl` is the page's model of the machine (grbl.machine and grbl.work: position in mm)
+and `job` is the program being sent. rests_at() waits until the machine is idle at that work
+position in mm; pauses() takes seconds; loads() opens a program; types() sends a line in the
+console; evaluate() runs JavaScript and returns its value.
+"""
 
 import json
 import sys
@@ -18,7 +27,10 @@ pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
 def mechanic(
     person_at: Callable[..., Person], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Mechanic]:
-    """A machine whose belts have another pitch than its settings state, with one motor swapped."""
+    """Start a machine whose settings are wrong.
+
+    They state 250 steps/mm instead of PER_MM, and motor Y turns the wrong way.
+    """
     person = person_at()
     person.machine.close()
     ruler = tmp_path / "ruler.json"
@@ -43,20 +55,25 @@ def mechanic(
 
 
 def test_machine_with_wrong_pitch_and_swapped_motor_is_corrected(mechanic):
+    """The guide corrects steps per mm ($100 to $102) and the direction of Y ($3).
+
+    Then it sets up homing and measures the travel.
+    """
     for axis in range(3):
         mechanic.sets_up_motor(axis)
     settings = "[100, 101, 102, 3].map((number) => grbl.setting(number))"
     *per_mm, inverted = mechanic.page.evaluate(settings)
     assert per_mm == pytest.approx(PER_MM, rel=0.02)
-    assert inverted == 2  # Y
+    assert inverted == 2  # bit 1: Y
 
     # Switches: a person would push the table against each one; here the task is marked as done.
     mechanic.reads("#guide-tasks [aria-pressed=true]", "Switches")
     mechanic.click("#guide-done")
 
     mechanic.sets_up_homing()
-    half = [mm / 2 for mm in TRAVEL]
-    assert mechanic.rests() == pytest.approx([mm - 1 for mm in half], abs=0.3)
+    half_travel_mm = [mm / 2 for mm in TRAVEL]
+    # Real positions count from mid-travel; homing ends 1 mm from the switches at the upper ends.
+    assert mechanic.rests() == pytest.approx([mm - 1 for mm in half_travel_mm], abs=0.3)
     mechanic.measures_travel_of_x()
     mechanic.tries_spindle()
     with mechanic.page.expect_download() as saved:
@@ -66,7 +83,7 @@ def test_machine_with_wrong_pitch_and_swapped_motor_is_corrected(mechanic):
 
 
 def test_guide_continues_where_it_was_left(mechanic):
-    mechanic.sets_up_motor(0)
+    mechanic.sets_up_motor(0)  # X, so that Y comes next
     mechanic.reads("#guide-tasks [aria-pressed=true]", "Motor Y")
     mechanic.page.reload()
     mechanic.sees("Idle")
@@ -80,29 +97,32 @@ def test_homing_in_wrong_direction_is_stopped_and_reversed(mechanic):
     for axis in range(3):
         mechanic.sets_up_motor(axis)
     mechanic.task("Homing")
+    # X is told to home towards its lower end, where it has no switch.
     mechanic.page.select_option("#guide-end-X", "-")
     mechanic.page.fill("#guide-seek", "600")
     mechanic.click("#guide-use")
-    mechanic.reads("#guide-says", "$23=1, $22=1")
-    before = mechanic.really_at()[0]
+    mechanic.reads("#guide-says", "$23=1, $22=1")  # homing direction of X reversed, homing on
+    start_x_mm = mechanic.really_at()[0]
     mechanic.click("#guide-home")
     mechanic.pauses(1)
     mechanic.waits("document.getElementById('guide-says').textContent.includes('Homing')")
     mechanic.click("text=It goes the wrong way: stop")
     mechanic.reads("#guide-says", "It did not come home")
     mechanic.pauses(0.5)
-    stopped = mechanic.really_at()
+    stopped_at_mm = mechanic.really_at()
     mechanic.pauses(0.5)
-    assert mechanic.really_at() == stopped
-    assert stopped[0] <= before
+    assert mechanic.really_at() == stopped_at_mm
+    assert stopped_at_mm[0] <= start_x_mm  # it went towards the lower end
 
 
 def test_switches_are_shown_while_pressed(mechanic):
     mechanic.task("Switches")
+    # A single report with the switch of X pressed; the next reports show it released.
     mechanic.machine.say(b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|Pn:XP>\r\n")
     mechanic.reads("#guide-switches .on", "limit X: pressed")
     mechanic.waits("!document.querySelector('#guide-switches .on')")
     mechanic.reads("#guide-switches", "limit X ✓")
     assert "limit Y ✓" not in mechanic.text("#guide-switches")
-    mechanic.click("text=Turn limits round")
+    mechanic.click("text=Turn limits round")  # inverts the limit inputs ($5)
+    # The open inputs count as pressed now.
     mechanic.waits("grbl.setting(5) === 1 && grbl.pins.includes('Y')")

@@ -1,4 +1,18 @@
-"""Test tool changes of a job: by the page, where the machine refuses M6, and by custom.py."""
+"""Test tool changes of a job: by the page, where the machine refuses M6, and by custom.py.
+
+The machine refuses M6, so the page pauses the job there: pauses_at_change() runs a job up to this,
+goes_on() confirms the change. _JOB is at X20 Y4 Z5 when it comes to T2 M6 in line 8, and ends at
+X0 Y0 Z5. A `person` uses the page in a browser that is connected to a simulated machine.
+reads(selector, text) and sees(state) wait until the page shows it; waits(script) waits until the
+JavaScript holds in the page. There `grbl` is the page's model of the machine (grbl.machine and
+grbl.work: position in mm) and `job` is the program being sent. rests_at() waits until the machine
+is idle at that work position in mm; pauses() takes seconds; loads() opens a program; types() sends
+a line in the console; evaluate() runs JavaScript and returns its value. `person.machine` is the
+machine's end of the wire: lines() and `sent` are what the page has sent, say() sends bytes to the
+page, `hears = False` lets the machine receive nothing, report() asks the machine itself for
+(state, position, feed), and unplug() cuts the wire. sent_at_once() returns the realtime bytes sent
+except `?` (! hold, ~ resume, 0x18 reset, 0x85 jog cancel).
+"""
 
 import pytest
 from ugrbl.paths import EXAMPLES
@@ -12,6 +26,7 @@ _JOB = (
 
 
 def pauses_at_change(person, job=_JOB):
+    """Run the program and wait for its first tool change."""
     person.page.fill("#jog-feed", "3000")
     person.loads(job)
     person.click("#run")
@@ -19,6 +34,7 @@ def pauses_at_change(person, job=_JOB):
 
 
 def goes_on(person):
+    """Confirm the tool change and wait until the job continues."""
     person.click("#tool-go")
     person.waits("document.getElementById('tool-change').hidden")
 
@@ -36,6 +52,7 @@ def test_page_pauses_where_machine_refuses_m6_and_goes_on_after_confirmation(per
     person.reads("#job-words", "Tool change in line 8 of 14")
     person.waits("grbl.modes.includes('M5')")
     lines = programs_lines(person)
+    # Refused, then spindle and coolant off; no hold.
     assert lines[-2:] == ["T2 M6", "M5 M9"] and "!" not in lines
     person.pauses(0.5)
     assert programs_lines(person) == lines, "it waits"
@@ -44,16 +61,21 @@ def test_page_pauses_where_machine_refuses_m6_and_goes_on_after_confirmation(per
     person.rests_at(0, 0, 5)
     lines = programs_lines(person)
     assert lines.count("T2 M6") == 1
+    # The modes are restored, T2 is sent without M6, and the program goes on.
     assert lines[lines.index("G0 G17 G21 G90") + 1 :][:2] == ["T2", "M3 S900"]
 
 
 def test_machine_is_jogged_and_zeroed_in_change_and_returns_to_its_place(person):
+    """During a change the machine may be jogged and Z set to zero for the new tool.
+
+    It then returns over the work, first up, then across.
+    """
     pauses_at_change(person)
     assert person.page.is_enabled("[data-jog='X+']") and person.page.is_enabled("#home") is False
     assert not person.page.is_enabled("#run"), "no second job"
     person.click("#steps >> text='10'")
     person.click("[data-jog='X-Y+']")
-    person.rests_at(10, 14, 5)
+    person.rests_at(10, 14, 5)  # from X20 Y4 by a step of 10 mm
     person.click("[data-jog='Z-']")
     person.rests_at(10, 14, -5)
     person.reads("#tool-up", "Raise Z to 5")
@@ -64,11 +86,13 @@ def test_machine_is_jogged_and_zeroed_in_change_and_returns_to_its_place(person)
     person.reads("#job-words", "Job done: nothing refused")
     person.rests_at(0, 0, 5)
     lines = person.machine.lines()
+    # Up before across.
     assert lines.index("G0 Z5", lines.index("T2 M6")) < lines.index("G0 X20 Y4")
     assert person.machine.report()[1] == [0, 0, 0], "machine coordinates of Z5 by the new zero"
 
 
 def test_modes_are_restored_after_change(person):
+    """The job has inches, relative moves and G54; other modes are set during the change."""
     job = "G20 G91 G1 F30\nX0.1\nM6\nX0.1\nY0.2\n"
     pauses_at_change(person, job)
     person.reads("#state", "IdleTool change in line 3 of 5.")
@@ -76,8 +100,9 @@ def test_modes_are_restored_after_change(person):
     person.waits("grbl.modes.includes('G55')")
     goes_on(person)
     person.reads("#job-words", "Job done: nothing refused")
-    person.waits("grbl.state === 'Idle' && Math.abs(grbl.machine[0] - 5.08) < 0.01")
+    person.waits("grbl.state === 'Idle' && Math.abs(grbl.machine[0] - 5.08) < 0.01")  # 0.2 inch
     assert person.machine.report()[1] == pytest.approx([5.08, 5.08, 0], abs=0.01)
+    # F762 mm/min is 30 inch/min.
     assert {"G1", "G20", "G91", "G17", "G54", "F762"} <= set(_words_after(person, "M6"))
 
 
@@ -87,6 +112,7 @@ def _words_after(person, line):
 
 
 def test_spindle_is_restarted_if_program_would_cut_without(person):
+    """The page restarts the spindle after a change if the program does not. It then waits 4 s."""
     pauses_at_change(person, "G21 G90 M3 S700\nG1 X2 F600\nT3 M6\nG0 X4\nX6 Z2\nG1 Z1\nM2\n")
     person.reads("#tool-sends", "M3 S700, G4 P4")
     goes_on(person)
@@ -96,7 +122,8 @@ def test_spindle_is_restarted_if_program_would_cut_without(person):
 
 
 def test_laser_stays_off_after_change(person_at):
-    person = person_at({32: "1"})
+    """A laser is not switched on by the page as a spindle would be."""
+    person = person_at({32: "1"})  # laser mode
     person.open_from_disk()
     person.connect()
     pauses_at_change(person, "G21 G90 M3 S700\nG1 X2 F600\nM6\nX6\n")
@@ -107,7 +134,7 @@ def test_laser_stays_off_after_change(person_at):
 
 def test_tool_length_is_measured_in_change(person_at):
     """The first change measures the reference, the second one the difference."""
-    person = person_at(None, "--input", "probe=Z-12")
+    person = person_at(None, "--input", "probe=Z-12")  # the simulated probe closes at Z-12 mm
     person.open_from_disk()
     person.connect()
     pauses_at_change(person, "G21 G90\nT1 M6\nG0 Z5\nT2 M6\nG0 Z3\nM2\n")
@@ -126,17 +153,22 @@ def test_tool_length_is_measured_in_change(person_at):
     goes_on(person)
     person.reads("#job-words", "Job done: nothing refused")
     person.waits("grbl.state === 'Idle' && Math.abs(grbl.work[2] - 3) < 0.001")
+    # Z3 of the program with a tool length offset of 2 mm.
     assert person.machine.report()[1][2] == pytest.approx(5, abs=0.01)
 
 
 def test_failed_measuring_does_not_end_job(person):
+    """A probing that fails during a change ends in an alarm.
+
+    After unlocking, the job continues.
+    """
     pauses_at_change(person)
     person.click("#tool-plate")
-    person.page.fill("#probe-far", "2")
+    person.page.fill("#probe-far", "2")  # mm: no contact within them
     person.page.fill("#probe-feed", "1000")
     person.click("#probe-run")
     person.reads("#probe-says", "ALARM:5")
-    assert not person.page.is_enabled("#tool-go")
+    assert not person.page.is_enabled("#tool-go")  # while in alarm
     person.click("#unlock")
     goes_on(person)
     person.reads("#job-words", "Job done: nothing refused")
@@ -144,6 +176,7 @@ def test_failed_measuring_does_not_end_job(person):
 
 
 def test_stop_and_end_work_in_change(person):
+    """The change can be left by End, and by STOP (Escape)."""
     pauses_at_change(person)
     person.click("#tool-end")
     person.reads("#job-words", "Job stopped in line")
@@ -158,6 +191,10 @@ def test_stop_and_end_work_in_change(person):
 
 
 def test_check_reads_rest_of_line_and_all_other_lines(person):
+    """A check leaves out M6 and checks the rest of its line.
+
+    Only G999 in line 2 is a fault here.
+    """
     person.loads("G21\nT2 M06 G999\nM6\nG1 X5 F100\nT3 M6\nM6\n")
     person.click("#check")
     person.reads("#problems", "Line 2 error:20")
@@ -174,6 +211,10 @@ def test_other_refused_word_beside_m6_is_refused(person):
 
 
 def test_change_by_custom_py_needs_no_page_and_shows_its_question(person_at):
+    """With a handler of the tool change on the board M6 is accepted.
+
+    The page only shows the question of the handler, and resumes.
+    """
     custom = str(EXAMPLES / "custom" / "tool_length.py")
     person = person_at(None, "--custom", custom, "--input", "probe=Z-30")
     person.open_from_disk()
@@ -182,14 +223,19 @@ def test_change_by_custom_py_needs_no_page_and_shows_its_question(person_at):
     person.click("#run")
     person.reads("#notice-pause", "Its last message: Put in tool 2, then cycle start")
     assert not person.page.is_visible("#tool-change")
-    person.click("#notice-pause button")
+    person.click("#notice-pause button")  # cycle start
     person.reads("#job-words", "Job done: nothing refused")
     assert not person.page.query_selector("#notice-pause")
     assert person.machine.lines().count("T2 M6") == 1
 
 
 def test_preview_is_asked_without_m6(person_at):
+    """The server is asked about the program without M6, which its simulated machine would refuse.
+
+    Comments stay.
+    """
     person = person_at()
+    # The scripted answer: 9 s.
     person.bridge.look = {"seconds": 9.0, "problems": [], "lines": 3, "times": [], "path": []}
     person.open_served()
     person.sees("Idle")

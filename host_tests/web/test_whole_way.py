@@ -2,6 +2,14 @@
 after a tool change and a power cut, on a simulated machine that differs from its settings.
 
 UGRBL_PICTURES saves pictures of its steps for docs/web.md.
+
+A `Mechanic` is a person with a ruler at the machine: really_at() is the real position in mm,
+sets_up_motor() and the like do tasks of the setup guide. reads(selector, text) and sees(state)
+wait until the page shows it; waits(script) waits until the JavaScript holds in the page. There
+`grbl` is the page's model of the machine (grbl.machine and grbl.work: position in mm) and `job` is
+the program being sent. rests_at() waits until the machine is idle at that work position in mm;
+pauses() takes seconds; loads() opens a program; types() sends a line in the console; evaluate()
+runs JavaScript and returns its value.
 """
 
 import json
@@ -59,7 +67,11 @@ _MIDDLE = {"x": 368, "y": 80, "width": 584, "height": 600}  # of the page, in pi
 
 @pytest.fixture
 def mechanic(person_at: Callable[..., Person], tmp_path: Path) -> Iterator[Mechanic]:
-    """A person with an empty board, on a machine with another pitch and a swapped motor."""
+    """A person at an empty board.
+
+    Its machine has other steps per mm than its settings (PER_MM instead of 250), a motor Y that
+    turns the wrong way, and a tilted work.
+    """
     flash, ruler = tmp_path / "flash", tmp_path / "ruler.json"
     flash.mkdir()
     body: "dict[str, Any]" = {
@@ -109,6 +121,7 @@ def take_picture(mechanic: Mechanic, name: str, clip: "dict[str, int] | None" = 
 
 
 def set_up_board(mechanic: Mechanic) -> None:
+    """Make a board file with the pins of _PINS, send it, and wait until the machine runs."""
     mechanic.click("#connect")
     mechanic.reads("#setup-found", "without a board file")
     mechanic.click("#setup-steps [data-step=board]")
@@ -124,6 +137,7 @@ def set_up_board(mechanic: Mechanic) -> None:
 
 
 def set_up_machine(mechanic: Mechanic) -> None:
+    """Do the tasks of the setup guide: motors, homing, travel, and spindle."""
     for axis in range(3):
         mechanic.sets_up_motor(axis)
         if axis == 1:
@@ -147,6 +161,7 @@ def set_zero_by_probe(mechanic: Mechanic) -> None:
 
 
 def choose_probe(mechanic: Mechanic, kind: str, **fields: float) -> None:
+    """Select a kind of probing and fill in its fields; lengths are in mm."""
     mechanic.click("#tabs [data-tab=offsets]")
     mechanic.click(f"#probe-kinds button:text-is('{kind}')")
     for name, value in fields.items():
@@ -154,6 +169,7 @@ def choose_probe(mechanic: Mechanic, kind: str, **fields: float) -> None:
 
 
 def map_heights(mechanic: Mechanic) -> None:
+    """Probe 3 times 3 heights of the work, and adapt the program to them."""
     choose_probe(mechanic, "Height map", columns=3, rows=3, far=8, feed=600, up=2)
     mechanic.click("#probe-run")
     mechanic.reads("#probe-says", "9 points")
@@ -163,6 +179,7 @@ def map_heights(mechanic: Mechanic) -> None:
 
 
 def home(mechanic: Mechanic) -> None:
+    """Home the machine and wait until it stands near its switches."""
     mechanic.click("#tabs [data-tab=job]")
     mechanic.click("#home")
     mechanic.waits("!grbl.linesUnderWay && grbl.state === 'Idle' && grbl.machine[0] > -2")
@@ -173,7 +190,7 @@ def test_empty_board_ends_as_machine_that_finishes_job_after_tool_change_and_pow
     set_up_board(mechanic)
     set_up_machine(mechanic)
     home(mechanic)
-    real_home, reported_home = real_steps(mechanic), reported_steps(mechanic)
+    real_home_steps, reported_home_steps = real_steps(mechanic), reported_steps(mechanic)
     set_zero_by_probe(mechanic)
     mechanic.loads(_JOB)
     map_heights(mechanic)
@@ -182,6 +199,7 @@ def test_empty_board_ends_as_machine_that_finishes_job_after_tool_change_and_pow
     mechanic.reads("#tool-title", "Tool change: tool 2")
     mechanic.waits("grbl.modes.includes('M5')")
     mechanic.click("#tool-go")
+    # In the line with F240, in the middle of a cut.
     mechanic.waits("grbl.state === 'Run' && grbl.feed > 200 && grbl.feed < 250")
     mechanic.pauses(1)
 
@@ -192,8 +210,9 @@ def test_empty_board_ends_as_machine_that_finishes_job_after_tool_change_and_pow
     mechanic.sees("Alarm")
     mechanic.knows_all()
     home(mechanic)
-    assert real_steps(mechanic) == real_home, "the switches have not moved"
+    assert real_steps(mechanic) == real_home_steps, "the switches have not moved"
     mechanic.click("#run")
+    # The page remembers the line that was being executed, and proposes it.
     mechanic.reads("#dialog", "Begin with line")
     mechanic.reads("#dialog", "down to Z-0.")
     take_picture(mechanic, "page_resume.png", _MIDDLE)
@@ -201,6 +220,11 @@ def test_empty_board_ends_as_machine_that_finishes_job_after_tool_change_and_pow
     mechanic.reads("#job-words", "Job done: nothing refused")
     mechanic.sees("Idle")
     assert mechanic.place()[:2] == pytest.approx(_END, abs=0.01)
-    went = [now - then for now, then in zip(real_steps(mechanic), real_home, strict=True)]
-    said = [now - then for now, then in zip(reported_steps(mechanic), reported_home, strict=True)]
-    assert went == said
+    real_moved_steps = [
+        now - then for now, then in zip(real_steps(mechanic), real_home_steps, strict=True)
+    ]
+    reported_moved_steps = [
+        now - then for now, then in zip(reported_steps(mechanic), reported_home_steps, strict=True)
+    ]
+    # The motors have made exactly the steps that the machine reports: none was lost.
+    assert real_moved_steps == reported_moved_steps
