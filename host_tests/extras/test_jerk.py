@@ -65,7 +65,7 @@ _END_PART = 1 / 20
 
 
 class JerkBench(Bench):
-    """Planner and segments with limited jerk; 0 is no limit."""
+    """Planner and segments with limited jerk in mm/s3, one value per axis; 0 is no limit."""
 
     def __init__(
         self,
@@ -78,9 +78,12 @@ class JerkBench(Bench):
         super().__init__(limits, blocks, tick_hz, segment_log2)
         self.jerk = tuple(jerk)
         hooks = self.state.hooks
+        # Jerk() wraps the function in this hook by its filter; the watch then records the segments
+        # that leave the filter.
         hooks.next_segment = self.watch._next
         self.smoother = Jerk(self.planner, self.state)
         self.watch._next = hooks.next_segment
+        # A segment lasts 2**SEGMENT_LOG2 ticks; the filter averages over a number of segments.
         self.slot_s = (1 << self.planner.table[layout.SEGMENT_LOG2]) / tick_hz
         self.smoother.limit(list(limits.acceleration), list(jerk), self.slot_s)
 
@@ -100,7 +103,7 @@ class JerkBench(Bench):
         return self.slots * self.slot_s
 
     def check(self) -> None:
-        """Check all laws, and that of jerk."""
+        """Check all laws; if jerk is limited, also that it stays within its limit."""
         super().check()
         if self.slots:
             assert largest_jerk(self) <= JERK_SLACK
@@ -112,51 +115,65 @@ class Course:
     def __init__(self, watch: Watch) -> None:
         self._pieces = watch.pieces
         self._times = [0.0, *accumulate(piece.time for piece in watch.pieces)]
-        self._ways = [0.0, *accumulate(piece.distance for piece in watch.pieces)]
+        self._distances_mm = [0.0, *accumulate(piece.distance for piece in watch.pieces)]
         self.end = self._times[-1]
+        # The blocks in the order of motion, each once.
         self.all = list(dict.fromkeys(piece.block for piece in watch.pieces))
 
     def at(self, time: float) -> float:
+        """Return the distance in mm at a time in s."""
         if time >= self.end:
-            return self._ways[-1]
+            return self._distances_mm[-1]
         if time <= 0:
             return 0.0
         i = bisect_right(self._times, time) - 1
-        piece, since = self._pieces[i], time - self._times[i]
-        begin = 2 * piece.mean - piece.speed
-        return self._ways[i] + begin * since + (piece.speed - begin) * since**2 / 2 / piece.time
+        piece, since_s = self._pieces[i], time - self._times[i]
+        # A piece has constant acceleration: its mean speed is that of begin and end.
+        begin_speed = 2 * piece.mean - piece.speed
+        return (
+            self._distances_mm[i]
+            + begin_speed * since_s
+            + (piece.speed - begin_speed) * since_s**2 / 2 / piece.time
+        )
 
     def blocks(self, begin: float, end: float) -> "list[Block]":
-        """Return the blocks between these times."""
+        """Return the block of each piece between these times in s."""
         first = max(bisect_right(self._times, begin) - 1, 0)
         last = bisect_right(self._times, end)
         return [piece.block for piece in self._pieces[first:last]]
 
 
 def allowed(block: Block, jerk: Sequence[float]) -> float:
-    """Return the allowed jerk along a block, mm/s3."""
+    """Return the allowed jerk along a block, mm/s3; an axis with 0 has no limit."""
     return block.limits.along(block.unit, [j or inf for j in jerk])
 
 
 def largest_jerk(bench: "JerkBench") -> float:
-    """Return the largest third difference of distance, relative to the jerk that axes allow.
+    """Return the largest jerk on the path, as a ratio to the jerk that the axes allow.
 
-    The window of time is long enough that steps can show jerk: a tenth of a step changes it by a
-    tenth. The end of braking within a part of a step does not count.
+    Jerk is the third difference of distance over windows of time. They are long enough that an
+    error of a tenth of a step changes the result by at most a tenth. The end of braking, within a
+    part of a step, may be harder: that change of speed is subtracted.
     """
     course = Course(bench.watch)
-    told = [(8 * block.step / allowed(block, bench.jerk)) ** (1 / 3) for block in course.all]
-    window = max([2 * bench.slot_s, *told])
-    worst = 0.0
-    time = -3 * window
+    step_windows_s = [
+        (8 * block.step / allowed(block, bench.jerk)) ** (1 / 3) for block in course.all
+    ]
+    window_s = max([2 * bench.slot_s, *step_windows_s])
+    largest = 0.0
+    time = -3 * window_s
     while time < course.end:
-        a, b, c, d = (course.at(time + i * window) for i in range(4))
-        if blocks := course.blocks(time, time + 3 * window):
-            found = abs(d - 3 * c + 3 * b - a) / window**3
-            found -= max(block.braked(_END_PART) for block in blocks) / bench.time_s / window
-            worst = max(worst, found / max(allowed(block, bench.jerk) for block in blocks))
-        time += window / 4
-    return worst
+        a, b, c, d = (course.at(time + i * window_s) for i in range(4))
+        if blocks := course.blocks(time, time + 3 * window_s):
+            jerk_mm_s3 = abs(d - 3 * c + 3 * b - a) / window_s**3
+            jerk_mm_s3 -= (
+                max(block.braked(_END_PART) for block in blocks) / bench.time_s / window_s
+            )
+            largest = max(
+                largest, jerk_mm_s3 / max(allowed(block, bench.jerk) for block in blocks)
+            )
+        time += window_s / 4
+    return largest
 
 
 programs = pytest.mark.parametrize(
@@ -190,6 +207,7 @@ def test_circle_of_chords_keeps_every_law(chords: int) -> None:
 
 @pytest.mark.parametrize("segment_log2", [12, 14, 17])
 def test_coarse_ticks_and_short_segments_keep_every_law(segment_log2: int) -> None:
+    # 16 planner blocks, ticks of 1 us, segments of 2**segment_log2 ticks
     bench = JerkBench(fast, (20_000.0,) * 3, 16, 1_000_000, segment_log2)
     zigzag(bench)
     bench.check()
@@ -199,7 +217,7 @@ def test_coarse_ticks_and_short_segments_keep_every_law(segment_log2: int) -> No
 def test_hold_at_any_moment_keeps_every_law(after: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
-    bench.pull(after)
+    bench.pull(after)  # this number of segments
     bench.hold()
     bench.check()
 
@@ -208,9 +226,9 @@ def test_hold_at_any_moment_keeps_every_law(after: int) -> None:
 def test_hold_released_before_the_stop_keeps_every_law(after: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
-    bench.pull(40)
+    bench.pull(40)  # segments: in full motion
     bench.segments.hold(True)
-    bench.pull(after)
+    bench.pull(after)  # fewer segments than braking takes
     bench.segments.hold(False)
     bench.check()
 
@@ -220,8 +238,8 @@ def test_hold_released_before_the_stop_keeps_every_law(after: int) -> None:
 def test_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
     bench = JerkBench(fast, (20_000.0,) * 3)
     zigzag(bench)
-    bench.pull(after)
-    bench.override(feed)
+    bench.pull(after)  # this number of segments
+    bench.override(feed)  # feed in %
     bench.pull(after)
     bench.override(100)
     bench.check()
@@ -229,21 +247,25 @@ def test_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
 
 @pytest.mark.parametrize("after", [1, 3, 10, 30, 55, 80])
 def test_clearing_in_motion_leaves_nothing_in_the_filter(after: int) -> None:
-    """A reset and a probe's contact clear: the engine stops, and planning starts again."""
+    """A reset and a probe's contact clear the planner in motion.
+
+    A program that follows must make the same segments as on a new bench.
+    """
     bench = JerkBench(fast, (20_000.0,) * 3)
     bench.line((3, 1, 0), 2000)
     bench.line((3, 4, 0), 2000)
-    bench.pull(after)
+    bench.pull(after)  # this number of segments
     bench.planner.clear()
-    assert not bench.pull()
+    assert not bench.pull()  # no segment is left
     fresh = JerkBench(fast, (20_000.0,) * 3)
-    for one in (bench, fresh):
-        one.planner.sync_motors(array("i", (0, 0, 0)))
-        made = len(one.watch.made)
-        one._row = array("i", [0] * layout.row_length(3))
-        zigzag(one)
-        one.finish()
-        one.rows = [segment.row for segment in one.watch.made[made:]]
+    for each in (bench, fresh):
+        each.planner.sync_motors(array("i", (0, 0, 0)))
+        made_before = len(each.watch.made)
+        # No direction or carry of the old motion
+        each._row = array("i", [0] * layout.row_length(3))
+        zigzag(each)
+        each.finish()
+        each.rows = [segment.row for segment in each.watch.made[made_before:]]
     assert bench.rows == fresh.rows
 
 
@@ -254,19 +276,23 @@ def test_clearing_in_motion_leaves_nothing_in_the_filter(after: int) -> None:
     st.lists(actions(3), min_size=5, max_size=30),
 )
 def test_random_programs_keep_every_law(limits: Limits, jerk, program) -> None:
+    """A program is a list of the bench's methods with arguments. Its lines are relative."""
     bench = JerkBench(limits, jerk)
-    place = (0.0, 0.0, 0.0)
+    target_mm = (0.0, 0.0, 0.0)
     for name, *arguments in program:
         if name == "line":
-            place = tuple(a + b for a, b in zip(place, arguments[0], strict=True))
-            arguments[0] = place
+            target_mm = tuple(a + b for a, b in zip(target_mm, arguments[0], strict=True))
+            arguments[0] = target_mm
         getattr(bench, name)(*arguments)
     bench.check()
 
 
 @pytest.mark.parametrize("segments_before", [9, 40, 77])
 def test_parking_moves_between_two_halves_of_a_block(segments_before: int) -> None:
-    """A hold stops a block in its middle. Two moves of the system follow, then the rest of it."""
+    """A hold stops a block in its middle.
+
+    Two moves of the system (parking) follow, then its rest.
+    """
     steps_per_mm, jerk_mm_s3 = 250, 20_000.0  # the first as in `fast`
     is_executed = 2  # value of flow[SYSTEM]: see layout.py
     bench = JerkBench(fast, (jerk_mm_s3,) * 3)
@@ -292,21 +318,22 @@ def test_parking_moves_between_two_halves_of_a_block(segments_before: int) -> No
 @pytest.mark.parametrize("per_mm", [5.0, 26.667, 250.0, 20_000.0, 300_000.0])
 @pytest.mark.parametrize("feed", [1, 30])
 def test_slow_motion_and_any_resolution_keep_every_law(per_mm: float, feed: int) -> None:
+    # Steps/mm, mm/min, mm/s2, and a jerk of 2000 mm/s3.
     bench = JerkBench(Limits((per_mm,) * 3, (300.0,) * 3, (50.0,) * 3), (2000.0,) * 3)
-    way = max(0.02, 3 / per_mm)
-    bench.line((way, 0, 0), feed)
-    bench.line((2 * way, way / 3, 0), feed)
+    length_mm = max(0.02, 3 / per_mm)  # at least three steps
+    bench.line((length_mm, 0, 0), feed)
+    bench.line((2 * length_mm, length_mm / 3, 0), feed)
     bench.check()
 
 
 def test_line_too_long_for_the_filter_is_entered_and_left_at_rest() -> None:
     bench = JerkBench(Limits((1.0,) * 3, (600_000.0,) * 3, (5000.0,) * 3), (100_000.0,) * 3)
-    for place in (100.0, 20_000.0, 20_200.0):
-        bench.line((place, 0, 0), 0)
+    for x_mm in (100.0, 20_000.0, 20_200.0):
+        bench.line((x_mm, 0, 0), 0)
     queue = bench.watch.queue()
     assert [row[layout.ENTRY_SQR] for _, row in queue] == [0, 0, 0]
     bench.finish()
-    assert sum(segment.axis(0)[0] for segment in bench.watch.made) == 20_200
+    assert sum(segment.axis(0)[0] for segment in bench.watch.made) == 20_200  # 1 step/mm
 
 
 _ROWS = """
@@ -360,24 +387,26 @@ def test_both_pythons_make_the_same_rows(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def duration(limits: Limits, jerk: float, program) -> "tuple[float, JerkBench]":
+    """Return the time of a program in s, and its bench; jerk in mm/s3, 0: no limit."""
     bench = JerkBench(limits, (jerk,) * 3)
     program(bench)
     bench.finish()
-    last = bench.watch.made[-1]
-    return (last.start + last.ticks) / TICK_HZ, bench
+    last_segment = bench.watch.made[-1]
+    return (last_segment.start + last_segment.ticks) / TICK_HZ, bench
 
 
 @pytest.mark.parametrize("jerk", [5000.0, 20_000.0, 100_000.0])
 def test_each_stop_takes_longer_by_the_filters_time_and_at_most_a_segment(jerk) -> None:
     def stops(bench: Bench) -> None:
-        for i in range(6):
+        for i in range(6):  # six rapids, to and fro
             bench.line((20.0 * ((i + 1) % 2), 0, 0))
 
     limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
-    plain, _ = duration(limits, 0, stops)
-    gentle, bench = duration(limits, jerk, stops)
+    unlimited_s, _ = duration(limits, 0, stops)
+    limited_s, bench = duration(limits, jerk, stops)
+    # The acceleration of 1000 mm/s2 is reached, on average of the filter, at half of the jerk.
     assert bench.time_s == pytest.approx(2 * 1000 / jerk, abs=bench.slot_s)
-    assert 0 <= (gentle - plain) / 6 - bench.time_s <= bench.slot_s * 1.01
+    assert 0 <= (limited_s - unlimited_s) / 6 - bench.time_s <= bench.slot_s * 1.01
 
 
 def test_curve_of_short_lines_takes_longer_only_at_its_ends() -> None:
@@ -385,42 +414,42 @@ def test_curve_of_short_lines_takes_longer_only_at_its_ends() -> None:
         circle(bench, 20.0, 600, 2400)
 
     limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
-    plain, _ = duration(limits, 0, curve)
-    gentle, bench = duration(limits, 40_000.0, curve)
-    assert gentle - plain <= bench.time_s + bench.slot_s * 1.01
+    unlimited_s, _ = duration(limits, 0, curve)
+    limited_s, bench = duration(limits, 40_000.0, curve)
+    assert limited_s - unlimited_s <= bench.time_s + bench.slot_s * 1.01
 
 
 def polygon(length: float, lines: int) -> Any:
-    """Plan a circle of lines."""
+    """Return a program: a circle of this number of lines of this length, in mm."""
 
     def program(bench: Bench) -> None:
         radius = length * lines / tau
         for k in range(1, lines + 1):
-            turn = tau * k / lines
-            bench.line((radius * cos(turn) - radius, radius * sin(turn), 0), 6000)
+            angle = tau * k / lines
+            bench.line((radius * cos(angle) - radius, radius * sin(angle), 0), 6000)
 
     return program
 
 
 def folded(length: float, degrees: float) -> Any:
-    """Plan a zigzag of forty lines."""
+    """Return a program: a zigzag of forty lines of this length in mm, with these corners."""
 
     def program(bench: Bench) -> None:
-        half = radians(degrees / 2)
+        half_angle = radians(degrees / 2)
         for k in range(1, 41):
-            bench.line((k * length * cos(half), length * sin(half) * (k % 2), 0), 6000)
+            bench.line((k * length * cos(half_angle), length * sin(half_angle) * (k % 2), 0), 6000)
 
     return program
 
 
 def rounded(bench: Bench) -> None:
-    """Plan lines of 5 mm, and ten of 0.02 mm round each corner."""
+    """Plan twelve lines of 5 mm at right angles, and ten of 0.02 mm round each corner."""
     x = y = 0.0
     for k in range(12):
         for n in range(11):
-            turn = tau / 4 * (k + n / 10)
-            way = 0.02 if n < 10 else 5.0
-            x, y = x + way * cos(turn), y + way * sin(turn)
+            direction = tau / 4 * (k + n / 10)
+            length_mm = 0.02 if n < 10 else 5.0
+            x, y = x + length_mm * cos(direction), y + length_mm * sin(direction)
             bench.line((x, y, 0), 6000)
 
 
@@ -439,26 +468,32 @@ def rounded(bench: Bench) -> None:
     ],
 )
 def test_short_lines_take_little_longer(program: Any, most: float) -> None:
-    """A stop at each corner took 51, 2.7, 1.1, 22, 4.4, 3.6, 2.1 and 4.7 times as long."""
+    """The limit of jerk costs at most this factor of time.
+
+    A filter that has to stop at each corner would cost 51, 2.7, 1.1, 22, 4.4, 3.6, 2.1 and 4.7, in
+    the order of the cases.
+    """
     limits = Limits((80.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
-    times = []
+    durations_ticks = []
     for jerk in (0.0, 20_000.0):
-        bench = JerkBench(limits, (jerk,) * 3, 64)
+        bench = JerkBench(limits, (jerk,) * 3, 64)  # 64 planner blocks
         program(bench)
         bench.planner.catch_up()
         bench.check()
-        last = bench.watch.made[-1]
-        times.append(last.start + last.ticks)
-    assert times[1] <= most * times[0]
+        last_segment = bench.watch.made[-1]
+        durations_ticks.append(last_segment.start + last_segment.ticks)
+    assert durations_ticks[1] <= most * durations_ticks[0]
 
 
 def test_acceleration_is_reduced_if_the_filter_would_be_too_long() -> None:
+    """1000 mm/s2 at a jerk of 100 mm/s3 would need a filter of 20 s."""
     limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
     bench = JerkBench(limits, (100.0,) * 3)
     bench.line((20, 0, 0))
     bench.check()
-    assert bench.slots == 64
-    row = bench.planner.ring[: bench.planner.flow[layout.ROW_SIZE]]
+    assert bench.slots == 64  # the most; of 0.01 s each
+    row = bench.planner.ring[: bench.planner.flow[layout.ROW_SIZE]]  # the only planned line
+    # Jerk times the filter's 0.64 s, by two: the average of a ramp.
     assert real(row[layout.ACCEL]) == pytest.approx(100.0 * 0.64 / 2, rel=1e-3)
 
 
@@ -470,12 +505,14 @@ def test_short_and_long_rings_keep_every_law(blocks: int) -> None:
 
 
 def test_power_follows_the_speed_of_the_segments() -> None:
+    """Dynamic power (M4) is proportional to speed, here to that after the filter."""
     bench = JerkBench(fast, (20_000.0,) * 3)
     bench.planner.table[layout.POWER_MAX] = 1000
+    # 2400 mm/min, which are 40 mm/s
     bench.line((6.0, 2.0, 0.0), 2400, DYNAMIC)
     for at in range(bench.planner.flow[layout.ROW_SIZE]):
         if at == layout.POWER:
-            bench.planner.ring[at] = 1000 << 6
+            bench.planner.ring[at] = 1000 << 6  # of the first row; in 1/64 of a level
     bench.finish()
     pieces = [piece for piece in bench.watch.pieces if piece.segment]
     assert max(piece.segment.row[layout.ROW_POWER] for piece in pieces) == 1000
@@ -485,14 +522,17 @@ def test_power_follows_the_speed_of_the_segments() -> None:
 
 @pytest.mark.parametrize("left", range(0, 200, 7))
 def test_unused_rest_of_a_slot_does_not_lengthen_the_next(left: int) -> None:
-    """A piece leaves a small rest of its slot, which would be time that no ramp includes."""
+    """The end of motion may leave a few ticks of a segment unfilled (here set by hand).
+
+    Added to the next segment, they would be time that no ramp includes.
+    """
     bench = JerkBench(fast, (20_000.0,) * 3)
     bench.line((3, 1, 0), 2000)
     bench.line((6, 1, 0), 2000)
-    bench.pull(9)
+    bench.pull(9)  # segments: in motion
     bench.segments.hold(True)
     bench.finish()
-    bench.smoother._line[layout.TIME_TO_FILL] = left
+    bench.smoother._line[layout.TIME_TO_FILL] = left  # in ticks
     bench.segments.hold(False)
     bench.check()
 
@@ -501,16 +541,17 @@ def test_unused_rest_of_a_slot_does_not_lengthen_the_next(left: int) -> None:
 
 
 def board(**words: Any) -> ModuleType:
-    """Return the simulator's board with a limit of jerk and other options."""
-    made = ModuleType("board")
-    vars(made).update({**vars(load_board("sim_jerk")), **words})
-    return made
+    """Return the simulator's board with the module for limited jerk, and other options."""
+    module = ModuleType("board")
+    vars(module).update({**vars(load_board("sim_jerk")), **words})
+    return module
 
 
 LIMITED = {800: 20_000.0, 801: 20_000.0, 802: 5000.0}
 
 
 def played(machine: Machine, lines: "list[str]", bytes_: "list[tuple[int, str]]") -> Any:
+    """Return the step rows that a machine has made of a program, and its output."""
     machine.play(lines, bytes_)
     return machine.rows, machine.received
 
@@ -529,6 +570,7 @@ EVENTS = [(150, "!"), (500, "~"), (600, "\x91"), (900, "?"), (1200, "\x92")]
 
 
 def test_board_with_the_limit_off_moves_like_one_without_the_module() -> None:
+    # Rates in mm/min and accelerations in mm/s2 of X and Y. $800 to $802 (jerk) are 0.
     settings = {110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0}
     assert played(Machine(settings, board()), JOB, EVENTS) == played(
         Machine(settings), JOB, EVENTS
@@ -540,14 +582,14 @@ def test_removed_limit_leaves_no_effect() -> None:
     plain, limited = Machine(None, board()), Machine(None, board())
     plain.play(["$800=0", *lines])
     limited.play(["$800=9000", "G91G1X.1F300", "G1X-.1", "$800=0", *lines])
-    rows = [row for _, row in plain.rows]
-    assert [row for _, row in limited.rows][-len(rows) :] == rows
+    plain_rows = [row for _, row in plain.rows]
+    assert [row for _, row in limited.rows][-len(plain_rows) :] == plain_rows
 
 
 def test_long_ring_is_streamed_to_its_last_line() -> None:
     lines = [f"G1X{0.05 * (1 + i % 2):.2f}Y0.05F900" for i in range(200)]
     machine = Machine(LIMITED, board(PLANNER_BLOCKS=64))
-    machine.play(["G21G91", *lines], [(700, "?"), (900, "!"), (1500, "~")])
+    machine.play(["G21G91", *lines], [(700, "?"), (900, "!"), (1500, "~")])  # events in ms
     check_segments(machine.watch)
     check_pulses(machine.watch, machine.rows)
     check_position(machine)
@@ -556,9 +598,9 @@ def test_long_ring_is_streamed_to_its_last_line() -> None:
 def test_limit_is_a_stored_setting_per_axis() -> None:
     machine = Machine(None, board())
     machine.play(["$800=9000", "$802=1500.5", "$801=-1", "$$"])
-    told = [line for line in machine.received if line.startswith("$80")]
-    assert told == ["$800=9000.000", "$801=0.000", "$802=1500.500"]
-    assert "error:4" in machine.received
+    listed = [line for line in machine.received if line.startswith("$80")]
+    assert listed == ["$800=9000.000", "$801=0.000", "$802=1500.500"]
+    assert "error:4" in machine.received  # Grbl's answer to a negative value
 
 
 @some(4)
@@ -591,27 +633,33 @@ def test_position_is_right_after_jog_cancels(settings_, lines, bytes_) -> None:
 
 
 def test_homing_ends_at_the_same_place_as_without_the_limit() -> None:
-    places = []
+    positions = []
     for limited in ({}, LIMITED):
         settings = {22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0}
         machine = Machine({**settings, **limited}, board())
         for axis, pin in enumerate(("limit_x", "limit_y", "limit_z")):
+            # Closes at that step
             machine.rig.engine.switches.append(Switch(pin, axis, True, 500 + 200 * axis, 0))
         machine.play(["$H", "G91G1X-2Y-1F800", "$H", "G1X-1F500"])
-        places.append((machine.reported(), machine.physical()))
-    assert places[0] == places[1]
+        positions.append((machine.reported(), machine.physical()))
+    assert positions[0] == positions[1]
 
 
 def test_probe_stops_later_by_the_lag_and_the_next_line_is_complete() -> None:
+    """Averaged speed lags by at most the time of the filter, so a probe stops after a longer way.
+
+    It reports the same point of contact.
+    """
     feed_mm_s = 10.0
-    places = []
+    positions_steps = []
     for limited in ({}, LIMITED):
         machine = Machine({110: 3000.0, 120: 200.0, **limited}, board())
         machine.rig.engine.switches.append(Switch("probe", 0, True, 700, 0))
         machine.play(["G91", "G38.2X10F600", "G1X2F900", "G1Y1"])
-        assert "[PRB:2.800,0.000,0.000:1]" in machine.received
+        assert "[PRB:2.800,0.000,0.000:1]" in machine.received  # 700 steps at 250 steps/mm
         check_position(machine)
-        places.append(machine.physical())
-    later_mm = (places[1][0] - places[0][0]) / 250
+        positions_steps.append(machine.physical())
+    later_mm = (positions_steps[1][0] - positions_steps[0][0]) / 250
+    # The filter lasts 2 * acceleration / jerk; a segment of 0.01 s may be added.
     assert 0 < later_mm <= feed_mm_s * (2 * 200 / LIMITED[800] + 0.01)
-    assert places[1][1] == places[0][1] == 250
+    assert positions_steps[1][1] == positions_steps[0][1] == 250  # 1 mm of Y

@@ -20,8 +20,8 @@ _PROGRAMS = Path(__file__).resolve().parents[3] / "shared" / "gcode"
 _EXPECTED = _PROGRAMS / "expected.json"
 _ENTRIES = int(os.environ.get("UGRBL_ENTRIES", "24"))
 LASER = ("$32=0", "$32=1")
-_BEHIND = 30  # lines that are compared
-_LONGEST = 3000
+_BEHIND = 30  # lines after the entry that are compared
+_LONGEST = 3000  # lines of a program
 # Reasons for which entry is refused.
 _NO_WAY = (
     "is inside a drilling cycle",
@@ -36,34 +36,36 @@ class Witness(Bench):
     """Records the moves of the interpreter with the modal state, by lines of the job."""
 
     def _listen(self) -> None:
+        """Record in `log` each planned move: its line in the job, its arguments and the modes."""
         machine = self.rig.controller
         machine.interpreter.watch(MOVE)  # otherwise the kernel would handle some moves
         canon, modes, coords = machine.canon, machine.modes, machine.coords
-        usual_line, usual_arc = canon.line, canon.arc
+        call_line, call_arc = canon.line, canon.arc
         link: Any = machine.protocol.link
 
-        def note(target: Any, move: Any, *more: Any) -> None:
-            number = link.line() + 1 if link.is_on else 0
-            asked = tuple(target), move.flags, move.feed, move.spindle_rpm, more
+        def note(target: Any, move: Any, *arc_arguments: Any) -> None:
+            number = link.line() + 1 if link.is_on else 0  # 0: not from a job
+            arguments = tuple(target), move.flags, move.feed, move.spindle_rpm, arc_arguments
             modal = tuple(modes.modal[:11]), tuple(modes.rates), modes.tool, tuple(modes.position)
             offsets = coords.active, tuple(coords.g92), coords.tool_length
-            self.log.append((number, (asked, modal, offsets)))
+            self.log.append((number, (arguments, modal, offsets)))
 
         def line(target: Any, move: Any) -> None:
             note(target, move)
-            usual_line(target, move)
+            call_line(target, move)
 
         def arc(start: Any, target: Any, arc: Any, move: Any) -> None:
             note(target, move, tuple(start), tuple(arc.plane), tuple(arc.numbers[:TOLERANCE]))
-            usual_arc(start, target, arc, move)
+            call_arc(start, target, arc, move)
 
         canon.line = line  # type: ignore[method-assign]
         canon.arc = arc  # type: ignore[method-assign]
 
 
 def programs() -> list[str]:
-    found = json.loads(_EXPECTED.read_text()) if _EXPECTED.exists() else {}
-    return sorted(name for name, seen in found.items() if 50 < seen["lines"] <= _LONGEST)
+    """Return the names of the real programs that have a suitable number of lines."""
+    expected = json.loads(_EXPECTED.read_text()) if _EXPECTED.exists() else {}
+    return sorted(name for name, figures in expected.items() if 50 < figures["lines"] <= _LONGEST)
 
 
 def lines_of(name: str) -> list[str]:
@@ -87,6 +89,11 @@ def whole(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
 def test_program_entered_at_a_line_continues_like_a_whole_run(
     tmp_path_factory: pytest.TempPathFactory, number: int
 ) -> None:
+    """A random program is entered at a random line.
+
+    Its next moves have the arguments, modes and offsets of a whole run in check mode, or the entry
+    is refused for a known reason.
+    """
     chance = random.Random(number)
     name = chance.choice(programs())
     lines = lines_of(name)
@@ -94,14 +101,15 @@ def test_program_entered_at_a_line_continues_like_a_whole_run(
     folder = tmp_path_factory.getbasetemp() / name
     folder.mkdir(exist_ok=True)
     laser = chance.random() < 0.5
-    log = whole(name, laser, folder)
+    whole_log = whole(name, laser, folder)
     bench = Witness(folder, LENIENT=True)
     homed(bench).put("PART.NC", *lines[: line + _BEHIND])
-    said = bench.run(to_its_end(*FAST, *HOMED, LASER[laser], f"$F=PART.NC@{line}"))
-    if f"[MSG:Job PART.NC: continues at line {line}]" not in said:
-        assert any(why in said[-1] for why in _NO_WAY), said
+    output = bench.run(to_its_end(*FAST, *HOMED, LASER[laser], f"$F=PART.NC@{line}"))
+    if f"[MSG:Job PART.NC: continues at line {line}]" not in output:
+        assert any(reason in output[-1] for reason in _NO_WAY), output
         assert not bench.behind(line)
         return
-    expected = [entry for entry in log if line <= entry[0] <= line + _BEHIND]
-    found = [entry for entry in bench.behind(line) if entry[0] <= line + _BEHIND]
-    assert found == expected, (name, line)
+    # Entries of the log are (line in the job, move).
+    expected = [entry for entry in whole_log if line <= entry[0] <= line + _BEHIND]
+    entered = [entry for entry in bench.behind(line) if entry[0] <= line + _BEHIND]
+    assert entered == expected, (name, line)

@@ -11,6 +11,7 @@ from ugrbl.sim.rig import MemoryStore
 # Many cases: the first ring runs a sample of them.
 pytestmark = pytest.mark.sampled(1)
 
+# Programs by the command that writes offsets. Lines 3, 5 and 7 are entered.
 OFFSETS = {
     "G10L2": (
         "G21 G90 G54",
@@ -54,6 +55,7 @@ def offsets(bench: Bench) -> str:
 def test_entry_starts_with_the_offsets_written_by_the_lines_before_it(
     tmp_path: Path, program: Sequence[str]
 ) -> None:
+    """An entry ends with the same moves and stored offsets as a whole run of the program."""
     whole = homed(Bench(tmp_path))
     whole.put("A.NC", *program)
     whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
@@ -61,15 +63,17 @@ def test_entry_starts_with_the_offsets_written_by_the_lines_before_it(
         store = MemoryStore()
         store.files.update(whole.store.files)
         part = homed(Bench(tmp_path, store))  # its store has the last values of the program
-        said = part.run(to_its_end(*HOMED, f"$F=A.NC@{line}"))
-        assert said[-1] == f"[MSG:Job A.NC: done, {len(program)} lines]"
+        output = part.run(to_its_end(*HOMED, f"$F=A.NC@{line}"))
+        assert output[-1] == f"[MSG:Job A.NC: done, {len(program)} lines]"
         assert part.behind(line) == whole.behind(line), line
         assert offsets(part) == offsets(whole), line
 
 
 def stopped(bench: Bench, *lines: str) -> None:
-    """Run a job of these lines, and stop it in the last one by a reset, which stores the line. The
-    last line is still in motion after 5 s, and all others have ended."""
+    """Run a job of these lines, and stop it in the last one by a reset, which stores the line.
+
+    The caller's last line is so slow that it still moves after 5 s, when all others have ended.
+    """
     homed(bench).put("A.NC", *lines)
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -79,47 +83,57 @@ def stopped(bench: Bench, *lines: str) -> None:
         yield from bench.sender.wait("banner", "\x18")
 
     bench.run(script)
-    assert bench.kept()[1] == str(len(lines))
+    assert bench.kept()[1] == str(len(lines))  # kept: name, line, and more
 
 
-SLOW = "G1 X-30 F60"
+SLOW = "G1 X-30 F60"  # 1 mm/s: in motion for more than 5 s
 
 
 @pytest.mark.thorough
 def test_entry_before_offsets_written_by_a_job_restores_the_old_ones(tmp_path: Path) -> None:
+    """A job that was stopped is entered before its own G10 lines.
+
+    These have changed G54, but the entry restores G54 as it was at the start of the job.
+    """
     first = Bench(tmp_path)
     stopped(first, "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", "G10 L2 P1 X-6", SLOW)
-    again = homed(Bench(tmp_path, first.store))
-    said = again.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
-    assert "[MSG:Job A.NC: continues at line 3]" in said
-    assert (-8, -5, -5) in again.moves  # across to X-8 with G54 as at the start of the job
+    restarted = homed(Bench(tmp_path, first.store))
+    output = restarted.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
+    assert "[MSG:Job A.NC: continues at line 3]" in output
+    assert (-8, -5, -5) in restarted.moves  # across to X-8 with G54 as at the start of the job
 
 
 @pytest.mark.thorough
 def test_entry_after_a_power_cut_uses_the_offsets_written_by_the_job(tmp_path: Path) -> None:
+    """The end of run() cuts the power in the slow line. The position -5 of Z is its pull-off."""
     first = homed(Bench(tmp_path))
     first.put("A.NC", "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", SLOW)
     first.run(say(*FAST, *HOMED, "$F=A.NC", wait_s=5))
-    again = homed(Bench(tmp_path, first.store))
-    again.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
-    assert (-8, -5, -5) in again.moves
+    restarted = homed(Bench(tmp_path, first.store))
+    restarted.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
+    # Across to X-8 with G54 as at the start of the job.
+    assert (-8, -5, -5) in restarted.moves
 
 
 def test_entry_keeps_an_offset_changed_by_the_user(tmp_path: Path) -> None:
+    """The job writes G55 only.
+
+    The user changes G54 after the stop, and its X-4 applies to the entry.
+    """
     first = Bench(tmp_path)
     stopped(first, "G90", "G10 L2 P2 X-1", "G1 X-8 F1200", SLOW)
-    again = homed(Bench(tmp_path, first.store))
-    again.run(say(*HOMED, "G10L2P1X-4", "$F=A.NC@4", wait_s=8))
-    assert (-12, -5, -5) in again.moves
+    restarted = homed(Bench(tmp_path, first.store))
+    restarted.run(say(*HOMED, "G10L2P1X-4", "$F=A.NC@4", wait_s=8))
+    assert (-12, -5, -5) in restarted.moves  # X-8 in G54 with X-4
 
 
 def test_entry_is_refused_if_an_offset_of_the_job_was_changed_by_the_user(tmp_path: Path) -> None:
     first = Bench(tmp_path)
     stopped(first, "G90", "G10 L2 P1 X-1", "G1 X-8 F1200", SLOW)
-    again = homed(Bench(tmp_path, first.store))
-    said = again.run(say(*HOMED, "G10L2P1X-4", "$F=@", wait_s=5))
+    restarted = homed(Bench(tmp_path, first.store))
+    output = restarted.run(say(*HOMED, "G10L2P1X-4", "$F=@", wait_s=5))  # at the stored line
     words = "G54 was changed since the job set it: its value is uncertain"
-    assert said[-1] == f"[MSG:Job A.NC: {words}]"
+    assert output[-1] == f"[MSG:Job A.NC: {words}]"
 
 
 def test_entry_is_refused_after_a_setting_whose_value_has_changed(tmp_path: Path) -> None:
@@ -135,24 +149,25 @@ def test_entry_is_refused_if_the_file_has_other_content_of_the_same_size(
     first = Bench(tmp_path)
     stopped(first, "G90", "G1 X-8 F1200", SLOW)
     first.put("A.NC", "G90", "G1 X-9 F1200", SLOW)
-    again = homed(Bench(tmp_path, first.store))
-    said = again.run(say(*HOMED, "$F=@", wait_s=5))
-    assert said[-1] == "[MSG:Job A.NC: the file has changed since that job stopped]"
+    restarted = homed(Bench(tmp_path, first.store))
+    output = restarted.run(say(*HOMED, "$F=@", wait_s=5))  # at the stored line
+    assert output[-1] == "[MSG:Job A.NC: the file has changed since that job stopped]"
 
 
-@pytest.mark.parametrize("z", ["G0 Z-1", ""])
-def test_entry_moves_no_axis_that_was_not_homed(tmp_path: Path, z: str) -> None:
+@pytest.mark.parametrize("z_line", ["G0 Z-1", ""])
+def test_entry_moves_no_axis_that_was_not_homed(tmp_path: Path, z_line: str) -> None:
+    """Only X and Y are homed. A job that has moved Z before the entry cannot be entered."""
     bench = homed(Bench(tmp_path, HOMING=("XY",)))
-    bench.put("A.NC", "G90", "G0 X-8", z, "G1 X-9 F1200")
-    said = bench.run(to_its_end(*FAST, "$44=3", *HOMED, "$F=A.NC@4"))
-    not_known = "Z would have to move, but is not homed: home it first"
-    assert said[-1] == f"[MSG:Job A.NC: {not_known if z else 'done, 4 lines'}]"
+    bench.put("A.NC", "G90", "G0 X-8", z_line, "G1 X-9 F1200")
+    output = bench.run(to_its_end(*FAST, "$44=3", *HOMED, "$F=A.NC@4"))
+    not_homed = "Z would have to move, but is not homed: home it first"
+    assert output[-1] == f"[MSG:Job A.NC: {not_homed if z_line else 'done, 4 lines'}]"
 
 
 @pytest.mark.thorough
 def test_axes_homed_one_by_one_count_as_homed(tmp_path: Path) -> None:
     bench = homed(Bench(tmp_path, SINGLE_AXIS_HOMING=True))
     bench.put("A.NC", *ROUTER)
-    one_by_one = (*HOMED[:-1], "$HZ", "$HX", "$HY")
-    said = bench.run(to_its_end(*FAST, *one_by_one, "$F=A.NC@4"))
-    assert said[-1] == "[MSG:Job A.NC: done, 11 lines]"
+    one_by_one = (*HOMED[:-1], "$HZ", "$HX", "$HY")  # without $H
+    output = bench.run(to_its_end(*FAST, *one_by_one, "$F=A.NC@4"))
+    assert output[-1] == "[MSG:Job A.NC: done, 11 lines]"

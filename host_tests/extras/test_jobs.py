@@ -21,11 +21,11 @@ from ugrbl.sim.sender import Sender
 
 Script = Callable[["Bench"], Iterator[Any]]
 
-_PIECE = 2048
+_PIECE = 2048  # bytes of a file in one piece of an upload
 
 
 class Bench:
-    """A machine with a folder of jobs, and a sender."""
+    """A simulated machine with a folder of jobs, and a sender; options: of the board file."""
 
     def __init__(self, folder: Path, store: "MemoryStore | None" = None, **options: Any) -> None:
         board = ModuleType("board")
@@ -41,25 +41,26 @@ class Bench:
         self.rig.on_built = self._listen
 
     def _listen(self) -> None:
+        """Record all moves that are planned, with their line in the job (0: not from a job)."""
         machine = self.rig.controller
         machine.interpreter.watch(MOVE)  # otherwise the kernel would handle some moves
         planner, canon = machine.planner, machine.canon
-        usual_line, usual_arc = planner.line, canon.arc
+        call_line, call_arc = planner.line, canon.arc
         link: Any = machine.protocol.link
 
-        def note(*what: Any) -> None:
-            self.log.append((link.line() + 1 if link.is_on else 0, what))
+        def record(*arguments: Any) -> None:
+            self.log.append((link.line() + 1 if link.is_on else 0, arguments))
 
         def line(target: Any, move: Any, power: int) -> bool:
             if not move.flags & SYSTEM_MOTION:
                 self.moves.append(tuple(round(mm, 3) for mm in target))
                 flags = move.flags, move.feed, move.spindle_rpm
-                note(flags, power, tuple(target), tuple(planner.position))
-            return usual_line(target, move, power)
+                record(flags, power, tuple(target), tuple(planner.position))
+            return call_line(target, move, power)
 
         def arc(start: Any, target: Any, arc: Any, move: Any) -> None:
-            note(move.flags, move.feed, tuple(start), tuple(target), sorted(vars(arc).items()))
-            usual_arc(start, target, arc, move)
+            record(move.flags, move.feed, tuple(start), tuple(target), sorted(vars(arc).items()))
+            call_arc(start, target, arc, move)
 
         planner.line = line  # type: ignore[method-assign]
         canon.arc = arc  # type: ignore[method-assign]
@@ -70,19 +71,20 @@ class Bench:
         (self.folder / name).write_bytes("".join(line + end for line in lines).encode())
 
     def run(self, script: Script) -> list[str]:
-        """Return the output while the script runs, without the welcome."""
-        said: list[str] = []
+        """Run the machine with a script from power-up; return the output, without the welcome."""
+        output: list[str] = []
 
-        def all_of_it() -> Iterator[Any]:
+        def whole_script() -> Iterator[Any]:
             yield from self.sender.wait("banner", "")
             yield self.rig.ms(100)
             yield from script(self)
-            said.extend(self.sender.take())
+            output.extend(self.sender.take())
+            # position() writes the steps into its argument.
             self.rig.engine.position(self.rig.scratch)
             self.steps = list(self.rig.scratch)
 
-        self.rig.run(all_of_it())
-        return [line for line in said if line and not line.startswith("Grbl ")]
+        self.rig.run(whole_script())
+        return [line for line in output if line and not line.startswith("Grbl ")]
 
     def press(self) -> None:
         """Press and release the start button."""
@@ -142,16 +144,18 @@ PROGRAM = ("G21G91", "G1X10F1200 (really? {~!}: 5\xb5m)", "", "Y5 ; done!", "Z-1
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_job_does_the_same_as_streamed_lines(tmp_path: Path, end: str) -> None:
+    """Comments with real-time characters, empty lines and either line end change nothing."""
     bench = Bench(tmp_path)
     bench.put("CUBE.NC", *PROGRAM, end=end)
-    said = bench.run(say("$F=cube.nc"))
-    assert said == ["ok", "[MSG:Job CUBE.NC: begins]", "[MSG:Job CUBE.NC: done, 5 lines]"]
+    output = bench.run(say("$F=cube.nc"))
+    assert output == ["ok", "[MSG:Job CUBE.NC: begins]", "[MSG:Job CUBE.NC: done, 5 lines]"]
     assert bench.steps == streamed(tmp_path, ("G21G91", "G1X10F1200", "Y5", "Z-1"))
-    assert bench.kept() == []
+    assert bench.kept() == []  # a finished job leaves no record
 
 
 def test_last_line_without_an_end_is_executed(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
+    # This makes the folder.
     bench.put("A.NC", "G0X1")
     (bench.folder / "A.NC").write_bytes(b"G0X1\nG0X2")
     assert bench.run(say("$F=A.NC"))[-1] == "[MSG:Job A.NC: done, 2 lines]"
@@ -161,30 +165,32 @@ def test_last_line_without_an_end_is_executed(tmp_path: Path) -> None:
 def test_lines_after_the_program_end_are_not_executed(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1", "M30", "%", "G0X9")
-    said = bench.run(say("$F=A.NC"))
-    assert said[-2:] == ["[MSG:Pgm End]", "[MSG:Job A.NC: done, 2 lines]"]
+    output = bench.run(say("$F=A.NC"))
+    assert output[-2:] == ["[MSG:Pgm End]", "[MSG:Job A.NC: done, 2 lines]"]
     assert bench.moves[-1][0] == 1
 
 
 def test_jobs_are_listed_shown_and_deleted(tmp_path: Path) -> None:
+    """$F lists, $F<= shows and $FD= deletes a file; names match in either case."""
     bench = Bench(tmp_path)
     bench.put("B.NC", "G0X1")
     bench.put("a.nc", "G0X2", "G0X3")
     bench.put(".hidden", "G0X9")
-    said = bench.run(say("$F", "$F<=A.NC", "$FD=A.NC", "$F", wait_s=0))
+    output = bench.run(say("$F", "$F<=A.NC", "$FD=A.NC", "$F", wait_s=0))
     files = ["[FILE:/B.NC|SIZE:5]", "[FILE:/a.nc|SIZE:10]"]
-    told = [line for line in said if not line.startswith("[MSG:Free space: ")]
-    assert told == [*files, "ok", "G0X2\nG0X3\n", "ok", "ok", files[0], "ok"]
+    answers = [line for line in output if not line.startswith("[MSG:Free space: ")]
+    assert answers == [*files, "ok", "G0X2\nG0X3\n", "ok", "ok", files[0], "ok"]
 
 
 @pytest.mark.thorough
 def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
+    """FluidNC's commands list, show, run and delete; Run without a name is refused."""
     bench = Bench(tmp_path)
     bench.put("B.NC", "G0X1")
     lines = ("$SD/List", "$LocalFS/Show=B.NC", "$LocalFS/Run=B.NC", "$SD/Delete=B.NC", "$SD/Run")
-    said = bench.run(say(*lines[:3]))
-    assert said[0] == "[FILE:/B.NC|SIZE:5]"
-    assert said[-1] == "[MSG:Job B.NC: done, 1 lines]"
+    output = bench.run(say(*lines[:3]))
+    assert output[0] == "[FILE:/B.NC|SIZE:5]"
+    assert output[-1] == "[MSG:Job B.NC: done, 1 lines]"
     assert bench.run(say(*lines[3:]))[-2:] == ["ok", "error:3"]
     assert not list(bench.folder.iterdir())
 
@@ -193,6 +199,7 @@ def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
     ("line", "answer"),
     [
         ("$F=NONE.NC", "[MSG:There is no job NONE.NC: $F lists them]"),
+        # The name may not hold "OK", which a sender could take for an answer.
         ("$FD=BOOK.NC", "[MSG:There is no job BOO-K.NC: $F lists them]"),
         ("$F<=", "[MSG:There is no job : $F lists them]"),
         ("$FX=A.NC", ""),
@@ -203,9 +210,9 @@ def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
 def test_impossible_request_is_refused_with_the_reason(
     tmp_path: Path, line: str, answer: str
 ) -> None:
-    said = Bench(tmp_path).run(say(line, wait_s=0))
-    assert said[-1] == "error:3"
-    assert said[:-1] == ([answer] if answer else [])
+    output = Bench(tmp_path).run(say(line, wait_s=0))
+    assert output[-1] == "error:3"
+    assert output[:-1] == ([answer] if answer else [])
 
 
 # Failures, and other clients during a job
@@ -217,7 +224,7 @@ class Torn:
     def __init__(self, file: Any) -> None:
         self._file = file
         self.tell, self.seek, self.close = file.tell, file.seek, file.close
-        self.read = file.read  # when it is read at first, the card is still there
+        self.read = file.read  # its content is checked before the start, with the card still there
 
     def readinto(self, block: bytearray) -> int:
         if self._file.tell():
@@ -228,40 +235,48 @@ class Torn:
 def test_half_a_line_is_not_executed_if_the_rest_cannot_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise Z would go to 1, and not to 15."""
-    usual = JobFiles.open
-    monkeypatch.setattr(JobFiles, "open", lambda files, name: Torn(usual(files, name)))
+    """The first block of the file ends within the number of Z15.
+
+    If its half were executed, Z would move to 1.
+    """
+    open_file = JobFiles.open
+    monkeypatch.setattr(JobFiles, "open", lambda files, name: Torn(open_file(files, name)))
     bench = Bench(tmp_path)
-    block, line = 512, "G0X10Z15"
-    before = "G0X5" + "(" + "-" * (block - len("G0X5()\n" + line) + 1) + ")"
-    bench.put("A.NC", before, line, "G0X20", "M30")
+    block_bytes, line = 512, "G0X10Z15"
+    # A comment fills the block up to all but the last character of the second line.
+    first_line = "G0X5" + "(" + "-" * (block_bytes - len("G0X5()\n" + line) + 1) + ")"
+    bench.put("A.NC", first_line, line, "G0X20", "M30")
     assert bench.run(say("M3S500", "$F=A.NC"))[-1] == "[MSG:Job A.NC: line 2 cannot be read]"
-    assert [place[0] for place in bench.moves] == [5]
-    assert bench.rig.port.spindle_pwm == 0
+    assert [target[0] for target in bench.moves] == [5]
+    assert bench.rig.port.spindle_pwm == 0  # M3 before the job was on
 
 
 def test_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S1000", "G91", "G1X5F1200", "G1X5", "G5 X1", "G1X90")
-    said = bench.run(say("$F=A.NC", "$G"))
-    assert "[MSG:Job A.NC: line 5 is refused with 20]" in said
-    assert bench.moves[-1][0] == 10
+    output = bench.run(say("$F=A.NC", "$G"))
+    assert "[MSG:Job A.NC: line 5 is refused with 20]" in output
+    assert bench.moves[-1][0] == 10  # of lines 3 and 4
     assert bench.rig.port.spindle_pwm == 0
-    assert bench.kept()[:2] == ["A.NC", "5"]
+    assert bench.kept()[:2] == ["A.NC", "5"]  # the record: name and line
 
 
 def test_tool_is_off_after_a_file_that_does_not_say_so(tmp_path: Path) -> None:
-    """Nobody may be there, because a start button can start the job."""
+    """The end of a file turns spindle and coolant off, even without M5, M9 or M30.
+
+    Nobody may be near the machine, because a start button can start the job.
+    """
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S1000M8", "G91", "G1X5F1200")
-    said = bench.run(say("$F=A.NC", "$G"))
-    assert any(" M5 M9 " in line for line in said)
+    output = bench.run(say("$F=A.NC", "$G"))
+    assert any(" M5 M9 " in line for line in output)
     assert bench.rig.port.spindle_pwm == bench.rig.port.flood == 0
 
 
 def test_alarm_refuses_a_job(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X1")
+    # With homing enabled, the next start is in alarm.
     assert bench.run(say("$22=1", "$RST=#", wait_s=0))
     assert bench.run(say("$F=A.NC"))[-1] == "error:9"
     assert bench.moves == []
@@ -270,8 +285,8 @@ def test_alarm_refuses_a_job(tmp_path: Path) -> None:
 def test_job_in_check_mode_moves_nothing(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X10", "G1X20F100")
-    said = bench.run(say("$C", "$F=A.NC"))
-    assert said[-1] == "[MSG:Job A.NC: done, 2 lines]"
+    output = bench.run(say("$C", "$F=A.NC"))
+    assert output[-1] == "[MSG:Job A.NC: done, 2 lines]"
     assert bench.steps == [0, 0, 0]
 
 
@@ -279,6 +294,11 @@ LONG = ("G91", *["G1X1F600"] * 40)  # of 100 ms each
 
 
 def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> None:
+    """During a job, reports show its progress, and queries are answered.
+
+    Motion, jogs and settings are refused. A line that the sender has begun is completed after the
+    job.
+    """
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
 
@@ -289,22 +309,25 @@ def test_sender_gets_the_progress_and_its_lines_are_refused(tmp_path: Path) -> N
         yield from bench.sender.wait("report", "?")
         assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all lines are in the ring
         bench.sender.take()
+        # Waits for the answers to all five lines
         yield from bench.sender.wait("ok", "$G\n\n$N\nG0X99\n$J=G91X1F100\n$110=5\n")
-        told = bench.sender.take()
-        assert told[0].startswith("[GC:G1 ")
-        assert told[1:3] == ["ok", "ok"]
-        assert told[3:] == ["$N0=", "$N1=", "ok", "error:9", "error:8", "error:8"]
+        answers = bench.sender.take()
+        assert answers[0].startswith("[GC:G1 ")
+        assert answers[1:3] == ["ok", "ok"]
+        # $N, then G0, $J and $110
+        assert answers[3:] == ["$N0=", "$N1=", "ok", "error:9", "error:8", "error:8"]
         bench.rig.link.send(b"G1 X")  # continues after the job
-        yield bench.rig.ms(9000)
+        yield bench.rig.ms(9000)  # the job ends
         yield from bench.sender.wait("ok", "7F600\n")
         yield bench.rig.ms(3000)
 
-    said = bench.run(script)
-    assert said == ["[MSG:Job A.NC: done, 41 lines]", "ok"]
-    assert bench.moves[-1][0] == 47
+    output = bench.run(script)
+    assert output == ["[MSG:Job A.NC: done, 41 lines]", "ok"]
+    assert bench.moves[-1][0] == 47  # 40 mm of the job and 7 mm
 
 
 def test_line_sent_after_the_start_command_comes_first(tmp_path: Path) -> None:
+    """A line that arrived together with the start command is executed before the job."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "G0X5")
 
@@ -322,14 +345,15 @@ def test_hold_stores_the_line_and_a_cycle_start_resumes(tmp_path: Path) -> None:
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.sender.wait("ok", "$F=A.NC\n")
-        yield bench.rig.ms(1650)
+        yield bench.rig.ms(1650)  # in a line in the middle
         bench.rig.link.send(b"!")
         yield bench.rig.ms(1000)
+        # position() writes the steps into its argument; 250 steps/mm, and each line is 1 mm.
         bench.rig.engine.position(bench.rig.scratch)
         line = int(bench.rig.scratch[0] / 250) + 2  # after G91, and counted from 1
         assert bench.kept()[:2] == ["A.NC", str(line)]
         bench.rig.link.send(b"~")
-        yield bench.rig.ms(9000)
+        yield bench.rig.ms(9000)  # the job ends
 
     assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 41 lines]"
     assert bench.steps[0] == 40 * 250
@@ -343,18 +367,18 @@ def test_reset_ends_the_job_and_reports_its_line(tmp_path: Path) -> None:
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.sender.wait("ok", "$F=A.NC\n")
-        yield bench.rig.ms(1650)
+        yield bench.rig.ms(1650)  # in a line in the middle
         yield from bench.sender.wait("banner", "\x18")
         yield bench.rig.ms(3000)
         yield from bench.sender.wait("ok", "$X\n")
 
-    said = bench.run(script)
-    assert "ALARM:3" in said
-    assert said[-1] == "ok" and said.count("ok") == 2
-    line = bench.steps[0] // 250 + 2
+    output = bench.run(script)
+    assert "ALARM:3" in output
+    assert output[-1] == "ok" and output.count("ok") == 2  # of $F and $X
+    line = bench.steps[0] // 250 + 2  # 250 steps/mm; after G91, and counted from 1
     assert bench.kept()[0] == "A.NC"
     assert line - 1 <= int(bench.kept()[1]) <= line
-    assert f"[MSG:Job A.NC: stopped at line {bench.kept()[1]}]" in said
+    assert f"[MSG:Job A.NC: stopped at line {bench.kept()[1]}]" in output
 
 
 def test_reset_in_a_dwell_is_no_alarm_and_the_line_is_stored(tmp_path: Path) -> None:
@@ -363,25 +387,30 @@ def test_reset_in_a_dwell_is_no_alarm_and_the_line_is_stored(tmp_path: Path) -> 
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.sender.wait("ok", "$F=A.NC\n")
-        yield bench.rig.ms(4000)
+        yield bench.rig.ms(4000)  # in the dwell of 9 s
         yield from bench.sender.wait("banner", "\x18")
         yield bench.rig.ms(100)
 
-    said = bench.run(script)
-    assert not [line for line in said if line.startswith("ALARM")]
-    assert said[-1] == "[MSG:Job A.NC: stopped at line 2]" and bench.kept()[1] == "2"
+    output = bench.run(script)
+    assert not [line for line in output if line.startswith("ALARM")]
+    assert output[-1] == "[MSG:Job A.NC: stopped at line 2]" and bench.kept()[1] == "2"
 
 
 def test_power_cut_is_reported_at_the_next_start(tmp_path: Path) -> None:
+    """The end of run() cuts the power. Only the start of a job is recorded while it runs."""
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
     assert bench.kept()[:2] == ["A.NC", "1"]
-    said = Bench(tmp_path, bench.store).run(say("$G", wait_s=0))
-    assert said[0] == "[MSG:Job A.NC: did not finish; last recorded line: 1]"
+    output = Bench(tmp_path, bench.store).run(say("$G", wait_s=0))
+    assert output[0] == "[MSG:Job A.NC: did not finish; last recorded line: 1]"
 
 
 def test_start_button_runs_its_job_only_while_idle(tmp_path: Path) -> None:
+    """$FB= selects the job of the start button; without one, it does nothing.
+
+    The second press, during the job, starts nothing.
+    """
     bench = Bench(tmp_path)
     bench.put("A.NC", "G91", "G0X5")
 
@@ -392,15 +421,15 @@ def test_start_button_runs_its_job_only_while_idle(tmp_path: Path) -> None:
         yield bench.rig.ms(5000)
 
     assert bench.run(press) == []
-    said = bench.run(say("$FB", "$FB=A.NC", "$FB", wait_s=0))
-    assert said == [
+    output = bench.run(say("$FB", "$FB=A.NC", "$FB", wait_s=0))
+    assert output == [
         "[MSG:Start button: no job]",
         *("ok", "ok"),
         "[MSG:Start button: A.NC]",
         "ok",
     ]
     assert bench.run(press)[-1] == "[MSG:Job A.NC: done, 2 lines]"
-    assert len(bench.moves) == 1
+    assert len(bench.moves) == 1  # G0X5 once
     assert bench.run(say("$FB=", "$FB", wait_s=0))[1] == "[MSG:Start button: no job]"
 
 
@@ -414,15 +443,17 @@ def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -
         sender = bench.sender
         crc = zlib.crc32(data) if checksum is None else checksum
         bench.rig.link.send(f"$FU={name},{len(data)},{crc:x}\n".encode())
-        for at in range(0, len(data), _PIECE):
-            asked = f"[FU:{at}]"
-            yield from sender.until(lambda asked=asked: asked in sender.lines or sender.answers)
-            sent = b"".join(jobs._lines(data[at : at + _PIECE])) + b"\n"
-            if 0 <= cut - at < _PIECE:
-                bench.rig.link.send(sent[: cut - at])
+        for offset in range(0, len(data), _PIECE):
+            request = f"[FU:{offset}]"  # the board requests each piece by its offset
+            yield from sender.until(
+                lambda request=request: request in sender.lines or sender.answers
+            )
+            piece = b"".join(jobs._lines(data[offset : offset + _PIECE])) + b"\n"
+            if 0 <= cut - offset < _PIECE:
+                bench.rig.link.send(piece[: cut - offset])
                 yield bench.rig.ms(100)
                 return
-            bench.rig.link.send(sent)
+            bench.rig.link.send(piece)
         yield from sender.until(lambda: sender.answers > 0)
         yield bench.rig.ms(100)
 
@@ -433,42 +464,46 @@ DATA = random.Random(1).randbytes(5000) + b"G0X1\n" * 25
 
 
 def test_file_is_received_byte_by_byte(tmp_path: Path) -> None:
+    """Any bytes, real-time characters among them, arrive unchanged; the name in capitals."""
     bench = Bench(tmp_path)
-    said = bench.run(push("new.nc", DATA))
-    assert said == ["[FU:0]", "[FU:2048]", "[FU:4096]", "ok"]
+    output = bench.run(push("new.nc", DATA))
+    assert output == ["[FU:0]", "[FU:2048]", "[FU:4096]", "ok"]
     assert [file.name for file in bench.folder.iterdir()] == ["NEW.NC"]
     assert (bench.folder / "NEW.NC").read_bytes() == DATA
 
 
 @pytest.mark.parametrize("cut", [0, 1, 100, 2047, 2048, 4096, 5000])
 def test_power_cut_leaves_the_old_file(tmp_path: Path, cut: int) -> None:
+    """An upload that is cut leaves the old file, and a next upload succeeds."""
     bench = Bench(tmp_path)
     bench.put("NEW.NC", "G0X9")
     bench.run(push("NEW.NC", DATA, cut=cut))
-    again = Bench(tmp_path)
-    files = again.run(say("$F", wait_s=0))
+    restarted = Bench(tmp_path)
+    files = restarted.run(say("$F", wait_s=0))
     assert files[0] == "[FILE:/NEW.NC|SIZE:5]" and files[1].startswith("[MSG:Free space: ")
-    assert again.run(push("NEW.NC", DATA))[-1] == "ok"
+    assert restarted.run(push("NEW.NC", DATA))[-1] == "ok"
+    # No temporary file is left
     assert [file.name for file in bench.folder.iterdir()] == ["NEW.NC"]
 
 
 def test_wrong_checksum_leaves_the_old_file(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("NEW.NC", "G0X9")
-    said = bench.run(push("NEW.NC", DATA, checksum=1))
-    assert said[-2:] == ["[MSG:Upload refused: the checksum does not match]", "error:3"]
+    output = bench.run(push("NEW.NC", DATA, checksum=1))
+    assert output[-2:] == ["[MSG:Upload refused: the checksum does not match]", "error:3"]
     assert [file.read_text() for file in bench.folder.iterdir()] == ["G0X9\n"]
 
 
 def test_transfer_ends_when_the_sender_is_silent(tmp_path: Path) -> None:
+    """5000 bytes are announced, and none is sent. The first wait() ends with the error."""
     bench = Bench(tmp_path)
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from bench.sender.wait("ok", "$FU=A.NC,5000,0\n")
-        yield from bench.sender.wait("ok", "$G\n")
+        yield from bench.sender.wait("ok", "$G\n")  # accepted again
 
-    said = bench.run(script)
-    assert said[1:3] == ["[MSG:Upload refused: the sender stopped sending]", "error:3"]
+    output = bench.run(script)
+    assert output[1:3] == ["[MSG:Upload refused: the sender stopped sending]", "error:3"]
     assert list(bench.folder.iterdir()) == []
 
 
@@ -483,8 +518,8 @@ def test_reset_ends_the_transfer(tmp_path: Path) -> None:
         yield from bench.sender.wait("banner", "\x18")
         yield from bench.sender.wait("ok", "$G\n")
 
-    said = bench.run(script)
-    assert said[0] == "[FU:0]" and said[1].startswith("<Idle|")
+    output = bench.run(script)
+    assert output[0] == "[FU:0]" and output[1].startswith("<Idle|")
     assert list(bench.folder.iterdir()) == []
 
 
@@ -500,9 +535,10 @@ def test_reset_ends_the_transfer(tmp_path: Path) -> None:
     ],
 )
 def test_impossible_transfer_is_refused_first(tmp_path: Path, order: str, why: str) -> None:
+    """The order is name, size and checksum. It is refused before anything is written."""
     bench = Bench(tmp_path)
-    said = bench.run(say(f"$FU={order}", wait_s=0))
-    assert said[0].startswith(why) and said[1:] == ["error:3"]
+    output = bench.run(say(f"$FU={order}", wait_s=0))
+    assert output[0].startswith(why) and output[1:] == ["error:3"]
     assert not bench.folder.exists()
 
 
@@ -518,12 +554,13 @@ HOMED = ("$22=1", "$24=300", "$25=3000", "$27=5", "$130=40", "$131=40", "$132=40
 
 
 def homed(bench: Bench) -> Bench:
-    """Add switches at both ends, and settings for homing."""
+    """Add limit switches at both ends of each axis, so that $H succeeds; return the bench."""
     listen = bench.rig.on_built
 
     def on_built() -> None:
         if listen:
             listen()
+        # on_built is called at each restart of the firmware.
         if not bench.rig.engine.switches:
             switches.fit(bench.rig)
 
@@ -534,9 +571,9 @@ def homed(bench: Bench) -> Bench:
 def test_job_entry_needs_a_homed_machine(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *PROGRAM)
-    said = bench.run(say("$F=A.NC@3", wait_s=1))
+    output = bench.run(say("$F=A.NC@3", wait_s=1))
     why = "to start at a line within the job, home first ($H)"
-    assert said == [f"[MSG:Job A.NC: {why}]", "error:3"]
+    assert output == [f"[MSG:Job A.NC: {why}]", "error:3"]
     assert bench.moves == []
 
 
@@ -564,9 +601,9 @@ def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
     whole.put("A.NC", *ROUTER)
     whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
     part = homed(Bench(tmp_path))
-    said = part.run(to_its_end(*FAST, *HOMED, f"$F=A.NC@{line}"))
-    assert f"[MSG:Job A.NC: continues at line {line}]" in said
-    assert said[-1] == "[MSG:Job A.NC: done, 11 lines]"
+    output = part.run(to_its_end(*FAST, *HOMED, f"$F=A.NC@{line}"))
+    assert f"[MSG:Job A.NC: continues at line {line}]" in output
+    assert output[-1] == "[MSG:Job A.NC: done, 11 lines]"
     assert part.steps == whole.steps
     assert part.behind(line) == whole.behind(line)
 
@@ -577,12 +614,16 @@ def test_job_continues_at_a_line_as_if_all_before_it_had_been_executed(
 def test_job_can_be_entered_after_words_that_only_lenient_accepts(tmp_path: Path) -> None:
     bench = Bench(tmp_path, LENIENT=True)
     bench.put("A.NC", "%", "O1", "G21G90", "G43H1", "G0X1", "G1X2F500", "G1X3")
-    said = homed(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))
-    assert said[-1] == "[MSG:Job A.NC: done, 7 lines]", said[-3:]
+    output = homed(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))
+    assert output[-1] == "[MSG:Job A.NC: done, 7 lines]", output[-3:]
     assert bench.moves[-1][0] == 3
 
 
 def test_start_button_starts_the_job_from_its_beginning(tmp_path: Path) -> None:
+    """A press in a hold only ends the hold, and one in a dwell does nothing.
+
+    The third starts the job, and executes all its lines.
+    """
     bench = Bench(tmp_path)
     bench.put("A.NC", "G91", "G0X5", "G0Y5")
 
@@ -595,7 +636,7 @@ def test_start_button_starts_the_job_from_its_beginning(tmp_path: Path) -> None:
         bench.press()  # only ends the hold
         yield bench.rig.ms(3000)
         assert bench.moves == []
-        bench.rig.link.send(b"G4P0.5\n")
+        bench.rig.link.send(b"G4P0.5\n")  # a dwell: the machine is not idle
         yield bench.rig.ms(200)
         bench.press()
         yield bench.rig.ms(3000)
@@ -608,14 +649,15 @@ def test_start_button_starts_the_job_from_its_beginning(tmp_path: Path) -> None:
 
 
 def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) -> None:
+    """A door opens in line 2. The line is stored after the parking motion, not during it."""
     store = factory_store(load_board("sim"))
     store.files["settings"] += ["$22=1"]
     bench = Bench(tmp_path, store, PARKING=True)
     bench.put("DOOR.NC", "G21G91G0Z-10", "G1X20F300")
 
     def script(bench: Bench) -> Iterator[Any]:
-        yield from say("$X", "$F=DOOR.NC", wait_s=4)(bench)
-        bench.rig.link.send(b"\x84")
+        yield from say("$X", "$F=DOOR.NC", wait_s=4)(bench)  # in line 2
+        bench.rig.link.send(b"\x84")  # door: the tool is parked
         yield lambda: bench.rig.controller.state.system_motion
         while bench.rig.controller.state.system_motion:
             assert bench.kept()[1] == "1"  # stored when it began
@@ -626,6 +668,7 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
         yield bench.rig.ms(15_000)
 
     assert bench.run(script)[-1] == "[MSG:Job DOOR.NC: done, 2 lines]"
+    # 20 mm and -10 mm at 250 steps/mm
     assert bench.steps == [5000, 0, -2500] and bench.kept() == []
 
 
@@ -633,6 +676,10 @@ def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) ->
 def test_hold_while_the_entry_is_computed_keeps_the_tool_in_place(
     tmp_path: Path, byte: bytes
 ) -> None:
+    """3000 dwells before the entry take the board a while to read.
+
+    A hold or door in that time ends the start.
+    """
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G21", "M3S800", *["G4P0"] * 3000, "G0X-9")
 
@@ -644,18 +691,22 @@ def test_hold_while_the_entry_is_computed_keeps_the_tool_in_place(
         bench.rig.link.send(byte)
         yield bench.rig.ms(20_000)
 
-    said = bench.run(script)
-    assert "[MSG:Job A.NC: the start was interrupted by a hold, door or sleep]" in said
+    output = bench.run(script)
+    assert "[MSG:Job A.NC: the start was interrupted by a hold, door or sleep]" in output
     assert bench.moves == [] and bench.rig.port.spindle_pwm == 0
 
 
 def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> None:
+    """The user sets G55 and a tool length before the job.
+
+    After a reset neither is active, but an entry at the stored line has them again.
+    """
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G0X1", "G1Y1F6000", "G0X2", *["G1X9F60", "G1X8"] * 9)
 
     def script(bench: Bench) -> Iterator[Any]:
         setup = ("G10L2P2X-9Y-9Z-9", "G55", "G43.1Z3", "$F=A.NC")
-        yield from say(*FAST, *HOMED, *setup, wait_s=4)(bench)
+        yield from say(*FAST, *HOMED, *setup, wait_s=4)(bench)  # in line 4, which is slow
         bench.rig.link.send(b"!")
         yield bench.rig.ms(2000)
         yield from bench.sender.wait("banner", "\x18")
@@ -664,18 +715,18 @@ def test_job_continues_with_the_modes_in_force_at_its_start(tmp_path: Path) -> N
         assert bench.kept()[1] == "4"
         assert bench.moves[0][0] == -5  # up, from the switch
         assert bench.moves[1] == (-7, -8, -5)  # across to X2 Y1 of G55
-        assert bench.moves[-1][0] in (0, -1)
+        assert bench.moves[-1][0] in (0, -1)  # X9 or X8 of G55, which has X-9
 
-    said = bench.run(script)
-    assert any("continues at line" in text for text in said), said
+    output = bench.run(script)
+    assert any("continues at line" in text for text in output), output
 
 
 @pytest.mark.parametrize("line", ["$H", "$J=G91X1F100", "$C", "$SLP"])
 def test_entry_after_commands_of_unknown_effect_is_refused(tmp_path: Path, line: str) -> None:
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G21", line, "G0X-9")
-    said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
-    assert said[-1] == "[MSG:Job A.NC: line 2 is a $ command of unknown effect: start before it]"
+    output = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
+    assert output[-1] == "[MSG:Job A.NC: line 2 is a $ command of unknown effect: start before it]"
 
 
 def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues(
@@ -688,6 +739,7 @@ def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from say("$F=A.NC", wait_s=1)(bench)
+        # As the firmware does for a network client that connects: only it gets the welcome.
         report = bench.rig.controller.report
         link, report._link = report._link, SimpleNamespace(write=greeting.append)
         bench.rig.controller.welcome()
@@ -701,33 +753,40 @@ def test_client_that_opens_the_port_in_a_dwell_is_welcomed_and_the_job_continues
 def test_refused_entry_restores_modes_and_offsets_and_leaves_the_tool_off(
     tmp_path: Path,
 ) -> None:
+    """Reading the lines before the entry changes modes and offsets; G5 is refused.
+
+    All are as before the start then, but the tool is off.
+    """
     bench = homed(Bench(tmp_path))
     bench.put("A.NC", "G20G91G92X1", "G43.1Z2", "G54", "G5")
+    # The user's, and their report
     modes = ("G55", "M3S500", "F77", "$G", "$#")
-    said = bench.run(say(*FAST, *HOMED, *modes, "$F=A.NC@9", "$G", "$#", wait_s=5))
-    before, after = [text for text in said if text.startswith("[GC:")]
+    output = bench.run(say(*FAST, *HOMED, *modes, "$F=A.NC@9", "$G", "$#", wait_s=5))
+    before, after = [text for text in output if text.startswith("[GC:")]
     assert after == before.replace("M3", "M5")
     for name in ("[G92:", "[TLO:"):
-        first, second = [text for text in said if text.startswith(name)]
+        first, second = [text for text in output if text.startswith(name)]
         assert first == second
     assert bench.rig.port.spindle_pwm == 0
 
 
 def test_failed_probe_in_a_job_switches_the_tool_off(tmp_path: Path) -> None:
+    """The probe never closes: the machine stops in alarm, without the last line."""
     bench = Bench(tmp_path)
     bench.put("A.NC", "M3S900", "G91G38.2Z-1F600", "G0X1")
-    said = bench.run(say("$F=A.NC"))
-    assert "ALARM:5" in said
+    output = bench.run(say("$F=A.NC"))
+    assert "ALARM:5" in output
     assert bench.rig.port.spindle_pwm == 0 and bench.steps[0] == 0
 
 
 def test_check_mode_keeps_the_stored_record(tmp_path: Path) -> None:
+    """A job that a power cut (the end of run()) has stopped stays recorded."""
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
-    kept = bench.kept()
+    record = bench.kept()
     Bench(tmp_path, bench.store).run(say("$C", "$F=A.NC"))
-    assert bench.kept() == kept
+    assert bench.kept() == record
 
 
 def test_job_is_not_resumed_with_another_file_of_that_name(tmp_path: Path) -> None:
@@ -735,9 +794,9 @@ def test_job_is_not_resumed_with_another_file_of_that_name(tmp_path: Path) -> No
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
     bench.put("A.NC", "G0X1", "G0X2")
-    again = homed(Bench(tmp_path, bench.store))
-    said = again.run(say(*FAST, *HOMED, "$F=@", wait_s=5))
-    assert said[-1] == "[MSG:Job A.NC: the file has changed since that job stopped]"
+    restarted = homed(Bench(tmp_path, bench.store))
+    output = restarted.run(say(*FAST, *HOMED, "$F=@", wait_s=5))
+    assert output[-1] == "[MSG:Job A.NC: the file has changed since that job stopped]"
 
 
 def test_job_does_not_start_jobs(tmp_path: Path) -> None:
@@ -749,15 +808,16 @@ def test_job_does_not_start_jobs(tmp_path: Path) -> None:
 def test_status_requests_do_not_keep_a_transfer_open(
     tmp_path: Path,
 ) -> None:
+    """The data is no valid piece. Status requests follow for 6 s: the upload still ends."""
     bench = Bench(tmp_path)
 
     def script(bench: Bench) -> Iterator[Any]:
         bench.rig.link.send(b"$FU=A.NC,5000,0\nzzzz*\n\n")
-        for _ in range(60):
+        for _ in range(60):  # of 100 ms each
             bench.rig.link.send(b"?")
             yield bench.rig.ms(100)
 
-    said = bench.run(script)
-    assert "[MSG:Upload refused: the data arrived damaged]" in said and "error:3" in said
-    reports = [text for text in said if text.startswith("<")]
+    output = bench.run(script)
+    assert "[MSG:Upload refused: the data arrived damaged]" in output and "error:3" in output
+    reports = [text for text in output if text.startswith("<")]
     assert len(reports) > 50

@@ -69,7 +69,10 @@ def single(x: float) -> float:
 def due(
     flags: int, rpm: float, most: float, least: float, full: int, percent: int
 ) -> "tuple[int, float]":
-    """Compute power and speed as Grbl does, step by step in single precision."""
+    """Return power and speed in rpm as Grbl computes them, step by step in single precision.
+
+    Power that follows speed (M4) is in 1/64 of a step.
+    """
     span = single(most - least)
     gradient = single((full - 1) / span) if span > 0 else 0.0
     if gradient * most >= 1 << 23:
@@ -104,6 +107,7 @@ def test_power_is_computed_as_in_single_precision(
     spindle = made(most, least, full)
     state = spindle._state
     state.override_spindle(percent)
+    # No value that block_power() could write: the speed must be written anew.
     state.spindle[RPM] = -1
     flags = CCW | layout.DYNAMIC if follows else CW
     power, speed = due(flags, rpm, most, least, full, percent)
@@ -114,42 +118,49 @@ def test_power_is_computed_as_in_single_precision(
 # Holds
 
 
-_QUEUE = 7  # rows that may have been made ahead
+_QUEUE = 7  # rows of steps that may have been made ahead of the executed one
 
 
-@pytest.mark.parametrize("turn", ["M3", "M4"])
+@pytest.mark.parametrize("spindle_word", ["M3", "M4"])
 @pytest.mark.parametrize("words", [("S500", "S200", "S999"), ("", "S0", ""), ("S1500", "", "S9")])
-def test_report_in_motion_has_the_speed_of_the_beam(turn: str, words: "tuple[str, ...]") -> None:
-    """With overrides: the speed of a row between the executed one and the last one made."""
+def test_report_in_motion_has_the_speed_of_the_beam(
+    spindle_word: str, words: "tuple[str, ...]"
+) -> None:
+    """A report in motion has the spindle speed of a row that is executed or planned next.
+
+    Words: S of three moves that follow the first. Overrides change it in the middle of motion.
+    """
     machine = Machine({32: 1, 110: 6000, 120: 300})
-    told: "list[tuple[int, str]]" = []
+    reports: "list[tuple[int, str]]" = []
 
     def script() -> Iterator[Any]:
         yield from machine.start()
         rig = machine.rig
+        # A rapid, then lines, of 3 mm each.
         lines = [f"G{k > 0:d}X{3 * k}{word}" for k, word in enumerate(("", *words), 1)]
-        rig.link.send("\n".join([turn + "S400F1200", *lines, ""]).encode())
-        for number in range(22):
+        rig.link.send("\n".join([spindle_word + "S400F1200", *lines, ""]).encode())
+        for number in range(22):  # a report every 29 ms, and an override
             yield rig.ms(29)
             if number == 11:
                 rig.link.send(b"\x9b\x9b\x9b")
                 continue
             rig.link.send(b"?")
             yield from machine.sender.until(lambda: any("<" in x for x in machine.sender.lines))
-            told.append((rig.now, machine.take()[-1]))
+            reports.append((rig.now, machine.take()[-1]))
         yield from machine.rest()
 
     machine.run(script())
-    runs = [(at, line) for at, line in told if line.startswith("<Run")]
+    runs = [(time, line) for time, line in reports if line.startswith("<Run")]
     assert len(runs) > 12
-    starts = [start for start, _ in machine.rows]
-    for at, line in runs:
+    row_starts = [start for start, _ in machine.rows]
+    for time, line in runs:
         rpm = int(line.partition("FS:")[2].partition("|")[0].strip(">").split(",")[1])
         # The report arrives some ms later.
-        first = bisect.bisect(starts, at - 12 * machine.rig.ticks_per_ms) - 1
-        rows = machine.rows[max(first, 0) : bisect.bisect(starts, at) + _QUEUE]
-        near = {row[ROW_POWER] for _, row in rows}
-        assert min(abs(rpm * 255 / 1000 - power) for power in near) <= 4, (line, near)
+        first = bisect.bisect(row_starts, time - 12 * machine.rig.ticks_per_ms) - 1
+        rows = machine.rows[max(first, 0) : bisect.bisect(row_starts, time) + _QUEUE]
+        powers = {row[ROW_POWER] for _, row in rows}
+        # 255 steps of power for S1000.
+        assert min(abs(rpm * 255 / 1000 - power) for power in powers) <= 4, (line, powers)
 
 
 @pytest.mark.parametrize(
@@ -164,17 +175,23 @@ def test_report_in_motion_has_the_speed_of_the_beam(turn: str, words: "tuple[str
 def test_laser_given_back_by_the_end_of_a_hold_is_no_change_to_report(
     spindle: str, laser: int, resumed_by: str, is_reported: bool
 ) -> None:
+    """A hold turns a laser off, and its end on again: no report needs an "Ov:" field for that.
+
+    A change that the user made by the spindle stop byte (0x9e) is reported.
+    """
     bench = Bench({32: laser})
     reports = []
 
     def script() -> Iterator[Any]:
         yield from bench.say(spindle + "S600\n", "ok")
+        # A spindle in hold does not stop by itself: without laser mode, 0x9e stops it.
         for sent in ("!", "\x9e" * (not laser), resumed_by):
             yield from bench.say(sent, "ms 50")
             for _ in range(3):  # WCO: comes first
                 reports.append((yield from bench.say("?", "report"))[0])
 
     bench.run(script())
+    # Only the three reports after the end of the hold count.
     assert any("|Ov:" in line for line in reports[-3:]) == is_reported, reports
 
 
@@ -182,15 +199,15 @@ def test_laser_given_back_by_the_end_of_a_hold_is_no_change_to_report(
 
 
 def talk(bench: Bench, *lines: str) -> "list[list[str]]":
-    """Return the answers to each line."""
-    said = []
+    """Return the answers to each line, after the start of the machine."""
+    answers = []
 
     def script() -> Iterator[Any]:
         for line in lines:
-            said.append((yield from bench.say(line + "\n", "ok")))
+            answers.append((yield from bench.say(line + "\n", "ok")))
 
     bench.run(script())
-    return said
+    return answers
 
 
 @pytest.mark.parametrize("hz", [0, 9.9, 100_001, 1e9])
@@ -198,6 +215,7 @@ def test_frequency_out_of_range_is_refused_and_nothing_changes(hz: float) -> Non
     bench = Bench({}, "sim_laser")
     refused, listed = talk(bench, f"$33={hz:f}", "$$")
     assert refused == ["error:3"]
+    # 5000 Hz is the default.
     assert "$33=5000" in listed and bench.port.pwm.freq() == 5000
     assert not any(
         "$33=" in line for line in bench.rig.store.files["settings"] if "5000" not in line
@@ -234,9 +252,10 @@ def test_frequency_of_the_board_file_is_the_default() -> None:
 def test_esp32_changes_frequency_at_once_and_keeps_power() -> None:
     reset_stand_ins()
     port = gpio_esp.EspPort(SimpleNamespace(SPINDLE_PWM=16, PWM_MAX=1000))
-    port.spindle(True, 250)
+    port.spindle(True, 250)  # a quarter of PWM_MAX
     output = esp_machine.PWM.outputs[16]
     port.pwm.freq(20_000)
+    # The chip's duty has 16 bits.
     assert (output.frequency, output.duty) == (20_000, 250 * 65535 // 1000)
 
 
@@ -257,6 +276,7 @@ def load_board_with(**changes: Any) -> Any:
 
 @pytest.mark.parametrize("dots", ["S-1", "S-1:0:5", "S0:-1:5", "S5:0:-1"])
 def test_dot_below_0_is_refused_wherever_it_is(dots: str) -> None:
+    """S with colons is the power of each dot of a line of pixels; none may be negative."""
     machine = Machine({32: 1}, "sim_laser", watched=False)
     answers: "list[str]" = []
     machine.converse(

@@ -24,13 +24,14 @@ def test_words_give_the_table_of_a_corexy() -> None:
 @pytest.mark.thorough
 @given(places)
 def test_motors_move_as_the_words_say(lines: "list[tuple[int, int, int]]") -> None:
+    """The motors of the board have MOVES X+Z, Y and X-Z. Lines are in tenths of mm."""
     machine = Machine(board="sim_corexz")
     machine.play([f"G1 X{x / 10} Y{y / 10} Z{z / 10} F2000" for x, y, z in lines])
-    made = [round(n / 10 * per) for n, per in zip(lines[-1], _PER_MM, strict=True)]
-    x, y, z = made
+    axis_steps = [round(n / 10 * per) for n, per in zip(lines[-1], _PER_MM, strict=True)]
+    x, y, z = axis_steps
     assert machine.physical() == [x + z, y, x - z]
     assert machine.reported() == [
-        pytest.approx(n / per, abs=6e-4) for n, per in zip(made, _PER_MM, strict=True)
+        pytest.approx(n / per, abs=6e-4) for n, per in zip(axis_steps, _PER_MM, strict=True)
     ]
 
 
@@ -53,11 +54,12 @@ def test_impossible_words_are_reported(words: Sequence[str], why: str) -> None:
 
 
 def test_motor_that_moves_one_axis_may_have_a_second() -> None:
+    """The second motor of Y moves like the first; an axis that shares its motor has no second."""
     board = ModuleType("board")
     board.__dict__.update({**vars(load_board("sim_ganged")), "MOVES": ("X+Z", "Y", "X-Z")})
     machine = Machine(board=board)
     machine.play(["G1 X1 Y2 Z3 F500"])
-    assert machine.physical() == [1000, 500, -500, 500]
+    assert machine.physical() == [1000, 500, -500, 500]  # X+Z, Y, X-Z and Y again, 250 steps/mm
     board.MOTORS = "XYZZ"  # type: ignore[attr-defined]
     assert board_check.problems(board) == ["MOTORS: Z shares its motor, and has no second"]
 

@@ -17,7 +17,7 @@ from ports.storage import prepared_page
 from test_jobs import FAST, HOMED, Bench, homed, say, to_its_end
 
 _PIN = 22
-_PAGE_MS = 3
+_PAGE_MS = 3  # to write a page of flash
 _STEPS_PER_MM = 250
 _JOB = "PART.NC"
 _LINES = (
@@ -33,7 +33,7 @@ _UNFINISHED = f"[MSG:Job {_JOB}: did not finish; last recorded line: "
 
 
 class Power:
-    """The supply of a machine with POWER_FAIL, and its flash."""
+    """The supply of a machine with POWER_FAIL, and its flash. The machine's bench is `bench`."""
 
     def __init__(self, patch: pytest.MonkeyPatch, folder: Path, **options: Any) -> None:
         self._patch = patch
@@ -52,9 +52,13 @@ class Power:
         self._edge_ms = 0.0
 
     def machine(self, *, fresh: bool = False, image: "bytes | None" = None) -> Bench:
-        """Return a machine that is powered now. image: the content of its flash."""
+        """Return a machine that is powered now.
+
+        image: the content of its flash, None: as it is; fresh: flash without files.
+        """
         if image is not None:
             self.flash = Flash(image)
+        # Level 0 of the contact: the supply is present.
         Pin.pins.pop(_PIN, None)
         Pin(_PIN).drive(0)
         files, device = Files(self.flash, fresh), BlockDevice(self.flash)
@@ -70,7 +74,10 @@ class Power:
         return float(self.bench.rig.now / self.bench.rig.ticks_per_ms)
 
     def fail(self, lasts_ms: int = 200) -> Iterator[Any]:
-        """Open the contact, an interrupt at any place of the firmware; then let time pass."""
+        """Open the contact, which is an interrupt; then record the steps at each ms.
+
+        The tool must be off all the time.
+        """
         rig = self.bench.rig
         self._edge_ms = self._now_ms()
         self.image, self.files = bytes(self.flash.buffer), copy.deepcopy(self.store.files)
@@ -87,12 +94,12 @@ class Power:
     def fails_in_job(
         self, after_ms: float, *settings: str, lines: "tuple[str, ...]" = _LINES
     ) -> "list[str]":
-        """Run a job, and let the supply fail so many ms after its beginning."""
+        """Run a job, let the supply fail so many ms after its beginning, and return the output."""
         self.bench.put(_JOB, *lines)
 
         def script(bench: Bench) -> Iterator[Any]:
             yield from say(*FAST, *HOMED, *settings, f"$F={_JOB}", wait_s=0)(bench)
-            yield from bench.sender.until(lambda: bench.kept() != [])
+            yield from bench.sender.until(lambda: bench.kept() != [])  # the start is recorded
             bench.sender.take()
             yield bench.rig.ms(after_ms)
             yield from self.fail()
@@ -101,12 +108,13 @@ class Power:
 
     def cut(self, after_ms: float) -> bytes:
         """Return the flash of a supply that was gone so many ms after the edge."""
-        begun = sum(ms < after_ms for ms in self.writes)
-        whole = sum(ms + _PAGE_MS <= after_ms for ms in self.writes)
-        torn = 0
-        if begun > whole:
-            torn = int(PAGE * (after_ms - self.writes[whole]) / _PAGE_MS)
-        return cut(self.image, self._log, whole, torn)
+        # Of the last page only a part is written, in proportion to the time.
+        begun_pages = sum(ms < after_ms for ms in self.writes)
+        whole_pages = sum(ms + _PAGE_MS <= after_ms for ms in self.writes)
+        torn_bytes = 0
+        if begun_pages > whole_pages:
+            torn_bytes = int(PAGE * (after_ms - self.writes[whole_pages]) / _PAGE_MS)
+        return cut(self.image, self._log, whole_pages, torn_bytes)
 
     def starts(self, image: bytes) -> "list[str]":
         """Return the messages of the next start with this flash, and the files of the edge."""
@@ -120,23 +128,23 @@ class Power:
 
     def line_at(self, steps: "list[int]") -> "set[int]":
         """Return the lines of the job on whose way these steps are."""
-        found, start = set(), None
-        for line, (_, _, target, _) in self.bench.log:
-            if start and line:
-                ends = zip(start, target, steps, strict=False)
+        lines, start_mm = set(), None
+        for line, (_, _, target_mm, _) in self.bench.log:
+            if start_mm and line:
+                axes = zip(start_mm, target_mm, steps, strict=False)
                 if all(
-                    min(a, b) - 0.005 <= n / _STEPS_PER_MM <= max(a, b) + 0.005 for a, b, n in ends
+                    min(a, b) - 0.005 <= n / _STEPS_PER_MM <= max(a, b) + 0.005 for a, b, n in axes
                 ):
-                    found.add(line)
-            start = target
-        return found
+                    lines.add(line)
+            start_mm = target_mm
+        return lines
 
 
-def report(said: "list[str]") -> "dict[str, Any]":
-    """Return the parts of the report; {} without one."""
-    found = [match for match in map(_REPORT.match, said) if match]
-    assert len(found) <= 1, said
-    return found[0].groupdict() if found else {}
+def report(output: "list[str]") -> "dict[str, Any]":
+    """Return the parts of the report: job, line, sure, X, Y and Z; {} without one."""
+    matches = [match for match in map(_REPORT.match, output) if match]
+    assert len(matches) <= 1, output
+    return matches[0].groupdict() if matches else {}
 
 
 def has_planned(bench: Bench, line: int) -> bool:
@@ -144,8 +152,9 @@ def has_planned(bench: Bench, line: int) -> bool:
     return any(entry[0] >= line for entry in bench.log)
 
 
-def place(found: "dict[str, Any]") -> "dict[str, float]":
-    return {axis: float(found[axis]) for axis in "XYZ"}
+def place(parts: "dict[str, Any]") -> "dict[str, float]":
+    """Return the position of a report in mm."""
+    return {axis: float(parts[axis]) for axis in "XYZ"}
 
 
 @pytest.fixture
@@ -154,27 +163,33 @@ def power(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Power:
 
 
 def test_job_resumes_at_the_exact_line_of_the_failure(power: Power, tmp_path: Path) -> None:
-    said = power.fails_in_job(233)
-    assert "ALARM:36" in said and "ALARM:3" not in said
+    """One write of a page, before 100 ms, records a stop without lost steps.
+
+    The next start reports it, and the job resumed there ends where a whole run ends.
+    """
+    output = power.fails_in_job(233)
+    assert "ALARM:36" in output and "ALARM:3" not in output
     assert len(power.writes) == 1 and power.writes[0] + _PAGE_MS < 100
+    # It braked after the edge, and stood when the page was written.
     assert power.steps[0] != power.steps[-1] == power.steps[int(power.writes[0]) + 1]
     lines = power.line_at(power.steps[-1])
 
-    said = power.starts(power.cut(100))
-    found = report(said)
-    assert found["job"] == _JOB and found["sure"] == _CERTAIN and int(found["line"]) in lines
-    assert place(found) == power.at(200)
-    assert f"{_UNFINISHED}{found['line']}]" in said
-    assert said.index(f"{_UNFINISHED}{found['line']}]") == 1
-    power.machine().put(_JOB, *_LINES)
-    said = power.bench.run(say(*HOMED, "$F=@", wait_s=20))
-    assert not report(said), "a record is reported once"
-    assert f"[MSG:Job {_JOB}: continues at line {found['line']}]" in said
-    whole = homed(Bench(tmp_path / "whole"))
-    whole.folder.parent.mkdir()
-    whole.put(_JOB, *_LINES)
-    whole.run(to_its_end(*FAST, *HOMED, f"$F={_JOB}"))
-    assert whole.steps == power.bench.steps
+    output = power.starts(power.cut(100))
+    # The supply is gone 100 ms after the edge.
+    parts = report(output)
+    assert parts["job"] == _JOB and parts["sure"] == _CERTAIN and int(parts["line"]) in lines
+    assert place(parts) == power.at(200)
+    assert f"{_UNFINISHED}{parts['line']}]" in output
+    assert output.index(f"{_UNFINISHED}{parts['line']}]") == 1
+    power.machine().put(_JOB, *_LINES)  # a next start
+    output = power.bench.run(say(*HOMED, "$F=@", wait_s=20))
+    assert not report(output), "a record is reported once"
+    assert f"[MSG:Job {_JOB}: continues at line {parts['line']}]" in output
+    uninterrupted = homed(Bench(tmp_path / "whole"))
+    uninterrupted.folder.parent.mkdir()
+    uninterrupted.put(_JOB, *_LINES)
+    uninterrupted.run(to_its_end(*FAST, *HOMED, f"$F={_JOB}"))
+    assert uninterrupted.steps == power.bench.steps
 
 
 @pytest.mark.parametrize(
@@ -183,19 +198,24 @@ def test_job_resumes_at_the_exact_line_of_the_failure(power: Power, tmp_path: Pa
 def test_cut_at_every_millisecond_leaves_the_record_or_the_journal(
     power: Power, after_ms: int
 ) -> None:
+    """A cut while the page is written leaves the whole record or none.
+
+    Without it, the job's stored record (the journal) still has the beginning of the job.
+    """
     power.fails_in_job(after_ms)
     lines = power.line_at(power.steps[-1])
-    (written,) = power.writes
+    (written_ms,) = power.writes
     for ms in range(120):
         image = power.cut(ms)
-        if ms > written + _PAGE_MS and ms % 20:
+        # After the write nothing changes: every 20th is enough.
+        if ms > written_ms + _PAGE_MS and ms % 20:
             assert image == power.cut(119)
             continue
-        found = report(power.starts(image))
-        assert not found or ms > written
-        assert found or ms < written + _PAGE_MS
-        if found:
-            assert int(found["line"]) in lines and place(found) == power.at(119)
+        parts = report(power.starts(image))
+        assert not parts or ms > written_ms
+        assert parts or ms < written_ms + _PAGE_MS
+        if parts:
+            assert int(parts["line"]) in lines and place(parts) == power.at(119)
         else:
             assert power.store.files["job"][1] == "1", "the beginning, as noted before"
 
@@ -204,16 +224,17 @@ def test_cut_at_every_millisecond_leaves_the_record_or_the_journal(
 @pytest.mark.parametrize("after_ms", range(120, 620))
 def test_failure_at_every_millisecond_of_a_job_is_recorded(power: Power, after_ms: int) -> None:
     power.fails_in_job(after_ms)
-    (written,) = power.writes
+    (written_ms,) = power.writes
     lines = power.line_at(power.steps[-1])
-    assert written + _PAGE_MS < 100
-    still = power.steps[int(written) + 1]
-    assert still == power.steps[-1], "nothing is written while a step may come"
-    found = report(power.starts(power.cut(100)))
-    assert found["sure"] == _CERTAIN and place(found) == power.at(199)
-    assert int(found["line"]) in lines
+    assert written_ms + _PAGE_MS < 100
+    steps_when_written = power.steps[int(written_ms) + 1]
+    assert steps_when_written == power.steps[-1], "nothing is written while a step may come"
+    parts = report(power.starts(power.cut(100)))
+    assert parts["sure"] == _CERTAIN and place(parts) == power.at(199)
+    assert int(parts["line"]) in lines
 
 
+# Jobs whose lines take the main loop long; it waits in the line of the parameter `line`.
 _WAITING = {
     "an arc of more chords than the ring has rows": (*["X-0.1"] * 20, "G2X-20I-10", "G1X-1"),
     "a dwell": ("X-1", "G4P1", "X-1"),
@@ -229,43 +250,54 @@ _WAITING = {
 def test_line_is_exact_while_the_loop_waits_in_a_line(
     power: Power, lines: "tuple[str, ...]", line: int, ms: int
 ) -> None:
+    """The supply fails while the main loop waits within a line (see _WAITING)."""
     power.fails_in_job(ms, lines=("G21G91G1F3000", *lines))
-    found = report(power.starts(power.cut(100)))
-    assert found["sure"] == _CERTAIN and int(found["line"]) == line
-    assert place(found) == power.at(199)
+    parts = report(power.starts(power.cut(100)))
+    assert parts["sure"] == _CERTAIN and int(parts["line"]) == line
+    assert place(parts) == power.at(199)
 
 
 def test_motion_that_does_not_stop_in_time_is_stopped_at_once(power: Power) -> None:
+    """At 60 mm/s2 braking takes longer than the supply lasts: at 85 ms motors stop at once."""
     power.fails_in_job(1500, "$120=60", "$121=60", "$122=60")
-    (written,) = power.writes
-    assert 85 < written < 97
-    before, at_end = power.steps[80], power.steps[-1]
-    assert before != power.steps[85] != at_end, "it was moving"
-    line = max(power.line_at(at_end))
-    found = report(power.starts(power.cut(100)))
-    assert found["sure"] == "stopped without braking, position uncertain"
-    assert place(found) == power.at(199)
-    assert 0 <= line - int(found["line"]) <= 6
+    (written_ms,) = power.writes
+    assert 85 < written_ms < 97
+    steps_before, last_steps = power.steps[80], power.steps[-1]
+    assert steps_before != power.steps[85] != last_steps, "it was moving"
+    line = max(power.line_at(last_steps))
+    parts = report(power.starts(power.cut(100)))
+    assert parts["sure"] == "stopped without braking, position uncertain"
+    assert place(parts) == power.at(199)
+    assert 0 <= line - int(parts["line"]) <= 6
 
 
 def test_z_goes_up_and_is_recorded_before_and_after(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    """After the stop, the first record is written.
+
+    Then Z moves up by 1 mm, and a second record has the new position. Until then, Z may be higher
+    than recorded.
+    """
     power = Power(monkeypatch, tmp_path, POWER_FAIL_UP_MM=1)
     power.fails_in_job(300)
-    first, second = power.writes
-    assert first + _PAGE_MS < second < 100 - _PAGE_MS
-    up = power.at(199)["Z"] - power.at(first + 1)["Z"]
-    assert round(up, 3) == 1
-    lines = power.line_at(power.steps[int(first) + 1])
-    for ms, sure in ((first + 4, "position certain, Z perhaps higher"), (second + 4, _CERTAIN)):
-        at = power.at(first + 1 if ms < second else 199)
-        found = report(power.starts(power.cut(ms)))
-        assert found["sure"] == sure and int(found["line"]) in lines
-        assert place(found) == at
+    first_ms, second_ms = power.writes
+    assert first_ms + _PAGE_MS < second_ms < 100 - _PAGE_MS
+    up_mm = power.at(199)["Z"] - power.at(first_ms + 1)["Z"]
+    assert round(up_mm, 3) == 1
+    lines = power.line_at(power.steps[int(first_ms) + 1])
+    for ms, certainty in (
+        (first_ms + 4, "position certain, Z perhaps higher"),
+        (second_ms + 4, _CERTAIN),
+    ):
+        position = power.at(first_ms + 1 if ms < second_ms else 199)
+        parts = report(power.starts(power.cut(ms)))
+        assert parts["sure"] == certainty and int(parts["line"]) in lines
+        assert place(parts) == position
 
 
 def test_z_stays_where_it_is_not_homed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without homing, nothing is known of the space above Z."""
     power = Power(monkeypatch, tmp_path, POWER_FAIL_UP_MM=1)
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -278,49 +310,54 @@ def test_z_stays_where_it_is_not_homed(monkeypatch: pytest.MonkeyPatch, tmp_path
 
 
 def test_supply_that_comes_back_leaves_a_machine_in_alarm(power: Power) -> None:
+    """The supply fails twice in a job, and returns each time before the machine is off.
+
+    After unlocking and homing, the job resumes at the reported line.
+    """
     power.bench.put(_JOB, *_LINES)
     lines: list[set[int]] = []
 
     def script(bench: Bench) -> Iterator[Any]:
         yield from say(*FAST, *HOMED, f"$F={_JOB}", wait_s=0)(bench)
-        for reached in (20, 45):
-            yield from bench.sender.until(lambda line=reached: has_planned(bench, line))
+        for line in (20, 45):
+            yield from bench.sender.until(lambda line=line: has_planned(bench, line))
             bench.sender.take()
             yield from power.fail(1000)
             lines.append(power.line_at(power.steps[-1]))
-            Pin(_PIN).drive(0)
+            Pin(_PIN).drive(0)  # the supply is back
             yield bench.rig.ms(200)
-            said = bench.sender.take()
-            assert "ALARM:36" in said
-            found = report(said)
-            assert found["sure"] == _CERTAIN and bench.kept()[1] == found["line"]
-            assert int(found["line"]) in lines[-1]
+            output = bench.sender.take()
+            assert "ALARM:36" in output
+            parts = report(output)
+            assert parts["sure"] == _CERTAIN and bench.kept()[1] == parts["line"]
+            assert int(parts["line"]) in lines[-1]
             yield from say("$X", "$H", "$F=@", wait_s=0)(bench)
         yield bench.rig.ms(10_000)
 
     assert power.bench.run(script)[-1].endswith("done, 61 lines]")
+    # The job went on between both failures.
     assert lines[0].isdisjoint(lines[1])
 
 
 def test_nothing_moves_while_the_contact_is_open(power: Power) -> None:
-    """Also from power-up on: the wire may be cut."""
+    """Also from power-up on, because the wire may be cut: each attempt ends in ALARM:36."""
 
     def script(bench: Bench) -> Iterator[Any]:
-        Pin(_PIN).drive(1)
+        Pin(_PIN).drive(1)  # open
         yield bench.rig.ms(1000)
         assert "ALARM:36" in bench.sender.take()
         yield from say("$X", "G0X5", wait_s=3)(bench)
         assert "ALARM:36" in bench.sender.take()
-        Pin(_PIN).drive(0)
+        Pin(_PIN).drive(0)  # closed again
         yield from say("$X", "G0X1", wait_s=5)(bench)
 
-    said = power.bench.run(script)
-    assert power.bench.steps == [_STEPS_PER_MM, 0, 0] and "ALARM:16" not in said
+    output = power.bench.run(script)
+    assert power.bench.steps == [_STEPS_PER_MM, 0, 0] and "ALARM:16" not in output
 
 
 def test_tool_does_not_turn_while_the_contact_is_open(power: Power) -> None:
     def script(bench: Bench) -> Iterator[Any]:
-        Pin(_PIN).drive(1)
+        Pin(_PIN).drive(1)  # open
         yield bench.rig.ms(1000)
         bench.sender.take()
         yield from say("$X", "M3S1000", wait_s=3)(bench)
@@ -330,6 +367,7 @@ def test_tool_does_not_turn_while_the_contact_is_open(power: Power) -> None:
     power.bench.run(script)
 
 
+# By state: a line to enter it, the line that is executed, and a real-time byte after it.
 _STATES = {
     "idle": ("", "M5", ""),
     "running": ("", "G1X8F3000", ""),
@@ -347,6 +385,7 @@ _STATES = {
 
 @pytest.mark.parametrize("state", _STATES)
 def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> None:
+    """See _STATES. A position that is lost or was never known (homing, alarm) is not recorded."""
     before, line, byte = _STATES[state]
 
     def script(bench: Bench) -> Iterator[Any]:
@@ -360,33 +399,38 @@ def test_failure_stops_the_machine_in_every_state(power: Power, state: str) -> N
         bench.sender.take()
         yield from power.fail(1000)
         assert not bench.rig.moving() and power.steps[100] == power.steps[-1]
-        Pin(_PIN).drive(0)
+        Pin(_PIN).drive(0)  # the supply is back
         yield bench.rig.ms(200)
 
-    said = power.bench.run(script)
+    output = power.bench.run(script)
     alarm = "ALARM:6" if state == "homing" else "ALARM:36"
-    assert [text for text in said if text.startswith("ALARM:")] == [alarm], said
+    assert [text for text in output if text.startswith("ALARM:")] == [alarm], output
     is_recorded = state not in ("homing", "in alarm", "in check mode")
-    assert bool(report(said)) == is_recorded
+    assert bool(report(output)) == is_recorded
     if is_recorded:
-        assert place(report(said)) == power.at(999)
+        assert place(report(output)) == power.at(999)
 
 
 def test_time_of_a_stop_is_reported_for_the_settings(power: Power) -> None:
-    said = power.bench.run(say(*FAST, "$I", wait_s=0))
-    assert "[MSG:Power fail: a stop takes 67 ms; the supply lasts 100 ms]" in said  # 14 + 50 + 3
-    said = power.bench.run(say("$121=200", "$I", wait_s=0))
-    assert "[MSG:Power fail: a stop takes 517 ms; the supply lasts 100 ms]" in said
-    said = power.bench.run(say("$121=0", "$I", wait_s=0))
-    assert "[MSG:Power fail: a stop takes 60000017 ms; the supply lasts 100 ms]" in said
+    """The time is 14 ms of steps already queued, the braking of the slowest axis, and 3 ms to
+    write.
+    """
+    output = power.bench.run(say(*FAST, "$I", wait_s=0))
+    # 14 + 50 + 3: FAST has 100 mm/s and 2000 mm/s2.
+    assert "[MSG:Power fail: a stop takes 67 ms; the supply lasts 100 ms]" in output
+    output = power.bench.run(say("$121=200", "$I", wait_s=0))
+    assert "[MSG:Power fail: a stop takes 517 ms; the supply lasts 100 ms]" in output
+    output = power.bench.run(say("$121=0", "$I", wait_s=0))
+    # No acceleration counts as the longest stop that is represented, 1000 min.
+    assert "[MSG:Power fail: a stop takes 60000017 ms; the supply lasts 100 ms]" in output
 
 
 def test_board_whose_flash_has_no_page_says_so(
     power: Power, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(prepared_page, "flash_of_chip", lambda: None)
-    said = power.fails_in_job(100)
-    assert "ALARM:36" in said and power.writes == []
+    output = power.fails_in_job(100)
+    assert "ALARM:36" in output and power.writes == []
     Pin(_PIN).drive(0)
-    said = power.bench.run(say("$G", wait_s=0))
-    assert said[0].startswith("[MSG:POWER_FAIL: no free page of flash")
+    output = power.bench.run(say("$G", wait_s=0))
+    assert output[0].startswith("[MSG:POWER_FAIL: no free page of flash")
