@@ -9,7 +9,7 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 
-PRESSED, RELEASED = {"estop": False}, {"estop": True}
+PRESSED, RELEASED = {"estop": False}, {"estop": True}  # level of the pin: normally closed
 
 
 class Machine(Rig):
@@ -33,10 +33,12 @@ class Machine(Rig):
         yield lambda: until.encode() in self.link.received
 
     def off(self) -> bool:
+        """Return whether spindle and coolant are off at the pins."""
         port = self.port
         return not (port.spindle_on or port.spindle_pwm or port.flood or port.mist)
 
     def place(self) -> "list[int]":
+        """Return the motors' position in steps."""
         self.engine.physical(self.scratch)
         return list(self.scratch)
 
@@ -56,10 +58,11 @@ class Machine(Rig):
             raise failed[0]
 
 
-LOCKED = "[MSG:Emergency stop]\r\nerror:9\r\n"
+LOCKED = "[MSG:Emergency stop]\r\nerror:9\r\n"  # the answer to $X while it is pressed
 
 
 def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
+    """Press during a move: until the switch is released, neither `$X` nor a reset unlocks."""
     machine = Machine()
 
     def script() -> Iterator[Any]:
@@ -69,7 +72,7 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
         assert machine.moving() and not machine.off()
         machine.link.received.clear()
         machine.port.push(PRESSED)
-        assert machine.off() and not machine.moving()
+        assert machine.off() and not machine.moving()  # at once: its interrupt stops both
         place = machine.place()
         yield lambda: b"unlock]\r\n" in machine.link.received
         assert machine.said().startswith("ALARM:17\r\n\r\nGrbl 1.1h")
@@ -83,7 +86,8 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
         yield from machine.ask("G1 X1\n")
         assert machine.said() == "error:9\r\n"
         yield machine.ms(500)
-        assert machine.off() and machine.place() == place
+        assert machine.off() and machine.place() == place  # the refused lines moved nothing
+        # From here: released, the machine unlocks as after any alarm.
         machine.port.push(RELEASED)
         yield machine.ms(100)
         yield from machine.ask("?")
@@ -97,7 +101,9 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
 
 
 def test_machine_unlocks_normally_after_estop_in_an_alarm_is_released() -> None:
-    """The machine is stopped already: no reset follows that would revive motors and tool."""
+    """With homing enabled ($22) the machine starts in alarm, where a press causes no new reset.
+
+    `$X` must enable motors and tool again, which otherwise the reset does."""
     machine = Machine(s22=1)
 
     def script() -> Iterator[Any]:
@@ -127,7 +133,7 @@ def test_machine_that_starts_with_estop_pressed_is_locked() -> None:
 
 
 def test_homing_is_refused_while_estop_is_pressed() -> None:
-    machine = Machine(_22=1)
+    machine = Machine(_22=1)  # homing is enabled
     machine.port.push(PRESSED)
 
     def script() -> Iterator[Any]:
@@ -138,48 +144,54 @@ def test_homing_is_refused_while_estop_is_pressed() -> None:
 
 
 def hold(machine: Machine) -> Iterator[Any]:
+    """Start a move, and stop in a feed hold."""
     yield from machine.ask("G1 X100 F500\n", "ok\r\n")
     machine.link.send(b"!")
     yield machine.ms(2000)
 
 
 def jog(machine: Machine) -> Iterator[Any]:
+    """Start a jog."""
     yield from machine.ask("$J=G91 X100 F500\n", "ok\r\n")
     yield machine.ms(100)
 
 
 def home(machine: Machine) -> Iterator[Any]:
+    """Start homing."""
     machine.link.send(b"$H\n")
     yield machine.ms(300)
 
 
 def check(machine: Machine) -> Iterator[Any]:
+    """Switch check mode on."""
     yield from machine.ask("$C\n", "ok\r\n")
 
 
 def sleep(machine: Machine) -> Iterator[Any]:
+    """Put the machine to sleep."""
     machine.link.send(b"$SLP\n")
     yield machine.ms(500)
 
 
 def dwell(machine: Machine) -> Iterator[Any]:
+    """Start a dwell of 5 s."""
     machine.link.send(b"G4 P5\n")
     yield machine.ms(200)
 
 
-@pytest.mark.parametrize("heard", [True, False], ids=["interrupt", "level"])
+@pytest.mark.parametrize("has_interrupt", [True, False], ids=["interrupt", "level"])
 @pytest.mark.parametrize("prepare", [hold, jog, home, check, sleep, dwell])
 def test_estop_works_in_every_state(
-    prepare: "Callable[[Machine], Iterator[Any]]", heard: bool
+    prepare: "Callable[[Machine], Iterator[Any]]", has_interrupt: bool
 ) -> None:
-    """Also when its interrupt is lost, because the main loop polls its level."""
-    machine = Machine(_22=1)
+    """Also when its interrupt is lost ("level"): the main loop polls the level of the pin."""
+    machine = Machine(_22=1)  # homing enabled: it starts in alarm
 
     def script() -> Iterator[Any]:
         yield from machine.ask("$X\n", "ok\r\n")
         yield from prepare(machine)
         machine.link.received.clear()
-        if not heard:
+        if not has_interrupt:
             machine.port._listener = None
         machine.port.push(PRESSED)
         yield lambda: b"unlock]\r\n" in machine.link.received
@@ -197,6 +209,7 @@ def test_tool_that_a_failed_probing_leaves_on_is_switched_off(touches: bool) -> 
 
     def script() -> Iterator[Any]:
         yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
+        # touching already: ALARM:4; no contact at all: ALARM:5
         machine.port.push({"probe": touches})
         yield from machine.ask("G38.2 Z-0.1 F100\n", "ALARM:4" if touches else "ALARM:5")
         yield machine.ms(800)
@@ -217,7 +230,8 @@ def test_tool_that_a_failed_probing_leaves_on_is_switched_off(touches: bool) -> 
     ("pushed", "said"), [({"limit_x": True}, "ALARM:1\r\n"), (PRESSED, "ALARM:17\r\n")]
 )
 def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", said: str) -> None:
-    machine = Machine(_21=1)
+    """An input is pushed between the main loop's check for alarms and its check for faults."""
+    machine = Machine(_21=1)  # hard limits are on
     fault = machine.engine.fault
 
     def script() -> Iterator[Any]:
@@ -227,6 +241,7 @@ def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", sa
 
         def push_during_check() -> str:
             """Push the input while the main loop looks for a fault, after its look for alarms."""
+            # once only
             machine.engine.fault = fault  # type: ignore[method-assign]
             machine.port.push(pushed)
             return fault()
@@ -239,6 +254,7 @@ def test_alarm_after_the_check_for_one_is_reported(pushed: "dict[str, bool]", sa
 
 
 def test_failing_callback_is_an_alarm_with_its_cause() -> None:
+    """A port that catches an exception in a callback kills the tool and calls on_fault()."""
     machine = Machine()
 
     def script() -> Iterator[Any]:

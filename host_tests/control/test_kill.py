@@ -30,34 +30,35 @@ WORK: "dict[str, Callable[[Any], object]]" = {
 
 
 class Bench:
-    """A port of a chip, and the outputs of its pins by name; 0 is off."""
+    """A port of a chip ("rp2", "esp" or "sim"), and the outputs of its pins by name; 0 is off."""
 
     def __init__(self, chip: str, inverted: "tuple[str, ...]") -> None:
         self.inverted = inverted
-        made = board(**OUTPUTS, **ENABLES, INVERT=inverted)
+        board_module = board(**OUTPUTS, **ENABLES, INVERT=inverted)
         if chip == "sim":
-            vars(made).update(vars(load_board("sim_punch")), **ENABLES)
-            self.port: Any = Rig(made).port
+            vars(board_module).update(vars(load_board("sim_punch")), **ENABLES)
+            self.port: Any = Rig(board_module).port
         elif chip == "esp":
-            self.port = esp_bench.gpio_esp.EspPort(made)
+            self.port = esp_bench.gpio_esp.EspPort(board_module)
         else:
-            self.port = gpio.GpioPort(made)
+            self.port = gpio.GpioPort(board_module)
         self.chip = chip
-        self.port.add_pins((21, 22), (26, 27))
-        self.port.rest(2)
+        self.port.add_pins((21, 22), (26, 27))  # outputs (PUNCH_DOWN, PUNCH_UP), inputs
+        self.port.rest(2)  # levels when off, a bit per output: only PUNCH_UP is high
 
     def outputs(self) -> "dict[str, int]":
-        """Return for each output its difference from off."""
+        """Return for each output its difference from off: 0 to 65535, on the simulator as
+        it is."""
         port = self.port
         if self.chip == "sim":
             names = ("spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
             # The punch is down while the simulator's spindle has a speed.
-            found = {name: int(getattr(port, name)) for name in names}
-            return {**found, "down": port._direction > 0}
-        found = {}
+            by_name = {name: int(getattr(port, name)) for name in names}
+            return {**by_name, "down": port._direction > 0}
+        by_name = {}
         for name, pin in {**OUTPUTS, "PUNCH_DOWN": 21}.items():
-            found[name] = self.level(pin) ^ (0xFFFF if name in self.inverted else 0)
-        return {**found, "PUNCH_UP": self.level(22) ^ 0xFFFF}  # the punch is up when off
+            by_name[name] = self.level(pin) ^ (0xFFFF if name in self.inverted else 0)
+        return {**by_name, "PUNCH_UP": self.level(22) ^ 0xFFFF}  # the punch is up when off
 
     def level(self, number: int) -> int:
         """Return the output of a pin as a share of time, 0 to 65535."""
@@ -71,14 +72,15 @@ class Bench:
 
 
 def let_pass(us: int) -> None:
-    """Let time pass on the stand-in of an RP2."""
+    """Let microseconds pass on the stand-in of an RP2: its PWM outputs take over new values."""
     for output in machine.PWM.outputs.values():
-        if us * output.frequency >= 1_000_000:
+        if us * output.frequency >= 1_000_000:  # at least a period
             output.wrap()
 
 
 @pytest.fixture(autouse=True)
 def new_chips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Reset the stand-ins of both chips."""
     monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
     monkeypatch.setattr(machine.Pin, "pins", {})
     monkeypatch.setattr(machine.PWM, "outputs", {})
@@ -89,8 +91,10 @@ def new_chips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     esp_bench.reset_stand_ins()
 
 
-def interrupted(work: "Callable[[], object]", at: int, interrupt: "Callable[[], object]") -> bool:
-    """Do work with an interrupt before bytecode `at`; return whether it had so many bytecodes."""
+def interrupted(
+    work: "Callable[[], object]", index: int, interrupt: "Callable[[], object]"
+) -> bool:
+    """Do work with an interrupt before bytecode number `index`; return whether there is one."""
     count = 0
 
     def trace(frame: FrameType, event: str, _argument: object) -> Any:
@@ -98,44 +102,45 @@ def interrupted(work: "Callable[[], object]", at: int, interrupt: "Callable[[], 
         frame.f_trace_opcodes = True
         if event == "opcode":
             count += 1
-            if count == at + 1:
+            if count == index + 1:
                 interrupt()
         return trace
 
-    before = sys.gettrace()
+    former_trace = sys.gettrace()
     sys.settrace(lambda frame, *_: trace(frame, "call", None))
     try:
         work()
     finally:
-        sys.settrace(before)
-    return count > at
+        sys.settrace(former_trace)
+    return count > index
 
 
 def work_of(what: str) -> "Callable[[Any], object]":
-    """Return this work, or pulses at an output of an extra."""
+    """Return the work of that name, or for "pulse": pulses at an output of an extra."""
+    # output 0 (PUNCH_DOWN), 5000 Hz, 30000 of 65535 on
     return WORK[what] if what in WORK else lambda port: port.pulse(0, 5000, 30000)
 
 
 def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]") -> int:
-    """Interrupt work before each bytecode and check the outputs; return their number."""
-    at = 0
+    """Interrupt work by kill() before each bytecode; return the number of bytecodes."""
+    bytecode = 0
     while True:
-        made = bench()
-        port = made.port
-        if not interrupted(lambda: work(port), at, port.kill):  # noqa: B023
+        fresh = bench()
+        port = fresh.port
+        if not interrupted(lambda: work(port), bytecode, port.kill):  # noqa: B023
             let_pass(200)
-            assert any(made.outputs().values())  # not killed: it is on
-            return at
-        assert not any(made.outputs().values()), at
+            assert any(fresh.outputs().values())  # not killed: it is on
+            return bytecode
+        assert not any(fresh.outputs().values()), bytecode
         work(port)
         let_pass(200)
-        assert not any(made.outputs().values()), at
-        port.revive()
-        assert not any(made.outputs().values()), at
+        assert not any(fresh.outputs().values()), bytecode
+        port.revive()  # allows outputs again, but switches none on
+        assert not any(fresh.outputs().values()), bytecode
         work(port)
         let_pass(200)
-        assert any(made.outputs().values()), at
-        at += 1
+        assert any(fresh.outputs().values()), bytecode
+        bytecode += 1
 
 
 @pytest.mark.parametrize("inverted", POLARITIES, ids=len)
@@ -144,12 +149,13 @@ def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]
 def test_interrupted_work_never_switches_a_tool_on(
     chip: str, what: str, inverted: "tuple[str, ...]"
 ) -> None:
+    # so many bytecodes were traced: else nothing was tested
     assert kill_everywhere(lambda: Bench(chip, inverted), work_of(what)) > 20
 
 
 @pytest.mark.parametrize("what", WORK)
 def test_interrupted_work_never_switches_a_tool_on_in_the_simulator(what: str) -> None:
-    assert kill_everywhere(lambda: Bench("sim", ()), WORK[what]) > 10
+    assert kill_everywhere(lambda: Bench("sim", ()), WORK[what]) > 10  # bytecodes traced
 
 
 @pytest.mark.parametrize("chip", ["rp2", "esp", "sim"])
@@ -166,22 +172,25 @@ def test_revive_without_kill_changes_nothing(chip: str) -> None:
 @pytest.mark.parametrize("inverted", POLARITIES, ids=len)
 @pytest.mark.parametrize("chip", ["rp2", "esp"])
 def test_every_output_is_off_from_the_start(chip: str, inverted: "tuple[str, ...]") -> None:
-    found = Bench(chip, inverted).outputs()
-    del found["PUNCH_UP"]  # Punch moves it
-    assert not any(found.values())
+    outputs = Bench(chip, inverted).outputs()
+    del outputs["PUNCH_UP"]  # not set by the port: the module Punch raises it
+    assert not any(outputs.values())
 
 
 def test_punch_with_inverted_wiring_is_raised() -> None:
+    """The level when off is that of rest(): here PUNCH_DOWN high, PUNCH_UP low."""
     bench = Bench("rp2", ())
-    bench.port.drive(2)
+    bench.port.drive(2)  # bits as in rest(): only the second output high, which moves the punch
     bench.port.rest(1)
     bench.port.kill()
     assert (machine.Pin(21).pad(), machine.Pin(22).pad()) == (0xFFFF, 0)
     bench.port.revive()
+    # GPIO21_CTRL.OUTOVER: 0, nothing forced
     assert machine.mem32[0x40014004 + 8 * 21] >> 8 & 3 == 0
 
 
 def test_direction_pin_that_enables_nothing_is_unchanged() -> None:
+    """Without SPINDLE_ENABLE_PIN, pin 17 is a mere direction: kill() leaves its level."""
     port = gpio.GpioPort(board())
     port.direction(1)
     port.kill()
@@ -194,23 +203,25 @@ def test_direction_pin_that_enables_nothing_is_unchanged() -> None:
 def test_pads_are_forced_off_by_registers_of_the_chip(
     chip: str, control: int, shift: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """GPIOn_CTRL.OUTOVER: 2 is low, 3 is high, whatever the pin's peripheral outputs."""
+    """kill() sets GPIOn_CTRL.OUTOVER: 2 is low, 3 is high, whatever the pin's peripheral outputs.
+    control: address of GPIO0_CTRL; shift: of OUTOVER in it."""
     monkeypatch.setattr(gpio, "_is_rp2350", lambda: chip == "RP2350")
     port = gpio.GpioPort(board(**OUTPUTS, INVERT=("FLOOD",)))
-    others = {pin: machine.mem32[control + 8 * pin] for pin in range(30)}
+    before = {pin: machine.mem32[control + 8 * pin] for pin in range(30)}
     port.kill()
     for pin in range(30):
-        forced = {16: 2, 18: 3, 19: 2, 20: 2}.get(pin, 0)
-        assert machine.mem32[control + 8 * pin] == others[pin] | forced << shift
+        forced = {16: 2, 18: 3, 19: 2, 20: 2}.get(pin, 0)  # 18, FLOOD, is inverted
+        assert machine.mem32[control + 8 * pin] == before[pin] | forced << shift
     port.revive()
-    assert {pin: machine.mem32[control + 8 * pin] for pin in range(30)} == others
+    assert {pin: machine.mem32[control + 8 * pin] for pin in range(30)} == before
 
 
 def test_kill_holds_all_outputs_of_a_board_with_many() -> None:
+    """Six outputs of extras: killed, all have the levels of rest(), whatever drive() sets."""
     port = gpio.GpioPort(board(**OUTPUTS))
     pins = (0, 1, 21, 22, 26, 27)
     port.add_pins(pins, ())
-    port.rest(0b000010)
+    port.rest(0b000010)  # a bit per output: the second is high when off
     port.drive(0b111111)
     port.kill()
     assert [machine.Pin(pin).pad() for pin in pins] == [0, 0xFFFF, 0, 0, 0, 0]
@@ -222,8 +233,8 @@ def test_slow_pulse_has_ended_when_its_output_is_revived() -> None:
     port = gpio.GpioPort(board(**OUTPUTS))
     port.add_pins((21,), ())
     port.rest(0)
-    port.pulse(0, 50, 30000)
-    let_pass(20_000)
+    port.pulse(0, 50, 30000)  # output 0, 50 Hz, 30000 of 65535
+    let_pass(20_000)  # a period in us: the pulse begins
     assert machine.Pin(21).pad() == 30000
     port.kill()
     port.revive()
@@ -245,14 +256,16 @@ def test_slow_pulse_has_ended_when_its_output_is_revived() -> None:
 def test_conflicting_pwm_pins_are_reported(
     pin: int, other: "int | None", hz: int, can_be: bool
 ) -> None:
+    """Two pins of one PWM slice need one frequency; pins 16 apart are the same output of it.
+    other: a pin with pulses of 50 Hz; the spindle on 16 has 5000 Hz."""
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
     port.add_pins((pin,) if other is None else (pin, other), ())
     port.rest(0)
     if other is not None:
-        port.pulse(1, 50, 100)
+        port.pulse(1, 50, 100)  # output index (other), Hz, of 65535
     if can_be:
         port.pulse(0, hz, 200)
-        port.pulse(0, hz, 300)
+        port.pulse(0, hz, 300)  # also to change it
     else:
         with pytest.raises(ValueError, match="shares a PWM slice with pin"):
             port.pulse(0, hz, 200)
@@ -270,7 +283,7 @@ def test_pins_above_31_share_slices_only_with_each_other(
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
     port.add_pins((pin, other), ())
     port.rest(0)
-    port.pulse(1, 50, 100)
+    port.pulse(1, 50, 100)  # other: 50 Hz; then pin: 60 Hz, possible only in another slice
     if can_be:
         port.pulse(0, 60, 200)
     else:
@@ -287,6 +300,7 @@ def test_fast_inputs_must_be_pins_up_to_31(
 
 
 def test_slice_is_shared_when_the_chip_rounds_the_frequency() -> None:
+    """The second pulse asks for 39999 Hz, the slice has 40000: no conflict."""
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
     port.add_pins((20, 21), ())
     port.rest(0)
@@ -299,7 +313,7 @@ def test_slice_is_shared_when_the_chip_rounds_the_frequency() -> None:
 
 
 def listener(heard: "Callable[..., Any]", on_fault: "Callable[[], Any]") -> Any:
-    """Return a listener with the same function for limits and controls."""
+    """Return a listener that calls `heard` for limits and for controls."""
     return SimpleNamespace(on_limits=heard, on_controls=heard, on_fault=on_fault)
 
 
@@ -307,64 +321,69 @@ def made(chip: str) -> "tuple[Any, Any, list[str]]":
     """Return a port whose callbacks all fail, its pins, and the faults it has reported."""
     changes: "dict[str, Any]" = {**OUTPUTS, "ESTOP": 28}
     pins: Any = machine.Pin if chip == "rp2" else esp_bench.esp_machine.Pin
-    make = gpio.GpioPort if chip == "rp2" else esp_bench.gpio_esp.EspPort
-    port: Any = make(board(**changes))
-    told: list[str] = []
+    port_class = gpio.GpioPort if chip == "rp2" else esp_bench.gpio_esp.EspPort
+    port: Any = port_class(board(**changes))
+    reported_faults: list[str] = []
 
     def fail(*_: int) -> None:
         raise MemoryError
 
-    port.attach(listener(fail, lambda: told.append(port.fault)))
+    port.attach(listener(fail, lambda: reported_faults.append(port.fault)))
     port.enable_limits(True)
     port.add_pins((21, 22), (26, 27))
     port.watch_pins(fail)
-    return port, pins, told
+    return port, pins, reported_faults
 
 
 @pytest.mark.parametrize("pin", [9, 13, 12, 26, 28])
 @pytest.mark.parametrize("chip", ["rp2", "esp"])
 def test_failing_callback_kills_the_tool_and_is_reported(chip: str, pin: int) -> None:
-    port, pins, told = made(chip)
+    """Pins: 9 limit, 13 control, 12 probe, 26 watched by an extra, 28 emergency stop."""
+    port, pins, reported_faults = made(chip)
     if pin == 12:
         port.watch_probe(lambda: 1 // 0, True)
     port.spindle(True, 700)
-    pins(pin).drive(0)
-    assert told == ["A pin's callback has failed"]
+    pins(pin).drive(0)  # the input falls, and its callback fails
+    assert reported_faults == ["A pin's callback has failed"]
     port.spindle(True, 700)
+    # the spindle stays off
     assert (machine.Pin(16).pad() if chip == "rp2" else port.pwm.duty) == 0
 
 
 def test_failing_timer_callback_is_reported() -> None:
-    port, pins, told = made("rp2")
-    failing, tell = port._listener, port._listener.on_fault
-    port._listener = listener(lambda *_: None, tell)
-    pins(9).drive(0)
+    """Timers read bouncing inputs once more; here only these readings call failing callbacks."""
+    port, pins, reported_faults = made("rp2")
+    failing, on_fault = port._listener, port._listener.on_fault
+    port._listener = listener(lambda *_: None, on_fault)
+    pins(9).drive(0)  # limit; 13: control
     pins(13).drive(0)
-    assert not told
+    assert not reported_faults
     port._listener = failing
     pins(9).drive(1)
     pins(13).drive(1)
     port._look_timer.expire()
-    assert told == ["A pin's callback has failed"]
+    assert reported_faults == ["A pin's callback has failed"]
     port._control_timer.expire()
-    assert told == 2 * ["A pin's callback has failed"]
+    assert reported_faults == 2 * ["A pin's callback has failed"]
 
 
 @pytest.mark.parametrize("pin", [9, 13])
 def test_input_is_read_again_after_its_callback_failed(pin: int) -> None:
-    port, pins, told = made("rp2")
+    """The failure must not leave the input ignored: after the timers, a new edge is reported."""
+    port, pins, reported_faults = made("rp2")
     pins(pin).drive(0)
     port._look_timer.expire()
     port._control_timer.expire()
-    heard: list[int] = []
-    port._listener = listener(lambda *_: heard.append(pin), port._listener.on_fault)
+    pins_heard: list[int] = []
+    port._listener = listener(lambda *_: pins_heard.append(pin), port._listener.on_fault)
     pins(pin).drive(1)
-    assert told and heard == [pin]
+    assert reported_faults and pins_heard == [pin]
 
 
 def test_failing_stop_does_not_leave_the_interrupt() -> None:
+    """on_fault() fails, too: no exception may leave an interrupt."""
     port = gpio.GpioPort(board())
-    port.attach(listener(*2 * (lambda *_: 1 // 0,)))
+    port.attach(listener(*2 * (lambda *_: 1 // 0,)))  # both callbacks raise
     port.enable_limits(True)
     machine.Pin(9).drive(0)
     assert port.fault.endswith("the stop after it failed too")

@@ -12,11 +12,12 @@ from control.coolant import Coolant
 from control.motor_control import MotorControl
 from fakes import Asked, FakeEngine, FakePort, FakeVoice
 
-_STOPPED = ["kill", "stop"]
+_STOPPED = ["kill", "stop"]  # calls of a stop: tool off (port), motors stopped (engine)
 
 
 class Bench:
-    """A motor control between fakes that share one list of calls; for fails see FakePort."""
+    """A motor control between fakes that append their calls to one list, `asked`; fails: see
+    FakePort."""
 
     def __init__(self, fails: str = "") -> None:
         self.asked: Asked = []
@@ -73,6 +74,7 @@ def test_disabled_limit_stops_nothing() -> None:
 
 
 def test_stop_stays_in_effect_when_the_machine_is_armed_again() -> None:
+    """arm() enables motors and tool; if a reset waits to be executed, it stops them again."""
     bench = Bench()
     bench.drive.arm()
     assert bench.asked == ["arm", "revive"]
@@ -83,17 +85,19 @@ def test_stop_stays_in_effect_when_the_machine_is_armed_again() -> None:
 
 
 def test_motors_are_powered_before_they_move_and_released_later() -> None:
+    """Released after the idle delay, 25 ms here; the clock of FakePort advances by 1 ms per
+    reading. `enable 0`: powered."""
     bench = Bench()
     bench.drive.start(st.RUN)
     assert bench.asked == ["enable 0", "start"] and bench.state.run == st.RUN
     bench.drive.poll_motors()
     assert bench.drive.moving
     bench.engine.runs = False
-    turns = 0
+    polls = 0
     while bench.drive.moving or bench.drive.in_idle_delay:
         bench.drive.poll_motors()
-        turns += 1
-    assert turns > 5 and bench.asked[-1] == "enable 1"
+        polls += 1
+    assert polls > 5 and bench.asked[-1] == "enable 1"
     assert bench.state.pending[st.CYCLE_STOP]
 
 
@@ -105,7 +109,7 @@ def test_engine_fault_is_raised_and_port_fault_is_reported() -> None:
         bench.drive.poll_motors()
     bench.port.fault = "A pin's callback has failed"
     bench.drive.on_fault()
-    tell = bench.drive.enter_alarm()
-    assert bench.asked[-2:] == ["spindle stop", "coolant 0"] and tell
-    tell()
+    report_cause = bench.drive.enter_alarm()  # the report is left to the caller
+    assert bench.asked[-2:] == ["spindle stop", "coolant 0"] and report_cause
+    report_cause()
     assert bench.asked[-1] == "message A pin's callback has failed"

@@ -21,6 +21,7 @@ class Bench(Machine):
     """A machine with an emergency stop that records each level of its enable pin."""
 
     def __init__(self, settings: "dict[int, float]") -> None:
+        """settings: values by $-number, in addition to those of _ALWAYS."""
         board = ModuleType("board")
         vars(board).update(vars(load_board("sim")), ESTOP=28)
         super().__init__({**_ALWAYS, **settings}, board, watched=False)
@@ -33,17 +34,19 @@ class Bench(Machine):
         self._enable(level)
 
     def say(self, text: str, ms: float = _AFTER_MS) -> Script:
-        """Send text and let time pass; return the output meanwhile."""
+        """Send text and let so many ms pass; return the lines received meanwhile."""
         self.take()
         yield from self.sender.wait(f"ms {ms}", text)
         return self.take()
 
     def push(self, **pins: bool) -> Script:
+        """Set inputs, and let time pass; return the lines received meanwhile."""
         self.rig.port.push(pins)
         return self.say("")
 
     def switch(self, steps: int, bounces: int = 0) -> None:
-        """Add limit switches that close there, on the way down."""
+        """Add a limit switch to each axis that closes at this position in steps, on the way
+        down."""
         for axis, letter in enumerate("xyz"):
             self.rig.engine.switches.append(Switch(f"limit_{letter}", axis, False, steps, bounces))
 
@@ -85,12 +88,14 @@ def reset_at_rest(bench: Bench) -> Script:
 
 
 def reset_button(bench: Bench) -> Script:
+    """Press it during a move, then release it."""
     yield from bench.say(_MOVE, 200)
     yield from bench.push(reset=True)
     return (yield from bench.push(reset=False))
 
 
 def hard_limit(bench: Bench) -> Script:
+    """A limit switch closes during a move."""
     yield from bench.say(_MOVE, 200)
     return (yield from bench.push(limit_x=True))
 
@@ -123,16 +128,19 @@ def homing_door(bench: Bench) -> Script:
 
 
 def homing_pull_off(bench: Bench) -> Script:
+    """The switches stay closed, so that homing cannot pull off from them."""
     for pin in ("limit_x", "limit_y", "limit_z"):
         bench.rig.port.push({pin: True})
     return bench.say("$H\n")
 
 
 def homing_finds_nothing(bench: Bench) -> Script:
+    """No switch is pushed: the search ends at the end of travel."""
     return bench.say("$H\n")
 
 
 def emergency_stop(bench: Bench) -> Script:
+    """Press it during a move, then release it: its contact is normally closed."""
     yield from bench.say(_MOVE, 200)
     said = yield from bench.push(estop=False)
     yield from bench.push(estop=True)
@@ -140,6 +148,7 @@ def emergency_stop(bench: Bench) -> Script:
 
 
 def pin_callback_fails(bench: Bench) -> Script:
+    """Do as a port whose pin callback has raised an exception, during a move."""
     yield from bench.say(_MOVE, 200)
     bench.rig.port.kill()
     bench.rig.port._listener.on_fault()  # type: ignore[union-attr]
@@ -187,16 +196,19 @@ def check_mode(bench: Bench) -> Script:
 def test_motors_stay_on(
     stop: "Callable[[Bench], Script]", settings: "dict[int, float]", last: str, inverted: int
 ) -> None:
+    """The enable pin never changes: not at the stop, in the alarm, after a reset, or at the next
+    move. last: a message that shows that the stop has happened."""
     bench = Bench({**settings, 4: inverted})
 
     def script() -> Script:
         yield from bench.start()
-        if 22 in settings:
+        if 22 in settings:  # homing is enabled: the machine starts locked
             yield from bench.say("$X\n")
         yield from bench.say("G91 G0 X-1\n")
         yield from stop(bench)
-        heard = "".join(bench.received)
-        assert last in heard, heard
+        output = "".join(bench.received)
+        assert last in output, output
+        # Release all inputs, reset, unlock, and move.
         for pin in ("limit_x", "limit_y", "limit_z", "probe"):
             bench.rig.port.push({pin: False})
         yield from bench.say("")
@@ -205,7 +217,7 @@ def test_motors_stay_on(
         assert (yield from bench.say("G91 G0 X0.1\n"))[-1] == "ok"
 
     bench.run(script())
-    assert set(bench.levels) == {inverted}, bench.levels
+    assert set(bench.levels) == {inverted}, bench.levels  # $4=1 inverts the level
 
 
 @pytest.mark.parametrize("homing", [0, 1])
@@ -215,16 +227,17 @@ def test_motors_are_on_from_power_up(homing: int) -> None:
     def script() -> Script:
         yield from bench.start()
         yield from bench.say("")
-        assert bench.levels == [0]
+        assert bench.levels == [0]  # 0: powered
         bench.rig.cycle_power()
         yield from bench.say("")
-        assert bench.levels == [0, 0]
+        assert bench.levels == [0, 0]  # set again after power-up
 
     bench.run(script())
 
 
 def test_sleep_releases_motors_until_they_move_again() -> None:
-    """As in Grbl: a user who puts the machine to sleep wants the motors released."""
+    """Levels: 0 powered, 1 released. As in Grbl: a user who puts the machine to sleep wants the
+    motors released."""
     bench = Bench({})
 
     def script() -> Script:
@@ -242,7 +255,7 @@ def test_sleep_releases_motors_until_they_move_again() -> None:
 
 @pytest.mark.parametrize("stop", [end_of_a_move, reset_in_motion, probe_finds_nothing])
 def test_motors_with_a_delay_are_released(stop: "Callable[[Bench], Script]") -> None:
-    """This shows that the other tests of the file can fail."""
+    """With $1=25 the motors are released (level 1): the other tests of the file can fail."""
     bench = Bench({1: 25})
 
     def script() -> Script:

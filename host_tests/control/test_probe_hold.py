@@ -50,7 +50,7 @@ STOPS = (
 
 
 class Bench(Machine):
-    """A machine that probes repeatedly from the same place."""
+    """A machine that probes repeatedly from the same place. top: its Z in steps."""
 
     def __init__(self, stop: Stop) -> None:
         settings = {**_FAST, 22: 1} if stop.parks else _FAST
@@ -59,12 +59,14 @@ class Bench(Machine):
         self.top = 0
 
     def begin(self) -> Script:
+        """Start the machine; for parking, unlock it and move to Z-20."""
         yield from self.start()
         if self.stop.parks:
             yield from self.say("$X\nG21 G90 G0 Z-20\n")
             self.top = -20 * _PER_MM
 
     def say(self, text: str, how: str = "idle") -> Script:
+        """Send text and wait (how: see Sender.wait); return the lines received."""
         self.take()
         yield from self.sender.wait(how, text)
         return self.take()
@@ -77,12 +79,13 @@ class Bench(Machine):
         self.rig.port.push({"probe": touches})
 
     def hold(self) -> None:
+        """Send the byte of this way to hold, or push its input."""
         if self.stop.pin:
             self.rig.port.push({self.stop.pin: True})
         self.rig.link.send(self.stop.send.encode("latin-1"))
 
     def go_on(self) -> Script:
-        """Close the door and resume; wait until the machine stops."""
+        """Close the door and resume with `~`; wait until the machine is idle."""
         yield self.rig.ms(40)  # the delay before the hold is complete ($1)
         if self.stop.pin:
             self.rig.port.push({self.stop.pin: False})
@@ -91,9 +94,13 @@ class Bench(Machine):
         yield self.idle
 
     def probe(self, word: int, events: "dict[float, Any]") -> Script:
-        """Start G38.`word`, run events at their ms after the first step, wait until it stops."""
-        away = word > 3
-        self.touch(away)
+        """Start G38.`word` and wait until it stops.
+
+        events: ms after the first step -> function, which is called with the state of the probe
+        that ends the move: G38.2 and .3 end at a contact, .4 and .5 when it is lost.
+        """
+        starts_closed = word > 3
+        self.touch(starts_closed)
         yield from self.say("G90 G0 Z%g\n" % (self.top / _PER_MM))
         assert self.z() == 0
         self.rig.link.send(b"G91 " + (_LINE % word).encode() + b"\n")
@@ -101,29 +108,31 @@ class Bench(Machine):
         start = self.rig.now
         for ms in sorted(events):
             yield start + int(ms * self.rig.ticks_per_ms)
-            events[ms](not away)
+            events[ms](not starts_closed)
         yield self.rig.ms(_BRAKES_MS)
         while self.rig.moving():
             yield self.rig.ms(5)
 
     def state(self) -> Script:
+        """Return the state in the status report, e.g. "Idle"."""
         said = yield from self.say("?", "report")
         return said[-1][1:].split("|")[0].split(":")[0]
 
-    def rests(self, word: int, how: str, instants: "list[int]") -> Script:
-        """Return where moves stop that are only held, or only touch, at these ms."""
-        found = {}
-        for ms in instants:
+    def rests(self, word: int, how: str, times_ms: "list[int]") -> Script:
+        """Return Z in steps where moves stop that are only held (how: "hold") or only touch (how:
+        "contact"), by the time in ms."""
+        stops_at = {}
+        for ms in times_ms:
             if how == "hold":
                 yield from self.probe(word, {ms: lambda _: self.hold()})
-                found[ms] = self.z()
+                stops_at[ms] = self.z()
                 yield from self.go_on()
             else:
                 yield from self.probe(word, {ms: self.touch})
-                found[ms] = self.z()
+                stops_at[ms] = self.z()
                 yield self.idle
             yield from self.free()
-        return found
+        return stops_at
 
     def free(self) -> Script:
         """Leave the alarm of a probe without contact."""
@@ -134,55 +143,55 @@ class Bench(Machine):
 
 
 def found(said: "list[str]") -> "tuple[int, int]":
-    """Return the result in [PRB:…]: Z in steps, and whether the probe succeeded."""
+    """Return the result in the first [PRB:…]: Z in steps, and 1 if the probe succeeded."""
     prb = next(line for line in said if line.startswith("[PRB:"))
     places, success = prb[5:-1].split(":")
     return round(float(places.split(",")[_Z]) * _PER_MM), int(success)
 
 
 def phase(bench: Bench, word: int, hold_ms: float, contact_ms: float, rest: int) -> Script:
-    """Hold and touch at these times, and check the laws that hold in any order."""
-    touched: list[int] = []
+    """Hold and touch at these times; check what holds in any order. rest: where the move must
+    stop, in steps."""
+    z_at_contact: list[int] = []
 
     def touch(touches: bool) -> None:
-        touched.append(bench.z())
+        z_at_contact.append(bench.z())
         bench.touch(touches)
 
-    at = hold_ms, contact_ms
+    times_ms = hold_ms, contact_ms
     said_before = len(bench.received)
     yield from bench.probe(word, {hold_ms: lambda _: bench.hold(), contact_ms: touch})
-    assert bench.z() == rest, at
+    assert bench.z() == rest, times_ms
     yield bench.rig.ms(300)
-    assert bench.z() == rest, ("in the hold", at)
+    assert bench.z() == rest, ("in the hold", times_ms)
     yield from bench.go_on()
     yield bench.rig.ms(50)
-    assert bench.z() == rest, ("after ~", at)
-    assert (yield from bench.state()) == "Idle", at
+    assert bench.z() == rest, ("after ~", times_ms)
+    assert (yield from bench.state()) == "Idle", times_ms
     bench.take()
-    said = bench.received[said_before:]
-    assert found(said) == (bench.top + touched[0], 1), at
-    assert said.count("ok") == 2, (
-        said,
-        at,
-    )  # this line, and the one that moves to its start
-    report = [float(n) for n in said[-1].split("MPos:")[1].split("|")[0].split(",")]
-    assert round(report[_Z] * _PER_MM) == bench.top + rest, at
-    yield from bench.say("G91 G0 Z1\n")
-    assert bench.z() == rest + _PER_MM, ("planned from elsewhere", at)
+    lines = bench.received[said_before:]
+    assert found(lines) == (bench.top + z_at_contact[0], 1), times_ms
+    # An ok for the probing line, and one for the line that moved to its start.
+    assert lines.count("ok") == 2, (lines, times_ms)
+    reported_mm = [float(n) for n in lines[-1].split("MPos:")[1].split("|")[0].split(",")]
+    assert round(reported_mm[_Z] * _PER_MM) == bench.top + rest, times_ms
+    yield from bench.say("G91 G0 Z1\n")  # the next move begins where the motors are
+    assert bench.z() == rest + _PER_MM, ("planned from elsewhere", times_ms)
 
 
 @pytest.mark.parametrize("word", [2, 3, 4, 5])
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
 def test_only_braking_steps_follow_the_contact(stop: Stop, word: int) -> None:
-    """Contacts come from the byte of a hold until long after its braking."""
+    """Hold at 100 ms; contacts come from then until long after its braking."""
     bench = Bench(stop)
-    phases_ms = range((4 * STOPS.index(stop) + word) % 14, 140, 14)  # together every ms
+    # Each case has its own offset: together the cases try every ms.
+    phases_ms = range((4 * STOPS.index(stop) + word) % 14, 140, 14)
 
     def script() -> Script:
         yield from bench.begin()
         rests = yield from bench.rests(word, "hold", [100])
-        for distance in phases_ms:
-            yield from phase(bench, word, 100, 100 + distance + 0.5, rests[100])
+        for delay_ms in phases_ms:
+            yield from phase(bench, word, 100, 100 + delay_ms + 0.5, rests[100])
 
     bench.run(script())
 
@@ -190,26 +199,28 @@ def test_only_braking_steps_follow_the_contact(stop: Stop, word: int) -> None:
 @pytest.mark.parametrize("word", [2, 5])
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
 def test_hold_after_the_contact_changes_nothing(stop: Stop, word: int) -> None:
+    """Contact at 100 ms, hold up to 60 ms later: the move stops where the contact alone
+    stops it."""
     bench = Bench(stop)
 
     def script() -> Script:
         yield from bench.begin()
         rests = yield from bench.rests(word, "contact", [100])
-        for distance in range(1 + (STOPS.index(stop) + word) % 6, 60, 6):
-            yield from phase(bench, word, 100 + distance, 100, rests[100])
+        for delay_ms in range(1 + (STOPS.index(stop) + word) % 6, 60, 6):
+            yield from phase(bench, word, 100 + delay_ms, 100, rests[100])
 
     bench.run(script())
 
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
 def test_contact_that_ends_before_motion_resumes_is_ignored(stop: Stop) -> None:
-    """A probe touched by hand during a hold still finds the work afterwards."""
+    """A probe z_at_contact by hand during a hold still finds the work afterwards."""
     bench = Bench(stop)
 
     def script() -> Script:
         yield from bench.begin()
         yield from bench.probe(2, {100: lambda _: bench.hold()})
-        rest = bench.z()
+        held_at = bench.z()
         yield bench.rig.ms(100)
         for touches in (True, False):
             bench.touch(touches)
@@ -219,19 +230,20 @@ def test_contact_that_ends_before_motion_resumes_is_ignored(stop: Stop) -> None:
             bench.rig.port.push({bench.stop.pin: False})
             yield bench.rig.ms(30)
             bench.rig.link.send(_TILDE.encode())
-        yield lambda: bench.z() < rest - 20
-        touched = bench.z()
+        yield lambda: bench.z() < held_at - 20  # resumed: it moves down again
+        z_at_contact = bench.z()
         bench.touch(True)
         yield bench.idle
         yield bench.rig.ms(100)
         bench.take()
-        assert found(bench.received) == (bench.top + touched, 1)
-        assert _END_STEPS < bench.z() < touched
+        assert found(bench.received) == (bench.top + z_at_contact, 1)
+        assert _END_STEPS < bench.z() < z_at_contact
 
     bench.run(script())
 
 
 def test_jog_cancel_does_not_end_a_probe() -> None:
+    """The byte 0x85 cancels jogs only: the probe moves to its end, without a contact."""
     bench = Bench(STOPS[0])
 
     def script() -> Script:
@@ -247,14 +259,14 @@ def test_jog_cancel_does_not_end_a_probe() -> None:
 
 def test_machine_does_not_park_while_it_probes() -> None:
     """The way back would run into the object that the probe has touched."""
-    bench = Bench(STOPS[-1])
+    bench = Bench(STOPS[-1])  # parking
 
     def script() -> Script:
         yield from bench.begin()
         yield from bench.probe(3, {100: lambda _: bench.hold()})
-        rest = bench.z()
+        held_at = bench.z()
         yield bench.rig.ms(1000)
-        assert bench.z() == rest and (yield from bench.state()) == "Door"
+        assert bench.z() == held_at and (yield from bench.state()) == "Door"
         yield from bench.go_on()
         assert bench.z() == _END_STEPS
 
@@ -263,7 +275,8 @@ def test_machine_does_not_park_while_it_probes() -> None:
 
 @pytest.mark.parametrize("touches", [False, True])
 def test_motion_is_free_after_a_reset_in_the_hold_of_a_probe(touches: bool) -> None:
-    bench = Bench(STOPS[0])
+    """The probe no longer ends moves, whether it touches or not."""
+    bench = Bench(STOPS[0])  # hold by `!`
 
     def script() -> Script:
         yield from bench.begin()
@@ -272,8 +285,8 @@ def test_motion_is_free_after_a_reset_in_the_hold_of_a_probe(touches: bool) -> N
         yield from bench.say("\x18", "banner")
         bench.touch(touches)
         yield from bench.say("$X\n")
-        rest = bench.z()
+        held_at = bench.z()
         assert (yield from bench.say("G91 G1 Z-1 F600\n")) == ["ok"]
-        assert bench.z() == rest - _PER_MM
+        assert bench.z() == held_at - _PER_MM
 
     bench.run(script())

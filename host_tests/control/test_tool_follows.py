@@ -9,7 +9,7 @@ from rig_bench import Machine
 from ugrbl.boardfile.files import load_board
 
 _FAST = {110: 6000, 120: 500}
-_DOWN_10, _UP_10, _USUAL = b"\x9b", b"\x9a", b"\x99"
+_DOWN_10, _UP_10, _USUAL = b"\x9b", b"\x9a", b"\x99"  # spindle overrides; _USUAL: 100 %
 _FULL = 255  # power at $30, 1000 rpm
 
 # A step: a line, whose answer is awaited; real-time bytes; a wait in ms.
@@ -25,7 +25,7 @@ class Shown(NamedTuple):
 
 
 class Tool:
-    """A machine; laser: $32."""
+    """A machine that is asked for a status after each step; laser: $32; options: of the board."""
 
     def __init__(self, laser: int = 0, **options: Any) -> None:
         board = ModuleType("board")
@@ -34,7 +34,7 @@ class Tool:
         self.shown: list[Shown] = []
 
     def play(self, *steps: Step) -> "list[Shown]":
-        """Do the steps, and after each what is shown; return that."""
+        """Do the steps; return what is shown after each of them."""
 
         def script() -> Iterator[Any]:
             yield from self.machine.start()
@@ -56,7 +56,7 @@ class Tool:
             yield self.machine.rig.ms(step)
 
     def look(self) -> "Generator[Any, None, Shown]":
-        """Return what a status report shows."""
+        """Return what a status report and the PWM pin show."""
         machine = self.machine
         machine.take()
         yield from machine.sender.wait("report", "?", settle=1)
@@ -65,21 +65,24 @@ class Tool:
         return Shown(line[1:].split("|")[0], speed, machine.rig.port.spindle_pwm)
 
 
-_MOVES = ("G1F600", "M3S1000", "X4", "X8", "X12")
+_MOVES = ("G1F600", "M3S1000", "X4", "X8", "X12")  # five steps: 1.2 s of motion at 10 mm/s
 
 
 @pytest.mark.parametrize("laser", [0, 1])
 @pytest.mark.parametrize("when", ["open", "restored"])
 def test_override_at_an_open_door_applies_to_the_motion_after_it(laser: int, when: str) -> None:
+    """To 50 %, while the door is open, or 50 ms after `~`, while the spindle is restored."""
     change = _DOWN_10 * 5
-    opened = (b"\x84", 600, change, b"~") if when == "open" else (b"\x84", 600, b"~", 50, change)
-    before, *_, moving = Tool(laser).play(*_MOVES, 200, *opened, 4500, 100)[5:]
+    door = (b"\x84", 600, change, b"~") if when == "open" else (b"\x84", 600, b"~", 50, change)
+    # 0x84 opens the door; then waits in ms, restoring takes 4 s
+    before, *_, moving = Tool(laser).play(*_MOVES, 200, *door, 4500, 100)[5:]
     assert before == ("Run", 1000, _FULL)
+    # 128 of 255: half; the moves may have ended already
     assert moving == ("Run" if moving.state == "Run" else "Idle", 500, 128)
 
 
 def test_tool_stays_off_when_it_is_overridden_at_an_open_door() -> None:
-    shown = Tool().play(*_MOVES, 200, b"\x84", 600, _DOWN_10, 50)
+    shown = Tool().play(*_MOVES, 200, b"\x84", 600, _DOWN_10, 50)  # 0x84: the door opens; then ms
     assert shown[-1] == ("Door:0", 0, 0)
 
 
@@ -92,12 +95,15 @@ def test_override_at_the_end_of_motion_is_not_lost(laser: int, after_ms: int) ->
 
 
 def test_override_in_alarm_reaches_a_tool_that_is_on() -> None:
+    """A probe without contact ends in ALARM:5, which leaves the tool on, as in Grbl."""
     shown = Tool().play("M3S1000", "G38.2Z-0.2F100", 1000, _DOWN_10 * 5, 50, "$X", 50)
+    # shown[3]: after the override to 50 %
     assert shown[3] == ("Alarm", 500, 128) and shown[-1] == ("Idle", 500, 128)
 
 
 @pytest.mark.parametrize("change", [_DOWN_10, b"\x9d", _USUAL])
 def test_dark_laser_stays_dark_when_it_is_overridden(change: bytes) -> None:
+    """M3 was given, but a G0 switches the laser off. 0x9d: down by 1 %."""
     shown = Tool(laser=1).play("M3S500G1F600", "G0X1", 500, change, 50)
     assert shown[-1] == ("Idle", 0, 0)
 
@@ -107,7 +113,8 @@ def test_dark_laser_stays_dark_when_it_is_overridden(change: bytes) -> None:
 def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
     moves: "tuple[str, ...]", gap_us: int
 ) -> None:
-    """One turn of the loop restores the laser, and the next one would start the motion."""
+    """One pass of the main loop restores the laser, the next would start the motion; `!` comes
+    between the two, gap_us after `~`."""
     tool = Tool(laser=1)
     rig, link = tool.machine.rig, tool.machine.rig.link
     states: list[Shown] = []
@@ -130,6 +137,8 @@ def test_held_laser_is_dark_after_a_start_that_a_hold_prevents(
 
 @pytest.mark.parametrize("line", ["$30=2000", "$30=500", "$31=10"])
 def test_setting_that_darkens_a_laser_leaves_it_dark_after_it_is_stored(line: str) -> None:
+    """The laser is on before. A store that blocks interrupts switches it off meanwhile: after
+    saving, it must not be switched on again."""
     tool = Tool(laser=1)
     shown: list[Shown] = []
 
@@ -152,7 +161,7 @@ def test_setting_that_darkens_a_laser_leaves_it_dark_after_it_is_stored(line: st
             shown.append((yield from tool.look()))
 
     tool.machine.run(script())
-    assert shown[1].power == 128 and shown[-1].power == 0
+    assert shown[1].power == 128 and shown[-1].power == 0  # shown[1]: after M3S500, half of 255
 
 
 @pytest.mark.parametrize("value", ["9" * 39, "9" * 60])
@@ -162,6 +171,7 @@ def test_speed_beyond_single_precision_is_no_fault(value: str) -> None:
 
 
 def test_parking_stays_off_after_the_program_until_m56() -> None:
+    """M56P0 switches parking off; M30 does not switch it on. [GC: is the answer to $G."""
     tool = Tool(PARKING=True, OVERRIDE_CONTROL=True)
     tool.play("M56P0", "M30", "$G", "M56", "$G")
     modes = [line for line in tool.machine.received if line.startswith("[GC:")]

@@ -127,6 +127,7 @@ KNOWN = (
 
 
 def _board(options: "Mapping[str, Any]") -> ModuleType:
+    """Return the simulator's board with mist and M56, and these options."""
     board = ModuleType("board")
     vars(board).update(vars(load_board("sim")), MIST=True, OVERRIDE_CONTROL=True, **options)
     return board
@@ -161,27 +162,29 @@ class Trial:
         return self
 
     def _script(self) -> Iterator[Any]:
+        """Play the motion and the command, with or without a hold; record states."""
         machine, rig, sender = self.machine, self.machine.rig, self.machine.sender
         yield from machine.start()
         sender.allow(_PATIENCE_MS)
         for line in ("$X", "M8", *self._motion.before):
             yield from sender.wait("idle", line + "\n", 1)
         yield from self._see(self.before)
-        begin = rig.now
+        sent_at = rig.now
         lines = [*self._motion.lines, *self._command.split("\n")]
         rig.link.send("".join(line + "\n" for line in lines).encode())
         if self._hold_ms is None:
             yield rig.moving
-            self.begun_ms = (rig.now - begin) / rig.ticks_per_ms
+            self.begun_ms = (rig.now - sent_at) / rig.ticks_per_ms
             yield lambda: not rig.moving()
-            self.moved_ms = (rig.now - begin) / rig.ticks_per_ms
+            self.moved_ms = (rig.now - sent_at) / rig.ticks_per_ms
         else:
-            yield begin + int(self._hold_ms * rig.ticks_per_ms)
+            yield sent_at + int(self._hold_ms * rig.ticks_per_ms)
             yield from self._hold()
         yield from machine.rest()
         yield from self._see(self.at_last)
 
     def _hold(self) -> Iterator[Any]:
+        """Hold, wait until the machine has stopped, record its state, send `held`, and resume."""
         rig, sender = self.rig, self.machine.sender
         rig.link.send(b"!")
         yield rig.ms(3)
@@ -192,11 +195,11 @@ class Trial:
         yield from self._see(self.in_hold)
         rig.link.send(self._held.encode("latin-1"))
         yield rig.ms(_AFTER_MS)
-        if "\x18" not in self._held:
+        if "\x18" not in self._held:  # a reset ends the hold
             rig.link.send(b"~")
 
     def _see(self, seen: "dict[str, Any]") -> Iterator[Any]:
-        """Record the state of the machine, and its reports."""
+        """Record in `seen` the state of the machine, and its reports."""
         machine, port = self.rig.controller, self.rig.port
         seen["stored"] = {name: list(lines) for name, lines in self.rig.store.files.items()}
         seen["steps"] = self.machine.physical()
@@ -227,46 +230,47 @@ def _tool(seen: "dict[str, Any]") -> "list[str]":
 
 
 def check_agreement(seen: "dict[str, Any]", is_laser: bool, where: str) -> None:
-    """Check that modes, reports and pins agree."""
+    """Check that modes, reports and pins in `seen` agree; where: for the message."""
     on, pwm, flood, mist = seen["pins"]
-    tool = _tool(seen)
-    assert (flood, mist) == ("M8" in tool, "M7" in tool), f"coolant: {where}"
+    modes = _tool(seen)
+    assert (flood, mist) == ("M8" in modes, "M7" in modes), f"coolant: {where}"
     assert on == (pwm > 0) == (seen["reported speed"] != "0"), f"FS: {where}"
     if not is_laser:
-        assert on == ("M5" not in tool and not seen["modes"].endswith("S0")), f"spindle: {where}"
-        assert seen["direction"] in (None, "M4" in tool), f"direction: {where}"
+        assert on == ("M5" not in modes and not seen["modes"].endswith("S0")), f"spindle: {where}"
+        assert seen["direction"] in (None, "M4" in modes), f"direction: {where}"
     elif seen["run"] == st.HOLD:
         assert not on, f"the laser burns: {where}"
 
 
 def check(name: str, command: str, hold_ms: float, held: str = "") -> None:
-    """Run it with a hold, and compare with the trial without one."""
+    """Run motion `name` and the command with a hold, and compare with the trial without one."""
     where = f"{name}, {command!r}, hold after {hold_ms:.1f} ms"
     trial = Trial(MOTIONS[name], command, hold_ms, held).run()
     wanted, is_laser = without_hold(name, command), 32 in MOTIONS[name].settings
     in_hold, at_last = trial.in_hold, trial.at_last
     if in_hold["run"] == st.HOLD:
         check_agreement(in_hold, is_laser, f"held: {where}")
-        if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # motion was left
+        if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # it was still to move
             assert in_hold["stored"] == trial.before["stored"], f"stored in the hold: {where}"
             assert _tool(in_hold) == _tool(trial.before), f"done in the hold: {where}"
     for seen in (in_hold, at_last):
         if command not in _NEW_PLACES and name != "backlash":  # no report includes these
             assert seen["reported steps"] == seen["steps"], f"place: {where}"
     check_agreement(at_last, is_laser, where)
-    for what in at_last:
-        if name != "jog" or "steps" not in what:  # a hold cancels a jog
-            assert at_last[what] == wanted.at_last[what], f"{what} at last: {where}"
+    for item in at_last:
+        if name != "jog" or "steps" not in item:  # a hold cancels a jog
+            assert at_last[item] == wanted.at_last[item], f"{item} at last: {where}"
 
 
 def instants(name: str, chance: random.Random, count: int) -> "list[float]":
-    """Return times of `!`: one in the last 200 ms, the rest in the last, risky part of it."""
-    alone = without_hold(name, "")
-    last = alone.moved_ms + _AFTER_MS
-    before: Sequence[float] = range(_LAST_MS)
+    """Return times of `!` in ms after the lines are sent: one in the last 200 ms, the rest in the
+    last, risky part of it. With UGRBL_TORTURE: every ms of the last 200."""
+    unheld = without_hold(name, "")
+    idle_ms = unheld.moved_ms + _AFTER_MS
+    before_end_ms: Sequence[float] = range(_LAST_MS)
     if not _EVERY:
-        before = [chance.random() * span for span in [_LAST_MS, *[_RISKY_MS] * (count - 1)]]
-    return [max(alone.begun_ms + 1, last - ms) for ms in before]
+        before_end_ms = [chance.random() * span for span in [_LAST_MS, *[_RISKY_MS] * (count - 1)]]
+    return [max(unheld.begun_ms + 1, idle_ms - ms) for ms in before_end_ms]
 
 
 @pytest.mark.sampled(8)
@@ -274,20 +278,23 @@ def instants(name: str, chance: random.Random, count: int) -> "list[float]":
 def test_hold_before_a_waiting_command_changes_nothing(name: str) -> None:
     chance = random.Random(name)
     first = list(MOTIONS).index(name) * _COMMANDS
-    few = [COMMANDS[(first + i) % len(COMMANDS)] for i in range(_COMMANDS)]
-    for command in COMMANDS if _EVERY else few:
+    # each motion its own share of the commands
+    some_commands = [COMMANDS[(first + i) % len(COMMANDS)] for i in range(_COMMANDS)]
+    for command in COMMANDS if _EVERY else some_commands:
         for hold_ms in instants(name, chance, 1):
             check(name, command, hold_ms)
 
 
 @pytest.mark.parametrize(("name", "command"), KNOWN)
 def test_hold_in_last_segments_lets_command_wait(name: str, command: str) -> None:
+    """The cases that failed first, at four instants each."""
     for hold_ms in instants(name, random.Random(command), 4):
         check(name, command, hold_ms)
 
 
 @pytest.mark.parametrize("command", ["M5", "M2", "M4S200", "S100"])
 def test_spindle_stopped_in_hold_obeys_waiting_command(command: str) -> None:
+    """0x9e, sent during the hold, stops the spindle until `~`; then the command is executed."""
     for hold_ms in instants("speed in motion", random.Random(command), 3):
         check("speed in motion", command, hold_ms, held="\x9e")
 
@@ -295,14 +302,17 @@ def test_spindle_stopped_in_hold_obeys_waiting_command(command: str) -> None:
 @pytest.mark.parametrize("command", ["M3S700", "$1=50", "G10L2P1X1", "$H", "G4P1"])
 def test_reset_in_hold_aborts_waiting_command(command: str) -> None:
     end = without_hold("line", "").moved_ms
+    # hold 20 ms before the motion would end; 0x18: reset
     trial = Trial(MOTIONS["line"], command, end - 20, held="\x18").run()
     assert trial.in_hold["run"] == st.HOLD
     assert trial.at_last["run"] == st.IDLE and trial.at_last["steps"] == trial.in_hold["steps"]
     assert trial.at_last["stored"] == trial.before["stored"]
-    assert trial.at_last["pins"] == (False, 0, 0, 0)
+    assert trial.at_last["pins"] == (False, 0, 0, 0)  # tool and coolant are off
 
 
 def test_soft_limit_alarm_comes_after_slowing_down() -> None:
+    """With $20, a line beyond the travel is refused during a move: it ends in a hold before
+    ALARM:2 stops the motors."""
     machine = Machine({**_FAST, 20: 1}, watched=False)
     rig = machine.rig
     stopped_in_motion = []
@@ -319,7 +329,7 @@ def test_soft_limit_alarm_comes_after_slowing_down() -> None:
         yield from machine.sender.wait("ok", "$X\n")
         yield from machine.sender.wait("ms 300", "G1X-50F6000\n")
         rig.link.send(b"!G1X500\n")
-        yield rig.ms(1000)
+        yield rig.ms(1000)  # long enough to slow down, and for the alarm
         machine.take()
 
     machine.run(script())
@@ -334,6 +344,7 @@ def test_store_written_in_motion_is_a_fault() -> None:
         yield from machine.start()
         yield from machine.sender.wait("ms 100", "G1X1F100\n")
         machine.rig.controller.saves.save("coords", [])
+        # does what the main loop does only while idle
         machine.rig.controller.saves.write_due()
 
     with pytest.raises(RuntimeError, match="while the motors turn"):

@@ -48,8 +48,9 @@ class Course:
 
     def __init__(self, way: Way, tolerance: float) -> None:
         self.axes = 2 + len(way.shift)
-        reach = 2 * max(map(abs, (*way.centre, *way.shift, way.radius))) + way.radius
-        steps = min(1e6 / reach, 1e7)
+        reach_mm = 2 * max(map(abs, (*way.centre, *way.shift, way.radius))) + way.radius
+        # steps/mm of X: high, but positions stay within the range of a course
+        steps = min(1e6 / reach_mm, 1e7)
         self._steps_per_mm = array("f", [steps] * self.axes)
         for i, times in enumerate(way.steps, 1):
             self._steps_per_mm[i] *= times
@@ -67,13 +68,13 @@ class Course:
         self.left = self._course[arcs.CHORDS_LEFT]
 
     def _lay_ends(self, way: Way) -> "tuple[float, float]":
-        """Set start and target; return the centre relative to the start."""
+        """Set start and target in mm; return the centre relative to the start."""
         first, second = way.plane
         sweep = -way.sweep if way.clockwise else way.sweep
         for ends, angle in ((self._start, way.begin), (self._target, way.begin + sweep)):
             ends[first] = way.centre[0] + way.radius * cos(angle)
             ends[second] = way.centre[1] + way.radius * sin(angle)
-        if way.sweep > 2 * pi - 1e-3:
+        if way.sweep > 2 * pi - 1e-3:  # a full circle: exactly the same position
             self._target[:] = self._start
         for i, shift in zip(self.others(), way.shift, strict=True):
             self._target[i] = self._start[i] + shift
@@ -85,7 +86,7 @@ class Course:
         return [i for i in range(self.axes) if i not in self._arc.plane[:2]]
 
     def made(self) -> "Iterator[list[float]]":
-        """Yield where chords end, except the last."""
+        """Yield where chords end, except the last, in mm."""
         table = array("i", [0] * layout.table_length(self.axes, self.axes))
         table[layout.AXES] = self.axes
         for _ in range(self.left):
@@ -115,10 +116,10 @@ class Course:
             yield place
 
     def check(self) -> None:
-        """Check that each position is within tolerance."""
+        """Check that each position is within the tolerances at the top of the module."""
         reach = 5 * self._arc.numbers[RADIUS] + sum(map(abs, [*self._start, *self._target]))
         allowed = _TURN * self._arc.numbers[RADIUS] + _ROUNDED * reach + _UNITS * (1 + reach)
-        most = [allowed + 0.5 / steps for steps in self._steps_per_mm]
+        most = [allowed + 0.5 / steps for steps in self._steps_per_mm]  # half a step of rounding
         for made, exact in zip(self.made(), self.exact(), strict=True):
             assert all(abs(m - e) <= a for m, e, a in zip(made, exact, most, strict=True))
 
@@ -132,15 +133,24 @@ class Course:
 def test_chords_of_a_circle_end_on_it(
     radius: float, clockwise: bool, plane: "tuple[int, int, int]"
 ) -> None:
-    way = Way(radius, 0.7, 2 * pi, (-3.0, 2.0 * radius), (12.3,), plane, clockwise)
-    course = Course(way, 0.002)
+    way = Way(
+        radius,
+        begin=0.7,
+        sweep=2 * pi,
+        centre=(-3.0, 2.0 * radius),
+        shift=(12.3,),
+        plane=plane,
+        clockwise=clockwise,
+    )
+    course = Course(way, tolerance=0.002)
     assert course.chords >= 3 and course.left == course.chords - 1
     course.check()
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_the_error_does_not_grow_with_the_number_of_chords(clockwise: bool) -> None:
-    course = Course(Way(400.0, 2.0, 2 * pi, clockwise=clockwise), 1e-6)
+    way = Way(radius=400.0, begin=2.0, sweep=2 * pi, clockwise=clockwise)
+    course = Course(way, tolerance=1e-6)  # mm
     assert course.chords > 44_000
     course.check()
 
@@ -168,6 +178,7 @@ def test_positions_on_any_arc_match_doubles(way: Way, tolerance: float) -> None:
 
 @pytest.mark.parametrize("far", [1e7, 3e38, float("inf"), float("nan")])
 def test_an_arc_beyond_the_range_of_units_is_one_line(far: float) -> None:
+    """far: the target of the axis outside the plane, in mm. 0 chords: a line to the target."""
     arc = Arc()
     arc.numbers[CENTRE_0] = arc.numbers[RADIUS] = 5.0
     course = array("i", [0] * arcs.course_length(3))
@@ -180,7 +191,10 @@ def test_an_arc_beyond_the_range_of_units_is_one_line(far: float) -> None:
 
 
 class Bench:
-    """A machine that plans and never moves: the wait for space takes blocks out of its ring."""
+    """A machine that plans and never moves: the wait for space takes blocks out of its ring.
+
+    takes: how many at a time; changed: settings. blocks: signed steps of each block taken out.
+    """
 
     def __init__(self, takes: int = 15, axes: int = 3, **changed: float) -> None:
         rig = machine.build("sim", lambda rig: ProgramLink(rig, lambda _: iter(())), axes=axes)
@@ -198,15 +212,18 @@ class Bench:
         self._seen = 0
 
     def _service(self) -> None:
+        """Replace the function that serves the link while the planner is full or chords are
+        made."""
         planner = self.machine.planner
         flow = planner.flow
-        waiting = (flow[layout.HEAD] - flow[layout.TAIL]) % flow[layout.ROWS]
-        self.each.append(len(self.blocks) + waiting - self._seen)
-        self._seen = len(self.blocks) + waiting
+        queued = (flow[layout.HEAD] - flow[layout.TAIL]) % flow[layout.ROWS]
+        self.each.append(len(self.blocks) + queued - self._seen)
+        self._seen = len(self.blocks) + queued
         for _ in range(self._takes if planner.full() else 0):
             self._take()
 
     def _take(self) -> None:
+        """Take out the oldest block."""
         planner = self.machine.planner
         flow, size = planner.flow, planner.flow[layout.ROW_SIZE]
         if not planner.empty():
@@ -225,18 +242,19 @@ class Bench:
         return self
 
     def place(self) -> "list[int]":
-        """Return where the blocks lead, in steps."""
+        """Return where the blocks lead, in steps from the start."""
         return [sum(steps) for steps in zip(*self.blocks, strict=True)]
 
 
 @pytest.mark.parametrize("text", ["G2X3.643Y1.508I2J0Z0.7", "G3X-1Y2R-3", "G18G2X1.5Z0.25R-3"])
 def test_the_last_chord_ends_at_the_target(text: str) -> None:
-    bench, line = Bench(), Bench()
-    bench.tell("G1F500X0.111Y0.222", text)
-    target = list(bench.machine.modes.position)
-    assert len(bench.blocks) > 5
-    line.tell("G1F500X%.9gY%.9gZ%.9g" % tuple(target))
-    assert bench.place() == line.place()
+    """A line_bench to the same target makes the same steps."""
+    arc_bench, line_bench = Bench(), Bench()
+    arc_bench.tell("G1F500X0.111Y0.222", text)
+    target = list(arc_bench.machine.modes.position)
+    assert len(arc_bench.blocks) > 5
+    line_bench.tell("G1F500X%.9gY%.9gZ%.9g" % tuple(target))
+    assert arc_bench.place() == line_bench.place()
 
 
 @pytest.mark.parametrize("takes", [1, 2, 15])
@@ -246,9 +264,9 @@ def test_a_chord_that_has_to_wait_is_not_lost(takes: int) -> None:
 
 
 def test_the_link_is_served_every_eight_chords() -> None:
-    bench = Bench().tell("F500", "G3X0I-20")
+    bench = Bench().tell("F500", "G3X0I-20")  # a circle of 20 mm radius
     assert len(bench.blocks) > 200
-    assert max(bench.each) == 8
+    assert max(bench.each) == 8  # chords between two services
 
 
 def test_check_mode_serves_the_link_as_often_and_plans_nothing() -> None:
@@ -256,10 +274,11 @@ def test_check_mode_serves_the_link_as_often_and_plans_nothing() -> None:
     bench.machine.state.enter(run.CHECK)
     bench.tell("F500", "G1X-10Y-50", "G3X-10I-20")
     assert not bench.blocks
-    assert len(bench.each) > 25
+    assert len(bench.each) > 25  # 200 chords / 8
 
 
 def test_check_mode_skips_chords_if_there_are_no_soft_limits() -> None:
+    """Only soft limits need the chords: without them an arc is just a new position."""
     bench = Bench()
     bench.machine.state.enter(run.CHECK)
     bench.tell("F500", "G1X-10Y-50", "G3X30I20")
@@ -269,14 +288,15 @@ def test_check_mode_skips_chords_if_there_are_no_soft_limits() -> None:
 
 def test_a_fourth_axis_moves_evenly_along_an_arc() -> None:
     bench = Bench(axes=4).tell("F500", "G1A5", "G3X0I-2A6")
-    turned = [steps[3] for steps in bench.blocks[1:]]
-    assert len(turned) > 20
-    assert max(turned) - min(turned) <= 1
+    steps_of_a = [steps[3] for steps in bench.blocks[1:]]  # without the line G1A5
+    assert len(steps_of_a) > 20
+    assert max(steps_of_a) - min(steps_of_a) <= 1
 
 
 def test_the_time_of_an_inverse_time_arc_is_divided_among_chords() -> None:
     bench = Bench()
     bench.tell("G93", "G3X-4I-2F2")
+    # F2: the arc twice a minute; of n chords each one n times as often
     assert abs(bench.machine.planner._feed[0] - 2 * len(bench.blocks)) < 0.001
 
 
@@ -285,22 +305,24 @@ def test_a_spindle_override_applies_from_the_next_chords() -> None:
     powers: "list[int]" = []  # of the newest block, each time the link is served
     service, planner = bench.machine.canon.service, bench.machine.planner
 
-    def override() -> None:
+    def override_at_20() -> None:
         service()
         if len(bench.each) == 20:
             bench.machine.state.override_spindle(50)
             bench.machine.state.invalidate_lines()
-        at = (planner.flow[layout.HEAD] - 1) % planner.flow[layout.ROWS]
-        powers.append(planner.ring[at * planner.flow[layout.ROW_SIZE] + layout.POWER])
+        newest_row = (planner.flow[layout.HEAD] - 1) % planner.flow[layout.ROWS]
+        powers.append(planner.ring[newest_row * planner.flow[layout.ROW_SIZE] + layout.POWER])
 
-    bench.machine.canon.service = override
+    bench.machine.canon.service = override_at_20
     bench.tell("F500M3S500", "G3X0I-20")
-    assert set(powers[1:20]) == {128} and set(powers[20:]) == {64}
+    assert set(powers[1:20]) == {128} and set(powers[20:]) == {64}  # half of 255, and half of that
 
 
 def test_laser_power_is_set_if_chords_have_no_steps() -> None:
+    """A circle of 0.02 mm in chords shorter than a step: the last S must still be set at once."""
     bench = Bench(laser_mode=1, arc_tolerance_mm=0.0000001)
-    spun: "list[float]" = []
-    bench.machine.canon.spin = lambda direction, rpm: spun.append(rpm)  # type: ignore[method-assign]
+    speeds_set: "list[float]" = []
+    canon = bench.machine.canon
+    canon.spin = lambda direction, rpm: speeds_set.append(rpm)  # type: ignore[method-assign]
     bench.tell("F500M3S500", "G3X0I-0.01")
-    assert 500.0 in spun
+    assert 500.0 in speeds_set

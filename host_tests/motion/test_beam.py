@@ -31,7 +31,11 @@ _FULL = 1000  # of power, and of S
 
 @dataclass
 class Burnt:
-    """What a program has burnt. steps: power of each step of X, in order."""
+    """What a program has burnt.
+
+    steps: power of each step of X, in order; said: answers; at_rest: power after the program;
+    place: position of X in steps.
+    """
 
     steps: "list[int]" = field(default_factory=list)
     said: "list[str]" = field(default_factory=list)
@@ -43,14 +47,15 @@ class Burnt:
 def burn(
     *lines: str, before: str = "G91G1F3000M3S0", events: "list[tuple[float, str]] | None" = None
 ) -> Burnt:
-    """Run lines; events: bytes sent meanwhile, each this many ms after the one before."""
+    """Run lines, after `before`; events: bytes sent meanwhile, each this many ms after the one
+    before."""
     bench, burnt = Bench(_SETTINGS, "sim_laser"), Burnt()
-    base = ROW_AXES
+    x_count = ROW_AXES
 
     def trace(_start: int, row: "array[int]") -> None:
         sign = -1 if row[ROW_DIRS] & 1 else 1
-        burnt.steps += [row[ROW_POWER]] * row[base]
-        burnt.ways += [sign] * row[base]
+        burnt.steps += [row[ROW_POWER]] * row[x_count]
+        burnt.ways += [sign] * row[x_count]
 
     def script() -> Iterator[Any]:
         assert (yield from bench.say(before + "\n", "ok")) == ["ok"]
@@ -79,19 +84,20 @@ def dot_of(step: int, steps: int, dots: "list[int]") -> "set[int]":
 
 
 def cluster(mm: float, dots: "list[int]") -> str:
+    """Return a line that moves X by mm and has these dots: S values divided by colons."""
     return f"X{mm:.3f}S" + ":".join(map(str, dots))
 
 
 def held(burnt: Burnt, lines: "list[tuple[float, list[int]]]") -> None:
     """Check that every step has the power of its dot, within half a step."""
-    at = 0
+    first_step = 0
     for mm, dots in lines:
         steps = abs(round(mm * _PER_MM))
         for step in range(steps):
-            power = burnt.steps[at + step]
+            power = burnt.steps[first_step + step]
             assert power in dot_of(step, steps, dots), (mm, dots, step)
-        at += steps
-    assert len(burnt.steps) == at
+        first_step += steps
+    assert len(burnt.steps) == first_step
 
 
 _dots = st.lists(st.sampled_from((0, 1, 250, 600, 1000)), min_size=2, max_size=16)
@@ -110,13 +116,14 @@ def test_every_dot_is_burnt_at_its_place(
     held(burnt, lines)
 
 
-@pytest.mark.parametrize("plain", [False, True])
-def test_dots_are_kept_while_lines_wait_for_space_in_the_planner(plain: bool) -> None:
+@pytest.mark.parametrize("with_plain_lines", [False, True])
+def test_dots_are_kept_while_lines_wait_for_space_in_the_planner(with_plain_lines: bool) -> None:
+    """60 lines are more than the planner holds; with_plain_lines: a line with one S after each."""
     lines = [(0.8, [0, 10 * k, 500, 1000 - 10 * k]) for k in range(60)]
-    between = ["X0.8S300"] if plain else []
-    burnt = burn(*(text for line in lines for text in (cluster(*line), *between)))
+    plain_line = ["X0.8S300"] if with_plain_lines else []
+    burnt = burn(*(text for line in lines for text in (cluster(*line), *plain_line)))
     assert set(burnt.said) == {"ok"}
-    held(burnt, [part for line in lines for part in (line, (0.8, [300]))[: 1 + plain]])
+    held(burnt, [part for line in lines for part in (line, (0.8, [300]))[: 1 + with_plain_lines]])
 
 
 @given(_lines.filter(bool))
@@ -124,10 +131,11 @@ def test_dots_are_kept_while_lines_wait_for_space_in_the_planner(plain: bool) ->
 def test_the_dots_of_a_line_get_the_planned_energy(
     lines: "list[tuple[float, list[int]]]",
 ) -> None:
-    """Summed over steps; at the constant power of M3 all steps have equal lengths."""
+    """Energy: power summed over steps, which at the constant power of M3 have equal lengths."""
     burnt = burn(*(cluster(*line) for line in lines))
     wanted = sum(abs(round(mm * _PER_MM)) * sum(dots) / len(dots) for mm, dots in lines)
     edges = sum(len(dots) for _, dots in lines)
+    # each edge of a dot may be off by a step
     assert abs(sum(burnt.steps) - wanted) <= _FULL * edges
 
 
@@ -139,8 +147,9 @@ _HOLDS = st.lists(st.tuples(st.integers(2, 40), st.sampled_from("!\x91\x92\x93\x
 @example([(20, "!"), (20, "!")])
 def test_holds_and_overrides_move_no_dot(events: "list[tuple[int, str]]") -> None:
     lines = [(1.6, [0, 1000, 250, 600]), (0.8, [1000, 0]), (1.6, [100 * k for k in range(10)])]
-    going = [pair for ms, byte in events for pair in ((ms, byte), (150, "~"))]
-    burnt = burn(*(cluster(*line) for line in lines), events=[*going, (300, "~")])
+    # `~` 150 ms after each byte ends a hold, else it changes nothing
+    resumed_events = [pair for ms, byte in events for pair in ((ms, byte), (150, "~"))]
+    burnt = burn(*(cluster(*line) for line in lines), events=[*resumed_events, (300, "~")])
     held(burnt, lines)
     assert burnt.place == sum(round(mm * _PER_MM) for mm, _ in lines)
 
@@ -153,11 +162,11 @@ def test_the_laser_is_off_in_a_hold_and_dots_continue_after_it() -> None:
         yield from bench.say("G91G1F3000M3S0\n", "ok")
         bench.rig.link.send("".join(cluster(*line) + "\n" for line in lines).encode())
         yield bench.rig.moving
-        yield bench.rig.ms(25)
+        yield bench.rig.ms(25)  # into the first line: 1.6 mm at 50 mm/s take 32 ms and more
         yield from bench.say("!", "idle")
         assert bench.port.spindle_pwm == 0 and not bench.rig.moving()
         yield from bench.say("~", "idle")
-        assert bench.port.spindle_pwm == 700
+        assert bench.port.spindle_pwm == 700  # M3: the last dot's power stays
 
     bench.run(script())
 
@@ -167,9 +176,12 @@ def test_the_laser_is_off_in_a_hold_and_dots_continue_after_it() -> None:
 
 def test_the_dots_of_m4_follow_the_speed() -> None:
     """At the programmed speed a dot has full power; below it, proportionally less."""
+    # ramps are in the dark lines
     burnt = burn("X2S0", cluster(4, [1000, 500]), "X2S0", before="G91G1F3000M4S0")
+    # 250 steps/mm: steps 500 to 1500 are the 4 mm
     first, second = burnt.steps[500:1000], burnt.steps[1000:1500]
     assert set(first[1:]) == {1000} and set(second[1:]) == {500}
+    # ramps are in the burnt line: power rises and falls
     slow = burn(cluster(4, [1000, 500]), before="G91G1F6000M4S0").steps
     assert slow[:50] == sorted(slow[:50]) and slow[10] < 500 < slow[400]
     assert slow[-50:] == sorted(slow[-50:], reverse=True) and slow[-1] < 250
@@ -182,13 +194,13 @@ def test_m4_is_off_at_rest_and_m3_stays_on() -> None:
 
 
 def test_a_spindle_override_rescales_dots() -> None:
-    """Also the dots of waiting blocks."""
+    """To 50 %, by five times -10 %; also the dots of blocks that wait in the planner."""
     lines = [(2.5, [1000, 500])] * 3
     burnt = burn(*(cluster(*line) for line in lines), events=[(5, "\x9b" * 5)])
     assert burnt.steps[0] == 1000 and 500 not in burnt.steps[:600]
     assert set(burnt.steps[-600:]) == {500, 250} and burnt.at_rest == 250
     burnt = burn("X1S5", cluster(2.5, [1000, 500]), events=[(2, "\x9b" * 5)])
-    assert set(burnt.steps[-300:]) == {250}
+    assert set(burnt.steps[-300:]) == {250}  # the last dot, 500, halved
 
 
 # Lines without a cluster
@@ -209,7 +221,7 @@ def test_every_step_of_a_line_without_cluster_has_its_power(
 
 
 def talk(*lines: str, before: str = "G91G1F3000M3S0") -> "list[list[str]]":
-    """Return the machine's answers to each line."""
+    """Return the machine's answers to each of `lines`, sent after `before`."""
     bench, said = Bench(_SETTINGS, "sim_laser"), []
 
     def script() -> Iterator[Any]:
@@ -247,7 +259,7 @@ def test_a_line_with_a_cluster_is_answered_once_and_a_refused_one_changes_nothin
 ) -> None:
     before, said, after = talk("$G", line, "$G")
     assert said == [answer]
-    assert (before == after) == (answer != "ok")
+    assert (before == after) == (answer != "ok")  # the modes, as reported by $G
 
 
 def test_a_cluster_in_g0_is_refused_even_beyond_the_travel() -> None:
@@ -279,6 +291,7 @@ def test_lines_with_and_without_clusters_can_alternate() -> None:
 
 
 def test_a_reset_discards_the_dots_of_discarded_lines() -> None:
+    """After the reset, lines with S7 burn at 7 only: no dot of 900 or 1000 is left."""
     bench = Bench(_SETTINGS, "sim_laser")
     powers: list[int] = []
 
@@ -286,7 +299,7 @@ def test_a_reset_discards_the_dots_of_discarded_lines() -> None:
         yield from bench.say("G91G1F3000M3S0\n", "ok")
         bench.rig.link.send("".join(cluster(1.6, [1000, 900]) + "\n" for _ in range(5)).encode())
         yield bench.rig.moving
-        yield bench.rig.ms(25)
+        yield bench.rig.ms(25)  # into the first line
         yield from bench.say("\x18", "banner")
         assert bench.port.spindle_pwm == 0
         yield from bench.say("$X\n", "ok")
@@ -304,7 +317,7 @@ def test_a_line_longer_than_grbls_is_accepted_up_to_a_limit() -> None:
 
 
 def test_a_board_without_clusters_refuses_them() -> None:
-    bench = Bench(_SETTINGS)
+    bench = Bench(_SETTINGS)  # the board "sim"
     said: list[list[str]] = []
 
     def script() -> Iterator[Any]:
@@ -329,11 +342,14 @@ def test_a_board_without_clusters_refuses_them() -> None:
 def test_a_dot_has_the_same_power_as_s(
     values: "list[float]", most: float, least: float, full: int, dynamic: bool
 ) -> None:
+    """store() computes the powers of dots; Spindle.block_power() those of S. most, least: $30,
+    $31; full: levels of the PWM."""
     spindle = made(most, least, full)
     spindle.laser = True
     flags = 0x20 | (layout.DYNAMIC if dynamic else 0)
     spindle.block_power(flags, 0)  # reads the override
     scale = spindle._state.spindle
+    # of two blocks: a count and 16 dots each; 16 S values each. The second block is used.
     powers, speeds = array("i", [0] * 34), array("f", [0] * 32)
     clusters.store(array("f", values), len(values), scale, flags, powers, speeds, 1)
     assert powers[17] == len(values)

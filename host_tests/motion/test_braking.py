@@ -27,17 +27,19 @@ FASTEST_HZ = 500_000
 
 
 def bench(engine: str, hz: float, steps_per_mm: float, ramp_s: float, jerk_s: float = 0) -> Bench:
-    """Return a bench that reaches hz steps/s in ramp_s. jerk_s: duration of acceleration, or 0."""
+    """Return a bench that reaches hz steps/s in ramp_s. jerk_s: duration of the rise and fall of
+    acceleration; 0: no jerk limit."""
     mm_s = hz / steps_per_mm
-    accel = mm_s / ramp_s
-    limits = Limits((steps_per_mm,) * 3, (mm_s * 60,) * 3, (accel,) * 3, step_hz=FASTEST_HZ)
+    acceleration = mm_s / ramp_s
+    limits = Limits((steps_per_mm,) * 3, (mm_s * 60,) * 3, (acceleration,) * 3, step_hz=FASTEST_HZ)
     if jerk_s:
-        return JerkBench(limits, (2 * accel / jerk_s,) * 3, 16, *ENGINES[engine])
+        # 16 blocks in the planner
+        return JerkBench(limits, (2 * acceleration / jerk_s,) * 3, 16, *ENGINES[engine])
     return Bench(limits, 16, *ENGINES[engine])
 
 
 def check(made: Bench) -> "list[Piece]":
-    """Check all laws except those about each pulse. Return the last piece of each block."""
+    """Check all laws except those about each pulse; return the last piece of each block."""
     made.planner.catch_up()
     check_plan(made.watch)
     made.finish()
@@ -77,15 +79,16 @@ def any_bench(engine: str, data: Any, jerk_s: float = 0) -> Bench:
     """Draw a bench with moves. Rates of 1-10 kHz are as likely as rates of 50-500 kHz."""
     made = bench(
         engine,
-        10 ** data.draw(st.floats(3, 5.699)),
-        data.draw(st.sampled_from([26.667, 80.0, 400.0, 1600.0])),
-        10 ** data.draw(st.floats(-1.5, -0.4)),
+        10 ** data.draw(st.floats(3, 5.699)),  # steps/s: 1 to 500 kHz
+        data.draw(st.sampled_from([26.667, 80.0, 400.0, 1600.0])),  # steps/mm
+        10 ** data.draw(st.floats(-1.5, -0.4)),  # ramp: 32 to 400 ms
         jerk_s,
     )
+    # both ramps, to the speed and back
     full_mm = made.limits.speed(0) ** 2 / made.limits.acceleration[0]
     place = 0.0
-    for part, feed in data.draw(ways):
-        place += part * full_mm
+    for travel, feed in data.draw(ways):
+        place += travel * full_mm
         made.line((place, place / 3, 0), feed * made.limits.rate[0])
     return made
 
@@ -112,11 +115,14 @@ def test_moves_of_any_length_brake_in_time_with_jerk_limited(
 @pytest.mark.parametrize("khz", [90, 110, 160, 204, 250, 333, 390, 420, 500])
 @pytest.mark.parametrize("part", [0.6, 1.2])
 def test_a_move_ends_at_rest_with_a_full_ramp(engine: str, khz: int, part: float) -> None:
+    """part: length of the move, relative to that of both ramps; below 1 it never reaches its
+    speed."""
     made = bench(engine, khz * 1000, 1600.0, 0.3)
-    way = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
-    made.line((way, 0, 0))
+    travel_mm = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
+    made.line((travel_mm, 0, 0))
     check(made)
     assert hardest(made) <= 1.01
+    # v**2 = 2 a s: a shorter move reaches the root of the part
     reached = max(piece.mean for piece in made.watch.pieces) / made.limits.speed(0)
     assert reached == pytest.approx(min(part**0.5, 1.0), abs=0.03)
 
@@ -127,16 +133,18 @@ def test_a_move_ends_at_rest_with_a_full_ramp(engine: str, khz: int, part: float
 def test_a_move_ends_at_the_planned_speed_with_jerk_limited(
     engine: str, khz: int, part: float
 ) -> None:
-    made = bench(engine, khz * 1000, 1600.0, 0.2, 0.05)
-    way = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
-    made.line((way, 0, 0))
-    made.line((way * 1.2, 0, 0), made.limits.rate[0] / 10)
+    """A move at a tenth of the speed follows. part: length, relative to both ramps without jerk
+    limit."""
+    made = bench(engine, khz * 1000, steps_per_mm=1600.0, ramp_s=0.2, jerk_s=0.05)
+    travel_mm = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
+    made.line((travel_mm, 0, 0))
+    made.line((travel_mm * 1.2, 0, 0), made.limits.rate[0] / 10)
     check(made)
 
 
 def test_millions_of_steps_of_braking_end_at_rest() -> None:
     """The braking distance is known to 2**-13, more than the last steps can correct."""
-    made = bench("pio", FASTEST_HZ, 1600.0, 12.0)
+    made = bench("pio", FASTEST_HZ, steps_per_mm=1600.0, ramp_s=12.0)
     made.line((2400.0, 0, 0))
     check(made)
     assert hardest(made) <= 1.01
@@ -144,11 +152,11 @@ def test_millions_of_steps_of_braking_end_at_rest() -> None:
 
 @engines
 def test_a_hold_and_the_remaining_distance_brake_in_time(engine: str) -> None:
-    made = bench(engine, 300_000, 400.0, 0.3)
+    made = bench(engine, 300_000, steps_per_mm=400.0, ramp_s=0.3)
     made.line((300.0, 40.0, 0))
     made.line((0.0, 0.0, 0))
-    made.pull(25)
-    made.hold()
+    made.pull(25)  # segments: into the first ramp
+    made.hold()  # and resume
     check(made)
 
 
@@ -165,19 +173,20 @@ def test_a_hold_and_the_remaining_distance_brake_in_time(engine: str) -> None:
     ids=["ended at 16.8", "turned round at 16.8", "went on at 19.1"],
 )
 def test_a_triangle_profile_of_160_khz_ends_at_the_planned_speed(lines: Any, ends: Any) -> None:
+    """lines: position in mm and feed in mm/min; ends: speed at the end of each, mm/s."""
     made = Bench(Limits((1600.0,) * 3, (6000.0,) * 3, (300.0,) * 3, step_hz=FASTEST_HZ))
     for place, feed in lines:
         made.line((place, 0, 0), feed)
-    last = check(made)
-    assert [piece.speed for piece in last] == pytest.approx(ends, abs=0.02)
-    assert all(piece.mean <= end + 0.4 for piece, end in zip(last, ends, strict=True))
+    last_pieces = check(made)
+    assert [piece.speed for piece in last_pieces] == pytest.approx(ends, abs=0.02)
+    assert all(piece.mean <= end + 0.4 for piece, end in zip(last_pieces, ends, strict=True))
 
 
-@pytest.mark.parametrize("way", [44.0, 52.5, 61.0, 80.0, 93.7, 105.0])
-def test_a_triangle_profile_of_fewer_steps_per_mm_ends_at_rest(way: float) -> None:
+@pytest.mark.parametrize("travel_mm", [44.0, 52.5, 61.0, 80.0, 93.7, 105.0])
+def test_a_triangle_profile_of_fewer_steps_per_mm_ends_at_rest(travel_mm: float) -> None:
     """$100=400 $110=20000 $120=1000 once ended at up to 32 mm/s."""
     made = Bench(Limits((400.0,) * 3, (20_000.0,) * 3, (1000.0,) * 3, step_hz=FASTEST_HZ))
-    made.line((way, 0, 0), 20_000)
+    made.line((travel_mm, 0, 0), 20_000)
     assert check(made)[-1].mean <= 1.5
 
 

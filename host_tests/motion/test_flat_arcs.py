@@ -23,6 +23,7 @@ _NEAR_MM = 0.6  # largest error of an arc's end, and a margin
 
 
 def run(*lines: str) -> Result:
+    """Run a program on the simulator, without an error; return the result."""
     result, _ = run_program(split_lines("\n".join(lines).encode()), settings=("$110=60000",))
     assert not result.errors and not result.stopped, result
     return result
@@ -48,9 +49,10 @@ def in_plane(plane: str, line: str) -> str:
     ],
 )
 def test_an_arc_with_close_ends_takes_the_short_way(plane: str, begin: str, arc: str) -> None:
+    """The other way is a whole circle of 20 to 30 m radius: 120 m and more."""
     result = run(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"), in_plane(plane, arc))
-    there = run(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"))
-    assert result.totals.distance_mm - there.totals.distance_mm < 0.03
+    without_arc = run(f"G21 G90 {plane}", in_plane(plane, f"G1 {begin} F60000"))
+    assert result.totals.distance_mm - without_arc.totals.distance_mm < 0.03
 
 
 def test_a_helix_with_close_ends_is_short() -> None:
@@ -60,12 +62,14 @@ def test_a_helix_with_close_ends_is_short() -> None:
 @pytest.mark.parametrize("arc", ["G2 X0 I5", "G3 Y0 J-5", "G3 X0 Y0 I5", "G2 X0 Y0 Z-1 I3 J4"])
 def test_an_arc_with_equal_ends_is_a_full_circle(arc: str) -> None:
     result = run("G21 G90", f"{arc} F6000")
+    # all have a radius of 5 mm
     assert result.totals.distance_mm == pytest.approx(10 * pi, rel=0.02)
 
 
 def test_ends_equal_after_rounding_are_a_full_circle() -> None:
     """A position reached in G91 and the same position in G90: rounding is no distance."""
     result = run("G21 G91 F6000", *["G1 X0.1 Y0.1"] * 30, "G90 G2 X3 Y3 I-5 J0", "G1 X0 Y0")
+    # the circle, there and back
     assert result.totals.distance_mm == pytest.approx(10 * pi + 2 * hypot(3, 3), rel=0.02)
 
 
@@ -100,22 +104,26 @@ pairs = st.tuples(coordinates, coordinates)
 )
 def test_an_arc_that_is_short_in_exact_numbers_is_planned_short(
     start: "tuple[Fraction, ...]",
-    way: "tuple[Fraction, ...]",
+    to_target: "tuple[Fraction, ...]",
     centre: "tuple[Fraction, ...]",
     clockwise: bool,
 ) -> None:
+    """Exact fractions give the angle; Arc.sweep() in single precision must find about the same
+    length."""
     radius = hypot(*centre)
-    assume(radius > 0.02)  # below it an end may be as far off as the centre
-    target = tuple(a + b for a, b in zip(start, way, strict=True))
+    assume(radius > 0.02)  # below it an end may be as far off_circle as the centre
+    target = tuple(a + b for a, b in zip(start, to_target, strict=True))
     # The firmware's own check: the end lies near the circle.
-    off = abs(hypot(*(b - a - c for a, b, c in zip(start, target, centre, strict=True))) - radius)
-    assume(off < 0.005 or off < min(0.5, 0.001 * radius))
-    singles = vector(3), vector(3)
+    off_circle = abs(
+        hypot(*(b - a - c for a, b, c in zip(start, target, centre, strict=True))) - radius
+    )
+    assume(off_circle < 0.005 or off_circle < min(0.5, 0.001 * radius))
+    ends = vector(3), vector(3)
     for i in range(2):
-        singles[0][i], singles[1][i] = float(start[i]), float(target[i])
+        ends[0][i], ends[1][i] = float(start[i]), float(target[i])
     # Ends equal in single precision are the same position: a full circle.
-    apart = [abs(a - b) > 2.0**-22 * max(abs(a), abs(b)) for a, b in zip(*singles, strict=True)]
-    assume(any(apart))
+    differ = [abs(a - b) > 2.0**-22 * max(abs(a), abs(b)) for a, b in zip(*ends, strict=True)]
+    assume(any(differ))
     arc = Arc()
     arc.plane[:] = array("i", (0, 1, clockwise))
     for i, number in zip((CENTRE_0, CENTRE_1, RADIUS), (*map(float, centre), radius), strict=True):
@@ -123,10 +131,10 @@ def test_an_arc_that_is_short_in_exact_numbers_is_planned_short(
     angle = exact_angle(start, target, centre)
     if clockwise:
         angle = -angle % (2 * pi)
-    length = radius * arc.sweep(*singles)
+    length = radius * arc.sweep(*ends)
     if angle < 0.1:
-        assert length <= 1.001 * (radius * angle + hypot(*way)) + 0.001
-    elif angle < 6.2:
+        assert length <= 1.001 * (radius * angle + hypot(*to_target)) + 0.001
+    elif angle < 6.2:  # above: nearly a circle, where rounding decides
         assert length == pytest.approx(radius * angle, rel=0.01, abs=0.001)
 
 
@@ -150,6 +158,7 @@ def test_an_arc_that_is_short_in_exact_numbers_is_planned_short(
     ],
 )
 def test_an_arc_that_leaves_the_part_is_reported(arc: str, words: str) -> None:
+    """words: how the warning of line 2 begins; "": none."""
     result, _ = run_program([b"G21 G90", f"{arc} F600".encode()], check=True)
     assert not result.errors
     assert [text[: len(words)] for _, text in result.wide_arcs] == ([words] if words else [])

@@ -115,21 +115,24 @@ def test_a_product_of_three_is_truncated_and_saturates(x: float, y: float, z: fl
 @example(8388607.5, 1.0)  # the largest float with a half
 @example(107374.18, 5000.0)  # at the limit, 2**29 steps
 def test_millimetres_become_steps_in_single_precision(mm: float, resolution: float) -> None:
+    """resolution: steps/mm. Rounding is that of single precision, as in Grbl; out of reach:
+    False."""
     target, resolutions = vector(1), vector(1)
     target[0], resolutions[0] = mm, resolution
     table = array("i", [1] + [0] * layout.table_length(1, 1))
     copy(resolutions, memoryview(table)[layout.LIMITS + layout.RESOLUTION :], 1)
     product = single(mm * resolution)
-    inside = to_steps(target, table)
+    in_reach = to_steps(target, table)
     steps = table[layout.LIMITS + layout.TARGET :]
-    far = 2**29  # PLACE_BIAS, added to steps, so that none is negative
-    assert inside == (abs(product) < far) or abs(product) == far
-    if inside:
+    farthest = 2**29  # PLACE_BIAS, added to steps, so that none is negative
+    assert in_reach == (abs(product) < farthest) or abs(product) == farthest
+    if in_reach:
         rounded = int(abs(product) + 0.5)  # exact: a double holds both
-        assert steps[0] - far == (rounded if product >= 0 else -rounded)
+        assert steps[0] - farthest == (rounded if product >= 0 else -rounded)
 
 
 def test_a_position_out_of_reach_keeps_its_direction() -> None:
+    """Blocks to a target that cannot be counted in steps: motors still turn the right way."""
     bench = Bench()
     bench.line((10, -10, 0))
     bench.line((3e6, -4e6, 0))
@@ -141,6 +144,7 @@ def test_a_position_out_of_reach_keeps_its_direction() -> None:
 
 @given(words, positive)
 def test_a_share_never_exceeds_the_whole(part: int, total: int) -> None:
+    """share() returns part / total in 2**-17; a part larger than the total counts as the total."""
     exact = part / total * 2**17
     got = ramps.share(part, total)
     assert got == 2**17 if part >= total else abs(got - exact) <= 2 + exact * 2**-20
@@ -157,8 +161,10 @@ accelerations = st.integers(1, 2**30 - 1)
 
 
 @given(speeds, speeds, accelerations, st.sampled_from([0, 18]))
-def test_braking_distance_matches_floats(one: int, other: int, ramp: int, unit: int) -> None:
-    fast, slow = max(one, other), min(one, other)
+def test_braking_distance_matches_floats(speed_1: int, speed_2: int, ramp: int, unit: int) -> None:
+    """v**2 = 2 a s, in fixed point; too far: HIGHEST. unit: distances in 2**-unit step, 18
+    or 0."""
+    fast, slow = max(speed_1, speed_2), min(speed_1, speed_2)
     exact = (fast - slow) * (fast + slow) / 2 / ramp * 2.0 ** (unit - 18)
     got = ramps.braking(fast, slow, ramp, unit)
     if exact >= HIGHEST * 1.001:
@@ -174,6 +180,7 @@ def test_braking_distance_matches_floats(one: int, other: int, ramp: int, unit: 
 def test_speed_after_a_distance_matches_floats(
     speed: int, ramp: int, distance: int, down: bool
 ) -> None:
+    """v**2 = v0**2 + 2 a s, or -2 a s if down; below 0 it is 0."""
     square = speed**2 + (-2 if down else 2) * ramp * distance
     got = ramps.after(speed, ramp, distance, int(down))
     tolerance = (speed**2 + 2 * ramp * distance) * 2**-11 + 4
@@ -199,11 +206,12 @@ travels = st.tuples(*[st.sampled_from([-10_000.0, -0.5, 0.0, 0.001, 1.0, 9_999.9
 @some(150)
 @given(extremes, st.lists(st.tuples(travels, st.sampled_from([0.0, 1.0, 1e3, 1e6])), max_size=4))
 def test_extreme_settings_and_distances_stay_within_32_bits(limits, moves) -> None:
+    """The stand-in for viper raises if they do not."""
     bench = Bench(limits)
     for target, feed in moves:
         if not bench.planner.full():
             bench.line(target, feed)
-        bench.pull(6)
+        bench.pull(6)  # segments
     bench.hold()
     bench.pull(3)
 
@@ -219,9 +227,10 @@ def test_one_step_in_a_minute_is_made() -> None:
 @pytest.mark.parametrize("resolution", [1.0, 5000.0])
 def test_a_short_move_at_extreme_settings_keeps_every_law(rate, acceleration, resolution) -> None:
     bench = Bench(Limits((resolution,) * 3, (rate,) * 3, (acceleration,) * 3))
-    way = 20 / resolution + rate / 60 / 50
-    bench.line((way, 0, 0))
-    bench.line((way, way / 2, -way / 3))
+    # 20 steps, and the way of 20 ms at the highest rate
+    travel_mm = 20 / resolution + rate / 60 / 50
+    bench.line((travel_mm, 0, 0))
+    bench.line((travel_mm, travel_mm / 2, -travel_mm / 3))
     bench.check()
 
 
@@ -232,8 +241,9 @@ def test_a_short_move_at_extreme_settings_keeps_every_law(rate, acceleration, re
 @example([29_000] * 6)  # the sum of six squares of 14 bits needs more than 30
 def test_the_length_of_a_block_matches_its_distances(steps: "list[int]") -> None:
     axes = len(steps)
+    # 1 step/mm, mm/min, mm/s2: a mm is a step
     bench = Bench(Limits(*[(1.0,) * axes, (60.0,) * axes, (100.0,) * axes]))
-    if bench.line([float(each) for each in steps]):
+    if bench.line([float(count) for count in steps]):
         row = bench.planner.row()
         assert row is not None
         assert near(value(row[layout.LENGTH]), hypot(*steps), 2**-11)
@@ -245,15 +255,19 @@ mantissas = st.integers(minifloat.SMALLEST, minifloat.LIMIT - 1)
 @given(mantissas, mantissas, mantissas)
 @example(32767, 16385, 16384)  # the product has one bit more than a mantissa
 def test_a_limit_along_a_move_is_the_axis_limit_divided_by_its_share(
-    most: int, way: int, mm: int
+    limit_mantissa: int, length_mantissa: int, axis_mantissa: int
 ) -> None:
+    """One axis; as (exponent, mantissa) of minifloats: its limits are (80, limit), its distance
+    (64, axis), the block's length (66, length)."""
     table = array("i", [0] * (layout.LIMITS + 6))
     table[layout.AXES] = 1
-    table[layout.LIMITS + 1] = table[layout.LIMITS + 2] = (80 << 15) + most
-    table[layout.LIMITS + 5] = (64 << 15) + mm
+    # mm/s and mm/s2
+    table[layout.LIMITS + 1] = table[layout.LIMITS + 2] = (80 << 15) + limit_mantissa
+    table[layout.LIMITS + 5] = (64 << 15) + axis_mantissa
     ring = layout.ring(1, 2)
-    ring[layout.LENGTH] = (66 << 15) + way
+    ring[layout.LENGTH] = (66 << 15) + length_mantissa
     plan_kernel.limit(table, ring, 0)
-    expected = value((80 << 15) + most) * 4 * way / mm
-    for made in (layout.RAPID, layout.ACCEL):
-        assert near(value(ring[made]), expected, 2**-12), "two quotients are truncated"
+    # length / distance: their exponents differ by 2, a factor of 4
+    expected = value((80 << 15) + limit_mantissa) * 4 * length_mantissa / axis_mantissa
+    for column in (layout.RAPID, layout.ACCEL):
+        assert near(value(ring[column]), expected, 2**-12), "two quotients are truncated"

@@ -38,13 +38,14 @@ def joined_arcs() -> "Iterator[Place]":
     """Yield half circles of 4 mm radius and less, one leading into the next."""
     x = 0.0
     for k, radius in enumerate((4.0, 2.0, 4.0, 0.5, 1.0, 0.25, 3.0)):
-        way = 1 if k % 2 else -1
-        for a, b, _ in arc(radius, 0.5, -0.5 * way):
+        sense = 1 if k % 2 else -1
+        for a, b, _ in arc(radius, 0.5, -0.5 * sense):
             yield x + radius + a, b, 0.0
         x += 2 * radius
 
 
 def stairs() -> "Iterator[Place]":
+    """Yield 40 lines of 0.0125 mm, alternately along X and Y."""
     for k in range(40):
         yield (k // 2 + k % 2) * 0.0125, k // 2 * 0.0125, 0.0
 
@@ -82,11 +83,13 @@ PROGRAMS: "dict[str, tuple[list[Place], float]]" = {
 
 
 def bench(engine: str, jerk: float) -> Bench:
+    """Return a bench with this engine's step rate; jerk in mm/s3, 0: no limit."""
     per_mm = _PER_MM[engine]
     limits = Limits(
         (per_mm, per_mm, 2.5 * per_mm), (9000.0, 9000.0, 1500.0), (800.0, 800.0, 150.0)
     )
     limits.step_hz = FASTEST_HZ
+    # 16 blocks in the planner
     return JerkBench(limits, (jerk, jerk, jerk / 4), 16, *ENGINES[engine])
 
 
@@ -101,6 +104,7 @@ def test_faults_of_other_controllers_keep_every_law(name: str, engine: str, jerk
     made.planner.catch_up()
     made.check()
     assert made.watch.pieces[-1].ends_block
+    # the segments of each line
     for _, row in groupby(made.watch.made, lambda segment: segment.block):
         rows = [(segment.start, segment.row) for segment in row]
         assert off_line([[tick for tick, _ in pulses(rows, axis)] for axis in range(3)]) <= 1.05
@@ -112,8 +116,9 @@ def test_a_helix_with_arcs_never_stops_between_lines() -> None:
     for place in lines:
         made.line(place, feed)
     made.finish()
-    ends = [piece.speed for piece in made.watch.pieces if piece.ends_block]
-    assert min(ends[3:-3]) > 0.2 * feed / 60
+    end_speeds = [piece.speed for piece in made.watch.pieces if piece.ends_block]
+    # mm/s; 3 lines at either end speed up and slow down
+    assert min(end_speeds[3:-3]) > 0.2 * feed / 60
 
 
 @pytest.mark.parametrize("line", ["G1X{x}S{s}", "S{s}G1X{x}", "M3G1X{x}S{s}F6000", "{g}X{x}S{s}"])
@@ -121,12 +126,13 @@ def test_a_helix_with_arcs_never_stops_between_lines() -> None:
 def test_a_raster_stops_for_power_changes_only_without_laser_mode(
     line: str, laser_mode: int, stops: int
 ) -> None:
-    """In laser mode with M3 a block carries its line's S; else the spindle changes at rest."""
+    """In laser mode with M3 a block carries its line's S; else the spindle changes at rest. stops:
+    pauses between segments, one for each of 60 lines."""
     machine = Machine({1: 255, 32: laser_mode, 110: 6000, 111: 6000, 120: 1000, 121: 1000})
     raster = [
         line.format(x=f"{k / 10:.1f}", s=k * 37 % 1000, g="G0" if k % 2 else "G1")
         for k in range(1, 61)
     ]
     machine.play(["M3S10", "G1X0F6000", *raster, "M5"])
-    ends = pairwise((start, start + row[ROW_TICKS]) for start, row in machine.rows)
-    assert sum(start > end for (_, end), (start, _) in ends) + (1 if stops else 0) == stops
+    times = pairwise((start, start + row[ROW_TICKS]) for start, row in machine.rows)
+    assert sum(start > end for (_, end), (start, _) in times) + (1 if stops else 0) == stops

@@ -40,20 +40,20 @@ _INCH_MM = 25.4
 
 def answered(machine: Machine, lines: "list[str]") -> str:
     """Return the answer to the last line: "ok", an error or an alarm. The machine stops there."""
-    found: list[str] = []
+    replies: list[str] = []
 
     def script() -> Iterator[Any]:
         yield from machine.start()
         for line in lines:
-            found.clear()
+            replies.clear()
             machine.rig.link.send(line.encode() + b"\n")
-            while not found:
+            while not replies:
                 yield lambda: machine.sender.poll() or bool(machine.sender.lines)
                 ends = ("ok", "error:", "ALARM:")
-                found.extend(text for text in machine.take() if text.startswith(ends))
+                replies.extend(text for text in machine.take() if text.startswith(ends))
 
     machine.run(script())
-    return found[0]
+    return replies[0]
 
 
 def answer(form: str, mm: float, steps_per_mm: float, board: str = "sim") -> "tuple[str, Any]":
@@ -76,17 +76,19 @@ def answer(form: str, mm: float, steps_per_mm: float, board: str = "sim") -> "tu
 def test_a_target_is_refused_if_its_steps_cannot_be_counted(
     form: str, part: float, sign: int, steps_per_mm: float
 ) -> None:
+    """part: of the farthest position that can be counted, 2**29 steps."""
     if form.startswith("probe"):
         part += 1  # a probe within reach would take hours
-    told, motors = answer(form, sign * part * FARTHEST / steps_per_mm, steps_per_mm)
+    reply, motors = answer(form, sign * part * FARTHEST / steps_per_mm, steps_per_mm)
     if part < 1:
-        assert told == "ok"
+        assert reply == "ok"
     else:
-        assert told == ("error:15" if "jog" in form else "ALARM:2")
+        assert reply == ("error:15" if "jog" in form else "ALARM:2")
         assert motors == [0, 0, 0]
 
 
 def test_axes_that_share_motors_reach_half_as_far() -> None:
+    """CoreXY: a motor makes the steps of X and Y together."""
     board = "sim_corexy"
     assert answer("long", 0.6 * FARTHEST / 250, 250.0, board)[0] == "ALARM:2"
     assert answer("long", 0.4 * FARTHEST / 250, 250.0, board)[0] == "ok"
@@ -101,6 +103,8 @@ def test_a_refused_huge_arc_moves_no_motor(text: str) -> None:
 
 
 def test_a_target_is_refused_if_a_changed_resolution_puts_it_out_of_reach() -> None:
+    """$100: from 250 to 1600 steps/mm; 1000 m are 2.5e8 steps first, then 1.6e9: more than
+    2**29."""
     machine = Machine(SETTINGS, watched=False)
     lines = ["G1F500", "G10L20P1X-2000000", "$100=1600", "G1X-1000000F500"]
     assert answered(machine, lines) == "ALARM:2"
@@ -111,7 +115,7 @@ def test_a_target_is_refused_if_a_changed_resolution_puts_it_out_of_reach() -> N
 
 
 def turning(lines: "list[str]") -> Machine:
-    """Run lines on a machine whose A has 20 steps per degree."""
+    """Run lines on a machine whose A is endless and has 20 steps per degree."""
     machine = Machine({103: 20.0, 113: 200_000.0, 123: 50_000.0}, "sim_rotary")
     machine.play(lines)
     return machine
@@ -119,7 +123,7 @@ def turning(lines: "list[str]") -> Machine:
 
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make an endless axis unwind beyond 819 degrees."""
+    """Make an endless axis unwind beyond 819 degrees: 16384 steps, at 20 per degree."""
     monkeypatch.setattr(rotary, "_EXACT_STEPS", 16384.0)
 
 
@@ -137,10 +141,10 @@ def places(machine: Machine) -> "tuple[float, float]":
 @pytest.mark.parametrize("line", ["G91G1A330F200000", "T1G91G1A330F200000", "$J=G91A330F200000"])
 def test_an_endless_axis_keeps_turning_and_keeps_its_angle(line: str) -> None:
     machine = turning([line] * 12 + ["G4P0.1"])
-    assert machine.physical()[3] == 12 * 6600
+    assert machine.physical()[3] == 12 * 6600  # 330 degrees are 6600 steps
     mpos, work = places(machine)
     assert work == 12 * 330.0
-    assert abs(mpos) <= 820 and (work - mpos) % 360 == 0
+    assert abs(mpos) <= 820 and (work - mpos) % 360 == 0  # whole turns were subtracted from it
 
 
 @pytest.mark.usefixtures("soon")
@@ -148,14 +152,14 @@ def test_program_coordinates_continue_after_an_endless_axis_is_unwound() -> None
     machine = turning(
         [*(f"G1A{a}F200000" for a in range(0, 3000, 250)), "G2X2I1A3000F200000", "G1A-90"]
     )
-    assert machine.physical()[3] == -1800
+    assert machine.physical()[3] == -1800  # -90 degrees, 20 steps each
     assert places(machine)[1] == -90
 
 
 @pytest.mark.usefixtures("soon")
 def test_a_line_beyond_the_exact_range_of_an_endless_axis_moves_its_full_distance() -> None:
     machine = turning(["G1A2000F200000", "A0", "A1000"])
-    assert machine.physical()[3] == 20_000
+    assert machine.physical()[3] == 20_000  # 1000 degrees
 
 
 def test_a_target_that_an_endless_axis_cannot_count_is_refused() -> None:

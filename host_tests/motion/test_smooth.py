@@ -25,18 +25,18 @@ _BLENDED = 1.25
 
 
 def intervals(
-    way: "tuple[float, ...]", feed: float, acceleration: float, per_mm: float
+    travel_mm: "tuple[float, ...]", feed: float, acceleration: float, per_mm: float
 ) -> "list[list[int]]":
     """Return the ticks between steps of each motor, in a move from rest to rest."""
     bench = Bench(Limits((per_mm,) * 3, (30_000.0,) * 3, (acceleration,) * 3))
-    bench.line(way, feed)
+    bench.line(travel_mm, feed)
     bench.finish()
     rows = [(segment.start, segment.row) for segment in bench.watch.made]
-    found = []
+    by_motor = []
     for axis in range(3):
         ticks = [tick for tick, _ in pulses(rows, axis)]
-        found.append([b - a for a, b in pairwise(ticks)])
-    return found
+        by_motor.append([b - a for a, b in pairwise(ticks)])
+    return by_motor
 
 
 def largest_jump(gaps: "list[int]", slight_hz: float = 0) -> float:
@@ -44,11 +44,11 @@ def largest_jump(gaps: "list[int]", slight_hz: float = 0) -> float:
 
     The ends are left out. slight_hz: changes of the rate that do not count.
     """
-    worst = 0.0
+    largest = 0.0
     for a, b in pairwise(gaps[_FIRST:-_FIRST]):
         if abs(b - a) > _TICKS and abs(TICK_HZ / a - TICK_HZ / b) > slight_hz:
-            worst = max(worst, max(a, b) / min(a, b) - 1)
-    return worst
+            largest = max(largest, max(a, b) / min(a, b) - 1)
+    return largest
 
 
 @pytest.mark.parametrize("feed", [600, 1500, 3000, 6000, 12_000])
@@ -65,11 +65,14 @@ def test_intervals_change_by_an_eighth_of_the_former_jump(feed: int, acceleratio
     st.floats(50, 8000),
     st.sampled_from([80.0, 250.0, 400.0]),
 )
-def test_ramps_of_any_move_are_smooth(way, feed: int, acceleration: float, per_mm: float) -> None:
-    """Or the rate changes by less than an eighth of its change in 10 ms, with a small margin."""
-    slight = acceleration * per_mm * _SEGMENT_S / 8 * _BLENDED
-    for gaps in intervals(way, feed, acceleration, per_mm):
-        assert largest_jump(gaps, slight) <= _MOST * _BLENDED
+def test_ramps_of_any_move_are_smooth(
+    travel_mm, feed: int, acceleration: float, per_mm: float
+) -> None:
+    """Or the rate changes by less than an eighth of what it changes in 10 ms (slight_hz), with a
+    small margin."""
+    slight_hz = acceleration * per_mm * _SEGMENT_S / 8 * _BLENDED
+    for gaps in intervals(travel_mm, feed, acceleration, per_mm):
+        assert largest_jump(gaps, slight_hz) <= _MOST * _BLENDED
 
 
 @pytest.mark.parametrize("feed", [1500, 6000, 9000, 30_000])
@@ -77,18 +80,18 @@ def test_successive_speeds_differ_by_at_most_an_eighth_of_a_segments_change(feed
     """Or by a thirty-second: motors feel relative changes."""
     acceleration = 1000.0
     (gaps, *_) = intervals((300.0, 0.0, 0.0), feed, acceleration, 100.0)
-    speeds = [TICK_HZ / gap / 100 for gap in gaps[_FIRST:-_FIRST]]
+    speeds = [TICK_HZ / gap / 100 for gap in gaps[_FIRST:-_FIRST]]  # mm/s, at 100 steps/mm
     for a, b in pairwise(speeds):
         # Rounding to ticks: within a segment two intervals differ by one.
         rounding = a * a * 100 * 2 / TICK_HZ
-        most = max(acceleration * _SEGMENT_S / 8, max(a, b) / 32)
-        assert abs(b - a) <= most * 1.1 + rounding
+        largest_change = max(acceleration * _SEGMENT_S / 8, max(a, b) / 32)
+        assert abs(b - a) <= largest_change * 1.1 + rounding
 
 
 def test_a_hold_is_smooth() -> None:
     bench = Bench(Limits(rate=(6000.0,) * 3, acceleration=(1000.0,) * 3))
     bench.line((60.0, 0.0, 0.0), 6000)
-    bench.pull(120)
+    bench.pull(120)  # segments, before the hold begins
     bench.hold()
     rows = [(segment.start, segment.row) for segment in bench.watch.made]
     ticks = [tick for tick, _ in pulses(rows, 0)]
@@ -101,5 +104,7 @@ def test_m4_power_follows_the_speed_within_a_millisecond() -> None:
     bench = Bench(Limits(rate=(6000.0,) * 3, acceleration=(acceleration,) * 3))
     bench.line((20.0, 5.0, 0.0), 6000, DYNAMIC)
     bench.finish()
-    off = [abs(piece.speed - piece.mean) for piece in bench.watch.pieces if piece.mean > 10]
-    assert max(off) <= acceleration * 0.001
+    differences = [
+        abs(piece.speed - piece.mean) for piece in bench.watch.pieces if piece.mean > 10
+    ]
+    assert max(differences) <= acceleration * 0.001  # mm/s: the change of speed in 1 ms

@@ -13,6 +13,7 @@ _GRBL = Firmware("1.1", "h", "20190830", "Grbl", "V,15,128")
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
+    """Return the path of a settings file that does not exist yet."""
     return tmp_path / "settings.txt"
 
 
@@ -30,6 +31,7 @@ def test_saved_text_is_loaded_in_the_next_run(path: Path) -> None:
 
 
 def test_a_line_may_look_like_another_kind_of_line(path: Path) -> None:
+    """The text of $I= ("build") is free: it must not be read as a section."""
     FileStore(path).save("build", ["[settings]", "  [x]", ";[startup] G21"])
     store = FileStore(path)
     assert store.load("build") == ["[settings]", "  [x]", ";[startup] G21"]
@@ -71,6 +73,7 @@ def test_a_pulled_file_is_read(path: Path) -> None:
 
 
 def test_a_saved_file_can_be_pushed(path: Path) -> None:
+    """`ugrbl settings push` reads it; all but settings is in comments."""
     store = FileStore(path, firmware=_GRBL)
     store.save("settings", ["$0=10", "$100=250"])
     store.save("startup", ["G21", ""])
@@ -136,11 +139,12 @@ def test_a_file_created_by_another_program_is_not_overwritten(path: Path) -> Non
 
 
 def test_a_failed_save_leaves_no_temporary_file(path: Path, monkeypatch: Any) -> None:
+    """A new file is written beside the old one and replaces it; here the disk is full."""
     FileStore(path).save("settings", ["$0=10"])
     store = FileStore(path)
 
     def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
+        raise OSError(28, "No space left on device")  # ENOSPC
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="the disk is full"):

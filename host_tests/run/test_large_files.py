@@ -55,9 +55,16 @@ def test_lines_split_on_demand_equal_lines_split_at_once(data: bytes) -> None:
 
 
 def test_changed_lines_are_made_on_demand_and_can_be_pickled() -> None:
+    """A check in another process receives them pickled. sanitize() replaces real-time
+    characters."""
     lines = Changed(Lines(b"G0 (!)\nG1\n"), sanitize)
-    there: Sequence[bytes] = pickle.loads(pickle.dumps(lines))
-    assert list(there) == [there[0], there[1]] == list(there[:2]) == [b"G0 (.)", b"G1"]
+    unpickled: Sequence[bytes] = pickle.loads(pickle.dumps(lines))
+    assert (
+        list(unpickled)
+        == [unpickled[0], unpickled[1]]
+        == list(unpickled[:2])
+        == [b"G0 (.)", b"G1"]
+    )
 
 
 # Memory
@@ -92,20 +99,23 @@ for name in sys.argv[2:]:
 
 @pytest.mark.parametrize("command", ["run", "send"])
 def test_a_check_uses_no_more_memory_than_the_files_size(command: str, tmp_path: Path) -> None:
+    """Peak memory of checks of 4000 and 16000 lines: the difference is below 1.5 times that of the
+    files."""
     files = [tmp_path / "short.nc", tmp_path / "long.nc"]
     for file, count in zip(files, (4000, 16_000), strict=True):
         file.write_bytes(moves(count))
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", _PEAK, command, *map(str, files)],
         capture_output=True,
         text=True,
         check=True,
         env=as_users(),
     )
-    few, many = ([int(word) for word in line.split()] for line in done.stdout.splitlines())
-    assert (few[0], many[0]) == (4001, 16_001)
-    longer = files[1].stat().st_size - files[0].stat().st_size
-    assert many[1] - few[1] < 1.5 * longer
+    # each: lines, peak memory in bytes
+    short, long = ([int(word) for word in line.split()] for line in process.stdout.splitlines())
+    assert (short[0], long[0]) == (4001, 16_001)
+    more_bytes = files[1].stat().st_size - files[0].stat().st_size
+    assert long[1] - short[1] < 1.5 * more_bytes
 
 
 # Many lines at once
@@ -131,6 +141,7 @@ def checked(lines: Sequence[bytes], *settings: str) -> Result:
 def sent_one_by_one(
     lines: Sequence[bytes], monkeypatch: pytest.MonkeyPatch, *settings: str
 ) -> Result:
+    """Return the result if load() refuses to check many lines at once."""
     with monkeypatch.context() as patched:
         patched.setattr(CheckedLines, "load", lambda self, lines: False)
         return checked(lines, *settings)
@@ -141,40 +152,43 @@ def test_many_lines_at_once_give_the_same_result_as_single_lines(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw = random.Random(seed)
-    plain = [f"G1 X{n}" for n in range(5)] + [f"Y{n} F{n}00 S{n}" for n in range(5)]
-    texts = [draw.choice(MESSY if draw.random() < 0.4 else plain) for _ in range(500)]
-    if seed == 0:
+    simple = [f"G1 X{n}" for n in range(5)] + [f"Y{n} F{n}00 S{n}" for n in range(5)]
+    texts = [draw.choice(MESSY if draw.random() < 0.4 else simple) for _ in range(500)]
+    if seed == 0:  # without real-time characters, which end a stretch of lines checked at once
         texts = [text for text in texts if text not in ("?", "(!)", "~")]
     lines = [text.encode() for text in texts]
     assert checked(lines, "$32=1") == sent_one_by_one(lines, monkeypatch, "$32=1")
 
 
 def test_a_program_may_end_check_mode_itself() -> None:
+    """Check mode is on from the start: the first $C ends it, and lines move until the second."""
     lines = [b"G21 G91 F900", *[b"G1 X.5"] * 20, b"$C", b"F900", *[b"G1 X.25 G91"] * 20, b"$C"]
     result = checked([*lines, b"G1 X1", b"Q1"])
     # The $C that ends check mode is a reset, and has no answer.
     assert result.lines == 45 and result.errors == [(46, "error:20")]
-    assert result.totals.steps_made["X"] == 20 * 0.25 * 250
+    assert result.totals.steps_made["X"] == 20 * 0.25 * 250  # mm, steps/mm
 
 
 def test_an_alarm_among_many_lines_names_its_line() -> None:
     lines = [b"G21 G90 F900", *[b"G1 X-2"] * 50, b"G1 X-3000", b"G1 X-1"]
+    # homing and soft limits are on: X-3000 is beyond the travel
     result, line = rehearsal.check(rehearsal.Job(lines, ["$22=1", "$20=1"]))
     assert (result.stopped, line) == ("ALARM:2", 52)
 
 
 def test_move_only_lines_are_not_sent_in_check_mode(monkeypatch: pytest.MonkeyPatch) -> None:
-    sent = []
-    usual = ProgramLink._send
+    """Stretches of them go to the firmware's kernel at once, not through the simulated link."""
+    numbers_sent = []
+    real_send = ProgramLink._send
 
     def send(link: ProgramLink, number: int, line: bytes) -> None:
-        sent.append(number)
-        usual(link, number, line)
+        numbers_sent.append(number)
+        real_send(link, number, line)
 
     monkeypatch.setattr(ProgramLink, "_send", send)
     result, _ = run_program(split_lines(moves(1500)), check=True)
     assert result.lines == 1501 and not result.errors
-    assert len(sent) < 10
+    assert len(numbers_sent) < 10  # lines
 
 
 # Progress
@@ -182,30 +196,32 @@ def test_move_only_lines_are_not_sent_in_check_mode(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(("check", "count"), [(True, 1500), (False, 300)])
 def test_progress_is_reported_every_few_lines(check: bool, count: int) -> None:
-    seen: list[int] = []
+    counts: list[int] = []
     lines = [b"G21 G91 F3000", *[b"G1 X.01"] * count]
-    run_program(lines, check=check, progress=seen.append)
-    steps = [b - a for a, b in zip([0, *seen], seen, strict=False)]
-    assert max(steps) <= 1000 and len(seen) > 1 and seen[-1] == len(lines)
+    run_program(lines, check=check, progress=counts.append)
+    steps = [b - a for a, b in zip([0, *counts], counts, strict=False)]
+    assert max(steps) <= 1000 and len(counts) > 1 and counts[-1] == len(lines)
 
 
 def test_a_terminal_shows_the_progress_of_a_check(tmp_path: Path) -> None:
+    """In a pseudo-terminal; 5001 lines take long enough for the progress to be drawn more than
+    twice."""
     file = tmp_path / "arcs.nc"
     arcs = (f"G2 X{5 + n % 2} Y0 R30\n" for n in range(5000))
     file.write_text(_START + "".join(arcs))
-    ours, theirs = pty.openpty()
+    our_end, its_end = pty.openpty()
     command = [sys.executable, "-m", "ugrbl.cli", "run", "--check", str(file)]
     with subprocess.Popen(
-        command, stdout=theirs, stderr=theirs, env=as_users(TERM="xterm")
-    ) as run:
-        os.close(theirs)
-        said = b""
+        command, stdout=its_end, stderr=its_end, env=as_users(TERM="xterm")
+    ) as process:
+        os.close(its_end)
+        output = b""
         try:
-            while piece := os.read(ours, 4096):
-                said += piece
+            while data := os.read(our_end, 4096):
+                output += data
         except OSError:  # the process has ended
             pass
-    os.close(ours)
-    assert run.returncode == 0, said.decode()
-    shown = {int(count) for count in re.findall(rb"(\d+)/5001", said)}
-    assert {0, 5001} < shown
+    os.close(our_end)
+    assert process.returncode == 0, output.decode()
+    counts = {int(count) for count in re.findall(rb"(\d+)/5001", output)}
+    assert {0, 5001} < counts  # others between them

@@ -42,15 +42,16 @@ def note(m):
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a working folder with a jobs folder, as named in a board file."""
+    """Return the working folder, with a folder of jobs that ../my.py names; ../ has the files of
+    the test."""
     (tmp_path / "my.py").write_text((BOARDS / "pico_w_wifi.py").read_text() + '\nJOBS = "jobs"\n')
     (tmp_path / "mine.py").write_text(_CUSTOM)
     (tmp_path / "part.nc").write_text(_TEXT)
-    made = tmp_path / "here"
-    (made / "jobs").mkdir(parents=True)
-    (made / "jobs" / "A.NC").write_bytes(_JOB)
-    monkeypatch.chdir(made)
-    return made
+    working_folder = tmp_path / "here"
+    (working_folder / "jobs").mkdir(parents=True)
+    (working_folder / "jobs" / "A.NC").write_bytes(_JOB)
+    monkeypatch.chdir(working_folder)
+    return working_folder
 
 
 def files(folder: Path) -> Iterator[tuple[str, int, bytes]]:
@@ -60,8 +61,9 @@ def files(folder: Path) -> Iterator[tuple[str, int, bytes]]:
 
 
 def ugrbl(*words: str) -> None:
-    done = CliRunner().invoke(app, [*words, "--board", "../my.py"])
-    assert "lines" in done.output or "all is well" in done.output, done.output
+    """Run the command with the board ../my.py, and check that it came to its end."""
+    result = CliRunner().invoke(app, [*words, "--board", "../my.py"])
+    assert "lines" in result.output or "all is well" in result.output, result.output
 
 
 def job() -> rehearsal.Job:
@@ -101,6 +103,8 @@ def test_a_check_or_preview_changes_no_file(folder: Path, command: Callable[[], 
 
 
 def test_a_run_uses_the_jobs_of_its_program_only(folder: Path) -> None:
-    done = CliRunner().invoke(app, ["run", "../part.nc", "--board", "../my.py"])
-    assert "There is no job A.NC" in done.output, "jobs of this computer must not be listed"
-    assert "[FILE:/A.NC|SIZE" not in done.output
+    """The simulated board does not see the folder of jobs: $F= of a job that the program did not
+    upload is an error."""
+    result = CliRunner().invoke(app, ["run", "../part.nc", "--board", "../my.py"])
+    assert "There is no job A.NC" in result.output, "jobs of this computer must not be listed"
+    assert "[FILE:/A.NC|SIZE" not in result.output  # the answer to $F

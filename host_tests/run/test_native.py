@@ -90,18 +90,21 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @needs_compiler
 @pytest.mark.parametrize("program", [_MIXED, (EXAMPLES / "badge.nc").read_bytes()[:20_000]])
 def test_compiled_kernels_make_the_same_segments(compiled: Path, program: bytes) -> None:
-    *fast, names = run(program, compiled)
-    *plain, plain_names = run(program, compiled, UGRBL_VIPER="fast")
-    assert fast == plain
-    assert names == 2 * ["<lambda>"] and plain_names == _PYTHON
+    *compiled_result, compiled_names = run(program, compiled)
+    *python_result, python_names = run(program, compiled, UGRBL_VIPER="fast")
+    assert compiled_result == python_result
+    # compiled kernels have no names
+    assert compiled_names == 2 * ["<lambda>"] and python_names == _PYTHON
 
 
 @pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_compiled_kernels_compute_the_same_integers(compiled: Path, part: str) -> None:
+    """vectors.py prints the results of kernels for many arguments: once compiled, once as Python
+    (UGRBL_VIPER=fast)."""
     paths = [str(STANDINS), *map(str, PATHS)]
-    start = f"""\
+    script = f"""\
 import sys
 sys.path[:0] = {paths}
 sys.argv[1:] = [{part!r}]
@@ -112,28 +115,28 @@ kernels.use()
 import vectors
 vectors.main()
 """
-    said = []
+    outputs = []
     for environment in ({}, {"UGRBL_VIPER": "fast"}):
         done = subprocess.run(
-            [sys.executable, "-c", start],
+            [sys.executable, "-c", script],
             capture_output=True,
             text=True,
             check=False,
             env=as_users(UGRBL_KERNELS=str(compiled / "kernels"), **environment),
         )
         assert done.returncode == 0, done.stderr
-        said.append(done.stdout)
-    assert said[0] == said[1]
-    assert len(said[0].splitlines()) > 300
+        outputs.append(done.stdout)
+    assert outputs[0] == outputs[1]
+    assert len(outputs[0].splitlines()) > 300  # lines: it did compute
 
 
 def library(folder: Path, text: str) -> "dict[tuple[str, str], kernels.Kernel]":
-    """Compile the kernels of a test module."""
-    c, made = folder / "made.c", folder / "made.so"
-    c.write_text(native.in_c({"base.made": "import micropython\n" + text}))
-    command = [os.environ.get("CC", "cc"), *kernels._FLAGS, "-o", str(made), str(c)]
+    """Compile the kernels of this text; return them by (module, name)."""
+    c_file, shared_library = folder / "made.c", folder / "made.so"
+    c_file.write_text(native.in_c({"base.made": "import micropython\n" + text}))
+    command = [os.environ.get("CC", "cc"), *kernels._FLAGS, "-o", str(shared_library), str(c_file)]
     subprocess.run(command, check=True)
-    return kernels._bound(made)
+    return kernels._bound(shared_library)
 
 
 _FAULTS = """
@@ -188,36 +191,41 @@ def mixed(p: ptr32, k: int, a: int) -> int:
 
 @needs_compiler
 def test_kernel_raises_where_a_fault_would_be_silent(tmp_path: Path) -> None:
-    made = {name: kernel for (_, name), kernel in library(tmp_path, _FAULTS).items()}
+    """In C a wrong index, overflow, division or type would be silent or crash; exceptions of
+    called functions are passed on."""
+    compiled_kernels = {name: kernel for (_, name), kernel in library(tmp_path, _FAULTS).items()}
     words, halves = array("i", [5, 6]), array("H", [0, 0])
-    assert made["at"](words, 1) == 6
+    assert compiled_kernels["at"](words, 1) == 6
     for index in (2, -1):
         with pytest.raises(IndexError):
-            made["at"](words, index)
-    made["put"](halves, 1, 0xFFFF)
+            compiled_kernels["at"](words, index)
+    compiled_kernels["put"](halves, 1, 0xFFFF)
     for value in (-1, 0x10000):
         with pytest.raises(OverflowError):
-            made["put"](halves, 1, value)
+            compiled_kernels["put"](halves, 1, value)
     assert halves[1] == 0xFFFF
-    assert made["share"](-7, 2) == -4
+    assert compiled_kernels["share"](-7, 2) == -4
     with pytest.raises(ZeroDivisionError):
-        made["share"](1, 0)
-    assert made["shift"](-5, 1) == -3
+        compiled_kernels["share"](1, 0)
+    assert compiled_kernels["shift"](-5, 1) == -3
     with pytest.raises(OverflowError):
-        made["shift"](1, 32)
+        compiled_kernels["shift"](1, 32)
     with pytest.raises(KeyError):
-        made["ask"]({}.__getitem__)
-    assert made["ask"]({7: 8}.__getitem__) == 9
-    heard: list[int] = []
-    assert made["say"](heard.append) == 1
-    assert heard == [7]
+        compiled_kernels["ask"]({}.__getitem__)
+    assert compiled_kernels["ask"]({7: 8}.__getitem__) == 9
+    said: list[int] = []
+    assert compiled_kernels["say"](said.append) == 1
+    assert said == [7]
     with pytest.raises(KeyError):
-        made["say"]({}.__getitem__)
-    given: list[object] = []
-    assert made["parts"]((words, halves, lambda *all: given.extend(all) or 4, None)) == 4
-    assert given == [words, 0xFFFF, words]
-    assert made["parts"]((words, halves, None, 5)) == 5
-    for wrong, error in (
+        compiled_kernels["say"]({}.__getitem__)
+    arguments: list[object] = []
+    assert (
+        compiled_kernels["parts"]((words, halves, lambda *all: arguments.extend(all) or 4, None))
+        == 4
+    )
+    assert arguments == [words, 0xFFFF, words]
+    assert compiled_kernels["parts"]((words, halves, None, 5)) == 5
+    for wrong_tuple, error in (
         (None, SystemError),  # not a tuple
         ((words, halves, None), ValueError),
         ((words, halves, None, "five"), TypeError),
@@ -226,14 +234,16 @@ def test_kernel_raises_where_a_fault_would_be_silent(tmp_path: Path) -> None:
         ((words, 3, max, 5), TypeError),
     ):
         with pytest.raises(error):
-            made["parts"](wrong)
-    assert made["mixed"](words, 1, 3) == 13 + 1 + 4 - 1
-    assert list(words) == [5, 9]
-    assert made["at"](memoryview(words)[1:], 0) == 9
+            compiled_kernels["parts"](wrong_tuple)
+    # 1, 3 (total 13); a and k: 1; -3 % 7: 4; -3 // 7: -1; not a: 0
+    assert compiled_kernels["mixed"](words, 1, 3) == 13 + 1 + 4 - 1
+    assert list(words) == [5, 9]  # words[1] = 6 + 3; q[4] is its lowest byte
+    assert compiled_kernels["at"](memoryview(words)[1:], 0) == 9
 
 
 @needs_compiler
 def test_read_only_view_is_read_unchanged(tmp_path: Path) -> None:
+    """A buffer that C cannot get writable is copied for the call."""
     text = "@micropython.viper\ndef at(p: ptr8, i: int) -> int:\n    return p[i]\n"
     (read,) = library(tmp_path, text).values()
     for byte in range(256):  # the memory of a copy freed too early would soon hold other bytes
@@ -242,9 +252,9 @@ def test_read_only_view_is_read_unchanged(tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 def test_every_kernel_is_translated() -> None:
-    listed = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
-    assert {("motion.plan_kernel", "plan"), ("language.line", "commit_modal")} <= listed
-    assert len(listed) > 120
+    translated = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
+    assert {("motion.plan_kernel", "plan"), ("language.line", "commit_modal")} <= translated
+    assert len(translated) > 120
 
 
 def test_unknown_form_is_refused() -> None:
@@ -266,7 +276,7 @@ def test_missing_cache_folder_leaves_the_kernels_as_python(tmp_path: Path) -> No
 @pytest.mark.thorough
 @needs_compiler
 def test_invalid_library_is_not_used(tmp_path: Path) -> None:
-    run(b"G0X1\n", tmp_path)
+    run(b"G0X1\n", tmp_path)  # compiles it
     (library,) = (tmp_path / "kernels").glob("*.so")
     library.write_bytes(b"cut short")
     assert run(b"G0X1\n", tmp_path)[2] == _PYTHON
@@ -274,6 +284,8 @@ def test_invalid_library_is_not_used(tmp_path: Path) -> None:
 
 @needs_compiler
 def test_failing_compiler_is_run_once(tmp_path: Path) -> None:
+    """Its failure is remembered in the cache folder. Each run of this compiler adds a line to
+    `asked`."""
     failing = tmp_path / "cc"
     failing.write_text(f"#!/bin/sh\necho >> {tmp_path}/asked\necho no headers >&2\nexit 1\n")
     failing.chmod(0o755)

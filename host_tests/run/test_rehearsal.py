@@ -27,9 +27,10 @@ REPLIES = [
 
 @pytest.fixture
 def here() -> machine_snapshot.MachineSnapshot:
-    found = machine_snapshot.read(REPLIES)
-    found.place = [-20.0, -20.0, -5.0]
-    return found
+    """Return the state of a machine that is at X-20 Y-20 Z-5 in machine coordinates."""
+    snapshot = machine_snapshot.read(REPLIES)
+    snapshot.place = [-20.0, -20.0, -5.0]
+    return snapshot
 
 
 def job(lines: list[str], commands: list[str], **options: Any) -> Job:
@@ -39,11 +40,12 @@ def job(lines: list[str], commands: list[str], **options: Any) -> Job:
 def forecast(
     here: machine_snapshot.MachineSnapshot, lines: list[str], report_state_before_line: int = 0
 ) -> Forecast:
-    result, found = rehearse(
+    """Rehearse lines on a simulator with this state, without an error; return the forecast."""
+    result, made = rehearse(
         job(lines, here.commands(), report_state_before_line=report_state_before_line)
     )
     assert not result.errors and not result.stopped, result
-    return found
+    return made
 
 
 # State of the simulator
@@ -54,15 +56,16 @@ def test_the_simulator_starts_with_the_machines_state(
 ) -> None:
     found = forecast(here, ["G0 X0", "G91 Y-1"], report_state_before_line=1)
     assert found.start == [-20.0, -20.0, -5.0]
-    # G54 and G92 in X; Y in inches, from its former position.
-    ends = [-49.0, -20.0, -5.0, -49.0, -45.4, -5.0]
-    assert list(found.block_ends) == pytest.approx(ends, abs=1e-4)
-    there = machine_snapshot.read(found.at_line)
-    assert there.offsets["G92"] == [1.0, 0.0, 0.0] and there.tool_length() == 2.0
-    assert "G20" in there.modes and there.word("F") == 254
+    # X0: G54 and G92, -50 + 1. Then 1 inch down from Y-20.
+    ends_mm = [-49.0, -20.0, -5.0, -49.0, -45.4, -5.0]  # two blocks: X, Y, Z each
+    assert list(found.block_ends) == pytest.approx(ends_mm, abs=1e-4)
+    before_line = machine_snapshot.read(found.at_line)
+    assert before_line.offsets["G92"] == [1.0, 0.0, 0.0] and before_line.tool_length() == 2.0
+    assert "G20" in before_line.modes and before_line.word("F") == 254
 
 
 def test_offsets_in_inches_are_converted(here: machine_snapshot.MachineSnapshot) -> None:
+    """With $13=1 the machine reports inches; offsets and feed of the snapshot are in mm."""
     inches = machine_snapshot.read(["$13=1", "[G54:1.0000,2.0000,0.0000]", "[GC:G0 G54 F10]"])
     assert inches.offsets["G54"] == [25.4, 50.8, 0.0] and inches.feed_mm_min() == 254
 
@@ -70,6 +73,7 @@ def test_offsets_in_inches_are_converted(here: machine_snapshot.MachineSnapshot)
 def test_soft_limits_use_the_machines_position(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    # G54 is -50: X-40 is -90 + 1, within the travel of 100; X-60 is not
     lines = ["G21", "G0 X-40", "X-60"]
     result, line = check(job(lines, here.commands()))
     assert (result.stopped, line) == ("ALARM:2", 3)
@@ -78,56 +82,69 @@ def test_soft_limits_use_the_machines_position(
 def test_commands_for_an_idle_machine_are_no_errors(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """$H and $10 are accepted; only line 4, T1 M6, is an error, because M6 is unknown."""
     result, _ = check(job(["$H", "$10=3", "G0 X0", "T1 M6"], here.commands()))
     assert result.errors == [(4, "error:20")]
 
 
 def test_a_machine_of_four_axes_is_rehearsed_with_four() -> None:
-    rows = [(base, 3, value) for base, value in ((100, 250), (110, 3000), (120, 300), (130, 100))]
-    settings = [*MACHINE, *(f"${base + axis}={value}.000" for base, axis, value in rows)]
+    of_a = [(base, 3, value) for base, value in ((100, 250), (110, 3000), (120, 300), (130, 100))]
+    settings = [*MACHINE, *(f"${base + axis}={value}.000" for base, axis, value in of_a)]
     here = machine_snapshot.read([*settings, "[G54:-50.000,-40.000,-30.000,-20.000]"])
     here.place = [-20.0, -20.0, -5.0, -60.0]
-    made = job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], here.commands(), axes=4)
-    result, line = check(made)
+    job_of_four = job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], here.commands(), axes=4)
+    # offset -20, travel 100: A-79 is the last in reach
+    result, line = check(job_of_four)
     assert not result.errors and (result.stopped, line) == ("ALARM:2", 4)
-    three = job(["G0 A-10"], here.commands())
-    assert check(three)[0].errors == [(1, "error:20")]
+    job_of_three = job(["G0 A-10"], here.commands())
+    assert check(job_of_three)[0].errors == [(1, "error:20")]  # no axis A
 
 
 # The line being executed
 
 
 def squares(count: int) -> list[str]:
+    """Return lines that go round a square of 1 mm, `count` times."""
     return ["G21 G91 F1000", *(["G1 X1", "Y1", "X-1", "Y-1"] * count)]
 
 
 def test_each_line_of_many_has_its_own_block() -> None:
-    other = {7: "M8", 8: "(a comment)", 10: "", 12: "$", 45: "G4 P0.1"}
-    lines = ["G21 G91 F600", *(other.get(n, f"G1 X{(-1) ** n}") for n in range(2, 70))]
-    _, found = rehearse(job(lines, []))
-    assert list(found.block_line) == [n for n in range(2, 70) if n not in other]
+    lines_without_motion = {7: "M8", 8: "(a comment)", 10: "", 12: "$", 45: "G4 P0.1"}
+    lines = [
+        "G21 G91 F600",
+        *(lines_without_motion.get(n, f"G1 X{(-1) ** n}") for n in range(2, 70)),
+    ]
+    _, forecast_of_job = rehearse(job(lines, []))
+    assert list(forecast_of_job.block_line) == [
+        n for n in range(2, 70) if n not in lines_without_motion
+    ]
 
 
 def test_a_line_is_found_by_its_position(here: machine_snapshot.MachineSnapshot) -> None:
+    """The machine stopped there after 8 answers; its planner has 15 blocks, and reports no number
+    of them."""
     found = forecast(here, ["G21 G91 F1000", *(f"G1 X-{n}" for n in range(1, 9))])
-    x = -20.0 - 1 - 2 - 1.5  # in the middle of X3
-    assert found.line_at(8, [x, -20.0, -5.0], 15, None) == 4
+    x = -20.0 - 1 - 2 - 1.5  # in the middle of X-3, line 4
+    assert found.line_at(8, [x, -20.0, -5.0], planned=15, left=None) == 4
 
 
 def test_of_several_lines_at_a_position_the_earlier_is_chosen(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """Lines 2, 6 and 10 all pass X-19.5: it is better to repeat a part than to leave one out."""
     found = forecast(here, squares(3))
-    assert found.line_at(13, [-19.5, -20.0, -5.0], 15, None) == 2
-    assert found.line_at(13, [-19.5, -20.0, -5.0], 6, None) == 10  # planner full
+    assert found.line_at(13, [-19.5, -20.0, -5.0], planned=15, left=None) == 2
+    # A planner of 6 blocks: lines before the last 7 blocks are done.
+    assert found.line_at(13, [-19.5, -20.0, -5.0], planned=6, left=None) == 10
 
 
 def test_a_line_is_found_by_the_number_of_waiting_blocks(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """Line 13 is answered; with 3 blocks left in the planner, line 11 is being executed."""
     found = forecast(here, squares(3))
-    assert found.line_at(13, [0.0, 0.0, 0.0], 15, 3) == 11
-    assert found.line_at(13, [0.0, 0.0, 0.0], 15, 0) == 13
+    assert found.line_at(13, [0.0, 0.0, 0.0], planned=15, left=3) == 11
+    assert found.line_at(13, [0.0, 0.0, 0.0], planned=15, left=0) == 13
 
 
 def test_a_position_off_the_path_is_no_line(here: machine_snapshot.MachineSnapshot) -> None:
@@ -137,15 +154,17 @@ def test_a_position_off_the_path_is_no_line(here: machine_snapshot.MachineSnapsh
 def test_an_arc_is_one_line(here: machine_snapshot.MachineSnapshot) -> None:
     found = forecast(here, ["G21 G91 F1000", "G1 X5", "G2 X0 Y0 I5", "G1 X-1"])
     assert set(found.block_line) == {2, 3, 4} and found.block_line.count(3) > 20
-    top = [-10.0, -15.0, -5.0]
-    assert found.line_at(2, top, 15, None) == 3  # in motion, and not answered
+    on_arc = [-10.0, -15.0, -5.0]
+    # The arc is in motion, and not yet answered.
+    assert found.line_at(2, on_arc, planned=15, left=None) == 3
 
 
 def test_time_left_falls_from_line_to_line(here: machine_snapshot.MachineSnapshot) -> None:
+    """seconds_left(n): from the answer to line n until the end of the program."""
     found = forecast(here, ["G21 G91 F600", *["G1 X-1"] * 40])  # 40 mm at 10 mm/s
-    left = [found.seconds_left(n) or 0 for n in range(42)]
-    assert 4.0 < left[0] < 4.5 and left == sorted(left, reverse=True)
-    assert 1.0 < left[41] < 2.0  # still in the planner then
+    left_s = [found.seconds_left(n) or 0 for n in range(42)]
+    assert 4.0 < left_s[0] < 4.5 and left_s == sorted(left_s, reverse=True)
+    assert 1.0 < left_s[41] < 2.0  # moves still in the planner at the last answer
 
 
 def test_a_rehearsal_in_a_separate_process_gives_the_same_result(
@@ -176,13 +195,16 @@ PART = [
 def way(
     here: machine_snapshot.MachineSnapshot, number: int, lines: list[bytes] = PART
 ) -> list[str]:
-    found = forecast(here, [line.decode() for line in lines], report_state_before_line=number)
-    return [line.text for line in approach(lines, number, found, here).lines]
+    """Return the lines of the entry at line `number`."""
+    made = forecast(here, [line.decode() for line in lines], report_state_before_line=number)
+    return [line.text for line in approach(lines, number, made, here).lines]
 
 
 def test_the_entry_rises_crosses_and_descends_at_feed(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """Rise to the safe height, start the spindle, cross to X5 Y5, descend, and set the modes of
+    line 5. G54 is at -50, -40, -30 and G92 is set again."""
     here.place[2] = -25.0
     assert way(here, 6) == [
         "G21 G90 G94 M5",
@@ -210,12 +232,12 @@ def test_the_entry_is_the_same_for_a_machine_that_reports_inches(
 def test_a_laser_is_switched_on_only_at_the_entry_point(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
-    here.settings[32] = "1"
+    here.settings[32] = "1"  # laser mode
     with pytest.raises(CannotEnter, match="line 6 continues G1"):
         way(here, 6)
     lines = way(here, 7)
     assert lines.index("G0 M3 S8000") > lines.index("G53 G1 Z-29.000 F300")
-    assert "G4 P4" not in lines
+    assert "G4 P4" not in lines  # no delay for a spindle
 
 
 def test_entry_at_a_continued_arc_is_refused(here: machine_snapshot.MachineSnapshot) -> None:
@@ -227,6 +249,7 @@ def test_entry_at_a_continued_arc_is_refused(here: machine_snapshot.MachineSnaps
 def test_entry_at_a_continued_drilling_cycle_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """The forecast is of lines without the cycle, which the simulated board does not have."""
     lines = [b"G21 G90", b"G0 Z10", b"G99 G81 X5 Y5 Z-2 R2 F100", b"X10", b"G80", b"G0 X20"]
     found = forecast(here, ["G21 G90", "G0 Z10", "G0 X5", "X10"], report_state_before_line=4)
     with pytest.raises(CannotEnter, match="line 4 continues the drilling cycle of line 3"):
@@ -237,6 +260,7 @@ def test_entry_at_a_continued_drilling_cycle_is_refused(
 def test_conditions_that_only_the_user_knows_are_reported(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """cautions: a text each for relative moves, a changed origin and a tool, before the entry."""
     lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
     found = forecast(here, [line.decode() for line in lines], report_state_before_line=9)
     moves, origin, tool = approach(lines, 9, found, here).cautions
@@ -247,6 +271,8 @@ def test_conditions_that_only_the_user_knows_are_reported(
 def test_the_entry_stores_offsets_written_by_earlier_lines(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """The machine has executed line 4 already: entry at line 3 stores the offsets of line 2
+    again."""
     lines = [b"G21 G90 G55", b"G10 L2 P2 X-9 Y-9 Z-9", b"G0 X0", b"G10 L2 P2 X-8", b"G0 X-1"]
     here.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has run to there
     assert "G10 L2 P2 X-9.000 Y-9.000 Z-9.000" in way(here, 3, lines)
@@ -258,6 +284,7 @@ def test_the_entry_stores_offsets_written_by_earlier_lines(
 def test_entry_after_a_changed_stored_position_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """G28.1 in line 3 stores X-7 Y-7 Z-7: the machine must have that position for G28."""
     lines = [b"G21 G90", b"G53 G0 X-7 Y-7 Z-7", b"G28.1", b"G0 X1", b"G28"]
     with pytest.raises(CannotEnter, match="another position for G28"):
         way(here, 4, lines)
@@ -279,6 +306,7 @@ def test_entry_after_a_changed_setting_is_refused(
 def test_entry_after_a_line_that_cannot_be_simulated_is_refused(
     here: machine_snapshot.MachineSnapshot,
 ) -> None:
+    """The simulator has no object to touch: the probe ends in an alarm."""
     lines = ["G21", "G38.2 Z-30 F100", "G0 X1"]
     _, found = rehearse(job(lines, here.commands(), report_state_before_line=3))
     with pytest.raises(CannotEnter, match="ALARM"):
@@ -306,6 +334,7 @@ def late(m):
 def own(
     here: machine_snapshot.MachineSnapshot, folder: Path, lines: list[str], *inputs: str
 ) -> Job:
+    """Return a job with the custom module OWN; inputs: as for --input, e.g. "probe=Z-12"."""
     (folder / "mine.py").write_text(OWN)
     commands = here.commands()
     return job(
@@ -322,6 +351,7 @@ def test_a_custom_probe_ends_at_the_contact(
 ) -> None:
     _, found = rehearse(own(here, tmp_path, ["M100 P1", "G21"], "probe=Z-12"))
     assert not found.refused and not found.stopped
+    # the contact at Z-12, and the way to brake
     assert -13 < found.at_place[2] < -12 and found.outputs_on == ["vacuum"]
     assert found.own == "M100, M101"
 
@@ -329,15 +359,18 @@ def test_a_custom_probe_ends_at_the_contact(
 def test_output_of_a_handler_does_not_disturb_the_forecast(
     here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
+    """The process of the rehearsal writes its forecast to stdout, where the handler prints, too.
+    G64 is refused."""
     running = Rehearsal(own(here, tmp_path, ["M100 P0", "G64"], "probe=Z-12"))
-    found = running.wait()
+    made = running.wait()
     running.close()
-    assert found and found.refused == [2]
+    assert made and made.refused == [2]
 
 
 def test_an_endless_wait_stops_the_rehearsal_with_a_message(
     here: machine_snapshot.MachineSnapshot, tmp_path: Path
 ) -> None:
+    """wait_for("part") would wait for ever; the message names the option that sets the input."""
     _, found = rehearse(own(here, tmp_path, ["M101", "G0 X1"]))
     assert "--input part=on" in found.stopped
 
@@ -380,15 +413,20 @@ INFO = [
     ],
 )
 def test_custom_words_and_events_of_a_line_are_found(line: bytes, word: str, handler: str) -> None:
+    """word: the custom word in the line; handler: what is called, a word's or an event's; "":
+    none."""
     own_words = CustomCodes.read(INFO)
     assert (own_words.word_in(line), own_words.handler_of(line)) == (word, handler)
-    assert CustomCodes.read(INFO[:1]).handler_of(line) == ""
-    of_09 = [line.replace("MSG:", "") for line in INFO]
-    assert CustomCodes.read(of_09).text == own_words.text
+    assert CustomCodes.read(INFO[:1]).handler_of(line) == ""  # no list of custom words
+    # version 0.9 listed them without MSG:
+    older_info = [line.replace("MSG:", "") for line in INFO]
+    assert CustomCodes.read(older_info).text == own_words.text
 
 
 def test_the_last_word_of_a_truncated_list_is_unknown() -> None:
+    """The list is cut at 112 characters: its last number may lack digits, and events are
+    unknown."""
     text = ", ".join(f"M{n}" for n in range(100, 140))[:112]
-    found = CustomCodes.read([f"[MSG:Custom: {text}]"])
-    assert found.is_cut and found.word_in(b"M110") and not found.word_in(b"M" + text[-2:].encode())
-    assert found.handler_of(b"M8") == "on.coolant"
+    codes = CustomCodes.read([f"[MSG:Custom: {text}]"])
+    assert codes.is_cut and codes.word_in(b"M110") and not codes.word_in(b"M" + text[-2:].encode())
+    assert codes.handler_of(b"M8") == "on.coolant"

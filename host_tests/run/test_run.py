@@ -26,6 +26,7 @@ _ABSENT = pytest.mark.skip(f"{_EXPECTED} is not there")
 
 
 def run(text: str, *settings: str, **options: bool) -> Result:
+    """Run a program with settings; return the result."""
     return run_program(split_lines(text.encode("latin-1")), settings=settings, **options)[0]
 
 
@@ -37,19 +38,21 @@ def ugrbl(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def test_check_names_bytes_with_a_realtime_meaning(tmp_path: Path) -> None:
+    """A byte from 0x80 may be a real-time command: harmless in a comment, a failure elsewhere."""
     file = tmp_path / "umlauts.nc"
     file.write_text("(Größe)\nG0 X1\n", encoding="utf-8")
-    done = ugrbl("run", file, "--check")
-    assert done.returncode == 0 and "line 1: 'ö'" in done.stdout
+    result = ugrbl("run", file, "--check")
+    assert result.returncode == 0 and "line 1: 'ö'" in result.stdout
     file.write_text("G0 X1\nG0 X2 Ö\n", encoding="utf-8")
-    done = ugrbl("run", file, "--check")
-    assert done.returncode == 1 and "line 2: 'Ö'" in done.stdout
+    result = ugrbl("run", file, "--check")
+    assert result.returncode == 1 and "line 2: 'Ö'" in result.stdout
 
 
 # Real programs, compared with real Grbl
 
 
 def programs(only_good: bool) -> list[object]:
+    """Return names of recorded programs, or a skipped one if they are not there."""
     names = [name for name, seen in _GRBL.items() if not (only_good and seen["errors"])]
     return list(names) or [pytest.param("", marks=_ABSENT)]
 
@@ -58,18 +61,18 @@ def programs(only_good: bool) -> list[object]:
 @pytest.mark.parametrize("name", programs(only_good=False))
 def test_check_finds_the_same_errors_as_real_grbl(name: str) -> None:
     result, _ = run_program(read_lines(_PROGRAMS / name), check=True)
-    seen = _GRBL[name]
-    assert [list(error) for error in result.errors] == seen["errors"]
-    assert [result.final_state] == seen["final_state"]
-    assert [list(output) for output in result.other_output] == seen["other_output"]
+    recorded = _GRBL[name]
+    assert [list(error) for error in result.errors] == recorded["errors"]
+    assert [result.final_state] == recorded["final_state"]
+    assert [list(output) for output in result.other_output] == recorded["other_output"]
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", programs(only_good=True))
 def test_programs_without_errors_run_to_their_last_step(name: str, tmp_path: Path) -> None:
     file = tmp_path / "result.json"
-    done = ugrbl("run", _PROGRAMS / name, "--json", file)
-    assert done.returncode == 0, done.stderr
+    process = ugrbl("run", _PROGRAMS / name, "--json", file)
+    assert process.returncode == 0, process.stderr
     result = json.loads(file.read_text())
     assert result["errors"] == []
     assert result["lines"] == len(read_lines(_PROGRAMS / name))
@@ -144,7 +147,7 @@ def test_a_line_longer_than_the_receive_buffer_counts_as_one() -> None:
 def test_a_pause_is_resumed() -> None:
     result = run("G0 X1\nM0\nG0 X2\nM0\nG0 X3\n")
     assert (result.pauses, result.lines, result.stopped) == ([2, 4], 5, "")
-    assert result.totals.steps_made["X"] == 750
+    assert result.totals.steps_made["X"] == 750  # 3 mm, 250 steps/mm
 
 
 def test_a_hold_character_in_the_text_is_resumed() -> None:
@@ -194,10 +197,11 @@ def test_a_file_is_split_at_every_kind_of_line_end(data: bytes, lines: list[byte
 
 
 def test_every_number_has_a_meaning() -> None:
+    """errors() and alarms() list the numbers with their texts."""
     grbl = {*range(1, 18), *range(20, 39)}
     assert set(errors()) == grbl
     assert set(range(1, 11)) <= set(alarms())
-    assert all(words.endswith(".") for words in [*errors().values(), *alarms().values()])
+    assert all(text.endswith(".") for text in [*errors().values(), *alarms().values()])
 
 
 def test_an_unknown_number_is_reported_as_unknown() -> None:
@@ -244,10 +248,12 @@ def test_a_file_without_a_program_is_a_failure(program: Path, data: bytes) -> No
 def test_impossible_options_are_reported_before_the_run(
     program: Path, words: list[str], why: str
 ) -> None:
+    """why: part of the message. PROGRAM stands for the path of the program."""
     program.write_text("G0 X1\n")
     words = [word.replace("PROGRAM", str(program)) for word in words]
     done = CliRunner().invoke(app, ["run", str(program), *words])
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+    # without spaces, because the terminal wraps lines; "machining" would be in the result
     assert "".join(why.split()) in "".join(done.output.split()) and "machining" not in done.output
     assert program.read_text() == "G0 X1\n"
 
@@ -263,8 +269,8 @@ def test_a_program_for_another_controller_gets_a_hint_to_lenient(program: Path) 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
 def test_a_program_may_be_in_utf_16(program: Path, encoding: str) -> None:
-    mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
-    program.write_bytes(mark + "G0 X1 (ä)\r\nG0 X2\r\n".encode(encoding))
+    byte_order_mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    program.write_bytes(byte_order_mark + "G0 X1 (ä)\r\nG0 X2\r\n".encode(encoding))
     assert list(read_program(program)) == ["G0 X1 (ä)".encode(), b"G0 X2"]
 
 
@@ -278,9 +284,10 @@ def test_options_override_the_settings_file(program: Path, tmp_path: Path) -> No
     program.write_text("G0 X1 Y1\n")
     settings, file = tmp_path / "my.settings", tmp_path / "out.json"
     settings.write_text("$100=100 ; coarse\n$101=50\n")
-    words = ["--settings", str(settings), "--set", "101=80", "--json", str(file)]
-    assert CliRunner().invoke(app, ["run", str(program), *words]).exit_code == 0
+    options = ["--settings", str(settings), "--set", "101=80", "--json", str(file)]
+    assert CliRunner().invoke(app, ["run", str(program), *options]).exit_code == 0
     result = json.loads(file.read_text())
+    # $100 from the file, $101 from --set
     assert result["steps_made"] == {"X": 100, "Y": 80, "Z": 0}
     assert result["final_position_mm"] == {"X": 1, "Y": 1, "Z": 0}
 
@@ -299,6 +306,7 @@ def test_every_board_simulates(name: str, program: Path) -> None:
     program.write_text("G21 G90\nG0 X1\nG1 Y1 F300\n")
     done = CliRunner().invoke(app, ["run", str(program), "--board", name])
     assert done.exit_code == 0, done.output
+    # "!=" would say that commanded and made steps differ
     assert "2 commanded" not in done.output and "!=" not in done.output
 
 

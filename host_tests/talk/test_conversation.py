@@ -1,4 +1,8 @@
-"""Grbl's output and its timing in surprising cases: see ../shared/GRBL-FACTS.md."""
+"""Grbl's output and its timing in surprising cases: see ../shared/GRBL-FACTS.md.
+
+bench.say(text, how) sends text and returns the lines received until it is answered ("ok"), the
+machine is idle ("idle", the default), a report or banner has come, or after a time ("ms 100").
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -19,6 +23,7 @@ def fields(report: "list[str]") -> "dict[str, str]":
 
 
 def status(bench: Bench) -> Script:
+    """Ask for a status report and return its fields."""
     return fields((yield from bench.say("?", "report")))
 
 
@@ -30,6 +35,8 @@ def both_reports(bench: Bench) -> Script:
 
 @pytest.mark.parametrize("line", ["$10=1", "$13=1"])
 def test_offsets_are_reported_again_after_a_setting_changes_their_units(line: str) -> None:
+    """WCO is reported now and then only, but at once after $13 (inches); $10 does not change
+    units."""
     bench = Bench({})
 
     def script() -> Script:
@@ -42,18 +49,20 @@ def test_offsets_are_reported_again_after_a_setting_changes_their_units(line: st
 
 
 def test_output_of_a_startup_line_is_inside_its_echo() -> None:
+    """A startup line ($N0) is echoed with its answer, `>M30:ok`, after what it printed."""
     bench = Bench({})
 
     def script() -> Script:
         yield from bench.say("$N0=M30\n")
         bench.rig.cycle_power()
-        said = yield from bench.say("", "ms 200")
-        assert said == [*_WELCOME, "[MSG:Pgm End]", ">M30:ok"]
+        lines = yield from bench.say("", "ms 200")
+        assert lines == [*_WELCOME, "[MSG:Pgm End]", ">M30:ok"]
 
     bench.run(script())
 
 
 def test_a_startup_line_with_motion_is_answered_after_the_motion() -> None:
+    """$N0= executes the line to check it, and waits for the motion before it stores the line."""
     bench = Bench({})
 
     def script() -> Script:
@@ -65,12 +74,12 @@ def test_a_startup_line_with_motion_is_answered_after_the_motion() -> None:
 
 
 def test_permanently_enabled_motors_are_enabled_right_after_a_reset() -> None:
-    bench = Bench({1: 255})
+    bench = Bench({1: 255})  # $1=255: never released
 
     def script() -> Script:
         yield from bench.say("\x18", "banner")
         yield bench.rig.ms(100)
-        assert bench.port.enable_pin == 0
+        assert bench.port.enable_pin == 0  # active low
 
     bench.run(script())
 
@@ -81,7 +90,7 @@ def test_a_spindle_override_is_reported_during_motion() -> None:
     def script() -> Script:
         yield from bench.say("M3S500\nG91G1X20F300\n", "ok")
         yield bench.rig.ms(300)
-        yield from bench.say("\x9a", "ms 30")
+        yield from bench.say("\x9a", "ms 30")  # +10 %
         assert (yield from status(bench))["FS"] == "300,550"
 
     bench.run(script())
@@ -90,6 +99,8 @@ def test_a_spindle_override_is_reported_during_motion() -> None:
 @pytest.mark.parametrize("stop", ["!", "\x84"])
 @pytest.mark.parametrize(("mode", "at_rest"), [("M3", "0,500"), ("M4", "0,0")])
 def test_a_laser_is_on_again_when_motion_resumes(stop: str, mode: str, at_rest: str) -> None:
+    """stop: hold or door. M3 keeps the laser on after the motion, M4 does not. at_rest: FS of the
+    report then."""
     bench = Bench({32: 1})
 
     def script() -> Script:
@@ -122,29 +133,32 @@ def test_the_spindle_is_off_and_reported_off_after_homing() -> None:
 
 
 def test_status_requests_in_a_burst_are_answered_before_empty_lines() -> None:
+    """Real-time bytes are handled as they are received; requests that wait are answered by one
+    report."""
     bench = Bench({})
 
     def script() -> Script:
-        said = yield from bench.say("?\n?\n?\n", "ms 200")
-        kinds = ["report" if line.startswith("<") else line for line in said]
-        assert kinds[0] == "report" and kinds[-3:] == ["ok"] * 3 and len(kinds) <= 6, said
+        lines = yield from bench.say("?\n?\n?\n", "ms 200")
+        kinds = ["report" if line.startswith("<") else line for line in lines]
+        assert kinds[0] == "report" and kinds[-3:] == ["ok"] * 3 and len(kinds) <= 6, lines
 
     bench.run(script())
 
 
-@pytest.mark.parametrize("many", [1, 2, 3, 4])
-@pytest.mark.parametrize("where", ["", "G4P1", "G91G1X20F300"])
-def test_each_byte_of_a_burst_of_overrides_counts(many: int, where: str) -> None:
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("line", ["", "G4P1", "G91G1X20F300"])
+def test_each_byte_of_a_burst_of_overrides_counts(count: int, line: str) -> None:
+    """While idle, in a dwell and in a move. 0x91: feed +10 %; 0x9d: spindle -1 %."""
     bench = Bench({})
 
     def script() -> Script:
-        if where:
-            yield from bench.say(where + "\n", "ms 100")
-        yield from bench.say("\x91" * many + "\x9d" * many, "ms 200")
+        if line:
+            yield from bench.say(line + "\n", "ms 100")
+        yield from bench.say("\x91" * count + "\x9d" * count, "ms 200")
         yield from bench.say("", "idle")
         controller = bench.rig.controller
-        assert controller.state.feed_override == 100 + 10 * many
-        assert controller.state.spindle_override == 100 - many
+        assert controller.state.feed_override == 100 + 10 * count
+        assert controller.state.spindle_override == 100 - count
 
     bench.run(script())
 
@@ -157,10 +171,11 @@ def test_bytes_right_after_an_alarm_are_discarded(sent: str) -> None:
     def script() -> Script:
         yield from bench.say("G91G1X20F300\n", "ok")
         yield bench.rig.ms(200)
+        # a reset during motion is an alarm
         assert (yield from bench.say("\x18", "ms 100")) == ["ALARM:3"]
         assert (yield from bench.say(sent, "ms 350")) == []
         assert (yield from bench.say("", "banner")) == [*_WELCOME, _LOCKED]
-        assert (yield from bench.say("", "ms 500")) == []
+        assert (yield from bench.say("", "ms 500")) == []  # no late answer
         assert not bench.rig.moving()
 
     bench.run(script())
@@ -178,29 +193,33 @@ def test_a_probe_without_contact_reports_in_this_order() -> None:
 
 
 def test_a_reset_during_a_probe_alarm_acts_after_its_report() -> None:
+    """A probe without contact: the reset comes in the half second after ALARM:5 in which nothing
+    is sent."""
     bench = Bench({})
 
     def script() -> Script:
-        said = yield from bench.say("G38.2X1F500\n", "ms 300")
-        while said != ["ALARM:5"]:
-            assert not said
-            said = yield from bench.say("", "ms 20")
-        said = yield from bench.say("\x18", "ms 900")
-        assert said == ["[PRB:0.000,0.000,0.000:0]", "ok", *_WELCOME, _LOCKED]
+        lines = yield from bench.say("G38.2X1F500\n", "ms 300")
+        while lines != ["ALARM:5"]:
+            assert not lines
+            lines = yield from bench.say("", "ms 20")
+        lines = yield from bench.say("\x18", "ms 900")
+        assert lines == ["[PRB:0.000,0.000,0.000:0]", "ok", *_WELCOME, _LOCKED]
 
     bench.run(script())
 
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_probe_ends_at_its_contact_with_either_polarity(level: int) -> None:
+    """level: $6 and the level of the open contact; :1] reports success, and G38.3 fails without an
+    alarm."""
     bench = Bench({6: level})
 
     def script() -> Script:
         bench.port.push({"probe": bool(level)})
         yield from bench.say("G91G38.2X5F300\n", "ms 300")
         bench.port.push({"probe": not level})
-        said = yield from bench.say("", "ms 400")
-        assert said[0].startswith("[PRB:") and said[0].endswith(":1]") and said[1:] == ["ok"]
+        lines = yield from bench.say("", "ms 400")
+        assert lines[0].startswith("[PRB:") and lines[0].endswith(":1]") and lines[1:] == ["ok"]
         bench.port.push({"probe": bool(level)})
         assert (yield from bench.say("G91G38.3X0.1F300\n", "ms 1500"))[-1] == "ok"
         assert (yield from status(bench))[""] == "Idle"
@@ -209,6 +228,7 @@ def test_a_probe_ends_at_its_contact_with_either_polarity(level: int) -> None:
 
 
 def test_a_dwell_reacts_to_a_hold_at_its_next_tick() -> None:
+    """Grbl checks for holds every 50 ms of a dwell: 60 ms later it is in hold."""
     bench = Bench({})
 
     def script() -> Script:
@@ -222,7 +242,7 @@ def test_a_dwell_reacts_to_a_hold_at_its_next_tick() -> None:
 
 
 def test_an_m4_laser_is_off_at_rest() -> None:
-    """Moves of all lengths: it once stayed on after one of sixty."""
+    """After moves of all lengths: the laser once stayed on after one move of sixty."""
     bench = Bench({32: 1})
 
     def script() -> Script:
@@ -235,26 +255,28 @@ def test_an_m4_laser_is_off_at_rest() -> None:
 
 
 def test_offsets_are_stored_at_rest_if_a_reset_interrupts_the_store() -> None:
+    """G10 changes offsets; a reset comes as they are about to be stored. They are stored once, and
+    not during motion."""
     bench = Bench({})
-    written: list[bool] = []
+    was_moving: list[bool] = []
 
     def script() -> Script:
         controller = bench.rig.controller
         save = bench.rig.store.save
 
-        def noted(name: str, lines: "list[str]") -> None:
-            written.append(bench.rig.moving())
+        def noted_save(name: str, lines: "list[str]") -> None:
+            was_moving.append(bench.rig.moving())
             save(name, lines)
 
-        bench.rig.store.save = noted
+        bench.rig.store.save = noted_save
         apply = controller.interpreter._offsets_changed
 
-        def cut() -> None:
+        def reset_first() -> None:
             controller.motor_control.reset()
             apply()
 
-        controller.interpreter._offsets_changed = cut
+        controller.interpreter._offsets_changed = reset_first
         yield from bench.say("G10L2P1X1\n", "banner")
-        assert written == [False]
+        assert was_moving == [False]
 
     bench.run(script())

@@ -40,31 +40,32 @@ def answers(health: "Callable[[], str] | None", *lines: str, fault: str = "") ->
 
 
 def test_i_plus_adds_the_boards_health_to_i() -> None:
-    plain, told = answers(lambda: "Stack: 4704 of 8192 bytes used", "$I", "$I+")
-    assert plain[-1] == "ok" and len(plain) == 3
-    assert told == [*plain[:-1], BUILD, "[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
+    of_i, of_i_plus = answers(lambda: "Stack: 4704 of 8192 bytes used", "$I", "$I+")
+    assert of_i[-1] == "ok" and len(of_i) == 3  # version, options, ok
+    assert of_i_plus == [*of_i[:-1], BUILD, "[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
 
 
 def test_i_plus_without_health_shows_only_the_build() -> None:
-    named, before, told, after = answers(None, "$I=MILL", "$I", "$I+", "$I")
-    assert named == ["ok"] and "MILL" in before[0]
-    assert told == [*before[:-1], BUILD, "ok"] and after == before
+    """None: a board without a health function. $I=MILL stores a text that $I shows."""
+    of_name, before, of_i_plus, after = answers(None, "$I=MILL", "$I", "$I+", "$I")
+    assert of_name == ["ok"] and "MILL" in before[0]
+    assert of_i_plus == [*before[:-1], BUILD, "ok"] and after == before
 
 
 def test_the_last_fault_is_reported_until_power_off() -> None:
-    told = answers(None, "$I+", "$I+", fault="ValueErr: 5 (1a2b3c4d)")
-    assert [said[-2] for said in told] == ["[MSG:Last fault: ValueErr: 5 (1a2b3c4d)]"] * 2
+    replies = answers(None, "$I+", "$I+", fault="ValueErr: 5 (1a2b3c4d)")
+    assert [lines[-2] for lines in replies] == ["[MSG:Last fault: ValueErr: 5 (1a2b3c4d)]"] * 2
 
 
 @pytest.mark.parametrize("line", ["$I+1", "$I++", "$I-"])
 def test_similar_commands_are_refused_without_asking_for_health(line: str) -> None:
-    asked: list[int] = []
+    calls: list[int] = []
 
     def health() -> str:
-        asked.append(1)
+        calls.append(1)
         return "Stack: 1 of 8192 bytes used"
 
-    assert answers(health, line) == [["error:3"]] and not asked
+    assert answers(health, line) == [["error:3"]] and not calls
 
 
 class Wire:
@@ -91,6 +92,8 @@ def test_a_reported_fault_contains_no_answer_and_only_plain_letters() -> None:
 def test_a_fault_is_reported_again_on_request_and_kept_for_later(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """_alarm() answers `?` and $I until a reset (0x18). The report is one line, without brackets;
+    `--------` is the build."""
     text = 'Traceback\n  File "talk.lines", line 1, in feed\nIndexError: [1]'
     monkeypatch.setattr(
         sys, "print_exception", lambda fault, file: file.write(text.encode()), raising=False
@@ -102,9 +105,9 @@ def test_a_fault_is_reported_again_on_request_and_kept_for_later(
     )
     wire = Wire(b"G0 X1\n", b"?", b"$I\n", b"\x18")
     power_up._alarm(machine, wire, IndexError())
-    line = b'[MSG:IndexErr:  1  File "talk.lines", line 1, in feed (--------)]\r\n'
-    assert wire.written == b"ALARM:16\r\n" + line + b"<Alarm>" + line
-    assert machine.commands.fault.encode() == line[5:-3]
+    report = b'[MSG:IndexErr:  1  File "talk.lines", line 1, in feed (--------)]\r\n'
+    assert wire.written == b"ALARM:16\r\n" + report + b"<Alarm>" + report
+    assert machine.commands.fault.encode() == report[5:-3]
     assert machine.state.run == ALARM
 
 
@@ -124,28 +127,32 @@ def memory(monkeypatch: pytest.MonkeyPatch) -> "Iterator[array[int]]":
 def test_paint_covers_only_the_unused_part_of_the_stack(
     memory: "array[int]",
 ) -> None:
-    assert stack.used() == stack.SIZE
+    """paint() fills unused words with a mark; used() finds the deepest word without it."""
+    assert stack.used() == stack.SIZE  # nothing is painted: all counts as used
     stack.paint()
     in_use = memory[-1000 // 4 :]
     assert all(word == _USED_BEFORE for word in in_use)
+    # a margin of 256 bytes stays unpainted, and rounding to words
     assert 1000 < stack.used() <= 1000 + 256 + 4
 
 
 @pytest.mark.parametrize("depth", [1600, 4704, 8188, 8192])
 def test_the_watermark_is_the_deepest_touched_word(memory: "array[int]", depth: int) -> None:
-    tell = stack.watch()
+    """The stack grows down from its end, so depth bytes are in use from there; any other value is
+    a touch."""
+    report = stack.watch()
     memory[_WORDS - depth // 4] = 7
     assert stack.used() == depth
     memory[_WORDS - 1500 // 4] = 8  # less deep than that
     assert stack.used() == depth
-    assert tell() == f"Stack: {depth} of 8192 bytes used"
+    assert report() == f"Stack: {depth} of 8192 bytes used"
 
 
 def test_painting_restarts_the_measurement(memory: "array[int]") -> None:
     stack.paint()
-    memory[10] = 7
+    memory[10] = 7  # nearly the whole stack is used
     stack.paint()
-    assert stack.used() < 1300
+    assert stack.used() < 1300  # 1000 bytes in use, and the margin of 256
 
 
 @pytest.mark.parametrize(
@@ -158,6 +165,7 @@ def test_painting_restarts_the_measurement(memory: "array[int]") -> None:
 def test_the_stack_is_at_the_top_of_each_chips_memory(
     monkeypatch: pytest.MonkeyPatch, machine: str, bottom: int
 ) -> None:
+    """bottom: the stack has the last 8 KB of the RAM up to 0x20042000 or 0x20082000."""
     implementation = SimpleNamespace(_machine=machine)
     monkeypatch.setattr(stack, "sys", SimpleNamespace(implementation=implementation))
     assert stack._bottom() == bottom

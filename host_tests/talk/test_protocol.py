@@ -22,7 +22,10 @@ class Off(Exception):
 
 
 class Loop:
-    """A protocol that restarts `restarts` times, and then powers off."""
+    """A protocol loop between fakes. It restarts `restarts` times, then power is off.
+
+    fed: bytes passed to the reader of lines; seen: unread bytes at each start.
+    """
 
     def __init__(self, unread: bytes, restarts: int = 0, by_pin: bool = False) -> None:
         self.link, self.fed = FakeLink(unread), b""
@@ -36,16 +39,16 @@ class Loop:
             memory=lambda: (None, None, bytearray(80), None),
             free=lambda: 255,
         )
-        nobody: Any = SimpleNamespace(
+        unused: Any = SimpleNamespace(
             due=None,
             machine=None,
             block=SimpleNamespace(ints=None),
             memory=lambda: (None, None, None),
         )
         state = State()
-        state.hooks.execute = nobody
+        state.hooks.execute = unused
         machine: Any = SimpleNamespace(
-            **dict.fromkeys(("report", "saves", "realtime", "interpreter", "canon"), nobody),
+            **dict.fromkeys(("report", "saves", "realtime", "interpreter", "canon"), unused),
             state=state,
             reader=reader,
             motor_control=self.motor_control,
@@ -66,6 +69,7 @@ class Loop:
 def test_received_bytes_are_read_in_pieces_of_half_the_ring() -> None:
     loop = Loop(b"G1X1F100\n" * 20)
     loop.protocol.pump()
+    # the ring holds 255 bytes; 180 were sent
     assert loop.fed == (b"G1X1F100\n" * 20)[:127] and len(loop.link.unread) == 180 - 127
 
 
@@ -73,17 +77,18 @@ def test_bytes_sent_before_a_reset_by_pin_are_dropped() -> None:
     loop = Loop(b"G1X1\n", by_pin=True)
     with pytest.raises(Off):
         loop.protocol.run()
-    assert loop.seen == [b""] and not loop.motor_control.by_pin
+    assert loop.seen == [b""] and not loop.motor_control.by_pin  # none left at the restart
 
 
 def test_the_next_line_is_kept_after_other_resets_even_after_a_fault() -> None:
-    """After a fault the loop starts again; $RST= then ends with its own Abort."""
+    """After a fault the loop starts again (its first restart, by_pin still set). $RST= then ends
+    with its own Abort: the line sent after its ok is not dropped."""
     loop = Loop(b"", restarts=1, by_pin=True)
-    kept = loop.protocol.restart
+    real_restart = loop.protocol.restart
 
     def restart() -> None:
         loop.link.unread = b"G1X1\n"  # sent right after the ok
-        kept()
+        real_restart()
 
     loop.protocol.restart = restart
     with pytest.raises(Off):
@@ -92,7 +97,8 @@ def test_the_next_line_is_kept_after_other_resets_even_after_a_fault() -> None:
 
 
 class FastLink(SimLink):
-    """A link on which all bytes arrive at once and wait, as over USB. reads: number of reads."""
+    """A link without delay: all bytes arrive at once and wait, as over USB. reads: number of calls
+    of read_into()."""
 
     def __init__(self, rig: Rig) -> None:
         super().__init__(rig, 10 * rig.engine.tick_hz, 10 * rig.engine.tick_hz)
@@ -104,9 +110,8 @@ class FastLink(SimLink):
 
 
 class Turns:
-    """A simulated machine that records at each turn of the loop the number of lines answered and
-    the
-    number of reads."""
+    """A simulated machine; at each pass of the main loop it records the lines answered so far (at)
+    and the reads so far (reads)."""
 
     def __init__(self) -> None:
         self.at: "list[int]" = []
@@ -119,15 +124,15 @@ class Turns:
 
     def _built(self) -> None:
         realtime = self.rig.controller.realtime
-        usual = realtime.handle_events
+        handle_events = realtime.handle_events
 
-        def events() -> None:
+        def recorded() -> None:
             self.sender.poll()
             self.at.append(self.sender.answers)
             self.reads.append(self.rig.link.reads)
-            usual()
+            handle_events()
 
-        realtime.handle_events = events  # type: ignore[method-assign]
+        realtime.handle_events = recorded  # type: ignore[method-assign]
 
     def play(self, text: str) -> None:
         """Answer all lines in check mode, as fast as they can be sent."""
@@ -144,7 +149,7 @@ class Turns:
 
 
 def most(counts: "list[int]") -> int:
-    """Return the largest increase from one turn to the next."""
+    """Return the largest increase of a count from one pass of the loop to the next."""
     return max(b - a for a, b in itertools.pairwise(counts))
 
 
@@ -162,26 +167,27 @@ def most(counts: "list[int]") -> int:
 def test_the_loop_turns_regularly_whatever_lines_are_streamed(lines: "list[str]") -> None:
     machine = Turns()
     machine.play("".join(line + "\n" for line in ["G1X1F3000", *lines]))
-    assert machine.answers == ["ok"] * (len(lines) + 1)
+    assert machine.answers == ["ok"] * (len(lines) + 1)  # G1X1F3000, and the lines
     assert most(machine.at) <= 18, "too many lines without a turn of the loop"
 
 
 def test_move_only_lines_do_not_need_a_turn_each() -> None:
     machine = Turns()
     machine.play("G1X1F3000\n" + "X1\nX2\n" * 300)
-    assert len(machine.at) < 200
+    assert len(machine.at) < 200  # passes, for 601 lines
 
 
 def test_the_loop_turns_regularly_during_an_endless_line() -> None:
     machine = Turns()
     machine.play("G1X1F3000\n(" + "x" * 20_000 + ")\n")
     assert machine.answers == ["ok"] * 2
-    assert most(machine.reads) <= 17
+    assert most(machine.reads) <= 17  # reads per pass
 
 
 @pytest.mark.parametrize("line", ["G90", "F600", "(nothing)", "X50"])
 def test_a_laser_is_off_in_a_hold_whatever_lines_come(line: str) -> None:
-    """After the 25 ms of $1, as without any line."""
+    """Within the 25 ms of $1 after motion has stopped, and some more, though 2000 lines arrive
+    with the `!`."""
     machine = Turns()
     sender, rig = machine.sender, machine.rig
     lit_ms: "list[float]" = []
@@ -193,16 +199,20 @@ def test_a_laser_is_off_in_a_hold_whatever_lines_come(line: str) -> None:
         yield rig.ms(500)
         rig.link.send(("!" + (line + "\n") * 2000).encode())
         yield lambda: not rig.moving()
-        since = rig.now
-        yield lambda: rig.port.spindle_pwm == 0 or rig.now > since + rig.ticks_per_ms * 500
-        lit_ms.append((rig.now - since) / rig.ticks_per_ms)
+        stopped_at = rig.now
+        # or after 500 ms, a failure
+        yield lambda: rig.port.spindle_pwm == 0 or rig.now > stopped_at + rig.ticks_per_ms * 500
+        lit_ms.append((rig.now - stopped_at) / rig.ticks_per_ms)
 
     rig.run(script())
     assert lit_ms[0] < 60
 
 
 class Miscounting:
-    """cncjs 1.11: it allows 120 unanswered bytes, but counts each resume as an answer."""
+    """cncjs 1.11: it allows 120 unanswered bytes, but counts each resume as an answer.
+
+    under_way: lengths of lines it believes unanswered; most: bytes that really were, at most.
+    """
 
     def __init__(self, machine: Turns, lines: "list[str]") -> None:
         self.link, self.sender = machine.rig.link, machine.sender
@@ -211,7 +221,7 @@ class Miscounting:
         self.sent = self.heard = self.most = 0
 
     def go_on(self) -> None:
-        """Count an answer, and send more."""
+        """Count an answer, and send lines while at most 120 bytes count as unanswered."""
         del self.under_way[:1]
         while self.sent < len(self.lines):
             line = self.lines[self.sent]

@@ -51,6 +51,8 @@ def written(form: bytes, values: "list[int]", singles: "list[float]") -> str:
 @example(-1, 1e8)
 @example(0, 250.0)
 def test_steps_are_divided_like_floats(number: int, resolution: float) -> None:
+    """The steps are rounded to single precision, then the quotient; the first of both numbers
+    stays."""
     quotients = vector(2)
     divide(array("i", [7, number]), array("f", [9, 1, resolution]), 1, quotients, 2)
     assert list(quotients) == [7, f32(f32(number) / resolution)]
@@ -64,6 +66,7 @@ def test_a_quotient_too_large_for_a_float_is_infinite() -> None:
 
 @given(some.lists(some.tuples(places, places), min_size=1, max_size=4))
 def test_offsets_are_added_and_subtracted(pairs: "list[tuple[float, float]]") -> None:
+    """add() adds a to b, or subtracts it (MINUS), in single precision."""
     a, b = (array("f", column) for column in zip(*pairs, strict=True))
     add(a, 0, b, len(pairs))
     assert list(b) == [f32(x + y) for x, y in pairs]
@@ -129,16 +132,19 @@ def test_a_form_may_contain_all_kinds_of_fields() -> None:
 @given(some.integers(0, 2**30 - 1), some.integers(1, 2**15))
 @example(0, 1)
 @example(minifloat.real(1e17), 1)
-def test_a_rate_is_rounded_like_printed_floats(carry: int, now: int) -> None:
-    carry = carry % (100 << 15) | 0x4000 if carry else 0
+def test_a_rate_is_rounded_like_printed_floats(join_speed: int, row_speed: int) -> None:
+    """mm/min in a report: without a block from the speed between blocks, then from the speed of
+    the block's row."""
+    # a valid minifloat: exponent below 100, highest bit of the mantissa set
+    join_speed = join_speed % (100 << 15) | 0x4000 if join_speed else 0
     planner = Planner(3, 4, None, State())
     segments = Segments(planner)
-    planner.flow[layout.JOIN_SPEED] = carry
+    planner.flow[layout.JOIN_SPEED] = join_speed
     rate = 60 * minifloat.value(segments.rate())
-    if rate < 2**31:
+    if rate < 2**31:  # mm/min that fit in 31 bits
         assert str(minifloat.per_minute(segments.rate())) == printed(rate, 0)
     planner.flow[layout.LOADED] = 1
-    planner.flow[layout.ROW_SPEED] = now
+    planner.flow[layout.ROW_SPEED] = row_speed
     planner.ring[layout.FACTOR] = minifloat.real(1 / 7)
     assert str(minifloat.per_minute(segments.rate())) == printed(
         60 * minifloat.value(segments.rate()), 0
@@ -233,13 +239,15 @@ print(taken(5, 5), bytes(machine.text[:machine.length]).decode().strip())
 
 @needs_micropython
 def test_a_report_allocates_no_memory() -> None:
-    said = run_micropython(_BENCH, paths=[FIRMWARE]).splitlines()
-    rate = round(0x4321 * 60 / 256)
-    moved = "MPos:4.936,-709.875,0.000"
-    rest = f"|Bf:15,255|FS:{rate},0|Pn:PXZRS"
-    assert said == [
-        f"0 <Run|{moved}{rest}>",
-        f"0 <Run|{moved}{rest}|Ov:100,100,100|A:S>",
-        f"0 <Run|{moved}{rest}|WCO:10.500,0.000,0.000>",
-        f"0 <Run|WPos:-5.564,-709.875,0.000{rest}>",
+    """Each line: bytes allocated, and the report; the script asks for all, with Ov, with WCO, and
+    with WPos."""
+    lines = run_micropython(_BENCH, paths=[FIRMWARE]).splitlines()
+    rate = round(0x4321 * 60 / 256)  # mm/min of flow[9], the speed between blocks
+    position = "MPos:4.936,-709.875,0.000"
+    common = f"|Bf:15,255|FS:{rate},0|Pn:PXZRS"
+    assert lines == [
+        f"0 <Run|{position}{common}>",
+        f"0 <Run|{position}{common}|Ov:100,100,100|A:S>",
+        f"0 <Run|{position}{common}|WCO:10.500,0.000,0.000>",
+        f"0 <Run|WPos:-5.564,-709.875,0.000{common}>",
     ]
