@@ -312,6 +312,7 @@ def test_punch_without_pins_is_refused(tmp_path: Path, command: str) -> None:
 
 
 def test_every_problem_has_a_line_and_nothing_is_built(tmp_path: Path) -> None:
+    """A board file with four mistakes."""
     more = "PROBE = 3\nSPINDLE_PWM = 24\nPWM_MAX = 65535\nDEFAULTS = {0: 1}\n"
     done = ugrbl("build", "--board", board_file(tmp_path, more), "-o", tmp_path / "out")
     assert done.exit_code == 1
@@ -374,6 +375,7 @@ def test_new_board_gets_all_files_and_main_last(made: build.Build) -> None:
 
 
 def test_up_to_date_board_is_only_started(made: build.Build) -> None:
+    """The second deployment of the same build."""
     board = FakeBoard()
     put(board, made)
     result = put(board, made)
@@ -642,6 +644,8 @@ def test_failure_is_reported_as_json(plugged: FakeBoard) -> None:
 def test_ctrl_c_reports_the_state_it_leaves(
     plugged: FakeBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Ctrl-C arrives while the first file is written."""
+
     def interrupt(*words: object) -> None:
         raise KeyboardInterrupt
 

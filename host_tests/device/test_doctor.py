@@ -229,6 +229,7 @@ def test_other_device_is_reported(
 def test_board_at_its_prompt_is_reported_with_its_free_memory(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The answer has chip, name, version, free bytes, and whether main.py has ended."""
     monkeypatch.setattr(connection, "_START_S", 0.5)
     answer = b"\r\n|rp2|Raspberry Pi Pico|1.28.0|183000|True|\r\n>>> "
     impostor = Impostor({b"\x03": b"\r\n>>> ", b"import": answer})

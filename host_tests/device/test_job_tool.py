@@ -52,6 +52,7 @@ def ugrbl(bench: Bench, *words: object, answer: str = "") -> Result:
 
 @pytest.mark.sampled(1)
 def test_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path) -> None:
+    """All subcommands of `ugrbl job`; the machine stores names in capitals."""
     assert ugrbl(bench, "push", file).exit_code == 0
     assert f"PART.NC  {len(_PROGRAM)} " in ugrbl(bench, "list").output
     assert ugrbl(bench, "show", "part.nc").output == _PROGRAM

@@ -1,4 +1,9 @@
-"""Test the judgement of `ugrbl selftest` with a board that gives scripted answers."""
+"""Test the judgement of `ugrbl selftest` with a board that gives scripted answers.
+
+The program on the board prints facts: a name and figures measured there (GOOD: those of a good
+board). The computer judges them in rows, one per check: passed True, False, or None if it could
+not be checked. The edges of a pin are a list: its level at first, then the ticks at which it
+changes. A tick is 0.08 us, so that 125 of them are 10 us."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -27,12 +32,14 @@ _LIMIT_IN_COLLECTION = "limit, during a collection: time to the last step edge"
 
 
 def train(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
-    """Return the edges of this many pulses of this length."""
-    gap = 12_500_000 // hz
-    return [0, *(begin + k * gap + edge for k in range(count) for edge in (0, ticks))]
+    """Return the edges of `count` pulses.
+
+    hz: pulses per second; ticks: length of a pulse; begin: tick of the first edge."""
+    period_ticks = 12_500_000 // hz
+    return [0, *(begin + k * period_ticks + edge for k in range(count) for edge in (0, ticks))]
 
 
-STILL = [0]
+STILL = [0]  # edges of a pin that stays low
 PULSES = {"hz": 50_000, "us": 10, "steps": [train(50_000, 125, 9)] * 3, "dirs": [STILL] * 3}
 # DIR changes at 100 and 400: 30 ticks after a pulse, 70 before the next.
 TURNS = {
@@ -103,11 +110,16 @@ HANG = {
 
 
 def lines(facts: "Iterable[tuple[str, Any]]") -> "list[str]":
+    """Return the lines by which the board reports these facts."""
     return [f"= {what} {json.dumps(figures)}" for what, figures in facts]
 
 
 class Fake:
-    """A Board that prints these lines."""
+    """A Board that prints facts. changes: other values for its attributes.
+
+    facts: printed by the checks; hang: figures of the hang on purpose; wrong: the exception that
+    ends the checks; comes_back: the watchdog restarts it; started: how many times the firmware was
+    started afterwards."""
 
     def __init__(self, **changes: Any) -> None:
         self.facts = list(GOOD)
@@ -131,12 +143,14 @@ class Fake:
         return self.wired
 
     def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+        """Run the checks: report each line; return the exception's text."""
         self.scripts.append(script)
         for line in ("what the prompt says", *lines(self.facts)):
             heard(line)
         return self.wrong
 
     def until_restart(self, script: str, heard: "Callable[[str], None]", seconds: float) -> bool:
+        """Hang on purpose; return whether the board answers again."""
         self.scripts.append(script)
         for line in lines([("hang", self.hang)]):
             heard(line)
@@ -153,6 +167,8 @@ def with_fact(what: str, **changes: Any) -> "list[tuple[str, Any]]":
 
 @pytest.fixture
 def selftest(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Any]":
+    """Return a function that runs the command at a scripted board."""
+
     def run(board: Fake, *words: str) -> "tuple[int, dict[str, Any], str]":
         """Run the self-test; return exit code, checks by name, and the whole output."""
         monkeypatch.setattr(selftest_cli, "_open", lambda port: board)
@@ -165,24 +181,28 @@ def selftest(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Any]":
 
 
 def test_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
+    """The figures in the texts follow from GOOD, at 0.08 us a tick."""
     board = Fake()
-    code, rows, said = selftest(board, "--yes")
+    code, rows, output = selftest(board, "--yes")
     assert {row["passed"] for row in rows.values()} == {True}, rows
-    assert code == 0 and "0 failed" in said
+    assert code == 0 and "0 failed" in output
     assert rows["pulse width, 50 kHz"]["text"] == "10 us; 10 asked; 27 pulses"
     assert rows["step period, 50 kHz"]["text"] == "20 us; 20 asked; 24 periods"
+    # 30 and 70 ticks, see TURNS
     assert rows["direction hold"]["text"] == "2.4 us at least; 2 required; 6 reversals"
     assert rows["direction set-up"]["text"] == "5.6 us at least; 5 required; 6 reversals"
-    assert rows[_LIMIT]["figures"]["worst_us"] == 20
+    assert rows[_LIMIT]["figures"]["worst_us"] == 20  # the longest is 250 ticks
+    # 48 ms less the time between two beats, 1 ms
     assert rows["settings save: interrupts off"]["text"].startswith("47.0 ms")
     assert rows["spindle PWM, 50 %"]["text"] == "50.0 % at the pin"
 
 
 def late(ticks: int) -> "dict[str, Any]":
-    """Return pulses whose second axis is late."""
+    """Return pulses whose second axis is late; the third does not move."""
     return {"steps": [train(50_000, 125, 9), train(50_000, 125, 9, 100 + ticks), STILL]}
 
 
+# By name: the fact that differs, its figures, and the row that must fail.
 FAULTS = {
     "a step too few": ("steps", {"counted": [19, 0, 0]}, "steps at 1 kHz, all axes"),
     "no rest": ("steps", {"rested": False}, "steps at 1 kHz, all axes"),
@@ -214,9 +234,9 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_fault_fails_its_check_and_the_command(selftest: "Callable[..., Any]", fault: str) -> None:
     what, changes, row = FAULTS[fault]
-    code, rows, said = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
+    code, rows, output = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
     assert rows[row]["passed"] is False, rows[row]
-    assert code == 1 and "FAILED" in said
+    assert code == 1 and "FAILED" in output
 
 
 @pytest.mark.parametrize(
@@ -231,6 +251,8 @@ def test_fault_fails_its_check_and_the_command(selftest: "Callable[..., Any]", f
 def test_harmful_hang_fails(
     selftest: "Callable[..., Any]", changes: "dict[str, Any]", row: str
 ) -> None:
+    """Steps or the tool's power go on after the hang began (ms), no step was made, or the stack
+    is nearly full."""
     code, rows, _ = selftest(Fake(hang={**HANG, **changes}), "--yes")
     assert (code, rows[row]["passed"]) == (1, False)
 
@@ -252,21 +274,24 @@ def test_board_that_does_not_return_fails(selftest: "Callable[..., Any]") -> Non
 def test_check_that_cannot_be_shown_has_not_passed(
     selftest: "Callable[..., Any]", what: str, changes: "dict[str, Any]", row: str
 ) -> None:
-    code, rows, said = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
+    """For example a pin that the counters cannot see: neither passed nor failed."""
+    code, rows, output = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
     assert rows[row]["passed"] is None and "not shown here" in rows[row]["text"]
-    assert code == 0 and "not checked" in said
+    assert code == 0 and "not checked" in output
 
 
 def test_failing_program_is_reported_with_its_last_line(
     selftest: "Callable[..., Any]",
 ) -> None:
-    wrong = "Traceback (most recent call last):\r\n  File …\r\nMemoryError: no room\r\n"
-    code, rows, _ = selftest(Fake(facts=GOOD[:3], wrong=wrong), "--yes")
+    exception = "Traceback (most recent call last):\r\n  File …\r\nMemoryError: no room\r\n"
+    # it ends after three facts
+    code, rows, _ = selftest(Fake(facts=GOOD[:3], wrong=exception), "--yes")
     assert code == 1
     assert rows["all checks were made"]["text"] == "MemoryError: no room"
 
 
 def test_spindle_is_unused_without_permission(selftest: "Callable[..., Any]") -> None:
+    """--yes: the spindle output may be used."""
     board = Fake()
     selftest(board)
     assert all("'pwm': False" in script for script in board.scripts)
@@ -276,6 +301,7 @@ def test_spindle_is_unused_without_permission(selftest: "Callable[..., Any]") ->
     assert all("'pwm': True" in script for script in board.scripts)
 
 
+# By reason: attributes of the board, and words of the report.
 REFUSED = {
     "another chip": (
         {"about_it": PICO._replace(machine="nRF52840")},
@@ -314,6 +340,7 @@ def test_board_that_cannot_be_tested_is_reported_and_unchanged(
     board = Fake(**changes)
     code, rows, _ = selftest(board)
     assert code == 1 and words in rows["the board"]["text"]
+    # nothing was run; the firmware was started again
     assert board.scripts == [] and board.started == 1
 
 
@@ -321,7 +348,7 @@ def test_moving_machine_is_not_disturbed(selftest: "Callable[..., Any]") -> None
     board = Fake(moving=True)
     code, rows, _ = selftest(board)
     assert code == 1 and "is in Run" in rows["the board"]["text"]
-    assert board.scripts == [] and board.started == 0
+    assert board.scripts == [] and board.started == 0  # nothing was run or stopped
 
 
 def test_ctrl_c_reports_how_to_restart_the_board(selftest: "Callable[..., Any]") -> None:
@@ -347,6 +374,7 @@ def test_broken_connection_is_reported_and_the_firmware_started(
 
 
 def test_wrong_port_is_reported_in_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The port does not exist, and then none is chosen, because there are several."""
     done = CliRunner().invoke(app, ["selftest", "--port", str(tmp_path / "nothing")])
     assert done.exit_code == 1 and "cannot open" in done.output
 
@@ -364,6 +392,7 @@ def test_wrong_port_is_reported_in_words(monkeypatch: pytest.MonkeyPatch, tmp_pa
 def test_edges_are_read_from_either_level() -> None:
     assert (rises([0, 3, 5, 9]), falls([0, 3, 5, 9]), highs([0, 3, 5, 9])) == ([3, 9], [5], [2])
     assert (rises([1, 3, 5, 9]), falls([1, 3, 5, 9]), highs([1, 3, 5, 9])) == ([5], [3, 9], [4])
+    # Between the first and the last rise: 40 to 80 ticks, of which 10 are high.
     assert duty_percent([1, 10, 40, 50, 80, 90]) == 25
 
 

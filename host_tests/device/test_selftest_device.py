@@ -33,7 +33,8 @@ class Wire:
 
 
 class Transport:
-    """The part of mpremote's transport that is used."""
+    """The part of mpremote's transport that is used. said: what a script prints; wrong: the text
+    of its exception; wire: the serial port."""
 
     def __init__(self, said: bytes = b"", wrong: bytes = b"", wire: "Wire | None" = None) -> None:
         self.serial = wire or Wire()
@@ -45,6 +46,7 @@ class Transport:
         self.scripts.append(script)
 
     def follow(self, seconds: float, consumer: "Callable[[bytes], None]") -> "tuple[bytes, bytes]":
+        """Pass on the output byte by byte; return it and the exception."""
         for k in range(len(self._said)):
             consumer(self._said[k : k + 1])
         return self._said, self._wrong
@@ -54,6 +56,7 @@ class Transport:
         return b""
 
     def eval(self, expression: str) -> Any:
+        """Return engine, ENABLE pin and spindle pin, as the script WIRING does."""
         return ["pio", 8, None]
 
     def close(self) -> None:
@@ -62,16 +65,17 @@ class Transport:
 
 def board(transport: Transport) -> PromptBoard:
     """Return a board at that transport."""
-    made = PromptBoard.__new__(PromptBoard)
-    made._transport, made._port_name = transport, "there"
-    return made
+    prompt_board = PromptBoard.__new__(PromptBoard)
+    prompt_board._transport, prompt_board._port_name = transport, "there"
+    return prompt_board
 
 
 def test_lines_are_reported_as_they_arrive_and_the_exception_after_them() -> None:
-    heard: "list[str]" = []
+    """\\x04 ends the output in the raw REPL; it is not part of a line."""
+    reported: "list[str]" = []
     transport = Transport(b"= board {}\r\nand more\r\n\x04", b"Traceback\r\nMemoryError: \r\n")
-    assert board(transport).run("script", heard.append, 1) == "Traceback\r\nMemoryError: \r\n"
-    assert heard == ["= board {}", "and more"] and transport.scripts == ["script"]
+    assert board(transport).run("script", reported.append, 1) == "Traceback\r\nMemoryError: \r\n"
+    assert reported == ["= board {}", "and more"] and transport.scripts == ["script"]
 
 
 @pytest.mark.parametrize(
@@ -103,19 +107,20 @@ class Back:
 def test_firmware_answers_after_the_watchdog_has_disconnected_usb(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    tried: "list[str]" = []
+    """The port breaks after two lines; it can be opened at the third attempt."""
+    opened_ports: "list[str]" = []
 
     def open_port(port: str) -> Back:
-        tried.append(port)
-        if len(tried) < 3:
+        opened_ports.append(port)
+        if len(opened_ports) < 3:
             raise SendError("not there yet")
         return Back()
 
     monkeypatch.setattr(device, "Connection", open_port)
-    heard: "list[str]" = []
+    reported: "list[str]" = []
     transport = Transport(wire=Wire(b"= hang {", b"}\r\n= hang", b" {}\r\n"))
-    assert board(transport).until_restart("hang", heard.append, 5)
-    assert heard == ["= hang {}", "= hang {}"] and tried == ["there"] * 3
+    assert board(transport).until_restart("hang", reported.append, 5)
+    assert reported == ["= hang {}", "= hang {}"] and opened_ports == ["there"] * 3
     assert transport.is_closed
 
 
@@ -125,6 +130,8 @@ def test_board_that_never_hung_was_not_restarted_by_the_watchdog() -> None:
 
 
 def test_board_that_does_not_return_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its port cannot be opened again in _BACK_S."""
+
     def open_port(port: str) -> Back:
         raise SendError("not there")
 

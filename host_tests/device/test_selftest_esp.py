@@ -1,4 +1,8 @@
-"""Test `ugrbl selftest` of an ESP32: the program runs on stand-ins, and finds faults."""
+"""Test `ugrbl selftest` of an ESP32: the program runs on stand-ins, and finds faults.
+
+The stand-ins (support/esp_bench.py) replace MicroPython's modules and the chip: `clock` is the
+time in us, `rmt` the firmware's pulse engine, esp32.PCNT the pulse counters. Rows are the checks'
+results: passed is True, False, or None if a check could not be made."""
 
 import json
 import subprocess
@@ -58,11 +62,11 @@ _TIME = SimpleNamespace(
 )
 
 
-def heard(said: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
+def heard(output_lines: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
     """Return the rows in these lines by name, and whether the end was received."""
     rows: dict[str, Row] = {}
     hearer = Hearer(lambda row: rows.update({row.what: row}))
-    for line in said:
+    for line in output_lines:
         hearer.line(line)
     hearer.close()
     return rows, hearer.ended
@@ -72,6 +76,8 @@ class Bench:
     """Runs the self-test's program on a board of that name."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+        """Replace the modules that the program imports; options that it would have to work
+        around are removed from the board."""
         self._file = folder / "sent.py"
         chip, self.chip = _CHIPS[name]
         reset_stand_ins(chip)
@@ -93,20 +99,23 @@ class Bench:
         self.ended = False
 
     def run(self, pwm: bool = True, seed: int = 7) -> "dict[str, Row]":
-        """Run all checks except the hang."""
+        """Run all checks except the hang; return their rows by name. pwm: the spindle output
+        may be used; seed: of the random instants."""
         self._file.write_text(program.checks(self.chip, _AMOUNTS, pwm, seed))
-        with redirect_stdout(StringIO()) as said:
+        with redirect_stdout(StringIO()) as output:
             exec(compile(self._file.read_text(), str(self._file), "exec"), {})
-        self.rows, self.ended = heard(said.getvalue().splitlines())
+        self.rows, self.ended = heard(output.getvalue().splitlines())
         return self.rows
 
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Callable[[str], Bench]":
+    """Return a function that makes a bench for a board."""
     return lambda name="esp32_devkit": Bench(tmp_path, monkeypatch, name)
 
 
 def failed(rows: "Iterable[Row]") -> "list[str]":
+    """Return the names of the rows that have failed."""
     return [row.what for row in rows if row.passed is False]
 
 
@@ -115,6 +124,7 @@ def failed(rows: "Iterable[Row]") -> "list[str]":
 def test_good_board_passes_every_check_that_can_be_shown(
     bench: "Callable[[str], Bench]", name: str
 ) -> None:
+    """A limit during a garbage collection cannot be shown on the stand-ins."""
     board = bench(name)
     rows = board.run()
     assert board.ended and failed(rows.values()) == []
@@ -128,19 +138,22 @@ def test_good_board_passes_every_check_that_can_be_shown(
 
 
 def test_board_is_asked_for_its_counters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """WIRING is the script that asks; MicroPython may have no esp32.PCNT, or no module esp32."""
     monkeypatch.setitem(
         sys.modules, "board", SimpleNamespace(ENGINE="rmt", ENABLE=12, STEP=(1, 2, 3))
     )
-    for module, found in ((esp32, True), (SimpleNamespace(), False), (None, False)):
+    for module, has_pcnt in ((esp32, True), (SimpleNamespace(), False), (None, False)):
         monkeypatch.setitem(sys.modules, "esp32", module)
         names: dict[str, Any] = {}
         exec(WIRING, names)
-        assert names["wiring"]() == ["rmt", 12, None, found, 3]
+        # engine, ENABLE, spindle pin, PCNT, motors
+        assert names["wiring"]() == ["rmt", 12, None, has_pcnt, 3]
 
 
 def test_highest_rate_is_that_of_the_board_file(
     bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """At 2 kHz the rates above are left out; pwm=False: the spindle is not checked."""
     board = bench()
     monkeypatch.setattr(board.board, "MAX_STEP_RATE_HZ", 2000)
     rows = board.run(pwm=False)
@@ -155,12 +168,14 @@ def test_highest_rate_is_that_of_the_board_file(
 @pytest.mark.thorough
 @needs_micropython
 def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
-    sent = tmp_path / "sent.py"
+    program_file = tmp_path / "sent.py"
     amounts = replace(_AMOUNTS, run_ms=20, stops=4, starts=4)
-    sent.write_text(program.checks(program.ESP32, amounts, True, 7))
+    # True: the spindle may be used; 7: random seed
+    program_file.write_text(program.checks(program.ESP32, amounts, True, 7))
+    # The boot script sends nothing and waits for the welcome, then runs the program.
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
-    said = run_micropython(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
-    rows, ended = heard(said.splitlines())
+    output = run_micropython(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(program_file)!r}")
+    rows, ended = heard(output.splitlines())
     assert ended and failed(rows.values()) == []
     assert rows["steps at the highest, all axes"].passed
 
@@ -170,12 +185,14 @@ def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
 
 def lose_pulses(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drop the last step of every ninth train."""
-    usual = esp32.RMT.write_pulses
+    write_all = esp32.RMT.write_pulses
     count = [0]
 
     def write_pulses(self: Any, duration: "list[int]", data: object = True) -> None:
         count[0] += 1
-        usual(self, duration[:-2] if count[0] % 9 == 0 and len(duration) > 2 else duration, data)
+        write_all(
+            self, duration[:-2] if count[0] % 9 == 0 and len(duration) > 2 else duration, data
+        )
 
     monkeypatch.setattr(esp32.RMT, "write_pulses", write_pulses)
 
@@ -216,8 +233,8 @@ def burn_on(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def burn_half(monkeypatch: pytest.MonkeyPatch) -> None:
     """Output half the power."""
-    usual = esp_machine.PWM.duty_u16
-    monkeypatch.setattr(esp_machine.PWM, "duty_u16", lambda self, duty: usual(self, duty // 2))
+    full_duty = esp_machine.PWM.duty_u16
+    monkeypatch.setattr(esp_machine.PWM, "duty_u16", lambda self, duty: full_duty(self, duty // 2))
 
 
 @pytest.mark.thorough
@@ -240,15 +257,19 @@ def test_fault_is_found(
     fault: "Callable[[pytest.MonkeyPatch], None]",
     rows: "list[str]",
 ) -> None:
+    """fault: a function that breaks the firmware or a stand-in; rows: the checks that must
+    fail."""
     board = bench("esp32_devkit")
     fault(monkeypatch)
-    found = failed(board.run().values())
-    assert set(rows) <= set(found), found
+    failed_rows = failed(board.run().values())
+    assert set(rows) <= set(failed_rows), failed_rows
 
 
 def test_nothing_passes_when_counters_cannot_see_the_pins(
     bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """mem32 ignores writes: a STEP pin, which its counter has made an input, cannot be made an
+    output again."""
     board = bench("esp32_devkit")
     monkeypatch.setattr(esp_machine.Pads, "__setitem__", lambda self, address, word: None)
     rows = board.run()
@@ -277,20 +298,23 @@ def test_limits_without_pull_ups_are_left_out(
 
 
 def test_same_seed_gives_the_same_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The seed makes a failing run repeatable."""
+
     def stops(seed: int) -> "list[int]":
-        made: list[int] = []
-        usual = rmt.RmtEngine.stop
+        """Return the times of all stops, in us from the start."""
+        stopped_us: list[int] = []
+        stop_engine = rmt.RmtEngine.stop
 
         def stop(self: Any) -> None:
-            usual(self)
-            made.append(clock.us)
+            stop_engine(self)
+            stopped_us.append(clock.us)
 
         with monkeypatch.context() as patched:
             board = Bench(tmp_path, patched, "esp32_devkit")
             begun = clock.us
             patched.setattr(rmt.RmtEngine, "stop", stop)
             board.run(pwm=False, seed=seed)
-        return [us - begun for us in made]
+        return [us - begun for us in stopped_us]
 
     assert stops(7) == stops(7) != stops(8)
 
@@ -300,9 +324,10 @@ def test_same_seed_gives_the_same_stops(tmp_path: Path, monkeypatch: pytest.Monk
 
 @pytest.fixture
 def pins() -> "tuple[Any, Any]":
+    """Return a STEP and a DIR pin."""
     reset_stand_ins()
-    made = [esp_machine.Pin(number, esp_machine.Pin.OUT, value=0) for number in (26, 16)]
-    return made[0], made[1]
+    step_and_dir = [esp_machine.Pin(number, esp_machine.Pin.OUT, value=0) for number in (26, 16)]
+    return step_and_dir[0], step_and_dir[1]
 
 
 @pytest.mark.parametrize(
@@ -320,6 +345,8 @@ def pins() -> "tuple[Any, Any]":
 def test_counter_refuses_what_micropython_refuses(
     pins: "tuple[Any, Any]", arguments: "dict[str, Any]"
 ) -> None:
+    """An ESP32 has 8 counters, an ESP32-S3 has 4; each counts from -32768 to 32767. True stands
+    for a pin."""
     named = {key: pins[0] if value is True else value for key, value in arguments.items()}
     with pytest.raises(ValueError):
         esp32.PCNT(0, **named)
@@ -333,6 +360,7 @@ def test_counter_refuses_what_micropython_refuses(
 def test_counter_turns_its_pin_into_an_input_and_counts_after_start(
     pins: "tuple[Any, Any]",
 ) -> None:
+    """mode_high=1: while the DIR pin is high, it counts down."""
     step, direction = pins
     unit = esp32.PCNT(0, pin=step, mode_pin=direction, rising=1, mode_high=1, min=-9, max=9)
     base = esp_machine.mem32.first & ~0xFFF
@@ -346,12 +374,13 @@ def test_counter_turns_its_pin_into_an_input_and_counts_after_start(
     unit.start()
     pulse(3)
     assert unit.value() == 0  # the pin is an input
+    # GPIO_ENABLE_W1TS: both pins are outputs again
     esp_machine.mem32[base + 0x24] = 1 << 26 | 1 << 16
     pulse(3)
     assert unit.value() == 3
     direction.value(1)
     pulse(5)
-    assert unit.value(0) == -2 and unit.value() == 0
+    assert unit.value(0) == -2 and unit.value() == 0  # 3 - 5; value(0) sets it to 0
     unit.stop()
     pulse(2)
     assert unit.value() == 0
@@ -380,13 +409,15 @@ def run_python(*arguments: object) -> str:
 def test_hang_is_ended_by_the_watchdog_long_after_the_last_step(
     run: "Callable[..., str]", tmp_path: Path
 ) -> None:
-    sent = tmp_path / "sent.py"
-    sent.write_text(program.hang(program.ESP32, True))
+    """The program blocks the main loop on purpose; figures are ms after that."""
+    program_file = tmp_path / "sent.py"
+    program_file.write_text(program.hang(program.ESP32, True))
+    # The boot script sends nothing and waits for the welcome, then runs the program.
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
-    said = run(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
-    rows, _ = heard(said.splitlines())
+    output = run(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(program_file)!r}")
+    rows, _ = heard(output.splitlines())
     assert list(rows) == ["hang on purpose: steps", "hang on purpose: spindle"]
     assert failed(rows.values()) == []
-    assert "the watchdog starts the chip anew" in said
-    last = rows["hang on purpose: steps"].figures
-    assert last["ms"] > 4000 and last["steps"] > 0 and 0 < last["last_step_ms"] < 500
+    assert "the watchdog starts the chip anew" in output
+    figures = rows["hang on purpose: steps"].figures
+    assert figures["ms"] > 4000 and figures["steps"] > 0 and 0 < figures["last_step_ms"] < 500

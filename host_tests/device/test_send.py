@@ -1,4 +1,8 @@
-"""Test `ugrbl send` against a small stand-in for Grbl on a real pseudo-terminal."""
+"""Test `ugrbl send` against a small stand-in for Grbl on a real pseudo-terminal.
+
+Stream sends lines to the controller: with character counting it fills the receive buffer of 128
+bytes, with by_line it waits for each answer. It asks the user (a View) how to continue after a
+refused line or Ctrl-C. "!" is a feed hold, "~" resumes, Ctrl-X resets."""
 
 import errno
 import io
@@ -29,7 +33,9 @@ _ANSWER_S = 0.002
 class FakeGrbl(threading.Thread):
     """Answers each line after a moment: G64 with error:20, G38 with an alarm, others with ok.
 
-    old: it talks like Grbl 0.9, and slows down for three reports before its hold is complete.
+    options: of its build, with the receive buffer's size. old: it talks like Grbl 0.9, and slows
+    down for three reports before its hold is complete. lines: executed; realtime: real-time bytes
+    received, except "?"; most_waiting, most_bytes: the most lines and bytes that have waited.
     """
 
     def __init__(self, options: str = "V,15,128", state: str = "Idle", old: bool = False) -> None:
@@ -53,6 +59,7 @@ class FakeGrbl(threading.Thread):
         self._over = threading.Event()
 
     def run(self) -> None:
+        """Every 2 ms: receive, and execute one waiting line unless the machine is held."""
         while not self._over.wait(_ANSWER_S):
             self._receive()
             self.most_waiting = max(self.most_waiting, self._waiting.count(b"\n"))
@@ -72,6 +79,7 @@ class FakeGrbl(threading.Thread):
         os.write(self._master, text.encode() + b"\r\n")
 
     def _receive(self) -> None:
+        """Separate real-time bytes, which act at once, from lines."""
         try:
             data = os.read(self._master, 4096)
         except BlockingIOError:
@@ -85,21 +93,23 @@ class FakeGrbl(threading.Thread):
                 self._waiting += byte
 
     def _report(self) -> None:
+        """Send a status report; "Dr:" is our count of underruns."""
         self._braking = max(0, self._braking - 1)
-        place = f"{1 - self._braking / 10:.3f},2.000,3.000"
+        position = f"{1 - self._braking / 10:.3f},2.000,3.000"
         if self.old:
-            self.say(f"<{self.state},MPos:{place},WPos:{place}>")
+            self.say(f"<{self.state},MPos:{position},WPos:{position}>")
         else:
             drains = self.drains[0] if self.drains else 0
             del self.drains[: len(self.drains) > 1]
-            told = f"|Dr:{drains}" if drains else ""
-            report = f"<{self.state}|MPos:{place}|FS:0,0{told}>"
+            underrun_field = f"|Dr:{drains}" if drains else ""
+            report = f"<{self.state}|MPos:{position}|FS:0,0{underrun_field}>"
             if self.reports_after_answers and self._waiting:
                 self._report_due = f"\r\n{report}"
             else:
                 self.say(report)
 
     def _command(self, byte: bytes) -> None:
+        """Act on a real-time byte; others than these three are only recorded."""
         self.realtime += byte
         if byte == FEED_HOLD:
             self.state = "Hold" if self.old else "Hold:0"
@@ -113,6 +123,7 @@ class FakeGrbl(threading.Thread):
             self.say("\r\nGrbl 1.1h ['$' for help]")
 
     def _answer(self, line: bytes) -> None:
+        """Answer a line that is executed now, with its messages."""
         if line == b"$I":
             self.say(f"[VER:1.1h.20190830:]\r\n[OPT:{self.options}]")
         if line.startswith(b"G38"):
@@ -150,6 +161,7 @@ class Watcher:
 
 @pytest.fixture
 def grbl() -> Iterator[FakeGrbl]:
+    """Return a running stand-in."""
     fake = FakeGrbl()
     fake.start()
     yield fake
@@ -158,6 +170,7 @@ def grbl() -> Iterator[FakeGrbl]:
 
 @pytest.fixture
 def connection(grbl: FakeGrbl) -> Iterator[Connection]:
+    """Return a connection to it after the start queries."""
     opened = Connection(grbl.port)
     opened.start()
     grbl.lines.clear()
@@ -182,17 +195,20 @@ def ready_program(count: int) -> Ready:
     return Ready(program(count))
 
 
-@pytest.mark.parametrize(("told", "drains"), [([], 0), ([4], 0), ([4, 5, 7], 3), ([0, 1], 1)])
+@pytest.mark.parametrize(("reported", "drains"), [([], 0), ([4], 0), ([4, 5, 7], 3), ([0, 1], 1)])
 def test_underruns_caused_by_this_program_are_counted(
-    grbl: FakeGrbl, connection: Connection, view: Watcher, told: list[int], drains: int
+    grbl: FakeGrbl, connection: Connection, view: Watcher, reported: list[int], drains: int
 ) -> None:
-    grbl.drains = told
+    """reported: the counts in successive reports; the first one is from before."""
+    grbl.drains = reported
     assert Stream(connection, ready_program(300), view).run().drains == drains
 
 
 def test_report_sent_together_with_an_answer_counts_no_earlier_underrun(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
+    """The first report with a count arrives only with an answer to the program; its underruns
+    are earlier ones."""
     grbl.drains = [4]
     grbl.reports_after_answers = True
     assert Stream(connection, ready_program(300), view).run().drains == 0
@@ -210,8 +226,8 @@ def test_counting_keeps_the_buffer_full_and_never_overfills_it(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     Stream(connection, ready_program(50), view).run()
-    assert grbl.most_waiting >= 4
-    assert 100 < grbl.most_bytes <= 127
+    assert grbl.most_waiting >= 4  # lines
+    assert 100 < grbl.most_bytes <= 127  # of 128, of which Grbl can use 127
 
 
 def test_mode_line_has_one_unanswered_line(
@@ -223,6 +239,7 @@ def test_mode_line_has_one_unanswered_line(
 
 
 def test_larger_buffer_is_used(view: Watcher) -> None:
+    """The machine reports a receive buffer of 512 bytes."""
     grbl = FakeGrbl(options="V,15,512")
     grbl.start()
     connection = Connection(grbl.port)
@@ -236,6 +253,7 @@ def test_larger_buffer_is_used(view: Watcher) -> None:
 def test_refused_line_is_named_with_meaning_holds_and_asks(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
+    """The stand-in refuses G64 with error:20; the user chooses to resume."""
     view.answers = [Choice.RESUME]
     report = Stream(connection, listing(b"G21", b"G64 P0.1", b"G0 X1"), view).run()
     assert report.errors == [(2, "error:20")] and report.answered == 3
@@ -247,6 +265,8 @@ def test_refused_line_is_named_with_meaning_holds_and_asks(
 def test_lines_after_a_refused_lead_line_are_not_sent(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
+    """Lead lines restore the state for a start in the middle of a program; without one of them
+    the rest is dangerous."""
     view.answers = [Choice.ABORT]
     lead = [Line(0, line, "") for line in (b"G21", b"G64", b"G53 G0 Z5")]
     report = Stream(connection, [*lead, *ready_program(3)], view).run()
@@ -285,6 +305,7 @@ def test_alarm_stops_the_program_with_its_cause(connection: Connection, view: Wa
 def test_reset_of_the_controller_stops_the_program(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
+    # after 50 ms of about a second
     threading.Timer(0.05, grbl.say, ["Grbl 1.1h ['$' for help]"]).start()
     report = Stream(connection, ready_program(500), view).run()
     assert report.stopped == "the controller was reset"
@@ -299,6 +320,7 @@ def test_messages_and_states_are_shown(connection: Connection, view: Watcher) ->
 def test_program_finishes_after_ctrl_c_and_resume(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
+    """interrupt() is what Ctrl-C calls."""
     view.answers = [Choice.RESUME]
     stream = Stream(connection, ready_program(30), view)
     stream.interrupt()
@@ -311,6 +333,9 @@ def test_program_finishes_after_ctrl_c_and_resume(
 def test_waiting_for_the_users_answer_is_not_reported_as_silence(
     connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """connection.heard: when bytes arrived last, in s. The view sees no message about a silent
+    machine."""
+
     def think(why: str) -> Choice:
         time.sleep(0.3)  # reports of the hold arrive meanwhile
         connection.heard -= 3600
@@ -324,6 +349,7 @@ def test_waiting_for_the_users_answer_is_not_reported_as_silence(
 
 
 def test_clock_runs_until_motion_ends() -> None:
+    """All lines are answered after 5 s; the move ends after 65 s."""
     now = 0.0
     console = Console(file=io.StringIO(), get_time=lambda: now, width=100)
     with Screen(console, "job.nc", 1) as screen:
@@ -355,11 +381,12 @@ def test_refused_setting_is_called_a_setting() -> None:
 def test_ctrl_c_and_abort_reset_after_the_machine_has_stopped(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
+    """The feed hold comes before the reset."""
     view.answers = [Choice.ABORT]
     stream = Stream(connection, ready_program(30), view)
     stream.interrupt()
     report = stream.run()
-    time.sleep(0.05)
+    time.sleep(0.05)  # s: the reset has arrived
     assert grbl.realtime == FEED_HOLD + RESET
     assert report.stopped == "Ctrl-C"
     assert len(grbl.lines) < 30
@@ -376,6 +403,7 @@ def test_locked_machine_is_refused() -> None:
 
 
 def test_port_without_grbl_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody answers at the other end of this terminal."""
     monkeypatch.setattr(connection_module, "_START_S", 0.2)
     master, slave = os.openpty()
     connection = Connection(os.ttyname(slave))
@@ -411,6 +439,7 @@ def test_command_reports_refused_lines_and_fails(grbl: FakeGrbl, tmp_path: Path)
 
 
 def test_command_succeeds_in_mode_line(grbl: FakeGrbl, tmp_path: Path) -> None:
+    """The command reads build, settings, offsets and modes before it sends the program."""
     file = tmp_path / "program.nc"
     file.write_text("G21\nG0 X1\n")
     done = CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, "--mode", "line"])
@@ -422,6 +451,7 @@ def test_command_succeeds_in_mode_line(grbl: FakeGrbl, tmp_path: Path) -> None:
 
 
 def send_file(grbl: FakeGrbl, folder: Path, text: str, *words: str) -> Result:
+    """Run `ugrbl send` with a program of this text."""
     file = folder / "program.nc"
     file.write_bytes(text.encode("utf-8"))
     return CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, *words])
@@ -436,7 +466,7 @@ def test_comments_are_sent_as_ascii_without_realtime_bytes(grbl: FakeGrbl, tmp_p
 
 
 def test_underruns_are_reported_with_the_remedy(grbl: FakeGrbl, tmp_path: Path) -> None:
-    grbl.drains = list(range(1000))
+    grbl.drains = list(range(1000))  # one more with each report
     done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
     words = " ".join(done.output.split())
     assert "because lines came too late: `ugrbl run FILE --board NAME` names lines" in words
@@ -476,6 +506,8 @@ def test_program_refused_by_the_simulator_is_not_sent(grbl: FakeGrbl, tmp_path: 
 def test_check_uses_the_build_options_of_the_machine(
     options: str, word: str, sent: bool, tmp_path: Path
 ) -> None:
+    """M means that M7 is supported, R that M56 is; the rehearsal refuses what the machine
+    would."""
     grbl = FakeGrbl(options=f"{options},15,128")
     grbl.start()
     done = send_file(grbl, tmp_path, f"G0 X1\n{word}\n")
@@ -503,6 +535,7 @@ def test_keep_going_sends_lines_that_the_simulator_refuses(grbl: FakeGrbl, tmp_p
     ],
 )
 def test_machine_that_cannot_run_is_reported_with_the_remedy(state: str, todo: str) -> None:
+    """The connection is refused at its start in each of these states."""
     grbl = FakeGrbl(state=state)
     grbl.start()
     connection = Connection(grbl.port)
@@ -523,6 +556,7 @@ def test_unanswered_request_names_the_hold_as_cause(
 
 
 def test_grbl_0_9_is_understood(view: Watcher) -> None:
+    """Its reports are separated by commas, and have no FS field."""
     grbl = FakeGrbl(old=True)
     grbl.start()
     connection = Connection(grbl.port)
@@ -535,6 +569,7 @@ def test_grbl_0_9_is_understood(view: Watcher) -> None:
 
 
 def test_grbl_0_9_is_reset_only_after_it_has_stopped(view: Watcher) -> None:
+    """A reset in motion loses steps; place_at_reset: how many reports it still had to brake."""
     grbl = FakeGrbl(old=True)
     grbl.start()
     connection = Connection(grbl.port)
@@ -549,6 +584,7 @@ def test_grbl_0_9_is_reset_only_after_it_has_stopped(view: Watcher) -> None:
 
 
 def test_override_keys_are_sent_only_to_grbl_1_1(grbl: FakeGrbl, view: Watcher) -> None:
+    """0x91 is an override of the feed rate, which Grbl 0.9 does not have."""
     for old, sent in ((False, b"\x91!~"), (True, b"!~")):
         grbl = FakeGrbl(old=old)
         grbl.start()
@@ -584,15 +620,16 @@ class WindowsConsole:
     [(" +", b"!\x91"), ("\xe0H\xe0M", b""), ("\0<\0=\0>-", b"\x92"), ("\r", b"~"), ("", b"")],
 )
 def test_keys_on_windows(pressed: str, sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    """F2 to F4 are a zero and then < = >; these would be commands without the zero."""
+    """Arrow and function keys are two characters, the first 0xE0 or zero: F2 to F4 are a zero
+    and then < = >, which would be commands without the zero."""
     monkeypatch.setattr(keys.sys, "platform", "win32")
     monkeypatch.setattr(keys.sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setitem(sys.modules, "msvcrt", WindowsConsole(pressed))
     with keys.Keys() as listening:
         assert listening.commands() == sent
         assert listening.commands() == b"", "all that was pressed has been read"
-    with keys.Keys(listen=False) as deaf:
-        assert deaf.commands() == b""
+    with keys.Keys(listen=False) as not_listening:
+        assert not_listening.commands() == b""
 
 
 def test_sleep_of_the_machine_ends_the_program(
@@ -601,7 +638,7 @@ def test_sleep_of_the_machine_ends_the_program(
     def sleep() -> None:
         grbl.state = "Sleep"
 
-    threading.Timer(0.1, sleep).start()
+    threading.Timer(0.1, sleep).start()  # after 0.1 s of about a second
     report = Stream(connection, ready_program(500), view).run()
     assert "gone to sleep" in report.stopped
 
@@ -609,11 +646,13 @@ def test_sleep_of_the_machine_ends_the_program(
 def test_opened_door_is_reported_once_and_the_job_continues(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
+    """The door is open from 0.1 to 0.9 s after the start."""
+
     def door(state: str) -> None:
         grbl.state = state
 
     threading.Timer(0.1, door, ["Door:0"]).start()
-    threading.Timer(0.9, door, ["Idle"]).start()
+    threading.Timer(0.9, door, ["Idle"]).start()  # s: several reports have Door by then
     report = Stream(connection, ready_program(100), view).run()
     assert view.messages == ["the machine is in Door:0: close the safety door and resume (~)"]
     assert report.ok() and report.answered == 100
@@ -623,6 +662,7 @@ def test_opened_door_is_reported_once_and_the_job_continues(
 
 
 def test_unplugged_cable_is_reported_with_the_line(grbl: FakeGrbl, view: Watcher) -> None:
+    """The other end of the terminal is closed after 0.3 s."""
     master, slave = os.openpty()
     connection = Connection(os.ttyname(slave))
     os.close(slave)
@@ -635,19 +675,23 @@ def test_unplugged_cable_is_reported_with_the_line(grbl: FakeGrbl, view: Watcher
 def test_internal_fault_holds_the_machine_first(
     grbl: FakeGrbl, connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The view raises while the program runs."""
+
     def broken(answered: int, status: str) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr(view, "progress", broken)
     with pytest.raises(ZeroDivisionError):
         Stream(connection, ready_program(50), view).run()
-    time.sleep(0.05)
+    time.sleep(0.05)  # s: all bytes have arrived
     assert grbl.realtime == FEED_HOLD
 
 
 def test_full_disk_ends_the_program_like_an_abort(
     grbl: FakeGrbl, connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The view cannot write its output."""
+
     def full(answered: int, status: str) -> None:
         raise OSError(28, "No space left on device")
 
@@ -708,6 +752,8 @@ def test_port_that_cannot_be_opened_is_reported_in_our_words(port: str, words: s
 def test_refusal_by_the_system_is_reported_in_our_words(
     monkeypatch: pytest.MonkeyPatch, number: int, theirs: str, words: str
 ) -> None:
+    """number, theirs: error number and text of pyserial; without a number the text has the
+    cause."""
     monkeypatch.setattr(serial, "serial_for_url", refused(number, theirs))
     with pytest.raises(SendError, match=words) as raised:
         Connection("/dev/ttyACM0")

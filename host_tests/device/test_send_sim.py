@@ -1,4 +1,8 @@
-"""Test `ugrbl send` as a process at the simulator: how it ends, and how it continues."""
+"""Test `ugrbl send` as a process at the simulator: how it ends, and how it continues.
+
+Bench is the simulator as a process on a pseudo-terminal, in real time: bench.wire(">") returns all
+bytes sent to it, bench.wire("<") all that it has sent. Send is the running command: end() returns
+its exit code and output."""
 
 import os
 import pty
@@ -49,7 +53,9 @@ def unlock(bench: Bench) -> None:
 
 
 class Send:
-    """A running `ugrbl send`. terminal: it has a terminal, which the test uses."""
+    """A running `ugrbl send` of these lines with these options (words).
+
+    terminal: it has a terminal, which the test uses. dumb: a terminal without a live display."""
 
     def __init__(
         self,
@@ -68,7 +74,7 @@ class Send:
         self.master = -1
         if terminal:
             pid, self.master = pty.fork()
-            if pid == 0:
+            if pid == 0:  # the child process
                 os.execve(sys.executable, command, _environment("dumb" if dumb else "xterm"))
             self.pid = pid
             return
@@ -87,9 +93,9 @@ class Send:
 
     def wait_text(self, what: str) -> str:
         """Read from the terminal until a text arrives."""
-        until = time.monotonic() + _PATIENCE_S
+        end_s = time.monotonic() + _PATIENCE_S
         while what not in self.text:
-            assert time.monotonic() < until, self.text
+            assert time.monotonic() < end_s, self.text
             self._read()
         return self.text
 
@@ -98,10 +104,10 @@ class Send:
         if self.master < 0:
             text, _ = self.process.communicate(timeout=_PATIENCE_S)
             return self.process.returncode, text
-        until = time.monotonic() + _PATIENCE_S
+        end_s = time.monotonic() + _PATIENCE_S
         pid = 0
         while not pid:
-            assert time.monotonic() < until, self.text
+            assert time.monotonic() < end_s, self.text
             self._read()
             pid, status = os.waitpid(self.pid, os.WNOHANG)
         self._read()
@@ -119,10 +125,10 @@ class Send:
 
 def wait_until_at(bench: Bench, mm: float) -> None:
     """Wait until a status report on the wire has passed this X."""
-    until = time.monotonic() + _PATIENCE_S
-    while time.monotonic() < until:
-        places = re.findall(rb"<Run\|MPos:([\d.]+)", bench.wire("<"))
-        if places and float(places[-1]) >= mm:
+    end_s = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < end_s:
+        x_mm = re.findall(rb"<Run\|MPos:([\d.]+)", bench.wire("<"))
+        if x_mm and float(x_mm[-1]) >= mm:
             return
         time.sleep(0.05)
     raise AssertionError(f"never at {mm} mm")
@@ -134,7 +140,7 @@ def place_reported(bench: Bench) -> float:
 
 
 def place(bench: Bench) -> tuple[str, list[float]]:
-    """Ask for state and position."""
+    """Ask for state and position: its name, and X, Y, Z in mm."""
     connection = Connection(str(bench.port))
     assert connection.answers()
     connection.close()
@@ -142,15 +148,18 @@ def place(bench: Bench) -> tuple[str, list[float]]:
 
 
 def line_made(text: str) -> int:
-    found = re.search(r"line (\d+) was being executed", text)
-    assert found, text
-    return int(found[1])
+    """Return the number of the line that was being executed, by the output."""
+    named = re.search(r"line (\d+) was being executed", text)
+    assert named, text
+    return int(named[1])
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_signal_holds_resets_and_names_the_line(
     bench: Bench, tmp_path: Path, number: signal.Signals
 ) -> None:
+    """128 + its number is the usual exit code after a signal. The line named is the one whose
+    part of the stairs has this X."""
     send = Send(bench, tmp_path, STAIRS)
     wait_until_at(bench, 5)
     os.kill(send.pid, number)
@@ -168,6 +177,7 @@ def test_signal_holds_resets_and_names_the_line(
 def test_ctrl_c_holds_and_asks_whether_to_continue(
     bench: Bench, tmp_path: Path, answer: str
 ) -> None:
+    """The last line ends at X30; an answer that is neither r nor a is asked for again."""
     send = Send(bench, tmp_path, STAIRS[:60], terminal=True)
     wait_until_at(bench, 5)
     send.press("\x03")
@@ -183,6 +193,7 @@ def test_ctrl_c_holds_and_asks_whether_to_continue(
 
 
 def test_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
+    """The process receives SIGHUP and ends by itself."""
     send = Send(bench, tmp_path, STAIRS, terminal=True)
     send.wait_text("keys:")
     wait_until_at(bench, 5)
@@ -209,6 +220,8 @@ def test_refused_line_ends_the_program_without_a_terminal(bench: Bench, tmp_path
 def test_only_the_refused_line_is_named_as_the_last_one(
     bench: Bench, tmp_path: Path, mode: str
 ) -> None:
+    """The simulator's machine refuses line 2, O1000. With character counting all lines were
+    sent by then, with --mode line only those before."""
     lines = ["%", "O1000", "(one)", "", "N10 G21 G90", "N20 G1 X1 F900", "N30 T1 M6", "%"]
     code, text = Send(bench, tmp_path, lines, "--no-check", "-y", "--mode", mode).end()
     assert code == 1 and "stopped: line 2 was refused" in text
@@ -217,6 +230,7 @@ def test_only_the_refused_line_is_named_as_the_last_one(
 
 
 def test_refused_line_asks_and_can_be_skipped(bench: Bench, tmp_path: Path) -> None:
+    """k: keep going, which also skips the second refusal (G64)."""
     lines = ["G21 G90 F900", "G1 X1", "T1 M6", "G1 X2", "G64", "G1 X3"]
     send = Send(bench, tmp_path, lines, "--no-check", terminal=True)
     send.wait_text("keep going")
@@ -227,6 +241,7 @@ def test_refused_line_asks_and_can_be_skipped(bench: Bench, tmp_path: Path) -> N
 
 
 def test_keys_hold_and_resume_and_m0_shows_its_comment(bench: Bench, tmp_path: Path) -> None:
+    """Space holds, ~ resumes, Enter continues after M0."""
     lines = ["G21 G90 F900", "G1 X8", "M0 (Fräser 3 mm)", "G1 X9"]
     send = Send(bench, tmp_path, lines, terminal=True)
     wait_until_at(bench, 1)
@@ -241,6 +256,7 @@ def test_keys_hold_and_resume_and_m0_shows_its_comment(bench: Bench, tmp_path: P
 
 
 def test_soft_limits_of_the_machine_are_used(bench: Bench, tmp_path: Path) -> None:
+    """X0 of work is at -50 of the machine, whose travel ends at -100: X-60 would be at -110."""
     connection = Connection(str(bench.port))
     assert connection.answers()
     for setting in ("$22=1", "$20=1", "$130=100"):
@@ -253,17 +269,21 @@ def test_soft_limits_of_the_machine_are_used(bench: Bench, tmp_path: Path) -> No
 
 
 def test_alarm_names_the_line_being_executed(bench: Bench, tmp_path: Path) -> None:
+    """Hard limits are on, and X moves into a switch."""
     connection = Connection(str(bench.port))
     assert connection.answers()
     assert connection.ask("$21=1")[-1] == "ok"  # the bench's switch is at 20 mm
     connection.close()
     code, text = Send(bench, tmp_path, STAIRS).end()
     assert code == 1 and "stopped: ALARM:1" in text
-    assert 30 <= line_made(text) <= 41  # by the last report before it
+    # Line 40 ends at the switch, 20 mm; the line is that of the last report before the alarm.
+    assert 30 <= line_made(text) <= 41
     assert "the machine is in Alarm: reset it (Ctrl-X), then home it" in text
 
 
 def test_from_line_restores_modes_tool_and_position(bench: Bench, tmp_path: Path) -> None:
+    """The program is in inches: X0.8 is 20.32 mm. It starts at its sixth line, after a lead
+    that the tool computes in mm: up, spindle on, across, down."""
     lines = ["G20 G91.1 G90", "M3 S1000", "G0 Z0.2", "G0 X0.4", "G1 Z-0.1 F20", "X0.8", "Z0.2"]
     send = Send(bench, tmp_path, lines, "--from-line", "6", "--yes")
     code, text = send.end()
@@ -272,15 +292,16 @@ def test_from_line_restores_modes_tool_and_position(bench: Bench, tmp_path: Path
     assert "up to Z5.080" in text and "across to X10.160 Y0.000" in text
     assert "down to Z-2.540 at 508 mm/min" in text and "spindle on: M3 S1000" in text
     sent = [line for line in bench.wire(">").replace(b"?", b"").split(b"\n") if line]
-    way = [b"G53 G0 Z5.080", b"M3 S1000", b"G4 P4", b"G53 G0 X10.160 Y0.000"]
-    assert sent[-10:-3] == [b"G21 G90 G94 M5", *way, b"G53 G1 Z-2.540 F508", b"F508"]
+    lead = [b"G53 G0 Z5.080", b"M3 S1000", b"G4 P4", b"G53 G0 X10.160 Y0.000"]
+    assert sent[-10:-3] == [b"G21 G90 G94 M5", *lead, b"G53 G1 Z-2.540 F508", b"F508"]
     assert {b"G1", b"G20", b"G90", b"S1000"} <= set(sent[-3].split())
-    assert sent[-2:] == [b"X0.8", b"Z0.2"]
+    assert sent[-2:] == [b"X0.8", b"Z0.2"]  # lines 6 and 7 of the program
 
 
 def test_from_line_sends_g93_and_large_numbers_in_a_form_that_grbl_accepts(
     bench: Bench, tmp_path: Path
 ) -> None:
+    """G93 (inverse time) must stand alone, because each move under it needs its own F."""
     lines = ["G21 G90 S2000000", "G10 P1 L20 X0", "G1 X1 F2000000", "G93", "X2 F60", "G1 X3 F60"]
     code, text = Send(bench, tmp_path, lines, "--from-line", "6", "--yes").end()
     assert code == 0 and "line 2 sets the origin where the tool is" in text, text
@@ -290,7 +311,8 @@ def test_from_line_sends_g93_and_large_numbers_in_a_form_that_grbl_accepts(
 
 
 def test_from_line_keeps_a_laser_dark_until_it_moves(bench: Bench, tmp_path: Path) -> None:
-    """M3 with G1 in force would burn a dot into the work."""
+    """M3 with G1 in force would burn a dot into the work: the lead switches to G0 first. Line 4
+    continues a G1 cut, which cannot begin in the middle."""
     connection = Connection(str(bench.port))
     assert connection.answers() and connection.ask("$32=1")[-1] == "ok"
     connection.close()
@@ -339,6 +361,8 @@ def own_bench(tmp_path: Path) -> Iterator[Bench]:
 def test_user_words_unknown_to_the_simulator_are_not_refusals(
     own_bench: Bench, tmp_path: Path
 ) -> None:
+    """The rehearsal does not know M100, T1 M6 and G101, but the machine has them by its own
+    Python."""
     code, text = Send(own_bench, tmp_path, OWN_CUTS).end()
     assert code == 0, text
     assert (
@@ -351,6 +375,7 @@ def test_user_words_unknown_to_the_simulator_are_not_refusals(
 def test_line_unknown_to_the_machine_is_refused_in_spite_of_user_words(
     own_bench: Bench, tmp_path: Path
 ) -> None:
+    """M102 is not in the list that the machine reports of its own words."""
     code, text = Send(own_bench, tmp_path, [*OWN_CUTS, "M102"]).end()
     assert code == 1 and "line 11: M102" in text and "1 line would be refused" in text
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
@@ -365,6 +390,7 @@ def test_user_words_are_rehearsed_with_their_file(own_bench: Bench, tmp_path: Pa
 def test_from_line_refuses_to_start_after_user_words_that_may_have_moved(
     own_bench: Bench, tmp_path: Path, check: str
 ) -> None:
+    """Without their Python the tool cannot know where M100 or G101 have moved the machine."""
     words = (check, "--from-line", "9", "--yes")
     code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
     assert code == 1 and "--custom FILE" in text
@@ -376,6 +402,7 @@ def test_from_line_refuses_to_start_after_user_words_that_may_have_moved(
 def test_from_line_follows_the_moves_of_user_words_in_their_file(
     own_bench: Bench, tmp_path: Path
 ) -> None:
+    """With their Python the rehearsal knows the position before line 9: X5 Y4."""
     words = ("--from-line", "9", "--yes", "--custom", str(tmp_path / "mine.py"))
     code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
     assert code == 0, text
@@ -388,13 +415,14 @@ def test_from_line_follows_the_moves_of_user_words_in_their_file(
 def test_file_that_differs_from_the_machines_is_refused(
     own_bench: Bench, tmp_path: Path, words: list[str]
 ) -> None:
+    """The file given has another event handler (tool_select)."""
     other = tmp_path / "other.py"
     other.write_text(OWN.replace("tool_change", "tool_select"))
     code, text = Send(own_bench, tmp_path, OWN_CUTS, *words, "--custom", str(other)).end()
-    said = (
+    expected = (
         "differs from the Python on the machine: G101, M100, on.tool_change there, G101, M100, on"
     )
-    assert code == 1 and said in " ".join(text.split())
+    assert code == 1 and expected in " ".join(text.split())
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
@@ -422,12 +450,13 @@ def test_from_line_moves_nothing_without_consent(bench: Bench, tmp_path: Path) -
 def test_remaining_time_comes_from_the_simulation(bench: Bench, tmp_path: Path) -> None:
     send = Send(bench, tmp_path, STAIRS[:160], terminal=True, dumb=False)
     text = send.wait_text(" left")
-    found = re.search(r"0:00:(\d\d) left", text)
-    assert found and 1 <= int(found[1]) <= 6  # 80 mm at 15 mm/s, less the time that has passed
+    time_left = re.search(r"0:00:(\d\d) left", text)
+    assert time_left and 1 <= int(time_left[1]) <= 6  # 80 mm at 15 mm/s: 5.3 s
     assert send.end()[0] == 0
 
 
 def test_program_is_read_from_stdin(bench: Bench, tmp_path: Path) -> None:
+    """The file name "-" means standard input."""
     command = [sys.executable, "-m", "ugrbl.cli", "send", "-", "--port", str(bench.port)]
     done = subprocess.run(
         command,
@@ -442,24 +471,26 @@ def test_program_is_read_from_stdin(bench: Bench, tmp_path: Path) -> None:
 
 
 def test_line_is_named_from_reports_of_work_positions(bench: Bench, tmp_path: Path) -> None:
+    """$10=2: reports have the work position (WPos), which differs from the machine's by the
+    offset."""
     connection = Connection(str(bench.port))
     assert connection.answers()
     for line in ("$10=2", "G10 L2 P1 Y-30"):
         assert connection.ask(line)[-1] == "ok"
     connection.close()
     send = Send(bench, tmp_path, STAIRS)
-    until = time.monotonic() + _PATIENCE_S
+    end_s = time.monotonic() + _PATIENCE_S
     while not re.search(rb"<Run\|WPos:[5-9]", bench.wire("<")):
-        assert time.monotonic() < until
+        assert time.monotonic() < end_s
         time.sleep(0.05)
     os.kill(send.pid, signal.SIGTERM)
     _, text = send.end()
-    made = line_made(text)
+    named_line = line_made(text)
     connection = Connection(str(bench.port))
     assert connection.wait_for(lambda line: bool(connection.place()), 5)
     connection.close()
     x = connection.work_place()[0]
-    assert (made - 2) / 2 <= x <= made / 2 + 0.02, text
+    assert (named_line - 2) / 2 <= x <= named_line / 2 + 0.02, text
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
@@ -467,6 +498,8 @@ def test_line_is_named_from_reports_of_work_positions(bench: Bench, tmp_path: Pa
 def test_full_disk_starts_no_job_and_ends_none(
     bench: Bench, tmp_path: Path, words: list[str], x: float
 ) -> None:
+    """/dev/full refuses each write as a full disk does. The check before the job fails then;
+    without it (--no-check) the job runs to its end, X20."""
     file = tmp_path / "job.nc"
     file.write_text("\n".join(STAIRS[:40]))
     command = [sys.executable, "-m", "ugrbl.cli", "send", str(file), "--port", str(bench.port)]
@@ -485,6 +518,7 @@ def test_full_disk_starts_no_job_and_ends_none(
 
 
 def test_closed_output_pipe_ends_no_job(bench: Bench, tmp_path: Path) -> None:
+    """Nobody reads the output of the command."""
     file = tmp_path / "job.nc"
     file.write_text("\n".join(STAIRS[:40]))
     command = [sys.executable, "-m", "ugrbl.cli", "send", str(file), "--port", str(bench.port)]
@@ -508,10 +542,10 @@ def test_command_that_needs_a_board_reports_the_simulator(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    pulled = CliRunner().invoke(app, ["custom", "pull", "x.py", "--port", str(bench.port)])
-    assert pulled.exit_code == 1 and "the simulator answers on" in pulled.output
-    words = ["doctor", "--port", str(bench.port), "--pins", "0", "--no-move"]
-    assert "Grbl sim: it is the simulator" in CliRunner().invoke(app, words).output
+    custom_pull = CliRunner().invoke(app, ["custom", "pull", "x.py", "--port", str(bench.port)])
+    assert custom_pull.exit_code == 1 and "the simulator answers on" in custom_pull.output
+    doctor = ["doctor", "--port", str(bench.port), "--pins", "0", "--no-move"]
+    assert "Grbl sim: it is the simulator" in CliRunner().invoke(app, doctor).output
 
 
 def test_unplugged_cable_is_reported_with_line_and_state(bench: Bench, tmp_path: Path) -> None:

@@ -1,4 +1,8 @@
-"""Test `ugrbl settings` at a simulator on a pseudo-terminal."""
+"""Test `ugrbl settings` at a simulator on a pseudo-terminal.
+
+pull writes the machine's settings into a file, diff compares them, push sends those that differ,
+and saves the old values in FILE.before, which restore sends back. One simulator
+serves all tests of this module."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -27,12 +31,14 @@ GRBL = ["[VER:1.1h.20190830:]", "[OPT:V,15,128]"]
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    """Return a running simulator with factory settings."""
     running = Bench(tmp_path_factory.mktemp("sim"), "--speed", "max")
     yield running
     running.kill()
 
 
 def ugrbl(bench: Bench, *words: object, answer: str = "") -> Result:
+    """Run `ugrbl settings` at this machine; answer: what the user types."""
     command = ["settings", *map(str, words), "--port", str(bench.port)]
     return CliRunner().invoke(app, command, input=answer)
 
@@ -47,6 +53,7 @@ def pulled(bench: Bench, tmp_path: Path) -> Path:
 
 
 def edit(file: Path, **values: str) -> None:
+    """Change settings in a file; s110="6000" is $110=6000."""
     lines = file.read_text().splitlines()
     for name, value in values.items():
         start = f"${name[1:]}="
@@ -68,6 +75,7 @@ def test_pulled_file_explains_each_setting(pulled: Path) -> None:
 
 
 def test_pulled_file_can_be_streamed_by_any_sender(bench: Bench, pulled: Path) -> None:
+    """It has no characters that would act as real-time commands."""
     done = CliRunner().invoke(
         app, ["send", str(pulled), "--port", str(bench.port), "--mode", "line"]
     )
@@ -123,9 +131,9 @@ def test_difference_is_shown_with_name_and_unit(bench: Bench, pulled: Path) -> N
 def test_difference_is_printed_as_json(bench: Bench, pulled: Path) -> None:
     edit(pulled, s110="6000")
     done = ugrbl(bench, "diff", pulled, "--json", "-")
-    found = json.loads(done.stdout)
-    assert found["firmware"]["version"] == "1.1"
-    assert found["changes"] == [
+    report = json.loads(done.stdout)
+    assert report["firmware"]["version"] == "1.1"
+    assert report["changes"] == [
         {
             "number": 110,
             "before": "500.000",
@@ -140,6 +148,7 @@ def test_difference_is_printed_as_json(bench: Bench, pulled: Path) -> None:
 
 
 def test_push_shows_asks_changes_and_saves_the_old_values(bench: Bench, pulled: Path) -> None:
+    """Answers no, none (no terminal), and yes; then the old values are restored."""
     edit(pulled, s120="500", s20="1", s22="1")  # $20 is refused until $22 is set
     done = ugrbl(bench, "push", pulled, answer="n\n")
     assert done.exit_code == 1 and "nothing has been changed" in done.output
@@ -161,14 +170,15 @@ def test_push_shows_asks_changes_and_saves_the_old_values(bench: Bench, pulled: 
 
 
 def test_refused_value_is_reported_and_the_rest_is_pushed(bench: Bench, pulled: Path) -> None:
+    """$0=1 is shorter than 3 us, which Grbl refuses."""
     before = pulled.with_name("before")
     before.write_text(pulled.read_text())
     edit(pulled, s0="1", s1="99")
     done = ugrbl(bench, "push", pulled, "--yes", "--json", pulled.with_name("result"))
     assert done.exit_code == 1
     assert "$0=1: error:6" in done.output
-    back = f"ugrbl settings restore {pulled}.before"
-    assert f"1 of 2 settings changed; to undo: {back}" in " ".join(done.output.split())
+    undo_command = f"ugrbl settings restore {pulled}.before"
+    assert f"1 of 2 settings changed; to undo: {undo_command}" in " ".join(done.output.split())
     result = json.loads(pulled.with_name("result").read_text())
     assert [row["number"] for row in result["refused"]] == [0]
     assert ugrbl(bench, "restore", before, "--yes").exit_code == 0
@@ -178,6 +188,8 @@ def test_refused_value_is_reported_and_the_rest_is_pushed(bench: Bench, pulled: 
 def test_interrupted_push_reports_its_progress_and_the_way_back(
     bench: Bench, pulled: Path, monkeypatch: pytest.MonkeyPatch, end: BaseException
 ) -> None:
+    """The connection breaks, or the user presses Ctrl-C, after the first of three settings."""
+
     def breaks_off(
         connection: Connection, todo: Sequence[Change], progress: Callable[[Change], None]
     ) -> None:
@@ -188,8 +200,8 @@ def test_interrupted_push_reports_its_progress_and_the_way_back(
     edit(pulled, s120="500", s121="500", s122="500")
     done = ugrbl(bench, "push", pulled, "--yes")
     assert done.exit_code == (1 if isinstance(end, SendError) else 130)
-    back = f"ugrbl settings restore {pulled}.before"
-    assert f"1 of 3 settings changed; to undo: {back}" in " ".join(done.output.split())
+    undo_command = f"ugrbl settings restore {pulled}.before"
+    assert f"1 of 3 settings changed; to undo: {undo_command}" in " ".join(done.output.split())
 
 
 def test_push_with_all_values_refused_offers_no_way_back(bench: Bench, pulled: Path) -> None:
@@ -213,9 +225,9 @@ def test_zero_that_stops_an_axis_is_reported_before_the_question(
     file = tmp_path / "zero"
     file.write_text(f"; [VER:1.1h.20190830:]\n{line}\n")
     done = ugrbl(bench, "push", file, answer="n\n")
-    said = " ".join(done.output.split())
-    assert f"note: {line} means {what}: it will not move as it should" in said
-    assert said.index("note: ") < said.index("Change 1 setting?")
+    output = " ".join(done.output.split())
+    assert f"note: {line} means {what}: it will not move as it should" in output
+    assert output.index("note: ") < output.index("Change 1 setting?")
     assert "note: " in ugrbl(bench, "diff", file).output
 
 
@@ -231,18 +243,20 @@ def test_pull_creates_the_folders_of_its_file(bench: Bench, tmp_path: Path) -> N
 
 
 def test_push_leaves_settings_not_in_the_file_unchanged(bench: Bench, pulled: Path) -> None:
-    part = pulled.with_name("part")
-    part.write_text("; [VER:1.1f.20170801:]\n$27=2.5 (my switches)\n")
-    assert ugrbl(bench, "push", part, "--yes").exit_code == 0
+    """The file has one setting; it can be pushed, but not restored, which needs all."""
+    partial_file = pulled.with_name("part")
+    partial_file.write_text("; [VER:1.1f.20170801:]\n$27=2.5 (my switches)\n")
+    assert ugrbl(bench, "push", partial_file, "--yes").exit_code == 0
     done = ugrbl(bench, "diff", pulled, "--json", "-")
     assert [row["number"] for row in json.loads(done.stdout)["changes"]] == [27]
-    done = ugrbl(bench, "restore", part, "--yes")
+    done = ugrbl(bench, "restore", partial_file, "--yes")
     assert done.exit_code == 1 and "the file has no $0, $1" in done.output
 
 
 def test_factory_settings_are_restored(
     bench: Bench, pulled: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The old values are saved in factory.before, in the current folder."""
     monkeypatch.chdir(pulled.parent)
     edit(pulled, s130="777")
     assert ugrbl(bench, "push", pulled, "--yes").exit_code == 0
@@ -324,6 +338,7 @@ def test_older_file_formats_are_read() -> None:
 
 
 def test_numbers_are_compared_as_grbl_prints_them() -> None:
+    """Three decimals, and about seven digits of a 32-bit float."""
     machine = {11: "0.010", 100: "1234567.875", 0: "10"}
     assert changes(machine, {11: "0.0104", 100: "1234568", 0: "10.0"}) == []
     assert [c.number for c in changes(machine, {11: "0.011", 100: "1234600"})] == [11, 100]
@@ -336,6 +351,7 @@ def test_every_setting_of_the_firmware_has_a_meaning() -> None:
 
 
 def test_letter_of_a_version_does_not_matter() -> None:
+    """A file of 1.1f fits a machine with 1.1h."""
     ours = Settings(Firmware.read(GRBL), {0: "10"})
     theirs = Settings(Firmware.read(["; [VER:1.1f.20170801:mine]"]), {0: "12"})
     check_fit(theirs, ours, any_version=False, complete=True)

@@ -146,5 +146,6 @@ for called, others in (("part.nc", range(0)), ("PART.NC", range(14))):
 
 @needs_micropython
 def test_a_fault_at_any_block_leaves_the_old_or_the_new_file_and_all_others() -> None:
+    """The script prints how many block accesses it takes to save the file: the faults it tried."""
     printed = run_micropython(_SCRIPT, paths=[_HERE, FIRMWARE])
     assert all(int(count) > 30 for count in printed.split())

@@ -52,6 +52,8 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_machine_starts_with_the_older_copy_of_any_damaged_file(
     name: str, filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The machine is started once with each damage; start_damaged checks its values and
+    reports."""
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "board"
     shutil.copytree(filled, folder)
@@ -122,12 +124,13 @@ def test_damage_is_reported_when_the_port_is_opened_later(
 def test_the_machine_works_with_a_damaged_custom_py(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The file is the user's own Python on the board."""
     complete()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.dont_write_bytecode", True)  # or the older bytecode would run
     folder = str(tmp_path / "board")
     furnish(folder)
-    # Dice(4): random seed; six damages of the file are tried
+    # Dice(4): its random numbers; flips: how many bits are flipped, and how many cuts are tried.
     start_with_damaged_custom(folder, Dice(4), flips=6)
 
 

@@ -41,6 +41,7 @@ def test_saved_text_is_loaded_and_the_older_copy_is_kept(
 def test_a_file_never_saved_differs_from_a_lost_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The only copy is cut short; "startup" was never saved."""
     store = attach(monkeypatch, Flash(), fresh=True)
     assert store.load("settings") == []
     store.save("settings", OLD)
@@ -53,6 +54,7 @@ def test_a_file_never_saved_differs_from_a_lost_file(
 def test_a_power_cut_in_the_first_write_leaves_a_new_board_or_the_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Power is cut at each operation on the chip while OLD is saved for the first time."""
     blank = Flash()
     attach(monkeypatch, blank, fresh=True)
     image = bytes(blank.buffer)
@@ -71,6 +73,7 @@ def test_a_power_cut_in_the_first_write_leaves_a_new_board_or_the_settings(
 def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_text(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Power is cut at each operation on the chip while NEW replaces OLD."""
     chip_with_old = Flash()
     attach(monkeypatch, chip_with_old, fresh=True).save("settings", OLD)
     image = bytes(chip_with_old.buffer)

@@ -57,6 +57,8 @@ class Attacker(threading.Thread):
         self._open: list[socket.socket] = []
 
     def run(self) -> None:
+        """Every 4 ms: perhaps connect, send the next piece on a random connection, perhaps
+        close one."""
         while not self.over.wait(_EACH_S):
             if len(self._open) < _OPEN and self._chance.random() < 0.3:
                 self._connect()

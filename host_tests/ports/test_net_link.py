@@ -34,10 +34,12 @@ def test_a_client_is_welcomed_and_takes_control_with_its_first_line(bench) -> No
         assert bench.sender.take() == []  # the cable's sender has asked nothing
 
     bench.run(script)
-    assert bench.steps() == [500, 0, 0]  # X2
+    assert bench.steps() == [500, 0, 0]  # 250 steps/mm * 2 mm
 
 
 def test_the_cable_sender_gets_its_answers_while_clients_are_connected(bench) -> None:
+    """A client on the network receives nothing of them."""
+
     def script(bench):
         pipe = yield from joined(bench)
         yield from bench.sender.wait("ok", "$G\n")
@@ -52,6 +54,8 @@ def test_the_cable_sender_gets_its_answers_while_clients_are_connected(bench) ->
 
 
 def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
+    """ "?" requests a status report, which begins with "<"."""
+
     def script(bench):
         silent, asking = bench.call(), bench.call()
         yield from connected(bench, silent)
@@ -67,6 +71,8 @@ def test_a_report_goes_only_to_the_client_that_asked(bench) -> None:
 
 @pytest.mark.parametrize("line", ["$G\n", "$#\n", "$I\n", "$N\n", "$$\n"])
 def test_an_answer_goes_only_to_the_client_that_asked(bench, line: str) -> None:
+    """Only messages, as that of M30, are for all clients."""
+
     def script(bench):
         asking = yield from joined(bench)
         silent = bench.call()
@@ -82,6 +88,8 @@ def test_an_answer_goes_only_to_the_client_that_asked(bench, line: str) -> None:
 
 @pytest.mark.parametrize("line", ["G1X1F100\n", "$H\n", "$J=G91X1F100\n", "$110=7\n", "$RST=*\n"])
 def test_without_the_key_no_command_is_executed(bench, line: str) -> None:
+    """Neither a line nor a real-time command; error:9 is "locked"."""
+
     def script(bench):
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
@@ -112,6 +120,9 @@ def test_without_the_key_a_sender_completes_its_start_queries(bench) -> None:
 
 
 def test_with_the_key_commands_are_executed_and_each_connection_must_send_it(bench) -> None:
+    """The key may be sent in lower case. A second connection from the same address needs it
+    again."""
+
     def script(bench):
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
@@ -126,7 +137,7 @@ def test_with_the_key_commands_are_executed_and_each_connection_must_send_it(ben
         yield from bench.wait(2000)
 
     bench.run(script)
-    assert bench.steps() == [500, 0, 0]  # X2
+    assert bench.steps() == [500, 0, 0]  # 250 steps/mm * 2 mm
 
 
 def test_a_machine_without_a_key_trusts_no_client(bench) -> None:
@@ -155,12 +166,14 @@ def test_lines_of_two_clients_are_never_mixed(bench) -> None:
         yield from bench.wait(3000)
 
     bench.run(script)
-    assert bench.steps() == [1250, 0, 0]  # only X5
+    assert bench.steps() == [1250, 0, 0]  # 250 steps/mm * 5 mm: only X5
 
 
 def test_another_client_may_take_control_if_the_first_is_silent_and_the_machine_idle(
     bench,
 ) -> None:
+    """The first is notified when the second takes control."""
+
     def script(bench):
         first, second = bench.call(), bench.call()
         yield from connected(bench, first)
@@ -175,7 +188,7 @@ def test_another_client_may_take_control_if_the_first_is_silent_and_the_machine_
         yield from bench.wait(1000)
 
     bench.run(script)
-    assert bench.steps() == [500, 0, 0]  # X2
+    assert bench.steps() == [500, 0, 0]  # 250 steps/mm * 2 mm
 
 
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84", "\x85"])
@@ -240,6 +253,8 @@ def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
 
 
 def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
+    """ "G1X9" without a line end must not become "G1X9Y1" with the next client's line."""
+
     def script(bench):
         closed = yield from joined(bench)
         assert (yield from bench.ask(closed, "G1X1F600\n")) == "ok\r\n"
@@ -255,6 +270,8 @@ def test_a_half_line_of_a_closed_connection_is_discarded(bench) -> None:
 
 
 def test_answers_to_a_closed_connection_go_to_no_other_client(bench) -> None:
+    """Three lines of a client that has gone are answered after the next one has connected."""
+
     def script(bench):
         closed = yield from joined(bench)
         closed.send("G4P2\nG1X1F600\nG1X2\n")  # a dwell of 2 s: no answer before it closes
@@ -280,7 +297,7 @@ def test_a_jog_ends_when_its_client_disconnects_and_a_program_continues(bench) -
         yield from bench.wait(1500)
         assert not bench.rig.moving()
         steps_at_stop = bench.steps()[0]
-        assert 0 < steps_at_stop < 5000  # 12500 would be the whole jog of 50 mm
+        assert 0 < steps_at_stop < 5000  # 250 * 50 = 12500 would be all of the jog
         programming = yield from joined(bench)
         assert (yield from bench.ask(programming, "G91G1X4F600\n")) == "ok\r\n"
         programming.is_broken = True
@@ -345,6 +362,8 @@ def test_lines_of_a_job_are_executed_whole_whoever_comes_and_goes(
 
 
 def test_line_of_a_client_that_takes_control_during_a_job_is_refused(with_job) -> None:
+    """A job ($F=) runs; the client that started it has gone."""
+
     def script(bench):
         starter = yield from joined(bench)
         assert (yield from bench.ask(starter, "$F=A.NC\n")).startswith("ok")
@@ -414,6 +433,8 @@ def test_output_to_a_silent_client_stays_within_memory(bench) -> None:
 
 
 def test_random_bytes_without_the_key_do_nothing(bench) -> None:
+    """Each byte value, then a long line."""
+
     def script(bench):
         pipe = bench.call("10.0.0.1")
         yield from connected(bench, pipe)
@@ -479,6 +500,9 @@ def test_only_the_cable_is_greeted_when_its_port_is_opened(bench) -> None:
 
 
 def test_a_client_dropped_in_the_middle_of_its_lines_loses_control(bench) -> None:
+    """The second client's lines would give it control, but it accepts no answers and is dropped
+    before all are executed. The first can go on at once."""
+
     def script(bench):
         first, dropped = bench.call(), bench.call()
         yield from connected(bench, first)
@@ -496,6 +520,8 @@ def test_a_client_dropped_in_the_middle_of_its_lines_loses_control(bench) -> Non
 
 
 def test_all_lines_of_a_new_client_are_executed_after_those_of_the_last(bench) -> None:
+    """The dwell of a client that has gone delays them; none is lost."""
+
     def script(bench):
         last_client = yield from joined(bench)
         last_client.send("G4P1.5\n")  # a dwell of 1.5 s
@@ -569,6 +595,8 @@ def silent_owner_and_other(bench, sends=""):
 
 
 def test_a_polling_client_neither_takes_nor_loses_control(bench) -> None:
+    """Queries may be sent at any time, but give no control."""
+
     def script(bench):
         owner, polling = (yield from joined(bench)), (yield from joined(bench))
         for k in range(4):
@@ -585,6 +613,8 @@ def test_a_polling_client_neither_takes_nor_loses_control(bench) -> None:
 
 
 def test_a_command_after_a_query_takes_control_and_loses_no_answer(bench) -> None:
+    """Control is free, because the owner was silent; the command takes it."""
+
     def script(bench):
         owner, other = yield from silent_owner_and_other(bench)
         other.send("$G\nG91G1X1\n")
@@ -617,6 +647,8 @@ def test_lines_of_the_controlling_client_wait_while_another_reads(bench) -> None
 
 
 def test_a_reader_that_disconnects_does_not_change_control(bench) -> None:
+    """It disconnects while its answer is sent."""
+
     def script(bench):
         owner, other = yield from silent_owner_and_other(bench)
         other.send("$$\n")
@@ -652,6 +684,8 @@ def test_a_begun_line_is_not_broken_by_a_reading_client(bench) -> None:
 
 
 def test_a_jog_ends_when_its_client_disconnects_while_another_reads(bench) -> None:
+    """The jog arrives while the answer to $$ is sent, and its client hangs up."""
+
     def script(bench):
         owner, other = yield from silent_owner_and_other(bench)
         other.send("$$\n")

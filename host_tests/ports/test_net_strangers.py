@@ -66,6 +66,8 @@ def test_clients_without_the_key_make_place_for_others(bench) -> None:
 
 
 def test_a_computer_that_reconnects_again_and_again_takes_only_its_own_place(bench) -> None:
+    """20 connections from the first address replace the one it has, never the others."""
+
     def script(bench):
         first_clients = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
         for pipe in first_clients:

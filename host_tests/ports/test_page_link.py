@@ -117,6 +117,7 @@ def test_host_names_of_the_board_and_addresses_are_accepted(bench, host: str) ->
 
 
 def test_a_missing_page_is_reported(bench, tmp_path: Path) -> None:
+    """The message says how to store the page on the board."""
     (tmp_path / "page.gz").unlink()
 
     def script(bench):
@@ -396,11 +397,14 @@ def test_a_page_of_the_board_gives_the_same_motion_as_the_cable(
 
 
 def test_the_prompt_closes_all_network_connections(bench) -> None:
+    """close() is called before the MicroPython prompt takes over: for a browser that has sent
+    nothing yet (visitor), and for a page."""
+
     def script(bench):
         visitor = bench.visit()
         yield from bench.wait(50)
         page = yield from bench.open()
-        bench.rig.link.cable.close = lambda: None
+        bench.rig.link.cable.close = lambda: None  # the simulated cable has none
         bench.rig.link.close()
         assert page.pipe.is_closed and visitor.is_closed
 

@@ -37,6 +37,7 @@ def erased(flash: Flash, before: int) -> int:
 def test_record_is_one_page_without_an_erasure_and_survives_a_start(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Records are returned newest first. erase() prepares blank pages, and drops the records."""
     flash = Flash()
     pages, files = attach(monkeypatch, flash, fresh=True)
     assert not pages.is_fresh() and not pages.write(_RECORD)  # nothing is prepared yet
@@ -55,6 +56,7 @@ def test_record_is_one_page_without_an_erasure_and_survives_a_start(
 def test_pages_stay_where_they_are_while_other_files_are_written(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """200 writes of up to 9000 bytes to 7 other files make littlefs move its blocks."""
     flash = Flash()
     pages, files = attach(monkeypatch, flash, fresh=True)
     pages.erase()
@@ -62,7 +64,7 @@ def test_pages_stay_where_they_are_while_other_files_are_written(
     for number in range(200):
         with files.fs.open(f"/{number % 7}.txt", "wb") as file:
             file.write(bytes([number]) * (number * 97 % 9000))
-    for _ in range(13):
+    for _ in range(13):  # with _RECORD, 14 of 15 pages
         assert pages.write(b"more")
     after_start, _ = attach(monkeypatch, Flash(bytes(flash.buffer)))
     assert list(after_start.records()) == [*[b"more"] * 13, _RECORD]
@@ -80,6 +82,8 @@ def test_last_page_is_used_and_no_other_block(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_record_that_a_power_cut_has_torn_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Power is cut after each byte of the page that is programmed: the older record stays
+    valid."""
     flash = Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
     pages.erase()
@@ -96,6 +100,7 @@ def test_record_that_a_power_cut_has_torn_is_none(monkeypatch: pytest.MonkeyPatc
 def test_power_cut_while_pages_are_prepared_leaves_the_record_or_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Power is cut at each operation of erase(), which drops the record."""
     flash = Flash()
     pages, _ = attach(monkeypatch, flash, fresh=True)
     pages.erase()

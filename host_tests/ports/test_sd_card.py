@@ -32,6 +32,7 @@ class Bench:
     `read` and `written` count blocks; card.damage changes a block on its way to the reader."""
 
     def __init__(self, is_large: bool = True) -> None:
+        """Fill the card with random bytes. is_large: addresses count blocks, not bytes."""
         content = Random(1).randbytes(_BLOCKS * BLOCK)
         self.card = SdCard(bytearray(content), is_large)
         self.us = 0.0
@@ -47,7 +48,7 @@ class Bench:
                 self.id = id
 
             def __call__(self, level: int) -> None:
-                assert self.id == _PINS[-1]
+                assert self.id == _PINS[-1]  # chip select, active low
                 bench.card.select(not level)
 
         class Bus:
@@ -161,6 +162,8 @@ def once(bench: Bench, bit: int) -> Any:
 
 
 def test_a_block_that_is_always_read_wrong_is_a_fault(bench: Bench) -> None:
+    """One bit is inverted at each read. After the fault the card is right again, but is not
+    used (bench.bytes: exchanged so far)."""
     driver = bench.driver()
     bench.card.damage = lambda block: bytes([block[0] ^ 1]) + block[1:]
     assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO

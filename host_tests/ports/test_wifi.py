@@ -41,6 +41,8 @@ def kept(bench: NetBench) -> dict[str, str]:
 
 
 def test_the_machine_stores_what_the_tool_sends(bench: NetBench) -> None:
+    """A name and a password with characters that Grbl would remove or act upon are sent as
+    hexadecimal digits."""
     name, password = "Werk stätte/2,4", "a-Passw0rd!" * 5 + "öhm;("
     wanted = wifi.Wanted(name, password, is_station=True, host="Router-1", port=2300)
     lines = list(wifi.orders(wanted))
